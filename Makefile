@@ -1,0 +1,78 @@
+# make demo    environment, full reduction of data_samples/, its result against the truth
+# make test    environment, tests
+# make help    everything else
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+
+# Wheel index to look at beside the default one, for another build of PyTorch:
+#   CPU-only machine   TORCH_INDEX=<URL of PyTorch's index of CPU wheels>   (no CUDA libraries are fetched)
+#   CUDA machine       TORCH_INDEX=<URL of PyTorch's index for its CUDA version>
+# Left empty, the build comes from the index that pip is configured with.
+TORCH_INDEX ?=
+PIP_INSTALL = $(BIN)/python -m pip install --quiet -c constraints.txt $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
+
+# Inputs of the recipes; data_samples/ is taken for what is not given.
+CALIBRATION ?=
+RAMP ?=
+calibration_input = $(if $(CALIBRATION),--input calibration=$(CALIBRATION))
+ramp_input = $(if $(RAMP),--input ramp=$(RAMP))
+# Further options, for example ARGS="--set calibrate.method=dip_avg -v"
+ARGS ?=
+DEMO ?= demo
+RUNS ?= runs
+
+.DEFAULT_GOAL := help
+.PHONY: help env env-test demo test bench lint clean full calibrate dip-global ramp sensitivity
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+env: $(VENV)/.env-run ## create the environment in .venv (PYTHON=..., TORCH_INDEX=...)
+env-test: $(VENV)/.env-test ## the same with what the tests need
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+
+# The stamps keep the environment from being built again while its description is the same.
+$(VENV)/.env-run: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP_INSTALL) --editable .
+	@touch $@
+
+$(VENV)/.env-test: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP_INSTALL) --editable '.[dev]'
+	@touch $@ $(VENV)/.env-run
+
+demo: env ## full reduction of data_samples/, then its result against the truth
+	$(BIN)/irlos run recipes/full_reduction.yaml --output $(DEMO) $(ARGS)
+	$(BIN)/irlos score $(DEMO) --truth data_samples/truth
+
+test: env-test ## run the tests
+	$(BIN)/python -m pytest -q $(ARGS)
+
+bench: env-test ## time dip_global against other implementations
+	$(BIN)/python -m benchmarks $(ARGS)
+
+lint: env-test ## check the style
+	$(BIN)/ruff check .
+
+full: env ## recipes/full_reduction.yaml (CALIBRATION=..., RAMP=...)
+	$(BIN)/irlos run recipes/full_reduction.yaml $(calibration_input) $(ramp_input) --output $(RUNS)/full_reduction $(ARGS)
+
+calibrate: env ## recipes/ncpa_calibration.yaml (CALIBRATION=...)
+	$(BIN)/irlos run recipes/ncpa_calibration.yaml $(calibration_input) --output $(RUNS)/ncpa_calibration $(ARGS)
+
+dip-global: env ## recipes/ncpa_dip_global.yaml (CALIBRATION=...)
+	$(BIN)/irlos run recipes/ncpa_dip_global.yaml $(calibration_input) --output $(RUNS)/ncpa_dip_global $(ARGS)
+
+ramp: env ## recipes/defocus_ramp.yaml (RAMP=..., CALIBRATION=...)
+	$(BIN)/irlos run recipes/defocus_ramp.yaml $(ramp_input) $(calibration_input) --output $(RUNS)/defocus_ramp $(ARGS)
+
+sensitivity: env ## recipes/sensitivity.yaml (RAMP=..., CALIBRATION=...)
+	$(BIN)/irlos run recipes/sensitivity.yaml $(ramp_input) $(calibration_input) --output $(RUNS)/sensitivity $(ARGS)
+
+clean: ## remove what building and testing left (not the environment, not runs/)
+	rm -rf build dist demo .pytest_cache .ruff_cache
+	find irlos_pipe tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find . -maxdepth 1 -name '*.egg-info' -type d -exec rm -rf {} +

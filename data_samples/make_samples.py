@@ -1,0 +1,58 @@
+"""Make the data samples: python data_samples/make_samples.py [--output DIR] [--only NAME ...] [--jobs N]."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+
+from simulator.campaign import MUSE, recorder_scenes
+from simulator.exposure import record
+from simulator.files import write_muse_raw, write_recorder_folder, write_truth
+from simulator.scene import Scene
+from simulator.telescope import build_telescope
+
+
+def make_recording(scene: Scene, output: Path) -> tuple[str, float]:
+    """Simulate one scene, write its files and truth below output; return its name and the seconds taken."""
+    started = time.perf_counter()
+    telescope = build_telescope()
+    raw = record(scene, telescope)
+    if scene.name == MUSE.name:
+        write_muse_raw(output / f"{scene.name}.fits", scene, raw)
+    else:
+        write_recorder_folder(output / scene.name, scene, raw)
+    write_truth(output / "truth" / f"{scene.name.replace('/', '__')}.json", scene, raw, telescope)
+    return scene.name, time.perf_counter() - started
+
+
+def parse_arguments(scenes: list[Scene]) -> argparse.Namespace:
+    """Return the command-line options; an unknown recording name ends the program with a message."""
+    parser = argparse.ArgumentParser(description="Simulate the data samples with HCIPy.")
+    parser.add_argument(
+        "--output", type=Path, default=Path(__file__).resolve().parent, help="folder to write to"
+    )
+    parser.add_argument("--only", nargs="+", choices=[scene.name for scene in scenes], help="make these only")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="recordings made at the same time")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Make all samples, or those named."""
+    scenes = [*recorder_scenes(), MUSE]
+    options = parse_arguments(scenes)
+    wanted = [scene for scene in scenes if not options.only or scene.name in options.only]
+    options.output.mkdir(parents=True, exist_ok=True)
+    # The recordings share the cores; threads inside a worker would only compete. Spawned workers see this.
+    os.environ["OMP_NUM_THREADS"] = "1"
+    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+        for done in as_completed([pool.submit(make_recording, scene, options.output) for scene in wanted]):
+            name, seconds = done.result()
+            print(f"{name}: {seconds:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,6 @@
+"""``python -m irlos_pipe`` is the command ``irlos``."""
+
+from irlos_pipe.cli import cli
+
+if __name__ == "__main__":
+    cli(prog_name="irlos")

@@ -1,0 +1,153 @@
+"""Defocus prior from the elongation that an astigmatic diversity gives a defocused image.
+
+A 2-D Gaussian with axes along those of the diversity is fitted to every image, and
+``defocus = A (σ1/σ2 - 1) + B``. A and B come from the PSF model of the instrument at hand, sign of the
+diversity included, and hold inside a stated range.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ..psf import PsfModel
+from .solve import Solution, solve
+
+SPAN_NM = np.linspace(-400.0, 400.0, 33)  # defocus scanned for the calibration of A and B
+TOLERANCE_NM = 60.0  # the validity range ends where the linear law errs by more
+
+
+@dataclass(frozen=True)
+class ElongationLaw:
+    """``defocus_nm = A (ratio - 1) + B``.
+
+    Attributes
+    ----------
+    A, B : float
+        [nm RMS].
+    angle_deg : float
+        Direction of the first axis, from +x towards +y.
+    valid_nm : (float, float)
+        Defocus for which the law errs by less than `TOLERANCE_NM`.
+    residual_nm : float
+        RMS error of the law inside the range.
+    """
+
+    A: float
+    B: float
+    angle_deg: float
+    valid_nm: tuple[float, float]
+    residual_nm: float
+
+    def defocus_nm(self, ratio: np.ndarray) -> np.ndarray:
+        """Prior defocus of axis ratios σ1/σ2, clipped to a little beyond the validity range."""
+        low, high = self.valid_nm
+        reach = 0.25 * (high - low)
+        return np.clip(self.A * (np.asarray(ratio) - 1) + self.B, low - reach, high + reach)
+
+
+def diversity_angle_deg(diversity_nm: dict[int, float]) -> float:
+    """Axis of the astigmatic diversity: 0° for Noll 6, 45° for Noll 5, between for a mixture.
+
+    Raises
+    ------
+    ValueError
+        Without astigmatism in the diversity a single image does not tell the sign of defocus.
+    """
+    oblique, vertical = diversity_nm.get(5, 0.0), diversity_nm.get(6, 0.0)
+    if oblique == 0 and vertical == 0:
+        raise ValueError("the elongation prior needs an astigmatic diversity (Noll 5 or 6)")
+    return float(np.rad2deg(np.arctan2(oblique, vertical)) / 2 % 90)
+
+
+class GaussianFit:
+    """Rotated 2-D Gaussians fitted to images, for `solve`.
+
+    Parameters are x, y [px], ln σ1, ln σ2 [px], amplitude, background; every image in units of
+    its own brightest pixel, pixels weighted alike.
+    """
+
+    relative_tolerance = 1e-6
+
+    def __init__(self, images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float):
+        rows, columns = images_e.shape[1:]
+        peak = (images_e * pixel_mask).amax((1, 2)).clamp_min(1e-30)
+        self.images = (images_e / peak[:, None, None]).double().flatten(1)
+        self.weight = pixel_mask.double().flatten()
+        y, x = torch.meshgrid(torch.arange(rows) - (rows - 1) / 2, torch.arange(columns) - (columns - 1) / 2,
+                              indexing="ij")
+        self.x, self.y = x.double().flatten(), y.double().flatten()
+        self.cos, self.sin = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
+        widest = float(np.log(max(rows, columns)))
+        reach = max(rows, columns) / 2
+        self.lower = torch.tensor([-reach, -reach, -1.0, -1.0, 0.0, -1.0], dtype=torch.float64)
+        self.upper = torch.tensor([reach, reach, widest, widest, 3.0, 1.0], dtype=torch.float64)
+
+    def start(self) -> torch.Tensor:
+        """Centroid and width of the pixels above a third of the peak."""
+        bright = (self.images - 1 / 3).clamp_min(0) * self.weight
+        total = bright.sum(1).clamp_min(1e-12)
+        x, y = (bright @ self.x) / total, (bright @ self.y) / total
+        area = (bright > 0).double().sum(1).clamp_min(4.0)
+        width = torch.log((area / np.pi).sqrt())
+        return torch.stack([x, y, width, width, torch.full_like(x, 0.8), torch.zeros_like(x)], dim=1)
+
+    def _shape(self, p: torch.Tensor):
+        dx, dy = self.x - p[:, :1], self.y - p[:, 1:2]
+        first = (dx * self.cos + dy * self.sin) * torch.exp(-p[:, 2:3])
+        second = (dy * self.cos - dx * self.sin) * torch.exp(-p[:, 3:4])
+        return first, second, torch.exp(-0.5 * (first**2 + second**2))
+
+    def objective(self, p: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
+        """Half the sum of squared residuals, (b,)."""
+        _, _, gauss = self._shape(p)
+        residual = self.images[which] - p[:, 4:5] * gauss - p[:, 5:6]
+        return 0.5 * (self.weight * residual**2).sum(1)
+
+    def normal_equations(self, p: torch.Tensor, which: torch.Tensor):
+        """See `solve.Problem`."""
+        first, second, gauss = self._shape(p)
+        residual = self.images[which] - p[:, 4:5] * gauss - p[:, 5:6]
+        body = p[:, 4:5] * gauss
+        u, v = first * torch.exp(-p[:, 2:3]), second * torch.exp(-p[:, 3:4])
+        columns = torch.stack([body * (u * self.cos - v * self.sin), body * (u * self.sin + v * self.cos),
+                               body * first**2, body * second**2, gauss, torch.ones_like(gauss)], dim=1)
+        weighted = columns * self.weight
+        return (0.5 * (self.weight * residual**2).sum(1), -(weighted @ residual[..., None])[..., 0],
+                weighted @ columns.mT)
+
+
+def axis_ratios(images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float) -> tuple[np.ndarray, Solution]:
+    """Ratio σ1/σ2 of every image, (images,), NaN where the fit failed, and the fits themselves."""
+    problem = GaussianFit(images_e, pixel_mask, angle_deg)
+    solution = solve(problem, problem.start(), max_iterations=80)
+    ratio = torch.exp(solution.values[:, 2] - solution.values[:, 3]).numpy()
+    return np.where(solution.converged.numpy(), ratio, np.nan), solution
+
+
+def calibrate_law(model: PsfModel, transfer: torch.Tensor | None = None) -> ElongationLaw:
+    """A and B from model images over a range of defocus.
+
+    Parameters
+    ----------
+    model : PsfModel
+        With Noll 4 as its only mode.
+    """
+    angle = diversity_angle_deg(model.settings.diversity)
+    images = model.images(torch.as_tensor(SPAN_NM)[:, None], transfer).cpu()
+    ratio, _ = axis_ratios(images, torch.ones(images.shape[1:], dtype=torch.bool), angle)
+    return _fit_law(ratio, angle)
+
+
+def _fit_law(ratio: np.ndarray, angle_deg: float) -> ElongationLaw:
+    """Straight line through the widest range, symmetric about zero defocus, that it describes."""
+    for reach in SPAN_NM[SPAN_NM > 100][::-1]:
+        inside = (np.abs(SPAN_NM) <= reach) & np.isfinite(ratio)
+        slope, offset = np.polyfit(ratio[inside] - 1, SPAN_NM[inside], 1)
+        residual = slope * (ratio[inside] - 1) + offset - SPAN_NM[inside]
+        if np.abs(residual).max() <= TOLERANCE_NM:
+            break
+    return ElongationLaw(float(slope), float(offset), angle_deg, (-float(reach), float(reach)),
+                         float(np.sqrt(np.mean(residual**2))))

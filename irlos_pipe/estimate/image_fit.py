@@ -1,0 +1,156 @@
+"""Fit of the PSF model to images, as a least-squares problem for the batched solver.
+
+One problem serves every estimator: a batch of images, each explained by its own parameter
+vector (`dip_global`, `lift_slices`, LIFT on a ramp), one image by one vector (the mean-image
+methods), or many images by one vector (`dip_joint`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from ..effects.transfer import Transfer
+from ..psf import PsfModel
+from .loss import GAUSSIAN, Loss
+from .parameters import Layout
+
+FRAMES_PER_CHUNK = 16
+
+
+class ImageFit:
+    """Images against ``flux · PSF(modes, effects) + background``.
+
+    Parameters
+    ----------
+    model : PsfModel
+        Its `nolls` are the fitted modes.
+    layout : Layout
+    images_e : tensor, (batch, repeats, pixels)
+        Data; the images along `repeats` share one parameter vector.
+    variance_e2 : tensor, broadcastable to `images_e`
+        Variance of the data; infinite for masked pixels.
+    transfer : Transfer or tensor, optional
+        OTF factors: with free parameters (those of `layout.effects`), or fixed, or none.
+    loss : Loss
+    """
+
+    def __init__(self, model: PsfModel, layout: Layout, images_e: torch.Tensor, variance_e2: torch.Tensor, *,
+                 transfer: Transfer | torch.Tensor | None = None, loss: Loss = GAUSSIAN):
+        self.model, self.layout, self.loss = model, layout, loss
+        self.relative_tolerance = loss.relative_tolerance
+        self.images = images_e
+        self.transfer = transfer
+        self.root_weight = self._root_weight(variance_e2)
+        self.lower, self.upper = layout.bounds
+        self.prior_mean, self.prior_precision = layout.prior(len(images_e))
+        if layout.effects and len(images_e) > 1:
+            raise ValueError("free effect parameters belong to one image; fit a ramp's with estimate.shared")
+
+    def _root_weight(self, variance_e2: torch.Tensor) -> torch.Tensor:
+        """Square root of the weight per pixel; a loss in plain electrons uses the median variance."""
+        root = variance_e2.double() ** -0.5
+        if not self.loss.whitened:
+            good = root > 0
+            root = torch.where(good, root[good].median(), 0.0)
+        return root.expand(self.images.shape[0], -1, self.images.shape[2]).to(self.images.dtype)
+
+    # -- Problem -----------------------------------------------------------------------------
+
+    def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
+        """Sum of the loss over pixels plus the prior's half χ², (b,)."""
+        parts = [self._objective(x_part, part) for x_part, part in self._chunks(x, which)]
+        return torch.cat(parts) + self._prior_value(x, which)
+
+    def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
+        """Objective, gradient and Gauss–Newton Hessian, see `solve.Problem`."""
+        parts = [self._normal(x_part, part) for x_part, part in self._chunks(x, which)]
+        value, gradient, hessian = (torch.cat(tensors) for tensors in zip(*parts))
+        precision, offset = self.prior_precision[which], x - self.prior_mean[which]
+        return (value + self._prior_value(x, which), gradient + precision * offset,
+                hessian + torch.diag_embed(precision))
+
+    def _chunks(self, x, which):
+        return zip(x.split(FRAMES_PER_CHUNK), which.split(FRAMES_PER_CHUNK))
+
+    def _prior_value(self, x, which):
+        return 0.5 * (self.prior_precision[which] * (x - self.prior_mean[which]) ** 2).sum(1)
+
+    # -- images ------------------------------------------------------------------------------
+
+    def predict(self, x: torch.Tensor) -> torch.Tensor:
+        """Model images [e-], (b, pixels), float64 on the model's device."""
+        x = x.to(self.model.device)
+        unit = self.model.images(x[:, self.layout.modes], self._factor(x)).double().flatten(1)
+        return x[:, -2:-1] * unit + x[:, -1:]
+
+    def predict_and_jacobian(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Model images and their derivatives, (b, pixels) and (b, parameters, pixels), float64."""
+        model_e, columns, scale = self._linearise(x)
+        return model_e, columns * scale[..., None]
+
+    def _linearise(self, x: torch.Tensor):
+        """Model images, unscaled derivatives, and the factor (b, parameters) that scales them.
+
+        The flux multiplies small matrices later instead of every derivative image here:
+        memory traffic, not arithmetic, limits this step.
+        """
+        x = x.to(self.model.device)
+        free = self._factor_derivatives(x)
+        unit, jacobian = self.model.images_and_jacobian(x[:, self.layout.modes], self._factor(x), free)
+        columns = torch.empty(len(x), self.layout.size, unit[0].numel(), dtype=torch.float64, device=x.device)
+        columns[:, :-2] = jacobian.flatten(2)
+        columns[:, -2] = unit.flatten(1)
+        columns[:, -1] = 1.0
+        scale = torch.ones_like(x)
+        scale[:, :-2] = x[:, -2:-1]
+        return x[:, -2:-1] * columns[:, -2] + x[:, -1:], columns, scale
+
+    def _factor(self, x: torch.Tensor) -> torch.Tensor | None:
+        if isinstance(self.transfer, Transfer):
+            values = x[0, self.layout.effect_values].cpu()
+            return self.transfer(values).to(self.model.device, self.model.dtype)
+        return self.transfer
+
+    def _factor_derivatives(self, x: torch.Tensor) -> torch.Tensor | None:
+        if not self.layout.effects:
+            return None
+        values = x[0, self.layout.effect_values].cpu()
+        return self.transfer.derivatives(values).to(self.model.device, self.model.dtype)
+
+    def _whitened(self, model_e: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Whitened residuals (b, repeats, pixels) and the square roots of the weights."""
+        which = which.to(self.images.device)
+        root = self.root_weight[which].double()
+        return (self.images[which].double() - model_e[:, None]) * root, root
+
+    def _objective(self, x, which):
+        residual, _ = self._whitened(self.predict(x), which)
+        return self.loss.value(residual).sum((1, 2)).cpu()
+
+    def _normal(self, x, which):
+        model_e, columns, scale = self._linearise(x)
+        residual, root = self._whitened(model_e, which)
+        robust = self.loss.weight(residual)
+        force = (robust * residual * root).sum(1)
+        weight = (robust * root * root).sum(1)
+        gradient = -(columns @ force[..., None])[..., 0] * scale
+        hessian = (columns * weight[:, None]) @ columns.mT * scale[:, :, None] * scale[:, None, :]
+        return self.loss.value(residual).sum((1, 2)).cpu(), gradient.cpu(), hessian.cpu()
+
+    # -- quality -----------------------------------------------------------------------------
+
+    def reduced_chi2(self, x: torch.Tensor) -> torch.Tensor:
+        """χ² per degree of freedom of every member, (batch,), from the variances given."""
+        values = []
+        for x_part, which in self._chunks(x, torch.arange(len(x))):
+            residual, root = self._whitened(self.predict(x_part), which)
+            freedom = (root > 0).sum((1, 2)).expand(len(x_part)) * residual.shape[1] // root.shape[1]
+            values.append(((residual**2).sum((1, 2)) / (freedom - self.layout.size)).cpu())
+        return torch.cat(values)
+
+
+def masked_variance(variance_e2: torch.Tensor, pixel_mask: torch.Tensor) -> torch.Tensor:
+    """Variance with infinity at bad pixels, so that they carry no weight."""
+    return torch.where(pixel_mask.to(variance_e2.device), variance_e2, math.inf)

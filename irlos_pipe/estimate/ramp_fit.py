@@ -1,0 +1,140 @@
+"""LIFT on all frames of a ramp: start, object fit, estimate, second try for outliers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ..effects import OtfEffect, OtfGrid, Transfer
+from ..noise import NoiseModel
+from ..psf import PsfModel
+from .centring import start_tilts_nm
+from .lift import LiftOptions, LiftResult, image_problem, lift, smooth
+from .parameters import Layout
+from .shared import SharedFit, fit_shared
+from .solve import Solution
+from .start import scan_start_nm
+
+OUTLIER_CHI2 = 2.0  # a fit this much worse than the median of the ramp gets a second try
+
+
+@dataclass(frozen=True)
+class RampData:
+    """Frames of a ramp in order of recording.
+
+    Attributes
+    ----------
+    images_e : tensor, (frames, rows, columns)
+    pixel_mask : tensor of bool, (rows, columns)
+    noise : NoiseModel
+    introduced_nm : ndarray, (frames,)
+    """
+
+    images_e: torch.Tensor
+    pixel_mask: torch.Tensor
+    noise: NoiseModel
+    introduced_nm: np.ndarray
+
+
+@dataclass(frozen=True)
+class RampFit:
+    """LIFT of a ramp.
+
+    Attributes
+    ----------
+    result : LiftResult
+    transfer : tensor or None
+        The OTF factors used.
+    effects : dict
+        Public parameters of the effects in them.
+    shared : SharedFit or None
+        Where effect parameters were fitted to the whole ramp.
+    start_nm : tensor, (frames, modes)
+    """
+
+    result: LiftResult
+    transfer: torch.Tensor | None
+    effects: dict[str, dict[str, float]]
+    shared: SharedFit | None
+    start_nm: torch.Tensor
+
+
+def start_from_defocus(model: PsfModel, data: RampData, defocus_nm: np.ndarray) -> torch.Tensor:
+    """Start with a given defocus; tip and tilt from the centroids, relative to the model's own image."""
+    start = torch.zeros(len(data.images_e), len(model.nolls), dtype=torch.float64)
+    start[:, model.nolls.index(4)] = torch.as_tensor(np.nan_to_num(defocus_nm))
+    scale, diameter = model.settings.pixel_scale_mas, model.settings.geometry.diameter_m
+    seen = start_tilts_nm((data.images_e * data.pixel_mask).double(), scale, diameter)
+    modelled = start_tilts_nm(model.images(start).double().cpu(), scale, diameter)
+    for axis, noll in enumerate((2, 3)):
+        if noll in model.nolls:
+            start[:, model.nolls.index(noll)] = (seen - modelled)[:, axis]
+    return start
+
+
+def fit_ramp(model: PsfModel, data: RampData, start_nm: torch.Tensor, options: LiftOptions,
+             effects: Sequence[OtfEffect] = (), *, report: Callable[[int], None] | None = None) -> RampFit:
+    """Estimate every frame; effects with free parameters are first fitted to the whole ramp.
+
+    Parameters
+    ----------
+    effects : sequence of OtfEffect
+        Pinned ones are fixed, others are shared by all frames.
+    """
+    transfer = Transfer(effects, OtfGrid(model.grid, model.wavelengths_m)) if effects else None
+    shared = _fit_effects(model, data, start_nm, transfer) if transfer and transfer.parameters else None
+    values = shared.values if shared else torch.zeros(0, dtype=torch.float64)
+    factor = transfer(values).to(model.device, model.dtype) if transfer else None
+    result = lift(model, data.images_e, data.pixel_mask, data.noise, start_nm, options, transfer=factor, report=report)
+    result = second_try(model, data, result, options, factor)
+    return RampFit(result, factor, transfer.describe(values.numpy()) if transfer else {}, shared, start_nm)
+
+
+def _fit_effects(model: PsfModel, data: RampData, start_nm: torch.Tensor, transfer: Transfer) -> SharedFit:
+    layout = Layout(model.nolls)
+    variance = data.noise.variance_e2(smooth(data.images_e))
+    problem = image_problem(model, layout, data.images_e, variance, data.pixel_mask, None)
+    x = layout.start((data.images_e * data.pixel_mask).flatten(1), start_nm)
+    return fit_shared(problem, transfer, x)
+
+
+def second_try(model: PsfModel, data: RampData, result: LiftResult, options: LiftOptions,
+               transfer: torch.Tensor | None) -> LiftResult:
+    """Restart failed and outlying frames from the defocus scan; keep whichever fits better."""
+    if not {2, 3, 4} <= set(model.nolls):
+        return result
+    typical = result.chi2_nu[torch.isfinite(result.chi2_nu)].median() if len(result.chi2_nu) else 1.0
+    suspect = ~result.solution.converged | ~(result.chi2_nu < OUTLIER_CHI2 * typical)
+    if not suspect.any():
+        return result
+    images = data.images_e[suspect]
+    start = scan_start_nm(model, images, data.pixel_mask, transfer)
+    own = options if options.prior_mean_nm is None else replace(options, prior_mean_nm=options.prior_mean_nm[suspect])
+    again = lift(model, images, data.pixel_mask, data.noise, start, own, transfer=transfer)
+    better = again.solution.converged & ~(again.chi2_nu > result.chi2_nu[suspect] * 0.999)
+    better |= again.solution.converged & ~result.solution.converged[suspect]
+    return _merge(result, again, torch.nonzero(suspect)[:, 0], better)
+
+
+def _merge(first: LiftResult, second: LiftResult, where: torch.Tensor, better: torch.Tensor) -> LiftResult:
+    """`first` with the members `where[better]` taken from `second`."""
+    target = where[better]
+
+    def mix(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+        mixed = a.clone()
+        mixed[target] = b[better].to(a.dtype)
+        return mixed
+
+    status = list(first.solution.status)
+    for position, chosen in zip(where.tolist(), range(len(where))):
+        if better[chosen]:
+            status[position] = second.solution.status[chosen]
+    a, b = first.solution, second.solution
+    solution = Solution(mix(a.values, b.values), mix(a.covariance, b.covariance), status,
+                        mix(a.iterations, b.iterations), mix(a.objective, b.objective))
+    return LiftResult(first.nolls, mix(first.zernike_nm, second.zernike_nm),
+                      mix(first.covariance_nm2, second.covariance_nm2), solution,
+                      mix(first.model_e, second.model_e), mix(first.chi2_nu, second.chi2_nu))

@@ -1,0 +1,159 @@
+"""How faint LIFT goes: the frames of a ramp, dimmed, with the noise that dimming took away put back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ..noise import NoiseModel
+from ..psf import PsfModel
+from .bound import cramer_rao_nm
+from .lift import LiftOptions, lift
+
+MEDIAN_OF_NORMAL = 0.6745  # median |error| of a normal variable of unit variance
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Error of defocus against magnitude for one configuration.
+
+    Attributes
+    ----------
+    mag_j : ndarray, (magnitudes,)
+    median_abs_error_nm, p16_nm, p84_nm : ndarray, (magnitudes,)
+        Of |estimated - introduced| over frames and realisations that did not fail.
+    crb_nm : ndarray, (magnitudes,)
+        Median over the frames of the Cramér–Rao bound, 1σ.
+    failures : ndarray of int, (magnitudes,)
+        Estimates that did not converge or left the plausible range.
+    trials : int
+        Estimates per magnitude.
+    limit_mag : float
+        Faintest magnitude that meets the criterion; NaN if none does.
+    """
+
+    nolls: tuple[int, ...]
+    mag_j: np.ndarray
+    median_abs_error_nm: np.ndarray
+    p16_nm: np.ndarray
+    p84_nm: np.ndarray
+    crb_nm: np.ndarray
+    failures: np.ndarray
+    trials: int
+    limit_mag: float
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """What "limiting magnitude" means.
+
+    Attributes
+    ----------
+    median_nm : float
+        The median |error| may not exceed this [nm RMS].
+    failure_fraction : float
+        Nor may more than this part of the estimates fail.
+    implausible_nm : float
+        An estimate further than this from the introduced defocus counts as failed.
+    """
+
+    median_nm: float = 30.0
+    failure_fraction: float = 0.1
+    implausible_nm: float = 500.0
+
+
+def dim(images_e: torch.Tensor, signal_e: torch.Tensor, factor: float, noise: NoiseModel,
+        generator: torch.Generator) -> torch.Tensor:
+    """Frames as a star dimmer by `factor` would have given them.
+
+    Scaling by s < 1 scales the noise variance by s²; what is missing to the variance of a frame of
+    the scaled flux is ``F s (1 - s) signal + (1 - s²) floor``, drawn as an excess-scaled Poisson
+    and a normal variate.
+
+    Parameters
+    ----------
+    images_e, signal_e : tensor, (frames, rows, columns)
+        Measured frames, and their noise-free model.
+    factor : float
+        Between 0 and 1.
+
+    Raises
+    ------
+    ValueError
+        If `factor` exceeds 1: frames cannot be made brighter honestly.
+    """
+    if not 0 < factor <= 1:
+        raise ValueError(f"frames can only be dimmed, not scaled by {factor:.3g}")
+    gain = noise.excess_noise_factor
+    mean = signal_e.double().clamp_min(0) * factor * (1 - factor)
+    shot = gain * (torch.poisson(mean / gain, generator=generator) - mean / gain)
+    floor = torch.randn(images_e.shape, generator=generator, dtype=torch.float64)
+    missing = np.sqrt(max(0.0, 1 - factor**2) * noise.floor_e2)
+    return images_e.double() * factor + shot + missing * floor
+
+
+def scan(model: PsfModel, images_e: torch.Tensor, signal_e: torch.Tensor, pixel_mask: torch.Tensor,
+         noise: NoiseModel, introduced_nm: np.ndarray, mag_j: float, magnitudes: np.ndarray, realisations: int,
+         start_nm: torch.Tensor, criterion: Criterion, seed: int, *, transfer: torch.Tensor | None = None,
+         report=None) -> Curve:
+    """Error of defocus over a range of magnitudes.
+
+    Parameters
+    ----------
+    images_e, signal_e : tensor, (frames, rows, columns)
+        Measured frames at magnitude `mag_j`, and their noise-free models.
+    introduced_nm : ndarray, (frames,)
+    magnitudes : ndarray
+        Not brighter than `mag_j`.
+    start_nm : tensor, (frames, modes)
+
+    Returns
+    -------
+    Curve
+    """
+    rows = []
+    introduced = np.tile(introduced_nm, realisations)
+    flux = signal_e.double().sum((1, 2))
+    true = start_nm.clone()
+    true[:, model.nolls.index(4)] = torch.as_tensor(introduced_nm)
+    for index, magnitude in enumerate(magnitudes):
+        factor = min(1.0, 10 ** (-0.4 * (magnitude - mag_j)))
+        generator = torch.Generator().manual_seed(seed + 7919 * index)
+        dimmed = torch.cat([dim(images_e, signal_e, factor, noise, generator) for _ in range(realisations)])
+        result = lift(model, dimmed, pixel_mask, noise, start_nm.repeat(realisations, 1), LiftOptions(),
+                      transfer=transfer)
+        bound = cramer_rao_nm(model, true, flux * factor, noise, transfer=transfer)[:, model.nolls.index(4)]
+        error = np.abs(result.mode(4)[0].numpy() - introduced)
+        failed = ~result.solution.converged.numpy() | ~(error < criterion.implausible_nm)
+        rows.append((*_percentiles(error[~failed]), float(bound.median()), int(failed.sum())))
+        if report is not None:
+            report(1)
+    median, low, high, crb, failures = (np.array(column) for column in zip(*rows))
+    limit = limiting_magnitude(np.asarray(magnitudes, float), median, failures / len(introduced), criterion)
+    return Curve(model.nolls, np.asarray(magnitudes, float), median, low, high, crb, failures, len(introduced), limit)
+
+
+def limiting_magnitude(magnitudes: np.ndarray, median_nm: np.ndarray, failure_fraction: np.ndarray,
+                       criterion: Criterion) -> float:
+    """Faintest magnitude before the criterion is first missed, interpolated in log error."""
+    fine = (median_nm <= criterion.median_nm) & (failure_fraction <= criterion.failure_fraction)
+    if not fine[0]:
+        return float("nan")
+    if fine.all():
+        return float(magnitudes[-1])
+    first_bad = int(np.argmin(fine))
+    good, bad = first_bad - 1, first_bad
+    if not median_nm[bad] > criterion.median_nm:  # stopped by failures: no interpolation
+        return float(magnitudes[good])
+    span = np.log(median_nm[bad] / median_nm[good])
+    part = np.log(criterion.median_nm / median_nm[good]) / span
+    return float(magnitudes[good] + part * (magnitudes[bad] - magnitudes[good]))
+
+
+def _percentiles(error: np.ndarray) -> tuple[float, float, float]:
+    """Median, 16th and 84th percentile; NaN if nothing is left."""
+    if len(error) == 0:
+        return (float("nan"),) * 3
+    return tuple(float(v) for v in np.percentile(error, [50, 15.87, 84.13]))

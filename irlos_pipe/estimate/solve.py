@@ -1,0 +1,196 @@
+"""Batched Levenberg–Marquardt: many independent, equally shaped least-squares problems at once.
+
+The solver knows no physics. A problem gives the objective, its gradient and its
+Gauss–Newton Hessian for a batch of parameter vectors, in units where the objective is half
+a χ²; so "converged" can mean something: the step still available would lower χ² by less than
+`CHI2_TOLERANCE`, and moves no parameter by more than `STEP_TOLERANCE` of its standard error,
+or the fall that it predicts is below the rounding of the objective itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+
+CHI2_TOLERANCE = 1e-3
+STEP_TOLERANCE = 1e-2
+ROUNDING = 1e-7  # relative rounding of an objective whose images are propagated in float32
+DAMPING_START, DAMPING_MIN, DAMPING_MAX = 1e-3, 1e-9, 1e9
+
+CONVERGED, MAX_ITERATIONS, STALLED, INVALID = "converged", "max_iterations", "stalled", "invalid"
+
+
+class Problem(Protocol):
+    """A batch of least-squares problems; `which` selects members of the batch.
+
+    `relative_tolerance` is the fall of the objective, relative to itself, that no longer
+    matters: 0 for likelihoods, more for losses that have no statistical unit.
+    """
+
+    relative_tolerance: float
+    lower: torch.Tensor
+    upper: torch.Tensor
+
+    def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
+        """Objective (b,), gradient (b, p) and Hessian (b, p, p), all float64."""
+
+    def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
+        """Objective (b,), comparable with that of the last `normal_equations` of the same members."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Outcome of a batch of fits.
+
+    Attributes
+    ----------
+    values : tensor, (batch, parameters), float64
+    covariance : tensor, (batch, parameters, parameters)
+        Inverse of the Hessian at the solution (Cramér–Rao bound plus prior).
+    status : list of str
+        `converged`, `max_iterations`, `stalled` or `invalid`, one per member.
+    iterations : tensor of int, (batch,)
+    objective : tensor, (batch,)
+        Half of χ² (prior included) at the solution.
+    """
+
+    values: torch.Tensor
+    covariance: torch.Tensor
+    status: list[str]
+    iterations: torch.Tensor
+    objective: torch.Tensor
+
+    @property
+    def converged(self) -> torch.Tensor:
+        """True where the fit converged, (batch,)."""
+        return torch.tensor([status == CONVERGED for status in self.status])
+
+    @property
+    def sigma(self) -> torch.Tensor:
+        """Standard errors, (batch, parameters)."""
+        return torch.diagonal(self.covariance, dim1=1, dim2=2).clamp_min(0).sqrt()
+
+
+def solve(problem: Problem, start: torch.Tensor, *, max_iterations: int = 50,
+          report: Callable[[int], None] | None = None) -> Solution:
+    """Minimise a batch of problems from `start`, (batch, parameters).
+
+    Parameters
+    ----------
+    report : callable, optional
+        Called with the number of members that finished in each iteration (progress bars).
+
+    Returns
+    -------
+    Solution
+        Members that meet non-finite numbers are flagged `invalid`, never silently NaN.
+    """
+    state = _State(problem, start.double().clone())
+    for _ in range(max_iterations):
+        active = state.active()
+        if len(active) == 0:
+            break
+        finished = state.iterate(active)
+        if report is not None:
+            report(finished)
+    return state.solution()
+
+
+class _State:
+    """The batch while it is being solved; converged members are no longer evaluated."""
+
+    def __init__(self, problem: Problem, x: torch.Tensor):
+        self.problem = problem
+        self.x = x.clamp(problem.lower, problem.upper)
+        batch, size = x.shape
+        self.damping = torch.full((batch,), DAMPING_START, dtype=torch.float64)
+        self.status = [MAX_ITERATIONS] * batch
+        self.iterations = torch.zeros(batch, dtype=torch.int64)
+        self.value = torch.full((batch,), float("nan"), dtype=torch.float64)
+        self.hessian = torch.eye(size, dtype=torch.float64).repeat(batch, 1, 1)
+        self.gradient = torch.zeros(batch, size, dtype=torch.float64)
+
+    def active(self) -> torch.Tensor:
+        """Members that still move."""
+        return torch.tensor([i for i, s in enumerate(self.status) if s == MAX_ITERATIONS], dtype=torch.int64)
+
+    def iterate(self, which: torch.Tensor) -> int:
+        """One linearisation and one accepted or refused step for every active member."""
+        value, gradient, hessian = self.problem.normal_equations(self.x[which], which)
+        finite = torch.isfinite(value) & torch.isfinite(gradient).all(1) & torch.isfinite(hessian).all((1, 2))
+        self._close(which[~finite], INVALID)
+        which, value, gradient, hessian = (t[finite] for t in (which, value, gradient, hessian))
+        self.value[which], self.gradient[which], self.hessian[which] = value, gradient, hessian
+        self.iterations[which] += 1
+        moving = self._check_convergence(which)
+        before = len(self.active())
+        if len(moving):
+            self._step(moving)
+        return int((~finite).sum()) + len(which) - len(moving) + before - len(self.active())
+
+    def _check_convergence(self, which: torch.Tensor) -> torch.Tensor:
+        """Close members whose undamped step is negligible; return the others."""
+        step = self._free_step(which, torch.zeros(len(which), dtype=torch.float64))
+        gain = -(self.gradient[which] * step).sum(1)  # twice the predicted decrease of half a chi2
+        done = gain < max(ROUNDING, self.problem.relative_tolerance) * self.value[which]
+        likely = torch.nonzero((gain < CHI2_TOLERANCE) & ~done)[:, 0]
+        if len(likely):
+            sigma = torch.diagonal(_inverse(self.hessian[which[likely]]), dim1=1, dim2=2).clamp_min(1e-300).sqrt()
+            done[likely] = (step[likely].abs() / sigma).amax(1) < STEP_TOLERANCE
+        self._close(which[done], CONVERGED)
+        return which[~done]
+
+    def _step(self, which: torch.Tensor) -> None:
+        """Try damped steps, raising the damping until the objective falls."""
+        for _ in range(12):
+            step = self._free_step(which, self.damping[which])
+            trial = (self.x[which] + step).clamp(self.problem.lower, self.problem.upper)
+            value = self.problem.objective(trial, which)
+            better = value <= self.value[which] * (1 + ROUNDING)  # False for NaN as well
+            self.x[which[better]] = trial[better]
+            self.damping[which[better]] = (self.damping[which[better]] / 10).clamp_min(DAMPING_MIN)
+            which = which[~better]
+            if len(which) == 0:
+                return
+            self.damping[which] *= 10
+        self._close(which, STALLED)
+
+    def _free_step(self, which: torch.Tensor, damping: torch.Tensor) -> torch.Tensor:
+        """Damped Gauss–Newton step, with parameters that push against a bound held fixed."""
+        gradient, hessian = self.gradient[which], self.hessian[which]
+        x = self.x[which]
+        held = ((x <= self.problem.lower) & (gradient > 0)) | ((x >= self.problem.upper) & (gradient < 0))
+        hessian = hessian * (~held)[:, :, None] * (~held)[:, None, :] + torch.diag_embed(held.double())
+        return -_solve(hessian, gradient * ~held, damping)
+
+    def _close(self, which: torch.Tensor, status: str) -> None:
+        for member in which.tolist():
+            self.status[member] = status
+
+    def solution(self) -> Solution:
+        """The batch as it stands."""
+        return Solution(self.x, _inverse(self.hessian), self.status, self.iterations, self.value)
+
+
+def _scale(hessian: torch.Tensor) -> torch.Tensor:
+    """Square root of the diagonal: parameters in units of their own curvature."""
+    return torch.diagonal(hessian, dim1=1, dim2=2).clamp_min(1e-300).sqrt()
+
+
+def _solve(hessian: torch.Tensor, gradient: torch.Tensor, damping: torch.Tensor) -> torch.Tensor:
+    """Solve (H + damping · diag H) s = g in scaled variables."""
+    scale = _scale(hessian)
+    scaled = hessian / (scale[:, :, None] * scale[:, None, :])
+    scaled = scaled + torch.diag_embed((damping + 1e-12)[:, None].expand_as(scale))
+    return torch.linalg.solve(scaled, (gradient / scale)[..., None])[..., 0] / scale
+
+
+def _inverse(hessian: torch.Tensor) -> torch.Tensor:
+    """Inverse through scaled variables; directions without information get a huge variance."""
+    scale = _scale(hessian)
+    outer = scale[:, :, None] * scale[:, None, :]
+    scaled = hessian / outer + 1e-14 * torch.eye(hessian.shape[-1], dtype=hessian.dtype)
+    return torch.linalg.inv(scaled) / outer

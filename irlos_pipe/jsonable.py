@@ -1,0 +1,56 @@
+"""Python and numpy values as strict JSON: NaN and infinity become null, keys become text."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+
+def jsonable(value: Any) -> Any:
+    """Return `value` in the types JSON has.
+
+    Raises
+    ------
+    TypeError
+        For objects that have no JSON form.
+    """
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, (np.generic, np.ndarray)):
+        return jsonable(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): jsonable(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [jsonable(item) for item in value]
+    if isinstance(value, (set, frozenset)):
+        return sorted(jsonable(item) for item in value)
+    return _jsonable_object(value)
+
+
+def _jsonable_object(value: Any) -> Any:
+    if isinstance(value, BaseModel):
+        return jsonable(value.model_dump())
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: jsonable(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, PurePath):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} has no JSON form")
+
+
+def json_text(value: Any, indent: int | None = 1) -> str:
+    """Serialise to strict JSON with a final newline."""
+    return json.dumps(jsonable(value), indent=indent, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def canonical_json(value: Any) -> str:
+    """Serialise so that equal content gives equal text, whatever the order of keys."""
+    return json.dumps(jsonable(value), sort_keys=True, separators=(",", ":"), allow_nan=False)

@@ -1,0 +1,117 @@
+"""Fourier matrices between pupil, focal plane, baselines and detector pixels.
+
+The focal grid is tied to the wavelength (pitch λ/2D', D' the width of the pupil grid),
+so that one set of matrices serves every wavelength and the baselines of the OTF are the
+same for all; only the last step, from the OTF to the detector's pixels, knows the plate
+scale. It evaluates the exact Fourier sum at the pixel centres: there is no rounding of
+sizes, hence no wavelength-dependent plate scale, and no interpolation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .pupil import grid_centres
+
+MAS = np.pi / 180 / 3600e3  # one milliarcsecond [rad]
+
+
+@dataclass(frozen=True)
+class FocalGrid:
+    """Nyquist-sampled square focal grid of ``samples`` points per axis.
+
+    Attributes
+    ----------
+    samples : int
+    width_m : float
+        Width D' of the pupil grid [m]; the pitch is ``λ / (2 D')``.
+    """
+
+    samples: int
+    width_m: float
+
+    @property
+    def frequency_per_m(self) -> np.ndarray:
+        """Focal coordinate over wavelength, a/λ [1/m]."""
+        return grid_centres(self.samples, 1 / (2 * self.width_m))
+
+    @property
+    def baseline_y_m(self) -> np.ndarray:
+        """Baselines along y in FFT order [m]."""
+        return np.fft.fftfreq(self.samples) * 2 * self.width_m
+
+    @property
+    def baseline_x_m(self) -> np.ndarray:
+        """Non-negative baselines along x, as a real FFT returns them [m]."""
+        return np.fft.rfftfreq(self.samples) * 2 * self.width_m
+
+
+def focal_samples_for(window_px: int, pixel_scale_mas: float, margin_mas: float,
+                      wavelength_m: float, width_m: float) -> int:
+    """Samples that cover the window and a margin on each side at the shortest wavelength."""
+    field_rad = (window_px * pixel_scale_mas + 2 * margin_mas) * MAS
+    samples = int(np.ceil(field_rad * 2 * width_m / wavelength_m))
+    return samples + (-samples) % 8
+
+
+def pupil_to_focal(u_m: np.ndarray, grid: FocalGrid) -> np.ndarray:
+    """Matrix ``exp(-2πi (a/λ) u) du``, shape (focal samples, pupil samples)."""
+    return np.exp(-2j * np.pi * np.outer(grid.frequency_per_m, u_m)) * (u_m[1] - u_m[0])
+
+
+def pixel_centres_rad(pixels: int, pixel_scale_mas: float) -> np.ndarray:
+    """Pixel centres; the optical axis lies at (N - 1)/2 for even and odd N."""
+    return grid_centres(pixels, pixel_scale_mas * MAS)
+
+
+def baseline_to_pixels(baselines_m: np.ndarray, pixels: int, pixel_scale_mas: float,
+                       wavelength_m: float, grid: FocalGrid, *, half: bool) -> np.ndarray:
+    """Matrix from FFT coefficients of the focal intensity to pixel-integrated flux.
+
+    Parameters
+    ----------
+    baselines_m : ndarray
+        `FocalGrid.baseline_y_m` or, with ``half=True``, `FocalGrid.baseline_x_m`.
+    half : bool
+        True for the axis of a real FFT: inner coefficients count twice, and the real part
+        of the two-axis product is taken.
+
+    Returns
+    -------
+    ndarray, (pixels, len(baselines_m)), complex
+
+    Raises
+    ------
+    ValueError
+        If the window is wider than the focal grid, which would alias silently.
+    """
+    field_rad = grid.samples * wavelength_m / (2 * grid.width_m)
+    if pixels * pixel_scale_mas * MAS > field_rad:
+        raise ValueError(
+            f"a window of {pixels} px x {pixel_scale_mas} mas is wider than the computed field of "
+            f"{field_rad / MAS:.0f} mas at {wavelength_m * 1e9:.0f} nm: it would alias; use more focal samples")
+    pixel = pixel_scale_mas * MAS / wavelength_m  # in units of 1/baseline
+    centres = pixel_centres_rad(pixels, pixel_scale_mas) / wavelength_m
+    offset = centres[:, None] - grid.frequency_per_m[0]  # the FFT counts from the first sample
+    weight = np.sinc(baselines_m * pixel) * pixel * 2 * grid.width_m / grid.samples
+    if half:
+        inner = np.ones(len(baselines_m)) * 2
+        inner[0] = 1
+        if grid.samples % 2 == 0:
+            inner[-1] = 1
+        weight = weight * inner
+    return np.exp(2j * np.pi * offset * baselines_m) * weight
+
+
+def focal_to_pixels(pixels: int, pixel_scale_mas: float, wavelength_m: float, grid: FocalGrid) -> np.ndarray:
+    """Real matrix from focal intensity to pixel-integrated flux along one axis, without OTF factors.
+
+    Returns
+    -------
+    ndarray, (pixels, grid.samples), float64
+    """
+    to_pixels = baseline_to_pixels(grid.baseline_y_m, pixels, pixel_scale_mas, wavelength_m, grid, half=False)
+    transform = np.fft.fft(np.eye(grid.samples), axis=0)
+    return (to_pixels @ transform).real

@@ -1,0 +1,99 @@
+"""Run the stages of a plan one after the other, each leaving its product on disk."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass, field
+from pathlib import Path, PurePath
+from typing import Any
+
+from irlos_pipe.atomic import write_bytes
+from irlos_pipe.jsonable import jsonable
+from irlos_pipe.pipeline import provenance
+from irlos_pipe.pipeline.inputs import InputFile
+from irlos_pipe.pipeline.plan import Action, Step
+from irlos_pipe.pipeline.resources import Resources, limit_threads
+from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
+from irlos_pipe.product import Product, read_product, write_product
+from irlos_pipe.recipe import Recipe
+from irlos_pipe.stages import STAGES
+from irlos_pipe.stages.base import StageContext, StageOutput, reads
+
+
+@dataclass
+class Job:
+    """A plan being carried out.
+
+    Attributes
+    ----------
+    finished : set of str
+        Stages whose product on disk is the one the plan promises.
+    """
+
+    recipe: Recipe
+    folder: Path
+    files: list[InputFile]
+    steps: list[Step]
+    resources: Resources
+    finished: set[str] = field(default_factory=set)
+    _loaded: dict[str, Product] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.finished |= {step.name for step in self.steps if step.current and step.action is not Action.RUN}
+
+    def perform(self) -> None:
+        """Carry out all steps in order."""
+        for step in self.steps:
+            RUN.info(step.describe())
+            if step.action is Action.RUN:
+                self._run(step)
+                self.finished.add(step.name)
+
+    def summaries(self) -> dict[str, Product]:
+        """Return the finished products by stage name, without their arrays."""
+        return {step.name: read_product(step.path, arrays=False)
+                for step in self.steps if step.name in self.finished}
+
+    def _run(self, step: Step) -> None:
+        log = stage_logger(step.name)
+        limit_threads(self.resources.jobs)
+        started, clock = provenance.now(), time.perf_counter()
+        context = self._context(step.name, log)
+        with collected(log) as lines:
+            output = STAGES[step.name].run(context)
+        times = {"started": started, "finished": provenance.now(),
+                 "seconds": round(time.perf_counter() - clock, 3)}
+        self._write(step, output, times, lines)
+        RUN.info("%s: done in %.1f s", step.name, times["seconds"])
+
+    def _context(self, name: str, log: logging.Logger) -> StageContext:
+        earlier = self.recipe.stages[: self.recipe.stages.index(name)]
+        products = {other: self._product(other) for other in reads(STAGES[name], earlier)}
+        return StageContext(self.recipe.configs[name], self.recipe.model, self.recipe.instrument,
+                            self.recipe.inputs, products, self.resources.device, self.recipe.seed,
+                            self.resources.jobs, self.resources.progress, log)
+
+    def _product(self, name: str) -> Product:
+        if name not in self._loaded:
+            path = next(step.path for step in self.steps if step.name == name)
+            self._loaded[name] = read_product(path)
+        return self._loaded[name]
+
+    def _write(self, step: Step, output: StageOutput, times: dict[str, Any], log: list[str]) -> None:
+        """Write the further files first: the product says that the stage is complete."""
+        for name, content in output.files.items():
+            write_bytes(self.folder / PurePath(name).name, content)
+        product = Product(step.name, output.arrays, output.results, list(output.checks),
+                          jsonable(self.recipe.configs[step.name]),
+                          self._provenance(step, output) | times, log)
+        write_product(product, step.path)
+
+    def _provenance(self, step: Step, output: StageOutput) -> dict[str, Any]:
+        return {"key": step.key, "parts": step.parts, "recipe": self.recipe.name,
+                "summary": list(output.summary), "failures": list(output.failures),
+                "files": sorted(PurePath(name).name for name in output.files),
+                "inputs": self.files, "seed": self.recipe.seed,
+                "device": self.resources.device, "jobs": self.resources.jobs,
+                "software": provenance.software_versions(), "machine": provenance.machine(),
+                "command": provenance.command_line()}

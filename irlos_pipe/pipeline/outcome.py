@@ -1,0 +1,80 @@
+"""What a run leaves for scripts: results.json, qc.json and the exit code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from irlos_pipe.product import Product
+
+EXIT_CODES = {"ok": 0, "qc_failed": 4, "partial": 5, "failed": 1}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The end of a run.
+
+    Attributes
+    ----------
+    status : str
+        ``ok``, ``qc_failed``, ``partial`` or ``failed``.
+    results : dict
+        Content of results.json.
+    quality : dict
+        Content of qc.json.
+    summary : dict of str to list of str
+        Lines for people by stage.
+    report : Path or None
+        The report, when it could be built.
+    report_error : str
+        Why it could not.
+    """
+
+    status: str
+    results: dict[str, Any]
+    quality: dict[str, Any]
+    summary: dict[str, list[str]] = field(default_factory=dict)
+    report: Path | None = None
+    report_error: str = ""
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command; a report that could not be built is an error of its own."""
+        return EXIT_CODES[self.status] or int(bool(self.report_error))
+
+
+def assess(recipe_name: str, products: Mapping[str, Product], error: str = "") -> Outcome:
+    """Sum up the products of a run.
+
+    Parameters
+    ----------
+    products : mapping of str to Product
+        Up-to-date products by stage name.
+    error : str
+        What stopped the run, if anything did.
+    """
+    status = "failed" if error else _status(products)
+    results = {"schema": "irlos-results", "schema_version": 1, "recipe": recipe_name, "status": status,
+               "stages": {name: product.results for name, product in products.items()}}
+    if error:
+        results["error"] = error
+    summary = {name: product.provenance["summary"] for name, product in products.items()}
+    return Outcome(status, results, _quality(recipe_name, products), summary)
+
+
+def _status(products: Mapping[str, Product]) -> str:
+    # A failed limit outranks lost exposures: it says that the result may not be used.
+    if any(not check.passed for product in products.values() for check in product.checks):
+        return "qc_failed"
+    if any(product.provenance["failures"] for product in products.values()):
+        return "partial"
+    return "ok"
+
+
+def _quality(recipe_name: str, products: Mapping[str, Product]) -> dict[str, Any]:
+    checks = [{"stage": name, **check.as_dict()}
+              for name, product in products.items() for check in product.checks]
+    return {"schema": "irlos-qc", "schema_version": 1, "recipe": recipe_name,
+            "passed": all(check["passed"] for check in checks), "checks": checks}

@@ -1,0 +1,163 @@
+"""What a run will do, stage by stage, and why; decided before anything is touched."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from irlos_pipe.complaints import suggestion
+from irlos_pipe.errors import ConfigurationError, InputDataError
+from irlos_pipe.pipeline.fingerprint import changes, key_of, key_parts
+from irlos_pipe.pipeline.inputs import InputFile
+from irlos_pipe.product import read_product
+from irlos_pipe.recipe import Recipe
+from irlos_pipe.runfolder import RunFolder
+from irlos_pipe.stages import STAGES
+from irlos_pipe.stages.base import reads
+
+UP_TO_DATE = "up to date"
+NO_PRODUCT = "no product yet"
+
+
+class Action(Enum):
+    """What happens to a stage."""
+
+    RUN = "run"
+    SKIP = "skip"
+    USE = "use as it is"
+    LEAVE = "not selected"
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which stages a run may touch.
+
+    Attributes
+    ----------
+    first, last : str or None
+        Names of the first and last stage (``--from``, ``--to``); None is the end of the recipe.
+    force : bool
+        Run the selected stages even if they are up to date.
+    """
+
+    first: str | None = None
+    last: str | None = None
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class Step:
+    """One stage of a plan.
+
+    Attributes
+    ----------
+    path : Path
+        The stage's product.
+    key, parts : str, dict
+        Key that the product has, or will have, and what it is made of.
+    current : bool
+        True when the product on disk has this key.
+    reason : str
+        Why the stage is run, or why not.
+    """
+
+    name: str
+    path: Path
+    key: str
+    parts: dict[str, Any]
+    action: Action
+    reason: str
+    current: bool
+
+    def describe(self) -> str:
+        """Return one line for people."""
+        redone = self.action is Action.RUN and self.reason != NO_PRODUCT
+        return f"{self.name}: {'redone because ' if redone else ''}{self.reason}"
+
+
+def make_plan(recipe: Recipe, folder: Path, files: Iterable[InputFile], selection: Selection) -> list[Step]:
+    """Decide for every stage of the recipe whether it runs.
+
+    Raises
+    ------
+    ConfigurationError
+        When ``--from`` or ``--to`` name no stage of the recipe, or a product that ``--from``
+        builds on is missing.
+    """
+    first, last = _range(recipe, selection)
+    files = list(files)
+    steps: list[Step] = []
+    for index, name in enumerate(recipe.stages):
+        known = {step.name: step.key for step in steps}
+        upstream = {other: known[other] for other in reads(STAGES[name], recipe.stages[:index])}
+        parts = key_parts(STAGES[name], recipe, files, upstream)
+        path = RunFolder(folder).product(index + 1, name)
+        if index < first:
+            steps.append(_used_step(name, path, parts, recipe.stages[first]))
+        else:
+            steps.append(_step(name, path, parts, selected=index <= last, force=selection.force))
+    return steps
+
+
+def _range(recipe: Recipe, selection: Selection) -> tuple[int, int]:
+    first = _index(recipe, selection.first, "--from", 0)
+    last = _index(recipe, selection.last, "--to", len(recipe.stages) - 1)
+    if first > last:
+        raise ConfigurationError(f"--from {selection.first} comes after --to {selection.last}")
+    return first, last
+
+
+def _index(recipe: Recipe, name: str | None, option: str, default: int) -> int:
+    if name is None:
+        return default
+    if name not in recipe.stages:
+        raise ConfigurationError(f"{option} {name}: no stage of recipe '{recipe.name}'"
+                                 f"{suggestion(name, recipe.stages)}")
+    return recipe.stages.index(name)
+
+
+def _used_step(name: str, path: Path, parts: dict[str, Any], first: str) -> Step:
+    """A stage before ``--from``: its product is used whether or not it is up to date."""
+    try:
+        stored = _stored(name, path)
+    except InputDataError as error:
+        raise ConfigurationError(f"--from {first}: the product of '{name}' cannot be used ({error}); "
+                                 f"run with --from {name}, or without --from") from error
+    outdated = changes(stored["parts"], parts)
+    reason = f"used as it is, though {outdated}" if outdated else UP_TO_DATE
+    return Step(name, path, stored["key"], stored["parts"], Action.USE, reason, True)
+
+
+def _step(name: str, path: Path, parts: dict[str, Any], *, selected: bool, force: bool) -> Step:
+    key = key_of(parts)
+    outdated = _why_outdated(name, path, parts, key)
+    reason = outdated or ("--force was given" if force else UP_TO_DATE)
+    action = Action.RUN if outdated or force else Action.SKIP
+    if not selected:
+        action, reason = Action.LEAVE, f"not selected ({outdated or UP_TO_DATE})"
+    return Step(name, path, key, parts, action, reason, not outdated)
+
+
+def _why_outdated(name: str, path: Path, parts: Mapping[str, Any], key: str) -> str:
+    """Return why the product on disk cannot stay, or nothing when it can."""
+    if not path.is_file():
+        return NO_PRODUCT
+    try:
+        stored = _stored(name, path)
+    except InputDataError:
+        return "product unreadable"
+    if stored["key"] != key:
+        return changes(stored["parts"], parts) or "what it was made from changed"
+    missing = [file for file in stored["files"] if not (path.parent / file).is_file()]
+    return f"{missing[0]} is missing" if missing else ""
+
+
+def _stored(name: str, path: Path) -> dict[str, Any]:
+    """Return the provenance of a product on disk."""
+    product = read_product(path, arrays=False)
+    if product.stage != name or not {"key", "parts", "files"} <= product.provenance.keys():
+        raise InputDataError(f"{path}: not a product of stage '{name}' made by a run")
+    return product.provenance

@@ -1,0 +1,73 @@
+"""The device, the threads and the progress bars of a run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from tqdm import tqdm
+
+from irlos_pipe.errors import ConfigurationError
+
+
+def silent_progress(iterable: Iterable | None = None, total: int | None = None, desc: str = "") -> tqdm:
+    """Return a progress bar that shows nothing."""
+    return tqdm(iterable, total=total, desc=desc, disable=True)
+
+
+def terminal_progress(iterable: Iterable | None = None, total: int | None = None, desc: str = "") -> tqdm:
+    """Return a progress bar on stderr that disappears when it is full."""
+    return tqdm(iterable, total=total, desc=desc, leave=False, dynamic_ncols=True)
+
+
+@dataclass(frozen=True)
+class Resources:
+    """What a run may use.
+
+    Attributes
+    ----------
+    device : str
+        ``cpu`` or ``cuda``.
+    jobs : int
+        Number of threads or processes.
+    progress : callable
+        Makes progress bars, see `StageContext`.
+    """
+
+    device: str = "cpu"
+    jobs: int = 1
+    progress: Callable[..., Any] = silent_progress
+
+
+def available_cpus() -> int:
+    """Number of processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def resolve_device(wanted: str) -> str:
+    """Return ``cpu`` or ``cuda`` for ``auto``, ``cpu`` or ``cuda``.
+
+    Raises
+    ------
+    ConfigurationError
+        When ``cuda`` is wanted and there is none.
+    """
+    if wanted == "cpu":
+        return wanted
+    import torch
+
+    if torch.cuda.is_available():
+        return "cuda"
+    if wanted == "cuda":
+        raise ConfigurationError("--device cuda: PyTorch finds no CUDA device; use --device cpu, "
+                                 "or install a CUDA build of PyTorch (make env TORCH_INDEX=...)")
+    return "cpu"
+
+
+def limit_threads(jobs: int) -> None:
+    """Let PyTorch use as many threads as the run may."""
+    import torch
+
+    torch.set_num_threads(jobs)

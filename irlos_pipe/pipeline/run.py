@@ -1,0 +1,146 @@
+"""Plan a recipe, run what is not up to date, and sum up."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+from irlos_pipe.atomic import write_if_changed
+from irlos_pipe.errors import InputDataError, IrlosError
+from irlos_pipe.jsonable import json_text
+from irlos_pipe.pipeline.inputs import InputFile, input_files, remember
+from irlos_pipe.pipeline.job import Job
+from irlos_pipe.pipeline.outcome import Outcome, assess
+from irlos_pipe.pipeline.plan import Action, Selection, Step, make_plan
+from irlos_pipe.pipeline.provenance import command_line
+from irlos_pipe.pipeline.resources import Resources
+from irlos_pipe.pipeline.runlog import TRACE, written_to
+from irlos_pipe.recipe import Recipe
+from irlos_pipe.runfolder import RunFolder, owned_folder, require_outside_inputs
+
+
+def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[InputFile], list[Step]]:
+    """Return the input files and the plan of a run; nothing is written.
+
+    Raises
+    ------
+    ConfigurationError
+        When the selection or the output folder cannot be used.
+    InputDataError, NothingToDo
+        When input files cannot be read, or there are none.
+    """
+    require_outside_inputs(folder, recipe.inputs)
+    files = input_files(recipe.inputs, folder)
+    return files, make_plan(recipe, folder, files, selection)
+
+
+def run_recipe(recipe: Recipe, folder: Path, selection: Selection | None = None,
+               resources: Resources | None = None) -> Outcome:
+    """Bring the products of a recipe up to date.
+
+    Parameters
+    ----------
+    folder : Path
+        The run's folder; made if it does not exist.
+    selection : Selection, optional
+        Which stages may run; all by default.
+
+    Returns
+    -------
+    Outcome
+        Status, results and the lines for the terminal; its files are in `folder`.
+
+    Raises
+    ------
+    Locked
+        When another run owns the folder.
+    IrlosError
+        When a stage cannot do its work; products of finished stages stay.
+    """
+    selection = selection or Selection()
+    # Planned once before the folder is made, so that a mistake leaves no empty folder behind.
+    files, _ = plan_run(recipe, folder, selection)
+    with owned_folder(folder) as run, written_to(run.log), _told_in_one_line(run.log):
+        steps = make_plan(recipe, folder, files, selection)
+        TRACE.info("command: %s", command_line())
+        remember(files, folder)
+        write_if_changed(run.recipe, recipe.resolved_yaml().encode())
+        job = Job(recipe, folder, files, steps, resources or Resources())
+        with _failure_recorded(job, run):
+            job.perform()
+        return _concluded(job, run)
+
+
+def _concluded(job: Job, run: RunFolder) -> Outcome:
+    outcome = assess(job.recipe.name, job.summaries())
+    changed = _write_outcome(outcome, run)
+    ran = any(step.action is Action.RUN for step in job.steps)
+    if changed or ran or not run.report.is_file():
+        outcome = replace(outcome, report_error=_report_error(run))
+    return replace(outcome, report=run.report if run.report.is_file() else None)
+
+
+def _write_outcome(outcome: Outcome, run: RunFolder) -> bool:
+    """Write the files for scripts; True when their content changed."""
+    written = [write_if_changed(run.results, json_text(outcome.results).encode()),
+               write_if_changed(run.quality, json_text(outcome.quality).encode())]
+    return any(written)
+
+
+def _report_error(run: RunFolder) -> str:
+    """Build the report; returns what went wrong, as the products are good without it."""
+    try:
+        from irlos_pipe.report.build import write_report
+
+        write_report(run.path)
+    except Exception as error:
+        TRACE.info("the report could not be built", exc_info=True)
+        return f"{run.report}: could not be built: {_first_line(error)}; the traceback is in {run.log}"
+    return ""
+
+
+@contextmanager
+def _failure_recorded(job: Job, run: RunFolder) -> Iterator[None]:
+    """Leave a results.json that says what stopped the run, next to the products that were finished."""
+    try:
+        yield
+    except BaseException as error:
+        reason = "interrupted" if isinstance(error, KeyboardInterrupt) else _first_line(error)
+        # A full disk may be what stopped the run; the first error is the one to tell.
+        with suppress(IrlosError):
+            _write_outcome(assess(job.recipe.name, job.summaries(), error=reason), run)
+        raise
+
+
+@contextmanager
+def _told_in_one_line(log: Path) -> Iterator[None]:
+    """Turn any exception into one that is told in one line; the traceback goes to the log."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        TRACE.info("interrupted")
+        raise
+    except IrlosError as error:
+        TRACE.info("stopped: %s", error, exc_info=error.__cause__)
+        raise
+    except Exception as error:
+        TRACE.info("stopped by an unexpected error", exc_info=True)
+        raise _clear_error(error, log) from error
+
+
+def _clear_error(error: Exception, log: Path) -> IrlosError:
+    if isinstance(error, MemoryError):
+        return IrlosError(f"out of memory; use fewer --jobs or a smaller input (details in {log})")
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        return IrlosError(f"{error.filename or log.parent}: the disk is full; free some space and run again")
+    if isinstance(error, OSError) and error.filename:
+        return InputDataError(f"{error.filename}: {error.strerror}")
+    return IrlosError(f"unexpected {_first_line(error)}; the traceback is in {log}")
+
+
+def _first_line(error: BaseException) -> str:
+    text = next(iter(str(error).splitlines()), "")
+    return text if isinstance(error, IrlosError) else f"{type(error).__name__}: {text}"

@@ -1,0 +1,140 @@
+"""The checks of a recipe, one function per part; each notes what is wrong and returns what is right."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from irlos_pipe.complaints import Complaints, suggestion
+from irlos_pipe.errors import ConfigurationError
+from irlos_pipe.instrument import Instrument, load_instrument
+from irlos_pipe.recipe.overrides import Override, absolute
+from irlos_pipe.stages import STAGES
+from irlos_pipe.stages.base import StageConfig, needs
+
+Section = TypeVar("Section", bound=BaseModel)
+
+
+def _as_list(value: Any) -> Any:
+    if value is None:
+        return []
+    return value if isinstance(value, list) else [value]
+
+
+class RecipeHead(BaseModel):
+    """The keys of a recipe that are not sections of a stage."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    recipe: str = Field(min_length=1, description="name of the recipe")
+    title: str = Field("", description="one line for people")
+    instrument: str = Field("irlos", description="instrument profile: a name, or the path of a YAML file")
+    inputs: dict[str, Annotated[list[str], BeforeValidator(_as_list)]] = Field(
+        {}, description="input name: a path or a list of paths, relative to the recipe")
+    stages: list[str] = Field(min_length=1, description="stages in the order of the light path")
+    seed: int = Field(0, ge=0, description="seed of every random draw")
+
+
+def check_head(data: Mapping[str, Any], complaints: Complaints) -> RecipeHead:
+    """Check the keys at the top level; wrong ones are replaced, so that the rest can be checked too."""
+    sections = ("model", *STAGES)
+    known = (*RecipeHead.model_fields, *sections)
+    for key in data:
+        if key not in known:
+            complaints.add((key,), f"unknown key '{key}'{suggestion(key, known)}")
+    own = {key: value for key, value in data.items() if key in RecipeHead.model_fields}
+    try:
+        return RecipeHead.model_validate(own)
+    except ValidationError as error:
+        complaints.add_invalid(error, RecipeHead)
+        wrong = {problem["loc"][0] for problem in error.errors()}
+    substitutes = {"recipe": "unnamed", "stages": list(STAGES)[:1]}
+    return RecipeHead.model_validate(substitutes | {key: own[key] for key in own.keys() - wrong})
+
+
+def check_section(data: Mapping[str, Any], name: str, model: type[Section],
+                  complaints: Complaints) -> Section | None:
+    """Check one section; a section that is absent or empty takes all defaults."""
+    content = {} if data.get(name) is None else data[name]
+    return _validated(content, model, (name,), complaints)
+
+
+def check_stage_sections(data: Mapping[str, Any], complaints: Complaints) -> dict[str, StageConfig | None]:
+    """Check the section of every stage that the recipe lists or configures."""
+    listed = data.get("stages") if isinstance(data.get("stages"), list) else []
+    concerned = [name for name in STAGES if name in data or name in listed]
+    for name in concerned:
+        if name not in listed:
+            complaints.add((name,), f"section '{name}' has no effect: no such stage under 'stages'")
+    return {name: check_section(data, name, STAGES[name].Config, complaints) for name in concerned}
+
+
+def check_stages(stages: Sequence[str], complaints: Complaints) -> None:
+    """Check names and order of the stages."""
+    for index, name in enumerate(stages):
+        problem = _stage_problem(name, stages[:index])
+        if problem:
+            complaints.add(("stages", index), problem)
+
+
+def undeclared_inputs(given: Iterable[Override], declared: Any, complaints: Complaints) -> list[Override]:
+    """Return what the command line gives for inputs that the recipe does not have."""
+    declared = declared if isinstance(declared, dict) else {}
+    unknown = [override for override in given if override.key[1] not in declared]
+    for override in unknown:
+        name = override.key[1]
+        complaints.add(override.key, f"unknown input '{name}'{suggestion(name, declared)}")
+    return unknown
+
+
+def check_inputs(inputs: Mapping[str, Sequence[str]], folder: Path,
+                 complaints: Complaints) -> dict[str, tuple[Path, ...]]:
+    """Check that all inputs exist; returns absolute paths, counted from the recipe's `folder`."""
+    for name, paths in inputs.items():
+        if not paths:
+            complaints.add(("inputs", name), f"input '{name}' is not given; add --input {name}=PATH")
+    found = {name: tuple(absolute(path, folder) for path in paths) for name, paths in inputs.items()}
+    for name, paths in found.items():
+        for path in paths:
+            if not path.exists():
+                complaints.add(("inputs", name), f"input '{name}': no such file or folder: {path}; "
+                                                 f"correct it, or give --input {name}=PATH")
+    return found
+
+
+def check_instrument(name: str, folder: Path, complaints: Complaints) -> tuple[str, Instrument | None]:
+    """Load the instrument profile; returns its name, or its absolute path, and the profile."""
+    if "/" in name or name.endswith((".yaml", ".yml")):
+        name = str(absolute(name, folder))
+    try:
+        return name, load_instrument(name)
+    except ConfigurationError as error:
+        complaints.add(("instrument",), str(error))
+        return name, None
+
+
+def _validated(content: Any, model: type[Section], key: tuple, complaints: Complaints) -> Section | None:
+    if not isinstance(content, dict):
+        complaints.add(key, f"{key[0]} = {content!r}: should be a section of 'key: value' lines")
+        return None
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        complaints.add_invalid(error, model, key)
+        return None
+
+
+def _stage_problem(name: str, earlier: Sequence[str]) -> str:
+    order = list(STAGES)
+    if name not in order:
+        return f"unknown stage '{name}'{suggestion(name, order)}"
+    if name in earlier:
+        return f"stage '{name}' is listed twice"
+    late = [other for other in earlier if other in order[order.index(name):]]
+    if late:
+        return f"stage '{name}' must come before '{late[0]}'; the order is {', '.join(order)}"
+    lacking = [needed for needed in needs(STAGES[name]) if needed not in earlier]
+    return f"stage '{name}' needs '{lacking[0]}' before it" if lacking else ""

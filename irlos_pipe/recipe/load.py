@@ -1,0 +1,121 @@
+"""A recipe: which stages run on which inputs with which settings, checked before anything runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+from irlos_pipe.complaints import Complaints, Origins
+from irlos_pipe.errors import ConfigurationError
+from irlos_pipe.instrument import Instrument
+from irlos_pipe.recipe import checks
+from irlos_pipe.recipe.overrides import (
+    Override,
+    absolute,
+    input_overrides,
+    overridden,
+    parse_input,
+    parse_setting,
+)
+from irlos_pipe.stages.base import StageConfig
+from irlos_pipe.stages.model import ModelConfig
+from irlos_pipe.yamlfile import load_yaml
+
+Parsed = TypeVar("Parsed")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A valid recipe with every default filled in.
+
+    Attributes
+    ----------
+    instrument_name : str
+        Name of the profile, or the absolute path of its file.
+    inputs : dict of str to tuple of Path
+        Absolute paths by input name.
+    stages : tuple of str
+        Stage names in running order.
+    configs : dict of str to StageConfig
+        One configuration per stage of `stages`.
+    """
+
+    path: Path
+    name: str
+    title: str
+    instrument_name: str
+    instrument: Instrument
+    inputs: dict[str, tuple[Path, ...]]
+    stages: tuple[str, ...]
+    model: ModelConfig
+    configs: dict[str, StageConfig]
+    seed: int
+
+    def resolved_yaml(self) -> str:
+        """Return the recipe with every default explicit and absolute paths; it can be run again."""
+        head = {"recipe": self.name, "title": self.title, "instrument": self.instrument_name,
+                "inputs": {name: [str(path) for path in paths] for name, paths in self.inputs.items()},
+                "stages": list(self.stages), "seed": self.seed, "model": self.model.model_dump(mode="json")}
+        sections = {name: config.model_dump(mode="json") for name, config in self.configs.items()}
+        return yaml.safe_dump(head | sections, sort_keys=False, allow_unicode=True, width=110)
+
+
+def load_recipe(path: str | Path, settings: Iterable[str] = (), inputs: Iterable[str] = (),
+                seed: int | None = None) -> Recipe:
+    """Read and check a recipe.
+
+    Parameters
+    ----------
+    settings : iterable of str
+        ``stage.key=VALUE``, applied in order; the value is YAML.
+    inputs : iterable of str
+        ``NAME=PATH``, relative to the current folder; a name given again makes a list.
+    seed : int, optional
+        Replaces the recipe's seed.
+
+    Raises
+    ------
+    ConfigurationError
+        With one line ``where: message`` for everything that is wrong.
+    """
+    path = Path(path)
+    written, lines = load_yaml(path)
+    rejected: list[ConfigurationError] = []
+    overrides = _accepted(parse_setting, settings, rejected)
+    overrides += [] if seed is None else [Override(("seed",), seed, "--seed")]
+    given = input_overrides(_accepted(parse_input, inputs, rejected))
+    overrides += given
+    origins = Origins(path, lines, [(override.key, override.where) for override in overrides])
+    complaints = Complaints(origins, rejected)
+    unknown = checks.undeclared_inputs(given, written.get("inputs"), complaints)
+    usable = [override for override in overrides if override not in unknown]
+    return _checked(path, reduce(overridden, usable, written), complaints)
+
+
+def _accepted(parse: Callable[[str], Parsed], texts: Iterable[str],
+              rejected: list[ConfigurationError]) -> list[Parsed]:
+    """Parse what can be parsed and collect the complaints about the rest."""
+    parsed = []
+    for text in texts:
+        try:
+            parsed.append(parse(text))
+        except ConfigurationError as error:
+            rejected.append(error)
+    return parsed
+
+
+def _checked(path: Path, data: dict[str, Any], complaints: Complaints) -> Recipe:
+    head = checks.check_head(data, complaints)
+    model = checks.check_section(data, "model", ModelConfig, complaints)
+    configs = checks.check_stage_sections(data, complaints)
+    checks.check_stages(head.stages, complaints)
+    inputs = checks.check_inputs(head.inputs, absolute(path).parent, complaints)
+    instrument_name, instrument = checks.check_instrument(head.instrument, absolute(path).parent, complaints)
+    complaints.raise_if_any()
+    return Recipe(absolute(path), head.recipe, head.title, instrument_name, instrument, inputs,
+                  tuple(head.stages), model, {name: configs[name] for name in head.stages}, head.seed)

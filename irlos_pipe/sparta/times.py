@@ -1,0 +1,85 @@
+"""When frames were taken: time columns, and pairing of two tables by their frame counters."""
+
+from __future__ import annotations
+
+import numpy as np
+from astropy.io import fits
+
+SECONDS_COLUMNS = ("Seconds", "Sec")
+MICROSECONDS_COLUMNS = ("USeconds", "USec")
+
+
+def column(table: fits.BinTableHDU, *names: str) -> np.ndarray | None:
+    """Return the first column of `names` that the table has, whatever its case, or None."""
+    by_lower = {name.lower(): name for name in table.columns.names}
+    for name in names:
+        if name.lower() in by_lower:
+            return table.data[by_lower[name.lower()]]
+    return None
+
+
+def unix_seconds(table: fits.BinTableHDU) -> np.ndarray | None:
+    """Times of the rows of a table.
+
+    Returns
+    -------
+    ndarray of float64, (rows,), or None
+        Seconds since 1970; None if there are no time columns or they hold only zeros,
+        which is how SPARTA leaves them when the clock was not connected.
+    """
+    seconds = column(table, *SECONDS_COLUMNS)
+    if seconds is None:
+        return None
+    times = seconds.astype(np.float64)
+    microseconds = column(table, *MICROSECONDS_COLUMNS)
+    if microseconds is not None:
+        times = times + microseconds.astype(np.float64) * 1e-6
+    return times if np.any(times != 0) else None
+
+
+def pair_by_counter(wanted: np.ndarray, counter: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+    """Look up times of frames in another table by exactly equal counters.
+
+    A frame whose counter the other table lacks gets NaN: the next best row belongs to another frame.
+
+    Parameters
+    ----------
+    wanted : ndarray of int, (frames,)
+        Counters whose times are asked for.
+    counter, times_s : ndarray, (rows,)
+        Counters of the other table, in any order, and their times [s].
+    """
+    by_counter = dict(zip(counter.tolist(), times_s.tolist(), strict=True))
+    return np.array([by_counter.get(number, np.nan) for number in wanted.tolist()], dtype=np.float64)
+
+
+def counter_step(frame_counter: np.ndarray) -> int:
+    """Usual increment of a frame counter; 1 if there is nothing to judge by.
+
+    A recorder that keeps every 20th frame of the loop counts in steps of 20.
+    """
+    steps = np.diff(np.unique(frame_counter))
+    return max(1, int(np.quantile(steps, 0.5, method="lower"))) if steps.size else 1
+
+
+def frames_missing(frame_counter: np.ndarray) -> int:
+    """Number of frames lost by the recorder, from gaps in its counter."""
+    steps = np.diff(np.unique(frame_counter)) / counter_step(frame_counter)
+    return int(np.sum(np.maximum(np.rint(steps) - 1, 0)))
+
+
+def relative_times(
+    unix_s: np.ndarray | None, frame_counter: np.ndarray, frame_rate_hz: float | None
+) -> np.ndarray:
+    """Time of every frame since the first one [s].
+
+    Frames without a time are placed by their counter: between their neighbours where
+    others have a time, else at the frame rate (one frame per second if that is unknown).
+    """
+    frames = (frame_counter - frame_counter[0]) / counter_step(frame_counter)
+    known = np.isfinite(unix_s) if unix_s is not None else np.zeros(frames.shape, dtype=bool)
+    if known.sum() < 2:
+        return frames / (frame_rate_hz or 1.0)
+    order = np.argsort(frames[known], kind="stable")
+    times = np.where(known, unix_s, np.interp(frames, frames[known][order], unix_s[known][order]))
+    return times - times[0]

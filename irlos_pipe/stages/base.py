@@ -1,0 +1,119 @@
+"""What a stage is: the contract between the pipeline and the modules in this package."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+from pydantic import BaseModel, ConfigDict
+
+from irlos_pipe.product import Check, Product, Quantity
+
+if TYPE_CHECKING:
+    from irlos_pipe.instrument import Instrument
+    from irlos_pipe.stages.model import ModelConfig
+
+KEY_PARTS = frozenset({"model", "instrument", "seed", "inputs"})
+
+
+class StageConfig(BaseModel):
+    """Base of every stage's section of a recipe: unknown keys are errors, values do not change."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", frozen=True)
+
+
+@dataclass(frozen=True)
+class StageContext:
+    """All that a stage may look at.
+
+    Attributes
+    ----------
+    config : StageConfig
+        The stage's own section of the recipe.
+    inputs : dict of str to tuple of Path
+        Input files and folders by the recipe's input names.
+    products : dict of str to Product
+        Products of the earlier stages by stage name, as read from disk.
+    device : str
+        ``cpu`` or ``cuda``.
+    jobs : int
+        Number of threads or processes to use.
+    progress : callable
+        ``progress(iterable=None, total=None, desc="")``, tqdm-like; silent unless on a terminal.
+    log : logging.Logger
+        Goes to run.log and into the product; shown on the terminal with ``-v``.
+    """
+
+    config: StageConfig
+    model: ModelConfig
+    instrument: Instrument
+    inputs: dict[str, tuple[Path, ...]]
+    products: dict[str, Product]
+    device: str
+    seed: int
+    jobs: int
+    progress: Callable[..., Any]
+    log: logging.Logger
+
+
+@dataclass(frozen=True)
+class StageOutput:
+    """What a stage returns.
+
+    Attributes
+    ----------
+    results : dict
+        The stage's section of results.json; NaN is allowed and becomes null.
+    files : dict of str to bytes
+        Further files for the run folder, by file name.
+    summary : sequence of str
+        Lines for the table on the terminal.
+    failures : sequence of str
+        One line per exposure that failed while others succeeded; the run then counts as partial.
+    """
+
+    arrays: dict[str, Quantity]
+    results: dict[str, Any]
+    checks: Sequence[Check] = ()
+    files: dict[str, bytes] = field(default_factory=dict)
+    summary: Sequence[str] = ()
+    failures: Sequence[str] = ()
+
+
+class Stage(Protocol):
+    """A module of this package that can stand in a recipe.
+
+    A module may further define
+
+    - ``NEEDS``: names of stages that must come before it in a recipe (default none);
+    - ``READS``: names of the earlier stages whose products it looks at (default all of them).
+      A change of any other stage does not redo it;
+    - ``DEPENDS_ON``: the parts of `KEY_PARTS` it depends on (default all of them). A change of
+      any other part does not redo it.
+    """
+
+    NAME: str
+    VERSION: int
+    Config: type[StageConfig]
+
+    @staticmethod
+    def run(ctx: StageContext) -> StageOutput: ...
+
+
+def needs(stage: Stage) -> tuple[str, ...]:
+    """Names of the stages that must precede `stage` in a recipe."""
+    return tuple(getattr(stage, "NEEDS", ()))
+
+
+def reads(stage: Stage, earlier: Sequence[str]) -> tuple[str, ...]:
+    """Names of those of the `earlier` stages whose products `stage` looks at."""
+    wanted = getattr(stage, "READS", None)
+    return tuple(name for name in earlier if wanted is None or name in wanted or name in needs(stage))
+
+
+def depends_on(stage: Stage) -> frozenset[str]:
+    """Parts of the run, other than its own section, on which the stage's product depends."""
+    return frozenset(getattr(stage, "DEPENDS_ON", KEY_PARTS))

@@ -1,0 +1,119 @@
+"""From a recipe and a recording to the PSF model's settings and effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from irlos_pipe.effects import OtfEffect, OtfGrid, Pinned, SeeingHalo, TipTiltJitter, Transfer
+from irlos_pipe.effects.seeing_halo import in_band_wfe_nm
+from irlos_pipe.errors import InputDataError
+from irlos_pipe.instrument import Instrument
+from irlos_pipe.optics.structure import ResidualBand
+from irlos_pipe.product import Product, Quantity
+from irlos_pipe.psf import PsfModel, PsfSettings
+from irlos_pipe.recording import Acquisition, Recording
+from irlos_pipe.stages.model import ModelConfig
+
+DEFAULT_SEEING_ARCSEC = 0.8
+SETUP_KEYS = ("pixel_scale_mas", "spectrum", "diversity")
+
+
+def psf_settings(instrument: Instrument, model: ModelConfig, recording: Recording,
+                 ncpa_nm: dict[int, float] | None = None) -> PsfSettings:
+    """Settings of the PSF model for one recording; `ncpa_nm` is added to the diversity."""
+    acquisition = recording.acquisition
+    diversity = dict(acquisition.diversity)
+    for noll, value in (ncpa_nm or {}).items():
+        diversity[noll] = diversity.get(noll, 0.0) + value
+    return PsfSettings(instrument.pupil, recording.window, acquisition.pixel_scale_mas, acquisition.spectrum,
+                       diversity, model.pupil_samples)
+
+
+def residual_band(instrument: Instrument, model: ModelConfig) -> ResidualBand:
+    """Spatial frequencies of the AO residual; below 1/D there is only tip and tilt."""
+    return ResidualBand(1 / instrument.pupil.diameter_m, model.cutoff_per_m, model.outer_scale_m)
+
+
+def seeing_arcsec(acquisition: Acquisition) -> float:
+    """Seeing of a recording, or a typical one where it is not known."""
+    return acquisition.seeing_arcsec or DEFAULT_SEEING_ARCSEC
+
+
+def model_effects(instrument: Instrument, model: ModelConfig, acquisition: Acquisition) -> list[OtfEffect]:
+    """The effects of the recipe's model for one recording, fixed ones pinned."""
+    available = {SeeingHalo.name: lambda: SeeingHalo(residual_band(instrument, model), seeing_arcsec(acquisition)),
+                 TipTiltJitter.name: TipTiltJitter}
+    effects = []
+    for name, values in model.effect_settings().items():
+        effect = available[name]()
+        effects.append(Pinned(effect, effect.values_of(**values)) if values else effect)
+    return effects
+
+
+def expected(effects: Sequence[OtfEffect]) -> list[OtfEffect]:
+    """The same effects held at the values a fit would start from."""
+    return [Pinned(effect, [p.start for p in effect.parameters]) if effect.parameters else effect
+            for effect in effects]
+
+
+def fixed_transfer(effects: Sequence[OtfEffect], model: PsfModel) -> torch.Tensor | None:
+    """OTF factors of effects without free parameters, on the model's device; None without effects."""
+    if not effects:
+        return None
+    transfer = Transfer(effects, OtfGrid(model.grid, model.wavelengths_m))
+    return transfer(torch.zeros(0, dtype=torch.float64)).to(model.device, model.dtype)
+
+
+# -- handing estimated effects from one product to the next ------------------------------------
+
+
+def effect_arrays(effect_values: dict[str, np.ndarray]) -> dict[str, Quantity]:
+    """Solver's parameters of every effect as arrays of a product."""
+    return {f"effects/{name}": Quantity(values, "", "parameters of the effect, in the order of its declaration")
+            for name, values in effect_values.items()}
+
+
+def calibrated_effects(product: Product, instrument: Instrument, model: ModelConfig, acquisition: Acquisition,
+                       calibration_seeing_arcsec: float) -> dict[str, Pinned]:
+    """Effects as `calibrate` found them, for a recording taken under another seeing.
+
+    The in-band residual is scaled by the seeing law; the rest is taken as it is.
+    """
+    effects = {effect.name: effect for effect in model_effects(instrument, model, acquisition)}
+    pinned = {}
+    for name, effect in effects.items():
+        key = f"effects/{name}"
+        if isinstance(effect, Pinned):
+            pinned[name] = effect
+        elif key in product.arrays:
+            values = np.array(product.arrays[key].value, float)
+            if name == SeeingHalo.name:
+                values[0] *= (in_band_wfe_nm(effect.band, seeing_arcsec(acquisition))
+                              / in_band_wfe_nm(effect.band, calibration_seeing_arcsec))
+            pinned[name] = Pinned(effect, values)
+    return pinned
+
+
+# -- recordings that belong together -----------------------------------------------------------
+
+
+def require_one_setup(recordings: Sequence[Recording]) -> None:
+    """Raise InputDataError unless all recordings share window, pixel scale, spectrum and diversity."""
+    first = recordings[0]
+    for other in recordings[1:]:
+        differing = [key for key in SETUP_KEYS
+                     if getattr(other.acquisition, key) != getattr(first.acquisition, key)]
+        if other.window != first.window:
+            differing.append("window")
+        if differing:
+            raise InputDataError(f"{other.name}: {', '.join(differing)} differ from those of {first.name}; "
+                                 "reduce recordings of different set-ups separately")
+
+
+def in_time_order(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings by time of their first frame where all have one, else in the order given."""
+    starts = [recording.start_unix_s for recording in recordings]
+    return sorted(recordings, key=lambda r: r.start_unix_s) if np.all(np.isfinite(starts)) else list(recordings)

@@ -1,0 +1,74 @@
+"""Fixtures shared by the tests."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import fake_stages
+import pytest
+from click.testing import CliRunner, Result
+
+from irlos_pipe.cli import cli
+
+RECIPE = """\
+recipe: test
+title: a recipe of stand-ins
+inputs:
+  cube: data
+stages: [ingest, calibrate, lift]
+calibrate:
+  method: dip_avg
+"""
+
+
+@dataclass
+class Bench:
+    """A recipe of stand-in stages with its input and its run folder."""
+
+    folder: Path
+
+    @property
+    def recipe(self) -> Path:
+        return self.folder / "recipe.yaml"
+
+    @property
+    def data(self) -> Path:
+        return self.folder / "data"
+
+    @property
+    def output(self) -> Path:
+        return self.folder / "out"
+
+    def run(self, *options: str) -> Result:
+        """Run ``irlos run`` on the recipe."""
+        return invoke("run", str(self.recipe), "--output", str(self.output), "--device", "cpu", *options)
+
+    def make(self, behaviour: str) -> None:
+        """Make a stage misbehave, for example ``calibrate.crash``."""
+        (self.data / behaviour).touch()
+
+
+def invoke(*arguments: str) -> Result:
+    """Run the command line in this process."""
+    return CliRunner().invoke(cli, list(arguments))
+
+
+def products(folder: Path) -> list[str]:
+    """Names of the products in a run folder."""
+    return sorted(path.name for path in folder.glob("*.h5"))
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch) -> Bench:
+    """Stand-in stages, a recipe for them, and data; nothing has run yet."""
+    for name, module in fake_stages.modules().items():
+        monkeypatch.setitem(sys.modules, name, module)
+    fake_stages.COUNTS.clear()
+    bench = Bench(tmp_path)
+    bench.recipe.write_text(RECIPE)
+    bench.data.mkdir()
+    (bench.data / "a.dat").write_bytes(b"12345")
+    (bench.data / "b.dat").write_bytes(b"123")
+    return bench
