@@ -66,10 +66,11 @@ def neighbour_prediction(good: np.ndarray, sampling_px: float) -> Prediction:
     """
     offsets = _neighbour_offsets()
     available, index = _neighbours(good, offsets)
-    patterns, which = np.unique(available, axis=0, return_inverse=True)
-    weights = np.stack([_kriging_weights(offsets, pattern, sampling_px) for pattern in patterns])[
-        which.ravel()
-    ]
+    # most pixels have all their neighbours; each pattern of those that are missing is solved once
+    code = available @ (1 << np.arange(len(offsets)))
+    _, first, which = np.unique(code, return_index=True, return_inverse=True)
+    solved = [_kriging_weights(offsets, available[pixel], sampling_px) for pixel in first]
+    weights = np.stack(solved)[which]
     counts = np.maximum(available.sum(axis=1, keepdims=True), 1)
     return Prediction(_sparse(weights, index), _sparse(available / counts, index))
 

@@ -32,6 +32,7 @@ from .optics.propagate import (
 )
 from .optics.pupil import PupilGeometry, band_limited_pupil
 from .optics.zernike import noll_to_nm, zernike_basis
+from .parallel import ordered_map
 
 NM = 1e-9
 COMPLEX = {torch.float32: torch.complex64, torch.float64: torch.complex128}
@@ -56,8 +57,9 @@ class PsfSettings:
         Samples across the pupil diameter; 128 keeps the error below 1e-4 of the peak for
         wavefronts up to 600 nm RMS (tests/test_psf_accuracy.py).
     margin_mas : float
-        Field computed beyond the window on each side; an OTF factor with wide wings
-        scatters light in from there.
+        Field computed beyond the window on each side.
+    halo_margin_mas : float
+        The same for the period of the OTF factors, whose wings are wider.
     """
 
     geometry: PupilGeometry
@@ -66,7 +68,8 @@ class PsfSettings:
     spectrum: tuple[tuple[float, float], ...]
     diversity: dict[int, float]
     pupil_samples: int = 128
-    margin_mas: float = 150.0
+    margin_mas: float = 100.0
+    halo_margin_mas: float = 500.0
 
 
 class PsfModel:
@@ -82,21 +85,38 @@ class PsfModel:
         Of the propagation; sums over pixels are left to the caller, in float64.
     """
 
-    def __init__(self, settings: PsfSettings, nolls: Sequence[int], *, device: str = "cpu",
-                 dtype: torch.dtype = torch.float32):
+    def __init__(
+        self,
+        settings: PsfSettings,
+        nolls: Sequence[int],
+        *,
+        device: str = "cpu",
+        dtype: torch.dtype = torch.float32,
+    ):
         self.settings, self.nolls, self.device, self.dtype = settings, tuple(nolls), device, dtype
         wavelengths, weights = np.array(settings.spectrum, float).T
         self.wavelengths_m = wavelengths * NM
         self.weights = weights / weights.sum()
         u, amplitude = band_limited_pupil(settings.geometry, settings.pupil_samples)
         width = len(u) * (u[1] - u[0])
-        samples = focal_samples_for(max(settings.window), settings.pixel_scale_mas, settings.margin_mas,
-                                    self.wavelengths_m.min(), width)
-        self.grid = FocalGrid(samples, width)
+        self.grid = self._focal_grid(len(u) * (u[1] - u[0]))
         self._set_pupil(u, amplitude)
         self._set_pixels()
 
     # -- construction ------------------------------------------------------------------------
+
+    def _focal_grid(self, width_m: float) -> FocalGrid:
+        samples, padded = (
+            focal_samples_for(
+                max(self.settings.window),
+                self.settings.pixel_scale_mas,
+                margin,
+                self.wavelengths_m.min(),
+                width_m,
+            )
+            for margin in (self.settings.margin_mas, self.settings.halo_margin_mas)
+        )
+        return FocalGrid(samples, width_m, max(samples, padded))
 
     def _set_pupil(self, u: np.ndarray, amplitude: np.ndarray) -> None:
         radius = self.settings.geometry.diameter_m / 2
@@ -128,11 +148,20 @@ class PsfModel:
     def _set_pixels(self) -> None:
         rows, columns = self.settings.window
         scale, grid = self.settings.pixel_scale_mas, self.grid
-        self.plain = [(self._real(focal_to_pixels(rows, scale, lam, grid)),
-                       self._real(focal_to_pixels(columns, scale, lam, grid))) for lam in self.wavelengths_m]
-        self.filtered = [(self._complex(baseline_to_pixels(grid.baseline_y_m, rows, scale, lam, grid, half=False)),
-                          self._complex(baseline_to_pixels(grid.baseline_x_m, columns, scale, lam, grid, half=True)))
-                         for lam in self.wavelengths_m]
+        self.plain = [
+            (
+                self._real(focal_to_pixels(rows, scale, lam, grid)),
+                self._real(focal_to_pixels(columns, scale, lam, grid)),
+            )
+            for lam in self.wavelengths_m
+        ]
+        self.filtered = [
+            (
+                self._complex(baseline_to_pixels(grid.baseline_y_m, rows, scale, lam, grid, half=False)),
+                self._complex(baseline_to_pixels(grid.baseline_x_m, columns, scale, lam, grid, half=True)),
+            )
+            for lam in self.wavelengths_m
+        ]
 
     def _real(self, array) -> torch.Tensor:
         return torch.as_tensor(array, dtype=self.dtype, device=self.device)
@@ -151,13 +180,15 @@ class PsfModel:
         """Complex field in the pupil."""
         return torch.polar(self.amplitude.expand_as(opd_nm), opd_nm * (2 * np.pi * NM / wavelength_m))
 
-    def to_image(self, intensity: torch.Tensor, wavelength: int, transfer: torch.Tensor | None) -> torch.Tensor:
+    def to_image(
+        self, intensity: torch.Tensor, wavelength: int, transfer: torch.Tensor | None
+    ) -> torch.Tensor:
         """Pixel flux from focal intensity ``(..., m, m)`` at one wavelength, through the OTF factors."""
         if transfer is None:
             to_rows, to_columns = self.plain[wavelength]
             return to_rows @ intensity @ to_columns.mT
         to_rows, to_columns = self.filtered[wavelength]
-        spectrum = torch.fft.rfft2(intensity) * transfer[wavelength]
+        spectrum = torch.fft.rfft2(intensity, s=(self.grid.padded,) * 2) * transfer[wavelength]
         partial = to_rows @ spectrum
         return partial.real @ to_columns.real.mT - partial.imag @ to_columns.imag.mT
 
@@ -167,23 +198,30 @@ class PsfModel:
         Parameters
         ----------
         coefficients_nm : tensor, (frames, modes)
-        transfer : tensor, (wavelengths, m, m//2 + 1), optional
-            OTF factors on the baselines of `grid`.
+        transfer : tensor, (wavelengths, p, p//2 + 1), optional
+            OTF factors on the baselines of `grid`, p = ``grid.padded``.
 
         Returns
         -------
         tensor, (frames, rows, columns)
         """
         opd = self.opd_nm(coefficients_nm)
-        total = 0
-        for index, wavelength_m in enumerate(self.wavelengths_m):
-            amplitude = self.to_focal @ self.field(opd, wavelength_m) @ self.to_focal.mT
-            intensity = amplitude.real**2 + amplitude.imag**2
-            total = total + float(self.weights[index]) * self.to_image(intensity, index, transfer)
-        return total
+        return sum(
+            ordered_map(lambda index: self._one_colour(opd, index, transfer), range(len(self.weights)))
+        )
 
-    def images_and_jacobian(self, coefficients_nm: torch.Tensor, transfer: torch.Tensor | None = None,
-                            transfer_derivatives: torch.Tensor | None = None):
+    def _one_colour(self, opd: torch.Tensor, index: int, transfer: torch.Tensor | None) -> torch.Tensor:
+        """Weighted images at one wavelength."""
+        amplitude = self.to_focal @ self.field(opd, self.wavelengths_m[index]) @ self.to_focal.mT
+        intensity = amplitude.real**2 + amplitude.imag**2
+        return float(self.weights[index]) * self.to_image(intensity, index, transfer)
+
+    def images_and_jacobian(
+        self,
+        coefficients_nm: torch.Tensor,
+        transfer: torch.Tensor | None = None,
+        transfer_derivatives: torch.Tensor | None = None,
+    ):
         """Images and their derivatives.
 
         Parameters
@@ -199,23 +237,29 @@ class PsfModel:
             First the modes [1/nm], then the OTF parameters.
         """
         per_frame = len(self.pairs) * self.grid.samples**2
-        parts = [self._chunk(chunk, transfer, transfer_derivatives)
-                 for chunk in coefficients_nm.split(max(1, CHUNK_ELEMENTS // per_frame))]
+        parts = [
+            self._chunk(chunk, transfer, transfer_derivatives)
+            for chunk in coefficients_nm.split(max(1, CHUNK_ELEMENTS // per_frame))
+        ]
         return torch.cat([part[0] for part in parts]), torch.cat([part[1] for part in parts])
 
     def _chunk(self, coefficients_nm, transfer, transfer_derivatives):
         opd = self.opd_nm(coefficients_nm)
-        images, jacobian = 0, 0
-        for index, wavelength_m in enumerate(self.wavelengths_m):
-            weight = float(self.weights[index])
-            amplitude, modal = self._amplitude_and_modal(opd, wavelength_m)
-            intensity = amplitude.real**2 + amplitude.imag**2
-            images = images + weight * self.to_image(intensity, index, transfer)
-            columns = [self.to_image(modal, index, transfer)]
-            if transfer_derivatives is not None:
-                columns += [self.to_image(intensity, index, one)[:, None] for one in transfer_derivatives]
-            jacobian = jacobian + weight * torch.cat(columns, dim=1)
-        return images, jacobian
+        colours = ordered_map(
+            lambda index: self._one_colour_with_jacobian(opd, index, transfer, transfer_derivatives),
+            range(len(self.weights)),
+        )
+        return sum(colour[0] for colour in colours), sum(colour[1] for colour in colours)
+
+    def _one_colour_with_jacobian(self, opd, index, transfer, transfer_derivatives):
+        """Weighted images and derivatives at one wavelength."""
+        amplitude, modal = self._amplitude_and_modal(opd, self.wavelengths_m[index])
+        intensity = amplitude.real**2 + amplitude.imag**2
+        columns = [self.to_image(modal, index, transfer)]
+        if transfer_derivatives is not None:
+            columns += [self.to_image(intensity, index, one)[:, None] for one in transfer_derivatives]
+        weight = float(self.weights[index])
+        return weight * self.to_image(intensity, index, transfer), weight * torch.cat(columns, dim=1)
 
     def _amplitude_and_modal(self, opd: torch.Tensor, wavelength_m: float):
         """Focal amplitude (frames, m, m) and intensity derivatives (frames, modes, m, m)."""
@@ -223,8 +267,10 @@ class PsfModel:
         m = self.grid.samples
         along_x = field @ self.weighted_to_focal.reshape(-1, field.shape[-1]).mT  # (frames, n, (degree+1)·m)
         along_x = along_x.reshape(*field.shape[:2], self.degree + 1, m).transpose(1, 2).contiguous()
-        products = torch.cat([self.weighted_to_focal[b] @ along_x[:, :self.degree + 1 - b]
-                              for b in range(self.degree + 1)], dim=1)  # (frames, pairs, m, m)
+        products = torch.cat(
+            [self.weighted_to_focal[b] @ along_x[:, : self.degree + 1 - b] for b in range(self.degree + 1)],
+            dim=1,
+        )  # (frames, pairs, m, m)
         amplitude = products[:, 0]  # T_0(x) T_0(y) = 1
         beat = (products * amplitude.conj()[:, None]).imag
         scale = -4 * np.pi * NM / wavelength_m

@@ -125,6 +125,8 @@ class Recording:
     def accepted(self) -> Recording:
         """Return the recording with the used frames only."""
         keep = self.used
-        picked = {name: getattr(self, name)[keep] for name in
-                  ("images_e", "used", "reason", "time_s", "frame_counter", "introduced_defocus_nm")}
+        picked = {
+            name: getattr(self, name)[keep]
+            for name in ("images_e", "used", "reason", "time_s", "frame_counter", "introduced_defocus_nm")
+        }
         return replace(self, **picked)

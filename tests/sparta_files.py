@@ -28,15 +28,18 @@ TWO_BY_TWO = "20x20_SmallScale_500Hz_HighGain"
 SAMPLING_PX = 4.25  # pixels per lambda/D of `SIDECAR` on an 8 m pupil
 
 
-def star(rows: int = 32, columns: int = 32, flux_e: float = 1e6, seed: int = 0, shift_px=(0.0, 0.0)) -> np.ndarray:
+def star(
+    rows: int = 32, columns: int = 32, flux_e: float = 1e6, seed: int = 0, shift_px=(0.0, 0.0)
+) -> np.ndarray:
     """Image (rows, columns) of a star through an aberrated pupil [e-], the flux all inside the window."""
     across = np.linspace(-0.5, 0.5, 33)
     y, x = np.meshgrid(across, across, indexing="ij")
     a = np.random.default_rng(seed).normal(0, 1.0, 6)
     phase = a[0] * x + a[1] * y + 3 * (a[2] * x * y + a[3] * (x**2 - y**2)) + 6 * a[4] * (x**2 + y**2) * x
     field = (np.hypot(x, y) <= 0.5) * np.exp(1j * phase)
-    row, column = (np.arange(size) - (size - 1) / 2 - move
-                   for size, move in zip((rows, columns), shift_px, strict=True))
+    row, column = (
+        np.arange(size) - (size - 1) / 2 - move for size, move in zip((rows, columns), shift_px, strict=True)
+    )
     transform_y = np.exp(-2j * np.pi * np.outer(row, across) / SAMPLING_PX)
     transform_x = np.exp(-2j * np.pi * np.outer(across, column) / SAMPLING_PX)
     image = np.abs(transform_y @ field @ transform_x) ** 2
@@ -67,16 +70,20 @@ def write_sidecar(path: Path, *without: str, **changes: Any) -> Path:
     return path
 
 
-def pixel_table(adu: np.ndarray, counter=None, pad: int = 0, times: dict | None = None,
-                sizes: tuple | None = None) -> fits.BinTableHDU:
+def pixel_table(
+    adu: np.ndarray, counter=None, pad: int = 0, times: dict | None = None, sizes: tuple | None = None
+) -> fits.BinTableHDU:
     """Table IRPixelFrame of a cube (frames, rows, columns), vectors padded with `pad` values of -999."""
     frames, rows, columns = adu.shape
     vectors = np.pad(adu.reshape(frames, rows * columns), ((0, 0), (0, pad)), constant_values=-999)
     width, height = sizes or (np.full(frames, columns), np.full(frames, rows))
     counter = 20 * np.arange(frames) if counter is None else counter
-    table = [fits.Column("FrameCounter", "J", array=counter), fits.Column("WindowSizeX", "J", array=width),
-             fits.Column("WindowSizeY", "J", array=height),
-             fits.Column("Pixels", f"{vectors.shape[1]}E", array=vectors)]
+    table = [
+        fits.Column("FrameCounter", "J", array=counter),
+        fits.Column("WindowSizeX", "J", array=width),
+        fits.Column("WindowSizeY", "J", array=height),
+        fits.Column("Pixels", f"{vectors.shape[1]}E", array=vectors),
+    ]
     table += [fits.Column(name, "J", array=values) for name, values in (times or {}).items()]
     return fits.BinTableHDU.from_columns(table, name="IRPixelFrame")
 
@@ -84,12 +91,23 @@ def pixel_table(adu: np.ndarray, counter=None, pad: int = 0, times: dict | None 
 def loop_table(counter, seconds, microseconds) -> fits.BinTableHDU:
     """Table IRLoopFrame with the times of the loop."""
     return fits.BinTableHDU.from_columns(
-        [fits.Column("FrameCounter", "J", array=counter), fits.Column("Seconds", "J", array=seconds),
-         fits.Column("USeconds", "J", array=microseconds)], name="IRLoopFrame")
+        [
+            fits.Column("FrameCounter", "J", array=counter),
+            fits.Column("Seconds", "J", array=seconds),
+            fits.Column("USeconds", "J", array=microseconds),
+        ],
+        name="IRLoopFrame",
+    )
 
 
-def write_recorder(folder: Path, adu: np.ndarray, *more: fits.BinTableHDU, maps: dict | None = None,
-                   keys: dict | None = None, **table: Any) -> Path:
+def write_recorder(
+    folder: Path,
+    adu: np.ndarray,
+    *more: fits.BinTableHDU,
+    maps: dict | None = None,
+    keys: dict | None = None,
+    **table: Any,
+) -> Path:
     """Write a recorder folder with its calibration images and side-car; return the data file."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{folder.name}.fits"
@@ -100,8 +118,13 @@ def write_recorder(folder: Path, adu: np.ndarray, *more: fits.BinTableHDU, maps:
     return path
 
 
-def write_muse(path: Path, adu: np.ndarray, mode: str | None = FULL_PUPIL, header: dict | None = None,
-               seeing: list[float] | None = None) -> Path:
+def write_muse(
+    path: Path,
+    adu: np.ndarray,
+    mode: str | None = FULL_PUPIL,
+    header: dict | None = None,
+    seeing: list[float] | None = None,
+) -> Path:
     """Write a raw file of MUSE."""
     primary = fits.PrimaryHDU()
     primary.header["DATE-OBS"] = "2023-07-14T03:21:10.000"
@@ -110,10 +133,16 @@ def write_muse(path: Path, adu: np.ndarray, mode: str | None = FULL_PUPIL, heade
             primary.header[f"HIERARCH {key}" if " " in key else key] = value
     hdus = [primary, fits.ImageHDU(adu, name="SPARTA_TT_CUBE")]
     if seeing is not None:
-        hdus.append(fits.BinTableHDU.from_columns(
-            [fits.Column("Sec", "J", array=1689304870 + np.arange(len(seeing))),
-             fits.Column("USec", "J", array=np.zeros(len(seeing), int)),
-             fits.Column("LGS1_SEEING", "E", array=seeing)], name="SPARTA_ATM_DATA"))
+        hdus.append(
+            fits.BinTableHDU.from_columns(
+                [
+                    fits.Column("Sec", "J", array=1689304870 + np.arange(len(seeing))),
+                    fits.Column("USec", "J", array=np.zeros(len(seeing), int)),
+                    fits.Column("LGS1_SEEING", "E", array=seeing),
+                ],
+                name="SPARTA_ATM_DATA",
+            )
+        )
     fits.HDUList(hdus).writeto(path, overwrite=True)
     return path
 

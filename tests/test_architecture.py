@@ -14,7 +14,7 @@ LAYERS = {
     "errors": ({"errors"}, set()),
     "frames": ({"recording", "detector", "noise", "bandlimit", "blemishes", "photon_transfer", "screening"},
                {"errors"}),
-    "model": ({"optics", "effects", "psf"}, {"errors"}),
+    "model": ({"optics", "effects", "psf", "parallel"}, {"errors"}),
     "estimate": ({"estimate", "diagnose"}, {"errors", "frames", "model"}),
     "files": ({"atomic", "jsonable", "yamlfile", "complaints"}, {"errors"}),
     "product": ({"product", "runfolder"}, {"errors", "files"}),
@@ -25,13 +25,13 @@ LAYERS = {
     "recipe": ({"recipe"}, {"errors", "files", "instrument", "stages"}),
     "report": ({"report", "score"},
                {"errors", "files", "frames", "model", "estimate", "product", "instrument", "stages"}),
-    "pipeline": ({"pipeline"}, {"errors", "files", "product", "recipe", "stages", "report"}),
+    "pipeline": ({"pipeline"}, {"errors", "files", "model", "product", "recipe", "stages", "report"}),
     "text": ({"terminal", "show", "export"}, {"errors", "files", "product", "recipe", "pipeline"}),
     "commands": ({"cli", "exits", "__main__"}, {"errors", "product", "recipe", "pipeline", "report", "text"}),
 }
 # Science knows no files, no HDF5, no YAML and no command line: this is all it may use.
 SCIENCE = ("frames", "model", "estimate")
-SCIENCE_MAY_USE = {"__future__", "abc", "collections", "dataclasses", "enum", "functools", "itertools",
+SCIENCE_MAY_USE = {"__future__", "abc", "collections", "concurrent", "threading", "dataclasses", "enum", "functools", "itertools",
                    "math", "time", "typing", "warnings", "numpy", "scipy", "torch"}
 # The package's own __init__ comes first; it imports nothing.
 MODULES = sorted(path.relative_to(PACKAGE.parent) for path in PACKAGE.rglob("*.py"))

@@ -70,8 +70,11 @@ def test_two_pixels_per_lambda_over_d_are_too_few():
     assert not is_well_sampled(2.0)
 
 
-@pytest.mark.parametrize("images", [frames(), frames(count=3), frames(count=1), moving()],
-                         ids=["still", "three frames", "one frame", "moving"])
+@pytest.mark.parametrize(
+    "images",
+    [frames(), frames(count=3), frames(count=1), moving()],
+    ids=["still", "three frames", "one frame", "moving"],
+)
 def test_a_clean_recording_has_no_bad_pixels_and_no_hits(images):
     assert places(deviant_pixels(images, *SETTINGS)) == []
     assert places(noisy_pixels(images, *SETTINGS)) == []
@@ -79,10 +82,14 @@ def test_a_clean_recording_has_no_bad_pixels_and_no_hits(images):
         assert cosmic_hits(images, np.arange(len(images)), *SETTINGS).frame.size == 0
 
 
-@pytest.mark.parametrize("images", [frames(), frames(count=3), moving()], ids=["still", "three frames", "moving"])
-@pytest.mark.parametrize(("place", "value"), [
-    (PEAK, 0.0), ((PEAK[0] + 2, PEAK[1] - 1), 0.0), ((3, 40), 400.0), ((0, 0), 400.0), ((47, 20), 400.0)],
-    ids=["dead at the peak", "dead in the core", "hot in the wing", "hot in the corner", "hot at the edge"])
+@pytest.mark.parametrize(
+    "images", [frames(), frames(count=3), moving()], ids=["still", "three frames", "moving"]
+)
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [(PEAK, 0.0), ((PEAK[0] + 2, PEAK[1] - 1), 0.0), ((3, 40), 400.0), ((0, 0), 400.0), ((47, 20), 400.0)],
+    ids=["dead at the peak", "dead in the core", "hot in the wing", "hot in the corner", "hot at the edge"],
+)
 def test_a_pixel_that_differs_from_its_neighbours_is_found_alone(images, place, value):
     images = images.copy()
     images[(slice(None), *place)] = value
@@ -168,7 +175,8 @@ def test_cosmic_hits_are_found_where_they_are(images):
         images[place] += charge
     hits = cosmic_hits(images, np.arange(len(images)), *SETTINGS)
     assert set(zip(hits.frame.tolist(), hits.row.tolist(), hits.column.tolist(), strict=True)) == {
-        tuple(map(int, place)) for place in wanted}
+        tuple(map(int, place)) for place in wanted
+    }
 
 
 def test_frames_that_are_not_asked_for_are_not_searched():

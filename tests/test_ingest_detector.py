@@ -124,8 +124,12 @@ def test_excess_noise_is_measured_on_the_star_itself():
 
 
 def test_image_motion_is_no_noise():
-    moving = np.stack([star(64, 64, flux_e=3e5, shift_px=shift)
-                       for shift in np.random.default_rng(0).normal(0, 0.7, (60, 2))])
+    moving = np.stack(
+        [
+            star(64, 64, flux_e=3e5, shift_px=shift)
+            for shift in np.random.default_rng(0).normal(0, 0.7, (60, 2))
+        ]
+    )
     rng = np.random.default_rng(1)
     noise = measured(rng.poisson(moving) + rng.normal(0, 1, moving.shape))
     assert noise.excess_noise_factor == pytest.approx(1.0, abs=0.1)

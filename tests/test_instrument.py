@@ -107,14 +107,21 @@ def overlap_dates(profile):
     profile["facts"]["pixel_scale_small_mas"][0].pop("until")
 
 
-@pytest.mark.parametrize(("change", "message"), [
-    (remove_unit, r"mine\.yaml:\d+: key 'facts\.pupil_diameter_m\.0\.unit' is missing"),
-    (misspell_status, r"mine\.yaml:\d+: facts\.pupil_diameter_m\.0\.status = 'adoptd'.*did you mean 'adopted'"),
-    (remove_fact, "fact 'photons_per_s_m15' is missing"),
-    (give_text, "fact 'pupil_diameter_m' = 'eight' should be a number"),
-    (break_vane, r"fact 'pupil_vanes_m' should be a list of \[\[x, y\], \[x, y\]\]"),
-    (misspell_reference, "no fact 'seing_arcsec'; did you mean 'seeing_arcsec'"),
-    (overlap_dates, "fact 'pixel_scale_small_mas' has 2 values on the present day")])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (remove_unit, r"mine\.yaml:\d+: key 'facts\.pupil_diameter_m\.0\.unit' is missing"),
+        (
+            misspell_status,
+            r"mine\.yaml:\d+: facts\.pupil_diameter_m\.0\.status = 'adoptd'.*did you mean 'adopted'",
+        ),
+        (remove_fact, "fact 'photons_per_s_m15' is missing"),
+        (give_text, "fact 'pupil_diameter_m' = 'eight' should be a number"),
+        (break_vane, r"fact 'pupil_vanes_m' should be a list of \[\[x, y\], \[x, y\]\]"),
+        (misspell_reference, "no fact 'seing_arcsec'; did you mean 'seeing_arcsec'"),
+        (overlap_dates, "fact 'pixel_scale_small_mas' has 2 values on the present day"),
+    ],
+)
 def test_a_mistake_in_a_profile_is_told_with_the_file(tmp_path, profile, change, message):
     change(profile)
     with pytest.raises(ConfigurationError, match=message) as caught:

@@ -17,14 +17,24 @@ NOTHING = AcquisitionKeys()
 
 
 def recording(folder: Path, frames: int = 3, header: dict | None = None) -> RawRecording:
-    return RawRecording("rec", folder / "rec.fits", "fits_cube", np.zeros((frames, 8, 8)), np.arange(frames),
-                        header=header or {})
+    return RawRecording(
+        "rec",
+        folder / "rec.fits",
+        "fits_cube",
+        np.zeros((frames, 8, 8)),
+        np.arange(frames),
+        header=header or {},
+    )
 
 
 def test_every_key_of_the_side_car_arrives(tmp_path):
-    write_sidecar(tmp_path / "acquisition.yaml", derotator_angle_deg=12.5, introduced_defocus_nm=-40.0,
-                  spectrum=[{"wavelength_nm": 1200.0, "weight": 0.5}, {"wavelength_nm": 1600.0}],
-                  diversity={"source": "dsm", "zernike": {5: 20.0, 6: -170}})
+    write_sidecar(
+        tmp_path / "acquisition.yaml",
+        derotator_angle_deg=12.5,
+        introduced_defocus_nm=-40.0,
+        spectrum=[{"wavelength_nm": 1200.0, "weight": 0.5}, {"wavelength_nm": 1600.0}],
+        diversity={"source": "dsm", "zernike": {5: 20.0, 6: -170}},
+    )
     resolved = resolve(recording(tmp_path), NOTHING, IRLOS)
     found = resolved.acquisition
     assert (found.role, found.target, found.mag_j) == ("ncpa_calibration", "TEST", 8.0)
@@ -73,13 +83,18 @@ def test_header_values_out_of_range_are_not_taken(tmp_path):
 @pytest.mark.parametrize("key", ["role", "spectrum", "diversity"])
 def test_a_missing_key_without_a_safe_default_is_named(tmp_path, key):
     write_sidecar(tmp_path / "acquisition.yaml", key)
-    with pytest.raises(InputDataError, match=rf"acquisition\.yaml: key '{key}' missing, and no default is safe"):
+    with pytest.raises(
+        InputDataError, match=rf"acquisition\.yaml: key '{key}' missing, and no default is safe"
+    ):
         resolve(recording(tmp_path), NOTHING, IRLOS)
 
 
 def test_without_a_side_car_all_missing_keys_are_named_at_once(tmp_path):
-    with pytest.raises(InputDataError, match=r"rec\.fits: no side-car acquisition\.yaml; "
-                                             "keys 'role', 'spectrum', 'diversity' missing"):
+    with pytest.raises(
+        InputDataError,
+        match=r"rec\.fits: no side-car acquisition\.yaml; "
+        "keys 'role', 'spectrum', 'diversity' missing",
+    ):
         resolve(recording(tmp_path), NOTHING, IRLOS)
 
 
@@ -110,21 +125,31 @@ def test_defocus_for_another_number_of_frames_is_refused(tmp_path):
         resolve(recording(tmp_path), NOTHING, IRLOS)
 
 
-@pytest.mark.parametrize(("text", "message"), [
-    ("role: psf\nseing_arcsec: 0.5\n", ":2: unknown key 'seing_arcsec'; did you mean 'seeing_arcsec'"),
-    ("role: psf\nmag_j: 7\nmag_j: 8\n", r":3: key 'mag_j' is given twice \(first on line 2\)"),
-    ("role: calibration\n", ":1: role = 'calibration'"),
-    ("mag_j: bright\n", ":1: mag_j = 'bright': should be a valid number"),
-    ("role: psf\nexposure_s: -0.1\n", ":2: exposure_s = -0.1: should be greater than 0"),
-    ("seeing_arcsec: .nan\n", ":1: seeing_arcsec = nan"),
-    ("detector:\n  e_per_adu: 0.5\n  read_noise: 1\n", ":3: unknown key 'detector.read_noise'; did you mean 'read_noise_e'"),
-    ("diversity: {source: lens, zernike: {1: 5}}\n", ":1: .*1 is no Noll index from 2 to 1000"),
-    ("spectrum: []\n", ":1: spectrum"),
-    ("spectrum: [{wavelength_nm: 1600, weight: 0}]\n", ":1: .*at least one weight must be positive"),
-    ("spectrum:\n- wavelength_nm: 1600\n- wavelenght_nm: 1650\n", ":3: unknown key 'spectrum.1.wavelenght_nm'; did you mean"),
-    ("- role: psf\n", ":1: expected 'key: value' pairs"),
-    ("", ":1: expected 'key: value' pairs, found nothing"),
-    ("role: [psf\n", ":2: not valid YAML")])
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("role: psf\nseing_arcsec: 0.5\n", ":2: unknown key 'seing_arcsec'; did you mean 'seeing_arcsec'"),
+        ("role: psf\nmag_j: 7\nmag_j: 8\n", r":3: key 'mag_j' is given twice \(first on line 2\)"),
+        ("role: calibration\n", ":1: role = 'calibration'"),
+        ("mag_j: bright\n", ":1: mag_j = 'bright': should be a valid number"),
+        ("role: psf\nexposure_s: -0.1\n", ":2: exposure_s = -0.1: should be greater than 0"),
+        ("seeing_arcsec: .nan\n", ":1: seeing_arcsec = nan"),
+        (
+            "detector:\n  e_per_adu: 0.5\n  read_noise: 1\n",
+            ":3: unknown key 'detector.read_noise'; did you mean 'read_noise_e'",
+        ),
+        ("diversity: {source: lens, zernike: {1: 5}}\n", ":1: .*1 is no Noll index from 2 to 1000"),
+        ("spectrum: []\n", ":1: spectrum"),
+        ("spectrum: [{wavelength_nm: 1600, weight: 0}]\n", ":1: .*at least one weight must be positive"),
+        (
+            "spectrum:\n- wavelength_nm: 1600\n- wavelenght_nm: 1650\n",
+            ":3: unknown key 'spectrum.1.wavelenght_nm'; did you mean",
+        ),
+        ("- role: psf\n", ":1: expected 'key: value' pairs"),
+        ("", ":1: expected 'key: value' pairs, found nothing"),
+        ("role: [psf\n", ":2: not valid YAML"),
+    ],
+)
 def test_a_mistake_in_a_side_car_is_told_in_one_line_with_its_place(tmp_path, text, message):
     path = tmp_path / "acquisition.yaml"
     path.write_text(text)
@@ -143,4 +168,9 @@ def test_further_mistakes_are_counted(tmp_path):
 def test_keys_for_an_input_replace_single_keys_only():
     general = AcquisitionKeys(mag_j=7.0, detector={"e_per_adu": 2.0, "read_noise_e": 1.0})
     merged = general.updated(AcquisitionKeys(role="psf", detector={"read_noise_e": 4.0}))
-    assert merged.flat() == {"mag_j": 7.0, "role": "psf", "detector.e_per_adu": 2.0, "detector.read_noise_e": 4.0}
+    assert merged.flat() == {
+        "mag_j": 7.0,
+        "role": "psf",
+        "detector.e_per_adu": 2.0,
+        "detector.read_noise_e": 4.0,
+    }

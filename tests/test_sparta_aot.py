@@ -20,17 +20,24 @@ def write_aot(path, **detector):
     system.main_telescope = aotpy.MainTelescope(uid="UT4")
     time = aotpy.Time(uid="frames", timestamps=[100.0, 100.1, 100.2], frame_numbers=[7, 8, 10])
     pixels = aotpy.Image("pixels", CUBE, time=time)
-    maps = {name: aotpy.Image(name, value) for name, value in detector.items() if isinstance(value, np.ndarray)}
+    maps = {
+        name: aotpy.Image(name, value) for name, value in detector.items() if isinstance(value, np.ndarray)
+    }
     scalars = {name: value for name, value in detector.items() if name not in maps}
-    system.scoring_cameras.append(aotpy.ScoringCamera(uid="camera", detector=aotpy.Detector(
-        uid="IRLOS", pixel_intensities=pixels, **maps, **scalars)))
+    system.scoring_cameras.append(
+        aotpy.ScoringCamera(
+            uid="camera", detector=aotpy.Detector(uid="IRLOS", pixel_intensities=pixels, **maps, **scalars)
+        )
+    )
     system.write_to_file(path)
     return path
 
 
 @pytest.mark.filterwarnings("ignore")
 def test_frames_times_and_constants_of_an_aot_file_are_read(tmp_path):
-    (raw,) = read_recordings(write_aot(tmp_path / "a.fits", pixel_scale=9.7e-3 / 206264.806, frame_rate=10.0), IRLOS)
+    (raw,) = read_recordings(
+        write_aot(tmp_path / "a.fits", pixel_scale=9.7e-3 / 206264.806, frame_rate=10.0), IRLOS
+    )
     assert raw.layout == "aot"
     assert np.array_equal(raw.adu, CUBE)
     assert raw.unix_s == pytest.approx([100.0, 100.1, 100.2])
@@ -41,8 +48,11 @@ def test_frames_times_and_constants_of_an_aot_file_are_read(tmp_path):
 
 @pytest.mark.filterwarnings("ignore")
 def test_the_flat_of_an_aot_file_is_the_inverse_of_the_response(tmp_path):
-    path = write_aot(tmp_path / "a.fits", flat_field=np.full((8, 9), 1.25, np.float32),
-                     dark=np.full((8, 9), 3.0, np.float32))
+    path = write_aot(
+        tmp_path / "a.fits",
+        flat_field=np.full((8, 9), 1.25, np.float32),
+        dark=np.full((8, 9), 3.0, np.float32),
+    )
     maps = read_recordings(path, IRLOS)[0].calibration
     assert maps.flat == pytest.approx(0.8)
     assert (maps.dark_adu == 3).all()
@@ -63,5 +73,7 @@ def test_without_aotpy_the_message_says_what_to_install(tmp_path, monkeypatch):
     primary.header["AOT-VERS"] = "2.0.0"
     primary.writeto(tmp_path / "a.fits")
     monkeypatch.setitem(sys.modules, "aotpy", None)
-    with pytest.raises(InputDataError, match="AOT files need the package aotpy; install it with: pip install aotpy"):
+    with pytest.raises(
+        InputDataError, match="AOT files need the package aotpy; install it with: pip install aotpy"
+    ):
         read_recordings(tmp_path / "a.fits", IRLOS)

@@ -26,26 +26,47 @@ def test_the_cube_keeps_its_axes_and_type(tmp_path):
 
 
 def test_the_header_gives_what_it_knows(tmp_path):
-    header = {"ESO SEQ NGS MAG": 10.5, "ESO TEL AMBI FWHM START": 0.7, "ESO TEL PARANG START": 35.2,
-              "ESO TEL ALT": 62.0, "ESO INS DROT START": 81.4, "OBJECT": "HD 1"}
+    header = {
+        "ESO SEQ NGS MAG": 10.5,
+        "ESO TEL AMBI FWHM START": 0.7,
+        "ESO TEL PARANG START": 35.2,
+        "ESO TEL ALT": 62.0,
+        "ESO INS DROT START": 81.4,
+        "OBJECT": "HD 1",
+    }
     (raw,) = muse_raw.read(write_muse(tmp_path / "m.fits", numbered(2, 8, 8), header=header), IRLOS)
-    expected = {"mag_j": 10.5, "seeing_arcsec": 0.7, "parallactic_angle_deg": 35.2, "altitude_deg": 62.0,
-                "derotator_angle_deg": 81.4, "target": "HD 1", "frame_rate_hz": 200.0, "exposure_s": 0.005,
-                "pixel_scale_mas": 9.7}
+    expected = {
+        "mag_j": 10.5,
+        "seeing_arcsec": 0.7,
+        "parallactic_angle_deg": 35.2,
+        "altitude_deg": 62.0,
+        "derotator_angle_deg": 81.4,
+        "target": "HD 1",
+        "frame_rate_hz": 200.0,
+        "exposure_s": 0.005,
+        "pixel_scale_mas": 9.7,
+    }
     assert {key: raw.header[key] for key in expected} == expected
     assert raw.start_unix_s == 1689304870.0  # 2023-07-14T03:21:10 UTC
 
 
 def test_the_seeing_of_sparta_is_preferred_to_the_monitor(tmp_path):
-    path = write_muse(tmp_path / "m.fits", numbered(2, 8, 8), header={"ESO TEL AMBI FWHM START": 0.7},
-                      seeing=[0.4, 0.5, 0.6, -1.0])
+    path = write_muse(
+        tmp_path / "m.fits",
+        numbered(2, 8, 8),
+        header={"ESO TEL AMBI FWHM START": 0.7},
+        seeing=[0.4, 0.5, 0.6, -1.0],
+    )
     assert muse_raw.read(path, IRLOS)[0].header["seeing_arcsec"] == pytest.approx(0.5)
 
 
 def test_an_unknown_mode_is_named(tmp_path):
     path = write_muse(tmp_path / "m.fits", numbered(2, 8, 8), mode="64x64_FullPupl_200Hz_HighGain")
-    with pytest.raises(InputDataError, match="'64x64_FullPupl_200Hz_HighGain' is no mode of irlos.*did you mean "
-                                             "'64x64_FullPupil_200Hz_HighGain'"):
+    with pytest.raises(
+        InputDataError,
+        match=r"'64x64_FullPupl_200Hz_HighGain' is no mode of irlos.*did you mean "
+        r"'64x64_FullPupil_200Hz_HighGain'",
+    ):
         muse_raw.read(path, IRLOS)
 
 
@@ -56,8 +77,12 @@ def test_a_file_without_mode_says_which_key_is_missing(tmp_path):
 
 def test_values_of_before_the_upgrade_hold_for_files_of_that_time(tmp_path):
     images = [numbered(1, 6, 6)] * 4
-    new, old = (muse_raw.read(write_muse(tmp_path / f"{day}.fits", quadrants(images), TWO_BY_TWO, {"DATE-OBS": day}),
-                              IRLOS)[0] for day in ("2023-01-01T00:00:00", "2020-01-01T00:00:00"))
+    new, old = (
+        muse_raw.read(
+            write_muse(tmp_path / f"{day}.fits", quadrants(images), TWO_BY_TWO, {"DATE-OBS": day}), IRLOS
+        )[0]
+        for day in ("2023-01-01T00:00:00", "2020-01-01T00:00:00")
+    )
     assert new.header["pixel_scale_mas"] == 78
     assert old.header["pixel_scale_mas"] == 60
 

@@ -82,8 +82,10 @@ def test_without_any_time_the_frame_rate_counts_and_gaps_stay_gaps():
     assert relative_times(None, np.array([40, 60, 100]), 10.0) == pytest.approx([0, 0.1, 0.3])
 
 
-@pytest.mark.parametrize(("counter", "missing"), [
-    ([0, 20, 40, 60], 0), ([0, 20, 60, 80], 1), ([5, 6, 7, 11, 12], 3), ([0, 20, 20, 40], 0), ([7], 0)])
+@pytest.mark.parametrize(
+    ("counter", "missing"),
+    [([0, 20, 40, 60], 0), ([0, 20, 60, 80], 1), ([5, 6, 7, 11, 12], 3), ([0, 20, 20, 40], 0), ([7], 0)],
+)
 def test_a_lost_frame_is_counted_as_missing(counter, missing):
     assert frames_missing(np.array(counter)) == missing
 
@@ -94,10 +96,14 @@ def test_a_window_that_changes_is_refused_and_the_row_named(tmp_path, cube):
         recorder.read(path)
 
 
-@pytest.mark.parametrize(("sizes", "message"), [
-    (([9] * 3, [7] * 3), "needs 63 values, column 'Pixels' holds 54"),
-    (([0] * 3, [6] * 3), "a window of 0x6"),
-    (([2] * 3, [6] * 3), "expected 5 to 4096 px a side")])
+@pytest.mark.parametrize(
+    ("sizes", "message"),
+    [
+        (([9] * 3, [7] * 3), "needs 63 values, column 'Pixels' holds 54"),
+        (([0] * 3, [6] * 3), "a window of 0x6"),
+        (([2] * 3, [6] * 3), "expected 5 to 4096 px a side"),
+    ],
+)
 def test_a_window_that_cannot_be_is_refused(tmp_path, cube, sizes, message):
     with pytest.raises(InputDataError, match=message):
         recorder.read(write_recorder(tmp_path / "rec", cube, sizes=sizes))
@@ -123,7 +129,9 @@ def test_vectors_of_varying_length_are_refused(tmp_path, cube):
     vectors = np.empty(3, dtype=object)
     vectors[:] = [np.arange(54, dtype=np.float32)] * 3
     others = [c for c in pixel_table(cube).columns if c.name != "Pixels"]
-    table = fits.BinTableHDU.from_columns([*others, fits.Column("Pixels", "PE()", array=vectors)], name="IRPixelFrame")
+    table = fits.BinTableHDU.from_columns(
+        [*others, fits.Column("Pixels", "PE()", array=vectors)], name="IRPixelFrame"
+    )
     fits.HDUList([fits.PrimaryHDU(), table]).writeto(path, overwrite=True)
     with pytest.raises(InputDataError, match="varying length"):
         recorder.read(path)
@@ -142,7 +150,9 @@ def test_calibration_images_beside_the_table_are_read(tmp_path, cube):
 
 def test_a_calibration_image_may_be_one_long_vector(tmp_path, cube):
     maps = {"DARK": cube[0].reshape(1, -1)}
-    assert np.array_equal(recorder.read(write_recorder(tmp_path / "rec", cube, maps=maps)).calibration.dark_adu, cube[0])
+    assert np.array_equal(
+        recorder.read(write_recorder(tmp_path / "rec", cube, maps=maps)).calibration.dark_adu, cube[0]
+    )
 
 
 def test_a_stack_of_darks_is_averaged_and_its_noise_known(tmp_path):
@@ -160,7 +170,9 @@ def test_the_noise_of_a_single_dark_is_judged_by_its_pixels(tmp_path):
 
 def test_a_calibration_image_of_another_size_is_refused(tmp_path, cube):
     path = write_recorder(tmp_path / "rec", cube, maps={"DARK": np.zeros((9, 9))})
-    with pytest.raises(InputDataError, match=r"IRAcq\.DET1\.DARK\.fits.*9x9 \(y, x\) px do not fit the window of 6x9"):
+    with pytest.raises(
+        InputDataError, match=r"IRAcq\.DET1\.DARK\.fits.*9x9 \(y, x\) px do not fit the window of 6x9"
+    ):
         recorder.read(path)
 
 

@@ -8,4 +8,13 @@ from .transfer import Transfer
 
 EFFECTS = (SeeingHalo.name, TipTiltJitter.name)
 
-__all__ = ["EFFECTS", "OtfEffect", "OtfGrid", "Parameter", "Pinned", "SeeingHalo", "TipTiltJitter", "Transfer"]
+__all__ = [
+    "EFFECTS",
+    "OtfEffect",
+    "OtfGrid",
+    "Parameter",
+    "Pinned",
+    "SeeingHalo",
+    "TipTiltJitter",
+    "Transfer",
+]

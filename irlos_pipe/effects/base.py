@@ -41,8 +41,8 @@ class OtfGrid:
 
     Attributes
     ----------
-    baseline_x_m, baseline_y_m : ndarray, (m//2 + 1,) and (m,)
-    length2_m2 : tensor, (m, m//2 + 1)
+    baseline_x_m, baseline_y_m : ndarray, (p//2 + 1,) and (p,)
+    length2_m2 : tensor, (p, p//2 + 1)
         Squared length of the baselines.
     wavelengths_m : tensor, (wavelengths, 1, 1)
     """
@@ -60,7 +60,7 @@ class OtfEffect(Protocol):
     parameters: tuple[Parameter, ...]
 
     def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """Minus the logarithm of the OTF factor, broadcastable to (wavelengths, m, m//2 + 1)."""
+        """Minus the logarithm of the OTF factor, broadcastable to (wavelengths, p, p//2 + 1)."""
 
     def values_of(self, **public: float) -> list[float]:
         """Solver's parameters for given values of the public ones."""

@@ -9,8 +9,13 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from ..optics.structure import (InBandResidual, ResidualBand, fitting_structure_nm2, fitting_variance_nm2,
-                                seeing_to_r0_m)
+from ..optics.structure import (
+    InBandResidual,
+    ResidualBand,
+    fitting_structure_nm2,
+    fitting_variance_nm2,
+    seeing_to_r0_m,
+)
 from .base import OtfGrid, Parameter
 
 NM = 1e-9
@@ -57,9 +62,13 @@ class SeeingHalo:
         """In-band WFE, total WFE, PSD slope and direction of the elongation."""
         wfe, slope, cos2, sin2 = (float(v) for v in values)
         total = np.hypot(wfe, np.sqrt(fitting_variance_nm2(self.band, self.r0_m)))
-        return {"wfe_nm": float(total), "in_band_wfe_nm": wfe, "slope": slope,
-                "stretch": float(np.hypot(cos2, sin2)),
-                "stretch_angle_deg": float(np.rad2deg(np.arctan2(sin2, cos2)) / 2 % 180)}
+        return {
+            "wfe_nm": float(total),
+            "in_band_wfe_nm": wfe,
+            "slope": slope,
+            "stretch": float(np.hypot(cos2, sin2)),
+            "stretch_angle_deg": float(np.rad2deg(np.arctan2(sin2, cos2)) / 2 % 180),
+        }
 
     def values_of(self, wfe_nm: float) -> list[float]:
         """Solver's parameters for a known total residual [nm RMS], its shape as expected."""

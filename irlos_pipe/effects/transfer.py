@@ -28,7 +28,7 @@ class Transfer:
         return tuple(parameter for effect in self.effects for parameter in effect.parameters)
 
     def __call__(self, values: torch.Tensor) -> torch.Tensor:
-        """OTF factor, (wavelengths, m, m//2 + 1), float64."""
+        """OTF factor, (wavelengths, p, p//2 + 1), float64."""
         exponent, first = 0, 0
         for effect in self.effects:
             last = first + len(effect.parameters)

@@ -8,8 +8,15 @@ from ..noise import NoiseModel
 from ..psf import PsfModel
 
 
-def cramer_rao_nm(model: PsfModel, coefficients_nm: torch.Tensor, flux_e: torch.Tensor, noise: NoiseModel, *,
-                  transfer: torch.Tensor | None = None, background_e: float = 0.0) -> torch.Tensor:
+def cramer_rao_nm(
+    model: PsfModel,
+    coefficients_nm: torch.Tensor,
+    flux_e: torch.Tensor,
+    noise: NoiseModel,
+    *,
+    transfer: torch.Tensor | None = None,
+    background_e: float = 0.0,
+) -> torch.Tensor:
     """Smallest standard errors of the modes with flux and background free, (images, modes) [nm].
 
     ``σ² = diag((Jᵀ V⁻¹ J)⁻¹)``, the variance V from the noise-free image; the small information
@@ -26,5 +33,7 @@ def cramer_rao_nm(model: PsfModel, coefficients_nm: torch.Tensor, flux_e: torch.
     columns = torch.cat([jacobian * flux[..., None], unit[:, None], torch.ones_like(unit)[:, None]], dim=1)
     fisher = (columns / noise.variance_e2(unit * flux + background_e)[:, None]) @ columns.mT
     scale = torch.diagonal(fisher, dim1=1, dim2=2).rsqrt()
-    covariance = torch.linalg.inv(fisher * scale[:, :, None] * scale[:, None]) * scale[:, :, None] * scale[:, None]
-    return torch.diagonal(covariance, dim1=1, dim2=2).sqrt()[:, :len(model.nolls)].cpu()
+    covariance = (
+        torch.linalg.inv(fisher * scale[:, :, None] * scale[:, None]) * scale[:, :, None] * scale[:, None]
+    )
+    return torch.diagonal(covariance, dim1=1, dim2=2).sqrt()[:, : len(model.nolls)].cpu()

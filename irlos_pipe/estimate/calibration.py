@@ -24,8 +24,6 @@ from .scatter import covariance_of_mean
 from .solve import Solution, solve
 from .twin import TwinCheck, check_twin
 
-HALO_MARGIN_MAS = 300.0  # field beyond the window from which the halo scatters light in
-
 
 @dataclass(frozen=True)
 class Frames:
@@ -71,8 +69,9 @@ class CalibrationOptions:
     def resolved(self) -> tuple[Method, CalibrationOptions]:
         """The method, and the options with its defaults filled in."""
         method = METHODS[self.method]
-        return method, replace(self, loss=self.loss or method.loss,
-                               highest_noll=self.highest_noll or method.highest_noll)
+        return method, replace(
+            self, loss=self.loss or method.loss, highest_noll=self.highest_noll or method.highest_noll
+        )
 
 
 @dataclass(frozen=True)
@@ -121,9 +120,15 @@ class Calibration:
         return np.sqrt(np.diag(self.covariance_nm2))
 
 
-def calibrate(frames: Frames, settings: PsfSettings, options: CalibrationOptions,
-              effects: Sequence[OtfEffect] = (), *, device: str = "cpu",
-              report: Callable[[int], None] | None = None) -> Calibration:
+def calibrate(
+    frames: Frames,
+    settings: PsfSettings,
+    options: CalibrationOptions,
+    effects: Sequence[OtfEffect] = (),
+    *,
+    device: str = "cpu",
+    report: Callable[[int], None] | None = None,
+) -> Calibration:
     """Estimate the static aberrations of a cube.
 
     Parameters
@@ -143,8 +148,7 @@ def calibrate(frames: Frames, settings: PsfSettings, options: CalibrationOptions
     began = time.perf_counter()
     method, options = options.resolved()
     effects = tuple(effects) if method.effects else ()
-    model = PsfModel(replace(settings, margin_mas=HALO_MARGIN_MAS) if effects else settings,
-                     range(2, options.highest_noll + 1), device=device)
+    model = PsfModel(settings, range(2, options.highest_noll + 1), device=device)
     transfer = Transfer(effects, OtfGrid(model.grid, model.wavelengths_m)) if effects else None
     problem = _problem(frames, model, method, options, transfer)
     solution = _solve(problem, _start(frames, problem, settings), options, report)
@@ -162,14 +166,21 @@ def mean_variance_e2(frames: Frames) -> torch.Tensor:
     return torch.maximum(scatter, photons) / count
 
 
-def _problem(frames: Frames, model: PsfModel, method: Method, options: CalibrationOptions,
-             transfer: Transfer | None) -> ImageFit:
+def _problem(
+    frames: Frames, model: PsfModel, method: Method, options: CalibrationOptions, transfer: Transfer | None
+) -> ImageFit:
     prior = None if options.prior_scale is None else ncpa_sigma_nm(model.nolls, options.prior_scale)
     layout = Layout(model.nolls, transfer.parameters if transfer else (), prior_sigma_nm=prior)
     images, variance = _data(frames, method)
     variance = masked_variance(variance, frames.pixel_mask).flatten(-2)
-    return ImageFit(model, layout, images.flatten(2).to(model.device), variance.to(model.device),
-                    transfer=transfer, loss=LOSSES[options.loss])
+    return ImageFit(
+        model,
+        layout,
+        images.flatten(2).to(model.device),
+        variance.to(model.device),
+        transfer=transfer,
+        loss=LOSSES[options.loss],
+    )
 
 
 def _data(frames: Frames, method: Method) -> tuple[torch.Tensor, torch.Tensor]:
@@ -202,8 +213,14 @@ def _solve(problem: ImageFit, start: torch.Tensor, options: CalibrationOptions, 
 # -- the result ------------------------------------------------------------------------------
 
 
-def _result(frames: Frames, problem: ImageFit, method: Method, options: CalibrationOptions,
-            solution: Solution, seconds: float) -> Calibration:
+def _result(
+    frames: Frames,
+    problem: ImageFit,
+    method: Method,
+    options: CalibrationOptions,
+    solution: Solution,
+    seconds: float,
+) -> Calibration:
     modes = problem.layout.modes
     usable = np.array([status != "invalid" for status in solution.status])
     if method.images == "frames":
@@ -219,14 +236,22 @@ def _result(frames: Frames, problem: ImageFit, method: Method, options: Calibrat
     transfer = problem.transfer
     effect_values = values[0, problem.layout.effect_values].numpy()
     return Calibration(
-        options, problem.layout.nolls, values[0, modes].numpy(),
+        options,
+        problem.layout.nolls,
+        values[0, modes].numpy(),
         covariance_of_mean(per_frame[np.isfinite(per_frame).all(1)]),
         transfer.describe(effect_values) if transfer else {},
         transfer.split(effect_values) if transfer else {},
-        per_frame, solution.status, solution.iterations.numpy(), mean.numpy(), model_image.numpy(), sigma.numpy(),
+        per_frame,
+        solution.status,
+        solution.iterations.numpy(),
+        mean.numpy(),
+        model_image.numpy(),
+        sigma.numpy(),
         float((pull**2).sum() / (len(pull) - problem.layout.size)),
         check_twin(problem, solution.values[:1], solution.objective[0]) if method.images == "mean" else None,
-        seconds)
+        seconds,
+    )
 
 
 def _linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> np.ndarray:
@@ -237,7 +262,7 @@ def _linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> 
     x = solution.values[:1]
     _, jacobian = problem.predict_and_jacobian(x)
     weight = problem.root_weight[0].double().mean(0) ** 2
-    gain = solution.covariance[0, problem.layout.modes] @ (jacobian[0] * weight).cpu()
+    gain = solution.covariance[0, problem.layout.modes] @ (jacobian[0].double() * weight).cpu()
     images = frames.images_e.double().flatten(1)
     flux = images.sum(1, keepdim=True)
     deviation = images * (flux.mean() / flux) - images.mean(0)

@@ -34,8 +34,14 @@ class Prediction:
     profile_after: np.ndarray
 
 
-def predict_correction(settings: PsfSettings, nolls, zernike_nm: np.ndarray, corrected: tuple[int, ...],
-                       gain: float, make_transfer) -> Prediction:
+def predict_correction(
+    settings: PsfSettings,
+    nolls,
+    zernike_nm: np.ndarray,
+    corrected: tuple[int, ...],
+    gain: float,
+    make_transfer,
+) -> Prediction:
     """Images before and after removing the modes `corrected`; tip and tilt are left out of both.
 
     Parameters
@@ -53,13 +59,17 @@ def predict_correction(settings: PsfSettings, nolls, zernike_nm: np.ndarray, cor
     perfect = model.images(torch.zeros(1, len(nolls)))[0].double().numpy()
     radius, profiles = _profiles(images, settings.pixel_scale_mas)
     peak = perfect.max()
-    return Prediction(*images, perfect, float(images[0].max() / peak), float(images[1].max() / peak), radius, *profiles)
+    return Prediction(
+        *images, perfect, float(images[0].max() / peak), float(images[1].max() / peak), radius, *profiles
+    )
 
 
 def _profiles(images: np.ndarray, pixel_scale_mas: float) -> tuple[np.ndarray, list[np.ndarray]]:
     """Azimuthal means in rings one pixel wide about the optical axis."""
     rows, columns = images.shape[1:]
-    radius = np.hypot(np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(columns)[None, :] - (columns - 1) / 2)
+    radius = np.hypot(
+        np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(columns)[None, :] - (columns - 1) / 2
+    )
     ring = radius.astype(int)
     count = np.bincount(ring.ravel())
     inside = slice(0, min(rows, columns) // 2)

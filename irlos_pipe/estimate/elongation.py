@@ -69,15 +69,14 @@ class GaussianFit:
     its own brightest pixel, pixels weighted alike.
     """
 
-    relative_tolerance = 1e-6
-
     def __init__(self, images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float):
         rows, columns = images_e.shape[1:]
         peak = (images_e * pixel_mask).amax((1, 2)).clamp_min(1e-30)
         self.images = (images_e / peak[:, None, None]).double().flatten(1)
         self.weight = pixel_mask.double().flatten()
-        y, x = torch.meshgrid(torch.arange(rows) - (rows - 1) / 2, torch.arange(columns) - (columns - 1) / 2,
-                              indexing="ij")
+        y, x = torch.meshgrid(
+            torch.arange(rows) - (rows - 1) / 2, torch.arange(columns) - (columns - 1) / 2, indexing="ij"
+        )
         self.x, self.y = x.double().flatten(), y.double().flatten()
         self.cos, self.sin = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
         widest = float(np.log(max(rows, columns)))
@@ -106,20 +105,38 @@ class GaussianFit:
         residual = self.images[which] - p[:, 4:5] * gauss - p[:, 5:6]
         return 0.5 * (self.weight * residual**2).sum(1)
 
+    def negligible(self, value: torch.Tensor) -> torch.Tensor:
+        """A millionth of the sum of squares: there is no noise model here."""
+        return 1e-6 * value
+
     def normal_equations(self, p: torch.Tensor, which: torch.Tensor):
         """See `solve.Problem`."""
         first, second, gauss = self._shape(p)
         residual = self.images[which] - p[:, 4:5] * gauss - p[:, 5:6]
         body = p[:, 4:5] * gauss
         u, v = first * torch.exp(-p[:, 2:3]), second * torch.exp(-p[:, 3:4])
-        columns = torch.stack([body * (u * self.cos - v * self.sin), body * (u * self.sin + v * self.cos),
-                               body * first**2, body * second**2, gauss, torch.ones_like(gauss)], dim=1)
+        columns = torch.stack(
+            [
+                body * (u * self.cos - v * self.sin),
+                body * (u * self.sin + v * self.cos),
+                body * first**2,
+                body * second**2,
+                gauss,
+                torch.ones_like(gauss),
+            ],
+            dim=1,
+        )
         weighted = columns * self.weight
-        return (0.5 * (self.weight * residual**2).sum(1), -(weighted @ residual[..., None])[..., 0],
-                weighted @ columns.mT)
+        return (
+            0.5 * (self.weight * residual**2).sum(1),
+            -(weighted @ residual[..., None])[..., 0],
+            weighted @ columns.mT,
+        )
 
 
-def axis_ratios(images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float) -> tuple[np.ndarray, Solution]:
+def axis_ratios(
+    images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float
+) -> tuple[np.ndarray, Solution]:
     """Ratio σ1/σ2 of every image, (images,), NaN where the fit failed, and the fits themselves."""
     problem = GaussianFit(images_e, pixel_mask, angle_deg)
     solution = solve(problem, problem.start(), max_iterations=80)
@@ -149,5 +166,10 @@ def _fit_law(ratio: np.ndarray, angle_deg: float) -> ElongationLaw:
         residual = slope * (ratio[inside] - 1) + offset - SPAN_NM[inside]
         if np.abs(residual).max() <= TOLERANCE_NM:
             break
-    return ElongationLaw(float(slope), float(offset), angle_deg, (-float(reach), float(reach)),
-                         float(np.sqrt(np.mean(residual**2))))
+    return ElongationLaw(
+        float(slope),
+        float(offset),
+        angle_deg,
+        (-float(reach), float(reach)),
+        float(np.sqrt(np.mean(residual**2))),
+    )

@@ -12,11 +12,13 @@ import math
 import torch
 
 from ..effects.transfer import Transfer
+from ..parallel import ordered_map
 from ..psf import PsfModel
 from .loss import GAUSSIAN, Loss
 from .parameters import Layout
+from .solve import CHI2_TOLERANCE
 
-FRAMES_PER_CHUNK = 16
+FRAMES_PER_CHUNK = 8
 
 
 class ImageFit:
@@ -36,13 +38,25 @@ class ImageFit:
     loss : Loss
     """
 
-    def __init__(self, model: PsfModel, layout: Layout, images_e: torch.Tensor, variance_e2: torch.Tensor, *,
-                 transfer: Transfer | torch.Tensor | None = None, loss: Loss = GAUSSIAN):
+    def __init__(
+        self,
+        model: PsfModel,
+        layout: Layout,
+        images_e: torch.Tensor,
+        variance_e2: torch.Tensor,
+        *,
+        transfer: Transfer | torch.Tensor | None = None,
+        loss: Loss = GAUSSIAN,
+    ):
         self.model, self.layout, self.loss = model, layout, loss
-        self.relative_tolerance = loss.relative_tolerance
         self.images = images_e
         self.transfer = transfer
         self.root_weight = self._root_weight(variance_e2)
+        self.freedom = max(
+            1,
+            int((self.root_weight[0] > 0).sum()) * images_e.shape[1] // self.root_weight.shape[1]
+            - layout.size,
+        )
         self.lower, self.upper = layout.bounds
         self.prior_mean, self.prior_precision = layout.prior(len(images_e))
         if layout.effects and len(images_e) > 1:
@@ -58,21 +72,29 @@ class ImageFit:
 
     # -- Problem -----------------------------------------------------------------------------
 
+    def negligible(self, value: torch.Tensor) -> torch.Tensor:
+        """Fall of χ² that no longer matters: errors being scaled by √(χ²/ν), a part of χ²/ν."""
+        scatter = (2 * value / self.freedom).clamp_min(1.0)
+        return torch.maximum(CHI2_TOLERANCE * scatter, self.loss.relative_tolerance * value)
+
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         """Sum of the loss over pixels plus the prior's half χ², (b,)."""
-        parts = [self._objective(x_part, part) for x_part, part in self._chunks(x, which)]
-        return torch.cat(parts) + self._prior_value(x, which)
+        return torch.cat(self._map(self._objective, x, which)) + self._prior_value(x, which)
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
         """Objective, gradient and Gauss–Newton Hessian, see `solve.Problem`."""
-        parts = [self._normal(x_part, part) for x_part, part in self._chunks(x, which)]
-        value, gradient, hessian = (torch.cat(tensors) for tensors in zip(*parts))
+        value, gradient, hessian = (torch.cat(tensors) for tensors in zip(*self._map(self._normal, x, which)))
         precision, offset = self.prior_precision[which], x - self.prior_mean[which]
-        return (value + self._prior_value(x, which), gradient + precision * offset,
-                hessian + torch.diag_embed(precision))
+        return (
+            value + self._prior_value(x, which),
+            gradient + precision * offset,
+            hessian + torch.diag_embed(precision),
+        )
 
-    def _chunks(self, x, which):
-        return zip(x.split(FRAMES_PER_CHUNK), which.split(FRAMES_PER_CHUNK))
+    def _map(self, function, x, which):
+        """`function` of pieces of a few members, small enough for the processor's cache."""
+        pieces = zip(x.split(FRAMES_PER_CHUNK), which.split(FRAMES_PER_CHUNK))
+        return ordered_map(lambda piece: function(*piece), pieces)
 
     def _prior_value(self, x, which):
         return 0.5 * (self.prior_precision[which] * (x - self.prior_mean[which]) ** 2).sum(1)
@@ -143,12 +165,15 @@ class ImageFit:
 
     def reduced_chi2(self, x: torch.Tensor) -> torch.Tensor:
         """χ² per degree of freedom of every member, (batch,), from the variances given."""
-        values = []
-        for x_part, which in self._chunks(x, torch.arange(len(x))):
-            residual, root = self._whitened(self.predict(x_part), which)
-            freedom = (root > 0).sum((1, 2)).expand(len(x_part)) * residual.shape[1] // root.shape[1]
-            values.append(((residual**2).sum((1, 2)) / (freedom - self.layout.size)).cpu())
-        return torch.cat(values)
+        return torch.cat(self._map(self._squared_residual, x, torch.arange(len(x)))) / self.freedom
+
+    def _squared_residual(self, x, which):
+        residual, _ = self._whitened(self.predict(x), which)
+        return (residual**2).sum((1, 2)).cpu()
+
+    def predict_all(self, x: torch.Tensor) -> torch.Tensor:
+        """Model images of the whole batch [e-], (batch, pixels), float64 on the CPU."""
+        return torch.cat(self._map(lambda part, _: self.predict(part).cpu(), x, torch.arange(len(x))))
 
 
 def masked_variance(variance_e2: torch.Tensor, pixel_mask: torch.Tensor) -> torch.Tensor:

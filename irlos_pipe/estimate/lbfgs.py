@@ -24,8 +24,14 @@ def solve_lbfgs(problem: ImageFit, start: torch.Tensor, *, max_iterations: int =
     _, _, hessian = problem.normal_equations(start, everyone)
     scale = torch.diagonal(hessian, dim1=1, dim2=2).clamp_min(1e-300).rsqrt()
     u = torch.zeros_like(start, requires_grad=True)
-    optimiser = torch.optim.LBFGS([u], max_iter=max_iterations, history_size=HISTORY, line_search_fn="strong_wolfe",
-                                  tolerance_grad=GRADIENT_TOLERANCE, tolerance_change=1e-12)
+    optimiser = torch.optim.LBFGS(
+        [u],
+        max_iter=max_iterations,
+        history_size=HISTORY,
+        line_search_fn="strong_wolfe",
+        tolerance_grad=GRADIENT_TOLERANCE,
+        tolerance_change=1e-12,
+    )
 
     def closure() -> torch.Tensor:
         optimiser.zero_grad()

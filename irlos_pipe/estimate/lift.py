@@ -31,7 +31,8 @@ class LiftOptions:
     Attributes
     ----------
     noise : {"data", "model", "iterative"}
-        Where the variances come from.
+        Where the variances come from: the smoothed image; the model fitted with those; or the
+        model once more.
     prior_mean_nm, prior_sigma_nm : tensor, (images, modes) and (modes,), optional
         Gaussian prior; with it the estimate is MAP, without it ML.
     """
@@ -77,9 +78,17 @@ class LiftResult:
         return self.zernike_nm[:, column], self.sigma_nm[:, column]
 
 
-def lift(model: PsfModel, images_e: torch.Tensor, pixel_mask: torch.Tensor, noise: NoiseModel,
-         start_nm: torch.Tensor, options: LiftOptions = LiftOptions(), *, transfer: torch.Tensor | None = None,
-         report: Callable[[int], None] | None = None) -> LiftResult:
+def lift(
+    model: PsfModel,
+    images_e: torch.Tensor,
+    pixel_mask: torch.Tensor,
+    noise: NoiseModel,
+    start_nm: torch.Tensor,
+    options: LiftOptions = LiftOptions(),
+    *,
+    transfer: torch.Tensor | None = None,
+    report: Callable[[int], None] | None = None,
+) -> LiftResult:
     """Estimate the modes of `model` in every image.
 
     Parameters
@@ -102,25 +111,39 @@ def lift(model: PsfModel, images_e: torch.Tensor, pixel_mask: torch.Tensor, nois
     signal = smooth(images_e)
     for round_ in range(NOISE_ROUNDS[options.noise]):
         problem = image_problem(model, layout, images_e, noise.variance_e2(signal), pixel_mask, transfer)
-        solution = solve(problem, x, max_iterations=options.max_iterations, report=report if round_ == 0 else None)
+        solution = solve(
+            problem, x, max_iterations=options.max_iterations, report=report if round_ == 0 else None
+        )
         x = torch.where(torch.isfinite(solution.values), solution.values, x)
-        signal = predict(problem, x).reshape(images_e.shape)
+        signal = problem.predict_all(x).reshape(images_e.shape)
     modes = layout.modes
-    return LiftResult(model.nolls, solution.values[:, modes], solution.covariance[:, modes, modes], solution,
-                      signal, problem.reduced_chi2(x))
+    return LiftResult(
+        model.nolls,
+        solution.values[:, modes],
+        solution.covariance[:, modes, modes],
+        solution,
+        signal,
+        problem.reduced_chi2(x),
+    )
 
 
-def image_problem(model: PsfModel, layout: Layout, images_e: torch.Tensor, variance_e2: torch.Tensor,
-                  pixel_mask: torch.Tensor, transfer: torch.Tensor | None) -> ImageFit:
+def image_problem(
+    model: PsfModel,
+    layout: Layout,
+    images_e: torch.Tensor,
+    variance_e2: torch.Tensor,
+    pixel_mask: torch.Tensor,
+    transfer: torch.Tensor | None,
+) -> ImageFit:
     """One image, one parameter vector, for a whole batch."""
     variance = masked_variance(variance_e2, pixel_mask)[:, None].flatten(2)
-    return ImageFit(model, layout, images_e[:, None].flatten(2).to(model.device), variance.to(model.device),
-                    transfer=transfer)
-
-
-def predict(problem: ImageFit, x: torch.Tensor) -> torch.Tensor:
-    """Model images of the whole batch, (images, pixels), float64 on the CPU."""
-    return torch.cat([problem.predict(part).cpu() for part in x.split(64)])
+    return ImageFit(
+        model,
+        layout,
+        images_e[:, None].flatten(2).to(model.device),
+        variance.to(model.device),
+        transfer=transfer,
+    )
 
 
 def smooth(images_e: torch.Tensor) -> torch.Tensor:

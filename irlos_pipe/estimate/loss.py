@@ -47,6 +47,11 @@ def _huber(r: torch.Tensor) -> torch.Tensor:
 
 GAUSSIAN = Loss("gaussian", True, lambda r: 0.5 * r * r, torch.ones_like)
 HUBER = Loss("huber", True, _huber, lambda r: HUBER_KNEE / r.abs().clamp_min(HUBER_KNEE))
-L1 = Loss("l1", False, lambda r: torch.sqrt(r * r + L1_ROUNDING**2) - L1_ROUNDING,
-          lambda r: torch.rsqrt(r * r + L1_ROUNDING**2), relative_tolerance=1e-3)
+L1 = Loss(
+    "l1",
+    False,
+    lambda r: torch.sqrt(r * r + L1_ROUNDING**2) - L1_ROUNDING,
+    lambda r: torch.rsqrt(r * r + L1_ROUNDING**2),
+    relative_tolerance=1e-3,
+)
 LOSSES = {loss.name: loss for loss in (GAUSSIAN, HUBER, L1)}

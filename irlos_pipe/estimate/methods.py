@@ -36,13 +36,44 @@ class Method:
     description: str
 
 
-METHODS = {method.name: method for method in (
-    Method("long_exposure", "mean", "gaussian", 66, True,
-           "mean image; the AO residual's long-exposure OTF and the jitter are part of the model"),
-    Method("dip_global", "frames", "l1", 30, False, "every frame by itself, coefficients averaged (paper, method 3)"),
-    Method("dip_avg", "mean", "l1", 30, False, "mean image, L1 loss (paper, method 1)"),
-    Method("dip_joint", "joint", "l1", 30, False, "one coefficient vector for all frames (paper, method 2)"),
-    Method("lift_avg", "mean", "gaussian", 30, False, "mean image, noise-weighted Gauss-Newton (paper, LIFT avg.)"),
-    Method("lift_slices", "frames", "gaussian", 30, False,
-           "every frame by itself, noise-weighted Gauss-Newton (paper, LIFT slices)"),
-)}
+METHODS = {
+    method.name: method
+    for method in (
+        Method(
+            "long_exposure",
+            "mean",
+            "gaussian",
+            66,
+            True,
+            "mean image; the AO residual's long-exposure OTF and the jitter are part of the model",
+        ),
+        Method(
+            "dip_global",
+            "frames",
+            "l1",
+            30,
+            False,
+            "every frame by itself, coefficients averaged (paper, method 3)",
+        ),
+        Method("dip_avg", "mean", "l1", 30, False, "mean image, L1 loss (paper, method 1)"),
+        Method(
+            "dip_joint", "joint", "l1", 30, False, "one coefficient vector for all frames (paper, method 2)"
+        ),
+        Method(
+            "lift_avg",
+            "mean",
+            "gaussian",
+            30,
+            False,
+            "mean image, noise-weighted Gauss-Newton (paper, LIFT avg.)",
+        ),
+        Method(
+            "lift_slices",
+            "frames",
+            "gaussian",
+            30,
+            False,
+            "every frame by itself, noise-weighted Gauss-Newton (paper, LIFT slices)",
+        ),
+    )
+}

@@ -63,8 +63,9 @@ class Layout:
         if self.prior_mean_nm is not None:
             mean[:, self.modes] = self.prior_mean_nm.double()
         mean[:, self.effect_values] = torch.tensor([p.prior_mean for p in self.effects], dtype=torch.float64)
-        precision[:, self.effect_values] = torch.tensor([p.prior_sigma for p in self.effects],
-                                                        dtype=torch.float64) ** -2
+        precision[:, self.effect_values] = (
+            torch.tensor([p.prior_sigma for p in self.effects], dtype=torch.float64) ** -2
+        )
         return mean, precision
 
     def start(self, images_e: torch.Tensor, modes_nm: torch.Tensor | Sequence[float] = ()) -> torch.Tensor:

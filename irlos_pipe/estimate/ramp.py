@@ -65,9 +65,16 @@ def summarise(introduced_nm: np.ndarray, estimated_nm: np.ndarray) -> RampSummar
     offsets = np.unique(introduced)
     groups = [estimated[introduced == value] for value in offsets]
     return RampSummary(
-        slope, covariance, offset, _rms(estimated - introduced), _rms(residual), _saw_tooth(residual, direction),
-        offsets, np.array([np.median(g) for g in groups]),
-        np.array([np.diff(np.percentile(g, [15.87, 84.13]))[0] / 2 for g in groups]))
+        slope,
+        covariance,
+        offset,
+        _rms(estimated - introduced),
+        _rms(residual),
+        _saw_tooth(residual, direction),
+        offsets,
+        np.array([np.median(g) for g in groups]),
+        np.array([np.diff(np.percentile(g, [15.87, 84.13]))[0] / 2 for g in groups]),
+    )
 
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[tuple[float, float], float]:

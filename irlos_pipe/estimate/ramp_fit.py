@@ -75,8 +75,15 @@ def start_from_defocus(model: PsfModel, data: RampData, defocus_nm: np.ndarray) 
     return start
 
 
-def fit_ramp(model: PsfModel, data: RampData, start_nm: torch.Tensor, options: LiftOptions,
-             effects: Sequence[OtfEffect] = (), *, report: Callable[[int], None] | None = None) -> RampFit:
+def fit_ramp(
+    model: PsfModel,
+    data: RampData,
+    start_nm: torch.Tensor,
+    options: LiftOptions,
+    effects: Sequence[OtfEffect] = (),
+    *,
+    report: Callable[[int], None] | None = None,
+) -> RampFit:
     """Estimate every frame; effects with free parameters are first fitted to the whole ramp.
 
     Parameters
@@ -88,7 +95,9 @@ def fit_ramp(model: PsfModel, data: RampData, start_nm: torch.Tensor, options: L
     shared = _fit_effects(model, data, start_nm, transfer) if transfer and transfer.parameters else None
     values = shared.values if shared else torch.zeros(0, dtype=torch.float64)
     factor = transfer(values).to(model.device, model.dtype) if transfer else None
-    result = lift(model, data.images_e, data.pixel_mask, data.noise, start_nm, options, transfer=factor, report=report)
+    result = lift(
+        model, data.images_e, data.pixel_mask, data.noise, start_nm, options, transfer=factor, report=report
+    )
     result = second_try(model, data, result, options, factor)
     return RampFit(result, factor, transfer.describe(values.numpy()) if transfer else {}, shared, start_nm)
 
@@ -101,8 +110,9 @@ def _fit_effects(model: PsfModel, data: RampData, start_nm: torch.Tensor, transf
     return fit_shared(problem, transfer, x)
 
 
-def second_try(model: PsfModel, data: RampData, result: LiftResult, options: LiftOptions,
-               transfer: torch.Tensor | None) -> LiftResult:
+def second_try(
+    model: PsfModel, data: RampData, result: LiftResult, options: LiftOptions, transfer: torch.Tensor | None
+) -> LiftResult:
     """Restart failed and outlying frames from the defocus scan; keep whichever fits better."""
     if not {2, 3, 4} <= set(model.nolls):
         return result
@@ -112,7 +122,11 @@ def second_try(model: PsfModel, data: RampData, result: LiftResult, options: Lif
         return result
     images = data.images_e[suspect]
     start = scan_start_nm(model, images, data.pixel_mask, transfer)
-    own = options if options.prior_mean_nm is None else replace(options, prior_mean_nm=options.prior_mean_nm[suspect])
+    own = (
+        options
+        if options.prior_mean_nm is None
+        else replace(options, prior_mean_nm=options.prior_mean_nm[suspect])
+    )
     again = lift(model, images, data.pixel_mask, data.noise, start, own, transfer=transfer)
     better = again.solution.converged & ~(again.chi2_nu > result.chi2_nu[suspect] * 0.999)
     better |= again.solution.converged & ~result.solution.converged[suspect]
@@ -133,8 +147,18 @@ def _merge(first: LiftResult, second: LiftResult, where: torch.Tensor, better: t
         if better[chosen]:
             status[position] = second.solution.status[chosen]
     a, b = first.solution, second.solution
-    solution = Solution(mix(a.values, b.values), mix(a.covariance, b.covariance), status,
-                        mix(a.iterations, b.iterations), mix(a.objective, b.objective))
-    return LiftResult(first.nolls, mix(first.zernike_nm, second.zernike_nm),
-                      mix(first.covariance_nm2, second.covariance_nm2), solution,
-                      mix(first.model_e, second.model_e), mix(first.chi2_nu, second.chi2_nu))
+    solution = Solution(
+        mix(a.values, b.values),
+        mix(a.covariance, b.covariance),
+        status,
+        mix(a.iterations, b.iterations),
+        mix(a.objective, b.objective),
+    )
+    return LiftResult(
+        first.nolls,
+        mix(first.zernike_nm, second.zernike_nm),
+        mix(first.covariance_nm2, second.covariance_nm2),
+        solution,
+        mix(first.model_e, second.model_e),
+        mix(first.chi2_nu, second.chi2_nu),
+    )

@@ -64,8 +64,13 @@ class Criterion:
     implausible_nm: float = 500.0
 
 
-def dim(images_e: torch.Tensor, signal_e: torch.Tensor, factor: float, noise: NoiseModel,
-        generator: torch.Generator) -> torch.Tensor:
+def dim(
+    images_e: torch.Tensor,
+    signal_e: torch.Tensor,
+    factor: float,
+    noise: NoiseModel,
+    generator: torch.Generator,
+) -> torch.Tensor:
     """Frames as a star dimmer by `factor` would have given them.
 
     Scaling by s < 1 scales the noise variance by s²; what is missing to the variance of a frame of
@@ -94,10 +99,23 @@ def dim(images_e: torch.Tensor, signal_e: torch.Tensor, factor: float, noise: No
     return images_e.double() * factor + shot + missing * floor
 
 
-def scan(model: PsfModel, images_e: torch.Tensor, signal_e: torch.Tensor, pixel_mask: torch.Tensor,
-         noise: NoiseModel, introduced_nm: np.ndarray, mag_j: float, magnitudes: np.ndarray, realisations: int,
-         start_nm: torch.Tensor, criterion: Criterion, seed: int, *, transfer: torch.Tensor | None = None,
-         report=None) -> Curve:
+def scan(
+    model: PsfModel,
+    images_e: torch.Tensor,
+    signal_e: torch.Tensor,
+    pixel_mask: torch.Tensor,
+    noise: NoiseModel,
+    introduced_nm: np.ndarray,
+    mag_j: float,
+    magnitudes: np.ndarray,
+    realisations: int,
+    start_nm: torch.Tensor,
+    criterion: Criterion,
+    seed: int,
+    *,
+    transfer: torch.Tensor | None = None,
+    report=None,
+) -> Curve:
     """Error of defocus over a range of magnitudes.
 
     Parameters
@@ -122,8 +140,15 @@ def scan(model: PsfModel, images_e: torch.Tensor, signal_e: torch.Tensor, pixel_
         factor = min(1.0, 10 ** (-0.4 * (magnitude - mag_j)))
         generator = torch.Generator().manual_seed(seed + 7919 * index)
         dimmed = torch.cat([dim(images_e, signal_e, factor, noise, generator) for _ in range(realisations)])
-        result = lift(model, dimmed, pixel_mask, noise, start_nm.repeat(realisations, 1), LiftOptions(),
-                      transfer=transfer)
+        result = lift(
+            model,
+            dimmed,
+            pixel_mask,
+            noise,
+            start_nm.repeat(realisations, 1),
+            LiftOptions(noise="model"),
+            transfer=transfer,
+        )
         bound = cramer_rao_nm(model, true, flux * factor, noise, transfer=transfer)[:, model.nolls.index(4)]
         error = np.abs(result.mode(4)[0].numpy() - introduced)
         failed = ~result.solution.converged.numpy() | ~(error < criterion.implausible_nm)
@@ -132,11 +157,14 @@ def scan(model: PsfModel, images_e: torch.Tensor, signal_e: torch.Tensor, pixel_
             report(1)
     median, low, high, crb, failures = (np.array(column) for column in zip(*rows))
     limit = limiting_magnitude(np.asarray(magnitudes, float), median, failures / len(introduced), criterion)
-    return Curve(model.nolls, np.asarray(magnitudes, float), median, low, high, crb, failures, len(introduced), limit)
+    return Curve(
+        model.nolls, np.asarray(magnitudes, float), median, low, high, crb, failures, len(introduced), limit
+    )
 
 
-def limiting_magnitude(magnitudes: np.ndarray, median_nm: np.ndarray, failure_fraction: np.ndarray,
-                       criterion: Criterion) -> float:
+def limiting_magnitude(
+    magnitudes: np.ndarray, median_nm: np.ndarray, failure_fraction: np.ndarray, criterion: Criterion
+) -> float:
     """Faintest magnitude before the criterion is first missed, interpolated in log error."""
     fine = (median_nm <= criterion.median_nm) & (failure_fraction <= criterion.failure_fraction)
     if not fine[0]:

@@ -82,7 +82,9 @@ def _reduced(problem: ImageFit, transfer: Transfer, values: torch.Tensor, x: tor
         columns, residual = _whitened_columns(problem, derivatives, part, which)
         force, normal = columns @ residual[..., None], columns @ columns.mT
         normal[:, :own, :own] += torch.diag_embed(problem.prior_precision[which]).to(normal.device)
-        inner = torch.linalg.solve(normal[:, :own, :own], torch.cat([normal[:, :own, own:], force[:, :own]], dim=2))
+        inner = torch.linalg.solve(
+            normal[:, :own, :own], torch.cat([normal[:, :own, own:], force[:, :own]], dim=2)
+        )
         eliminated = normal[:, own:, :own] @ inner
         gradient -= (force[:, own:, 0] - eliminated[..., -1]).sum(0).cpu()
         information += (normal[:, own:, own:] - eliminated[..., :-1]).sum(0).cpu()
@@ -92,11 +94,20 @@ def _reduced(problem: ImageFit, transfer: Transfer, values: torch.Tensor, x: tor
 def _whitened_columns(problem: ImageFit, derivatives: torch.Tensor, x: torch.Tensor, which: torch.Tensor):
     """Derivatives (b, own + shared, pixels) and residuals (b, pixels), both over the noise."""
     x = x.to(problem.model.device)
-    unit, jacobian = problem.model.images_and_jacobian(x[:, problem.layout.modes], problem.transfer, derivatives)
+    unit, jacobian = problem.model.images_and_jacobian(
+        x[:, problem.layout.modes], problem.transfer, derivatives
+    )
     unit, jacobian = unit.double().flatten(1), jacobian.double().flatten(2)
     modes, flux = len(problem.layout.nolls), x[:, -2, None, None]
-    columns = torch.cat([jacobian[:, :modes] * flux, unit[:, None], torch.ones_like(unit)[:, None],
-                         jacobian[:, modes:] * flux], dim=1)
+    columns = torch.cat(
+        [
+            jacobian[:, :modes] * flux,
+            unit[:, None],
+            torch.ones_like(unit)[:, None],
+            jacobian[:, modes:] * flux,
+        ],
+        dim=1,
+    )
     which = which.to(problem.images.device)
     root = problem.root_weight[which, 0].double()
     residual = (problem.images[which, 0].double() - x[:, -2:-1] * unit - x[:, -1:]) * root

@@ -2,9 +2,9 @@
 
 The solver knows no physics. A problem gives the objective, its gradient and its
 Gauss–Newton Hessian for a batch of parameter vectors, in units where the objective is half
-a χ²; so "converged" can mean something: the step still available would lower χ² by less than
-`CHI2_TOLERANCE`, and moves no parameter by more than `STEP_TOLERANCE` of its standard error,
-or the fall that it predicts is below the rounding of the objective itself.
+a χ². "Converged" means that the step still available would lower χ² by a negligible amount g
+(`CHI2_TOLERANCE`, in units of χ²/ν where the model misfits); as g = δᵀHδ, no parameter would
+move by more than √g of its standard error, 3 %.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from typing import Protocol
 import torch
 
 CHI2_TOLERANCE = 1e-3
-STEP_TOLERANCE = 1e-2
 ROUNDING = 1e-7  # relative rounding of an objective whose images are propagated in float32
 DAMPING_START, DAMPING_MIN, DAMPING_MAX = 1e-3, 1e-9, 1e9
 
@@ -24,15 +23,13 @@ CONVERGED, MAX_ITERATIONS, STALLED, INVALID = "converged", "max_iterations", "st
 
 
 class Problem(Protocol):
-    """A batch of least-squares problems; `which` selects members of the batch.
+    """A batch of least-squares problems; `which` selects members of the batch."""
 
-    `relative_tolerance` is the fall of the objective, relative to itself, that no longer
-    matters: 0 for likelihoods, more for losses that have no statistical unit.
-    """
-
-    relative_tolerance: float
     lower: torch.Tensor
     upper: torch.Tensor
+
+    def negligible(self, value: torch.Tensor) -> torch.Tensor:
+        """Predicted fall of twice the objective at which a member with this objective is done, (b,)."""
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
         """Objective (b,), gradient (b, p) and Hessian (b, p, p), all float64."""
@@ -74,8 +71,13 @@ class Solution:
         return torch.diagonal(self.covariance, dim1=1, dim2=2).clamp_min(0).sqrt()
 
 
-def solve(problem: Problem, start: torch.Tensor, *, max_iterations: int = 50,
-          report: Callable[[int], None] | None = None) -> Solution:
+def solve(
+    problem: Problem,
+    start: torch.Tensor,
+    *,
+    max_iterations: int = 50,
+    report: Callable[[int], None] | None = None,
+) -> Solution:
     """Minimise a batch of problems from `start`, (batch, parameters).
 
     Parameters
@@ -125,23 +127,20 @@ class _State:
         which, value, gradient, hessian = (t[finite] for t in (which, value, gradient, hessian))
         self.value[which], self.gradient[which], self.hessian[which] = value, gradient, hessian
         self.iterations[which] += 1
-        moving = self._check_convergence(which)
         before = len(self.active())
+        moving = self._check_convergence(which)
         if len(moving):
             self._step(moving)
-        return int((~finite).sum()) + len(which) - len(moving) + before - len(self.active())
+        return int((~finite).sum()) + before - len(self.active())
 
     def _check_convergence(self, which: torch.Tensor) -> torch.Tensor:
-        """Close members whose undamped step is negligible; return the others."""
+        """Close members whose undamped step is negligible; return those that should step."""
         step = self._free_step(which, torch.zeros(len(which), dtype=torch.float64))
-        gain = -(self.gradient[which] * step).sum(1)  # twice the predicted decrease of half a chi2
-        done = gain < max(ROUNDING, self.problem.relative_tolerance) * self.value[which]
-        likely = torch.nonzero((gain < CHI2_TOLERANCE) & ~done)[:, 0]
-        if len(likely):
-            sigma = torch.diagonal(_inverse(self.hessian[which[likely]]), dim1=1, dim2=2).clamp_min(1e-300).sqrt()
-            done[likely] = (step[likely].abs() / sigma).amax(1) < STEP_TOLERANCE
-        self._close(which[done], CONVERGED)
-        return which[~done]
+        gain = -(self.gradient[which] * step).sum(1)  # twice the predicted decrease of the objective
+        value = self.value[which]
+        small = gain < torch.maximum(self.problem.negligible(value), ROUNDING * value)
+        self._close(which[small], CONVERGED)
+        return which[~small]
 
     def _step(self, which: torch.Tensor) -> None:
         """Try damped steps, raising the damping until the objective falls."""

@@ -17,8 +17,9 @@ from .centring import TILT_NM_PER_RAD
 SCAN_NM = np.linspace(-700.0, 700.0, 57)
 
 
-def scan_start_nm(model: PsfModel, images_e: torch.Tensor, pixel_mask: torch.Tensor,
-                  transfer: torch.Tensor | None = None) -> torch.Tensor:
+def scan_start_nm(
+    model: PsfModel, images_e: torch.Tensor, pixel_mask: torch.Tensor, transfer: torch.Tensor | None = None
+) -> torch.Tensor:
     """Tip, tilt and defocus of the template that resembles each image most, other modes 0.
 
     Parameters

@@ -25,12 +25,17 @@ class FocalGrid:
     Attributes
     ----------
     samples : int
+        Computed field.
     width_m : float
         Width D' of the pupil grid [m]; the pitch is ``λ / (2 D')``.
+    padded : int
+        Samples per axis with the zeros that are appended before OTF factors are applied: the
+        period with which a blur wraps around. Halo that wraps is the first thing to go wrong.
     """
 
     samples: int
     width_m: float
+    padded: int
 
     @property
     def frequency_per_m(self) -> np.ndarray:
@@ -40,20 +45,21 @@ class FocalGrid:
     @property
     def baseline_y_m(self) -> np.ndarray:
         """Baselines along y in FFT order [m]."""
-        return np.fft.fftfreq(self.samples) * 2 * self.width_m
+        return np.fft.fftfreq(self.padded) * 2 * self.width_m
 
     @property
     def baseline_x_m(self) -> np.ndarray:
         """Non-negative baselines along x, as a real FFT returns them [m]."""
-        return np.fft.rfftfreq(self.samples) * 2 * self.width_m
+        return np.fft.rfftfreq(self.padded) * 2 * self.width_m
 
 
-def focal_samples_for(window_px: int, pixel_scale_mas: float, margin_mas: float,
-                      wavelength_m: float, width_m: float) -> int:
+def focal_samples_for(
+    window_px: int, pixel_scale_mas: float, margin_mas: float, wavelength_m: float, width_m: float
+) -> int:
     """Samples that cover the window and a margin on each side at the shortest wavelength."""
     field_rad = (window_px * pixel_scale_mas + 2 * margin_mas) * MAS
     samples = int(np.ceil(field_rad * 2 * width_m / wavelength_m))
-    return samples + (-samples) % 8
+    return samples + (-samples) % 4
 
 
 def pupil_to_focal(u_m: np.ndarray, grid: FocalGrid) -> np.ndarray:
@@ -66,8 +72,15 @@ def pixel_centres_rad(pixels: int, pixel_scale_mas: float) -> np.ndarray:
     return grid_centres(pixels, pixel_scale_mas * MAS)
 
 
-def baseline_to_pixels(baselines_m: np.ndarray, pixels: int, pixel_scale_mas: float,
-                       wavelength_m: float, grid: FocalGrid, *, half: bool) -> np.ndarray:
+def baseline_to_pixels(
+    baselines_m: np.ndarray,
+    pixels: int,
+    pixel_scale_mas: float,
+    wavelength_m: float,
+    grid: FocalGrid,
+    *,
+    half: bool,
+) -> np.ndarray:
     """Matrix from FFT coefficients of the focal intensity to pixel-integrated flux.
 
     Parameters
@@ -91,15 +104,16 @@ def baseline_to_pixels(baselines_m: np.ndarray, pixels: int, pixel_scale_mas: fl
     if pixels * pixel_scale_mas * MAS > field_rad:
         raise ValueError(
             f"a window of {pixels} px x {pixel_scale_mas} mas is wider than the computed field of "
-            f"{field_rad / MAS:.0f} mas at {wavelength_m * 1e9:.0f} nm: it would alias; use more focal samples")
+            f"{field_rad / MAS:.0f} mas at {wavelength_m * 1e9:.0f} nm: it would alias; use more focal samples"
+        )
     pixel = pixel_scale_mas * MAS / wavelength_m  # in units of 1/baseline
     centres = pixel_centres_rad(pixels, pixel_scale_mas) / wavelength_m
     offset = centres[:, None] - grid.frequency_per_m[0]  # the FFT counts from the first sample
-    weight = np.sinc(baselines_m * pixel) * pixel * 2 * grid.width_m / grid.samples
+    weight = np.sinc(baselines_m * pixel) * pixel * 2 * grid.width_m / grid.padded
     if half:
         inner = np.ones(len(baselines_m)) * 2
         inner[0] = 1
-        if grid.samples % 2 == 0:
+        if grid.padded % 2 == 0:
             inner[-1] = 1
         weight = weight * inner
     return np.exp(2j * np.pi * offset * baselines_m) * weight
@@ -113,5 +127,5 @@ def focal_to_pixels(pixels: int, pixel_scale_mas: float, wavelength_m: float, gr
     ndarray, (pixels, grid.samples), float64
     """
     to_pixels = baseline_to_pixels(grid.baseline_y_m, pixels, pixel_scale_mas, wavelength_m, grid, half=False)
-    transform = np.fft.fft(np.eye(grid.samples), axis=0)
+    transform = np.fft.fft(np.eye(grid.padded), axis=0)[:, : grid.samples]
     return (to_pixels @ transform).real

@@ -49,8 +49,10 @@ def area_weighted_pupil(geometry: PupilGeometry, centres_m: np.ndarray) -> np.nd
         Row index is y, column index is x; values between 0 and 1.
     """
     step = centres_m[1] - centres_m[0]
-    rows = [_clear_fraction(geometry, centres_m[None, :], y[:, None], step)
-            for y in np.array_split(centres_m, max(1, len(centres_m) // 64))]
+    rows = [
+        _clear_fraction(geometry, centres_m[None, :], y[:, None], step)
+        for y in np.array_split(centres_m, max(1, len(centres_m) // 64))
+    ]
     return np.concatenate(rows)
 
 

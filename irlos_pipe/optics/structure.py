@@ -45,8 +45,9 @@ def seeing_to_r0_m(seeing_arcsec: float, wavelength_nm: float = 500.0) -> float:
     return 0.976 * wavelength_nm * 1e-9 / np.deg2rad(seeing_arcsec / 3600)
 
 
-def von_karman_nm2(f_per_m: np.ndarray, r0_m: float, outer_scale_m: float,
-                   wavelength_nm: float = 500.0) -> np.ndarray:
+def von_karman_nm2(
+    f_per_m: np.ndarray, r0_m: float, outer_scale_m: float, wavelength_nm: float = 500.0
+) -> np.ndarray:
     """Von Kármán OPD power spectral density [nm² m²] for r0 given at `wavelength_nm`."""
     radians = VON_KARMAN * r0_m ** (-5 / 3) * (f_per_m**2 + outer_scale_m**-2) ** (-11 / 6)
     return radians * (wavelength_nm / (2 * np.pi)) ** 2
@@ -83,7 +84,9 @@ class InBandResidual:
         angle = (np.arange(ANGLES) + 0.5) * np.pi / ANGLES
         ff, aa = (grid.ravel() for grid in np.meshgrid(f, angle, indexing="ij"))
         area = 2 * (ff * np.repeat(weight, ANGLES)) * np.pi / ANGLES  # both half planes
-        phase = 2 * np.pi * (np.outer(bx_m.ravel(), ff * np.cos(aa)) + np.outer(by_m.ravel(), ff * np.sin(aa)))
+        phase = (
+            2 * np.pi * (np.outer(bx_m.ravel(), ff * np.cos(aa)) + np.outer(by_m.ravel(), ff * np.sin(aa)))
+        )
         self.shape = bx_m.shape
         self.matrix = torch.as_tensor(2 * (1 - np.cos(phase)) * area)
         self.area = torch.as_tensor(area)

@@ -37,8 +37,11 @@ def radial_polynomial(n: int, m: int, rho: np.ndarray) -> np.ndarray:
     result = np.zeros_like(rho)
     for k in range((n - m) // 2 + 1):
         sign = -1 if k % 2 else 1
-        coefficient = sign * factorial(n - k) / (
-            factorial(k) * factorial((n + m) // 2 - k) * factorial((n - m) // 2 - k))
+        coefficient = (
+            sign
+            * factorial(n - k)
+            / (factorial(k) * factorial((n + m) // 2 - k) * factorial((n - m) // 2 - k))
+        )
         result = result + coefficient * rho ** (n - 2 * k)
     return result
 

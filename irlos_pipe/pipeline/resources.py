@@ -67,7 +67,7 @@ def resolve_device(wanted: str) -> str:
 
 
 def limit_threads(jobs: int) -> None:
-    """Let PyTorch use as many threads as the run may."""
-    import torch
+    """Let the run use `jobs` threads; results do not depend on their number."""
+    from irlos_pipe.parallel import set_workers
 
-    torch.set_num_threads(jobs)
+    set_workers(jobs)

@@ -15,7 +15,13 @@ from irlos_pipe.noise import NoiseModel
 from irlos_pipe.product import Check, Quantity
 from irlos_pipe.recording import Recording
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.light_path import (effect_arrays, model_effects, psf_settings, require_one_setup, seeing_arcsec)
+from irlos_pipe.stages.light_path import (
+    effect_arrays,
+    model_effects,
+    psf_settings,
+    require_one_setup,
+    seeing_arcsec,
+)
 from irlos_pipe.stages.recordings import recordings_from_product
 
 NAME = "calibrate"
@@ -32,9 +38,15 @@ class Config(StageConfig):
     input: str = Field("calibration", description="recipe input that holds the cube")
     method: MethodName = Field("long_exposure", description="what is fitted to what")
     loss: Literal["gaussian", "huber", "l1"] | None = Field(None, description="loss; none: the method's own")
-    optimiser: Literal["lm", "lbfgs"] = Field("lm", description="Levenberg-Marquardt, or L-BFGS with autograd")
-    highest_noll: int | None = Field(None, ge=4, le=231, description="modes 2 to this are estimated; none: the method's own")
-    prior_scale: float | None = Field(3.0, gt=0, le=1000, description="prior width over the NCPA law; none: no prior")
+    optimiser: Literal["lm", "lbfgs"] = Field(
+        "lm", description="Levenberg-Marquardt, or L-BFGS with autograd"
+    )
+    highest_noll: int | None = Field(
+        None, ge=4, le=231, description="modes 2 to this are estimated; none: the method's own"
+    )
+    prior_scale: float | None = Field(
+        3.0, gt=0, le=1000, description="prior width over the NCPA law; none: no prior"
+    )
     max_iterations: int = Field(60, ge=1, le=10000, description="per fit")
     compare: tuple[MethodName, ...] = Field((), description="methods to run beside, for the report only")
     max_chi2_nu: float = Field(5.0, gt=0, description="QC limit on the reduced chi-square of the mean image")
@@ -48,26 +60,54 @@ def run(ctx: StageContext) -> StageOutput:
     if sum(r.frames for r in recordings) < 2:
         raise InputDataError(f"{recordings[0].name}: a calibration needs at least two used frames")
     result = _calibrate(ctx, recordings, ctx.config.method)
-    others = [_calibrate(ctx, recordings, method, plain=True) for method in ctx.config.compare
-              if method != ctx.config.method]
-    return StageOutput(_arrays(result), _results(result, others, recordings), _checks(ctx.config, result),
-                       summary=_summary(result, others))
+    others = [
+        _calibrate(ctx, recordings, method, plain=True)
+        for method in ctx.config.compare
+        if method != ctx.config.method
+    ]
+    return StageOutput(
+        _arrays(result),
+        _results(result, others, recordings),
+        _checks(ctx.config, result),
+        summary=_summary(result, others),
+    )
 
 
-def _calibrate(ctx: StageContext, recordings: list[Recording], method: str, *, plain: bool = False) -> Calibration:
-    """One method on all frames; `plain` leaves loss and modes to the method."""
+def _calibrate(
+    ctx: StageContext, recordings: list[Recording], method: str, *, plain: bool = False
+) -> Calibration:
+    """One method on all frames; `plain` is the method as published: its own loss and modes, no prior."""
     config, first = ctx.config, recordings[0]
-    options = CalibrationOptions(method, prior_scale=config.prior_scale, max_iterations=config.max_iterations) if plain \
-        else CalibrationOptions(method, config.loss, config.optimiser, config.highest_noll, config.prior_scale,
-                                config.max_iterations)
-    frames = Frames(torch.as_tensor(np.concatenate([r.images_e for r in recordings])),
-                    torch.as_tensor(np.all([r.pixel_mask for r in recordings], axis=0)), NoiseModel.of(first))
+    options = (
+        CalibrationOptions(method, prior_scale=None, max_iterations=config.max_iterations)
+        if plain
+        else CalibrationOptions(
+            method,
+            config.loss,
+            config.optimiser,
+            config.highest_noll,
+            config.prior_scale,
+            config.max_iterations,
+        )
+    )
+    frames = Frames(
+        torch.as_tensor(np.concatenate([r.images_e for r in recordings])),
+        torch.as_tensor(np.all([r.pixel_mask for r in recordings], axis=0)),
+        NoiseModel.of(first),
+    )
     total = len(frames.images_e) if options.resolved()[0].images == "frames" else 1
     with ctx.progress(total=total, desc=f"calibrate {method}") as bar:
-        result = calibrate(frames, psf_settings(ctx.instrument, ctx.model, first), options,
-                           model_effects(ctx.instrument, ctx.model, first.acquisition), device=ctx.device,
-                           report=bar.update)
-    ctx.log.info("%s: %.1f nm RMS, chi2/nu %.2f, %.1f s", method, _wfe_nm(result), result.chi2_nu, result.seconds)
+        result = calibrate(
+            frames,
+            psf_settings(ctx.instrument, ctx.model, first),
+            options,
+            model_effects(ctx.instrument, ctx.model, first.acquisition),
+            device=ctx.device,
+            report=bar.update,
+        )
+    ctx.log.info(
+        "%s: %.1f nm RMS, chi2/nu %.2f, %.1f s", method, _wfe_nm(result), result.chi2_nu, result.seconds
+    )
     return result
 
 
@@ -93,18 +133,28 @@ def _counts(status: list[str]) -> dict[str, int]:
 
 def _one(result: Calibration) -> dict:
     """The part of the results that every method has."""
-    return {"method": result.options.method, "zernike_nm": _by_noll(result, result.zernike_nm),
-            "sigma_nm": _by_noll(result, result.sigma_nm), "wfe_nm": _wfe_nm(result),
-            "frames": len(result.frames_nm), "seconds": round(result.seconds, 3), "chi2_nu": result.chi2_nu,
-            "loss": result.options.loss, "optimiser": result.options.optimiser,
-            "modes_estimated": len(result.nolls), "status": _counts(result.frame_status)}
+    return {
+        "method": result.options.method,
+        "zernike_nm": _by_noll(result, result.zernike_nm),
+        "sigma_nm": _by_noll(result, result.sigma_nm),
+        "wfe_nm": _wfe_nm(result),
+        "frames": len(result.frames_nm),
+        "seconds": round(result.seconds, 3),
+        "chi2_nu": result.chi2_nu,
+        "loss": result.options.loss,
+        "optimiser": result.options.optimiser,
+        "modes_estimated": len(result.nolls),
+        "status": _counts(result.frame_status),
+    }
 
 
 def _results(result: Calibration, others: list[Calibration], recordings: list[Recording]) -> dict:
     results = _one(result)
     results["effects"] = result.effects
     results["seeing_arcsec"] = seeing_arcsec(recordings[0].acquisition)
-    results["twin"] = None if result.twin is None else asdict(result.twin) | {"preferred": result.twin.preferred}
+    results["twin"] = (
+        None if result.twin is None else asdict(result.twin) | {"preferred": result.twin.preferred}
+    )
     results["compare"] = [_one(other) for other in others]
     return results
 
@@ -112,7 +162,9 @@ def _results(result: Calibration, others: list[Calibration], recordings: list[Re
 def _arrays(result: Calibration) -> dict[str, Quantity]:
     arrays = {
         "noll": Quantity(np.array(result.nolls), "", "Noll index of every estimated mode"),
-        "zernike_nm": Quantity(result.zernike_nm, "nm", "static wavefront without the diversity", result.sigma_nm),
+        "zernike_nm": Quantity(
+            result.zernike_nm, "nm", "static wavefront without the diversity", result.sigma_nm
+        ),
         "covariance_nm2": Quantity(result.covariance_nm2, "nm2", "from the scatter over frames"),
         "frames_nm": Quantity(result.frames_nm, "nm", "coefficients of every frame (frame, mode)"),
         "frame_status": Quantity(np.array(result.frame_status, dtype=object), "", "outcome of every fit"),
@@ -126,24 +178,50 @@ def _arrays(result: Calibration) -> dict[str, Quantity]:
 def _checks(config: Config, result: Calibration) -> list[Check]:
     converged = result.frame_status.count("converged") / len(result.frame_status)
     checks = [
-        Check("converged fits", converged, "", config.min_converged, None, f"{converged:.0%} of the fits converged"),
-        Check("chi2 of the mean image", result.chi2_nu, "", None, config.max_chi2_nu,
-              f"χ²/ν = {result.chi2_nu:.2f}; a large one says that the model lacks something"),
+        Check(
+            "converged fits",
+            converged,
+            "",
+            config.min_converged,
+            None,
+            f"{converged:.0%} of the fits converged",
+        ),
+        Check(
+            "chi2 of the mean image",
+            result.chi2_nu,
+            "",
+            None,
+            config.max_chi2_nu,
+            f"χ²/ν = {result.chi2_nu:.2f}; a large one says that the model lacks something",
+        ),
     ]
     if result.twin is not None:
-        checks.append(Check("twin solution", float(result.twin.preferred == "solution"), "", 1.0, None,
-                            f"sign of the even modes: the {result.twin.preferred} is preferred "
-                            f"(Δχ² {result.twin.delta_chi2:+.1f}, {result.twin.rms_nm:.0f} against "
-                            f"{result.twin.twin_rms_nm:.0f} nm RMS)"))
+        checks.append(
+            Check(
+                "twin solution",
+                float(result.twin.preferred == "solution"),
+                "",
+                1.0,
+                None,
+                f"sign of the even modes: the {result.twin.preferred} is preferred "
+                f"(Δχ² {result.twin.delta_chi2:+.1f}, {result.twin.rms_nm:.0f} against "
+                f"{result.twin.twin_rms_nm:.0f} nm RMS)",
+            )
+        )
     return checks
 
 
 def _summary(result: Calibration, others: list[Calibration]) -> list[str]:
     sigma = float(np.sqrt(np.sum(result.sigma_nm[_exported(result)] ** 2)))
-    lines = [f"NCPA            {_wfe_nm(result):.1f} ± {sigma:.1f} nm RMS in Noll 2–{min(EXPORTED, result.nolls[-1])} "
-             f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f})"]
+    lines = [
+        f"NCPA            {_wfe_nm(result):.1f} ± {sigma:.1f} nm RMS in Noll 2–{min(EXPORTED, result.nolls[-1])} "
+        f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f})"
+    ]
     for name, values in result.effects.items():
         lines.append(f"  {name:14s}" + ", ".join(f"{key} {value:.3g}" for key, value in values.items()))
-    lines += [f"  beside: {_wfe_nm(other):.1f} nm RMS ({other.options.method}, {other.seconds:.1f} s, "
-              f"χ²/ν {other.chi2_nu:.2f})" for other in others]
+    lines += [
+        f"  beside: {_wfe_nm(other):.1f} nm RMS ({other.options.method}, {other.seconds:.1f} s, "
+        f"χ²/ν {other.chi2_nu:.2f})"
+        for other in others
+    ]
     return lines

@@ -41,15 +41,28 @@ def run(ctx: StageContext) -> StageOutput:
     offsets = _offsets(nolls, -ctx.config.gain * zernike, sigma)
     prediction = _predict(ctx, nolls, zernike)
     table = fits.BinTableHDU.from_columns(
-        [fits.Column("NOLL", "J", array=offsets[0]), fits.Column("OFFSET", "D", unit="nm", array=offsets[1]),
-         fits.Column("SIGMA", "D", unit="nm", array=offsets[2])], name="MODAL_OFFSETS")
+        [
+            fits.Column("NOLL", "J", array=offsets[0]),
+            fits.Column("OFFSET", "D", unit="nm", array=offsets[1]),
+            fits.Column("SIGMA", "D", unit="nm", array=offsets[2]),
+        ],
+        name="MODAL_OFFSETS",
+    )
     files = {"correction.csv": _csv(offsets), "correction.fits": _fits(table)}
-    return StageOutput(_arrays(ctx, nolls, zernike, offsets, prediction), _results(offsets, prediction), files=files,
-                       summary=[f"Correction      Strehl {prediction.strehl_before:.3f} → {prediction.strehl_after:.3f} "
-                                f"predicted, {len(offsets[0])} offsets in correction.csv and correction.fits"])
+    return StageOutput(
+        _arrays(ctx, nolls, zernike, offsets, prediction),
+        _results(offsets, prediction),
+        files=files,
+        summary=[
+            f"Correction      Strehl {prediction.strehl_before:.3f} → {prediction.strehl_after:.3f} "
+            f"predicted, {len(offsets[0])} offsets in correction.csv and correction.fits"
+        ],
+    )
 
 
-def _offsets(nolls: list[int], offset_nm: np.ndarray, sigma_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _offsets(
+    nolls: list[int], offset_nm: np.ndarray, sigma_nm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Noll 2 to 30; modes that were not estimated are 0 with an infinite error."""
     table = {noll: (o, s) for noll, o, s in zip(nolls, offset_nm, sigma_nm)}
     wanted = np.arange(2, HIGHEST_NOLL + 1)
@@ -76,11 +89,18 @@ def _fits(table: fits.BinTableHDU) -> bytes:
 def _predict(ctx: StageContext, nolls: list[int], zernike_nm: np.ndarray) -> Prediction:
     recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
     product = ctx.products["calibrate"]
-    effects = calibrated_effects(product, ctx.instrument, ctx.model, recording.acquisition,
-                                 seeing_arcsec(recording.acquisition))
+    effects = calibrated_effects(
+        product, ctx.instrument, ctx.model, recording.acquisition, seeing_arcsec(recording.acquisition)
+    )
     corrected = tuple(noll for noll in nolls if noll <= HIGHEST_NOLL)
-    return predict_correction(psf_settings(ctx.instrument, ctx.model, recording), nolls, zernike_nm, corrected,
-                              ctx.config.gain, lambda model: fixed_transfer(list(effects.values()), model))
+    return predict_correction(
+        psf_settings(ctx.instrument, ctx.model, recording),
+        nolls,
+        zernike_nm,
+        corrected,
+        ctx.config.gain,
+        lambda model: fixed_transfer(list(effects.values()), model),
+    )
 
 
 def _wavefront_nm(ctx: StageContext, nolls: list[int], zernike_nm: np.ndarray) -> np.ndarray:
@@ -88,26 +108,40 @@ def _wavefront_nm(ctx: StageContext, nolls: list[int], zernike_nm: np.ndarray) -
     geometry = ctx.instrument.pupil
     centres = grid_centres(MAP_SAMPLES, geometry.diameter_m / MAP_SAMPLES)
     x, y = np.meshgrid(centres, centres)
-    opd = np.tensordot(zernike_nm, zernike_basis(nolls, 2 * x / geometry.diameter_m, 2 * y / geometry.diameter_m), 1)
+    opd = np.tensordot(
+        zernike_nm, zernike_basis(nolls, 2 * x / geometry.diameter_m, 2 * y / geometry.diameter_m), 1
+    )
     return np.where(area_weighted_pupil(geometry, centres) > 0.5, opd, np.nan)
 
 
 def _arrays(ctx: StageContext, nolls, zernike_nm, offsets, prediction: Prediction) -> dict[str, Quantity]:
     seen = np.where(np.isin(nolls, (2, 3)), 0.0, zernike_nm)
     left = np.where(np.isin(nolls, offsets[0]), (1 - ctx.config.gain) * seen, seen)
-    arrays = {name: Quantity(getattr(prediction, name), "", f"unit-flux image, {text}") for name, text in
-              (("before", "without correction"), ("after", "with the offsets applied"), ("perfect", "no aberration"))}
+    arrays = {
+        name: Quantity(getattr(prediction, name), "", f"unit-flux image, {text}")
+        for name, text in (
+            ("before", "without correction"),
+            ("after", "with the offsets applied"),
+            ("perfect", "no aberration"),
+        )
+    }
     return arrays | {
         "noll": Quantity(offsets[0], "", "Noll index"),
         "offset_nm": Quantity(offsets[1], "nm", SIGN, offsets[2]),
         "radius_mas": Quantity(prediction.radius_mas, "mas", "radius of the rings"),
         "profile_before": Quantity(prediction.profile_before, "", "mean of each ring, unit-flux image"),
         "profile_after": Quantity(prediction.profile_after, "", "mean of each ring, unit-flux image"),
-        "wavefront_before_nm": Quantity(_wavefront_nm(ctx, nolls, seen), "nm", "estimated wavefront without tip and tilt"),
+        "wavefront_before_nm": Quantity(
+            _wavefront_nm(ctx, nolls, seen), "nm", "estimated wavefront without tip and tilt"
+        ),
         "wavefront_after_nm": Quantity(_wavefront_nm(ctx, nolls, left), "nm", "what the offsets leave of it"),
     }
 
 
 def _results(offsets, prediction: Prediction) -> dict:
-    return {"offset_nm": {str(int(noll)): float(value) for noll, value in zip(offsets[0], offsets[1])}, "sign": SIGN,
-            "strehl_before": prediction.strehl_before, "strehl_after": prediction.strehl_after}
+    return {
+        "offset_nm": {str(int(noll)): float(value) for noll, value in zip(offsets[0], offsets[1])},
+        "sign": SIGN,
+        "strehl_before": prediction.strehl_before,
+        "strehl_after": prediction.strehl_after,
+    }

@@ -15,7 +15,14 @@ from irlos_pipe.estimate.ramp import RampSummary, summarise
 from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
 from irlos_pipe.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.ramp_input import Ramp, calibrated_ncpa_nm, ramp_effects, ramp_model, ramp_start, read_ramp
+from irlos_pipe.stages.ramp_input import (
+    Ramp,
+    calibrated_ncpa_nm,
+    ramp_effects,
+    ramp_model,
+    ramp_start,
+    read_ramp,
+)
 
 NAME = "lift"
 VERSION = 1
@@ -32,27 +39,44 @@ class Config(StageConfig):
     modes: tuple[int, ...] = Field((2, 3, 4), description="Noll modes to estimate; 4 (defocus) among them")
     calibrated: bool = Field(True, description="add the NCPAs of `calibrate` to the diversity")
     halo: Literal["calibrated", "fit", "off"] = Field("calibrated", description="AO residual in the model")
-    object_sigma_mas: ObjectSigma = Field("calibrated", description="Gaussian kernel of object and jitter [mas]: a number, as calibrated, or fitted jointly on the ramp")
+    object_sigma_mas: ObjectSigma = Field(
+        "calibrated",
+        description="Gaussian kernel of object and jitter [mas]: a number, as calibrated, or fitted jointly on the ramp",
+    )
     estimator: Literal["ml", "map"] = Field("ml", description="maximum likelihood, or with a Gaussian prior")
     prior_scale: float = Field(3.0, gt=0, le=1000, description="MAP: prior width over the NCPA law")
-    noise: Literal["data", "model", "iterative"] = Field("iterative", description="where the variances come from")
-    start: Literal["elongation", "scan", "zero"] = Field("elongation", description="where the iteration begins")
+    noise: Literal["data", "model", "iterative"] = Field(
+        "iterative", description="where the variances come from"
+    )
+    start: Literal["elongation", "scan", "zero"] = Field(
+        "elongation", description="where the iteration begins"
+    )
     max_iterations: int = Field(40, ge=1, le=1000, description="per fit")
-    compare: bool = Field(True, description="repeat without the NCPAs and without the AO residual, for the report")
+    compare: bool = Field(
+        True, description="repeat without the NCPAs and without the AO residual, for the report"
+    )
     min_converged: float = Field(0.9, ge=0, le=1, description="QC limit on the part of frames that converge")
-    max_residual_nm: float = Field(30.0, gt=0, description="QC limit on the scatter about the straight line [nm RMS]")
+    max_residual_nm: float = Field(
+        30.0, gt=0, description="QC limit on the scatter about the straight line [nm RMS]"
+    )
 
 
 def run(ctx: StageContext) -> StageOutput:
     """Estimate the ramp, and repeat it with parts of the model left out to show what each buys."""
     if 4 not in ctx.config.modes:
-        raise InputDataError(f"lift.modes {list(ctx.config.modes)} lacks 4 (defocus), which is what LIFT is for")
+        raise InputDataError(
+            f"lift.modes {list(ctx.config.modes)} lacks 4 (defocus), which is what LIFT is for"
+        )
     ramp = read_ramp(ctx, ctx.config.input)
     fit = _fit(ctx, ramp, calibrated=ctx.config.calibrated, halo=ctx.config.halo)
     summary = _summarise(ramp, fit)
     others = _comparison(ctx, ramp) if ctx.config.compare else {}
-    return StageOutput(_arrays(ramp, fit, summary), _results(ctx, ramp, fit, summary, others),
-                       _checks(ctx.config, fit, summary), summary=_lines(ctx, fit, summary, others))
+    return StageOutput(
+        _arrays(ramp, fit, summary),
+        _results(ctx, ramp, fit, summary, others),
+        _checks(ctx.config, fit, summary),
+        summary=_lines(ctx, fit, summary, others),
+    )
 
 
 def _fit(ctx: StageContext, ramp: Ramp, *, calibrated: bool, halo: str) -> RampFit:
@@ -71,7 +95,9 @@ def _options(config: Config, start_nm: torch.Tensor) -> LiftOptions:
     mean = torch.zeros_like(start_nm)
     focus = config.modes.index(4)
     mean[:, focus] = start_nm[:, focus]
-    return LiftOptions(config.noise, mean, ncpa_sigma_nm(config.modes, config.prior_scale), config.max_iterations)
+    return LiftOptions(
+        config.noise, mean, ncpa_sigma_nm(config.modes, config.prior_scale), config.max_iterations
+    )
 
 
 def _comparison(ctx: StageContext, ramp: Ramp) -> dict[str, RampSummary]:
@@ -100,31 +126,53 @@ def _summarise(ramp: Ramp, fit: RampFit) -> RampSummary:
 # -- what is reported --------------------------------------------------------------------------
 
 
-def _results(ctx: StageContext, ramp: Ramp, fit: RampFit, summary: RampSummary, others: dict[str, RampSummary]) -> dict:
-    return {"modes": list(ctx.config.modes), "calibrated": ctx.config.calibrated,
-            "points": _points(ramp, fit), "summary": _numbers(summary), "offsets": _offsets(summary),
-            "effects": fit.effects, "effects_fitted_jointly": fit.shared is not None,
-            "compare": {name: _numbers(other) for name, other in others.items()}}
+def _results(
+    ctx: StageContext, ramp: Ramp, fit: RampFit, summary: RampSummary, others: dict[str, RampSummary]
+) -> dict:
+    return {
+        "modes": list(ctx.config.modes),
+        "calibrated": ctx.config.calibrated,
+        "points": _points(ramp, fit),
+        "summary": _numbers(summary),
+        "offsets": _offsets(summary),
+        "effects": fit.effects,
+        "effects_fitted_jointly": fit.shared is not None,
+        "compare": {name: _numbers(other) for name, other in others.items()},
+    }
 
 
 def _points(ramp: Ramp, fit: RampFit) -> list[dict]:
     sigma = fit.result.mode(4)[1]
-    return [{"name": name, "frame": frame, "introduced_nm": float(introduced), "defocus_nm": float(defocus),
-             "sigma_nm": float(sigma[i]), "converged": status == "converged", "status": status,
-             "chi2_nu": float(fit.result.chi2_nu[i]),
-             "zernike_nm": {str(n): float(v) for n, v in zip(fit.result.nolls, fit.result.zernike_nm[i])}}
-            for i, (name, frame, introduced, defocus, status) in enumerate(
-                zip(ramp.names, ramp.frame, ramp.data.introduced_nm, _defocus(fit), fit.result.solution.status))]
+    return [
+        {
+            "name": name,
+            "frame": frame,
+            "introduced_nm": float(introduced),
+            "defocus_nm": float(defocus),
+            "sigma_nm": float(sigma[i]),
+            "converged": status == "converged",
+            "status": status,
+            "chi2_nu": float(fit.result.chi2_nu[i]),
+            "zernike_nm": {str(n): float(v) for n, v in zip(fit.result.nolls, fit.result.zernike_nm[i])},
+        }
+        for i, (name, frame, introduced, defocus, status) in enumerate(
+            zip(ramp.names, ramp.frame, ramp.data.introduced_nm, _defocus(fit), fit.result.solution.status)
+        )
+    ]
 
 
 def _numbers(summary: RampSummary) -> dict[str, float]:
-    return {key: getattr(summary, key) for key in
-            ("slope", "slope_sigma", "offset_nm", "rms_nm", "residual_rms_nm", "saw_tooth_nm")}
+    return {
+        key: getattr(summary, key)
+        for key in ("slope", "slope_sigma", "offset_nm", "rms_nm", "residual_rms_nm", "saw_tooth_nm")
+    }
 
 
 def _offsets(summary: RampSummary) -> list[dict]:
-    return [{"introduced_nm": float(o), "median_nm": float(m), "scatter_nm": float(s)}
-            for o, m, s in zip(summary.offsets_nm, summary.median_nm, summary.scatter_nm)]
+    return [
+        {"introduced_nm": float(o), "median_nm": float(m), "scatter_nm": float(s)}
+        for o, m, s in zip(summary.offsets_nm, summary.median_nm, summary.scatter_nm)
+    ]
 
 
 def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary) -> dict[str, Quantity]:
@@ -138,7 +186,9 @@ def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary) -> dict[str, Quantit
         "introduced_nm": Quantity(introduced, "nm", "introduced defocus, frames in order of time"),
         "defocus_nm": Quantity(defocus, "nm", "estimated introduced defocus", sigma),
         "noll": Quantity(np.array(fit.result.nolls), "", "estimated modes"),
-        "zernike_nm": Quantity(fit.result.zernike_nm.numpy(), "nm", "estimates (frame, mode)", fit.result.sigma_nm.numpy()),
+        "zernike_nm": Quantity(
+            fit.result.zernike_nm.numpy(), "nm", "estimates (frame, mode)", fit.result.sigma_nm.numpy()
+        ),
         "covariance_nm2": Quantity(fit.result.covariance_nm2.numpy(), "nm2", "per frame"),
         "chi2_nu": Quantity(fit.result.chi2_nu.numpy(), "", "per frame"),
         "model_e": Quantity(model.astype(np.float32), "e-", "model of every frame"),
@@ -152,14 +202,36 @@ def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary) -> dict[str, Quantit
 
 def _checks(config: Config, fit: RampFit, summary: RampSummary) -> list[Check]:
     converged = float(fit.result.solution.converged.double().mean())
-    return [Check("converged frames", converged, "", config.min_converged, None, f"{converged:.0%} of the frames converged"),
-            Check("scatter about the line", summary.residual_rms_nm, "nm", None, config.max_residual_nm,
-                  f"{summary.residual_rms_nm:.1f} nm RMS about the straight line")]
+    return [
+        Check(
+            "converged frames",
+            converged,
+            "",
+            config.min_converged,
+            None,
+            f"{converged:.0%} of the frames converged",
+        ),
+        Check(
+            "scatter about the line",
+            summary.residual_rms_nm,
+            "nm",
+            None,
+            config.max_residual_nm,
+            f"{summary.residual_rms_nm:.1f} nm RMS about the straight line",
+        ),
+    ]
 
 
-def _lines(ctx: StageContext, fit: RampFit, summary: RampSummary, others: dict[str, RampSummary]) -> list[str]:
+def _lines(
+    ctx: StageContext, fit: RampFit, summary: RampSummary, others: dict[str, RampSummary]
+) -> list[str]:
     label = "with NCPAs" if ctx.config.calibrated else "without NCPAs"
-    lines = [f"Ramp            slope {summary.slope:.4f} ± {summary.slope_sigma:.4f}, offset {summary.offset_nm:+.1f} nm, "
-             f"error {summary.rms_nm:.1f} nm RMS, about the line {summary.residual_rms_nm:.1f} nm ({label})"]
-    lines += [f"  {name}: slope {other.slope:.4f}, error {other.rms_nm:.1f} nm RMS" for name, other in others.items()]
+    lines = [
+        f"Ramp            slope {summary.slope:.4f} ± {summary.slope_sigma:.4f}, offset {summary.offset_nm:+.1f} nm, "
+        f"error {summary.rms_nm:.1f} nm RMS, about the line {summary.residual_rms_nm:.1f} nm ({label})"
+    ]
+    lines += [
+        f"  {name}: slope {other.slope:.4f}, error {other.rms_nm:.1f} nm RMS"
+        for name, other in others.items()
+    ]
     return lines

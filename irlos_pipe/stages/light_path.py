@@ -21,15 +21,22 @@ DEFAULT_SEEING_ARCSEC = 0.8
 SETUP_KEYS = ("pixel_scale_mas", "spectrum", "diversity")
 
 
-def psf_settings(instrument: Instrument, model: ModelConfig, recording: Recording,
-                 ncpa_nm: dict[int, float] | None = None) -> PsfSettings:
+def psf_settings(
+    instrument: Instrument, model: ModelConfig, recording: Recording, ncpa_nm: dict[int, float] | None = None
+) -> PsfSettings:
     """Settings of the PSF model for one recording; `ncpa_nm` is added to the diversity."""
     acquisition = recording.acquisition
     diversity = dict(acquisition.diversity)
     for noll, value in (ncpa_nm or {}).items():
         diversity[noll] = diversity.get(noll, 0.0) + value
-    return PsfSettings(instrument.pupil, recording.window, acquisition.pixel_scale_mas, acquisition.spectrum,
-                       diversity, model.pupil_samples)
+    return PsfSettings(
+        instrument.pupil,
+        recording.window,
+        acquisition.pixel_scale_mas,
+        acquisition.spectrum,
+        diversity,
+        model.pupil_samples,
+    )
 
 
 def residual_band(instrument: Instrument, model: ModelConfig) -> ResidualBand:
@@ -44,8 +51,10 @@ def seeing_arcsec(acquisition: Acquisition) -> float:
 
 def model_effects(instrument: Instrument, model: ModelConfig, acquisition: Acquisition) -> list[OtfEffect]:
     """The effects of the recipe's model for one recording, fixed ones pinned."""
-    available = {SeeingHalo.name: lambda: SeeingHalo(residual_band(instrument, model), seeing_arcsec(acquisition)),
-                 TipTiltJitter.name: TipTiltJitter}
+    available = {
+        SeeingHalo.name: lambda: SeeingHalo(residual_band(instrument, model), seeing_arcsec(acquisition)),
+        TipTiltJitter.name: TipTiltJitter,
+    }
     effects = []
     for name, values in model.effect_settings().items():
         effect = available[name]()
@@ -55,8 +64,10 @@ def model_effects(instrument: Instrument, model: ModelConfig, acquisition: Acqui
 
 def expected(effects: Sequence[OtfEffect]) -> list[OtfEffect]:
     """The same effects held at the values a fit would start from."""
-    return [Pinned(effect, [p.start for p in effect.parameters]) if effect.parameters else effect
-            for effect in effects]
+    return [
+        Pinned(effect, [p.start for p in effect.parameters]) if effect.parameters else effect
+        for effect in effects
+    ]
 
 
 def fixed_transfer(effects: Sequence[OtfEffect], model: PsfModel) -> torch.Tensor | None:
@@ -72,12 +83,19 @@ def fixed_transfer(effects: Sequence[OtfEffect], model: PsfModel) -> torch.Tenso
 
 def effect_arrays(effect_values: dict[str, np.ndarray]) -> dict[str, Quantity]:
     """Solver's parameters of every effect as arrays of a product."""
-    return {f"effects/{name}": Quantity(values, "", "parameters of the effect, in the order of its declaration")
-            for name, values in effect_values.items()}
+    return {
+        f"effects/{name}": Quantity(values, "", "parameters of the effect, in the order of its declaration")
+        for name, values in effect_values.items()
+    }
 
 
-def calibrated_effects(product: Product, instrument: Instrument, model: ModelConfig, acquisition: Acquisition,
-                       calibration_seeing_arcsec: float) -> dict[str, Pinned]:
+def calibrated_effects(
+    product: Product,
+    instrument: Instrument,
+    model: ModelConfig,
+    acquisition: Acquisition,
+    calibration_seeing_arcsec: float,
+) -> dict[str, Pinned]:
     """Effects as `calibrate` found them, for a recording taken under another seeing.
 
     The in-band residual is scaled by the seeing law; the rest is taken as it is.
@@ -91,8 +109,9 @@ def calibrated_effects(product: Product, instrument: Instrument, model: ModelCon
         elif key in product.arrays:
             values = np.array(product.arrays[key].value, float)
             if name == SeeingHalo.name:
-                values[0] *= (in_band_wfe_nm(effect.band, seeing_arcsec(acquisition))
-                              / in_band_wfe_nm(effect.band, calibration_seeing_arcsec))
+                values[0] *= in_band_wfe_nm(effect.band, seeing_arcsec(acquisition)) / in_band_wfe_nm(
+                    effect.band, calibration_seeing_arcsec
+                )
             pinned[name] = Pinned(effect, values)
     return pinned
 
@@ -104,16 +123,21 @@ def require_one_setup(recordings: Sequence[Recording]) -> None:
     """Raise InputDataError unless all recordings share window, pixel scale, spectrum and diversity."""
     first = recordings[0]
     for other in recordings[1:]:
-        differing = [key for key in SETUP_KEYS
-                     if getattr(other.acquisition, key) != getattr(first.acquisition, key)]
+        differing = [
+            key for key in SETUP_KEYS if getattr(other.acquisition, key) != getattr(first.acquisition, key)
+        ]
         if other.window != first.window:
             differing.append("window")
         if differing:
-            raise InputDataError(f"{other.name}: {', '.join(differing)} differ from those of {first.name}; "
-                                 "reduce recordings of different set-ups separately")
+            raise InputDataError(
+                f"{other.name}: {', '.join(differing)} differ from those of {first.name}; "
+                "reduce recordings of different set-ups separately"
+            )
 
 
 def in_time_order(recordings: Sequence[Recording]) -> list[Recording]:
     """Recordings by time of their first frame where all have one, else in the order given."""
     starts = [recording.start_unix_s for recording in recordings]
-    return sorted(recordings, key=lambda r: r.start_unix_s) if np.all(np.isfinite(starts)) else list(recordings)
+    return (
+        sorted(recordings, key=lambda r: r.start_unix_s) if np.all(np.isfinite(starts)) else list(recordings)
+    )

@@ -23,7 +23,9 @@ class ModelConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     effects: tuple[Annotated[Any, Field()], ...] = Field(
-        EFFECTS, description="effects beyond the static wavefront, by name, or {name: {parameter: value}} to fix one")
+        EFFECTS,
+        description="effects beyond the static wavefront, by name, or {name: {parameter: value}} to fix one",
+    )
     pupil_samples: int = Field(128, ge=48, le=512, description="samples across the pupil diameter")
     cutoff_per_m: float = Field(2.5, gt=0, le=20, description="AO cut-off, 1/(2 actuator pitch) [1/m]")
     outer_scale_m: float = Field(25.0, gt=1, le=1000, description="outer scale of the turbulence [m]")
@@ -38,8 +40,11 @@ class ModelConfig(BaseModel):
 
     def effect_settings(self) -> dict[str, dict[str, float]]:
         """Effect names with their fixed parameters; empty for an effect to be estimated."""
-        return {name: dict(values) for entry in self.effects
-                for name, values in ({entry: {}} if isinstance(entry, str) else entry).items()}
+        return {
+            name: dict(values)
+            for entry in self.effects
+            for name, values in ({entry: {}} if isinstance(entry, str) else entry).items()
+        }
 
 
 def _check_effect(entry: Any) -> str:
@@ -55,8 +60,11 @@ def _check_effect(entry: Any) -> str:
     allowed = list(inspect.signature(CLASSES[name].values_of).parameters)[1:]
     if not isinstance(values, dict) or (values and sorted(values) != sorted(allowed)):
         raise ValueError(f"{name} is fixed by {{{', '.join(allowed)}}}, not by {values!r}")
-    bad = [key for key, value in values.items() if isinstance(value, bool) or not isinstance(value, (int, float))
-           or value < 0]
+    bad = [
+        key
+        for key, value in values.items()
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0
+    ]
     if bad:
         raise ValueError(f"{name}.{bad[0]} must be a number that is not negative")
     return name

@@ -12,8 +12,14 @@ from irlos_pipe.product import Check, Quantity
 from irlos_pipe.psf import PsfModel
 from irlos_pipe.recording import Recording
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.light_path import (expected, fixed_transfer, in_time_order, model_effects, psf_settings,
-                                          require_one_setup)
+from irlos_pipe.stages.light_path import (
+    expected,
+    fixed_transfer,
+    in_time_order,
+    model_effects,
+    psf_settings,
+    require_one_setup,
+)
 from irlos_pipe.stages.recordings import recordings_from_product
 
 NAME = "prior"
@@ -31,14 +37,20 @@ class Config(StageConfig):
 
 def run(ctx: StageContext) -> StageOutput:
     """Calibrate A and B from the model and apply them to every used frame."""
-    recordings = [r.accepted() for r in in_time_order(recordings_from_product(ctx.products["ingest"], ctx.config.input))]
+    recordings = [
+        r.accepted() for r in in_time_order(recordings_from_product(ctx.products["ingest"], ctx.config.input))
+    ]
     require_one_setup(recordings)
     try:
         law = _law(ctx, recordings[0])
     except ValueError as problem:
-        raise InputDataError(f"{recordings[0].name}: {problem}; leave the stage `prior` out for such data") from None
+        raise InputDataError(
+            f"{recordings[0].name}: {problem}; leave the stage `prior` out for such data"
+        ) from None
     ratios = [_ratios(recording, law) for recording in recordings]
-    ctx.log.info("elongation law: defocus = %.1f (ratio - 1) %+.1f nm, valid %s nm", law.A, law.B, law.valid_nm)
+    ctx.log.info(
+        "elongation law: defocus = %.1f (ratio - 1) %+.1f nm, valid %s nm", law.A, law.B, law.valid_nm
+    )
     return _output(ctx, recordings, law, ratios)
 
 
@@ -49,23 +61,55 @@ def _law(ctx: StageContext, recording: Recording) -> ElongationLaw:
 
 
 def _ratios(recording: Recording, law: ElongationLaw) -> np.ndarray:
-    return axis_ratios(torch.as_tensor(recording.images_e), torch.as_tensor(recording.pixel_mask), law.angle_deg)[0]
+    return axis_ratios(
+        torch.as_tensor(recording.images_e), torch.as_tensor(recording.pixel_mask), law.angle_deg
+    )[0]
 
 
-def _output(ctx: StageContext, recordings: list[Recording], law: ElongationLaw, ratios: list[np.ndarray]) -> StageOutput:
+def _output(
+    ctx: StageContext, recordings: list[Recording], law: ElongationLaw, ratios: list[np.ndarray]
+) -> StageOutput:
     defocus = [law.defocus_nm(ratio) for ratio in ratios]
-    estimates = [{"name": recording.name, "frame": frame, "introduced_nm": float(introduced), "defocus_nm": float(value)}
-                 for recording, values in zip(recordings, defocus)
-                 for frame, (introduced, value) in enumerate(zip(recording.introduced_defocus_nm, values))]
+    estimates = [
+        {
+            "name": recording.name,
+            "frame": frame,
+            "introduced_nm": float(introduced),
+            "defocus_nm": float(value),
+        }
+        for recording, values in zip(recordings, defocus)
+        for frame, (introduced, value) in enumerate(zip(recording.introduced_defocus_nm, values))
+    ]
     failed = float(np.mean(~np.isfinite(np.concatenate(ratios))))
-    arrays = {"ratio": Quantity(np.concatenate(ratios), "", "axis ratio of the fitted Gaussian, first over second axis"),
-              "defocus_nm": Quantity(np.concatenate(defocus), "nm", "prior of the defocus, frames in order of time"),
-              "introduced_nm": Quantity(np.concatenate([r.introduced_defocus_nm for r in recordings]), "nm",
-                                        "introduced defocus")}
-    results = {"A": law.A, "B": law.B, "angle_deg": law.angle_deg, "valid_nm": list(law.valid_nm),
-               "law_residual_nm": law.residual_nm, "estimates": estimates}
-    check = Check("failed Gaussian fits", failed, "", None, ctx.config.max_failed_fraction,
-                  f"{failed:.0%} of the Gaussian fits did not converge")
-    summary = [f"Prior           defocus = {law.A:.0f} (σ1/σ2 − 1) {law.B:+.0f} nm, "
-               f"valid {law.valid_nm[0]:.0f}…{law.valid_nm[1]:.0f} nm"]
+    arrays = {
+        "ratio": Quantity(
+            np.concatenate(ratios), "", "axis ratio of the fitted Gaussian, first over second axis"
+        ),
+        "defocus_nm": Quantity(
+            np.concatenate(defocus), "nm", "prior of the defocus, frames in order of time"
+        ),
+        "introduced_nm": Quantity(
+            np.concatenate([r.introduced_defocus_nm for r in recordings]), "nm", "introduced defocus"
+        ),
+    }
+    results = {
+        "A": law.A,
+        "B": law.B,
+        "angle_deg": law.angle_deg,
+        "valid_nm": list(law.valid_nm),
+        "law_residual_nm": law.residual_nm,
+        "estimates": estimates,
+    }
+    check = Check(
+        "failed Gaussian fits",
+        failed,
+        "",
+        None,
+        ctx.config.max_failed_fraction,
+        f"{failed:.0%} of the Gaussian fits did not converge",
+    )
+    summary = [
+        f"Prior           defocus = {law.A:.0f} (σ1/σ2 − 1) {law.B:+.0f} nm, "
+        f"valid {law.valid_nm[0]:.0f}…{law.valid_nm[1]:.0f} nm"
+    ]
     return StageOutput(arrays, results, [check], summary=summary)

@@ -15,11 +15,15 @@ from irlos_pipe.noise import NoiseModel
 from irlos_pipe.psf import PsfModel
 from irlos_pipe.recording import Acquisition, Recording
 from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.light_path import (calibrated_effects, expected, in_time_order, model_effects, psf_settings,
-                                          require_one_setup)
+from irlos_pipe.stages.light_path import (
+    calibrated_effects,
+    expected,
+    in_time_order,
+    model_effects,
+    psf_settings,
+    require_one_setup,
+)
 from irlos_pipe.stages.recordings import recordings_from_product
-
-HALO_MARGIN_MAS = 300.0
 
 
 @dataclass(frozen=True)
@@ -49,12 +53,16 @@ class Ramp:
 
 def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
     """All used frames of a recipe input, in order of time."""
-    recordings = [r.accepted() for r in in_time_order(recordings_from_product(ctx.products["ingest"], input_name))]
+    recordings = [
+        r.accepted() for r in in_time_order(recordings_from_product(ctx.products["ingest"], input_name))
+    ]
     require_one_setup(recordings)
-    data = RampData(torch.as_tensor(np.concatenate([r.images_e for r in recordings])),
-                    torch.as_tensor(np.all([r.pixel_mask for r in recordings], axis=0)),
-                    NoiseModel.of(recordings[0]),
-                    np.concatenate([r.introduced_defocus_nm for r in recordings]).astype(float))
+    data = RampData(
+        torch.as_tensor(np.concatenate([r.images_e for r in recordings])),
+        torch.as_tensor(np.all([r.pixel_mask for r in recordings], axis=0)),
+        NoiseModel.of(recordings[0]),
+        np.concatenate([r.introduced_defocus_nm for r in recordings]).astype(float),
+    )
     names = [r.name for r in recordings for _ in range(r.frames)]
     return Ramp(recordings, data, names, [i for r in recordings for i in range(r.frames)])
 
@@ -62,20 +70,24 @@ def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
 def calibrated_ncpa_nm(ctx: StageContext) -> dict[int, float]:
     """Every estimated mode of the stage `calibrate`."""
     if "calibrate" not in ctx.products:
-        raise ConfigurationError("lift.calibrated needs the stage `calibrate` before it; "
-                                 "add it to the recipe, or set lift.calibrated=false")
+        raise ConfigurationError(
+            "lift.calibrated needs the stage `calibrate` before it; "
+            "add it to the recipe, or set lift.calibrated=false"
+        )
     arrays = ctx.products["calibrate"].arrays
     return {int(n): float(v) for n, v in zip(arrays["noll"].value, arrays["zernike_nm"].value)}
 
 
 def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: dict[int, float]) -> PsfModel:
     """PSF model of the ramp, NCPAs added to the diversity."""
-    settings = psf_settings(ctx.instrument, ctx.model, ramp.recordings[0], ncpa_nm)
-    margin = HALO_MARGIN_MAS if ctx.model.effects else settings.margin_mas
-    return PsfModel(type(settings)(**(settings.__dict__ | {"margin_mas": margin})), nolls, device=ctx.device)
+    return PsfModel(
+        psf_settings(ctx.instrument, ctx.model, ramp.recordings[0], ncpa_nm), nolls, device=ctx.device
+    )
 
 
-def ramp_effects(ctx: StageContext, acquisition: Acquisition, halo: str, object_sigma_mas: str | float) -> list[OtfEffect]:
+def ramp_effects(
+    ctx: StageContext, acquisition: Acquisition, halo: str, object_sigma_mas: str | float
+) -> list[OtfEffect]:
     """Effects for LIFT.
 
     Parameters
@@ -89,7 +101,9 @@ def ramp_effects(ctx: StageContext, acquisition: Acquisition, halo: str, object_
     effects: list[OtfEffect] = []
     if halo != "off" and SeeingHalo.name in available:
         pinned = known.get(SeeingHalo.name) or expected([available[SeeingHalo.name]])[0]
-        effects.append(pinned if halo == "calibrated" else Pinned(pinned.effect, pinned.values, free=("wfe_nm",)))
+        effects.append(
+            pinned if halo == "calibrated" else Pinned(pinned.effect, pinned.values, free=("wfe_nm",))
+        )
     if isinstance(object_sigma_mas, str):
         jitter = known.get(TipTiltJitter.name)
         if object_sigma_mas == "fit":
@@ -106,10 +120,14 @@ def _known(ctx: StageContext, acquisition: Acquisition) -> dict[str, Pinned]:
     if "calibrate" not in ctx.products:
         return {}
     product = ctx.products["calibrate"]
-    return calibrated_effects(product, ctx.instrument, ctx.model, acquisition, product.results["seeing_arcsec"])
+    return calibrated_effects(
+        product, ctx.instrument, ctx.model, acquisition, product.results["seeing_arcsec"]
+    )
 
 
-def ramp_start(ctx: StageContext, model: PsfModel, ramp: Ramp, ncpa_nm: dict[int, float], start: str) -> torch.Tensor:
+def ramp_start(
+    ctx: StageContext, model: PsfModel, ramp: Ramp, ncpa_nm: dict[int, float], start: str
+) -> torch.Tensor:
     """Start of every frame: from the elongation prior, from a scan of defocus, or from zero."""
     if start == "scan":
         return scan_start_nm(model, ramp.data.images_e, ramp.data.pixel_mask)

@@ -1,0 +1,88 @@
+"""Run the benchmarks: a table on stdout, everything in ``benchmarks/results.json``."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import tempfile
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import click
+import numpy as np
+from tqdm import tqdm
+
+from .breakdown import measure_breakdown
+from .docs import write_docs as put_into_docs
+from .inputs import Inputs, prepare
+from .measure import in_own_process
+from .plan import CUBE, NCPA, OTHERS, Entry
+from .table import render
+
+RESULTS = Path(__file__).parent / "results.json"
+
+
+@click.command()
+@click.option("--quick", is_flag=True, help="Few frames, half a minute; results.json is left alone.")
+@click.option("--write-docs", is_flag=True, help="Put the results into docs/performance.md.")
+def main(quick: bool, write_docs: bool) -> None:
+    """Time irlos_pipe beside other implementations, on the same frames in the same run."""
+    with tempfile.TemporaryDirectory() as folder:
+        results = measure_all(Path(folder), quick)
+    if not quick:
+        RESULTS.write_text(json.dumps(results, indent=1) + "\n")
+    click.echo(render(results))
+    if write_docs:
+        put_into_docs(results)
+
+
+def measure_all(folder: Path, quick: bool) -> dict:
+    """Prepare the inputs in `folder` and run every case."""
+    drawn = max(entry.quick_frames if quick else entry.frames for entry in NCPA)
+    prepare(folder, drawn, lambda frames: tqdm(frames, desc="drawing frames"))
+    bar = tqdm(total=len(NCPA) + len(OTHERS) + 1)
+    ncpa, others = ([_measure(entry, folder, quick, bar) for entry in entries] for entries in (NCPA, OTHERS))
+    common = _compare(ncpa, Inputs(folder))
+    bar.set_description("breakdown")
+    breakdown = measure_breakdown(Inputs(folder), frames=8 if quick else 32)
+    bar.close()
+    return {"date": datetime.now(UTC).strftime("%Y-%m-%d"), "machine": _machine(), "common_frames": common,
+            "ncpa": ncpa, "others": others, "breakdown": breakdown}
+
+
+def _measure(entry: Entry, folder: Path, quick: bool, bar: tqdm) -> dict:
+    bar.set_description(entry.label)
+    outcome = in_own_process(entry.case, folder, entry.quick_frames if quick else entry.frames, entry.threads)
+    bar.update()
+    return {"label": entry.label} | outcome
+
+
+def _compare(entries: list[dict], inputs: Inputs) -> int:
+    """Add errors, the extrapolated time and the speed-up to every entry; returns the frames all share."""
+    common = min(entry["frames"] for entry in entries)
+    baseline = entries[0]["cpu_s"] / entries[0]["frames"]
+    for entry in entries:
+        estimates_nm = np.array(entry.pop("estimates_nm"))
+        per_frame = entry["cpu_s"] / entry["frames"]
+        entry["error_nm"] = inputs.frames.error_nm(estimates_nm)
+        entry["common_error_nm"] = inputs.frames.error_nm(estimates_nm[:common])
+        entry["cube_cpu_s"], entry["speed_up"] = per_frame * CUBE, baseline / per_frame
+    return common
+
+
+def _machine() -> dict:
+    return {"cpu": _cpu_name(), "cores": os.cpu_count(), "python": platform.python_version(),
+            **{name: version(name) for name in ("torch", "numpy", "solvephase")}}
+
+
+def _cpu_name() -> str:
+    described = Path("/proc/cpuinfo")
+    lines = described.read_text().splitlines() if described.exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+if __name__ == "__main__":
+    main(prog_name="python -m benchmarks")

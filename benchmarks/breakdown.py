@@ -1,0 +1,114 @@
+"""Where the time of a fit goes, and how far it is from the floor.
+
+Every operator that PyTorch dispatches is timed and put into one of a few groups. The floor is the
+number of floating-point operations in the matrix DFTs over the rate at which this machine multiplies
+large complex matrices: what the same number of evaluations would cost if nothing but those were done.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.lift import LiftOptions
+from irlos_pipe.estimate.ramp_fit import fit_ramp
+from irlos_pipe.parallel import set_workers
+from irlos_pipe.stages.ramp_input import calibrated_ncpa_nm, ramp_effects, ramp_model, ramp_start, read_ramp
+
+from .inputs import Inputs
+
+PRODUCTS = ("mm", "bmm", "addmm", "baddbmm")
+MATRIX_DFT, REAL_PRODUCTS, DOUBLE_PRODUCTS, FFT, SOLVES, REST = (
+    "complex products (matrix DFT)", "float32 products (modes, pixels)", "float64 products (normal equations)",
+    "FFT (OTF factors)", "linear solves", "elementwise and copies")
+PYTHON = "Python and dispatch"
+RATE_SIZE, RATE_REPEATS = 768, 10
+
+
+class OperatorTimes(TorchDispatchMode):
+    """Time of every dispatched operator, by group.
+
+    Attributes
+    ----------
+    seconds : dict of str to float
+    complex_flops : float
+        Floating-point operations of all complex matrix products.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.complex_flops = 0.0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        began = time.perf_counter()
+        result = func(*args, **(kwargs or {}))
+        group = _group(func.overloadpacket.__name__, args)
+        self.seconds[group] += time.perf_counter() - began
+        if group == MATRIX_DFT:
+            self.complex_flops += 8.0 * result.numel() * args[-2].shape[-1]
+        return result
+
+
+def measure_breakdown(inputs: Inputs, frames: int) -> dict:
+    """Shares of the groups for `dip_global` and LIFT, and the floor of each."""
+    set_workers(1)
+    rate = complex_rate_flops()
+    return {"complex_gflops": rate / 1e9, "dip_global": _profile(lambda: _dip_global(inputs, frames), rate),
+            "lift": _profile(_lift(inputs), rate)}
+
+
+def complex_rate_flops() -> float:
+    """Best rate of a large single-precision complex matrix product on one thread [operations/s]."""
+    left, right = torch.randn(2, RATE_SIZE, RATE_SIZE, dtype=torch.complex64)
+    times_s = []
+    for _ in range(RATE_REPEATS):
+        began = time.perf_counter()
+        left @ right
+        times_s.append(time.perf_counter() - began)
+    return 8.0 * RATE_SIZE**3 / min(times_s)
+
+
+def _profile(fit, rate: float) -> dict:
+    fit()  # libraries start up
+    began = time.perf_counter()
+    with OperatorTimes() as operators:
+        fit()
+    total_s = time.perf_counter() - began
+    shares = {group: seconds / total_s for group, seconds in operators.seconds.items()}
+    shares[PYTHON] = 1 - sum(shares.values())
+    floor_s = operators.complex_flops / rate
+    return {"seconds": total_s, "shares": shares, "floor_s": floor_s, "over_floor": total_s / floor_s}
+
+
+def _dip_global(inputs: Inputs, frames: int) -> None:
+    calibrate(inputs.calibration_frames(frames), inputs.settings, CalibrationOptions("dip_global"))
+
+
+def _lift(inputs: Inputs):
+    context, ncpa_nm = inputs.context, calibrated_ncpa_nm(inputs.context)
+    ramp = read_ramp(context, context.config.input)
+    model = ramp_model(context, ramp, context.config.modes, ncpa_nm)
+    effects = ramp_effects(context, ramp.acquisition, "calibrated", "calibrated")
+    start_nm = ramp_start(context, model, ramp, ncpa_nm, context.config.start)
+    return lambda: fit_ramp(model, ramp.data, start_nm, LiftOptions(), effects)
+
+
+def _group(name: str, args) -> str:
+    if name.startswith(("_fft", "fft")):
+        return FFT
+    if "linalg" in name or name.startswith(("_linalg", "lu_")):
+        return SOLVES
+    if name in PRODUCTS:
+        return _product_group(args[-1])
+    return REST
+
+
+def _product_group(factor: torch.Tensor) -> str:
+    if factor.is_complex():
+        return MATRIX_DFT
+    return DOUBLE_PRODUCTS if factor.dtype == torch.float64 else REAL_PRODUCTS

@@ -1,0 +1,178 @@
+"""The timed cases; ``python -m benchmarks.cases NAME FOLDER FRAMES THREADS`` runs one and prints JSON.
+
+A case returns a dict: ``wall_s`` and ``cpu_s`` of all its frames together, ``frames``, and where
+there is a truth ``estimates_nm`` (frames, modes) or ``error_nm``. Building a model from the
+instrument is not timed, except where `calibrate` does so itself.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from irlos_pipe.estimate.calibration import CalibrationOptions, Frames, calibrate
+from irlos_pipe.estimate.lift import LiftOptions, lift
+from irlos_pipe.estimate.ramp_fit import fit_ramp
+from irlos_pipe.noise import NoiseModel
+from irlos_pipe.parallel import set_workers
+from irlos_pipe.psf import PsfModel, PsfSettings
+from irlos_pipe.stages.calibrate import Config as CalibrateConfig
+from irlos_pipe.stages.light_path import fixed_transfer, model_effects, psf_settings
+from irlos_pipe.stages.ramp_input import calibrated_ncpa_nm, ramp_effects, ramp_model, ramp_start, read_ramp
+from irlos_pipe.stages.recordings import recordings_from_product
+
+from .frames import DIVERSITY_NM, NOLLS, PIXEL_SCALE_MAS, READ_NOISE_E, WAVELENGTH_NM, WINDOW_PX
+from .inputs import Inputs, true_zernike_nm
+from .measure import peak_mib, stopwatch
+
+TWO_WAVELENGTHS = ((1215.0, 0.5), (1625.0, 0.5))
+
+
+def _calibrated(inputs: Inputs, count: int, method: str) -> dict:
+    """A method of `calibrate` on the drawn frames."""
+    options = CalibrationOptions(method, highest_noll=NOLLS[-1])
+    calibrate(inputs.calibration_frames(2), inputs.settings, options)  # libraries start up
+    with stopwatch() as watch:
+        result = calibrate(inputs.calibration_frames(count), inputs.settings, options)
+    return _timed(watch, count) | {"estimates_nm": result.frames_nm.tolist(), "iterations": result.iterations.tolist(),
+                                   "converged": result.frame_status.count("converged")}
+
+
+def dip_global(inputs: Inputs, count: int) -> dict:
+    """The paper's method 3 with this project's model and solver."""
+    return _calibrated(inputs, count, "dip_global")
+
+
+def lift_slices(inputs: Inputs, count: int) -> dict:
+    """Noise-weighted fits of every frame: the estimator that `solvephase` has, too."""
+    return _calibrated(inputs, count, "lift_slices")
+
+
+def fft_lbfgs(inputs: Inputs, count: int) -> dict:
+    """Padded FFT, autograd, L-BFGS."""
+    from .baseline_fft import FftModel, fit
+
+    model = FftModel(inputs.settings.geometry, NOLLS, DIVERSITY_NM, WAVELENGTH_NM, PIXEL_SCALE_MAS, WINDOW_PX)
+    images_e = torch.as_tensor(inputs.frames.images_e[:count])
+    model.images(torch.zeros(1, len(NOLLS)))
+    with stopwatch() as watch:
+        estimates_nm, evaluations = fit(model, images_e)
+    return _timed(watch, count) | {"estimates_nm": estimates_nm.tolist(), "evaluations": evaluations}
+
+
+def solvephase_lm(inputs: Inputs, count: int) -> dict:
+    """`solvephase`, 29 modes per frame."""
+    from .baseline_solvephase import SolvephaseFit
+
+    fitter = SolvephaseFit(inputs.settings, len(NOLLS), READ_NOISE_E, "gaussian")
+    fitter.fit_nm(inputs.frames.images_e[0])
+    with stopwatch() as watch:
+        estimates_nm = fitter.fit_all_nm(inputs.frames.images_e[:count])
+    return _timed(watch, count) | {"estimates_nm": estimates_nm.tolist()}
+
+
+def long_exposure(inputs: Inputs, count: int) -> dict:
+    """The default method on ``data_samples/calibration-sky``."""
+    context = inputs.context
+    recording = recordings_from_product(context.products["ingest"], CalibrateConfig().input)[0].accepted()
+    frames = Frames(torch.as_tensor(recording.images_e[:count]), torch.as_tensor(recording.pixel_mask),
+                    NoiseModel.of(recording))
+    with stopwatch() as watch:
+        result = calibrate(frames, psf_settings(context.instrument, context.model, recording), CalibrationOptions(),
+                           model_effects(context.instrument, context.model, recording.acquisition))
+    truth = true_zernike_nm("calibration-sky")
+    found = dict(zip(result.nolls, result.zernike_nm, strict=True))
+    error_nm = float(np.linalg.norm([found[noll] - truth[noll] for noll in NOLLS]))
+    return _timed(watch, len(frames.images_e)) | {"error_nm": error_nm}
+
+
+def lift_ramp(inputs: Inputs, count: int) -> dict:
+    """LIFT of the ramp's frames in one batch: three modes, J+H, NCPAs and AO residual as calibrated."""
+    context, ncpa_nm = inputs.context, calibrated_ncpa_nm(inputs.context)
+    ramp = read_ramp(context, context.config.input)
+    model = ramp_model(context, ramp, context.config.modes, ncpa_nm)
+    effects = ramp_effects(context, ramp.acquisition, "calibrated", "calibrated")
+    start_nm = ramp_start(context, model, ramp, ncpa_nm, context.config.start)
+    with stopwatch() as watch:
+        fit = fit_ramp(model, ramp.data, start_nm, LiftOptions(), effects)
+    return _timed(watch, len(ramp.names)) | {"error_nm": _rms(fit.result.mode(4)[0].numpy() - ramp.data.introduced_nm)}
+
+
+def lift_solvephase(inputs: Inputs, count: int) -> dict:
+    """`solvephase`'s LIFT on frames spread over the ramp, same NCPAs; it knows no AO residual."""
+    from .baseline_solvephase import SolvephaseFit
+
+    context = inputs.context
+    ramp = read_ramp(context, context.config.input)
+    settings = psf_settings(context.instrument, context.model, ramp.recordings[0], calibrated_ncpa_nm(context))
+    fitter = SolvephaseFit(settings, 3, ramp.acquisition.detector.read_noise_e, "poisson")
+    chosen = np.linspace(0, len(ramp.names) - 1, count).astype(int)
+    fitter.fit_nm(ramp.data.images_e[0].numpy())
+    with stopwatch() as watch:
+        estimates_nm = fitter.fit_all_nm(ramp.data.images_e[chosen].numpy())
+    return _timed(watch, count) | {"error_nm": _rms(estimates_nm[:, 2] - ramp.data.introduced_nm[chosen])}
+
+
+def lift_latency(inputs: Inputs, count: int) -> dict:
+    """One frame at a time, three modes, two wavelengths, no AO residual."""
+    settings = PsfSettings(inputs.settings.geometry, (WINDOW_PX, WINDOW_PX), PIXEL_SCALE_MAS, TWO_WAVELENGTHS, DIVERSITY_NM)
+    model = PsfModel(settings, (2, 3, 4))
+    frames = inputs.calibration_frames(1)
+    truth_nm = torch.tensor([[20.0, -30.0, 100.0]])
+    image_e = torch.poisson(model.images(truth_nm).clamp_min(0) * 1e5, generator=torch.Generator().manual_seed(1))
+    times_s = []
+    for _ in range(count):
+        with stopwatch() as watch:
+            lift(model, image_e, frames.pixel_mask, frames.noise, torch.zeros_like(truth_nm))
+        times_s.append((watch.wall_s, watch.cpu_s))
+    wall_s, cpu_s = np.array(times_s).T
+    return {"frames": count, "wall_s": float(wall_s.sum()), "cpu_s": float(cpu_s.sum()),
+            "median_ms": float(np.median(wall_s) * 1e3), "p99_ms": float(np.percentile(wall_s, 99) * 1e3)}
+
+
+def _model_case(inputs: Inputs, count: int, jacobian: bool) -> dict:
+    """Images, or images and Jacobians, of 29 modes at one wavelength."""
+    model = PsfModel(inputs.settings, NOLLS)
+    evaluate = model.images_and_jacobian if jacobian else model.images
+    coefficients = torch.as_tensor(inputs.frames.truth_nm[:16])
+    evaluate(coefficients)
+    with stopwatch() as watch:
+        for _ in range(count // 16):
+            evaluate(coefficients)
+    return _timed(watch, count // 16 * 16)
+
+
+def model_images(inputs: Inputs, count: int) -> dict:
+    """Forward model only."""
+    return _model_case(inputs, count, jacobian=False)
+
+
+def model_jacobian(inputs: Inputs, count: int) -> dict:
+    """Forward model with the derivatives of 29 modes."""
+    return _model_case(inputs, count, jacobian=True)
+
+
+def _timed(watch, frames: int) -> dict:
+    return {"frames": frames, "wall_s": watch.wall_s, "cpu_s": watch.cpu_s}
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+CASES: dict[str, Callable[[Inputs, int], dict]] = {
+    case.__name__: case for case in (dip_global, lift_slices, fft_lbfgs, solvephase_lm, long_exposure, lift_ramp,
+                                     lift_solvephase, lift_latency, model_images, model_jacobian)}
+
+
+if __name__ == "__main__":
+    name, folder, frames, threads = sys.argv[1:]
+    set_workers(int(threads))
+    imported_mib = peak_mib()
+    outcome = CASES[name](Inputs(Path(folder)), int(frames))
+    print(json.dumps(outcome | {"peak_mib": peak_mib(), "imported_mib": imported_mib}))

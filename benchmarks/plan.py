@@ -1,0 +1,43 @@
+"""Which cases are run, with how many frames and threads, and under which name they are listed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+CUBE = 300  # frames of the calibration that all NCPA cases are scaled to
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of the table.
+
+    Attributes
+    ----------
+    case : str
+        A function of `cases`.
+    frames, quick_frames : int
+        Frames that are really worked on, by default and with ``--quick``.
+    """
+
+    case: str
+    label: str
+    frames: int
+    quick_frames: int
+    threads: int = 1
+
+
+NCPA = (
+    Entry("fft_lbfgs", "padded FFT, autograd, L-BFGS, L1", 8, 3),
+    Entry("solvephase_lm", "solvephase, LM per frame, weighted", 8, 3),
+    Entry("dip_global", "irlos dip_global, L1", CUBE, 30),
+    Entry("dip_global", "irlos dip_global, L1", CUBE, 30, threads=2),
+    Entry("lift_slices", "irlos lift_slices, weighted", 100, 30),
+)
+OTHERS = (
+    Entry("long_exposure", "irlos long_exposure, calibration-sky, 65 modes", 200, 200),
+    Entry("lift_solvephase", "solvephase, LIFT, ramp, J+H at 6 wavelengths", 7, 3),
+    Entry("lift_ramp", "irlos lift, ramp, J+H at 6 wavelengths, halo", 42, 42),
+    Entry("lift_latency", "irlos lift, single frames, 2 wavelengths", 100, 20),
+    Entry("model_images", "irlos model, images, 1 wavelength", 480, 64),
+    Entry("model_jacobian", "irlos model, images and 29 derivatives", 160, 32),
+)

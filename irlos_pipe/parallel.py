@@ -1,0 +1,56 @@
+"""Worker threads for pieces of a batch.
+
+Matrices here are small: one thread per piece of a batch keeps two cores busy where threads
+inside every matrix product do not. And as each piece is computed by one thread, results are
+the same to the bit for any number of workers.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import torch
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_inside = threading.local()
+_pool: ThreadPoolExecutor | None = None
+
+
+def set_workers(count: int) -> None:
+    """Use `count` threads for pieces of batches, and one inside every matrix product.
+
+    Like `torch.set_num_threads`, which it calls, this is a setting of the process.
+    """
+    global _pool
+    torch.set_num_threads(1)
+    if _pool is not None:
+        _pool.shutdown()
+    _pool = ThreadPoolExecutor(count, "irlos") if count > 1 else None
+
+
+def ordered_map(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Results of `function` for every item, in order; side by side if there are workers.
+
+    Called from a worker, it runs in that worker: pieces of pieces do not wait for each other.
+    """
+    items = list(items)
+    if _pool is None or len(items) < 2 or getattr(_inside, "worker", False):
+        return [function(item) for item in items]
+    return list(_pool.map(_marked(function), items))
+
+
+def _marked(function: Callable[[Item], Result]) -> Callable[[Item], Result]:
+    """`function`, in a thread that knows it is a worker and inherits whether gradients are recorded."""
+    gradients = torch.is_grad_enabled()
+
+    def run(item: Item) -> Result:
+        _inside.worker = True
+        with torch.set_grad_enabled(gradients):
+            return function(item)
+
+    return run
