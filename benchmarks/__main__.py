@@ -15,6 +15,7 @@ import numpy as np
 from tqdm import tqdm
 
 from .breakdown import measure_breakdown
+from .docs import breakdown
 from .docs import write_docs as put_into_docs
 from .inputs import Inputs, prepare
 from .measure import in_own_process
@@ -33,7 +34,7 @@ def main(quick: bool, write_docs: bool) -> None:
         results = measure_all(Path(folder), quick)
     if not quick:
         RESULTS.write_text(json.dumps(results, indent=1) + "\n")
-    click.echo(render(results))
+    click.echo(f"{render(results)}\n\n{breakdown(results)}")
     if write_docs:
         put_into_docs(results)
 
@@ -46,10 +47,16 @@ def measure_all(folder: Path, quick: bool) -> dict:
     ncpa, others = ([_measure(entry, folder, quick, bar) for entry in entries] for entries in (NCPA, OTHERS))
     common = _compare(ncpa, Inputs(folder))
     bar.set_description("breakdown")
-    breakdown = measure_breakdown(Inputs(folder), frames=8 if quick else 32)
+    shares = measure_breakdown(Inputs(folder), frames=8 if quick else 32)
     bar.close()
-    return {"date": datetime.now(UTC).strftime("%Y-%m-%d"), "machine": _machine(), "common_frames": common,
-            "ncpa": ncpa, "others": others, "breakdown": breakdown}
+    return {
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "machine": _machine(),
+        "common_frames": common,
+        "ncpa": ncpa,
+        "others": others,
+        "breakdown": shares,
+    }
 
 
 def _measure(entry: Entry, folder: Path, quick: bool, bar: tqdm) -> dict:
@@ -73,8 +80,12 @@ def _compare(entries: list[dict], inputs: Inputs) -> int:
 
 
 def _machine() -> dict:
-    return {"cpu": _cpu_name(), "cores": os.cpu_count(), "python": platform.python_version(),
-            **{name: version(name) for name in ("torch", "numpy", "solvephase")}}
+    return {
+        "cpu": _cpu_name(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("torch", "numpy", "solvephase")},
+    }
 
 
 def _cpu_name() -> str:

@@ -16,7 +16,7 @@ from irlos_pipe.optics.zernike import zernike_basis
 
 PUPIL_SAMPLES = 127
 HISTORY = 20
-SCALE_NM = 10.0  # coefficients are optimised in units of this
+SCALE_NM = 100.0  # coefficients are optimised in units of this; the line search fails with much smaller ones
 MAX_ITERATIONS = 300
 WINDOW, RELATIVE_FALL = 10, 1e-3  # stop when the loss falls by less than this over as many iterations
 
@@ -30,8 +30,15 @@ class FftModel:
         Noll index to nm RMS.
     """
 
-    def __init__(self, geometry: PupilGeometry, nolls, diversity_nm: dict[int, float], wavelength_nm: float,
-                 pixel_scale_mas: float, window_px: int):
+    def __init__(
+        self,
+        geometry: PupilGeometry,
+        nolls,
+        diversity_nm: dict[int, float],
+        wavelength_nm: float,
+        pixel_scale_mas: float,
+        window_px: int,
+    ):
         step_m = geometry.diameter_m / PUPIL_SAMPLES
         self.wavelength_nm, self.window_px = wavelength_nm, window_px
         self.padded = round(wavelength_nm * 1e-9 / (step_m * pixel_scale_mas * MAS))
@@ -80,8 +87,14 @@ def fit(model: FftModel, images_e: torch.Tensor) -> tuple[np.ndarray, int]:
 
 def _minimise(values: torch.Tensor, loss) -> int:
     """L-BFGS until the loss no longer falls; returns the number of evaluations."""
-    optimiser = torch.optim.LBFGS([values], max_iter=WINDOW, history_size=HISTORY, line_search_fn="strong_wolfe",
-                                  tolerance_change=0.0, tolerance_grad=0.0)
+    optimiser = torch.optim.LBFGS(
+        [values],
+        max_iter=WINDOW,
+        history_size=HISTORY,
+        line_search_fn="strong_wolfe",
+        tolerance_change=0.0,
+        tolerance_grad=0.0,
+    )
 
     def closure() -> torch.Tensor:
         optimiser.zero_grad()

@@ -38,19 +38,34 @@ class SolvephaseFit:
     def __init__(self, settings: PsfSettings, modes: int, read_noise_e: float, loss: str):
         diameter = settings.geometry.diameter_m
         centres = grid_centres(PUPIL_SAMPLES, diameter / PUPIL_SAMPLES)
-        pupil = solvephase.Pupil.from_array(area_weighted_pupil(settings.geometry, centres), diameter=diameter)
+        pupil = solvephase.Pupil.from_array(
+            area_weighted_pupil(settings.geometry, centres), diameter=diameter
+        )
         wavelengths_nm, weights = np.array(settings.spectrum, float).T
         self.model = solvephase.FocalPlaneModel(
-            pupil, wavelengths_nm * NM, settings.window, pixel_scale=settings.pixel_scale_mas * MAS, weights=weights,
-            diversity=[_opd_m(pupil, settings.diversity)], precision="single")
+            pupil,
+            wavelengths_nm * NM,
+            settings.window,
+            pixel_scale=settings.pixel_scale_mas * MAS,
+            weights=weights,
+            diversity=[_opd_m(pupil, settings.diversity)],
+            precision="single",
+        )
         self.basis = solvephase.Basis.zernike(pupil, modes, start=2, annular=False)
         self.read_noise_e, self.loss = read_noise_e, loss
 
     def fit_nm(self, image_e: np.ndarray) -> np.ndarray:
         """Coefficients of one frame [nm RMS], started from zero."""
         weights = solvephase.noise_weights(image_e, self.read_noise_e) if self.loss == "gaussian" else None
-        problem = solvephase.FocalPlaneProblem(self.model, image_e, basis=self.basis, loss=self.loss, weights=weights,
-                                               read_noise=self.read_noise_e, fit_background=True)
+        problem = solvephase.FocalPlaneProblem(
+            self.model,
+            image_e,
+            basis=self.basis,
+            loss=self.loss,
+            weights=weights,
+            read_noise=self.read_noise_e,
+            fit_background=True,
+        )
         return solvephase.solve(problem, method="lm", ftol=TOLERANCE).coefficients / NM
 
     def fit_all_nm(self, images_e: Sequence[np.ndarray]) -> np.ndarray:
@@ -59,5 +74,7 @@ class SolvephaseFit:
 
 
 def _opd_m(pupil, zernike_nm: dict[int, float]) -> np.ndarray:
-    return sum(solvephase.zernike_diversity(pupil, noll, [nm * NM], annular=False)[0]
-               for noll, nm in zernike_nm.items())
+    return sum(
+        solvephase.zernike_diversity(pupil, noll, [nm * NM], annular=False)[0]
+        for noll, nm in zernike_nm.items()
+    )

@@ -14,17 +14,20 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
-from irlos_pipe.estimate.lift import LiftOptions
-from irlos_pipe.estimate.ramp_fit import fit_ramp
 from irlos_pipe.parallel import set_workers
-from irlos_pipe.stages.ramp_input import calibrated_ncpa_nm, ramp_effects, ramp_model, ramp_start, read_ramp
 
+from .cases import prepared_ramp
 from .inputs import Inputs
 
 PRODUCTS = ("mm", "bmm", "addmm", "baddbmm")
 MATRIX_DFT, REAL_PRODUCTS, DOUBLE_PRODUCTS, FFT, SOLVES, REST = (
-    "complex products (matrix DFT)", "float32 products (modes, pixels)", "float64 products (normal equations)",
-    "FFT (OTF factors)", "linear solves", "elementwise and copies")
+    "complex products (matrix DFT)",
+    "float32 products (modes, pixels)",
+    "float64 products (normal equations)",
+    "FFT (OTF factors)",
+    "linear solves",
+    "elementwise and copies",
+)
 PYTHON = "Python and dispatch"
 RATE_SIZE, RATE_REPEATS = 768, 10
 
@@ -58,8 +61,11 @@ def measure_breakdown(inputs: Inputs, frames: int) -> dict:
     """Shares of the groups for `dip_global` and LIFT, and the floor of each."""
     set_workers(1)
     rate = complex_rate_flops()
-    return {"complex_gflops": rate / 1e9, "dip_global": _profile(lambda: _dip_global(inputs, frames), rate),
-            "lift": _profile(_lift(inputs), rate)}
+    return {
+        "complex_gflops": rate / 1e9,
+        "dip_global": _profile(lambda: _dip_global(inputs, frames), rate),
+        "lift": _profile(prepared_ramp(inputs, "calibrated"), rate),
+    }
 
 
 def complex_rate_flops() -> float:
@@ -87,15 +93,6 @@ def _profile(fit, rate: float) -> dict:
 
 def _dip_global(inputs: Inputs, frames: int) -> None:
     calibrate(inputs.calibration_frames(frames), inputs.settings, CalibrationOptions("dip_global"))
-
-
-def _lift(inputs: Inputs):
-    context, ncpa_nm = inputs.context, calibrated_ncpa_nm(inputs.context)
-    ramp = read_ramp(context, context.config.input)
-    model = ramp_model(context, ramp, context.config.modes, ncpa_nm)
-    effects = ramp_effects(context, ramp.acquisition, "calibrated", "calibrated")
-    start_nm = ramp_start(context, model, ramp, ncpa_nm, context.config.start)
-    return lambda: fit_ramp(model, ramp.data, start_nm, LiftOptions(), effects)
 
 
 def _group(name: str, args) -> str:

@@ -22,7 +22,7 @@ from irlos_pipe.noise import NoiseModel
 from irlos_pipe.parallel import set_workers
 from irlos_pipe.psf import PsfModel, PsfSettings
 from irlos_pipe.stages.calibrate import Config as CalibrateConfig
-from irlos_pipe.stages.light_path import fixed_transfer, model_effects, psf_settings
+from irlos_pipe.stages.light_path import model_effects, psf_settings
 from irlos_pipe.stages.ramp_input import calibrated_ncpa_nm, ramp_effects, ramp_model, ramp_start, read_ramp
 from irlos_pipe.stages.recordings import recordings_from_product
 
@@ -39,8 +39,11 @@ def _calibrated(inputs: Inputs, count: int, method: str) -> dict:
     calibrate(inputs.calibration_frames(2), inputs.settings, options)  # libraries start up
     with stopwatch() as watch:
         result = calibrate(inputs.calibration_frames(count), inputs.settings, options)
-    return _timed(watch, count) | {"estimates_nm": result.frames_nm.tolist(), "iterations": result.iterations.tolist(),
-                                   "converged": result.frame_status.count("converged")}
+    return _timed(watch, count) | {
+        "estimates_nm": result.frames_nm.tolist(),
+        "iterations": result.iterations.tolist(),
+        "converged": result.frame_status.count("converged"),
+    }
 
 
 def dip_global(inputs: Inputs, count: int) -> dict:
@@ -80,27 +83,65 @@ def long_exposure(inputs: Inputs, count: int) -> dict:
     """The default method on ``data_samples/calibration-sky``."""
     context = inputs.context
     recording = recordings_from_product(context.products["ingest"], CalibrateConfig().input)[0].accepted()
-    frames = Frames(torch.as_tensor(recording.images_e[:count]), torch.as_tensor(recording.pixel_mask),
-                    NoiseModel.of(recording))
+    frames = Frames(
+        torch.as_tensor(recording.images_e[:count]),
+        torch.as_tensor(recording.pixel_mask),
+        NoiseModel.of(recording),
+    )
     with stopwatch() as watch:
-        result = calibrate(frames, psf_settings(context.instrument, context.model, recording), CalibrationOptions(),
-                           model_effects(context.instrument, context.model, recording.acquisition))
+        result = calibrate(
+            frames,
+            psf_settings(context.instrument, context.model, recording),
+            CalibrationOptions(),
+            model_effects(context.instrument, context.model, recording.acquisition),
+        )
     truth = true_zernike_nm("calibration-sky")
     found = dict(zip(result.nolls, result.zernike_nm, strict=True))
     error_nm = float(np.linalg.norm([found[noll] - truth[noll] for noll in NOLLS]))
     return _timed(watch, len(frames.images_e)) | {"error_nm": error_nm}
 
 
-def lift_ramp(inputs: Inputs, count: int) -> dict:
-    """LIFT of the ramp's frames in one batch: three modes, J+H, NCPAs and AO residual as calibrated."""
+def prepared_ramp(inputs: Inputs, halo: str) -> Callable[[], tuple[float, int]]:
+    """LIFT of the ramp's frames in one batch: three modes, J+H, NCPAs as calibrated.
+
+    Parameters
+    ----------
+    halo : {"calibrated", "off"}
+        AO residual and jitter as calibrated, or neither.
+
+    Returns
+    -------
+    callable
+        Fits, and returns the RMS error of the defocus [nm] and the number of frames.
+    """
     context, ncpa_nm = inputs.context, calibrated_ncpa_nm(inputs.context)
     ramp = read_ramp(context, context.config.input)
     model = ramp_model(context, ramp, context.config.modes, ncpa_nm)
-    effects = ramp_effects(context, ramp.acquisition, "calibrated", "calibrated")
+    effects = [] if halo == "off" else ramp_effects(context, ramp.acquisition, halo, "calibrated")
     start_nm = ramp_start(context, model, ramp, ncpa_nm, context.config.start)
+
+    def fit() -> tuple[float, int]:
+        found = fit_ramp(model, ramp.data, start_nm, LiftOptions(), effects).result
+        return _rms(found.mode(4)[0].numpy() - ramp.data.introduced_nm), len(ramp.names)
+
+    return fit
+
+
+def _lift_ramp(inputs: Inputs, halo: str) -> dict:
+    fit = prepared_ramp(inputs, halo)
     with stopwatch() as watch:
-        fit = fit_ramp(model, ramp.data, start_nm, LiftOptions(), effects)
-    return _timed(watch, len(ramp.names)) | {"error_nm": _rms(fit.result.mode(4)[0].numpy() - ramp.data.introduced_nm)}
+        error_nm, frames = fit()
+    return _timed(watch, frames) | {"error_nm": error_nm}
+
+
+def lift_ramp(inputs: Inputs, count: int) -> dict:
+    """All frames of the ramp with the full model."""
+    return _lift_ramp(inputs, "calibrated")
+
+
+def lift_ramp_bare(inputs: Inputs, count: int) -> dict:
+    """The same without AO residual and jitter, which `solvephase` does not have."""
+    return _lift_ramp(inputs, "off")
 
 
 def lift_solvephase(inputs: Inputs, count: int) -> dict:
@@ -109,7 +150,9 @@ def lift_solvephase(inputs: Inputs, count: int) -> dict:
 
     context = inputs.context
     ramp = read_ramp(context, context.config.input)
-    settings = psf_settings(context.instrument, context.model, ramp.recordings[0], calibrated_ncpa_nm(context))
+    settings = psf_settings(
+        context.instrument, context.model, ramp.recordings[0], calibrated_ncpa_nm(context)
+    )
     fitter = SolvephaseFit(settings, 3, ramp.acquisition.detector.read_noise_e, "poisson")
     chosen = np.linspace(0, len(ramp.names) - 1, count).astype(int)
     fitter.fit_nm(ramp.data.images_e[0].numpy())
@@ -120,19 +163,28 @@ def lift_solvephase(inputs: Inputs, count: int) -> dict:
 
 def lift_latency(inputs: Inputs, count: int) -> dict:
     """One frame at a time, three modes, two wavelengths, no AO residual."""
-    settings = PsfSettings(inputs.settings.geometry, (WINDOW_PX, WINDOW_PX), PIXEL_SCALE_MAS, TWO_WAVELENGTHS, DIVERSITY_NM)
+    settings = PsfSettings(
+        inputs.settings.geometry, (WINDOW_PX, WINDOW_PX), PIXEL_SCALE_MAS, TWO_WAVELENGTHS, DIVERSITY_NM
+    )
     model = PsfModel(settings, (2, 3, 4))
     frames = inputs.calibration_frames(1)
     truth_nm = torch.tensor([[20.0, -30.0, 100.0]])
-    image_e = torch.poisson(model.images(truth_nm).clamp_min(0) * 1e5, generator=torch.Generator().manual_seed(1))
+    image_e = torch.poisson(
+        model.images(truth_nm).clamp_min(0) * 1e5, generator=torch.Generator().manual_seed(1)
+    )
     times_s = []
     for _ in range(count):
         with stopwatch() as watch:
             lift(model, image_e, frames.pixel_mask, frames.noise, torch.zeros_like(truth_nm))
         times_s.append((watch.wall_s, watch.cpu_s))
     wall_s, cpu_s = np.array(times_s).T
-    return {"frames": count, "wall_s": float(wall_s.sum()), "cpu_s": float(cpu_s.sum()),
-            "median_ms": float(np.median(wall_s) * 1e3), "p99_ms": float(np.percentile(wall_s, 99) * 1e3)}
+    return {
+        "frames": count,
+        "wall_s": float(wall_s.sum()),
+        "cpu_s": float(cpu_s.sum()),
+        "median_ms": float(np.median(wall_s) * 1e3),
+        "p99_ms": float(np.percentile(wall_s, 99) * 1e3),
+    }
 
 
 def _model_case(inputs: Inputs, count: int, jacobian: bool) -> dict:
@@ -166,8 +218,21 @@ def _rms(values: np.ndarray) -> float:
 
 
 CASES: dict[str, Callable[[Inputs, int], dict]] = {
-    case.__name__: case for case in (dip_global, lift_slices, fft_lbfgs, solvephase_lm, long_exposure, lift_ramp,
-                                     lift_solvephase, lift_latency, model_images, model_jacobian)}
+    case.__name__: case
+    for case in (
+        dip_global,
+        lift_slices,
+        fft_lbfgs,
+        solvephase_lm,
+        long_exposure,
+        lift_ramp,
+        lift_ramp_bare,
+        lift_solvephase,
+        lift_latency,
+        model_images,
+        model_jacobian,
+    )
+}
 
 
 if __name__ == "__main__":

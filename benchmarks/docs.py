@@ -15,7 +15,9 @@ def write_docs(results: dict) -> None:
     text = PAGE.read_text(encoding="utf-8")
     for name, content in (("table", f"```text\n{render(results)}\n```"), ("breakdown", breakdown(results))):
         block = f"<!-- {name} -->\n{content}\n<!-- end of {name} -->"
-        text, found = re.subn(rf"<!-- {name} -->.*?<!-- end of {name} -->", lambda _, block=block: block, text, flags=re.S)
+        text, found = re.subn(
+            rf"<!-- {name} -->.*?<!-- end of {name} -->", lambda _, block=block: block, text, flags=re.S
+        )
         if not found:
             raise SystemExit(f"{PAGE.name}: no place for the {name}: the markers <!-- {name} --> are missing")
     PAGE.write_text(text, encoding="utf-8")
@@ -26,9 +28,13 @@ def breakdown(results: dict) -> str:
     measured = results["breakdown"]
     dip, lift = measured["dip_global"], measured["lift"]
     groups = sorted(dip["shares"] | lift["shares"], key=lambda group: -dip["shares"].get(group, 0.0))
-    rows = [f"| {group} | {dip['shares'].get(group, 0.0):.0%} | {lift['shares'].get(group, 0.0):.0%} |"
-            for group in groups]
-    floor = f"| floor: the matrix DFTs at {measured['complex_gflops']:.0f} GFlop/s | " \
-            f"{dip['floor_s'] / dip['seconds']:.0%} | {lift['floor_s'] / lift['seconds']:.0%} |"
+    rows = [
+        f"| {group} | {dip['shares'].get(group, 0.0):.0%} | {lift['shares'].get(group, 0.0):.0%} |"
+        for group in groups
+    ]
+    floor = (
+        f"| floor: the matrix DFTs at {measured['complex_gflops']:.0f} GFlop/s | "
+        f"{dip['floor_s'] / dip['seconds']:.0%} | {lift['floor_s'] / lift['seconds']:.0%} |"
+    )
     distance = f"| distance to the floor | {dip['over_floor']:.1f}× | {lift['over_floor']:.1f}× |"
     return "\n".join(["| one thread | dip_global | lift, ramp |", "|---|---|---|", *rows, floor, distance])

@@ -42,7 +42,7 @@ class BenchFrames:
 
     def error_nm(self, estimates_nm: np.ndarray) -> float:
         """Total RMS over the modes of the mean estimate of the first frames against their mean truth."""
-        difference = np.nanmean(estimates_nm, axis=0) - self.truth_nm[:len(estimates_nm)].mean(axis=0)
+        difference = np.nanmean(estimates_nm, axis=0) - self.truth_nm[: len(estimates_nm)].mean(axis=0)
         return float(np.sqrt(np.sum(difference**2)))
 
 
@@ -92,7 +92,7 @@ class _Simulator:
     def _fit_nm(self, opd_nm: np.ndarray) -> np.ndarray:
         """What `Telescope.fit_zernike_nm` returns, with the normal matrix kept."""
         if not hasattr(self, "_normal"):
-            modes = self.telescope.modes[:NOLLS[-1] + 1].reshape(NOLLS[-1] + 1, -1)
+            modes = self.telescope.modes[: NOLLS[-1] + 1].reshape(NOLLS[-1] + 1, -1)
             self._weighted = modes * self.telescope.transmission.ravel()
             self._normal = self._weighted @ modes.T
-        return np.linalg.solve(self._normal, self._weighted @ opd_nm.ravel())[1:NOLLS[-1]]
+        return np.linalg.solve(self._normal, self._weighted @ opd_nm.ravel())[1 : NOLLS[-1]]

@@ -23,7 +23,16 @@ from irlos_pipe.stages import lift
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.model import ModelConfig
 
-from .frames import DIVERSITY_NM, PIXEL_SCALE_MAS, READ_NOISE_E, SAMPLES, WAVELENGTH_NM, WINDOW_PX, BenchFrames, draw
+from .frames import (
+    DIVERSITY_NM,
+    PIXEL_SCALE_MAS,
+    READ_NOISE_E,
+    SAMPLES,
+    WAVELENGTH_NM,
+    WINDOW_PX,
+    BenchFrames,
+    draw,
+)
 
 RECIPE = SAMPLES.parent / "recipes" / "full_reduction.yaml"
 
@@ -32,8 +41,18 @@ def prepare(folder: Path, frames: int, progress) -> None:
     """Draw the frames, and reduce the data samples as far as LIFT needs them."""
     drawn = draw(frames, progress)
     np.savez(folder / "frames.npz", images_e=drawn.images_e, truth_nm=drawn.truth_nm)
-    command = [sys.executable, "-m", "irlos_pipe", "run", str(RECIPE), "--output", str(folder / "run"),
-               "--to", "calibrate", "-q"]
+    command = [
+        sys.executable,
+        "-m",
+        "irlos_pipe",
+        "run",
+        str(RECIPE),
+        "--output",
+        str(folder / "run"),
+        "--to",
+        "calibrate",
+        "-q",
+    ]
     subprocess.run(command, check=False, capture_output=True)
     if not list((folder / "run").glob("*_calibrate.h5")):
         raise SystemExit(f"the reduction of the data samples failed; repeat it with: {' '.join(command[1:])}")
@@ -60,19 +79,37 @@ class Inputs:
     @cached_property
     def settings(self) -> PsfSettings:
         """PSF model of the drawn frames."""
-        return PsfSettings(load_instrument("irlos").pupil, (WINDOW_PX, WINDOW_PX), PIXEL_SCALE_MAS,
-                           ((WAVELENGTH_NM, 1.0),), DIVERSITY_NM)
+        return PsfSettings(
+            load_instrument("irlos").pupil,
+            (WINDOW_PX, WINDOW_PX),
+            PIXEL_SCALE_MAS,
+            ((WAVELENGTH_NM, 1.0),),
+            DIVERSITY_NM,
+        )
 
     def calibration_frames(self, count: int) -> Frames:
         """The first drawn frames as `calibrate` takes them."""
-        return Frames(torch.as_tensor(self.frames.images_e[:count]), torch.ones(WINDOW_PX, WINDOW_PX, dtype=torch.bool),
-                      NoiseModel(1.0, READ_NOISE_E**2))
+        return Frames(
+            torch.as_tensor(self.frames.images_e[:count]),
+            torch.ones(WINDOW_PX, WINDOW_PX, dtype=torch.bool),
+            NoiseModel(1.0, READ_NOISE_E**2),
+        )
 
     @cached_property
     def context(self) -> StageContext:
         """Context of the stage `lift` behind the reduction of the data samples."""
-        return StageContext(lift.Config(), ModelConfig(), load_instrument("irlos"), {}, self._products, "cpu", 0, 1,
-                            _silent, logging.getLogger("benchmarks"))
+        return StageContext(
+            lift.Config(),
+            ModelConfig(),
+            load_instrument("irlos"),
+            {},
+            self._products,
+            "cpu",
+            0,
+            1,
+            _silent,
+            logging.getLogger("benchmarks"),
+        )
 
     @property
     def _products(self) -> dict[str, Product]:

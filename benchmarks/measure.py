@@ -12,8 +12,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
-                    "AOCORE_FFT_WORKERS", "AOCORE_BLAS_THREADS")
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "AOCORE_FFT_WORKERS",
+    "AOCORE_BLAS_THREADS",
+)
 MIB = 2**20
 
 
@@ -50,7 +55,11 @@ def in_own_process(case: str, folder: Path, frames: int, threads: int) -> dict:
     """
     environment = os.environ | dict.fromkeys(THREAD_VARIABLES, str(threads))
     command = [sys.executable, "-m", "benchmarks.cases", case, str(folder), str(frames), str(threads)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, cwd=Path(__file__).parents[1])
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, cwd=Path(__file__).parents[1]
+    )
     if done.returncode != 0:
-        raise SystemExit(f"benchmark {case} failed: {(done.stderr.strip().splitlines() or ['no message'])[-1]}")
+        raise SystemExit(
+            f"benchmark {case} failed: {(done.stderr.strip().splitlines() or ['no message'])[-1]}"
+        )
     return json.loads(done.stdout.splitlines()[-1]) | {"case": case, "threads": threads}

@@ -36,6 +36,7 @@ NCPA = (
 OTHERS = (
     Entry("long_exposure", "irlos long_exposure, calibration-sky, 65 modes", 200, 200),
     Entry("lift_solvephase", "solvephase, LIFT, ramp, J+H at 6 wavelengths", 7, 3),
+    Entry("lift_ramp_bare", "irlos lift, ramp, J+H at 6 wavelengths", 42, 42),
     Entry("lift_ramp", "irlos lift, ramp, J+H at 6 wavelengths, halo", 42, 42),
     Entry("lift_latency", "irlos lift, single frames, 2 wavelengths", 100, 20),
     Entry("model_images", "irlos model, images, 1 wavelength", 480, 64),

@@ -1,7 +1,8 @@
 """`seeing_halo`: the long-exposure OTF of the AO residual, ``exp(-½ (2π/λ)² D(b))``.
 
 The structure function D is that of the residual inside the correction band (free variance,
-slope and two-fold anisotropy) plus the von Kármán turbulence beyond it (from the seeing).
+slope and two-fold anisotropy) plus that of the von Kármán turbulence beyond it (from the
+seeing, times a free factor). Variances are the parameters: ∂μ/∂σ vanishes at σ = 0.
 """
 
 from __future__ import annotations
@@ -44,27 +45,28 @@ class SeeingHalo:
     def __init__(self, band: ResidualBand, seeing_arcsec: float):
         self.band, self.r0_m = band, seeing_to_r0_m(seeing_arcsec)
         expected = in_band_wfe_nm(band, seeing_arcsec)
+        self.fitting_nm2 = fitting_variance_nm2(band, self.r0_m)
         self.parameters = (
-            Parameter("wfe_nm", "nm", expected, expected, expected, 0.0, 1000.0),
+            Parameter("variance_nm2", "nm²", expected**2, expected**2, 2 * expected**2, 0.0, 1e6),
             Parameter("slope", "", 2.0, 2.0, 1.0, -1.0, 6.0),
             Parameter("stretch_cos", "", 0.0, 0.0, 0.7, -3.0, 3.0),
             Parameter("stretch_sin", "", 0.0, 0.0, 0.7, -3.0, 3.0),
+            Parameter("beyond_cutoff", "", 1.0, 1.0, 0.5, 0.0, 10.0),
         )
         self._grid: OtfGrid | None = None
 
     def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """``½ (2π/λ)² D(b)``, D in nm²."""
         self._prepare(grid)
-        structure = self._in_band.structure_nm2(*values) + self._fitting
+        structure = self._in_band.structure_nm2(*values[:4]) + values[4] * self._fitting
         return 0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2 * structure
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """In-band WFE, total WFE, PSD slope and direction of the elongation."""
-        wfe, slope, cos2, sin2 = (float(v) for v in values)
-        total = np.hypot(wfe, np.sqrt(fitting_variance_nm2(self.band, self.r0_m)))
+        variance, slope, cos2, sin2, beyond = (float(v) for v in values)
         return {
-            "wfe_nm": float(total),
-            "in_band_wfe_nm": wfe,
+            "wfe_nm": float(np.sqrt(variance + beyond * self.fitting_nm2)),
+            "in_band_wfe_nm": float(np.sqrt(variance)),
             "slope": slope,
             "stretch": float(np.hypot(cos2, sin2)),
             "stretch_angle_deg": float(np.rad2deg(np.arctan2(sin2, cos2)) / 2 % 180),
@@ -72,8 +74,9 @@ class SeeingHalo:
 
     def values_of(self, wfe_nm: float) -> list[float]:
         """Solver's parameters for a known total residual [nm RMS], its shape as expected."""
-        in_band = np.sqrt(max(wfe_nm**2 - fitting_variance_nm2(self.band, self.r0_m), 0.0))
-        return [float(in_band), *(p.start for p in self.parameters[1:])]
+        beyond = min(1.0, wfe_nm**2 / self.fitting_nm2)
+        in_band = wfe_nm**2 - beyond * self.fitting_nm2
+        return [in_band, *(p.start for p in self.parameters[1:4]), beyond]
 
     def _prepare(self, grid: OtfGrid) -> None:
         """Quadrature matrices for these baselines, made once."""

@@ -16,7 +16,7 @@ from typing import Protocol
 import torch
 
 CHI2_TOLERANCE = 1e-3
-ROUNDING = 1e-7  # relative rounding of an objective whose images are propagated in float32
+ROUNDING = 1e-6  # relative rounding of an objective whose images are propagated in float32
 DAMPING_START, DAMPING_MIN, DAMPING_MAX = 1e-3, 1e-9, 1e9
 
 CONVERGED, MAX_ITERATIONS, STALLED, INVALID = "converged", "max_iterations", "stalled", "invalid"

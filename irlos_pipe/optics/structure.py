@@ -94,20 +94,20 @@ class InBandResidual:
         self.cos2 = torch.as_tensor(np.cos(2 * aa))
         self.sin2 = torch.as_tensor(np.sin(2 * aa))
 
-    def structure_nm2(self, wfe_nm, slope, stretch_cos=0.0, stretch_sin=0.0) -> torch.Tensor:
+    def structure_nm2(self, variance_nm2, slope, stretch_cos=0.0, stretch_sin=0.0) -> torch.Tensor:
         """Structure function [nm²], shape of the baselines; differentiable in every argument.
 
         Parameters
         ----------
-        wfe_nm : tensor or float
-            RMS of the in-band residual [nm].
+        variance_nm2 : tensor or float
+            Variance of the in-band residual [nm²]; D is linear in it.
         slope : tensor or float
             PSD ∝ f^(-slope).
         stretch_cos, stretch_sin : tensor or float
             PSD ∝ exp(stretch_cos cos 2θ + stretch_sin sin 2θ).
         """
         shape = torch.exp(-slope * self.log_f + stretch_cos * self.cos2 + stretch_sin * self.sin2)
-        psd = wfe_nm**2 * shape / torch.sum(self.area * shape)
+        psd = variance_nm2 * shape / torch.sum(self.area * shape)
         return (self.matrix @ psd).reshape(self.shape)
 
 

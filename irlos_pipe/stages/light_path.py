@@ -109,9 +109,11 @@ def calibrated_effects(
         elif key in product.arrays:
             values = np.array(product.arrays[key].value, float)
             if name == SeeingHalo.name:
-                values[0] *= in_band_wfe_nm(effect.band, seeing_arcsec(acquisition)) / in_band_wfe_nm(
-                    effect.band, calibration_seeing_arcsec
+                now, then = (
+                    in_band_wfe_nm(effect.band, seeing)
+                    for seeing in (seeing_arcsec(acquisition), calibration_seeing_arcsec)
                 )
+                values[0] *= (now / then) ** 2
             pinned[name] = Pinned(effect, values)
     return pinned
 

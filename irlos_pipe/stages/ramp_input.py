@@ -102,7 +102,7 @@ def ramp_effects(
     if halo != "off" and SeeingHalo.name in available:
         pinned = known.get(SeeingHalo.name) or expected([available[SeeingHalo.name]])[0]
         effects.append(
-            pinned if halo == "calibrated" else Pinned(pinned.effect, pinned.values, free=("wfe_nm",))
+            pinned if halo == "calibrated" else Pinned(pinned.effect, pinned.values, free=("variance_nm2",))
         )
     if isinstance(object_sigma_mas, str):
         jitter = known.get(TipTiltJitter.name)

@@ -1,0 +1,66 @@
+"""Figures as SVG that take text and line colours from the page, so that they follow its dark mode."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+
+import matplotlib
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+# Okabe and Ito's palette, which colour-blind readers can tell apart.
+BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#cc79a7"
+SKY, YELLOW = "#56b4e9", "#e69f00"
+CYCLE = (BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW)
+INK, FAINT = "#1c2733", "#c9d0d7"
+# The page gives these their values, for light and for dark.
+PAGE_COLOURS = {INK: "currentColor", FAINT: "var(--faint)", BLUE: "var(--blue)", ORANGE: "var(--orange)",
+                GREEN: "var(--green)", PURPLE: "var(--purple)", SKY: "var(--sky)", YELLOW: "var(--yellow)"}
+STYLE = {
+    "svg.fonttype": "none", "svg.hashsalt": "irlos", "font.size": 9, "axes.titlesize": 9,
+    "text.color": INK, "axes.edgecolor": INK, "axes.labelcolor": INK, "xtick.color": INK, "ytick.color": INK,
+    "axes.grid": True, "grid.color": FAINT, "grid.linewidth": 0.5, "axes.axisbelow": True,
+    "axes.linewidth": 0.7, "axes.spines.top": False, "axes.spines.right": False,
+    "axes.prop_cycle": matplotlib.cycler(color=CYCLE), "lines.linewidth": 1.4,
+    "legend.frameon": False, "legend.fontsize": 8, "xtick.labelsize": 8, "ytick.labelsize": 8,
+    "figure.constrained_layout.use": True, "errorbar.capsize": 1.5,
+}
+# What matplotlib writes and a page must not have: a header, rules for all its elements, a size in points.
+UNWANTED = re.compile(r'\A.*?(?=<svg)|<metadata>.*?</metadata>\s*|<style .*?</style>\s*| (?:width|height)="[\d.]+pt"',
+                      re.DOTALL)
+IDENTIFIER = re.compile(r'(?<=\sid=")|(?<=href="#)|(?<=url\(#)')
+FONT = re.compile(r"font-family: [^;\"]*")
+
+
+def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None]) -> Markup:
+    """Draw a figure and return it as SVG to stand inside a page.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page: identifiers inside the SVG begin with it.
+    size_in : tuple of float
+        Width and height [inch]; the page scales it.
+    draw : callable
+        Fills the empty figure.
+    """
+    with matplotlib.rc_context():
+        # Whatever the user's matplotlibrc says, a report looks the same everywhere.
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(STYLE)
+        figure = Figure(figsize=size_in)
+        draw(figure)
+        text = io.StringIO()
+        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
+    return Markup(_for_page(text.getvalue(), name))
+
+
+def _for_page(text: str, name: str) -> str:
+    """Drop what a page does not need, let the page size and colour it, keep identifiers apart."""
+    text = FONT.sub("font-family: inherit", UNWANTED.sub("", text))
+    text = IDENTIFIER.sub(f"{name}-", text)
+    for colour, page_colour in PAGE_COLOURS.items():
+        text = text.replace(colour, page_colour)
+    return text

@@ -1,0 +1,97 @@
+"""Detector images on mas axes, and thumbnails."""
+
+from __future__ import annotations
+
+import base64
+import io
+
+import matplotlib
+import numpy as np
+from markupsafe import Markup
+from matplotlib.axes import Axes
+from matplotlib.colors import AsinhNorm, LogNorm, Normalize
+from matplotlib.figure import Figure
+
+from irlos_pipe.report.drawing import svg
+
+BRIGHTNESS = matplotlib.colormaps["inferno"].with_extremes(bad="#8d979f")
+SIGNED = matplotlib.colormaps["RdBu_r"].with_extremes(bad="#8d979f00")
+PANEL_IN = (3.5, 2.9)
+SIGMA_LIMIT = 5.0
+DECADES = 4.0
+# The asinh scale turns linear below this part of the peak.
+LINEAR_PART = 3e-3
+
+
+def brightness_scale(*images: np.ndarray) -> Normalize:
+    """One asinh scale for several images: linear near zero, logarithmic above."""
+    low, high = _range(*images)
+    return AsinhNorm(linear_width=LINEAR_PART * max(abs(low), abs(high)), vmin=min(low, 0.0), vmax=high)
+
+
+def log_scale(*images: np.ndarray) -> Normalize:
+    """One logarithmic scale over four decades below the peak."""
+    high = _range(*images)[1]
+    return LogNorm(high * 10**-DECADES, high, clip=True)
+
+
+def symmetric_scale(limit: float) -> Normalize:
+    """Linear scale about zero."""
+    return Normalize(-limit, limit)
+
+
+def image_panel(name: str, image: np.ndarray, scale: Normalize, pixel_scale_mas: float | None, unit: str,
+                colours: matplotlib.colors.Colormap = BRIGHTNESS, pixel_mask: np.ndarray | None = None) -> Markup:
+    """Draw an image with its colour bar; axes in mas (px without a scale) from the centre of the window.
+
+    Parameters
+    ----------
+    image : ndarray, (rows, columns)
+        Row 0 is at the bottom.
+    pixel_mask : ndarray of bool, optional
+        Pixels that are False were not used and get a cross.
+    """
+    step, axis_unit = (pixel_scale_mas, "mas") if pixel_scale_mas else (1.0, "px")
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        shown = axes.imshow(image, norm=scale, cmap=colours, origin="lower", interpolation="none",
+                            extent=_extent(image.shape, step))
+        axes.set(xlabel=f"x [{axis_unit}]", ylabel=f"y [{axis_unit}]")
+        axes.grid(False)
+        _cross_out(axes, pixel_mask, step)
+        figure.colorbar(shown, ax=axes, label=unit, shrink=0.9)
+
+    return svg(name, PANEL_IN, draw)
+
+
+def thumbnail(image: np.ndarray) -> Markup:
+    """Return a small picture without axes as an ``img`` element."""
+    data = io.BytesIO()
+    pixels = BRIGHTNESS(brightness_scale(image)(np.ma.masked_invalid(image)), bytes=True)
+    matplotlib.image.imsave(data, pixels, format="png", origin="lower", metadata={"Software": None})
+    content = base64.b64encode(data.getvalue()).decode()
+    return Markup('<img class="thumbnail" alt="mean frame" src="data:image/png;base64,{}">').format(content)
+
+
+def _range(*images: np.ndarray) -> tuple[float, float]:
+    """Smallest and largest finite value; 0 and 1 when there is none or no contrast."""
+    values = np.concatenate([np.ravel(image) for image in images])
+    values = values[np.isfinite(values)]
+    if values.size == 0 or values.max() <= 0:
+        return 0.0, 1.0
+    return float(values.min()), float(values.max())
+
+
+def _extent(shape: tuple[int, int], step: float) -> tuple[float, float, float, float]:
+    half_y, half_x = (0.5 * side * step for side in shape)
+    return -half_x, half_x, -half_y, half_y
+
+
+def _cross_out(axes: Axes, pixel_mask: np.ndarray | None, step: float) -> None:
+    if pixel_mask is None or pixel_mask.all():
+        return
+    rows, columns = pixel_mask.shape
+    y, x = np.nonzero(~pixel_mask)
+    axes.plot((x - (columns - 1) / 2) * step, (y - (rows - 1) / 2) * step, "x",
+              color="white", markersize=3, markeredgewidth=0.7)

@@ -1,0 +1,60 @@
+"""Radial profiles on a logarithmic axis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from irlos_pipe.report.drawing import svg
+
+SIZE_IN = (4.4, 3.2)
+
+
+def ring_means(image: np.ndarray, centre_px: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Azimuthal means in rings one pixel wide that lie inside the window.
+
+    Parameters
+    ----------
+    image : ndarray, (rows, columns)
+        Values that are not finite are left out.
+    centre_px : tuple of float
+        Row and column of the rings' centre.
+
+    Returns
+    -------
+    radius_px, mean : ndarray, (rings,)
+        NaN for a ring without finite values.
+    """
+    rows, columns = np.indices(image.shape)
+    radius = np.hypot(rows - centre_px[0], columns - centre_px[1])
+    edge = min(*centre_px, image.shape[0] - 1 - centre_px[0], image.shape[1] - 1 - centre_px[1])
+    good = np.isfinite(image) & (radius < max(edge, 1.0))
+    ring = radius[good].astype(int)
+    count = np.bincount(ring)
+    with np.errstate(invalid="ignore"):
+        return np.bincount(ring, radius[good]) / count, np.bincount(ring, image[good]) / count
+
+
+def profile_plot(name: str, curves: Mapping[str, tuple[np.ndarray, np.ndarray, str, str]],
+                 units: tuple[str, str]) -> Markup:
+    """Draw profiles; values that are not positive leave gaps.
+
+    Parameters
+    ----------
+    curves : mapping
+        By label: radius, values, colour and line style.
+    units : tuple of str
+        Of the radius, and the label of the values' axis.
+    """
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        for label, (radius, values, colour, style) in curves.items():
+            axes.plot(radius, np.where(values > 0, values, np.nan), style, color=colour, label=label)
+        axes.set(yscale="log", xlabel=f"radius [{units[0]}]", ylabel=units[1])
+        axes.set_xlim(left=0)
+        axes.legend()
+
+    return svg(name, SIZE_IN, draw)

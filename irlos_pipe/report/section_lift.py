@@ -1,0 +1,70 @@
+"""Section on LIFT: the ramp, what the parts of the model buy, images per offset."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from irlos_pipe.estimate.ramp import travel_direction
+from irlos_pipe.report.content import Figure, Section, Table
+from irlos_pipe.report.ramp_plots import RESIDUAL_LIMIT, RampPoints, image_strip, ramp_plot
+from irlos_pipe.report.run_data import RunData
+from irlos_pipe.report.text import number, plural, with_error
+
+STAGE = "lift"
+VARIANT_COLUMNS = ("model", "slope", "offset [nm]", "error [nm RMS]", "about the line [nm RMS]", "saw-tooth [nm]")
+
+
+def lift_section(run: RunData) -> Section:
+    """Build the section."""
+    results = run.results(STAGE)
+    blocks = [*_ramp(results), *_variants(results), *_strip(run), *_offsets(results)]
+    return Section(STAGE, "Defocus ramp (LIFT)", _lead(results), blocks)
+
+
+def _lead(results: dict[str, Any]) -> str:
+    modes = ", ".join(map(str, results.get("modes", [])))
+    ncpas = "added to the diversity" if results.get("calibrated") else "left out"
+    return f"Noll {modes} of {plural(len(results.get('points', [])), 'frame')}; NCPAs {ncpas}."
+
+
+def _ramp(results: dict[str, Any]) -> list[Figure]:
+    points = results.get("points", [])
+    introduced = np.array([point["introduced_nm"] for point in points], dtype=float)
+    if not np.isfinite(introduced).any():
+        return []
+    defocus, sigma = (np.array([point.get(key) for point in points], dtype=float)
+                      for key in ("defocus_nm", "sigma_nm"))
+    converged = np.array([bool(point.get("converged", True)) for point in points])
+    missing = int(np.sum(~np.isfinite(defocus)))
+    caption = ("Frames of one offset stand side by side in order of time; the colour tells from which side the "
+               "offset was reached." + (f" {plural(missing, 'frame')} without estimate." if missing else ""))
+    direction = travel_direction(introduced).astype(int)
+    return [Figure(ramp_plot(RampPoints(introduced, defocus, sigma, direction, converged)), "Ramp", caption)]
+
+
+def _variants(results: dict[str, Any]) -> list[Table]:
+    summaries = {"as configured": results.get("summary", {})} | (results.get("compare") or {})
+    rows = [(name, with_error(one.get("slope"), one.get("slope_sigma"), ".4f"), number(one.get("offset_nm"), "+.1f"),
+             number(one.get("rms_nm")), number(one.get("residual_rms_nm")), number(one.get("saw_tooth_nm"), "+.1f"))
+            for name, one in summaries.items()]
+    return [Table(VARIANT_COLUMNS, rows, "What the parts of the model buy" if len(rows) > 1 else "Ramp in numbers",
+                  "Saw-tooth: mean residual of offsets reached upwards minus downwards.")]
+
+
+def _strip(run: RunData) -> list[Figure]:
+    offsets, measured, model = (run.array(STAGE, name) for name in
+                                ("offsets_nm", "measured_per_offset_e", "model_per_offset_e"))
+    if offsets is None or measured is None or model is None or len(offsets) == 0:
+        return []
+    return [Figure(image_strip(offsets, measured, model), "Mean image per offset",
+                   f"Asinh scale to the peak of each offset; residual ±{RESIDUAL_LIMIT:.0%} of the model's peak "
+                   "(blue: model too bright).", "full")]
+
+
+def _offsets(results: dict[str, Any]) -> list[Table]:
+    rows = [(number(one["introduced_nm"], "+.1f"), number(one["median_nm"], "+.1f"), number(one["scatter_nm"]))
+            for one in results.get("offsets", [])]
+    columns = ("introduced [nm]", "median [nm]", "1σ over frames [nm]")
+    return [Table(columns, rows, "Median per offset", folded=True)] if rows else []
