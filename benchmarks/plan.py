@@ -27,8 +27,8 @@ class Entry:
 
 
 NCPA = (
-    Entry("fft_lbfgs", "padded FFT, autograd, L-BFGS, L1", 8, 3),
-    Entry("solvephase_lm", "solvephase, LM per frame, weighted", 8, 3),
+    Entry("fft_lbfgs", "padded FFT, autograd, L-BFGS, L1", 12, 3),
+    Entry("solvephase_lm", "solvephase, LM per frame, weighted", 12, 3),
     Entry("dip_global", "irlos dip_global, L1", CUBE, 30),
     Entry("dip_global", "irlos dip_global, L1", CUBE, 30, threads=2),
     Entry("lift_slices", "irlos lift_slices, weighted", 100, 30),

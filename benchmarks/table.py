@@ -72,7 +72,8 @@ def _notes(results: dict) -> list[str]:
         "speed-up: processor time per frame of the first line over that of the line.",
         "error: total RMS of Noll 2-30 of the mean estimate against the truth, of all frames of the line and",
         f"of the first {common}, which all lines have fitted; LIFT: RMS of the defocus over the ramp.",
-        f"single-frame LIFT: median {latency['median_ms']:.1f} ms, 99th percentile {latency['p99_ms']:.1f} ms.",
+        f"single-frame LIFT: median {latency['median_ms']:.1f} ms, "
+        f"99th percentile {latency['p99_ms']:.1f} ms.",
     ]
 
 

@@ -148,7 +148,9 @@ def calibrate(
     began = time.perf_counter()
     method, options = options.resolved()
     effects = tuple(effects) if method.effects else ()
-    model = PsfModel(settings, range(2, options.highest_noll + 1), device=device)
+    # A mean image is so precise that the rounding of float32 shows in its chi-square.
+    dtype = torch.float64 if method.images == "mean" else torch.float32
+    model = PsfModel(settings, range(2, options.highest_noll + 1), device=device, dtype=dtype)
     transfer = Transfer(effects, OtfGrid(model.grid, model.wavelengths_m)) if effects else None
     problem = _problem(frames, model, method, options, transfer)
     solution = _solve(problem, _start(frames, problem, settings), options, report)

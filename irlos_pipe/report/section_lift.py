@@ -31,8 +31,9 @@ def _lead(results: dict[str, Any]) -> str:
 
 def _ramp(results: dict[str, Any]) -> list[Figure]:
     points = results.get("points", [])
+    points = [point for point in results.get("points", []) if point.get("introduced_nm") is not None]
     introduced = np.array([point["introduced_nm"] for point in points], dtype=float)
-    if not np.isfinite(introduced).any():
+    if not points:
         return []
     defocus, sigma = (np.array([point.get(key) for point in points], dtype=float)
                       for key in ("defocus_nm", "sigma_nm"))

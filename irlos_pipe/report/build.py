@@ -1,0 +1,89 @@
+"""Build report.html: one file that needs nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+import jinja2
+import numpy as np
+
+from irlos_pipe.atomic import write_bytes
+from irlos_pipe.report.content import Section, Text
+from irlos_pipe.report.key_numbers import key_numbers
+from irlos_pipe.report.run_data import RunData, read_run
+from irlos_pipe.report.section_calibrate import calibrate_section
+from irlos_pipe.report.section_correct import correct_section
+from irlos_pipe.report.section_ingest import ingest_section
+from irlos_pipe.report.section_lift import lift_section
+from irlos_pipe.report.section_origin import finished, origin_section, warnings
+from irlos_pipe.report.section_prior import prior_section
+from irlos_pipe.report.section_quality import quality_section
+from irlos_pipe.report.section_sensitivity import sensitivity_section
+from irlos_pipe.runfolder import RunFolder
+
+# Results first, in the order in which they build on one another; what went in comes behind.
+SECTIONS: dict[str, Callable[[RunData], Section]] = {
+    "calibrate": calibrate_section, "correct": correct_section, "prior": prior_section, "lift": lift_section,
+    "sensitivity": sensitivity_section, "ingest": ingest_section}
+TEMPLATE = "report.html.j2"
+
+
+def write_report(run_folder: Path) -> Path:
+    """Build the report of a run from its products; the same products give the same file.
+
+    Parameters
+    ----------
+    run_folder : Path
+        Folder of a run; any stage may be missing.
+
+    Returns
+    -------
+    Path
+        The report.
+
+    Raises
+    ------
+    InputDataError
+        When it is not the folder of a run, or a product cannot be read.
+    IrlosError
+        When the report cannot be written.
+    """
+    run = read_run(run_folder)
+    path = RunFolder(Path(run_folder)).report
+    write_bytes(path, _render(run).encode())
+    return path
+
+
+def _render(run: RunData) -> str:
+    page = jinja2.Environment(loader=jinja2.PackageLoader("irlos_pipe.report"), autoescape=True, trim_blocks=True,
+                              lstrip_blocks=True, undefined=jinja2.StrictUndefined)
+    return page.get_template(TEMPLATE).render(
+        run=run, title=run.recipe.get("title") or run.recipe["recipe"], targets=_targets(run),
+        observed=_observed(run), finished=finished(run), key_numbers=key_numbers(run), warnings=warnings(run),
+        sections=_sections(run))
+
+
+def _sections(run: RunData) -> list[Section]:
+    known = [build(run) for stage, build in SECTIONS.items() if stage in run.products]
+    others = [_plain_section(stage, run) for stage in run.products if stage not in SECTIONS]
+    return [section for section in (*known, *others, quality_section(run), origin_section(run)) if section]
+
+
+def _plain_section(stage: str, run: RunData) -> Section:
+    """What the stage told on the terminal, for stages without drawings."""
+    lines = run.products[stage].provenance.get("summary", [])
+    return Section(stage, stage.capitalize(), blocks=[Text("\n".join(lines), verbatim=True)])
+
+
+def _targets(run: RunData) -> str:
+    return ", ".join(sorted({r.acquisition.target for r in run.recordings if r.acquisition.target}))
+
+
+def _observed(run: RunData) -> str:
+    """When the recordings were taken, first to last day (UTC)."""
+    starts = [r.start_unix_s for r in run.recordings if np.isfinite(r.start_unix_s)]
+    days = [datetime.fromtimestamp(start, UTC).strftime("%Y-%m-%d %H:%M") for start in (min(starts), max(starts))] \
+        if starts else []
+    return " – ".join(dict.fromkeys(days))

@@ -1,0 +1,60 @@
+"""Section on the correction: predicted image before and after, and the offsets."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from irlos_pipe.report.content import Figure, Section, Table
+from irlos_pipe.report.drawing import BLUE, INK, ORANGE
+from irlos_pipe.report.images import image_panel, log_scale
+from irlos_pipe.report.modes import mode_name
+from irlos_pipe.report.radial import profile_plot
+from irlos_pipe.report.run_data import RunData
+from irlos_pipe.report.text import MISSING, number
+
+STAGE = "correct"
+IMAGES = {"before": "Before", "after": "After"}
+
+
+def correct_section(run: RunData) -> Section:
+    """Build the section."""
+    return Section(STAGE, "Correction", _lead(run), [*_images(run), *_profile(run), *_offsets(run)])
+
+
+def _lead(run: RunData) -> str:
+    results = run.results(STAGE)
+    files = ", ".join(run.products[STAGE].provenance.get("files", []))
+    return (f"Predicted Strehl {number(results.get('strehl_before'), '.3f')} → "
+            f"{number(results.get('strehl_after'), '.3f')}{f'; offsets in {files}' if files else ''}.")
+
+
+def _images(run: RunData) -> list[Figure]:
+    images = {name: run.array(STAGE, name) for name in IMAGES}
+    if any(image is None for image in images.values()):
+        return []
+    scale = log_scale(*images.values())
+    return [Figure(image_panel(f"psf-{name}", image, scale, run.pixel_scale_mas(STAGE), "part of the flux per pixel"),
+                   f"{IMAGES[name]} correction", "Prediction without diversity and noise; same scale.", "third")
+            for name, image in images.items()]
+
+
+def _profile(run: RunData) -> list[Figure]:
+    radius = run.array(STAGE, "radius_mas")
+    profiles = {name: run.array(STAGE, f"profile_{name}") for name in IMAGES}
+    if radius is None or any(profile is None for profile in profiles.values()):
+        return []
+    looks = {"before": (ORANGE, "--"), "after": (BLUE, "-")}
+    curves = {name: (radius, profile, *looks[name]) for name, profile in profiles.items()}
+    return [Figure(profile_plot("psf-profile", curves, ("mas", "mean of the ring, part of the flux")),
+                   "Radial profile", "Predicted.", "third")]
+
+
+def _offsets(run: RunData) -> list[Table]:
+    nolls, offsets, sigma = run.array(STAGE, "noll"), run.array(STAGE, "offset_nm"), run.error_of(STAGE, "offset_nm")
+    if nolls is None or offsets is None:
+        return []
+    sigma = np.full(len(nolls), np.nan) if sigma is None else sigma
+    rows = [(str(int(noll)), mode_name(int(noll)), number(offset, "+.2f"), number(error, ".2f"))
+            for noll, offset, error in zip(nolls, offsets, sigma, strict=True)]
+    return [Table(("Noll", "mode", "offset [nm RMS]", "1σ [nm]"), rows, "Modal offsets",
+                  f"{run.results(STAGE).get('sign', '')}. {MISSING} as error: mode not estimated.")]

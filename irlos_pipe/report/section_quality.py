@@ -1,0 +1,50 @@
+"""Section on quality control."""
+
+from __future__ import annotations
+
+from irlos_pipe.product import Check
+from irlos_pipe.report.content import Section, Table
+from irlos_pipe.report.run_data import RunData
+from irlos_pipe.report.text import number
+
+COLUMNS = ("", "check", "value", "limits", "message")
+# A stage with more passed checks than this shows them when asked.
+FOLDED_ABOVE = 10
+
+
+def quality_section(run: RunData) -> Section | None:
+    """Build the section: failed checks first, then those of each stage; None without any check."""
+    checks = [(stage, check) for stage, product in run.products.items() for check in product.checks]
+    if not checks:
+        return None
+    failed = [check for _, check in checks if not check.passed]
+    passed = {stage: [check for owner, check in checks if owner == stage and check.passed] for stage in run.products}
+    tables = [_table("Failed", failed)] if failed else []
+    few = [check for found in passed.values() if len(found) <= FOLDED_ABOVE for check in found]
+    tables += [_table("Passed", few)] if few else []
+    tables += [_table(f"Passed: {len(found)} of {stage}", found, folded=True)
+               for stage, found in passed.items() if len(found) > FOLDED_ABOVE]
+    return Section("quality", "Quality control", quality_text(run), tables)
+
+
+def quality_text(run: RunData) -> str:
+    """Return how many checks passed."""
+    checks = [check for product in run.products.values() for check in product.checks]
+    return f"{sum(check.passed for check in checks)} of {len(checks)} checks passed"
+
+
+def _table(title: str, checks: list[Check], folded: bool = False) -> Table:
+    marks = ["good" if check.passed else "bad" for check in checks]
+    return Table(COLUMNS, [_row(check) for check in checks], title, marks=marks, folded=folded)
+
+
+def _row(check: Check) -> tuple[str, ...]:
+    unit = "" if check.unit == "1" else check.unit
+    return "passed" if check.passed else "FAILED", check.name, number(check.value, ".4g", unit), _limits(check), \
+        check.message
+
+
+def _limits(check: Check) -> str:
+    if check.low is None or check.high is None:
+        return f"≤ {check.high:g}" if check.high is not None else f"≥ {check.low:g}" if check.low is not None else ""
+    return f"{check.low:g} … {check.high:g}"
