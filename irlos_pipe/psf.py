@@ -29,6 +29,7 @@ from .optics.propagate import (
     focal_samples_for,
     focal_to_pixels,
     pupil_to_focal,
+    require_resolved,
 )
 from .optics.pupil import PupilGeometry, band_limited_pupil
 from .optics.zernike import noll_to_nm, zernike_basis
@@ -100,25 +101,21 @@ class PsfModel:
         self.wavelengths_m = wavelengths * NM
         self.weights = weights / weights.sum()
         u, amplitude = band_limited_pupil(settings.geometry, settings.pupil_samples)
-        width = len(u) * (u[1] - u[0])
-        self.grid = self._focal_grid(len(u) * (u[1] - u[0]))
+        self.grid = self._focal_grid(u)
         self._set_pupil(u, amplitude)
         self._set_pixels()
 
     # -- construction ------------------------------------------------------------------------
 
-    def _focal_grid(self, width_m: float) -> FocalGrid:
+    def _focal_grid(self, u: np.ndarray) -> FocalGrid:
+        step_m, wavelength_m = u[1] - u[0], self.wavelengths_m.min()
+        window_px, scale_mas = max(self.settings.window), self.settings.pixel_scale_mas
+        require_resolved(window_px, scale_mas, wavelength_m, step_m)
         samples, padded = (
-            focal_samples_for(
-                max(self.settings.window),
-                self.settings.pixel_scale_mas,
-                margin,
-                self.wavelengths_m.min(),
-                width_m,
-            )
+            focal_samples_for(window_px, scale_mas, margin, wavelength_m, len(u) * step_m)
             for margin in (self.settings.margin_mas, self.settings.halo_margin_mas)
         )
-        return FocalGrid(samples, width_m, max(samples, padded))
+        return FocalGrid(samples, len(u) * step_m, max(samples, padded))
 
     def _set_pupil(self, u: np.ndarray, amplitude: np.ndarray) -> None:
         radius = self.settings.geometry.diameter_m / 2

@@ -1,15 +1,16 @@
 """Physical effects beyond the static wavefront, each declaring where on the light path it acts."""
 
-from .base import OtfEffect, OtfGrid, Parameter
+from .base import Conditions, OtfEffect, OtfGrid, Parameter
 from .pinned import Pinned
 from .seeing_halo import SeeingHalo
 from .tip_tilt_jitter import TipTiltJitter
 from .transfer import Transfer
 
-EFFECTS = (SeeingHalo.name, TipTiltJitter.name)
+CATALOGUE = {effect.name: effect for effect in (SeeingHalo, TipTiltJitter)}
 
 __all__ = [
-    "EFFECTS",
+    "CATALOGUE",
+    "Conditions",
     "OtfEffect",
     "OtfGrid",
     "Parameter",

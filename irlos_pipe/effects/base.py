@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from ..optics.propagate import FocalGrid
+from ..optics.structure import ResidualBand
 
 
 @dataclass(frozen=True)
@@ -53,11 +54,23 @@ class OtfGrid:
         self.wavelengths_m = torch.as_tensor(np.asarray(wavelengths_m, float))[:, None, None]
 
 
+@dataclass(frozen=True)
+class Conditions:
+    """Circumstances of a recording that effects may start from: AO band and seeing."""
+
+    band: ResidualBand
+    seeing_arcsec: float
+
+
 class OtfEffect(Protocol):
     """An effect that multiplies the OTF by ``exp(-exponent)``."""
 
     name: str
     parameters: tuple[Parameter, ...]
+
+    @classmethod
+    def under(cls, conditions: Conditions) -> OtfEffect:
+        """The effect with starts and priors for these conditions."""
 
     def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """Minus the logarithm of the OTF factor, broadcastable to (wavelengths, p, p//2 + 1)."""

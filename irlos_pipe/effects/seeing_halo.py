@@ -1,8 +1,9 @@
 """`seeing_halo`: the long-exposure OTF of the AO residual, ``exp(-½ (2π/λ)² D(b))``.
 
 The structure function D is that of the residual inside the correction band (free variance,
-slope and two-fold anisotropy) plus that of the von Kármán turbulence beyond it (from the
-seeing, times a free factor). Variances are the parameters: ∂μ/∂σ vanishes at σ = 0.
+slope and two-fold anisotropy; the variance, because ∂μ/∂σ vanishes at σ = 0) plus that of the
+von Kármán turbulence beyond it, which the seeing fixes: its light falls mostly outside a window
+of 0.6", where it cannot be told from flux and background.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from ..optics.structure import (
     fitting_variance_nm2,
     seeing_to_r0_m,
 )
-from .base import OtfGrid, Parameter
+from .base import Conditions, OtfGrid, Parameter
 
 NM = 1e-9
 WFE_PER_ARCSEC_NM, WFE_FLOOR_NM = 104.27, 58.6  # total residual against seeing, GALACSI test report 2019
@@ -51,21 +52,25 @@ class SeeingHalo:
             Parameter("slope", "", 2.0, 2.0, 1.0, -1.0, 6.0),
             Parameter("stretch_cos", "", 0.0, 0.0, 0.7, -3.0, 3.0),
             Parameter("stretch_sin", "", 0.0, 0.0, 0.7, -3.0, 3.0),
-            Parameter("beyond_cutoff", "", 1.0, 1.0, 0.5, 0.0, 10.0),
         )
         self._grid: OtfGrid | None = None
+
+    @classmethod
+    def under(cls, conditions: Conditions) -> SeeingHalo:
+        """See `OtfEffect.under`."""
+        return cls(conditions.band, conditions.seeing_arcsec)
 
     def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """``½ (2π/λ)² D(b)``, D in nm²."""
         self._prepare(grid)
-        structure = self._in_band.structure_nm2(*values[:4]) + values[4] * self._fitting
+        structure = self._in_band.structure_nm2(*values) + self._fitting
         return 0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2 * structure
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """In-band WFE, total WFE, PSD slope and direction of the elongation."""
-        variance, slope, cos2, sin2, beyond = (float(v) for v in values)
+        variance, slope, cos2, sin2 = (float(v) for v in values)
         return {
-            "wfe_nm": float(np.sqrt(variance + beyond * self.fitting_nm2)),
+            "wfe_nm": float(np.sqrt(variance + self.fitting_nm2)),
             "in_band_wfe_nm": float(np.sqrt(variance)),
             "slope": slope,
             "stretch": float(np.hypot(cos2, sin2)),
@@ -74,9 +79,7 @@ class SeeingHalo:
 
     def values_of(self, wfe_nm: float) -> list[float]:
         """Solver's parameters for a known total residual [nm RMS], its shape as expected."""
-        beyond = min(1.0, wfe_nm**2 / self.fitting_nm2)
-        in_band = wfe_nm**2 - beyond * self.fitting_nm2
-        return [in_band, *(p.start for p in self.parameters[1:4]), beyond]
+        return [max(wfe_nm**2 - self.fitting_nm2, 0.0), *(p.start for p in self.parameters[1:])]
 
     def _prepare(self, grid: OtfGrid) -> None:
         """Quadrature matrices for these baselines, made once."""

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from ..optics.propagate import MAS
-from .base import OtfGrid, Parameter
+from .base import Conditions, OtfGrid, Parameter
 
 
 class TipTiltJitter:
@@ -19,6 +19,11 @@ class TipTiltJitter:
 
     def __init__(self, start_mas: float = 7.0):
         self.parameters = (Parameter("variance_mas2", "mas²", start_mas**2, lower=0.0, upper=3600.0),)
+
+    @classmethod
+    def under(cls, conditions: Conditions) -> TipTiltJitter:
+        """See `OtfEffect.under`; nothing here depends on the conditions."""
+        return cls()
 
     def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """``2π² σ² |b|² / λ²``."""

@@ -83,7 +83,8 @@ class ImageFit:
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
         """Objective, gradient and Gauss–Newton Hessian, see `solve.Problem`."""
-        value, gradient, hessian = (torch.cat(tensors) for tensors in zip(*self._map(self._normal, x, which)))
+        pieces = zip(*self._map(self._normal, x, which), strict=True)
+        value, gradient, hessian = (torch.cat(tensors) for tensors in pieces)
         precision, offset = self.prior_precision[which], x - self.prior_mean[which]
         return (
             value + self._prior_value(x, which),
@@ -93,7 +94,7 @@ class ImageFit:
 
     def _map(self, function, x, which):
         """`function` of pieces of a few members, small enough for the processor's cache."""
-        pieces = zip(x.split(FRAMES_PER_CHUNK), which.split(FRAMES_PER_CHUNK))
+        pieces = zip(x.split(FRAMES_PER_CHUNK), which.split(FRAMES_PER_CHUNK), strict=True)
         return ordered_map(lambda piece: function(*piece), pieces)
 
     def _prior_value(self, x, which):

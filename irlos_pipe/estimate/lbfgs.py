@@ -45,5 +45,6 @@ def solve_lbfgs(problem: ImageFit, start: torch.Tensor, *, max_iterations: int =
     value, gradient, hessian = problem.normal_equations(x, everyone)
     small = (gradient.abs() * scale).amax(1) < 10 * GRADIENT_TOLERANCE * (2 * value).clamp_min(1).sqrt()
     finite = torch.isfinite(value)
-    status = [CONVERGED if s and f else MAX_ITERATIONS if f else INVALID for s, f in zip(small, finite)]
+    outcome = zip(small, finite, strict=True)
+    status = [CONVERGED if s and f else MAX_ITERATIONS if f else INVALID for s, f in outcome]
     return Solution(x, _inverse(hessian), status, torch.full((len(start),), evaluations), value)

@@ -143,9 +143,8 @@ def _merge(first: LiftResult, second: LiftResult, where: torch.Tensor, better: t
         return mixed
 
     status = list(first.solution.status)
-    for position, chosen in zip(where.tolist(), range(len(where))):
-        if better[chosen]:
-            status[position] = second.solution.status[chosen]
+    for chosen in torch.nonzero(better)[:, 0].tolist():
+        status[int(where[chosen])] = second.solution.status[chosen]
     a, b = first.solution, second.solution
     solution = Solution(
         mix(a.values, b.values),

@@ -155,7 +155,7 @@ def scan(
         rows.append((*_percentiles(error[~failed]), float(bound.median()), int(failed.sum())))
         if report is not None:
             report(1)
-    median, low, high, crb, failures = (np.array(column) for column in zip(*rows))
+    median, low, high, crb, failures = (np.array(column) for column in zip(*rows, strict=True))
     limit = limiting_magnitude(np.asarray(magnitudes, float), median, failures / len(introduced), criterion)
     return Curve(
         model.nolls, np.asarray(magnitudes, float), median, low, high, crb, failures, len(introduced), limit

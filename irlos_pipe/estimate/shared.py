@@ -78,7 +78,7 @@ def _reduced(problem: ImageFit, transfer: Transfer, values: torch.Tensor, x: tor
     gradient = torch.zeros(len(values), dtype=torch.float64)
     information = torch.zeros(len(values), len(values), dtype=torch.float64)
     own = problem.layout.size
-    for part, which in zip(x.split(8), torch.arange(len(x)).split(8)):
+    for part, which in zip(x.split(8), torch.arange(len(x)).split(8), strict=True):
         columns, residual = _whitened_columns(problem, derivatives, part, which)
         force, normal = columns @ residual[..., None], columns @ columns.mT
         normal[:, :own, :own] += torch.diag_embed(problem.prior_precision[which]).to(normal.device)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .pupil import grid_centres
+from .pupil import PASS_BAND, grid_centres
 
 MAS = np.pi / 180 / 3600e3  # one milliarcsecond [rad]
 
@@ -62,6 +62,24 @@ def focal_samples_for(
     return samples + (-samples) % 4
 
 
+def require_resolved(window_px: int, pixel_scale_mas: float, wavelength_m: float, step_m: float) -> None:
+    """Refuse a window wider than what the sampled pupil's spectrum is good for.
+
+    Raises
+    ------
+    ValueError
+        Beyond it the low-pass of the pupil, and then its periodic replicas, falsify the image.
+    """
+    reach_mas = PASS_BAND * wavelength_m / (2 * step_m) / MAS
+    if window_px * pixel_scale_mas > 2 * reach_mas:
+        needed = window_px * pixel_scale_mas / (2 * reach_mas)
+        raise ValueError(
+            f"a window of {window_px} px x {pixel_scale_mas} mas is wider than the {2 * reach_mas:.0f} mas "
+            f"for which the pupil is sampled at {wavelength_m * 1e9:.0f} nm; "
+            f"use at least {needed:.3g} times as many pupil samples"
+        )
+
+
 def pupil_to_focal(u_m: np.ndarray, grid: FocalGrid) -> np.ndarray:
     """Matrix ``exp(-2πi (a/λ) u) du``, shape (focal samples, pupil samples)."""
     return np.exp(-2j * np.pi * np.outer(grid.frequency_per_m, u_m)) * (u_m[1] - u_m[0])
@@ -104,7 +122,7 @@ def baseline_to_pixels(
     if pixels * pixel_scale_mas * MAS > field_rad:
         raise ValueError(
             f"a window of {pixels} px x {pixel_scale_mas} mas is wider than the computed field of "
-            f"{field_rad / MAS:.0f} mas at {wavelength_m * 1e9:.0f} nm: it would alias; use more focal samples"
+            f"{field_rad / MAS:.0f} mas at {wavelength_m * 1e9:.0f} nm: it would alias"
         )
     pixel = pixel_scale_mas * MAS / wavelength_m  # in units of 1/baseline
     centres = pixel_centres_rad(pixels, pixel_scale_mas) / wavelength_m

@@ -17,8 +17,7 @@ import numpy as np
 import torch
 from scipy.special import j0
 
-RADIAL_POINTS = 48  # in band, logarithmic
-ANGLES = 24  # over half a turn: the PSD is even
+SPARE_NODES, SPARE_ANGLES = 8, 8  # beyond what the fringes of the longest baseline need
 VON_KARMAN = 0.0229  # rad² m^(-11/3) r0^(-5/3), e.g. Roddier 1981
 
 
@@ -80,10 +79,7 @@ class InBandResidual:
     """
 
     def __init__(self, bx_m: np.ndarray, by_m: np.ndarray, band: ResidualBand):
-        f, weight = _log_grid(band.low_per_m, band.cutoff_per_m, RADIAL_POINTS)
-        angle = (np.arange(ANGLES) + 0.5) * np.pi / ANGLES
-        ff, aa = (grid.ravel() for grid in np.meshgrid(f, angle, indexing="ij"))
-        area = 2 * (ff * np.repeat(weight, ANGLES)) * np.pi / ANGLES  # both half planes
+        ff, aa, area = _polar_grid(band, max(np.abs(bx_m).max(), np.abs(by_m).max()))
         phase = (
             2 * np.pi * (np.outer(bx_m.ravel(), ff * np.cos(aa)) + np.outer(by_m.ravel(), ff * np.sin(aa)))
         )
@@ -115,3 +111,19 @@ def _log_grid(low: float, high: float, points: int) -> tuple[np.ndarray, np.ndar
     """Mid-points and widths of `points` logarithmic bins between `low` and `high`."""
     edges = np.geomspace(low, high, points + 1)
     return np.sqrt(edges[1:] * edges[:-1]), np.diff(edges)
+
+
+def _polar_grid(band: ResidualBand, longest_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frequency, angle and area of the quadrature points in the band, over half a turn: the PSD is even.
+
+    Gauss–Legendre in √f, and equal angles, for which the sum over a period converges
+    exponentially; both as many as the fringes ``cos(2π f·b)`` of baselines up to `longest_m` need.
+    """
+    cycles = longest_m * (band.cutoff_per_m - band.low_per_m)
+    nodes, weights = np.polynomial.legendre.leggauss(SPARE_NODES + int(np.ceil(2 * cycles)))
+    low, high = np.sqrt([band.low_per_m, band.cutoff_per_m])
+    root = (low + high + (high - low) * nodes) / 2
+    f, width = root**2, root * (high - low) * weights
+    angles = np.ceil(np.pi * f * longest_m).astype(int) + SPARE_ANGLES
+    angle = np.concatenate([(np.arange(count) + 0.5) * np.pi / count for count in angles])
+    return np.repeat(f, angles), angle, np.repeat(2 * f * width * np.pi / angles, angles)

@@ -82,8 +82,10 @@ def _targets(run: RunData) -> str:
 
 
 def _observed(run: RunData) -> str:
-    """When the recordings were taken, first to last day (UTC)."""
+    """When the first and the last recording began (UTC)."""
     starts = [r.start_unix_s for r in run.recordings if np.isfinite(r.start_unix_s)]
-    days = [datetime.fromtimestamp(start, UTC).strftime("%Y-%m-%d %H:%M") for start in (min(starts), max(starts))] \
-        if starts else []
-    return " – ".join(dict.fromkeys(days))
+    if not starts:
+        return ""
+    first, last = (datetime.fromtimestamp(start, UTC) for start in (min(starts), max(starts)))
+    end = f"{last:%H:%M}" if last.date() == first.date() else f"{last:%Y-%m-%d %H:%M}"
+    return f"{first:%Y-%m-%d %H:%M} – {end} UTC" if len(starts) > 1 else f"{first:%Y-%m-%d %H:%M} UTC"

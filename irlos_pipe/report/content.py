@@ -60,13 +60,21 @@ class Text:
 
 
 @dataclass(frozen=True)
+class Stack:
+    """Blocks below one another that together take half of the page."""
+
+    kind: ClassVar[str] = "stack"
+    blocks: Sequence[Figure | Table | Text]
+
+
+@dataclass(frozen=True)
 class Section:
     """A part of the report with a heading; `lead` says in one line what was done."""
 
     name: str
     title: str
     lead: str = ""
-    blocks: list[Figure | Table | Text] = field(default_factory=list)
+    blocks: list[Figure | Table | Text | Stack] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ STYLE = {
     "text.color": INK, "axes.edgecolor": INK, "axes.labelcolor": INK, "xtick.color": INK, "ytick.color": INK,
     "axes.grid": True, "grid.color": FAINT, "grid.linewidth": 0.5, "axes.axisbelow": True,
     "axes.linewidth": 0.7, "axes.spines.top": False, "axes.spines.right": False,
+    "axes.facecolor": "none", "figure.facecolor": "none",
     "axes.prop_cycle": matplotlib.cycler(color=CYCLE), "lines.linewidth": 1.4,
     "legend.frameon": False, "legend.fontsize": 8, "xtick.labelsize": 8, "ytick.labelsize": 8,
     "figure.constrained_layout.use": True, "errorbar.capsize": 1.5,
@@ -53,7 +54,7 @@ def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None])
         figure = Figure(figsize=size_in)
         draw(figure)
         text = io.StringIO()
-        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
+        figure.savefig(text, format="svg", metadata={"Date": None})
     return Markup(_for_page(text.getvalue(), name))
 
 

@@ -16,7 +16,10 @@ from irlos_pipe.report.drawing import svg
 
 BRIGHTNESS = matplotlib.colormaps["inferno"].with_extremes(bad="#8d979f")
 SIGNED = matplotlib.colormaps["RdBu_r"].with_extremes(bad="#8d979f00")
-PANEL_IN = (3.5, 2.9)
+PANEL_IN = (3.55, 2.85)
+# Where the image and its colour bar stand in a panel: left, bottom, width, height [inch].
+IMAGE_BOX_IN = (0.55, 0.45, 2.3, 2.3)
+BAR_BOX_IN = (2.93, 0.45, 0.1, 2.3)
 SIGMA_LIMIT = 5.0
 DECADES = 4.0
 # The asinh scale turns linear below this part of the peak.
@@ -54,15 +57,24 @@ def image_panel(name: str, image: np.ndarray, scale: Normalize, pixel_scale_mas:
     step, axis_unit = (pixel_scale_mas, "mas") if pixel_scale_mas else (1.0, "px")
 
     def draw(figure: Figure) -> None:
-        axes = figure.subplots()
+        axes, bar = panel_axes(figure)
         shown = axes.imshow(image, norm=scale, cmap=colours, origin="lower", interpolation="none",
                             extent=_extent(image.shape, step))
         axes.set(xlabel=f"x [{axis_unit}]", ylabel=f"y [{axis_unit}]")
-        axes.grid(False)
         _cross_out(axes, pixel_mask, step)
-        figure.colorbar(shown, ax=axes, label=unit, shrink=0.9)
+        figure.colorbar(shown, cax=bar, label=unit)
 
     return svg(name, PANEL_IN, draw)
+
+
+def panel_axes(figure: Figure) -> tuple[Axes, Axes]:
+    """Add axes for a square image and for a colour bar of the same height."""
+    width, height = figure.get_size_inches()
+    image, bar = (figure.add_axes((left / width, bottom / height, across / width, up / height))
+                  for left, bottom, across, up in (IMAGE_BOX_IN, BAR_BOX_IN))
+    image.grid(False)
+    bar.grid(False)
+    return image, bar
 
 
 def thumbnail(image: np.ndarray) -> Markup:
@@ -84,7 +96,7 @@ def _range(*images: np.ndarray) -> tuple[float, float]:
 
 
 def _extent(shape: tuple[int, int], step: float) -> tuple[float, float, float, float]:
-    half_y, half_x = (0.5 * side * step for side in shape)
+    half_y, half_x = (0.5 * step * side for side in shape)
     return -half_x, half_x, -half_y, half_y
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from irlos_pipe.report.drawing import BLUE, CYCLE, INK, ORANGE, svg
-from irlos_pipe.report.images import PANEL_IN, SIGNED, symmetric_scale
+from irlos_pipe.report.drawing import BLUE, CYCLE, FAINT, INK, ORANGE, svg
+from irlos_pipe.report.images import PANEL_IN, SIGNED, panel_axes, symmetric_scale
 from irlos_pipe.report.modes import label
 
 WIDTH_IN = 4.4
@@ -26,8 +26,9 @@ def coefficient_bars(name: str, nolls: Sequence[int], values_nm: np.ndarray, sig
         axes = figure.subplots()
         axes.barh(rows, values_nm, height=0.75, color=BLUE, xerr=np.nan_to_num(sigma_nm),
                   error_kw={"ecolor": INK, "elinewidth": 0.9})
-        for other, marker, colour in zip(others_nm, MARKERS, CYCLE[1:], strict=False):
-            axes.plot(others_nm[other], rows, marker, color=colour, markersize=3.5, label=other)
+        for place, (other, coefficients_nm) in enumerate(others_nm.items()):
+            axes.plot(coefficients_nm, rows, MARKERS[place % len(MARKERS)], color=CYCLE[1 + place % (len(CYCLE) - 1)],
+                      markersize=3.5, label=other)
         axes.axvline(0, color=INK, linewidth=0.7)
         axes.set(yticks=rows, yticklabels=[label(noll) for noll in nolls], xlabel="coefficient [nm RMS]",
                  ylim=(len(nolls) - 0.4, -0.6))
@@ -59,7 +60,7 @@ def coefficients_in_time(name: str, nolls: Sequence[int], frames_nm: np.ndarray,
 
 
 def wavefront_map(name: str, opd_nm: np.ndarray, limit_nm: float) -> Markup:
-    """Draw a wavefront over the pupil; NaN outside it.
+    """Draw a wavefront over the pupil, which NaN outside it show.
 
     Parameters
     ----------
@@ -67,11 +68,11 @@ def wavefront_map(name: str, opd_nm: np.ndarray, limit_nm: float) -> Markup:
         End of the colour scale, the same for maps to be compared.
     """
     def draw(figure: Figure) -> None:
-        axes = figure.subplots()
+        axes, bar = panel_axes(figure)
         shown = axes.imshow(opd_nm, norm=symmetric_scale(limit_nm), cmap=SIGNED, origin="lower",
                             interpolation="none", extent=(-1, 1, -1, 1))
-        axes.grid(False)
+        axes.set_facecolor(FAINT)
         axes.set(xlabel="x [pupil radii]", ylabel="y [pupil radii]")
-        figure.colorbar(shown, ax=axes, label="OPD [nm]", shrink=0.9)
+        figure.colorbar(shown, cax=bar, label="OPD [nm]", extend="both")
 
     return svg(name, PANEL_IN, draw)

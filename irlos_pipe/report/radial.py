@@ -39,7 +39,7 @@ def ring_means(image: np.ndarray, centre_px: tuple[float, float]) -> tuple[np.nd
 
 
 def profile_plot(name: str, curves: Mapping[str, tuple[np.ndarray, np.ndarray, str, str]],
-                 units: tuple[str, str]) -> Markup:
+                 units: tuple[str, str], size_in: tuple[float, float] = SIZE_IN) -> Markup:
     """Draw profiles; values that are not positive leave gaps.
 
     Parameters
@@ -57,4 +57,4 @@ def profile_plot(name: str, curves: Mapping[str, tuple[np.ndarray, np.ndarray, s
         axes.set_xlim(left=0)
         axes.legend()
 
-    return svg(name, SIZE_IN, draw)
+    return svg(name, size_in, draw)

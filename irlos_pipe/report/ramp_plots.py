@@ -13,12 +13,12 @@ from irlos_pipe.report.drawing import BLUE, INK, ORANGE, PURPLE, svg
 from irlos_pipe.report.images import BRIGHTNESS, SIGNED, brightness_scale, symmetric_scale
 
 # Direction of travel: label, marker, colour.
-TRAVEL = {1: ("defocus was raised ▲", "^", ORANGE), -1: ("defocus was lowered ▼", "v", BLUE),
+TRAVEL = {1: ("defocus was raised", "^", ORANGE), -1: ("defocus was lowered", "v", BLUE),
           0: ("first offset", "o", PURPLE)}
 SPREAD = 0.3  # of the step between offsets
-RESIDUAL_LIMIT = 0.1  # of the model's peak
+RESIDUAL_PERCENTILE = 99.8
 STRIP_COLUMNS = 9
-CELL_IN = 1.0
+CELL_IN = 1.5
 
 
 @dataclass(frozen=True)
@@ -56,19 +56,21 @@ def ramp_plot(points: RampPoints) -> Markup:
     return svg("ramp", (4.8, 4.8), draw)
 
 
-def image_strip(offsets_nm: np.ndarray, measured: np.ndarray, model: np.ndarray) -> Markup:
+def image_strip(offsets_nm: np.ndarray, measured: np.ndarray, model: np.ndarray, limit: float) -> Markup:
     """Draw measured, model and residual of some offsets, each column on its own scale.
 
     Parameters
     ----------
     measured, model : ndarray, (offsets, rows, columns)
+    limit : float
+        End of the residual's colour scale, in parts of the model's peak.
     """
     chosen = np.unique(np.linspace(0, len(offsets_nm) - 1, min(STRIP_COLUMNS, len(offsets_nm))).astype(int))
 
     def draw(figure: Figure) -> None:
         grid = figure.subplots(3, len(chosen), squeeze=False)
         for column, index in zip(grid.T, chosen, strict=True):
-            _draw_column(column, measured[index], model[index])
+            _draw_column(column, measured[index], model[index], limit)
             column[0].set_title(f"{offsets_nm[index]:+.0f} nm")
         for axes, name in zip(grid[:, 0], ("measured", "model", "residual"), strict=True):
             axes.set_ylabel(name)
@@ -76,12 +78,24 @@ def image_strip(offsets_nm: np.ndarray, measured: np.ndarray, model: np.ndarray)
     return svg("ramp-images", (0.3 + CELL_IN * len(chosen), 0.3 + 3 * CELL_IN), draw)
 
 
-def _draw_column(column: np.ndarray, measured: np.ndarray, model: np.ndarray) -> None:
+def residual_limit(measured: np.ndarray, model: np.ndarray) -> float:
+    """End of the colour scale that suits the residuals of all offsets, in parts of the model's peak."""
+    values = np.abs([_relative_residual(*pair) for pair in zip(measured, model, strict=True)])
+    finite = values[np.isfinite(values)]
+    return float(np.percentile(finite, RESIDUAL_PERCENTILE)) if finite.any() else 1.0
+
+
+def _relative_residual(measured: np.ndarray, model: np.ndarray) -> np.ndarray:
+    peak = np.max(model, initial=0.0, where=np.isfinite(model))
+    return (measured - model) / (peak or 1.0)
+
+
+def _draw_column(column: np.ndarray, measured: np.ndarray, model: np.ndarray, limit: float) -> None:
     scale = brightness_scale(measured, model)
-    residual = (measured - model) / (np.nanmax(model) or 1.0)
-    for axes, image in zip(column, (measured, model), strict=False):
+    residual = _relative_residual(measured, model)
+    for axes, image in zip(column[:2], (measured, model), strict=True):
         axes.imshow(image, norm=scale, cmap=BRIGHTNESS, origin="lower", interpolation="none")
-    column[2].imshow(residual, norm=symmetric_scale(RESIDUAL_LIMIT), cmap=SIGNED, origin="lower",
+    column[2].imshow(residual, norm=symmetric_scale(limit), cmap=SIGNED, origin="lower",
                      interpolation="none")
     for axes in column:
         axes.grid(False)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.detector import star_position
-from irlos_pipe.report.content import Figure, Section, Table
+from irlos_pipe.report.content import Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE
 from irlos_pipe.report.images import SIGMA_LIMIT, SIGNED, brightness_scale, image_panel, symmetric_scale
 from irlos_pipe.report.ncpa_plots import coefficient_bars, coefficients_in_time, wavefront_map
@@ -17,13 +17,14 @@ from irlos_pipe.report.text import number, plural
 
 STAGE = "calibrate"
 MODES_IN_TIME = 5
-METHOD_COLUMNS = ("method", "NCPA [nm RMS]", "defocus [nm]", "χ²/ν", "modes", "loss", "optimiser", "fits", "time [s]")
+MAP_PERCENTILE = 99  # the very edge of the pupil would swallow the scale
+METHOD_COLUMNS = ("method", "NCPA [nm RMS]", "defocus [nm]", "χ²/ν", "modes", "loss, optimiser", "fits", "time [s]")
 
 
 def calibrate_section(run: RunData) -> Section:
     """Build the section."""
-    blocks = [*_images(run), *_profile(run), *_bars(run), *_maps(run), *_in_time(run), *_effects(run),
-              *_methods(run)]
+    blocks = [*_images(run), *_bars(run), Stack([*_profile(run), *_maps(run)]), *_in_time(run),
+              Stack([*_effects(run), *_methods(run)])]
     return Section(STAGE, "NCPA calibration", _lead(run), blocks)
 
 
@@ -80,7 +81,7 @@ def _profile(run: RunData) -> list[Figure]:
         radius, mean = ring_means(image if good is None else np.where(good, image, np.nan), centre)
         curves[name] = (radius * (mas or 1.0), mean, colour, style)
     return [Figure(profile_plot("cal-profile", curves, ("mas" if mas else "px", "mean of the ring [e⁻]")),
-                   "Radial profile", "About the star's centroid.")]
+                   "Radial profile", "About the star's centroid.", "full")]
 
 
 def _bars(run: RunData) -> list[Figure]:
@@ -104,7 +105,7 @@ def _maps(run: RunData) -> list[Figure]:
     maps = {when: run.array("correct", f"wavefront_{when}_nm") for when in ("before", "after")}
     if any(opd is None or not np.isfinite(opd).any() for opd in maps.values()):
         return []
-    limit = max(float(np.nanmax(np.abs(opd))) for opd in maps.values()) or 1.0
+    limit = max(float(np.nanpercentile(np.abs(opd), MAP_PERCENTILE)) for opd in maps.values()) or 1.0
     captions = {"before": "Estimated wavefront without tip and tilt.",
                 "after": "Estimated modes beyond those that are corrected; same scale."}
     return [Figure(wavefront_map(f"wavefront-{when}", opd, limit), f"Wavefront {when} correction", captions[when],
@@ -123,8 +124,8 @@ def _in_time(run: RunData) -> list[Figure]:
 
 def _effects(run: RunData) -> list[Table]:
     effects = run.results(STAGE).get("effects") or {}
-    rows = [(effect, name, number(value, ".4g")) for effect, values in effects.items()
-            for name, value in values.items()]
+    rows = [("" if place else effect, name, number(value, ".4g")) for effect, values in effects.items()
+            for place, (name, value) in enumerate(values.items())]
     return [Table(("effect", "parameter", "value"), rows, "Estimated with the NCPAs")] if rows else []
 
 
@@ -138,5 +139,5 @@ def _methods(run: RunData) -> list[Table]:
 def _method_row(one: dict[str, Any]) -> tuple[str, ...]:
     fits = ", ".join(f"{count} {status}" for status, count in one.get("status", {}).items())
     return (one["method"], number(one.get("wfe_nm")), number(one.get("zernike_nm", {}).get("4"), "+.1f"),
-            _chi2(one), number(one.get("modes_estimated"), "d"), one.get("loss", ""), one.get("optimiser", ""), fits,
-            number(one.get("seconds")))
+            _chi2(one), number(one.get("modes_estimated"), "d"), f"{one.get('loss', '')}, {one.get('optimiser', '')}",
+            fits, number(one.get("seconds")))

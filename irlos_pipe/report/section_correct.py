@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from irlos_pipe.report.content import Figure, Section, Table
+from irlos_pipe.report.content import Figure, Section, Table, Text
 from irlos_pipe.report.drawing import BLUE, INK, ORANGE
-from irlos_pipe.report.images import image_panel, log_scale
+from irlos_pipe.report.images import PANEL_IN, image_panel, log_scale
 from irlos_pipe.report.modes import mode_name
 from irlos_pipe.report.radial import profile_plot
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number
 
 STAGE = "correct"
+ROWS_PER_TABLE = 10
+OFFSET_COLUMNS = ("Noll", "mode", "offset [nm]", "1σ [nm]")
 IMAGES = {"before": "Before", "after": "After"}
 
 
@@ -45,16 +47,19 @@ def _profile(run: RunData) -> list[Figure]:
         return []
     looks = {"before": (ORANGE, "--"), "after": (BLUE, "-")}
     curves = {name: (radius, profile, *looks[name]) for name, profile in profiles.items()}
-    return [Figure(profile_plot("psf-profile", curves, ("mas", "mean of the ring, part of the flux")),
-                   "Radial profile", "Predicted.", "third")]
+    return [Figure(profile_plot("psf-profile", curves, ("mas", "part of the flux per pixel"),
+                                PANEL_IN),
+                   "Radial profile", "Predicted; rings about the optical axis.", "third")]
 
 
-def _offsets(run: RunData) -> list[Table]:
+def _offsets(run: RunData) -> list[Table | Text]:
     nolls, offsets, sigma = run.array(STAGE, "noll"), run.array(STAGE, "offset_nm"), run.error_of(STAGE, "offset_nm")
     if nolls is None or offsets is None:
         return []
     sigma = np.full(len(nolls), np.nan) if sigma is None else sigma
     rows = [(str(int(noll)), mode_name(int(noll)), number(offset, "+.2f"), number(error, ".2f"))
             for noll, offset, error in zip(nolls, offsets, sigma, strict=True)]
-    return [Table(("Noll", "mode", "offset [nm RMS]", "1σ [nm]"), rows, "Modal offsets",
-                  f"{run.results(STAGE).get('sign', '')}. {MISSING} as error: mode not estimated.")]
+    parts = [rows[start:start + ROWS_PER_TABLE] for start in range(0, len(rows), ROWS_PER_TABLE)]
+    tables = [Table(OFFSET_COLUMNS, part, f"Modal offsets, Noll {part[0][0]}–{part[-1][0]}") for part in parts]
+    sign = run.results(STAGE).get("sign", "")
+    return [*tables, Text(f"{sign}. {MISSING} as error: mode not estimated, offset 0.")]

@@ -7,19 +7,21 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.estimate.ramp import travel_direction
-from irlos_pipe.report.content import Figure, Section, Table
-from irlos_pipe.report.ramp_plots import RESIDUAL_LIMIT, RampPoints, image_strip, ramp_plot
+from irlos_pipe.report.content import Figure, Section, Stack, Table
+from irlos_pipe.report.ramp_plots import RampPoints, image_strip, ramp_plot, residual_limit
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number, plural, with_error
 
 STAGE = "lift"
+MOST_OFFSETS = 12
+FEW_OFFSETS = 3
 VARIANT_COLUMNS = ("model", "slope", "offset [nm]", "error [nm RMS]", "about the line [nm RMS]", "saw-tooth [nm]")
 
 
 def lift_section(run: RunData) -> Section:
     """Build the section."""
     results = run.results(STAGE)
-    blocks = [*_ramp(results), *_variants(results), *_strip(run), *_offsets(results)]
+    blocks = [*_ramp(results), Stack([*_variants(results), *_offsets(results)]), *_strip(run)]
     return Section(STAGE, "Defocus ramp (LIFT)", _lead(results), blocks)
 
 
@@ -30,7 +32,6 @@ def _lead(results: dict[str, Any]) -> str:
 
 
 def _ramp(results: dict[str, Any]) -> list[Figure]:
-    points = results.get("points", [])
     points = [point for point in results.get("points", []) if point.get("introduced_nm") is not None]
     introduced = np.array([point["introduced_nm"] for point in points], dtype=float)
     if not points:
@@ -59,13 +60,14 @@ def _strip(run: RunData) -> list[Figure]:
                                 ("offsets_nm", "measured_per_offset_e", "model_per_offset_e"))
     if offsets is None or measured is None or model is None or len(offsets) == 0:
         return []
-    return [Figure(image_strip(offsets, measured, model), "Mean image per offset",
-                   f"Asinh scale to the peak of each offset; residual ±{RESIDUAL_LIMIT:.0%} of the model's peak "
-                   "(blue: model too bright).", "full")]
+    limit = residual_limit(measured, model)
+    return [Figure(image_strip(offsets, measured, model, limit), "Mean image per offset",
+                   f"Asinh scale to the peak of each offset; residual ±{limit:.1%} of the model's peak "
+                   "(red: brighter than the model, blue: fainter).", "full" if len(offsets) > FEW_OFFSETS else "half")]
 
 
 def _offsets(results: dict[str, Any]) -> list[Table]:
     rows = [(number(one["introduced_nm"], "+.1f"), number(one["median_nm"], "+.1f"), number(one["scatter_nm"]))
             for one in results.get("offsets", [])]
     columns = ("introduced [nm]", "median [nm]", "1σ over frames [nm]")
-    return [Table(columns, rows, "Median per offset", folded=True)] if rows else []
+    return [Table(columns, rows, "Median per offset", folded=len(rows) > MOST_OFFSETS)] if rows else []

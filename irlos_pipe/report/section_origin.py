@@ -20,7 +20,7 @@ def origin_section(run: RunData) -> Section:
 
 
 def finished(run: RunData) -> str:
-    """Return when the last stage ended, to the second; empty without products."""
+    """Return when the last stage ended, to the minute; empty without products."""
     return _moment(_latest(run).get("finished"))
 
 
@@ -41,7 +41,7 @@ def _latest(run: RunData) -> dict[str, Any]:
 
 
 def _moment(iso_time: str | None) -> str:
-    return f"{iso_time[:19].replace('T', ' ')} UTC" if iso_time else ""
+    return f"{iso_time[:16].replace('T', ' ')} UTC" if iso_time else ""
 
 
 def _lead(provenance: dict[str, Any]) -> str:

@@ -7,20 +7,25 @@ from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.report.content import Figure, Section
-from irlos_pipe.report.drawing import BLUE, ORANGE, svg
+from irlos_pipe.report.drawing import BLUE, INK, ORANGE, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number
 
 STAGE = "prior"
+SIZE_IN = (4.4, 2.9)
 
 
 def prior_section(run: RunData) -> Section:
     """Build the section."""
-    ratio, introduced = run.array(STAGE, "ratio"), run.array(STAGE, "introduced_nm")
-    blocks = [] if ratio is None or introduced is None else [
-        Figure(_plot(ratio, introduced, _law(run.results(STAGE))), "Axis ratio against introduced defocus",
-               "The elongation sees the introduced defocus and that of the NCPAs together: points beside the law "
-               "show the latter.")]
+    ratio, prior, introduced = (run.array(STAGE, name) for name in ("ratio", "defocus_nm", "introduced_nm"))
+    law, blocks = _law(run.results(STAGE)), []
+    if ratio is not None and introduced is not None:
+        blocks.append(Figure(_ratio_plot(ratio, introduced, law), "Axis ratio against introduced defocus",
+                             "The elongation sees the introduced defocus and that of the NCPAs together, "
+                             "so frames may stand beside the law."))
+    if prior is not None and introduced is not None:
+        blocks.append(Figure(_prior_plot(prior, introduced), "Prior against introduced defocus",
+                             "Where LIFT begins to iterate."))
     return Section(STAGE, "Elongation prior", _lead(run), blocks)
 
 
@@ -41,7 +46,7 @@ def _law(results: dict) -> tuple[np.ndarray, np.ndarray] | None:
     return defocus, 1 + (defocus - results["B"]) / results["A"]
 
 
-def _plot(ratio: np.ndarray, introduced: np.ndarray, law: tuple[np.ndarray, np.ndarray] | None) -> Markup:
+def _ratio_plot(ratio: np.ndarray, introduced: np.ndarray, law: tuple[np.ndarray, np.ndarray] | None) -> Markup:
     def draw(figure: Canvas) -> None:
         axes = figure.subplots()
         axes.plot(introduced, ratio, "o", color=BLUE, markersize=3, label="frames")
@@ -50,4 +55,15 @@ def _plot(ratio: np.ndarray, introduced: np.ndarray, law: tuple[np.ndarray, np.n
         axes.set(xlabel="introduced defocus [nm RMS]", ylabel="axis ratio σ₁/σ₂")
         axes.legend()
 
-    return svg("prior-law", (4.4, 3.0), draw)
+    return svg("prior-law", SIZE_IN, draw)
+
+
+def _prior_plot(prior_nm: np.ndarray, introduced_nm: np.ndarray) -> Markup:
+    def draw(figure: Canvas) -> None:
+        axes = figure.subplots()
+        axes.plot(introduced_nm, introduced_nm, color=INK, linewidth=0.9, label="1:1")
+        axes.plot(introduced_nm, prior_nm, "o", color=BLUE, markersize=3, label="frames")
+        axes.set(xlabel="introduced defocus [nm RMS]", ylabel="prior of the defocus [nm RMS]")
+        axes.legend()
+
+    return svg("prior-defocus", SIZE_IN, draw)

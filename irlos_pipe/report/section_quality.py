@@ -7,7 +7,7 @@ from irlos_pipe.report.content import Section, Table
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number
 
-COLUMNS = ("", "check", "value", "limits", "message")
+COLUMNS = ("", "stage", "check", "value", "limits", "message")
 # A stage with more passed checks than this shows them when asked.
 FOLDED_ABOVE = 10
 
@@ -17,10 +17,11 @@ def quality_section(run: RunData) -> Section | None:
     checks = [(stage, check) for stage, product in run.products.items() for check in product.checks]
     if not checks:
         return None
-    failed = [check for _, check in checks if not check.passed]
-    passed = {stage: [check for owner, check in checks if owner == stage and check.passed] for stage in run.products}
+    failed = [(stage, check) for stage, check in checks if not check.passed]
+    passed = {name: [(stage, check) for stage, check in checks if stage == name and check.passed]
+              for name in run.products}
     tables = [_table("Failed", failed)] if failed else []
-    few = [check for found in passed.values() if len(found) <= FOLDED_ABOVE for check in found]
+    few = [one for found in passed.values() if len(found) <= FOLDED_ABOVE for one in found]
     tables += [_table("Passed", few)] if few else []
     tables += [_table(f"Passed: {len(found)} of {stage}", found, folded=True)
                for stage, found in passed.items() if len(found) > FOLDED_ABOVE]
@@ -33,15 +34,16 @@ def quality_text(run: RunData) -> str:
     return f"{sum(check.passed for check in checks)} of {len(checks)} checks passed"
 
 
-def _table(title: str, checks: list[Check], folded: bool = False) -> Table:
-    marks = ["good" if check.passed else "bad" for check in checks]
-    return Table(COLUMNS, [_row(check) for check in checks], title, marks=marks, folded=folded)
+def _table(title: str, checks: list[tuple[str, Check]], folded: bool = False) -> Table:
+    marks = ["good" if check.passed else "bad" for _, check in checks]
+    return Table(COLUMNS, [_row(stage, check) for stage, check in checks], title, marks=marks, folded=folded)
 
 
-def _row(check: Check) -> tuple[str, ...]:
+def _row(stage: str, check: Check) -> tuple[str, ...]:
     unit = "" if check.unit == "1" else check.unit
-    return "passed" if check.passed else "FAILED", check.name, number(check.value, ".4g", unit), _limits(check), \
-        check.message
+    verdict = "passed" if check.passed else "FAILED"
+    name = check.name.removeprefix(f"{stage}/")
+    return verdict, stage, name, number(check.value, ".4g", unit), _limits(check), check.message
 
 
 def _limits(check: Check) -> str:

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.report.content import Figure, Section, Table
+from irlos_pipe.report.content import Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import CYCLE, INK, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number
@@ -18,7 +18,7 @@ from irlos_pipe.report.text import MISSING, number
 STAGE = "sensitivity"
 MEDIAN_OF_NORMAL = 0.6745  # median |error| of a normal distribution, in units of its sigma
 MARKERS = ("o", "s", "^", "D", "v", "P")
-COLUMNS = ("NCPAs", "modes", "limiting m_J", "median |error| at the bright end [nm RMS]", "failures there")
+COLUMNS = ("NCPAs", "modes", "limit [J mag]", "error at the bright end [nm]")
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,8 @@ def sensitivity_section(run: RunData) -> Section:
         blocks = [Figure(_plot(curves, results.get("criterion") or {}), "Defocus error against magnitude",
                          "Bands: 16th to 84th percentile. Dashed: Cramér–Rao bound times 0.6745, the median |error| of an "
                          "efficient estimate. Horizontal and vertical lines: criterion and limiting magnitudes."),
-                  Table(COLUMNS, [_row(row) for row in results["curves"]], "Limiting magnitude", _criterion(results))]
+                  Stack([Table(COLUMNS, [_row(row) for row in results["curves"]], "Limiting magnitude",
+                               _criterion(results))])]
     return Section(STAGE, "Sensitivity", _lead(results), blocks)
 
 
@@ -70,8 +71,7 @@ def _criterion(results: dict[str, Any]) -> str:
 def _row(row: dict[str, Any]) -> tuple[str, ...]:
     curve = _curve(row)
     return ("added" if row.get("calibrated") else "left out", ", ".join(map(str, row.get("modes", []))),
-            limit_text(row), number(curve.median_nm[0]) if curve.median_nm.size else MISSING,
-            number(curve.failed[0], ".0%") if curve.failed.size else MISSING)
+            limit_text(row), number(curve.median_nm[0]) if curve.median_nm.size else MISSING)
 
 
 def _curve(row: dict[str, Any]) -> Curve:
@@ -87,14 +87,15 @@ def _curve(row: dict[str, Any]) -> Curve:
 def _plot(curves: list[Curve], criterion: dict[str, Any]) -> Markup:
     def draw(figure: Canvas) -> None:
         top, bottom = figure.subplots(2, sharex=True, height_ratios=(3, 1))
-        for curve, colour, marker in zip(curves, CYCLE, MARKERS, strict=False):
+        for place, curve in enumerate(curves):
+            colour, marker = CYCLE[place % len(CYCLE)], MARKERS[place % len(MARKERS)]
             _draw_errors(top, curve, colour, marker)
             bottom.plot(curve.mag_j, 100 * curve.failed, f"{marker}-", color=colour, markersize=3.5)
         _draw_limit(top, criterion.get("median_abs_error_nm"), 1)
         _draw_limit(bottom, criterion.get("failures"), 100)
         top.set(yscale="log", ylabel="median |error| [nm RMS]")
         figure.legend(loc="outside upper center", ncols=2)
-        bottom.set(xlabel="magnitude m_J", ylabel="failures [%]")
+        bottom.set(xlabel="J magnitude", ylabel="failures [%]")
         bottom.set_ylim(bottom=-2)
 
     return svg("sensitivity", (5.2, 4.8), draw)

@@ -115,7 +115,12 @@ def _calibrate(
 
 
 def _exported(result: Calibration) -> slice:
-    return slice(0, min(EXPORTED, result.nolls[-1]) - 1)
+    return slice(0, _last(result) - 1)
+
+
+def _last(result: Calibration) -> int:
+    """Highest Noll mode reported."""
+    return min(EXPORTED, result.nolls[-1])
 
 
 def _wfe_nm(result: Calibration) -> float:
@@ -124,7 +129,10 @@ def _wfe_nm(result: Calibration) -> float:
 
 
 def _by_noll(result: Calibration, values: np.ndarray) -> dict[str, float]:
-    return {str(noll): float(value) for noll, value in zip(result.nolls[_exported(result)], values)}
+    reported = _exported(result)
+    return {
+        str(noll): float(value) for noll, value in zip(result.nolls[reported], values[reported], strict=True)
+    }
 
 
 def _counts(status: list[str]) -> dict[str, int]:
@@ -214,7 +222,7 @@ def _checks(config: Config, result: Calibration) -> list[Check]:
 def _summary(result: Calibration, others: list[Calibration]) -> list[str]:
     sigma = float(np.sqrt(np.sum(result.sigma_nm[_exported(result)] ** 2)))
     lines = [
-        f"NCPA            {_wfe_nm(result):.1f} ± {sigma:.1f} nm RMS in Noll 2–{min(EXPORTED, result.nolls[-1])} "
+        f"NCPA            {_wfe_nm(result):.1f} ± {sigma:.1f} nm RMS in Noll 2–{_last(result)} "
         f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f})"
     ]
     for name, values in result.effects.items():

@@ -23,7 +23,10 @@ NEEDS = ("ingest", "calibrate")
 READS = ("ingest", "calibrate")
 HIGHEST_NOLL = 30
 MAP_SAMPLES = 160
-SIGN = "offset = -NCPA: add the offset to the reference to cancel the aberration; OPD in nm RMS, Noll; diversity not included"
+SIGN = (
+    "offset = -NCPA: add the offset to the reference to cancel the aberration; OPD in nm RMS, Noll; "
+    "diversity not included"
+)
 
 
 class Config(StageConfig):
@@ -64,7 +67,7 @@ def _offsets(
     nolls: list[int], offset_nm: np.ndarray, sigma_nm: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Noll 2 to 30; modes that were not estimated are 0 with an infinite error."""
-    table = {noll: (o, s) for noll, o, s in zip(nolls, offset_nm, sigma_nm)}
+    table = {noll: (o, s) for noll, o, s in zip(nolls, offset_nm, sigma_nm, strict=True)}
     wanted = np.arange(2, HIGHEST_NOLL + 1)
     values = np.array([table.get(int(noll), (0.0, np.inf)) for noll in wanted])
     return wanted, values[:, 0], values[:, 1]
@@ -75,7 +78,8 @@ def _csv(offsets) -> bytes:
     text.write(f"# {SIGN}\n")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["noll", "offset_nm", "sigma_nm"])
-    writer.writerows([int(noll), f"{value:.4f}", f"{sigma:.4f}"] for noll, value, sigma in zip(*offsets))
+    rows = zip(*offsets, strict=True)
+    writer.writerows([int(noll), f"{value:.4f}", f"{sigma:.4f}"] for noll, value, sigma in rows)
     return text.getvalue().encode()
 
 
@@ -140,7 +144,9 @@ def _arrays(ctx: StageContext, nolls, zernike_nm, offsets, prediction: Predictio
 
 def _results(offsets, prediction: Prediction) -> dict:
     return {
-        "offset_nm": {str(int(noll)): float(value) for noll, value in zip(offsets[0], offsets[1])},
+        "offset_nm": {
+            str(noll): value for noll, value in zip(*(o.tolist() for o in offsets[:2]), strict=True)
+        },
         "sign": SIGN,
         "strehl_before": prediction.strehl_before,
         "strehl_after": prediction.strehl_after,

@@ -41,7 +41,7 @@ class Config(StageConfig):
     halo: Literal["calibrated", "fit", "off"] = Field("calibrated", description="AO residual in the model")
     object_sigma_mas: ObjectSigma = Field(
         "calibrated",
-        description="Gaussian kernel of object and jitter [mas]: a number, as calibrated, or fitted jointly on the ramp",
+        description="kernel of object and jitter: a number [mas], as calibrated, or fitted to the ramp",
     )
     estimator: Literal["ml", "map"] = Field("ml", description="maximum likelihood, or with a Gaussian prior")
     prior_scale: float = Field(3.0, gt=0, le=1000, description="MAP: prior width over the NCPA law")
@@ -142,22 +142,22 @@ def _results(
 
 
 def _points(ramp: Ramp, fit: RampFit) -> list[dict]:
-    sigma = fit.result.mode(4)[1]
+    """One row per frame, as results.json has them."""
+    defocus, sigma = _defocus(fit).tolist(), fit.result.mode(4)[1].tolist()
+    nolls = [str(noll) for noll in fit.result.nolls]
     return [
         {
             "name": name,
-            "frame": frame,
-            "introduced_nm": float(introduced),
-            "defocus_nm": float(defocus),
-            "sigma_nm": float(sigma[i]),
-            "converged": status == "converged",
-            "status": status,
+            "frame": ramp.frame[i],
+            "introduced_nm": float(ramp.data.introduced_nm[i]),
+            "defocus_nm": defocus[i],
+            "sigma_nm": sigma[i],
+            "converged": fit.result.solution.status[i] == "converged",
+            "status": fit.result.solution.status[i],
             "chi2_nu": float(fit.result.chi2_nu[i]),
-            "zernike_nm": {str(n): float(v) for n, v in zip(fit.result.nolls, fit.result.zernike_nm[i])},
+            "zernike_nm": dict(zip(nolls, fit.result.zernike_nm[i].tolist(), strict=True)),
         }
-        for i, (name, frame, introduced, defocus, status) in enumerate(
-            zip(ramp.names, ramp.frame, ramp.data.introduced_nm, _defocus(fit), fit.result.solution.status)
-        )
+        for i, name in enumerate(ramp.names)
     ]
 
 
@@ -171,7 +171,7 @@ def _numbers(summary: RampSummary) -> dict[str, float]:
 def _offsets(summary: RampSummary) -> list[dict]:
     return [
         {"introduced_nm": float(o), "median_nm": float(m), "scatter_nm": float(s)}
-        for o, m, s in zip(summary.offsets_nm, summary.median_nm, summary.scatter_nm)
+        for o, m, s in zip(summary.offsets_nm, summary.median_nm, summary.scatter_nm, strict=True)
     ]
 
 
@@ -182,7 +182,7 @@ def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary) -> dict[str, Quantit
     measured = np.array([ramp.data.images_e.numpy()[g].mean(0, dtype=float) for g in groups])
     modelled = np.array([model[g].mean(0) for g in groups]).reshape(-1, *shape)
     defocus, sigma = _defocus(fit), fit.result.mode(4)[1].numpy()
-    arrays = {
+    return {
         "introduced_nm": Quantity(introduced, "nm", "introduced defocus, frames in order of time"),
         "defocus_nm": Quantity(defocus, "nm", "estimated introduced defocus", sigma),
         "noll": Quantity(np.array(fit.result.nolls), "", "estimated modes"),
@@ -197,7 +197,6 @@ def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary) -> dict[str, Quantit
         "measured_per_offset_e": Quantity(measured, "e-", "mean frame of every offset"),
         "model_per_offset_e": Quantity(modelled, "e-", "mean model of every offset"),
     }
-    return arrays
 
 
 def _checks(config: Config, fit: RampFit, summary: RampSummary) -> list[Check]:
@@ -227,7 +226,8 @@ def _lines(
 ) -> list[str]:
     label = "with NCPAs" if ctx.config.calibrated else "without NCPAs"
     lines = [
-        f"Ramp            slope {summary.slope:.4f} ± {summary.slope_sigma:.4f}, offset {summary.offset_nm:+.1f} nm, "
+        f"Ramp            slope {summary.slope:.4f} ± {summary.slope_sigma:.4f}, "
+        f"offset {summary.offset_nm:+.1f} nm, "
         f"error {summary.rms_nm:.1f} nm RMS, about the line {summary.residual_rms_nm:.1f} nm ({label})"
     ]
     lines += [

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from irlos_pipe.effects import OtfEffect, OtfGrid, Pinned, SeeingHalo, TipTiltJitter, Transfer
+from irlos_pipe.effects import CATALOGUE, Conditions, OtfEffect, OtfGrid, Pinned, SeeingHalo, Transfer
 from irlos_pipe.effects.seeing_halo import in_band_wfe_nm
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.instrument import Instrument
@@ -51,13 +51,10 @@ def seeing_arcsec(acquisition: Acquisition) -> float:
 
 def model_effects(instrument: Instrument, model: ModelConfig, acquisition: Acquisition) -> list[OtfEffect]:
     """The effects of the recipe's model for one recording, fixed ones pinned."""
-    available = {
-        SeeingHalo.name: lambda: SeeingHalo(residual_band(instrument, model), seeing_arcsec(acquisition)),
-        TipTiltJitter.name: TipTiltJitter,
-    }
+    conditions = Conditions(residual_band(instrument, model), seeing_arcsec(acquisition))
     effects = []
     for name, values in model.effect_settings().items():
-        effect = available[name]()
+        effect = CATALOGUE[name].under(conditions)
         effects.append(Pinned(effect, effect.values_of(**values)) if values else effect)
     return effects
 

@@ -8,9 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from irlos_pipe.effects import EFFECTS, SeeingHalo, TipTiltJitter
-
-CLASSES = {cls.name: cls for cls in (SeeingHalo, TipTiltJitter)}
+from irlos_pipe.effects import CATALOGUE
 
 
 class ModelConfig(BaseModel):
@@ -23,7 +21,7 @@ class ModelConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     effects: tuple[Annotated[Any, Field()], ...] = Field(
-        EFFECTS,
+        ("seeing_halo", "tip_tilt_jitter"),
         description="effects beyond the static wavefront, by name, or {name: {parameter: value}} to fix one",
     )
     pupil_samples: int = Field(128, ge=48, le=512, description="samples across the pupil diameter")
@@ -53,11 +51,11 @@ def _check_effect(entry: Any) -> str:
         name, values = next(iter(entry.items()))
     else:
         name, values = entry, {}
-    if not isinstance(name, str) or name not in CLASSES:
-        close = difflib.get_close_matches(str(name), CLASSES, n=1)
-        hint = f"did you mean {close[0]!r}?" if close else f"available: {', '.join(CLASSES)}"
+    if not isinstance(name, str) or name not in CATALOGUE:
+        close = difflib.get_close_matches(str(name), CATALOGUE, n=1)
+        hint = f"did you mean {close[0]!r}?" if close else f"available: {', '.join(CATALOGUE)}"
         raise ValueError(f"unknown effect {name!r}; {hint}")
-    allowed = list(inspect.signature(CLASSES[name].values_of).parameters)[1:]
+    allowed = list(inspect.signature(CATALOGUE[name].values_of).parameters)[1:]
     if not isinstance(values, dict) or (values and sorted(values) != sorted(allowed)):
         raise ValueError(f"{name} is fixed by {{{', '.join(allowed)}}}, not by {values!r}")
     bad = [

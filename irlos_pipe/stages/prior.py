@@ -77,8 +77,8 @@ def _output(
             "introduced_nm": float(introduced),
             "defocus_nm": float(value),
         }
-        for recording, values in zip(recordings, defocus)
-        for frame, (introduced, value) in enumerate(zip(recording.introduced_defocus_nm, values))
+        for recording, values in zip(recordings, defocus, strict=True)
+        for frame, (introduced, value) in enumerate(zip(recording.introduced_defocus_nm, values, strict=True))
     ]
     failed = float(np.mean(~np.isfinite(np.concatenate(ratios))))
     arrays = {

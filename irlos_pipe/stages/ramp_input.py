@@ -75,7 +75,7 @@ def calibrated_ncpa_nm(ctx: StageContext) -> dict[int, float]:
             "add it to the recipe, or set lift.calibrated=false"
         )
     arrays = ctx.products["calibrate"].arrays
-    return {int(n): float(v) for n, v in zip(arrays["noll"].value, arrays["zernike_nm"].value)}
+    return {int(n): float(v) for n, v in zip(arrays["noll"].value, arrays["zernike_nm"].value, strict=True)}
 
 
 def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: dict[int, float]) -> PsfModel:

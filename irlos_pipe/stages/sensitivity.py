@@ -134,7 +134,7 @@ def _curve(
 
 def _output(config: Config, combinations: list, curves: list[Curve]) -> StageOutput:
     rows, arrays = [], {}
-    for number, ((calibrated, nolls), curve) in enumerate(zip(combinations, curves)):
+    for number, ((calibrated, nolls), curve) in enumerate(zip(combinations, curves, strict=True)):
         row = {"calibrated": calibrated, "modes": list(nolls)}
         for key in ("mag_j", "median_abs_error_nm", "p16_nm", "p84_nm", "crb_nm", "failures"):
             values = getattr(curve, key)
@@ -155,7 +155,7 @@ def _output(config: Config, combinations: list, curves: list[Curve]) -> StageOut
 
 def _lines(config: Config, rows: list[dict]) -> list[str]:
     lines = [
-        f"Limit           median |error| ≤ {config.limit_nm:.0f} nm and ≤ {config.limit_failures:.0%} failures:"
+        f"Limit           median |error| ≤ {config.limit_nm:.0f} nm, failures ≤ {config.limit_failures:.0%}:"
     ]
     for row in rows:
         limit = (
