@@ -1,6 +1,6 @@
 """Where the time of a fit goes, and how far it is from the floor.
 
-Every operator that PyTorch dispatches is timed and put into one of a few groups. The floor is the
+Every operator that PyTorch dispatches is timed (processor time) and put into one of a few groups. The floor is the
 number of floating-point operations in the matrix DFTs over the rate at which this machine multiplies
 large complex matrices: what the same number of evaluations would cost if nothing but those were done.
 """
@@ -18,6 +18,7 @@ from irlos_pipe.parallel import set_workers
 
 from .cases import prepared_ramp
 from .inputs import Inputs
+from .measure import stopwatch
 
 PRODUCTS = ("mm", "bmm", "addmm", "baddbmm")
 MATRIX_DFT, REAL_PRODUCTS, DOUBLE_PRODUCTS, FFT, SOLVES, REST = (
@@ -48,10 +49,10 @@ class OperatorTimes(TorchDispatchMode):
         self.complex_flops = 0.0
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        began = time.perf_counter()
+        began = time.process_time()
         result = func(*args, **(kwargs or {}))
         group = _group(func.overloadpacket.__name__, args)
-        self.seconds[group] += time.perf_counter() - began
+        self.seconds[group] += time.process_time() - began
         if group == MATRIX_DFT:
             self.complex_flops += 8.0 * result.numel() * args[-2].shape[-1]
         return result
@@ -73,20 +74,22 @@ def complex_rate_flops() -> float:
     left, right = torch.randn(2, RATE_SIZE, RATE_SIZE, dtype=torch.complex64)
     times_s = []
     for _ in range(RATE_REPEATS):
-        began = time.perf_counter()
+        began = time.process_time()
         left @ right
-        times_s.append(time.perf_counter() - began)
+        times_s.append(time.process_time() - began)
     return 8.0 * RATE_SIZE**3 / min(times_s)
 
 
 def _profile(fit, rate: float) -> dict:
+    """Shares of an undisturbed run; timing every operator slows the Python between them down."""
     fit()  # libraries start up
-    began = time.perf_counter()
+    with stopwatch() as undisturbed:
+        fit()
     with OperatorTimes() as operators:
         fit()
-    total_s = time.perf_counter() - began
+    total_s = undisturbed.cpu_s
     shares = {group: seconds / total_s for group, seconds in operators.seconds.items()}
-    shares[PYTHON] = 1 - sum(shares.values())
+    shares[PYTHON] = max(0.0, 1 - sum(shares.values()))
     floor_s = operators.complex_flops / rate
     return {"seconds": total_s, "shares": shares, "floor_s": floor_s, "over_floor": total_s / floor_s}
 

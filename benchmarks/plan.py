@@ -31,14 +31,14 @@ NCPA = (
     Entry("solvephase_lm", "solvephase, LM per frame, weighted", 12, 3),
     Entry("dip_global", "irlos dip_global, L1", CUBE, 30),
     Entry("dip_global", "irlos dip_global, L1", CUBE, 30, threads=2),
-    Entry("lift_slices", "irlos lift_slices, weighted", 100, 30),
+    Entry("lift_slices", "irlos lift_slices, weighted", 60, 30),
 )
 OTHERS = (
     Entry("long_exposure", "irlos long_exposure, calibration-sky, 65 modes", 200, 200),
     Entry("lift_solvephase", "solvephase, LIFT, ramp, J+H at 6 wavelengths", 7, 3),
     Entry("lift_ramp_bare", "irlos lift, ramp, J+H at 6 wavelengths", 42, 42),
     Entry("lift_ramp", "irlos lift, ramp, J+H at 6 wavelengths, halo", 42, 42),
-    Entry("lift_latency", "irlos lift, single frames, 2 wavelengths", 100, 20),
+    Entry("lift_latency", "irlos lift, single frames, 2 wavelengths", 50, 20),
     Entry("model_images", "irlos model, images, 1 wavelength", 480, 64),
     Entry("model_jacobian", "irlos model, images and 29 derivatives", 160, 32),
 )

@@ -172,7 +172,7 @@ class PsfModel:
 
     def opd_nm(self, coefficients_nm: torch.Tensor) -> torch.Tensor:
         """Wavefront with the diversity, (frames, n, n), from coefficients (frames, modes) [nm]."""
-        coefficients = coefficients_nm.to(self.dtype)
+        coefficients = coefficients_nm.to(self.device, self.dtype)
         return (coefficients @ self.basis).reshape(-1, *self.amplitude.shape) + self.diversity_nm
 
     def field(self, opd_nm: torch.Tensor, wavelength_m: float) -> torch.Tensor:

@@ -16,10 +16,10 @@ from irlos_pipe.report.drawing import svg
 
 BRIGHTNESS = matplotlib.colormaps["inferno"].with_extremes(bad="#8d979f")
 SIGNED = matplotlib.colormaps["RdBu_r"].with_extremes(bad="#8d979f00")
-PANEL_IN = (3.55, 2.85)
+PANEL_IN = (3.7, 2.85)
 # Where the image and its colour bar stand in a panel: left, bottom, width, height [inch].
-IMAGE_BOX_IN = (0.55, 0.45, 2.3, 2.3)
-BAR_BOX_IN = (2.93, 0.45, 0.1, 2.3)
+IMAGE_BOX_IN = (0.65, 0.45, 2.3, 2.3)
+BAR_BOX_IN = (3.03, 0.45, 0.1, 2.3)
 SIGMA_LIMIT = 5.0
 DECADES = 4.0
 # The asinh scale turns linear below this part of the peak.
@@ -69,6 +69,7 @@ def image_panel(name: str, image: np.ndarray, scale: Normalize, pixel_scale_mas:
 
 def panel_axes(figure: Figure) -> tuple[Axes, Axes]:
     """Add axes for a square image and for a colour bar of the same height."""
+    figure.set_layout_engine("none")
     width, height = figure.get_size_inches()
     image, bar = (figure.add_axes((left / width, bottom / height, across / width, up / height))
                   for left, bottom, across, up in (IMAGE_BOX_IN, BAR_BOX_IN))

@@ -72,7 +72,7 @@ def wavefront_map(name: str, opd_nm: np.ndarray, limit_nm: float) -> Markup:
         shown = axes.imshow(opd_nm, norm=symmetric_scale(limit_nm), cmap=SIGNED, origin="lower",
                             interpolation="none", extent=(-1, 1, -1, 1))
         axes.set_facecolor(FAINT)
-        axes.set(xlabel="x [pupil radii]", ylabel="y [pupil radii]")
+        axes.set(xlabel="x [pupil radii]", ylabel="y [pupil radii]", xticks=(-1, 0, 1), yticks=(-1, 0, 1))
         figure.colorbar(shown, cax=bar, label="OPD [nm]", extend="both")
 
     return svg(name, PANEL_IN, draw)

@@ -18,7 +18,7 @@ from irlos_pipe.report.text import number, plural
 STAGE = "calibrate"
 MODES_IN_TIME = 5
 MAP_PERCENTILE = 99  # the very edge of the pupil would swallow the scale
-METHOD_COLUMNS = ("method", "NCPA [nm RMS]", "defocus [nm]", "χ²/ν", "modes", "loss, optimiser", "fits", "time [s]")
+METHOD_COLUMNS = ("method", "NCPA [nm RMS]", "defocus [nm]", "χ²/ν", "modes", "loss, optimiser", "converged", "time [s]")
 
 
 def calibrate_section(run: RunData) -> Section:
@@ -137,7 +137,8 @@ def _methods(run: RunData) -> list[Table]:
 
 
 def _method_row(one: dict[str, Any]) -> tuple[str, ...]:
-    fits = ", ".join(f"{count} {status}" for status, count in one.get("status", {}).items())
+    fits = one.get("status", {})
+    converged = f"{fits.get('converged', 0)} of {sum(fits.values())}"
     return (one["method"], number(one.get("wfe_nm")), number(one.get("zernike_nm", {}).get("4"), "+.1f"),
             _chi2(one), number(one.get("modes_estimated"), "d"), f"{one.get('loss', '')}, {one.get('optimiser', '')}",
-            fits, number(one.get("seconds")))
+            converged, number(one.get("seconds")))

@@ -10,13 +10,14 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
+from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL
 from irlos_pipe.report.content import Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import CYCLE, INK, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number
 
 STAGE = "sensitivity"
-MEDIAN_OF_NORMAL = 0.6745  # median |error| of a normal distribution, in units of its sigma
+
 MARKERS = ("o", "s", "^", "D", "v", "P")
 COLUMNS = ("NCPAs", "modes", "limit [J mag]", "error at the bright end [nm]")
 
