@@ -47,7 +47,7 @@ def measure_all(folder: Path, quick: bool) -> dict:
     ncpa, others = ([_measure(entry, folder, quick, bar) for entry in entries] for entries in (NCPA, OTHERS))
     common = _compare(ncpa, Inputs(folder))
     bar.set_description("breakdown")
-    shares = measure_breakdown(Inputs(folder), frames=8 if quick else 16)
+    shares = measure_breakdown(Inputs(folder), frames=8 if quick else 48)
     bar.close()
     return {
         "date": datetime.now(UTC).strftime("%Y-%m-%d"),

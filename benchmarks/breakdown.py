@@ -1,6 +1,6 @@
 """Where the time of a fit goes, and how far it is from the floor.
 
-Every operator that PyTorch dispatches is timed (processor time) and put into one of a few groups. The floor is the
+Every operator that PyTorch dispatches is timed (processor time) and put into a group. The floor is the
 number of floating-point operations in the matrix DFTs over the rate at which this machine multiplies
 large complex matrices: what the same number of evaluations would cost if nothing but those were done.
 """
@@ -29,7 +29,7 @@ MATRIX_DFT, REAL_PRODUCTS, DOUBLE_PRODUCTS, FFT, SOLVES, REST = (
     "linear solves",
     "elementwise and copies",
 )
-PYTHON = "Python and dispatch"
+PYTHON = "set-up of the model, Python, dispatch"
 RATE_SIZE, RATE_REPEATS = 768, 10
 
 

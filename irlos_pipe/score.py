@@ -41,14 +41,17 @@ def score_run(run_folder: Path, truth: Path) -> str:
     InputDataError
         When the run has nothing to compare, or the truth cannot be read or belongs to other recordings.
     """
-    products = {stage: read_product(path, arrays=False) for stage, path in existing_run(run_folder).products().items()}
+    paths = existing_run(run_folder).products()
+    products = {stage: read_product(path, arrays=False) for stage, path in paths.items()}
     if not {"calibrate", "lift"} & products.keys():
         raise InputDataError(f"{run_folder}: neither 'calibrate' nor 'lift' was run, nothing to compare")
     truths = _read_truths(Path(truth))
-    tables = [table for table in (_calibration_table(products, truths), _ramp_table(products, truths)) if table]
-    if not tables:
-        raise InputDataError(f"{truth}: no truth for {', '.join(_compared(products))}; it holds {', '.join(truths)}")
-    return "\n\n".join(map(_aligned, tables))
+    tables = _calibration_table(products, truths), _ramp_table(products, truths)
+    if not any(tables):
+        raise InputDataError(
+            f"{truth}: no truth for {', '.join(_compared(products))}; it holds {', '.join(truths)}"
+        )
+    return "\n\n".join(_aligned(table) for table in tables if table)
 
 
 # -- calibration -------------------------------------------------------------------------------
@@ -62,11 +65,14 @@ def _calibration_table(products: Mapping[str, Product], truths: Truths) -> Table
     found = [_truth_of(row["name"], truths) for row in rows]
     if not found or any(one is None or "mean_zernike_nm" not in one for one in found):
         return []
-    true_nm = np.average([_vector(one["mean_zernike_nm"]) for one in found], axis=0, weights=_frames_used(rows))
+    each_nm = [_vector(one["mean_zernike_nm"]) for one in found]
+    true_nm = np.average(each_nm, axis=0, weights=_frames_used(rows))
     results = products["calibrate"].results
     names = ", ".join(row["name"] for row in rows)
-    return [(f"calibration ({names})", "error, Noll 2–30", "defocus", "time"),
-            *(_method_row(one, true_nm) for one in (results, *results.get("compare", [])))]
+    return [
+        (f"calibration ({names})", "error, Noll 2–30", "defocus", "time"),
+        *(_method_row(one, true_nm) for one in (results, *results.get("compare", []))),
+    ]
 
 
 def _frames_used(rows: Sequence[dict[str, Any]]) -> list[int]:
@@ -75,8 +81,12 @@ def _frames_used(rows: Sequence[dict[str, Any]]) -> list[int]:
 
 def _method_row(result: dict[str, Any], true_nm: np.ndarray) -> tuple[str, ...]:
     error_nm = _vector(result["zernike_nm"]) - true_nm
-    return (result["method"], f"{np.linalg.norm(error_nm):.1f} nm RMS", f"{error_nm[NOLLS.index(4)]:+.1f} nm",
-            f"{_number(result.get('seconds')):.1f} s")
+    return (
+        result["method"],
+        f"{np.linalg.norm(error_nm):.1f} nm RMS",
+        f"{error_nm[NOLLS.index(4)]:+.1f} nm",
+        f"{_number(result.get('seconds')):.1f} s",
+    )
 
 
 def _vector(zernike_nm: Mapping[str, float | None]) -> np.ndarray:
@@ -94,15 +104,23 @@ def _ramp_table(products: Mapping[str, Product], truths: Truths) -> Table:
     points = [point for point in products["lift"].results["points"] if _truth_of(point["name"], truths)]
     if not points:
         return []
-    names = list(dict.fromkeys(point["name"] for point in points))
     estimated, introduced, present = np.array([_ramp_point(point, truths) for point in points]).T
-    of_recording = [np.array([point["name"] == name for point in points]) for name in names]
-    means = np.array([np.nanmean(estimated[chosen] - present[chosen]) for chosen in of_recording])
-    rows = [("frames against the introduced defocus", _rms(estimated - introduced)),
-            ("frames against the true mean defocus", _rms(estimated - present)),
-            ("means of recordings against the true mean defocus", _rms(means))]
-    return [(f"ramp ({len(names)} recordings, {len(points)} frames)", "error"),
-            *((name, f"{rms:.1f} nm RMS") for name, rms in rows if math.isfinite(rms))]
+    names = np.array([point["name"] for point in points])
+    rows = [
+        ("frames against the introduced defocus", _rms(estimated - introduced)),
+        ("frames against the true mean defocus", _rms(estimated - present)),
+        ("means of recordings against the true mean defocus", _rms(_means(estimated - present, names))),
+    ]
+    return [
+        (f"ramp ({len(set(names))} recordings, {len(points)} frames)", "error"),
+        *((name, f"{rms:.1f} nm RMS") for name, rms in rows if math.isfinite(rms)),
+    ]
+
+
+def _means(values: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """Mean of every group of what is known."""
+    known = np.isfinite(values)
+    return np.array([values[known & (groups == group)].mean() for group in np.unique(groups[known])])
 
 
 def _ramp_point(point: dict[str, Any], truths: Truths) -> tuple[float, float, float]:
@@ -127,14 +145,19 @@ def _number(value: float | None) -> float:
 
 def _compared(products: Mapping[str, Product]) -> list[str]:
     """Names of the recordings that have results."""
-    return [row["name"] for stage in ("calibrate", "lift") if stage in products
-            for row in _recordings(products, stage)]
+    return [
+        row["name"]
+        for stage in ("calibrate", "lift")
+        if stage in products
+        for row in _recordings(products, stage)
+    ]
 
 
 def _recordings(products: Mapping[str, Product], stage: str) -> list[dict[str, Any]]:
     """Rows of ingest that belong to the input of a stage."""
     rows = products["ingest"].results["inputs"] if "ingest" in products else []
-    return [row for row in rows if row["input"] == products[stage].config.get("input") and row["role"] != "dark"]
+    wanted = products[stage].config.get("input")
+    return [row for row in rows if row["input"] == wanted and row["role"] != "dark"]
 
 
 def _read_truths(path: Path) -> dict[str, dict[str, Any]]:
@@ -176,8 +199,10 @@ def _truth_of(name: str, truths: Truths) -> dict[str, Any] | None:
     for wanted in (lambda key: key == name, lambda key: key.rpartition("__")[2] == own):
         fitting = [key for key in truths if wanted(key)]
         if len(fitting) > 1:
-            raise InputDataError(f"recording '{name}' fits several truth files: {', '.join(fitting)}; "
-                                 "give a folder with one of them")
+            raise InputDataError(
+                f"recording '{name}' fits several truth files: {', '.join(fitting)}; "
+                "give a folder with one of them"
+            )
         if fitting:
             return truths[fitting[0]]
     return None
@@ -185,6 +210,10 @@ def _truth_of(name: str, truths: Truths) -> dict[str, Any] | None:
 
 def _aligned(table: Table) -> str:
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    return "\n".join("  ".join(cell.ljust(width) if place == 0 else cell.rjust(width)
-                               for place, (cell, width) in enumerate(zip(row, widths, strict=True))).rstrip()
-                     for row in table)
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if place == 0 else cell.rjust(width)
+            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in table
+    )

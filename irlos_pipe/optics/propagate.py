@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .pupil import PASS_BAND, grid_centres
+from .pupil import CLEAN_BAND, grid_centres
 
 MAS = np.pi / 180 / 3600e3  # one milliarcsecond [rad]
 
@@ -70,7 +70,7 @@ def require_resolved(window_px: int, pixel_scale_mas: float, wavelength_m: float
     ValueError
         Beyond it the low-pass of the pupil, and then its periodic replicas, falsify the image.
     """
-    reach_mas = PASS_BAND * wavelength_m / (2 * step_m) / MAS
+    reach_mas = CLEAN_BAND * wavelength_m / (2 * step_m) / MAS
     if window_px * pixel_scale_mas > 2 * reach_mas:
         needed = window_px * pixel_scale_mas / (2 * reach_mas)
         raise ValueError(

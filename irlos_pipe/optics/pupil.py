@@ -8,7 +8,8 @@ import numpy as np
 
 SUBSAMPLES = 16  # fine cells per side of a coarse cell; coverage of a fine cell is linear in distance
 PAD = 4  # coarse cells beyond the diameter on each side: room for the filter's ringing
-PASS_BAND, STOP_BAND = 0.5, 1.2  # of the low-pass, in units of the coarse grid's Nyquist frequency
+PASS_BAND, STOP_BAND = 0.7, 1.4  # of the low-pass, in units of the coarse grid's Nyquist frequency
+CLEAN_BAND = min(PASS_BAND, 2 - STOP_BAND)  # neither attenuated nor reached by what folds back
 
 
 @dataclass(frozen=True)
@@ -60,8 +61,8 @@ def band_limited_pupil(geometry: PupilGeometry, samples: int) -> tuple[np.ndarra
     """Pupil amplitude whose sampled spectrum is that of the sharp-edged pupil where it matters.
 
     The area-weighted pupil of a grid `SUBSAMPLES` times finer is low-passed: flat up to
-    half of the coarse grid's Nyquist frequency (with the sinc of the fine cell taken out),
-    a squared cosine to zero at 1.2 times it. A window of a few tens of lambda/D sees only
+    0.7 of the coarse grid's Nyquist frequency (with the sinc of the fine cell taken out),
+    a squared cosine to zero at 1.4 times it. A window of a few tens of lambda/D sees only
     the flat part, so sharp edges and thin vanes cost no resolution: at equal accuracy the
     grid is about half as fine per axis as an area-weighted one.
 

@@ -25,8 +25,13 @@ from irlos_pipe.runfolder import RunFolder
 
 # Results first, in the order in which they build on one another; what went in comes behind.
 SECTIONS: dict[str, Callable[[RunData], Section]] = {
-    "calibrate": calibrate_section, "correct": correct_section, "prior": prior_section, "lift": lift_section,
-    "sensitivity": sensitivity_section, "ingest": ingest_section}
+    "calibrate": calibrate_section,
+    "correct": correct_section,
+    "prior": prior_section,
+    "lift": lift_section,
+    "sensitivity": sensitivity_section,
+    "ingest": ingest_section,
+}
 TEMPLATE = "report.html.j2"
 
 
@@ -57,12 +62,23 @@ def write_report(run_folder: Path) -> Path:
 
 
 def _render(run: RunData) -> str:
-    page = jinja2.Environment(loader=jinja2.PackageLoader("irlos_pipe.report"), autoescape=True, trim_blocks=True,
-                              lstrip_blocks=True, undefined=jinja2.StrictUndefined)
+    page = jinja2.Environment(
+        loader=jinja2.PackageLoader("irlos_pipe.report"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
     return page.get_template(TEMPLATE).render(
-        run=run, title=run.recipe.get("title") or run.recipe["recipe"], targets=_targets(run),
-        observed=_observed(run), finished=finished(run), key_numbers=key_numbers(run), warnings=warnings(run),
-        sections=_sections(run))
+        run=run,
+        title=run.recipe.get("title") or run.recipe["recipe"],
+        targets=_targets(run),
+        observed=_observed(run),
+        finished=finished(run),
+        key_numbers=key_numbers(run),
+        warnings=warnings(run),
+        sections=_sections(run),
+    )
 
 
 def _sections(run: RunData) -> list[Section]:

@@ -7,7 +7,9 @@ import re
 from collections.abc import Callable
 
 import matplotlib
+import numpy as np
 from markupsafe import Markup
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 # Okabe and Ito's palette, which colour-blind readers can tell apart.
@@ -16,22 +18,50 @@ SKY, YELLOW = "#56b4e9", "#e69f00"
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW)
 INK, FAINT = "#1c2733", "#c9d0d7"
 # The page gives these their values, for light and for dark.
-PAGE_COLOURS = {INK: "currentColor", FAINT: "var(--faint)", BLUE: "var(--blue)", ORANGE: "var(--orange)",
-                GREEN: "var(--green)", PURPLE: "var(--purple)", SKY: "var(--sky)", YELLOW: "var(--yellow)"}
+PAGE_COLOURS = {
+    INK: "currentColor",
+    FAINT: "var(--faint)",
+    BLUE: "var(--blue)",
+    ORANGE: "var(--orange)",
+    GREEN: "var(--green)",
+    PURPLE: "var(--purple)",
+    SKY: "var(--sky)",
+    YELLOW: "var(--yellow)",
+}
 STYLE = {
-    "svg.fonttype": "none", "svg.hashsalt": "irlos", "font.size": 9, "axes.titlesize": 9,
-    "text.color": INK, "axes.edgecolor": INK, "axes.labelcolor": INK, "xtick.color": INK, "ytick.color": INK,
-    "axes.grid": True, "grid.color": FAINT, "grid.linewidth": 0.5, "axes.axisbelow": True,
-    "axes.linewidth": 0.7, "axes.spines.top": False, "axes.spines.right": False,
-    "axes.facecolor": "none", "figure.facecolor": "none",
-    "axes.prop_cycle": matplotlib.cycler(color=CYCLE), "lines.linewidth": 1.4,
-    "legend.frameon": False, "legend.fontsize": 8, "xtick.labelsize": 8, "ytick.labelsize": 8,
-    "figure.constrained_layout.use": True, "errorbar.capsize": 1.5,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "irlos",
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "text.color": INK,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.grid": True,
+    "grid.color": FAINT,
+    "grid.linewidth": 0.5,
+    "axes.axisbelow": True,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.facecolor": "none",
+    "figure.facecolor": "none",
+    "axes.prop_cycle": matplotlib.cycler(color=CYCLE),
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "figure.constrained_layout.use": True,
+    "errorbar.capsize": 1.5,
 }
 # What matplotlib writes and a page must not have: a header, rules for all its elements, a size in points.
-UNWANTED = re.compile(r'\A.*?(?=<svg)|<metadata>.*?</metadata>\s*|<style .*?</style>\s*| (?:width|height)="[\d.]+pt"',
-                      re.DOTALL)
-IDENTIFIER = re.compile(r'(?<=\sid=")|(?<=href="#)|(?<=url\(#)')
+UNWANTED = re.compile(
+    r'\A.*?(?=<svg)|<metadata>.*?</metadata>\s*|<style .*?</style>\s*| (?:width|height)="[\d.]+pt"', re.DOTALL
+)
+IDENTIFIER = re.compile(r'\sid="([^"]*)"')
+REFERENCE = re.compile(r'(?<=href="#)[^"]*|(?<=url\(#)[^)]*')
 FONT = re.compile(r"font-family: [^;\"]*")
 
 
@@ -58,10 +88,18 @@ def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None])
     return Markup(_for_page(text.getvalue(), name))
 
 
+def log_y(axes: Axes, *values: np.ndarray) -> None:
+    """Make the y axis logarithmic, unless nothing positive is drawn, which matplotlib cannot."""
+    if any(np.any(value > 0) for value in values):
+        axes.set_yscale("log")
+
+
 def _for_page(text: str, name: str) -> str:
     """Drop what a page does not need, let the page size and colour it, keep identifiers apart."""
     text = FONT.sub("font-family: inherit", UNWANTED.sub("", text))
-    text = IDENTIFIER.sub(f"{name}-", text)
+    used = set(REFERENCE.findall(text))
+    text = IDENTIFIER.sub(lambda found: f' id="{name}-{found[1]}"' if found[1] in used else "", text)
+    text = REFERENCE.sub(lambda found: f"{name}-{found[0]}", text)
     for colour, page_colour in PAGE_COLOURS.items():
         text = text.replace(colour, page_colour)
     return text

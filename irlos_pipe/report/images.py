@@ -43,8 +43,15 @@ def symmetric_scale(limit: float) -> Normalize:
     return Normalize(-limit, limit)
 
 
-def image_panel(name: str, image: np.ndarray, scale: Normalize, pixel_scale_mas: float | None, unit: str,
-                colours: matplotlib.colors.Colormap = BRIGHTNESS, pixel_mask: np.ndarray | None = None) -> Markup:
+def image_panel(
+    name: str,
+    image: np.ndarray,
+    scale: Normalize,
+    pixel_scale_mas: float | None,
+    unit: str,
+    colours: matplotlib.colors.Colormap = BRIGHTNESS,
+    pixel_mask: np.ndarray | None = None,
+) -> Markup:
     """Draw an image with its colour bar; axes in mas (px without a scale) from the centre of the window.
 
     Parameters
@@ -58,8 +65,14 @@ def image_panel(name: str, image: np.ndarray, scale: Normalize, pixel_scale_mas:
 
     def draw(figure: Figure) -> None:
         axes, bar = panel_axes(figure)
-        shown = axes.imshow(image, norm=scale, cmap=colours, origin="lower", interpolation="none",
-                            extent=_extent(image.shape, step))
+        shown = axes.imshow(
+            image,
+            norm=scale,
+            cmap=colours,
+            origin="lower",
+            interpolation="none",
+            extent=_extent(image.shape, step),
+        )
         axes.set(xlabel=f"x [{axis_unit}]", ylabel=f"y [{axis_unit}]")
         _cross_out(axes, pixel_mask, step)
         figure.colorbar(shown, cax=bar, label=unit)
@@ -71,8 +84,10 @@ def panel_axes(figure: Figure) -> tuple[Axes, Axes]:
     """Add axes for a square image and for a colour bar of the same height."""
     figure.set_layout_engine("none")
     width, height = figure.get_size_inches()
-    image, bar = (figure.add_axes((left / width, bottom / height, across / width, up / height))
-                  for left, bottom, across, up in (IMAGE_BOX_IN, BAR_BOX_IN))
+    image, bar = (
+        figure.add_axes((left / width, bottom / height, across / width, up / height))
+        for left, bottom, across, up in (IMAGE_BOX_IN, BAR_BOX_IN)
+    )
     image.grid(False)
     bar.grid(False)
     return image, bar
@@ -106,5 +121,11 @@ def _cross_out(axes: Axes, pixel_mask: np.ndarray | None, step: float) -> None:
         return
     rows, columns = pixel_mask.shape
     y, x = np.nonzero(~pixel_mask)
-    axes.plot((x - (columns - 1) / 2) * step, (y - (rows - 1) / 2) * step, "x",
-              color="white", markersize=3, markeredgewidth=0.7)
+    axes.plot(
+        (x - (columns - 1) / 2) * step,
+        (y - (rows - 1) / 2) * step,
+        "x",
+        color="white",
+        markersize=3,
+        markeredgewidth=0.7,
+    )

@@ -23,8 +23,11 @@ def _calibration(run: RunData) -> Iterator[KeyNumber]:
     sigmas = [sigma for sigma in results.get("sigma_nm", {}).values() if sigma is not None]
     nolls = sorted(int(noll) for noll in results.get("zernike_nm", {}))
     modes = f"Noll {nolls[0]}–{nolls[-1]}" if nolls else ""
-    yield KeyNumber("NCPAs", with_error(results.get("wfe_nm"), math.hypot(*sigmas), ".1f", "nm"),
-                    f"RMS, {modes}, {results.get('method')}")
+    yield KeyNumber(
+        "NCPAs",
+        with_error(results.get("wfe_nm"), math.hypot(*sigmas), ".1f", "nm"),
+        f"RMS, {modes}, {results.get('method')}",
+    )
     yield KeyNumber("Calibration fit", number(results.get("chi2_nu"), ".2f"), "χ²/ν of the mean image")
 
 
@@ -39,15 +42,18 @@ def _ramp(run: RunData) -> Iterator[KeyNumber]:
 def _limit(run: RunData) -> Iterator[KeyNumber]:
     for curve in run.results("sensitivity").get("curves", [])[:1]:
         ncpas = "with" if curve.get("calibrated") else "without"
-        yield KeyNumber("Limiting magnitude", f"{limit_text(curve)} mag" if curve.get("limit_mag") else "not reached",
-                        f"J, {ncpas} NCPAs, {len(curve.get('modes', []))} modes")
+        limit = "not reached" if curve.get("limit_mag") is None else f"{limit_text(curve)} mag"
+        yield KeyNumber("Limiting magnitude", limit, f"J, {ncpas} NCPAs, {len(curve.get('modes', []))} modes")
 
 
 def _strehl(run: RunData) -> Iterator[KeyNumber]:
     results = run.results("correct")
     after = number(results.get("strehl_after"), ".3f")
-    yield KeyNumber("Strehl", f"{number(results.get('strehl_before'), '.3f')} → {after}",
-                    "predicted, before → after correction")
+    yield KeyNumber(
+        "Strehl",
+        f"{number(results.get('strehl_before'), '.3f')} → {after}",
+        "predicted, before → after correction",
+    )
 
 
 def _sky(run: RunData) -> Iterator[KeyNumber]:
@@ -55,8 +61,12 @@ def _sky(run: RunData) -> Iterator[KeyNumber]:
     effects = results.get("effects") or {}
     halo, jitter = effects.get("seeing_halo", {}), effects.get("tip_tilt_jitter", {})
     in_band = number(halo.get("in_band_wfe_nm"), ".0f", "nm")
-    yield KeyNumber("Seeing", number(results.get("seeing_arcsec"), ".2f", "arcsec"), "taken for the calibration")
-    yield KeyNumber("AO residual", number(halo.get("wfe_nm"), ".0f", "nm RMS"), f"estimated; {in_band} within the band")
+    yield KeyNumber(
+        "Seeing", number(results.get("seeing_arcsec"), ".2f", "arcsec"), "taken for the calibration"
+    )
+    yield KeyNumber(
+        "AO residual", number(halo.get("wfe_nm"), ".0f", "nm RMS"), f"estimated; {in_band} within the band"
+    )
     yield KeyNumber("Image motion", number(jitter.get("sigma_mas"), ".1f", "mas RMS"), "estimated, per axis")
 
 
@@ -64,5 +74,9 @@ def _quality(run: RunData) -> Iterator[KeyNumber]:
     checks = [check for product in run.products.values() for check in product.checks]
     if checks:
         passed = all(check.passed for check in checks)
-        yield KeyNumber("Quality control", quality_text(run).removesuffix(" checks passed"), "checks passed",
-                        "good" if passed else "bad")
+        yield KeyNumber(
+            "Quality control",
+            quality_text(run).removesuffix(" checks passed"),
+            "checks passed",
+            "good" if passed else "bad",
+        )

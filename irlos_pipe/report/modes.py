@@ -4,8 +4,15 @@ from __future__ import annotations
 
 from irlos_pipe.optics.zernike import noll_to_nm
 
-FAMILIES = {0: "spherical", 1: "coma", 2: "astigmatism", 3: "trefoil", 4: "quadrafoil", 5: "pentafoil",
-            6: "hexafoil"}
+FAMILIES = {
+    0: "spherical",
+    1: "coma",
+    2: "astigmatism",
+    3: "trefoil",
+    4: "quadrafoil",
+    5: "pentafoil",
+    6: "hexafoil",
+}
 LOW_ORDER = {1: "piston", 2: "tilt x", 3: "tilt y", 4: "defocus"}
 # Modes of an azimuthal order that have names of their own, before the family begins.
 NAMED_APART = {0: 2, 1: 1}

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from markupsafe import Markup
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from irlos_pipe.report.drawing import BLUE, CYCLE, FAINT, INK, ORANGE, svg
@@ -17,29 +18,40 @@ BAR_IN = 0.165
 MARKERS = ("o", "s", "D", "^", "v")
 
 
-def coefficient_bars(name: str, nolls: Sequence[int], values_nm: np.ndarray, sigma_nm: np.ndarray,
-                     others_nm: Mapping[str, np.ndarray]) -> Markup:
+def coefficient_bars(
+    name: str,
+    nolls: Sequence[int],
+    values_nm: np.ndarray,
+    sigma_nm: np.ndarray,
+    others_nm: Mapping[str, np.ndarray],
+) -> Markup:
     """Draw one bar with its error per mode, and other methods as symbols."""
     rows = np.arange(len(nolls))
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
-        axes.barh(rows, values_nm, height=0.75, color=BLUE, xerr=np.nan_to_num(sigma_nm),
-                  error_kw={"ecolor": INK, "elinewidth": 0.9})
-        for place, (other, coefficients_nm) in enumerate(others_nm.items()):
-            axes.plot(coefficients_nm, rows, MARKERS[place % len(MARKERS)], color=CYCLE[1 + place % (len(CYCLE) - 1)],
-                      markersize=3.5, label=other)
+        error_look = {"ecolor": INK, "elinewidth": 0.9}
+        axes.barh(rows, values_nm, 0.75, color=BLUE, xerr=np.nan_to_num(sigma_nm), error_kw=error_look)
+        _draw_others(axes, rows, others_nm)
         axes.axvline(0, color=INK, linewidth=0.7)
-        axes.set(yticks=rows, yticklabels=[label(noll) for noll in nolls], xlabel="coefficient [nm RMS]",
-                 ylim=(len(nolls) - 0.4, -0.6))
+        axes.set(yticks=rows, yticklabels=[label(noll) for noll in nolls], ylim=(len(nolls) - 0.4, -0.6))
+        axes.set_xlabel("coefficient [nm RMS]")
         axes.grid(axis="y", visible=False)
-        if others_nm:
-            axes.legend(loc="lower right")
 
     return svg(name, (WIDTH_IN, 0.7 + BAR_IN * len(nolls)), draw)
 
 
-def coefficients_in_time(name: str, nolls: Sequence[int], frames_nm: np.ndarray, mean_nm: np.ndarray) -> Markup:
+def _draw_others(axes: Axes, rows: np.ndarray, others_nm: Mapping[str, np.ndarray]) -> None:
+    for place, (name, values_nm) in enumerate(others_nm.items()):
+        colour, marker = CYCLE[1 + place % (len(CYCLE) - 1)], MARKERS[place % len(MARKERS)]
+        axes.plot(values_nm, rows, marker, color=colour, markersize=3.5, label=name)
+    if others_nm:
+        axes.legend(loc="lower right")
+
+
+def coefficients_in_time(
+    name: str, nolls: Sequence[int], frames_nm: np.ndarray, mean_nm: np.ndarray
+) -> Markup:
     """Draw the coefficients of every frame, one row per mode, with the adopted value.
 
     Parameters
@@ -47,6 +59,7 @@ def coefficients_in_time(name: str, nolls: Sequence[int], frames_nm: np.ndarray,
     frames_nm : ndarray, (frames, modes)
     mean_nm : ndarray, (modes,)
     """
+
     def draw(figure: Figure) -> None:
         stack = figure.subplots(len(nolls), sharex=True, squeeze=False)[:, 0]
         for axes, noll, values, mean in zip(stack, nolls, frames_nm.T, mean_nm, strict=True):
@@ -67,10 +80,17 @@ def wavefront_map(name: str, opd_nm: np.ndarray, limit_nm: float) -> Markup:
     limit_nm : float
         End of the colour scale, the same for maps to be compared.
     """
+
     def draw(figure: Figure) -> None:
         axes, bar = panel_axes(figure)
-        shown = axes.imshow(opd_nm, norm=symmetric_scale(limit_nm), cmap=SIGNED, origin="lower",
-                            interpolation="none", extent=(-1, 1, -1, 1))
+        shown = axes.imshow(
+            opd_nm,
+            norm=symmetric_scale(limit_nm),
+            cmap=SIGNED,
+            origin="lower",
+            interpolation="none",
+            extent=(-1, 1, -1, 1),
+        )
         axes.set_facecolor(FAINT)
         axes.set(xlabel="x [pupil radii]", ylabel="y [pupil radii]", xticks=(-1, 0, 1), yticks=(-1, 0, 1))
         figure.colorbar(shown, cax=bar, label="OPD [nm]", extend="both")

@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from irlos_pipe.report.drawing import svg
+from irlos_pipe.report.drawing import log_y, svg
 
 SIZE_IN = (4.4, 3.2)
 
@@ -38,8 +38,12 @@ def ring_means(image: np.ndarray, centre_px: tuple[float, float]) -> tuple[np.nd
         return np.bincount(ring, radius[good]) / count, np.bincount(ring, image[good]) / count
 
 
-def profile_plot(name: str, curves: Mapping[str, tuple[np.ndarray, np.ndarray, str, str]],
-                 units: tuple[str, str], size_in: tuple[float, float] = SIZE_IN) -> Markup:
+def profile_plot(
+    name: str,
+    curves: Mapping[str, tuple[np.ndarray, np.ndarray, str, str]],
+    units: tuple[str, str],
+    size_in: tuple[float, float] = SIZE_IN,
+) -> Markup:
     """Draw profiles; values that are not positive leave gaps.
 
     Parameters
@@ -49,12 +53,14 @@ def profile_plot(name: str, curves: Mapping[str, tuple[np.ndarray, np.ndarray, s
     units : tuple of str
         Of the radius, and the label of the values' axis.
     """
+
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
         for label, (radius, values, colour, style) in curves.items():
             axes.plot(radius, np.where(values > 0, values, np.nan), style, color=colour, label=label)
-        axes.set(yscale="log", xlabel=f"radius [{units[0]}]", ylabel=units[1])
+        axes.set(xlabel=f"radius [{units[0]}]", ylabel=units[1])
         axes.set_xlim(left=0)
+        log_y(axes, *(values for _, values, *_ in curves.values()))
         axes.legend()
 
     return svg(name, size_in, draw)

@@ -11,10 +11,14 @@ from matplotlib.figure import Figure
 
 from irlos_pipe.report.drawing import BLUE, INK, ORANGE, PURPLE, svg
 from irlos_pipe.report.images import BRIGHTNESS, SIGNED, brightness_scale, symmetric_scale
+from irlos_pipe.report.text import number
 
 # Direction of travel: label, marker, colour.
-TRAVEL = {1: ("defocus was raised", "^", ORANGE), -1: ("defocus was lowered", "v", BLUE),
-          0: ("first offset", "o", PURPLE)}
+TRAVEL = {
+    1: ("defocus was raised", "^", ORANGE),
+    -1: ("defocus was lowered", "v", BLUE),
+    0: ("first offset", "o", PURPLE),
+}
 SPREAD = 0.3  # of the step between offsets
 RESIDUAL_PERCENTILE = 99.8
 STRIP_COLUMNS = 9
@@ -41,6 +45,7 @@ class RampPoints:
 
 def ramp_plot(points: RampPoints) -> Markup:
     """Draw estimated against introduced defocus with the 1:1 line, and their difference below."""
+
     def draw(figure: Figure) -> None:
         top, bottom = figure.subplots(2, sharex=True, height_ratios=(3, 2))
         x = _spread_out(points.introduced_nm)
@@ -71,7 +76,7 @@ def image_strip(offsets_nm: np.ndarray, measured: np.ndarray, model: np.ndarray,
         grid = figure.subplots(3, len(chosen), squeeze=False)
         for column, index in zip(grid.T, chosen, strict=True):
             _draw_column(column, measured[index], model[index], limit)
-            column[0].set_title(f"{offsets_nm[index]:+.0f} nm")
+            column[0].set_title(number(offsets_nm[index], "+.0f", "nm"))
         for axes, name in zip(grid[:, 0], ("measured", "model", "residual"), strict=True):
             axes.set_ylabel(name)
 
@@ -95,8 +100,7 @@ def _draw_column(column: np.ndarray, measured: np.ndarray, model: np.ndarray, li
     residual = _relative_residual(measured, model)
     for axes, image in zip(column[:2], (measured, model), strict=True):
         axes.imshow(image, norm=scale, cmap=BRIGHTNESS, origin="lower", interpolation="none")
-    column[2].imshow(residual, norm=symmetric_scale(limit), cmap=SIGNED, origin="lower",
-                     interpolation="none")
+    column[2].imshow(residual, norm=symmetric_scale(limit), cmap=SIGNED, origin="lower", interpolation="none")
     for axes in column:
         axes.grid(False)
         axes.set(xticks=[], yticks=[])
@@ -114,8 +118,16 @@ def _markers(axes: Axes, x: np.ndarray, y: np.ndarray, points: RampPoints) -> No
     for direction, (label, marker, colour) in TRAVEL.items():
         chosen = (points.direction == direction) & np.isfinite(y)
         if chosen.any():
-            axes.errorbar(x[chosen], y[chosen], np.nan_to_num(points.sigma_nm[chosen]), fmt=marker, color=colour,
-                          markersize=4, linewidth=0.8, label=label)
+            axes.errorbar(
+                x[chosen],
+                y[chosen],
+                np.nan_to_num(points.sigma_nm[chosen]),
+                fmt=marker,
+                color=colour,
+                markersize=4,
+                linewidth=0.8,
+                label=label,
+            )
     failed = ~points.converged & np.isfinite(y)
     if failed.any():
         axes.plot(x[failed], y[failed], "x", color=INK, markersize=7, label="not converged")

@@ -76,8 +76,14 @@ def read_run(folder: Path) -> RunData:
     products = {stage: read_product(path) for stage, path in run.products().items()}
     told = json.loads(run.results.read_text())
     recipe = load_yaml(run.recipe, InputDataError)[0]
-    return RunData(recipe, run.recipe.read_text(), told.get("status", ""), told.get("error", ""), products,
-                   _recordings(products.get("ingest")))
+    return RunData(
+        recipe,
+        run.recipe.read_text(),
+        told.get("status", ""),
+        told.get("error", ""),
+        products,
+        _recordings(products.get("ingest")),
+    )
 
 
 def _recordings(ingest: Product | None) -> list[Recording]:

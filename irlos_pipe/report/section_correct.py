@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from irlos_pipe.report.content import Figure, Section, Table, Text
-from irlos_pipe.report.drawing import BLUE, INK, ORANGE
+from irlos_pipe.report.drawing import BLUE, ORANGE
 from irlos_pipe.report.images import PANEL_IN, image_panel, log_scale
 from irlos_pipe.report.modes import mode_name
 from irlos_pipe.report.radial import profile_plot
@@ -26,8 +26,10 @@ def correct_section(run: RunData) -> Section:
 def _lead(run: RunData) -> str:
     results = run.results(STAGE)
     files = ", ".join(run.products[STAGE].provenance.get("files", []))
-    return (f"Predicted Strehl {number(results.get('strehl_before'), '.3f')} → "
-            f"{number(results.get('strehl_after'), '.3f')}{f'; offsets in {files}' if files else ''}.")
+    return (
+        f"Predicted Strehl {number(results.get('strehl_before'), '.3f')} → "
+        f"{number(results.get('strehl_after'), '.3f')}{f'; offsets in {files}' if files else ''}."
+    )
 
 
 def _images(run: RunData) -> list[Figure]:
@@ -35,9 +37,17 @@ def _images(run: RunData) -> list[Figure]:
     if any(image is None for image in images.values()):
         return []
     scale = log_scale(*images.values())
-    return [Figure(image_panel(f"psf-{name}", image, scale, run.pixel_scale_mas(STAGE), "part of the flux per pixel"),
-                   f"{IMAGES[name]} correction", "Prediction without diversity and noise; same scale.", "third")
-            for name, image in images.items()]
+    return [
+        Figure(
+            image_panel(
+                f"psf-{name}", image, scale, run.pixel_scale_mas(STAGE), "part of the flux per pixel"
+            ),
+            f"{IMAGES[name]} correction",
+            "Prediction without diversity and noise; same scale.",
+            "third",
+        )
+        for name, image in images.items()
+    ]
 
 
 def _profile(run: RunData) -> list[Figure]:
@@ -47,19 +57,29 @@ def _profile(run: RunData) -> list[Figure]:
         return []
     looks = {"before": (ORANGE, "--"), "after": (BLUE, "-")}
     curves = {name: (radius, profile, *looks[name]) for name, profile in profiles.items()}
-    return [Figure(profile_plot("psf-profile", curves, ("mas", "part of the flux per pixel"),
-                                PANEL_IN),
-                   "Radial profile", "Predicted; rings about the optical axis.", "third")]
+    return [
+        Figure(
+            profile_plot("psf-profile", curves, ("mas", "part of the flux per pixel"), PANEL_IN),
+            "Radial profile",
+            "Predicted; rings about the optical axis.",
+            "third",
+        )
+    ]
 
 
 def _offsets(run: RunData) -> list[Table | Text]:
-    nolls, offsets, sigma = run.array(STAGE, "noll"), run.array(STAGE, "offset_nm"), run.error_of(STAGE, "offset_nm")
+    nolls, offsets = run.array(STAGE, "noll"), run.array(STAGE, "offset_nm")
     if nolls is None or offsets is None:
         return []
+    sigma = run.error_of(STAGE, "offset_nm")
     sigma = np.full(len(nolls), np.nan) if sigma is None else sigma
-    rows = [(str(int(noll)), mode_name(int(noll)), number(offset, "+.2f"), number(error, ".2f"))
-            for noll, offset, error in zip(nolls, offsets, sigma, strict=True)]
-    parts = [rows[start:start + ROWS_PER_TABLE] for start in range(0, len(rows), ROWS_PER_TABLE)]
-    tables = [Table(OFFSET_COLUMNS, part, f"Modal offsets, Noll {part[0][0]}–{part[-1][0]}") for part in parts]
+    rows = [
+        (str(int(noll)), mode_name(int(noll)), number(offset, "+.2f"), number(error, ".2f"))
+        for noll, offset, error in zip(nolls, offsets, sigma, strict=True)
+    ]
+    parts = [rows[start : start + ROWS_PER_TABLE] for start in range(0, len(rows), ROWS_PER_TABLE)]
+    tables = [
+        Table(OFFSET_COLUMNS, part, f"Modal offsets, Noll {part[0][0]}–{part[-1][0]}") for part in parts
+    ]
     sign = run.results(STAGE).get("sign", "")
     return [*tables, Text(f"{sign}. {MISSING} as error: mode not estimated, offset 0.")]

@@ -15,7 +15,18 @@ from irlos_pipe.report.text import number, plural, with_error
 STAGE = "lift"
 MOST_OFFSETS = 12
 FEW_OFFSETS = 3
-VARIANT_COLUMNS = ("model", "slope", "offset [nm]", "error [nm RMS]", "about the line [nm RMS]", "saw-tooth [nm]")
+CAPTION = (
+    "Frames of one offset stand side by side in order of time; the colour tells from which side "
+    "the offset was reached."
+)
+VARIANT_COLUMNS = (
+    "model",
+    "slope",
+    "offset [nm]",
+    "error [nm RMS]",
+    "about the line [nm RMS]",
+    "saw-tooth [nm]",
+)
 
 
 def lift_section(run: RunData) -> Section:
@@ -36,38 +47,66 @@ def _ramp(results: dict[str, Any]) -> list[Figure]:
     introduced = np.array([point["introduced_nm"] for point in points], dtype=float)
     if not points:
         return []
-    defocus, sigma = (np.array([point.get(key) for point in points], dtype=float)
-                      for key in ("defocus_nm", "sigma_nm"))
+    defocus, sigma = (
+        np.array([point.get(key) for point in points], dtype=float) for key in ("defocus_nm", "sigma_nm")
+    )
     converged = np.array([bool(point.get("converged", True)) for point in points])
     missing = int(np.sum(~np.isfinite(defocus)))
-    caption = ("Frames of one offset stand side by side in order of time; the colour tells from which side the "
-               "offset was reached." + (f" {plural(missing, 'frame')} without estimate." if missing else ""))
+    lost = f" {plural(missing, 'frame')} without estimate." if missing else ""
+    caption = f"{CAPTION}{lost}"
     direction = travel_direction(introduced).astype(int)
     return [Figure(ramp_plot(RampPoints(introduced, defocus, sigma, direction, converged)), "Ramp", caption)]
 
 
 def _variants(results: dict[str, Any]) -> list[Table]:
     summaries = {"as configured": results.get("summary", {})} | (results.get("compare") or {})
-    rows = [(name, with_error(one.get("slope"), one.get("slope_sigma"), ".4f"), number(one.get("offset_nm"), "+.1f"),
-             number(one.get("rms_nm")), number(one.get("residual_rms_nm")), number(one.get("saw_tooth_nm"), "+.1f"))
-            for name, one in summaries.items()]
-    return [Table(VARIANT_COLUMNS, rows, "What the parts of the model buy" if len(rows) > 1 else "Ramp in numbers",
-                  "Saw-tooth: mean residual of offsets reached upwards minus downwards.")]
+    rows = [_variant_row(name, one) for name, one in summaries.items()]
+    title = "What the parts of the model buy" if len(rows) > 1 else "Ramp in numbers"
+    return [
+        Table(
+            VARIANT_COLUMNS,
+            rows,
+            title,
+            "Saw-tooth: mean residual of offsets reached upwards minus downwards.",
+        )
+    ]
+
+
+def _variant_row(name: str, one: dict[str, Any]) -> tuple[str, ...]:
+    slope = with_error(one.get("slope"), one.get("slope_sigma"), ".4f")
+    return (
+        name,
+        slope,
+        number(one.get("offset_nm"), "+.1f"),
+        number(one.get("rms_nm")),
+        number(one.get("residual_rms_nm")),
+        number(one.get("saw_tooth_nm"), "+.1f"),
+    )
 
 
 def _strip(run: RunData) -> list[Figure]:
-    offsets, measured, model = (run.array(STAGE, name) for name in
-                                ("offsets_nm", "measured_per_offset_e", "model_per_offset_e"))
+    offsets, measured, model = (
+        run.array(STAGE, name) for name in ("offsets_nm", "measured_per_offset_e", "model_per_offset_e")
+    )
     if offsets is None or measured is None or model is None or len(offsets) == 0:
         return []
     limit = residual_limit(measured, model)
-    return [Figure(image_strip(offsets, measured, model, limit), "Mean image per offset",
-                   f"Asinh scale to the peak of each offset; residual ±{limit:.1%} of the model's peak "
-                   "(red: brighter than the model, blue: fainter).", "full" if len(offsets) > FEW_OFFSETS else "half")]
+    caption = (
+        f"Asinh scale to the peak of each offset; residual ±{limit:.1%} of the model's peak "
+        "(red: brighter than the model, blue: fainter)."
+    )
+    width = "full" if len(offsets) > FEW_OFFSETS else "half"
+    return [Figure(image_strip(offsets, measured, model, limit), "Mean image per offset", caption, width)]
 
 
 def _offsets(results: dict[str, Any]) -> list[Table]:
-    rows = [(number(one["introduced_nm"], "+.1f"), number(one["median_nm"], "+.1f"), number(one["scatter_nm"]))
-            for one in results.get("offsets", [])]
+    rows = [
+        (
+            number(one.get("introduced_nm"), "+.1f"),
+            number(one.get("median_nm"), "+.1f"),
+            number(one.get("scatter_nm")),
+        )
+        for one in results.get("offsets", [])
+    ]
     columns = ("introduced [nm]", "median [nm]", "1σ over frames [nm]")
     return [Table(columns, rows, "Median per offset", folded=len(rows) > MOST_OFFSETS)] if rows else []

@@ -15,7 +15,11 @@ CHECKSUM_DIGITS = 12
 def origin_section(run: RunData) -> Section:
     """Build the section."""
     last = _latest(run)
-    blocks = [_stages(run), *_inputs(last), Text(run.recipe_text, "Resolved recipe", verbatim=True, folded=True)]
+    blocks = [
+        _stages(run),
+        *_inputs(last),
+        Text(run.recipe_text, "Resolved recipe", verbatim=True, folded=True),
+    ]
     return Section("origin", "Provenance", _lead(last), blocks)
 
 
@@ -28,16 +32,22 @@ def warnings(run: RunData) -> list[str]:
     """Return what the stages warned of, and the exposures that failed."""
     found = []
     for stage, product in run.products.items():
-        found += [f"{stage}: {line.partition(' ')[2]}" for line in product.log
-                  if line.startswith(("WARNING ", "ERROR ", "CRITICAL "))]
+        found += [
+            f"{stage}: {line.partition(' ')[2]}"
+            for line in product.log
+            if line.startswith(("WARNING ", "ERROR ", "CRITICAL "))
+        ]
         found += [f"{stage}: lost: {failure}" for failure in product.provenance.get("failures", [])]
     return found
 
 
 def _latest(run: RunData) -> dict[str, Any]:
     """Provenance of the product made last."""
-    return max((product.provenance for product in run.products.values()),
-               key=lambda provenance: provenance.get("finished") or "", default={})
+    return max(
+        (product.provenance for product in run.products.values()),
+        key=lambda provenance: provenance.get("finished") or "",
+        default={},
+    )
 
 
 def _moment(iso_time: str | None) -> str:
@@ -46,21 +56,33 @@ def _moment(iso_time: str | None) -> str:
 
 def _lead(provenance: dict[str, Any]) -> str:
     machine = provenance.get("machine", {})
-    facts = [provenance.get("command", ""), f"seed {provenance.get('seed', '')}",
-             f"{machine.get('host', '')} ({machine.get('platform', '')})"]
+    facts = [
+        provenance.get("command", ""),
+        f"seed {provenance.get('seed', '')}",
+        f"{machine.get('host', '')} ({machine.get('platform', '')})",
+    ]
     facts += [f"{name} {version}" for name, version in provenance.get("software", {}).items()]
     return " · ".join(facts)
 
 
 def _stages(run: RunData) -> Table:
-    return Table(("stage", "finished", "time [s]", "device", "threads", "irlos_pipe"),
-                 [_stage_row(stage, product) for stage, product in run.products.items()], "Stages")
+    return Table(
+        ("stage", "finished", "time [s]", "device", "threads", "irlos_pipe"),
+        [_stage_row(stage, product) for stage, product in run.products.items()],
+        "Stages",
+    )
 
 
 def _stage_row(stage: str, product: Product) -> tuple[str, ...]:
     made = product.provenance
-    return (stage, _moment(made.get("finished")), number(made.get("seconds")), made.get("device", ""),
-            str(made.get("jobs", "")), made.get("software", {}).get("irlos_pipe", ""))
+    return (
+        stage,
+        _moment(made.get("finished")),
+        number(made.get("seconds")),
+        made.get("device", ""),
+        str(made.get("jobs", "")),
+        made.get("software", {}).get("irlos_pipe", ""),
+    )
 
 
 def _inputs(provenance: dict[str, Any]) -> list[Table]:

@@ -20,12 +20,22 @@ def prior_section(run: RunData) -> Section:
     ratio, prior, introduced = (run.array(STAGE, name) for name in ("ratio", "defocus_nm", "introduced_nm"))
     law, blocks = _law(run.results(STAGE)), []
     if ratio is not None and introduced is not None:
-        blocks.append(Figure(_ratio_plot(ratio, introduced, law), "Axis ratio against introduced defocus",
-                             "The elongation sees the introduced defocus and that of the NCPAs together, "
-                             "so frames may stand beside the law."))
+        blocks.append(
+            Figure(
+                _ratio_plot(ratio, introduced, law),
+                "Axis ratio against introduced defocus",
+                "The elongation sees the introduced defocus and that of the NCPAs together, "
+                "so frames may stand beside the law.",
+            )
+        )
     if prior is not None and introduced is not None:
-        blocks.append(Figure(_prior_plot(prior, introduced), "Prior against introduced defocus",
-                             "Where LIFT begins to iterate."))
+        blocks.append(
+            Figure(
+                _prior_plot(prior, introduced),
+                "Prior against introduced defocus",
+                "Defocus from the law; that of the NCPAs is in it.",
+            )
+        )
     return Section(STAGE, "Elongation prior", _lead(run), blocks)
 
 
@@ -33,9 +43,11 @@ def _lead(run: RunData) -> str:
     results = run.results(STAGE)
     low, high = results.get("valid_nm") or (None, None)
     scatter = number(results.get("law_residual_nm"), ".0f", "nm")
-    return (f"defocus = {number(results.get('A'), '.0f')} nm · (σ₁/σ₂ − 1) {number(results.get('B'), '+.0f')} nm, "
-            f"from {number(low, '.0f')} to {number(high, '.0f', 'nm')}"
-            + (f"; the law departs {scatter} RMS from the model." if scatter != MISSING else "."))
+    slope, offset = number(results.get("A"), ".0f", "nm"), number(results.get("B"), "+.0f", "nm")
+    return (
+        f"defocus = {slope} · (σ₁/σ₂ − 1) {offset}, from {number(low, '.0f')} to {number(high, '.0f', 'nm')}"
+        + (f"; the law departs {scatter} RMS from the model." if scatter != MISSING else ".")
+    )
 
 
 def _law(results: dict) -> tuple[np.ndarray, np.ndarray] | None:
@@ -46,7 +58,9 @@ def _law(results: dict) -> tuple[np.ndarray, np.ndarray] | None:
     return defocus, 1 + (defocus - results["B"]) / results["A"]
 
 
-def _ratio_plot(ratio: np.ndarray, introduced: np.ndarray, law: tuple[np.ndarray, np.ndarray] | None) -> Markup:
+def _ratio_plot(
+    ratio: np.ndarray, introduced: np.ndarray, law: tuple[np.ndarray, np.ndarray] | None
+) -> Markup:
     def draw(figure: Canvas) -> None:
         axes = figure.subplots()
         axes.plot(introduced, ratio, "o", color=BLUE, markersize=3, label="frames")

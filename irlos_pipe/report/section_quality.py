@@ -18,13 +18,18 @@ def quality_section(run: RunData) -> Section | None:
     if not checks:
         return None
     failed = [(stage, check) for stage, check in checks if not check.passed]
-    passed = {name: [(stage, check) for stage, check in checks if stage == name and check.passed]
-              for name in run.products}
+    passed = {
+        name: [(stage, check) for stage, check in checks if stage == name and check.passed]
+        for name in run.products
+    }
     tables = [_table("Failed", failed)] if failed else []
     few = [one for found in passed.values() if len(found) <= FOLDED_ABOVE for one in found]
     tables += [_table("Passed", few)] if few else []
-    tables += [_table(f"Passed: {len(found)} of {stage}", found, folded=True)
-               for stage, found in passed.items() if len(found) > FOLDED_ABOVE]
+    tables += [
+        _table(f"{stage}: {len(found)} passed", found, folded=True)
+        for stage, found in passed.items()
+        if len(found) > FOLDED_ABOVE
+    ]
     return Section("quality", "Quality control", quality_text(run), tables)
 
 
@@ -47,6 +52,8 @@ def _row(stage: str, check: Check) -> tuple[str, ...]:
 
 
 def _limits(check: Check) -> str:
-    if check.low is None or check.high is None:
-        return f"≤ {check.high:g}" if check.high is not None else f"≥ {check.low:g}" if check.low is not None else ""
-    return f"{check.low:g} … {check.high:g}"
+    if check.low is not None and check.high is not None:
+        return f"{check.low:g} … {check.high:g}"
+    if check.low is not None:
+        return f"≥ {check.low:g}"
+    return f"≤ {check.high:g}" if check.high is not None else ""

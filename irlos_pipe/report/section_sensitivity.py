@@ -12,13 +12,16 @@ from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL
 from irlos_pipe.report.content import Figure, Section, Stack, Table
-from irlos_pipe.report.drawing import CYCLE, INK, svg
+from irlos_pipe.report.drawing import CYCLE, INK, log_y, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number
 
 STAGE = "sensitivity"
-
 MARKERS = ("o", "s", "^", "D", "v", "P")
+CAPTION = (
+    f"Bands: 16th to 84th percentile. Dashed: Cramér–Rao bound times {MEDIAN_OF_NORMAL}, the median "
+    "|error| of an efficient estimate. Horizontal and vertical lines: criterion and limiting magnitudes."
+)
 COLUMNS = ("NCPAs", "modes", "limit [J mag]", "error at the bright end [nm]")
 
 
@@ -42,11 +45,19 @@ def sensitivity_section(run: RunData) -> Section:
     curves = [_curve(row) for row in results.get("curves", [])]
     blocks = []
     if curves:
-        blocks = [Figure(_plot(curves, results.get("criterion") or {}), "Defocus error against magnitude",
-                         "Bands: 16th to 84th percentile. Dashed: Cramér–Rao bound times 0.6745, the median |error| of an "
-                         "efficient estimate. Horizontal and vertical lines: criterion and limiting magnitudes."),
-                  Stack([Table(COLUMNS, [_row(row) for row in results["curves"]], "Limiting magnitude",
-                               _criterion(results))])]
+        blocks = [
+            Figure(_plot(curves, results.get("criterion") or {}), "Defocus error against magnitude", CAPTION),
+            Stack(
+                [
+                    Table(
+                        COLUMNS,
+                        [_row(row) for row in results["curves"]],
+                        "Limiting magnitude",
+                        _criterion(results),
+                    )
+                ]
+            ),
+        ]
     return Section(STAGE, "Sensitivity", _lead(results), blocks)
 
 
@@ -64,15 +75,22 @@ def _lead(results: dict[str, Any]) -> str:
 
 def _criterion(results: dict[str, Any]) -> str:
     criterion = results.get("criterion") or {}
-    return (f"Faintest magnitude with median |error| ≤ {number(criterion.get('median_abs_error_nm'), '.0f', 'nm')} and "
-            f"≤ {number(criterion.get('failures'), '.0%')} failures; ≥: the magnitudes end before. "
-            f"{MISSING}: met at no magnitude.")
+    error = number(criterion.get("median_abs_error_nm"), ".0f", "nm")
+    failures = number(criterion.get("failures"), ".0%")
+    return (
+        f"Faintest magnitude with median |error| ≤ {error} and ≤ {failures} failures; "
+        f"≥: the magnitudes end before. {MISSING}: met at no magnitude."
+    )
 
 
 def _row(row: dict[str, Any]) -> tuple[str, ...]:
     curve = _curve(row)
-    return ("added" if row.get("calibrated") else "left out", ", ".join(map(str, row.get("modes", []))),
-            limit_text(row), number(curve.median_nm[0]) if curve.median_nm.size else MISSING)
+    return (
+        "added" if row.get("calibrated") else "left out",
+        ", ".join(map(str, row.get("modes", []))),
+        limit_text(row),
+        number(curve.median_nm[0]) if curve.median_nm.size else MISSING,
+    )
 
 
 def _curve(row: dict[str, Any]) -> Curve:
@@ -81,8 +99,16 @@ def _curve(row: dict[str, Any]) -> Curve:
         return np.array(found, dtype=float) if found else np.full(len(row.get("mag_j", [])), np.nan)
 
     label = f"{'with' if row.get('calibrated') else 'without'} NCPAs, {len(row.get('modes', []))} modes"
-    return Curve(label, values("mag_j"), values("median_abs_error_nm"), values("p16_nm"), values("p84_nm"),
-                 values("crb_nm"), values("failures") / (row.get("trials") or np.nan), row.get("limit_mag"))
+    return Curve(
+        label,
+        values("mag_j"),
+        values("median_abs_error_nm"),
+        values("p16_nm"),
+        values("p84_nm"),
+        values("crb_nm"),
+        values("failures") / (row.get("trials") or np.nan),
+        row.get("limit_mag"),
+    )
 
 
 def _plot(curves: list[Curve], criterion: dict[str, Any]) -> Markup:
@@ -94,7 +120,8 @@ def _plot(curves: list[Curve], criterion: dict[str, Any]) -> Markup:
             bottom.plot(curve.mag_j, 100 * curve.failed, f"{marker}-", color=colour, markersize=3.5)
         _draw_limit(top, criterion.get("median_abs_error_nm"), 1)
         _draw_limit(bottom, criterion.get("failures"), 100)
-        top.set(yscale="log", ylabel="median |error| [nm RMS]")
+        top.set_ylabel("median |error| [nm RMS]")
+        log_y(top, *(curve.median_nm for curve in curves))
         figure.legend(loc="outside upper center", ncols=2)
         bottom.set(xlabel="J magnitude", ylabel="failures [%]")
         bottom.set_ylim(bottom=-2)

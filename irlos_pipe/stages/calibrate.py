@@ -128,6 +128,11 @@ def _wfe_nm(result: Calibration) -> float:
     return float(np.sqrt(np.sum(result.zernike_nm[_exported(result)] ** 2)))
 
 
+def _total_sigma_nm(result: Calibration) -> float:
+    """Root of the summed variances of the reported modes [nm]: the expected total error."""
+    return float(np.sqrt(np.sum(result.sigma_nm[_exported(result)] ** 2)))
+
+
 def _by_noll(result: Calibration, values: np.ndarray) -> dict[str, float]:
     reported = _exported(result)
     return {
@@ -146,6 +151,7 @@ def _one(result: Calibration) -> dict:
         "zernike_nm": _by_noll(result, result.zernike_nm),
         "sigma_nm": _by_noll(result, result.sigma_nm),
         "wfe_nm": _wfe_nm(result),
+        "wfe_sigma_nm": _total_sigma_nm(result),
         "frames": len(result.frames_nm),
         "seconds": round(result.seconds, 3),
         "chi2_nu": result.chi2_nu,
@@ -220,13 +226,12 @@ def _checks(config: Config, result: Calibration) -> list[Check]:
 
 
 def _summary(result: Calibration, others: list[Calibration]) -> list[str]:
-    sigma = float(np.sqrt(np.sum(result.sigma_nm[_exported(result)] ** 2)))
     lines = [
-        f"NCPA            {_wfe_nm(result):.1f} ± {sigma:.1f} nm RMS in Noll 2–{_last(result)} "
+        f"NCPA            {_wfe_nm(result):.1f} ± {_total_sigma_nm(result):.1f} nm RMS in Noll 2–{_last(result)} "
         f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f})"
     ]
     for name, values in result.effects.items():
-        lines.append(f"  {name:14s}" + ", ".join(f"{key} {value:.3g}" for key, value in values.items()))
+        lines.append(f"  {name:16s}" + ", ".join(f"{key} {value:.3g}" for key, value in values.items()))
     lines += [
         f"  beside: {_wfe_nm(other):.1f} nm RMS ({other.options.method}, {other.seconds:.1f} s, "
         f"χ²/ν {other.chi2_nu:.2f})"

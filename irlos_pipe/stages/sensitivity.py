@@ -158,10 +158,14 @@ def _lines(config: Config, rows: list[dict]) -> list[str]:
         f"Limit           median |error| ≤ {config.limit_nm:.0f} nm, failures ≤ {config.limit_failures:.0%}:"
     ]
     for row in rows:
-        limit = (
-            f"m_J {row['limit_mag']:.1f}" if np.isfinite(row["limit_mag"]) else "not reached at any magnitude"
-        )
-        lines.append(
-            f"  {'with' if row['calibrated'] else 'without'} NCPAs, {len(row['modes'])} modes: {limit}"
-        )
+        ncpas = "with" if row["calibrated"] else "without"
+        lines.append(f"  {ncpas} NCPAs, {len(row['modes'])} modes: {_limit_text(row)}")
     return lines
+
+
+def _limit_text(row: dict) -> str:
+    """Limiting magnitude in words; at least that where the grid ends before the criterion is missed."""
+    limit, grid_end = row["limit_mag"], row["mag_j"][-1]
+    if not np.isfinite(limit):
+        return "not reached at any magnitude"
+    return f"m_J {'≥ ' if limit >= grid_end else ''}{limit:.1f}"

@@ -1,0 +1,131 @@
+"""LIFT on images drawn from the model. Truth: Monte Carlo (the images come from the same model, on
+purpose: bias, efficiency and error bars are properties of the estimator) and analysis at zero flux."""
+
+import numpy as np
+import optics_cases as cases
+import pytest
+import torch
+
+from irlos_pipe.estimate.bound import cramer_rao_nm
+from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
+from irlos_pipe.estimate.lift import LiftOptions, lift
+from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
+from irlos_pipe.noise import NoiseModel
+from irlos_pipe.psf import PsfModel
+
+TWO_COLOURS = ((1215.0, 1.0), (1625.0, 1.0))
+TTF = (2, 3, 4)
+NOISE = NoiseModel(1.0, 6.0)  # 1 e- of read noise and a background of 5 e- per pixel
+
+
+@pytest.fixture(scope="module")
+def model() -> PsfModel:
+    return PsfModel(cases.settings(32 * 2, TWO_COLOURS), TTF)
+
+
+def drawn(model, coefficients, flux_e, seed, noise=NOISE):
+    """Images of the model with noise, float32."""
+    mean = (model.images(coefficients).double() * flux_e).numpy()
+    rng = np.random.default_rng(seed)
+    gain = noise.excess_noise_factor
+    shot = gain * rng.poisson(np.maximum(mean, 0) / gain)
+    return torch.as_tensor(shot + np.sqrt(noise.floor_e2) * rng.standard_normal(mean.shape), dtype=torch.float32)
+
+
+def random_modes(images: int, seed: int) -> torch.Tensor:
+    rng = np.random.default_rng(seed)
+    tilts = 40 * rng.standard_normal((images, 2))
+    return torch.as_tensor(np.column_stack([tilts, rng.uniform(-150, 150, images)]))
+
+
+def estimate(model, images, introduced_nm, options=LiftOptions(), noise=NOISE):
+    data = RampData(images, cases.everything(images), noise, introduced_nm)
+    return fit_ramp(model, data, start_from_defocus(model, data, 0.5 * introduced_nm), options).result
+
+
+@pytest.mark.parametrize("mag_j", [9, 12, 15, 18])
+def test_lift_is_unbiased_efficient_and_its_error_bars_hold(model, mag_j):
+    images = 400
+    true = random_modes(images, seed=mag_j)
+    flux = cases.photons(mag_j)
+    result = estimate(model, drawn(model, true, flux, seed=100 + mag_j), true[:, 2].numpy())
+    error = (result.zernike_nm - true)[:, 2].numpy()
+    bound = cramer_rao_nm(model, true, torch.full((images,), flux), NOISE)[:, 2].numpy()
+    rmse, expected = np.sqrt(np.mean(error**2)), np.sqrt(np.mean(bound**2))
+    assert result.solution.converged.all()
+    assert abs(error.mean()) < 3.5 * expected / np.sqrt(images)
+    assert abs(rmse / expected - 1) < 0.10
+    inside = np.abs((result.zernike_nm - true).numpy()) < result.sigma_nm.numpy()
+    assert 0.63 < inside.mean() < 0.73
+    assert abs(float(result.chi2_nu.mean()) - 1) < 0.01
+
+
+def test_weights_from_the_image_itself_are_biased_where_the_model_s_are_not(model):
+    """The reason for iterating the variances: at low flux, low pixels get too much weight."""
+    images = 300
+    true = random_modes(images, seed=7)
+    data = drawn(model, true, cases.photons(19), seed=8)
+    chi2 = {noise: float(estimate(model, data, true[:, 2].numpy(), LiftOptions(noise)).chi2_nu.mean())
+            for noise in ("data", "iterative")}
+    assert abs(chi2["iterative"] - 1) < 0.01
+    assert abs(chi2["data"] - 1) > abs(chi2["iterative"] - 1)
+
+
+def test_at_zero_flux_map_returns_the_prior_with_its_covariance(model):
+    mean, sigma = torch.tensor([[10.0, -20.0, 55.0]]), torch.tensor([30.0, 40.0, 50.0])
+    rng = np.random.default_rng(1)
+    images = torch.as_tensor(0.01 * rng.standard_normal((1, 64, 64)), dtype=torch.float32)
+    options = LiftOptions("model", mean.double(), sigma.double())
+    result = lift(model, images, cases.everything(images), NoiseModel(1.0, 100.0), mean.double(), options)
+    assert torch.allclose(result.zernike_nm, mean.double(), atol=0.05)
+    assert torch.allclose(result.covariance_nm2[0], torch.diag(sigma.double() ** 2), rtol=1e-2, atol=1.0)
+
+
+def test_map_lies_between_the_prior_and_the_maximum_likelihood(model):
+    true = torch.tensor([[0.0, 0.0, 100.0]], dtype=torch.float64)
+    image = drawn(model, true, cases.photons(20), seed=3)
+    ml = estimate(model, image, np.array([100.0])).zernike_nm[0, 2]
+    sigma = float(cramer_rao_nm(model, true, torch.tensor([cases.photons(20)]), NOISE)[0, 2])
+    options = LiftOptions("model", torch.zeros(1, 3).double(), torch.full((3,), sigma).double())
+    between = estimate(model, image, np.array([100.0]), options).zernike_nm[0, 2]
+    assert abs(float(between / ml) - 0.5) < 0.15  # equal precision of prior and data: half way
+
+
+def test_a_frame_of_nan_is_flagged_and_the_others_are_estimated(model):
+    true = random_modes(3, seed=5)
+    images = drawn(model, true, cases.photons(12), seed=6)
+    images[1, 10, 10] = float("nan")
+    result = lift(model, images, cases.everything(images), NOISE, true * 0.9)
+    assert result.solution.status[1] == "invalid"
+    assert torch.allclose(result.zernike_nm[[0, 2]], true[[0, 2]], atol=2.0)
+
+
+def test_masked_pixels_carry_no_weight(model):
+    true = random_modes(2, seed=9)
+    images = drawn(model, true, cases.photons(12), seed=10)
+    hurt = images.clone()
+    hurt[:, 30:33, 30:33] = 1e6
+    mask = cases.everything(images)
+    mask[30:33, 30:33] = False
+    a, b = (lift(model, picture, mask, NOISE, true * 0.9, LiftOptions("model")) for picture in (images, hurt))
+    # The start's smoothed variances see the neighbours of masked pixels; the estimates must not.
+    assert torch.allclose(a.zernike_nm, b.zernike_nm, atol=0.05)
+
+
+def test_the_capture_range_exceeds_600_nm_either_way(model):
+    introduced = np.linspace(-600, 600, 25)
+    true = torch.zeros(25, 3, dtype=torch.float64)
+    true[:, 2] = torch.as_tensor(introduced)
+    images = drawn(model, true, cases.photons(12), seed=11)
+    law = calibrate_law(PsfModel(cases.settings(64, TWO_COLOURS), [4]))
+    ratio, _ = axis_ratios(images, cases.everything(images), law.angle_deg)
+    data = RampData(images, cases.everything(images), NOISE, introduced)
+    result = fit_ramp(model, data, start_from_defocus(model, data, law.defocus_nm(ratio)), LiftOptions()).result
+    assert np.abs(result.mode(4)[0].numpy() - introduced).max() < 5
+
+
+def test_the_excess_noise_factor_widens_the_error_bars(model):
+    true = torch.zeros(1, 3, dtype=torch.float64)
+    flux = torch.tensor([cases.photons(10)])
+    poisson, excess = (cramer_rao_nm(model, true, flux, NoiseModel(factor, 0.01)) for factor in (1.0, 1.5))
+    assert torch.allclose(excess, poisson * np.sqrt(1.5), rtol=1e-3)

@@ -1,0 +1,205 @@
+"""The parts of the report: numbers as text, names of modes, rings, drawings."""
+
+from __future__ import annotations
+
+import matplotlib
+import numpy as np
+import pytest
+
+from irlos_pipe.optics.zernike import zernike
+from irlos_pipe.report.drawing import BLUE, CYCLE, INK, log_y, svg
+from irlos_pipe.report.images import brightness_scale, image_panel, log_scale, thumbnail
+from irlos_pipe.report.modes import label, mode_name
+from irlos_pipe.report.radial import ring_means
+from irlos_pipe.report.ramp_plots import RampPoints, image_strip, ramp_plot, residual_limit
+from irlos_pipe.report.section_sensitivity import limit_text
+from irlos_pipe.report.text import MISSING, number, plural, with_error
+
+NAN = float("nan")
+
+
+def draw_line(figure) -> None:
+    figure.subplots().plot([0, 1], [0, 1], color=BLUE)
+
+
+# -- text --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [None, NAN, float("inf"), np.float32("nan")])
+def test_what_is_missing_becomes_a_dash(value):
+    assert number(value, ".2f", "nm") == MISSING
+
+
+def test_a_number_has_its_unit():
+    assert number(3.14159, ".2f", "nm") == "3.14 nm"
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "expected"),
+    [(1.25, 0.5, "+1.2 ± 0.5 nm"), (1.25, None, "+1.2 nm"), (None, 0.5, MISSING), (NAN, NAN, MISSING)],
+)
+def test_an_error_is_shown_where_there_is_one(value, error, expected):
+    assert with_error(value, error, "+.1f", "nm") == expected
+
+
+def test_one_is_no_plural():
+    assert [plural(count, "frame") for count in (0, 1, 2)] == ["0 frames", "1 frame", "2 frames"]
+
+
+@pytest.mark.parametrize(("limit", "expected"), [(16.0, "≥ 16.0"), (15.2, "15.2"), (None, MISSING)])
+def test_a_limit_at_the_end_of_the_grid_is_a_lower_limit(limit, expected):
+    assert limit_text({"limit_mag": limit, "mag_j": [12.0, 16.0]}) == expected
+
+
+# -- modes -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("noll", "expected"),
+    [
+        (2, "tilt x"),
+        (3, "tilt y"),
+        (4, "defocus"),
+        (5, "astigmatism 45°"),
+        (6, "astigmatism 0°"),
+        (7, "coma y"),
+        (8, "coma x"),
+        (11, "spherical"),
+        (12, "2nd astigmatism 0°"),
+        (14, "quadrafoil 0°"),
+        (22, "2nd spherical"),
+    ],
+)
+def test_modes_have_the_names_of_the_field(noll, expected):
+    assert mode_name(noll) == expected
+
+
+def test_no_two_modes_share_a_name():
+    names = [mode_name(noll) for noll in range(1, 232)]
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize("noll", [noll for noll in range(5, 31) if noll not in (11, 22)])
+def test_the_direction_in_a_name_is_where_the_mode_is_extreme(noll):
+    name = mode_name(noll)
+    if name.endswith("°"):
+        angle = np.deg2rad(float(name.split()[-1][:-1]))
+    else:
+        angle = {"x": 0.0, "y": np.pi / 2}[name[-1]]
+    around = np.linspace(0, 2 * np.pi, 721)
+    edge = zernike(noll, np.cos(around), np.sin(around))
+    there = zernike(noll, np.array([np.cos(angle)]), np.array([np.sin(angle)]))
+    assert abs(there[0]) == pytest.approx(np.abs(edge).max(), rel=1e-4)
+
+
+def test_a_label_begins_with_the_noll_index():
+    assert label(4) == "4 defocus"
+
+
+# -- rings -------------------------------------------------------------------------------------
+
+
+def test_the_profile_of_a_cone_is_the_radius():
+    y, x = np.indices((41, 41))
+    radius, mean = ring_means(np.hypot(y - 18, x - 21), (18.0, 21.0))
+    np.testing.assert_allclose(mean, radius)
+
+
+def test_rings_end_at_the_nearest_edge_of_the_window():
+    radius, _ = ring_means(np.ones((41, 41)), (20.0, 12.0))
+    assert radius.max() <= 12
+
+
+def test_pixels_that_are_not_finite_are_left_out_of_a_ring():
+    image = np.full((21, 21), 3.0)
+    image[10, 14] = NAN
+    np.testing.assert_allclose(ring_means(image, (10.0, 10.0))[1], 3.0)
+
+
+# -- drawings ----------------------------------------------------------------------------------
+
+
+def test_a_drawing_takes_its_colours_from_the_page():
+    drawing = svg("a", (3, 2), draw_line)
+    assert "var(--blue)" in drawing
+    assert "currentColor" in drawing
+    assert not any(colour in drawing for colour in (INK, *CYCLE))
+
+
+def test_a_drawing_scales_with_the_page():
+    head = svg("a", (3, 2), draw_line).partition(">")[0]
+    assert 'viewBox="0 0 216 144"' in head
+    assert "width=" not in head
+
+
+def test_drawings_do_not_depend_on_the_users_settings():
+    expected = svg("a", (3, 2), draw_line)
+    with matplotlib.rc_context({"font.size": 30, "axes.grid": False, "lines.linewidth": 9}):
+        assert svg("a", (3, 2), draw_line) == expected
+
+
+def test_drawing_leaves_the_users_settings_alone():
+    with matplotlib.rc_context({"font.size": 30}):
+        svg("a", (3, 2), draw_line)
+        assert matplotlib.rcParams["font.size"] == 30
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"), [([1.0, NAN], "log"), ([NAN, -1.0], "linear"), ([], "linear")]
+)
+def test_an_axis_is_logarithmic_only_with_something_to_show(values, expected):
+    seen = []
+
+    def draw(figure) -> None:
+        axes = figure.subplots()
+        axes.plot(values)
+        log_y(axes, np.array(values))
+        seen.append(axes.get_yscale())
+
+    svg("a", (3, 2), draw)
+    assert seen == [expected]
+
+
+@pytest.mark.parametrize("image", [np.full((4, 4), NAN), np.zeros((4, 4)), -np.ones((4, 4))])
+def test_images_without_light_can_be_drawn(image):
+    for scale in (brightness_scale(image), log_scale(image)):
+        assert image_panel("a", image, scale, None, "e-").startswith("<svg")
+    assert "data:image/png" in thumbnail(image)
+
+
+def test_axes_are_in_mas_where_the_pixel_scale_is_known():
+    image = np.ones((4, 6))
+    assert "x [mas]" in image_panel("a", image, brightness_scale(image), 9.7, "e-")
+    assert "x [px]" in image_panel("a", image, brightness_scale(image), None, "e-")
+
+
+def test_the_direction_of_travel_is_told_apart():
+    points = RampPoints(
+        np.array([0.0, 1.0, 0.5]),
+        np.array([0.1, 1.1, NAN]),
+        np.ones(3),
+        np.array([0, 1, -1]),
+        np.array([True, False, True]),
+    )
+    drawing = ramp_plot(points)
+    assert "defocus was raised" in drawing
+    assert "defocus was lowered" not in drawing  # its only estimate is missing
+    assert "not converged" in drawing
+
+
+def test_a_strip_shows_no_more_than_fits():
+    offsets, images = np.arange(30.0), np.ones((30, 4, 4))
+    drawing = image_strip(offsets, images, images, 0.1)
+    assert "+0 nm" in drawing
+    assert "+29 nm" in drawing
+    assert drawing.count("<image") == 27
+
+
+def test_the_residual_scale_is_relative_to_the_models_peak():
+    model = np.full((2, 4, 4), 50.0)
+    assert residual_limit(model + 5, model) == pytest.approx(0.1)
+
+
+def test_a_perfect_model_leaves_a_usable_residual_scale():
+    model = np.full((2, 4, 4), 50.0)
+    assert residual_limit(model, model) > 0

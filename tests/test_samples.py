@@ -1,0 +1,102 @@
+"""The whole reduction against known truth.
+
+`data_samples/` was made with HCIPy by code that shares nothing with the model under test
+(independent code); `../shared/samples`, where it exists, by a third simulator. The limits for
+the latter are requirements; those for the former are twice the error to be expected from the scatter
+between frames that the pipeline itself quotes and that these tests check.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from irlos_pipe.pipeline import run_recipe
+from irlos_pipe.recipe import load_recipe
+
+ROOT = Path(__file__).parents[1]
+OWN, SHARED = ROOT / "data_samples", ROOT.parent / "shared" / "samples"
+needs_shared = pytest.mark.skipif(not SHARED.exists(), reason="the shared samples are not here")
+
+
+def reduce(recipe: str, output: Path, settings=(), **inputs: Path) -> dict:
+    """Results of a recipe, by stage."""
+    given = [f"{name}={path}" for name, path in inputs.items()]
+    run_recipe(load_recipe(ROOT / "recipes" / f"{recipe}.yaml", settings, given), output)
+    return json.loads((output / "results.json").read_text())["stages"]
+
+
+def errors_nm(calibrate: dict, truth: Path) -> dict[int, float]:
+    true = json.loads(truth.read_text())["mean_zernike_nm"]
+    return {int(noll): value - true[noll] for noll, value in calibrate["zernike_nm"].items()}
+
+
+def total(errors: dict[int, float]) -> float:
+    return float(np.sqrt(sum(error**2 for error in errors.values())))
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory) -> dict:
+    return reduce("defocus_ramp", tmp_path_factory.mktemp("own"), calibration=OWN / "calibration-sky", ramp=OWN / "ramp")
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory) -> dict:
+    return reduce("defocus_ramp", tmp_path_factory.mktemp("shared"), calibration=SHARED / "calibration-sky",
+                  ramp=SHARED / "ramp-broad")
+
+
+def test_the_ncpas_of_the_own_sample_are_found_within_the_quoted_scatter(own):
+    errors = errors_nm(own["calibrate"], OWN / "truth" / "calibration-sky.json")
+    quoted = np.sqrt(sum(sigma**2 for sigma in own["calibrate"]["sigma_nm"].values()))
+    assert 1 < quoted < 8
+    assert total(errors) < 2 * quoted
+    assert total(errors) < 6
+    assert abs(errors[4]) < 3
+
+
+def test_ao_residual_and_jitter_of_the_own_sample_come_out_as_simulated(own):
+    simulated = json.loads((OWN / "truth" / "calibration-sky.json").read_text())["simulation"]
+    found = own["calibrate"]["effects"]
+    assert found["tip_tilt_jitter"]["sigma_mas"] == pytest.approx(simulated["jitter_mas"], rel=0.1)
+    assert found["seeing_halo"]["wfe_nm"] == pytest.approx(simulated["residual_wfe_nm"], rel=0.05)
+
+
+def test_the_ramp_of_the_own_sample_is_straight(own):
+    summary, compare = own["lift"]["summary"], own["lift"]["compare"]
+    assert abs(summary["slope"] - 1) < 0.015
+    assert summary["rms_nm"] < 5
+    assert compare["without AO residual"]["rms_nm"] > 2 * summary["rms_nm"]
+    assert compare["without NCPAs"]["rms_nm"] > 5 * summary["rms_nm"]
+
+
+@needs_shared
+def test_the_ncpas_of_an_on_sky_cube_are_within_10_nm(shared):
+    errors = errors_nm(shared["calibrate"], SHARED / "truth" / "calibration-sky.json")
+    assert total(errors) < 10
+    assert abs(errors[4]) < 3
+
+
+@needs_shared
+def test_a_ramp_with_estimated_ncpas_is_straight_to_5_nm(shared):
+    assert abs(shared["lift"]["summary"]["slope"] - 1) < 0.015
+    assert shared["lift"]["summary"]["rms_nm"] < 5
+
+
+@needs_shared
+@pytest.mark.parametrize("name", ["calibration-bench", "calibration-odd-window"])
+def test_a_noise_limited_cube_is_explained_down_to_the_noise(tmp_path, name):
+    calibrate = reduce("ncpa_calibration", tmp_path, calibration=SHARED / name)["calibrate"]
+    assert total(errors_nm(calibrate, SHARED / "truth" / f"{name}.json")) < 0.3
+    assert 0.9 < calibrate["chi2_nu"] < 1.15
+
+
+@needs_shared
+def test_a_muse_raw_file_is_calibrated(tmp_path):
+    name = "MUSE.2023-07-14T03:21:10.000"
+    calibrate = reduce("ncpa_calibration", tmp_path, calibration=SHARED / f"{name}.fits")["calibrate"]
+    truth = json.loads((SHARED / "truth" / f"{name}.json").read_text())
+    true = truth.get("mean_zernike_nm", truth.get("ncpa_nm"))
+    error = [value - true[noll] for noll, value in calibrate["zernike_nm"].items()]
+    assert np.linalg.norm(error) < 10

@@ -1,0 +1,111 @@
+"""The batched solver. Truth: scipy.optimize.least_squares on the same problems, and analysis."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import least_squares
+
+from irlos_pipe.estimate.solve import CONVERGED, INVALID, MAX_ITERATIONS, solve
+
+X = np.linspace(0, 4, 40)
+
+
+class Decays:
+    """Curves ``a exp(-b x) + c`` with unit noise, one per member, for the solver."""
+
+    def __init__(self, data, lower=-np.inf, upper=np.inf):
+        self.data = torch.as_tensor(data)
+        self.lower = torch.full((3,), lower, dtype=torch.float64)
+        self.upper = torch.full((3,), upper, dtype=torch.float64)
+
+    def negligible(self, value):
+        return torch.full_like(value, 1e-6)
+
+    def _parts(self, p):
+        x = torch.as_tensor(X)
+        decay = torch.exp(-p[:, 1:2] * x)
+        columns = torch.stack([decay, -p[:, :1] * x * decay, torch.ones_like(decay)], dim=1)
+        return p[:, :1] * decay + p[:, 2:], columns
+
+    def objective(self, p, which):
+        return 0.5 * ((self.data[which] - self._parts(p)[0]) ** 2).sum(1)
+
+    def normal_equations(self, p, which):
+        model, columns = self._parts(p)
+        residual = self.data[which] - model
+        value = 0.5 * (residual**2).sum(1)
+        return value, -(columns @ residual[..., None])[..., 0], columns @ columns.mT
+
+
+def curves(seed: int = 3, members: int = 5) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    a, b = rng.uniform(50, 200, members), rng.uniform(0.3, 2, members)
+    return a[:, None] * np.exp(-b[:, None] * X) + 7 + rng.standard_normal((members, len(X)))
+
+
+def start(members: int) -> torch.Tensor:
+    return torch.tensor([[80.0, 1.0, 0.0]], dtype=torch.float64).repeat(members, 1)
+
+
+def scipy_fit(curve: np.ndarray, bounds=(-np.inf, np.inf)):
+    return least_squares(lambda p: p[0] * np.exp(-p[1] * X) + p[2] - curve, [80, 1, 0.0], bounds=bounds, x_scale="jac")
+
+
+def test_every_member_of_a_batch_reaches_the_minimum_that_scipy_finds():
+    data = curves()
+    solution = solve(Decays(data), start(len(data)))
+    expected = np.array([scipy_fit(curve).x for curve in data])
+    assert solution.status == [CONVERGED] * len(data)
+    assert np.abs(solution.values.numpy() - expected).max() < 2e-3 * solution.sigma.numpy().max()
+
+
+def test_the_covariance_is_the_inverse_of_the_fisher_matrix():
+    data = curves(members=1)
+    solution = solve(Decays(data), start(1))
+    jacobian = scipy_fit(data[0]).jac
+    assert np.allclose(solution.covariance[0], np.linalg.inv(jacobian.T @ jacobian), rtol=1e-3)
+
+
+def test_a_parameter_stays_at_the_bound_that_holds_it():
+    data = curves(members=1)
+    solution = solve(Decays(data, lower=0.0, upper=90.0), start(1))
+    expected = scipy_fit(data[0], bounds=(0.0, 90.0)).x
+    assert solution.status == [CONVERGED]
+    assert np.allclose(solution.values[0], expected, rtol=1e-3)
+
+
+def test_a_member_with_nan_is_flagged_and_leaves_the_others_alone():
+    data = curves()
+    broken = data.copy()
+    broken[2, 5] = np.nan
+    solution = solve(Decays(broken), start(len(data)))
+    clean = solve(Decays(data), start(len(data)))
+    good = [0, 1, 3, 4]
+    assert solution.status[2] == INVALID
+    assert torch.equal(solution.values[good], clean.values[good])
+
+
+def test_running_out_of_iterations_is_reported():
+    assert solve(Decays(curves()), start(5), max_iterations=1).status == [MAX_ITERATIONS] * 5
+
+
+def test_the_start_is_not_changed_in_place():
+    first = start(5)
+    kept = first.clone()
+    solve(Decays(curves()), first)
+    assert torch.equal(first, kept)
+
+
+def test_the_report_counts_every_member_once():
+    counted = []
+    solve(Decays(curves()), start(5), report=counted.append)
+    assert sum(counted) == 5
+
+
+@pytest.mark.parametrize("far", [10.0, 40.0])
+def test_a_far_start_only_costs_iterations(far):
+    data = curves()
+    there = torch.tensor([[far, 0.1, far]], dtype=torch.float64).repeat(5, 1)
+    solution = solve(Decays(data), there, max_iterations=200)
+    expected = np.array([scipy_fit(curve).x for curve in data])
+    assert np.allclose(solution.values, expected, rtol=1e-2, atol=0.05)
