@@ -46,14 +46,16 @@ def peak_mib() -> float:
 
 
 def in_own_process(case: str, folder: Path, frames: int, threads: int) -> dict:
-    """Run one case (see `cases`) in a fresh interpreter with a number of threads.
+    """Run one case (see `cases`) in a fresh interpreter.
+
+    Libraries get one thread each; `threads` is the number of workers of irlos_pipe.
 
     Raises
     ------
     SystemExit
         With the last line of its messages, if it fails.
     """
-    environment = os.environ | dict.fromkeys(THREAD_VARIABLES, str(threads))
+    environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1")
     command = [sys.executable, "-m", "benchmarks.cases", case, str(folder), str(frames), str(threads)]
     done = subprocess.run(
         command, env=environment, capture_output=True, text=True, cwd=Path(__file__).parents[1]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from optics_cases import BAND, NARROW_H, halo_and_jitter, settings
+from optics_cases import BAND, NARROW_H, halo_and_jitter, settings, starts
 from reference_psf import DIAMETER_M, reference
 from scipy.integrate import quad
 from scipy.special import gamma, j0, kv
@@ -114,7 +114,9 @@ def screens_nm(variance_nm2: float, seed: int):
     size = round(SAMPLES * PERIOD_M / DIAMETER_M)
     f = np.fft.fftfreq(size, PERIOD_M / size)
     radius = np.hypot(f[:, None], f[None])
-    power = np.where((radius >= BAND.low_per_m) & (radius <= BAND.cutoff_per_m), np.maximum(radius, 1e-9) ** -2, 0)
+    covered = np.clip((radius - BAND.low_per_m) * PERIOD_M + 0.5, 0, 1)  # part of each cell inside the band
+    covered *= np.clip((BAND.cutoff_per_m - radius) * PERIOD_M + 0.5, 0, 1)
+    power = covered * np.maximum(radius, 1e-9) ** -2
     amplitude = np.sqrt(power * variance_nm2 / power.sum())
     rng = np.random.default_rng(seed)
     for _ in range(SCREENS // 2):
@@ -129,8 +131,9 @@ def test_the_long_exposure_is_the_mean_of_images_through_random_screens():
     drawn = np.array([imager.image(screen.ravel(), wavelength_nm, window, 9.7)
                       for screen in screens_nm(150.0**2, seed=11)])
     model = PsfModel(settings(window, diversity={}), (4,), dtype=torch.float64)
-    halo = Transfer((SeeingHalo(BAND, 0.5),), OtfGrid(model.grid, model.wavelengths_m))
-    values = torch.tensor([150.0**2, 2.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+    good_seeing = SeeingHalo(BAND, 0.01)  # leaves next to nothing beyond the cut-off, as in the screens
+    halo = Transfer((good_seeing,), OtfGrid(model.grid, model.wavelengths_m))
+    values = torch.tensor([150.0**2, 2.0, 0.0, 0.0], dtype=torch.float64)
     ours = model.images(torch.zeros(1, 1), halo(values))[0].numpy()
     error = drawn.std(0, ddof=1) / np.sqrt(SCREENS)
     pull = (ours - drawn.mean(0)) / error
@@ -140,8 +143,18 @@ def test_the_long_exposure_is_the_mean_of_images_through_random_screens():
     assert np.mean(((bare - drawn.mean(0)) / error) ** 2) > 20
 
 
+def test_turbulence_beyond_the_cut_off_adds_to_the_residual_inside():
+    grid = OtfGrid(PsfModel(settings(24), (4,)).grid, [1.6e-6])
+    values = torch.tensor([100.0**2, 2.0, 0.0, 0.0], dtype=torch.float64)
+    inside, both = (SeeingHalo(BAND, seeing).exponent(values, grid)[0] for seeing in (1e-4, 0.8))
+    lengths = np.hypot(grid.baseline_x_m[None], grid.baseline_y_m[:, None])
+    beyond = 0.5 * (2 * np.pi / 1600) ** 2 * fitting_structure_nm2(lengths, BAND, seeing_to_r0_m(0.8))
+    assert (both - inside).numpy() == pytest.approx(beyond, abs=1e-5)
+
+
 def test_the_otf_factors_lie_between_zero_and_one_and_start_at_one():
     model = PsfModel(settings(24), (4,), dtype=torch.float64)
-    factor = halo_and_jitter(model)(torch.tensor([1e4, 2.0, 0.3, -0.3, 1.0, 49.0], dtype=torch.float64))
+    transfer = halo_and_jitter(model)
+    factor = transfer(starts(transfer))
     assert factor[0, 0, 0] == pytest.approx(1, abs=1e-12)
     assert 0 < factor.min() and factor.max() <= 1 + 1e-12

@@ -24,6 +24,8 @@ from .scatter import covariance_of_mean
 from .solve import Solution, solve
 from .twin import TwinCheck, check_twin
 
+MEAN_IMAGE_MARGIN_MAS = 200.0
+
 
 @dataclass(frozen=True)
 class Frames:
@@ -148,13 +150,23 @@ def calibrate(
     began = time.perf_counter()
     method, options = options.resolved()
     effects = tuple(effects) if method.effects else ()
-    # A mean image is so precise that the rounding of float32 shows in its chi-square.
-    dtype = torch.float64 if method.images == "mean" else torch.float32
-    model = PsfModel(settings, range(2, options.highest_noll + 1), device=device, dtype=dtype)
+    model = _model(settings, method, range(2, options.highest_noll + 1), device)
     transfer = Transfer(effects, OtfGrid(model.grid, model.wavelengths_m)) if effects else None
     problem = _problem(frames, model, method, options, transfer)
     solution = _solve(problem, _start(frames, problem, settings), options, report)
     return _result(frames, problem, method, options, solution, time.perf_counter() - began)
+
+
+def _model(settings: PsfSettings, method: Method, nolls: Sequence[int], device: str) -> PsfModel:
+    """PSF model; the mean of many frames shows what a single frame hides, and gets a finer one.
+
+    With the margin of single frames χ²/ν of the mean of 60 noise-limited frames was 1.14 instead
+    of 0.99, and the rounding of float32 kept its fit from converging.
+    """
+    if method.images != "mean":
+        return PsfModel(settings, nolls, device=device)
+    margin = max(settings.margin_mas, MEAN_IMAGE_MARGIN_MAS)
+    return PsfModel(replace(settings, margin_mas=margin), nolls, device=device, dtype=torch.float64)
 
 
 # -- the problem -----------------------------------------------------------------------------

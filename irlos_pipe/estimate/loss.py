@@ -39,6 +39,11 @@ class Loss:
     weight: Callable[[torch.Tensor], torch.Tensor]
     relative_tolerance: float = 0.0
 
+    @property
+    def quadratic(self) -> bool:
+        """True for plain least squares, whose weights are all one."""
+        return self.weight is torch.ones_like
+
 
 def _huber(r: torch.Tensor) -> torch.Tensor:
     size = r.abs()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -57,6 +58,7 @@ def area_weighted_pupil(geometry: PupilGeometry, centres_m: np.ndarray) -> np.nd
     return np.concatenate(rows)
 
 
+@lru_cache(maxsize=8)
 def band_limited_pupil(geometry: PupilGeometry, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Pupil amplitude whose sampled spectrum is that of the sharp-edged pupil where it matters.
 
@@ -81,7 +83,9 @@ def band_limited_pupil(geometry: PupilGeometry, samples: int) -> tuple[np.ndarra
     kernel = response * half_cell
     filtered = np.fft.ifft2(spectrum * kernel[:, None] * kernel[None, :]).real
     pick = slice(SUBSAMPLES // 2 - 1, None, SUBSAMPLES)
-    return grid_centres(total, step), np.ascontiguousarray(filtered[pick, pick])
+    u_m, amplitude = grid_centres(total, step), np.ascontiguousarray(filtered[pick, pick])
+    u_m.flags.writeable = amplitude.flags.writeable = False  # they are shared by all callers
+    return u_m, amplitude
 
 
 def _low_pass(size: int) -> tuple[np.ndarray, np.ndarray]:

@@ -227,7 +227,8 @@ def _checks(config: Config, result: Calibration) -> list[Check]:
 
 def _summary(result: Calibration, others: list[Calibration]) -> list[str]:
     lines = [
-        f"NCPA            {_wfe_nm(result):.1f} ± {_total_sigma_nm(result):.1f} nm RMS in Noll 2–{_last(result)} "
+        f"NCPA            {_wfe_nm(result):.1f} ± {_total_sigma_nm(result):.1f} nm RMS "
+        f"in Noll 2–{_last(result)} "
         f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f})"
     ]
     for name, values in result.effects.items():
