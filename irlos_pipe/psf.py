@@ -59,8 +59,8 @@ class PsfSettings:
         wavefronts up to 600 nm RMS (tests/test_psf_accuracy.py).
     margin_mas : float
         Field computed beyond the window on each side. The end of the field rings into the
-        window when the intensity is interpolated to the pixels: by 8e-6 of the peak with 100 mas,
-        which the noise of a single frame hides, by 2e-6 with the 200 mas that mean images take.
+        window when the intensity is interpolated to the pixels: with 100 mas by 1e-5 of a compact
+        peak and 2e-4 of one spread to the window's edge, with 200 mas by 2e-6 and 5e-5.
     halo_margin_mas : float
         The same for the period of the OTF factors, whose wings are wider.
     """
@@ -71,7 +71,7 @@ class PsfSettings:
     spectrum: tuple[tuple[float, float], ...]
     diversity: dict[int, float]
     pupil_samples: int = 128
-    margin_mas: float = 100.0
+    margin_mas: float = 200.0
     halo_margin_mas: float = 500.0
 
 

@@ -21,11 +21,21 @@ BAND = ResidualBand(1 / 8, 2.5)
 READ_NOISE = NoiseModel(1.0, 1.0)
 
 
-def settings(window: int | tuple[int, int] = 64, spectrum=NARROW_H, diversity=DIVERSITY, **changes) -> PsfSettings:
+def settings(
+    window: int | tuple[int, int] = 64, spectrum=NARROW_H, diversity=DIVERSITY, **changes
+) -> PsfSettings:
     """Settings of the UT4 pupil, 9.7 mas pixels; a square window unless told otherwise."""
     shape = (window, window) if isinstance(window, int) else window
-    return PsfSettings(**{"geometry": UT4, "window": shape, "pixel_scale_mas": SCALE_MAS, "spectrum": spectrum,
-                          "diversity": dict(diversity)} | changes)
+    return PsfSettings(
+        **{
+            "geometry": UT4,
+            "window": shape,
+            "pixel_scale_mas": SCALE_MAS,
+            "spectrum": spectrum,
+            "diversity": dict(diversity),
+        }
+        | changes
+    )
 
 
 def shift_nm(pixels: float, pixel_scale_mas: float = SCALE_MAS, diameter_m: float = 8.0) -> float:
@@ -48,7 +58,9 @@ def vector(zernike_nm: dict[int, float], nolls) -> torch.Tensor:
 
 def halo_and_jitter(model: PsfModel, seeing_arcsec: float = 0.5) -> Transfer:
     """OTF factors of the AO residual and the image motion, all parameters free."""
-    return Transfer((SeeingHalo(BAND, seeing_arcsec), TipTiltJitter()), OtfGrid(model.grid, model.wavelengths_m))
+    return Transfer(
+        (SeeingHalo(BAND, seeing_arcsec), TipTiltJitter()), OtfGrid(model.grid, model.wavelengths_m)
+    )
 
 
 def starts(transfer: Transfer) -> torch.Tensor:

@@ -66,11 +66,15 @@ class ReferenceImager:
 
     def spectral_image(self, zernike_nm, settings) -> np.ndarray:
         """Image in the spectrum, window and scale of a `PsfSettings`, with its diversity added."""
-        total = {noll: zernike_nm.get(noll, 0.0) + settings.diversity.get(noll, 0.0)
-                 for noll in {*zernike_nm, *settings.diversity}}
+        total = {
+            noll: zernike_nm.get(noll, 0.0) + settings.diversity.get(noll, 0.0)
+            for noll in {*zernike_nm, *settings.diversity}
+        }
         weight = sum(w for _, w in settings.spectrum)
-        return sum(w / weight * self.image(total, nm, settings.window, settings.pixel_scale_mas)
-                   for nm, w in settings.spectrum)
+        return sum(
+            w / weight * self.image(total, nm, settings.window, settings.pixel_scale_mas)
+            for nm, w in settings.spectrum
+        )
 
 
 def _supersampled(grid, step_m: float) -> np.ndarray:

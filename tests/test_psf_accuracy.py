@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from optics_cases import MAS_RAD, J_AND_H, SCALE_MAS, ncpa_nm, settings, shift_nm, vector
+from optics_cases import J_AND_H, MAS_RAD, SCALE_MAS, ncpa_nm, settings, shift_nm, vector
 from reference_psf import reference
 from scipy.special import j1
 
@@ -32,7 +32,8 @@ def images(case, zernike_nm, nolls=NOLLS, dtype=torch.float32) -> np.ndarray:
 @pytest.mark.parametrize("window", [64, 51, (40, 57)], ids=str)
 @pytest.mark.parametrize("wavelength_nm", [1170.0, 1600.0])
 @pytest.mark.parametrize(
-    "zernike_nm", [{}, CALIBRATION, STRONG, STRONGER], ids=["flat", "142 nm", "424 nm", "458 nm"])
+    "zernike_nm", [{}, CALIBRATION, STRONG, STRONGER], ids=["flat", "142 nm", "424 nm", "458 nm"]
+)
 def test_images_agree_with_hcipy_to_1e_4_of_the_peak(window, wavelength_nm, zernike_nm):
     case = settings(window, ((wavelength_nm, 1.0),))
     truth = reference().spectral_image(zernike_nm, case)
@@ -81,14 +82,15 @@ def test_the_airy_pattern_has_its_size_to_1e_6_at_every_wavelength(wavelength_nm
 
 
 def moved_px(case, noll: int, pixels: int) -> float:
-    """Displacement between tilts of -`pixels` and +`pixels`, from the change that is left after undoing it."""
+    """Displacement between tilts of -`pixels` and +`pixels`, from what differs after undoing it."""
     shifts = (-pixels, pixels, -pixels - 0.01, -pixels + 0.01)
-    before, after, low, high = (images(case, CALIBRATION | {2: 0.0, 3: 0.0, noll: shift_nm(s)}, dtype=torch.float64)
-                                for s in shifts)
+    before, after, low, high = (
+        images(case, CALIBRATION | {2: 0.0, 3: 0.0, noll: shift_nm(s)}, dtype=torch.float64) for s in shifts
+    )
     if noll == 3:
         before, after, low, high = before.T, after.T, low.T, high.T
-    slope = (high - low)[:, :-2 * pixels] / 0.02
-    return 2 * pixels + np.sum(slope * (after[:, 2 * pixels:] - before[:, :-2 * pixels])) / np.sum(slope**2)
+    slope = (high - low)[:, : -2 * pixels] / 0.02
+    return 2 * pixels + np.sum(slope * (after[:, 2 * pixels :] - before[:, : -2 * pixels])) / np.sum(slope**2)
 
 
 @pytest.mark.parametrize("wavelength_nm", WAVELENGTHS_NM)
@@ -120,7 +122,10 @@ def test_a_wide_window_holds_nearly_all_light():
 def test_a_window_wider_than_the_focal_grid_is_refused():
     grid = FocalGrid(64, 8.5, 128)
     field_px = 64 * 1.6e-6 / (2 * 8.5) / (SCALE_MAS * MAS_RAD)
-    assert baseline_to_pixels(grid.baseline_y_m, int(field_px), SCALE_MAS, 1.6e-6, grid, half=False).shape[1] == 128
+    assert (
+        baseline_to_pixels(grid.baseline_y_m, int(field_px), SCALE_MAS, 1.6e-6, grid, half=False).shape[1]
+        == 128
+    )
     with pytest.raises(ValueError, match="alias"):
         baseline_to_pixels(grid.baseline_y_m, int(field_px) + 1, SCALE_MAS, 1.6e-6, grid, half=False)
 
@@ -128,4 +133,6 @@ def test_a_window_wider_than_the_focal_grid_is_refused():
 def test_a_window_beyond_the_period_of_the_pupil_grid_is_refused():
     field_mas = 48 * 1.17e-6 / 8.0 / MAS_RAD  # N λ/D
     with pytest.raises(ValueError, match="pupil"):
-        PsfModel(settings(64, ((1170.0, 1.0),), pupil_samples=48, pixel_scale_mas=1.05 * field_mas / 64), (4,))
+        PsfModel(
+            settings(64, ((1170.0, 1.0),), pupil_samples=48, pixel_scale_mas=1.05 * field_mas / 64), (4,)
+        )

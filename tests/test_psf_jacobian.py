@@ -19,8 +19,11 @@ STEP_NM = 0.05
 
 @pytest.fixture(scope="module", params=SPECTRA, ids=str)
 def model(request) -> PsfModel:
-    return PsfModel(settings((24, 21), SPECTRA[request.param], pupil_samples=64, margin_mas=60.0), NOLLS,
-                    dtype=torch.float64)
+    return PsfModel(
+        settings((24, 21), SPECTRA[request.param], pupil_samples=64, margin_mas=60.0),
+        NOLLS,
+        dtype=torch.float64,
+    )
 
 
 @pytest.fixture
@@ -43,8 +46,12 @@ def central_difference(function, x: torch.Tensor, step: torch.Tensor) -> torch.T
 def test_modal_derivatives_are_finite_differences(model, factor, wavefronts):
     _, jacobian = model.images_and_jacobian(wavefronts, factor)
     for frame, x in enumerate(wavefronts):
-        numeric = central_difference(lambda a: model.images(a[None], factor)[0], x, torch.full_like(x, STEP_NM))
-        assert jacobian[frame].numpy() == pytest.approx(numeric.numpy(), abs=1e-6 * float(numeric.abs().max()))
+        numeric = central_difference(
+            lambda a: model.images(a[None], factor)[0], x, torch.full_like(x, STEP_NM)
+        )
+        assert jacobian[frame].numpy() == pytest.approx(
+            numeric.numpy(), abs=1e-6 * float(numeric.abs().max())
+        )
 
 
 def test_modal_derivatives_are_those_of_autograd(model, factor, wavefronts):
@@ -66,8 +73,10 @@ def test_derivatives_of_otf_parameters_are_finite_differences(model, wavefronts)
     _, jacobian = model.images_and_jacobian(wavefronts, transfer(values), transfer.derivatives(values))
     steps = 1e-4 * values.abs().clamp_min(1.0)
     for frame, x in enumerate(wavefronts):
-        numeric = central_difference(lambda v: model.images(x[None], transfer(v))[0], values, steps)
-        for parameter, ours, theirs in zip(transfer.parameters, jacobian[frame, len(NOLLS):], numeric, strict=True):
+        numeric = central_difference(lambda v, x=x: model.images(x[None], transfer(v))[0], values, steps)
+        for parameter, ours, theirs in zip(
+            transfer.parameters, jacobian[frame, len(NOLLS) :], numeric, strict=True
+        ):
             tolerance = 1e-6 * float(theirs.abs().max())
             assert ours.numpy() == pytest.approx(theirs.numpy(), abs=tolerance), parameter.name
 
@@ -78,7 +87,7 @@ def test_derivatives_with_respect_to_an_effect_do_not_vanish_when_it_is_absent(m
     values[0] = values[-1] = 0.0  # variances of residual and jitter
     _, jacobian = model.images_and_jacobian(wavefronts, transfer(values), transfer.derivatives(values))
     for position in (0, -1):
-        column = jacobian[:, len(NOLLS):][:, position]
+        column = jacobian[:, len(NOLLS) :][:, position]
         assert torch.isfinite(column).all()
         assert column.abs().max() > 0
 
@@ -94,6 +103,8 @@ def test_splitting_a_batch_does_not_change_it(model, wavefronts, monkeypatch):
 
 def test_float32_derivatives_are_good_enough_for_a_solver(wavefronts):
     case = settings((24, 21), NARROW_H, pupil_samples=64)
-    exact, single = (PsfModel(case, NOLLS, dtype=dtype).images_and_jacobian(wavefronts)[1].double()
-                     for dtype in (torch.float64, torch.float32))
+    exact, single = (
+        PsfModel(case, NOLLS, dtype=dtype).images_and_jacobian(wavefronts)[1].double()
+        for dtype in (torch.float64, torch.float32)
+    )
     assert single.numpy() == pytest.approx(exact.numpy(), abs=2e-5 * float(exact.abs().max()))

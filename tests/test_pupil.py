@@ -9,7 +9,14 @@ from reference_psf import reference
 from scipy.special import j1
 
 from irlos_pipe.optics.propagate import require_resolved
-from irlos_pipe.optics.pupil import CLEAN_BAND, PupilGeometry, Vane, area_weighted_pupil, band_limited_pupil, grid_centres
+from irlos_pipe.optics.pupil import (
+    CLEAN_BAND,
+    PupilGeometry,
+    Vane,
+    area_weighted_pupil,
+    band_limited_pupil,
+    grid_centres,
+)
 
 RING = PupilGeometry(8.0, 1.116)
 
@@ -74,7 +81,7 @@ def test_the_band_limited_pupil_has_the_spectrum_of_the_sharp_edge():
 
 
 def test_an_area_weighted_grid_of_the_same_size_is_far_less_accurate():
-    centres, coarse, step = sampled(RING, 96)
+    centres, coarse, _ = sampled(RING, 96)
     u, amplitude = band_limited_pupil(RING, 96)
     f = np.array([0.0, 1.0, 1.5])
     exact = 8 / (2 * f[1:]) * j1(np.pi * 8 * f[1:]) - 1.116 / (2 * f[1:]) * j1(np.pi * 1.116 * f[1:])

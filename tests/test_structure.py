@@ -55,7 +55,10 @@ def test_a_stretched_residual_agrees_with_a_dense_sum(cos2, sin2):
     theta = (np.arange(720) + 0.5) * np.pi / 720
     power = f * width * f**-2 * np.exp(cos2 * np.cos(2 * theta) + sin2 * np.sin(2 * theta))
     bx, by = np.array([0.3, 1.0, -2.0, 4.0, 0.0]), np.array([0.1, 1.0, 3.0, -4.0, 7.5])
-    fringes = [1 - np.cos(2 * np.pi * f * (x * np.cos(theta) + y * np.sin(theta))) for x, y in zip(bx, by, strict=True)]
+    fringes = [
+        1 - np.cos(2 * np.pi * f * (x * np.cos(theta) + y * np.sin(theta)))
+        for x, y in zip(bx, by, strict=True)
+    ]
     exact = [2 * VARIANCE_NM2 * np.sum(power * fringe) / power.sum() for fringe in fringes]
     assert in_band(bx, by, 2.0, cos2, sin2) == pytest.approx(np.array(exact), abs=1e-3 * VARIANCE_NM2)
 
@@ -81,8 +84,12 @@ def von_karman_structure_nm2(b_m: float, outer_scale_m: float) -> float:
 
 def test_the_uncorrected_turbulence_is_von_karman_less_its_corrected_part():
     def below_cutoff(b):
-        return quad(lambda f: 4 * np.pi * f * von_karman_nm2(f, R0_M, 25.0) * (1 - j0(2 * np.pi * f * b)),
-                    0, BAND.cutoff_per_m, limit=1000)[0]
+        return quad(
+            lambda f: 4 * np.pi * f * von_karman_nm2(f, R0_M, 25.0) * (1 - j0(2 * np.pi * f * b)),
+            0,
+            BAND.cutoff_per_m,
+            limit=1000,
+        )[0]
 
     exact = [von_karman_structure_nm2(b, 25.0) - below_cutoff(b) for b in LENGTHS_M]
     ours = fitting_structure_nm2(LENGTHS_M, BAND, R0_M)
@@ -91,13 +98,16 @@ def test_the_uncorrected_turbulence_is_von_karman_less_its_corrected_part():
 
 def test_the_variance_beyond_the_cut_off_has_its_closed_form():
     distant = ResidualBand(BAND.low_per_m, BAND.cutoff_per_m, outer_scale_m=1e6)
-    kolmogorov = 0.0229 * 6 * np.pi / 5 * R0_M ** (-5 / 3) * BAND.cutoff_per_m ** (-5 / 3) * (500 / 2 / np.pi) ** 2
+    kolmogorov = (
+        0.0229 * 6 * np.pi / 5 * R0_M ** (-5 / 3) * BAND.cutoff_per_m ** (-5 / 3) * (500 / 2 / np.pi) ** 2
+    )
     assert fitting_variance_nm2(distant, R0_M) == pytest.approx(kolmogorov, rel=1e-4)
 
 
 def test_the_fitting_structure_saturates_at_twice_its_variance():
     assert fitting_structure_nm2(np.array([7.9]), BAND, R0_M)[0] == pytest.approx(
-        2 * fitting_variance_nm2(BAND, R0_M), rel=0.01)
+        2 * fitting_variance_nm2(BAND, R0_M), rel=0.01
+    )
 
 
 def test_a_seeing_of_one_arcsecond_is_a_fried_parameter_of_ten_centimetres():
@@ -128,8 +138,9 @@ def screens_nm(variance_nm2: float, seed: int):
 def test_the_long_exposure_is_the_mean_of_images_through_random_screens():
     wavelength_nm, window = NARROW_H[0][0], (32, 32)
     imager = reference(SAMPLES)
-    drawn = np.array([imager.image(screen.ravel(), wavelength_nm, window, 9.7)
-                      for screen in screens_nm(150.0**2, seed=11)])
+    drawn = np.array(
+        [imager.image(screen.ravel(), wavelength_nm, window, 9.7) for screen in screens_nm(150.0**2, seed=11)]
+    )
     model = PsfModel(settings(window, diversity={}), (4,), dtype=torch.float64)
     good_seeing = SeeingHalo(BAND, 0.01)  # leaves next to nothing beyond the cut-off, as in the screens
     halo = Transfer((good_seeing,), OtfGrid(model.grid, model.wavelengths_m))
@@ -157,4 +168,5 @@ def test_the_otf_factors_lie_between_zero_and_one_and_start_at_one():
     transfer = halo_and_jitter(model)
     factor = transfer(starts(transfer))
     assert factor[0, 0, 0] == pytest.approx(1, abs=1e-12)
-    assert 0 < factor.min() and factor.max() <= 1 + 1e-12
+    assert factor.min() > 0
+    assert factor.max() <= 1 + 1e-12

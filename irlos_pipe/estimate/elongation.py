@@ -106,8 +106,8 @@ class GaussianFit:
         return 0.5 * (self.weight * residual**2).sum(1)
 
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
-        """A millionth of the sum of squares: there is no noise model here."""
-        return 1e-6 * value
+        """A millionth of the sum of squares, which may vanish: there is no noise model here."""
+        return 1e-6 * value.clamp_min(1e-6)
 
     def normal_equations(self, p: torch.Tensor, which: torch.Tensor):
         """See `solve.Problem`."""

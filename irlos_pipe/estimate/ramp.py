@@ -19,9 +19,9 @@ class RampSummary:
         RMS of estimated minus introduced defocus.
     residual_rms_nm : float
         RMS about the straight line.
-    saw_tooth_nm : float
-        Mean residual of offsets reached upwards minus that of offsets reached downwards
-        (hysteresis of the focus stage); NaN when only one direction occurs.
+    saw_tooth_nm, saw_tooth_sigma_nm : float
+        Difference between offsets reached upwards and downwards (hysteresis of the focus stage), fitted
+        together with a line, which would else take a part of it; NaN when only one direction occurs.
     offsets_nm, median_nm, scatter_nm : ndarray, (offsets,)
         Introduced defocus, and the median and 1σ (from the 16th and 84th percentile) of the estimates.
     """
@@ -32,6 +32,7 @@ class RampSummary:
     rms_nm: float
     residual_rms_nm: float
     saw_tooth_nm: float
+    saw_tooth_sigma_nm: float
     offsets_nm: np.ndarray
     median_nm: np.ndarray
     scatter_nm: np.ndarray
@@ -70,7 +71,7 @@ def summarise(introduced_nm: np.ndarray, estimated_nm: np.ndarray) -> RampSummar
         offset,
         _rms(estimated - introduced),
         _rms(residual),
-        _saw_tooth(residual, direction),
+        *_saw_tooth(introduced, estimated, direction),
         offsets,
         np.array([np.median(g) for g in groups]),
         np.array([np.diff(np.percentile(g, [15.87, 84.13]))[0] / 2 for g in groups]),
@@ -85,9 +86,16 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[tuple[float, float], float]:
     return (float(slope), float(offset)), float(sigma)
 
 
-def _saw_tooth(residual: np.ndarray, direction: np.ndarray) -> float:
-    up, down = residual[direction > 0], residual[direction < 0]
-    return float(up.mean() - down.mean()) if len(up) and len(down) else float("nan")
+def _saw_tooth(introduced: np.ndarray, estimated: np.ndarray, direction: np.ndarray) -> tuple[float, float]:
+    """Twice the coefficient of the direction beside slope and offset, and its standard error."""
+    moved = direction != 0
+    columns = np.stack([introduced, np.ones_like(introduced), direction], axis=1)[moved]
+    solution, _, rank, _ = np.linalg.lstsq(columns, estimated[moved], rcond=None)
+    if rank < 3:
+        return float("nan"), float("nan")
+    residual = estimated[moved] - columns @ solution
+    variance = np.sum(residual**2) / max(len(residual) - 3, 1) * np.linalg.inv(columns.T @ columns)[2, 2]
+    return float(2 * solution[2]), float(2 * np.sqrt(variance))
 
 
 def _rms(values: np.ndarray) -> float:

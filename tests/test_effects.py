@@ -1,0 +1,148 @@
+"""OTF effects. Truth: averages of moved images by Gauss-Hermite quadrature, and analysis."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import torch
+from optics_cases import (
+    BAND,
+    J_AND_H,
+    MAS_RAD,
+    SCALE_MAS,
+    halo_and_jitter,
+    ncpa_nm,
+    settings,
+    shift_nm,
+    starts,
+    vector,
+)
+
+from irlos_pipe.effects import OtfGrid, Pinned, SeeingHalo, TipTiltJitter, Transfer
+from irlos_pipe.psf import PsfModel
+
+NOLLS = tuple(range(2, 16))
+SIGMA_MAS = 12.0
+
+
+@pytest.fixture(scope="module")
+def model() -> PsfModel:
+    return PsfModel(settings((36, 33), J_AND_H[1::3]), NOLLS, dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def wavefront() -> torch.Tensor:
+    return vector(ncpa_nm(6, 15, 100.0), NOLLS)
+
+
+def moved(model: PsfModel, wavefront: torch.Tensor, x_px: float, y_px: float) -> np.ndarray:
+    tilted = wavefront.clone()
+    tilted[0, :2] += torch.tensor([shift_nm(x_px), shift_nm(y_px)])
+    return model.images(tilted)[0].numpy()
+
+
+def jittered(model: PsfModel, wavefront: torch.Tensor, sigma_mas: float) -> np.ndarray:
+    transfer = Transfer((TipTiltJitter(),), OtfGrid(model.grid, model.wavelengths_m))
+    return model.images(wavefront, transfer(torch.tensor([sigma_mas**2], dtype=torch.float64)))[0].numpy()
+
+
+def test_jitter_is_the_average_over_gaussian_image_motion(model, wavefront):
+    nodes, weights = np.polynomial.hermite_e.hermegauss(9)
+    weights = weights / weights.sum()
+    step = SIGMA_MAS / SCALE_MAS
+    average = sum(
+        wx * wy * moved(model, wavefront, step * x, step * y)
+        for (x, wx), (y, wy) in itertools.product(zip(nodes, weights, strict=True), repeat=2)
+    )
+    assert jittered(model, wavefront, SIGMA_MAS) == pytest.approx(average, abs=1e-4 * average.max())
+
+
+def curvature_at_zero(model: PsfModel, factor: torch.Tensor, wavelength: int) -> float:
+    """Variance [mas²] along x that an OTF factor adds: -ln T = 2π² σ² b² / λ² at the shortest baseline."""
+    baseline = model.grid.baseline_x_m[1] / model.wavelengths_m[wavelength]
+    return float(-torch.log(factor[wavelength, 0, 1])) / (2 * np.pi**2 * baseline**2) / MAS_RAD**2
+
+
+@pytest.mark.parametrize("wavelength", [0, 1])
+def test_jitter_adds_its_variance_to_the_second_moment_at_every_wavelength(model, wavelength):
+    transfer = Transfer((TipTiltJitter(),), OtfGrid(model.grid, model.wavelengths_m))
+    factor = transfer(torch.tensor([SIGMA_MAS**2], dtype=torch.float64))
+    assert curvature_at_zero(model, factor, wavelength) == pytest.approx(SIGMA_MAS**2, rel=1e-9)
+
+
+def test_no_jitter_changes_nothing(model, wavefront):
+    plain = model.images(wavefront)[0].numpy()
+    assert jittered(model, wavefront, 0.0) == pytest.approx(plain, abs=1e-5 * plain.max())
+
+
+def test_an_asymmetric_kernel_is_convolved_not_correlated(model, wavefront):
+    """A kernel with 30 % of its light at +3 columns, -2 rows leaves 30 % of the image there."""
+    grid, wavelengths = OtfGrid(model.grid, model.wavelengths_m), torch.as_tensor(model.wavelengths_m)
+    angle_x, angle_y = 3 * SCALE_MAS * MAS_RAD, -2 * SCALE_MAS * MAS_RAD
+    path = torch.as_tensor(grid.baseline_x_m[None] * angle_x + grid.baseline_y_m[:, None] * angle_y)
+    kernel = 0.7 + 0.3 * torch.exp(-2j * np.pi * path / wavelengths[:, None, None])
+    image = model.images(wavefront, kernel)[0].numpy()
+    expected = 0.7 * moved(model, wavefront, 0, 0) + 0.3 * moved(model, wavefront, 3, -2)
+    assert image == pytest.approx(expected, abs=1e-4 * expected.max())
+    mirrored = 0.7 * moved(model, wavefront, 0, 0) + 0.3 * moved(model, wavefront, -3, 2)
+    assert np.abs(image - mirrored).max() > 0.1 * expected.max()
+
+
+def test_a_residual_stretched_along_x_widens_the_image_along_x(model):
+    transfer = Transfer((SeeingHalo(BAND, 0.5),), OtfGrid(model.grid, model.wavelengths_m))
+    factor = transfer(torch.tensor([150.0**2, 2.0, 1.5, 0.0], dtype=torch.float64))
+    along_x, along_y = float(factor[0, 0, 2]), float(factor[0, 2, 0])
+    assert along_x < along_y < 1
+
+
+def test_the_residual_is_described_by_its_total_and_its_direction():
+    halo = SeeingHalo(BAND, 0.5)
+    variance = 120.0**2 - halo.fitting_nm2
+    stretch = [0.8 * np.cos(2 * np.deg2rad(70)), 0.8 * np.sin(2 * np.deg2rad(70))]
+    told = halo.describe(np.array([variance, 2.2, *stretch]))
+    assert told["wfe_nm"] == pytest.approx(120)
+    assert told["slope"] == 2.2
+    assert (told["stretch"], told["stretch_angle_deg"]) == pytest.approx((0.8, 70))
+    assert halo.describe(np.array(halo.values_of(wfe_nm=120.0)))["wfe_nm"] == pytest.approx(120)
+
+
+@pytest.mark.parametrize(("seeing_arcsec", "wfe_nm"), [(0.35, 95.1), (1.0, 162.9)])
+def test_the_residual_to_start_from_follows_the_seeing_law(seeing_arcsec, wfe_nm):
+    """104.27 nm/arcsec x seeing + 58.6 nm."""
+    halo = SeeingHalo(BAND, seeing_arcsec)
+    assert halo.describe([p.start for p in halo.parameters])["wfe_nm"] == pytest.approx(wfe_nm, abs=0.1)
+
+
+def test_jitter_is_described_in_mas():
+    jitter = TipTiltJitter()
+    assert jitter.describe(np.array(jitter.values_of(sigma_mas=7.5))) == {"sigma_mas": pytest.approx(7.5)}
+
+
+def pinned(transfer: Transfer, values: torch.Tensor, free: tuple[str, ...]) -> Transfer:
+    pieces = transfer.split(values)
+    return Transfer([Pinned(e, pieces[e.name], free) for e in transfer.effects], transfer.grid)
+
+
+def test_pinned_effects_have_the_otf_of_the_values_they_are_held_at(model):
+    transfer = halo_and_jitter(model)
+    values = starts(transfer) * 1.3
+    held = pinned(transfer, values, ())
+    assert held.parameters == ()
+    assert torch.equal(held(torch.zeros(0, dtype=torch.float64)), transfer(values))
+    assert held.describe([]) == transfer.describe(values)
+
+
+def test_a_parameter_left_free_starts_at_its_value_and_acts_as_before(model):
+    transfer = halo_and_jitter(model)
+    values = starts(transfer) * 1.3
+    partly = pinned(transfer, values, ("slope", "variance_mas2"))
+    assert [p.name for p in partly.parameters] == ["slope", "variance_mas2"]
+    assert [p.start for p in partly.parameters] == [values[1], values[-1]]
+    changed = values.clone()
+    changed[1], changed[-1] = 2.9, 30.0
+    own = torch.tensor([2.9, 30.0], dtype=torch.float64)
+    assert torch.equal(partly(own), transfer(changed))
+    chosen = transfer.derivatives(changed)[[1, -1]]
+    assert partly.derivatives(own).numpy() == pytest.approx(chosen.numpy(), abs=1e-15)

@@ -1,0 +1,88 @@
+"""Summary of a focus ramp. Truth: analysis on made-up estimates."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from irlos_pipe.estimate.ramp import summarise, travel_direction
+
+OFFSETS_NM = np.array([-300.0, 300, -200, 200, -100, 100, 0])  # every move reverses the travel
+
+
+def repeated(values, frames: int = 4) -> np.ndarray:
+    return np.repeat(np.asarray(values, float), frames)
+
+
+def test_a_straight_ramp_gives_back_its_line():
+    introduced = repeated(OFFSETS_NM)
+    summary = summarise(introduced, 1.03 * introduced - 12.0)
+    assert (summary.slope, summary.offset_nm) == pytest.approx((1.03, -12.0))
+    assert summary.residual_rms_nm == pytest.approx(0, abs=1e-9)
+    # RMS of 0.03 x - 12 over symmetric offsets: the two parts add in squares
+    assert summary.rms_nm == pytest.approx(np.hypot(12.0, 0.03 * np.sqrt(np.mean(OFFSETS_NM**2))))
+
+
+@pytest.mark.parametrize("hysteresis_nm", [14.0, -6.0])
+def test_hysteresis_is_told_from_slope_and_offset(hysteresis_nm):
+    """On a ramp from the outside inwards the direction goes with the sign of the offset."""
+    introduced = repeated(OFFSETS_NM)
+    bias = travel_direction(introduced) * hysteresis_nm / 2
+    summary = summarise(introduced, 0.98 * introduced + 5.0 + bias)
+    assert summary.saw_tooth_nm == pytest.approx(hysteresis_nm)
+
+
+def test_a_ramp_without_hysteresis_has_no_saw_tooth():
+    introduced = repeated(OFFSETS_NM)
+    assert summarise(introduced, 1.02 * introduced - 3.0).saw_tooth_nm == pytest.approx(0, abs=1e-9)
+
+
+def test_the_direction_of_travel_is_kept_until_the_next_move():
+    introduced = np.array([0.0, 0, 100, 100, 100, -50, -50, 20])
+    assert travel_direction(introduced).tolist() == [0, 0, 1, 1, 1, -1, -1, 1]
+
+
+def test_a_ramp_in_one_direction_has_no_saw_tooth():
+    introduced = repeated([-100.0, 0, 100])
+    assert np.isnan(summarise(introduced, introduced + 1).saw_tooth_nm)
+
+
+@pytest.mark.parametrize("name", ["slope", "saw_tooth"])
+def test_quoted_errors_are_the_scatter_over_many_ramps(name):
+    rng = np.random.default_rng(2)
+    introduced = repeated(OFFSETS_NM)
+    ramps = [
+        summarise(introduced, introduced + 20 * rng.standard_normal(len(introduced))) for _ in range(800)
+    ]
+    value, sigma, true = {
+        "slope": ("slope", "slope_sigma", 1.0),
+        "saw_tooth": ("saw_tooth_nm", "saw_tooth_sigma_nm", 0.0),
+    }[name]
+    values = np.array([getattr(ramp, value) for ramp in ramps])
+    quoted = np.array([getattr(ramp, sigma) for ramp in ramps])
+    assert np.sqrt(np.mean(quoted**2)) == pytest.approx(values.std(), rel=0.08)
+    assert values.mean() == pytest.approx(true, abs=4 * values.std() / np.sqrt(800))
+
+
+def test_medians_and_scatter_are_given_per_offset():
+    rng = np.random.default_rng(3)
+    introduced = repeated(OFFSETS_NM, 500)
+    summary = summarise(introduced, introduced + 3 + 8 * rng.standard_normal(len(introduced)))
+    assert summary.offsets_nm.tolist() == sorted(OFFSETS_NM)
+    assert summary.median_nm - summary.offsets_nm == pytest.approx(np.full(7, 3.0), abs=2)
+    assert summary.scatter_nm == pytest.approx(np.full(7, 8.0), rel=0.2)
+
+
+def test_failed_estimates_are_left_out_and_keep_the_direction_of_the_others():
+    introduced = repeated(OFFSETS_NM)
+    estimated = 0.9 * introduced
+    estimated[[0, 5, 13]] = np.nan
+    assert summarise(introduced, estimated).slope == pytest.approx(0.9)
+
+
+@pytest.mark.parametrize(
+    "estimated", [[np.nan] * 6 + [1.0, 2.0], [1.0] * 2 + [np.nan] * 6], ids=["two", "one offset"]
+)
+def test_too_little_for_a_line_is_refused(estimated):
+    with pytest.raises(ValueError, match="at least three estimates"):
+        summarise(repeated([-100.0, 100.0]), np.array(estimated))
