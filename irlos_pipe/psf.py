@@ -101,21 +101,24 @@ class PsfModel:
         self.wavelengths_m = wavelengths * NM
         self.weights = weights / weights.sum()
         u, amplitude = band_limited_pupil(settings.geometry, settings.pupil_samples)
-        self.grid = self._focal_grid(u)
+        self.grids = self._focal_grids(u)
+        self.grid = max(self.grids, key=lambda grid: grid.samples)
         self._set_pupil(u, amplitude)
         self._set_pixels()
 
     # -- construction ------------------------------------------------------------------------
 
-    def _focal_grid(self, u: np.ndarray) -> FocalGrid:
-        step_m, wavelength_m = u[1] - u[0], self.wavelengths_m.min()
-        window_px, scale_mas = max(self.settings.window), self.settings.pixel_scale_mas
-        require_resolved(window_px, scale_mas, wavelength_m, step_m)
-        samples, padded = (
-            focal_samples_for(window_px, scale_mas, margin, wavelength_m, len(u) * step_m)
-            for margin in (self.settings.margin_mas, self.settings.halo_margin_mas)
-        )
-        return FocalGrid(samples, len(u) * step_m, max(samples, padded))
+    def _focal_grids(self, u: np.ndarray) -> list[FocalGrid]:
+        """One grid per wavelength: long waves need fewer samples; the baselines are common."""
+        step_m, scale_mas, window_px = u[1] - u[0], self.settings.pixel_scale_mas, max(self.settings.window)
+        require_resolved(window_px, scale_mas, self.wavelengths_m.min(), step_m)
+
+        def samples(margin_mas: float, wavelength_m: float) -> int:
+            return focal_samples_for(window_px, scale_mas, margin_mas, wavelength_m, len(u) * step_m)
+
+        needed = [samples(self.settings.margin_mas, lam) for lam in self.wavelengths_m]
+        padded = max(*needed, samples(self.settings.halo_margin_mas, self.wavelengths_m.min()))
+        return [FocalGrid(count, len(u) * step_m, padded) for count in needed]
 
     def _set_pupil(self, u: np.ndarray, amplitude: np.ndarray) -> None:
         radius = self.settings.geometry.diameter_m / 2
@@ -131,9 +134,11 @@ class PsfModel:
             diversity += value_nm * zernike_basis([noll], x, y)[0]
         self.diversity_nm = self._real(diversity * lit)
         self._set_products(u / u[-1], x * lit, y * lit, lit)
-        self.to_focal = self._complex(pupil_to_focal(u, self.grid))
+        self.to_focal = [self._complex(pupil_to_focal(u, grid)) for grid in self.grids]
         polynomials = self._complex(chebyshev.chebvander(u / u[-1], self.degree).T)
-        self.weighted_to_focal = polynomials[:, None, :] * self.to_focal[None]  # (degree+1, m, n)
+        self.weighted_to_focal = [  # (degree+1, m, n) each
+            polynomials[:, None, :] * matrix[None] for matrix in self.to_focal
+        ]
 
     def _set_products(self, t: np.ndarray, x: np.ndarray, y: np.ndarray, lit: np.ndarray) -> None:
         """Coefficients of every mode in products of Chebyshev polynomials."""
@@ -146,21 +151,13 @@ class PsfModel:
 
     def _set_pixels(self) -> None:
         rows, columns = self.settings.window
-        scale, grid = self.settings.pixel_scale_mas, self.grid
-        self.plain = [
-            (
-                self._real(focal_to_pixels(rows, scale, lam, grid)),
-                self._real(focal_to_pixels(columns, scale, lam, grid)),
-            )
-            for lam in self.wavelengths_m
-        ]
-        self.filtered = [
-            (
-                self._complex(baseline_to_pixels(grid.baseline_y_m, rows, scale, lam, grid, half=False)),
-                self._complex(baseline_to_pixels(grid.baseline_x_m, columns, scale, lam, grid, half=True)),
-            )
-            for lam in self.wavelengths_m
-        ]
+        scale = self.settings.pixel_scale_mas
+        self.plain, self.filtered = [], []
+        for lam, grid in zip(self.wavelengths_m, self.grids, strict=True):
+            self.plain.append([self._real(focal_to_pixels(px, scale, lam, grid)) for px in (rows, columns)])
+            along_y = baseline_to_pixels(grid.baseline_y_m, rows, scale, lam, grid, half=False)
+            along_x = baseline_to_pixels(grid.baseline_x_m, columns, scale, lam, grid, half=True)
+            self.filtered.append([self._complex(along_y), self._complex(along_x)])
 
     def _real(self, array) -> torch.Tensor:
         return torch.as_tensor(array, dtype=self.dtype, device=self.device)
@@ -211,7 +208,8 @@ class PsfModel:
 
     def _one_colour(self, opd: torch.Tensor, index: int, transfer: torch.Tensor | None) -> torch.Tensor:
         """Weighted images at one wavelength."""
-        amplitude = self.to_focal @ self.field(opd, self.wavelengths_m[index]) @ self.to_focal.mT
+        to_focal = self.to_focal[index]
+        amplitude = to_focal @ self.field(opd, self.wavelengths_m[index]) @ to_focal.mT
         intensity = amplitude.real**2 + amplitude.imag**2
         return float(self.weights[index]) * self.to_image(intensity, index, transfer)
 
@@ -252,7 +250,7 @@ class PsfModel:
 
     def _one_colour_with_jacobian(self, opd, index, transfer, transfer_derivatives):
         """Weighted images and derivatives at one wavelength."""
-        amplitude, modal = self._amplitude_and_modal(opd, self.wavelengths_m[index])
+        amplitude, modal = self._amplitude_and_modal(opd, index)
         intensity = amplitude.real**2 + amplitude.imag**2
         columns = [self.to_image(modal, index, transfer)]
         if transfer_derivatives is not None:
@@ -260,16 +258,15 @@ class PsfModel:
         weight = float(self.weights[index])
         return weight * self.to_image(intensity, index, transfer), weight * torch.cat(columns, dim=1)
 
-    def _amplitude_and_modal(self, opd: torch.Tensor, wavelength_m: float):
+    def _amplitude_and_modal(self, opd: torch.Tensor, index: int):
         """Focal amplitude (frames, m, m) and intensity derivatives (frames, modes, m, m)."""
+        wavelength_m, m = self.wavelengths_m[index], self.grids[index].samples
+        to_focal = self.weighted_to_focal[index]
         field = self.field(opd, wavelength_m)
-        m = self.grid.samples
-        along_x = field @ self.weighted_to_focal.reshape(-1, field.shape[-1]).mT  # (frames, n, (degree+1)·m)
+        along_x = field @ to_focal.reshape(-1, field.shape[-1]).mT  # (frames, n, (degree+1)·m)
         along_x = along_x.reshape(*field.shape[:2], self.degree + 1, m).transpose(1, 2).contiguous()
-        products = torch.cat(
-            [self.weighted_to_focal[b] @ along_x[:, : self.degree + 1 - b] for b in range(self.degree + 1)],
-            dim=1,
-        )  # (frames, pairs, m, m)
+        along_y = [to_focal[b] @ along_x[:, : self.degree + 1 - b] for b in range(self.degree + 1)]
+        products = torch.cat(along_y, dim=1)  # (frames, pairs, m, m)
         amplitude = products[:, 0]  # T_0(x) T_0(y) = 1
         beat = (products * amplitude.conj()[:, None]).imag
         scale = -4 * np.pi * NM / wavelength_m

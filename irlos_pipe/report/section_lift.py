@@ -67,7 +67,7 @@ def _variants(results: dict[str, Any]) -> list[Table]:
             VARIANT_COLUMNS,
             rows,
             title,
-            "Saw-tooth: mean residual of offsets reached upwards minus downwards.",
+            "Saw-tooth: offsets reached upwards minus those reached downwards, fitted with the line.",
         )
     ]
 
@@ -80,7 +80,7 @@ def _variant_row(name: str, one: dict[str, Any]) -> tuple[str, ...]:
         number(one.get("offset_nm"), "+.1f"),
         number(one.get("rms_nm")),
         number(one.get("residual_rms_nm")),
-        number(one.get("saw_tooth_nm"), "+.1f"),
+        with_error(one.get("saw_tooth_nm"), one.get("saw_tooth_sigma_nm"), "+.1f"),
     )
 
 

@@ -29,6 +29,15 @@ VERSION = 1
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 
+SUMMARY_KEYS = (
+    "slope",
+    "slope_sigma",
+    "offset_nm",
+    "rms_nm",
+    "residual_rms_nm",
+    "saw_tooth_nm",
+    "saw_tooth_sigma_nm",
+)
 ObjectSigma = Literal["calibrated", "fit"] | Annotated[float, Field(ge=0, le=200)]
 
 
@@ -162,10 +171,7 @@ def _points(ramp: Ramp, fit: RampFit) -> list[dict]:
 
 
 def _numbers(summary: RampSummary) -> dict[str, float]:
-    return {
-        key: getattr(summary, key)
-        for key in ("slope", "slope_sigma", "offset_nm", "rms_nm", "residual_rms_nm", "saw_tooth_nm")
-    }
+    return {key: getattr(summary, key) for key in SUMMARY_KEYS}
 
 
 def _offsets(summary: RampSummary) -> list[dict]:

@@ -9,8 +9,9 @@ import torch
 
 from irlos_pipe.effects import CATALOGUE, Conditions, OtfEffect, OtfGrid, Pinned, SeeingHalo, Transfer
 from irlos_pipe.effects.seeing_halo import in_band_wfe_nm
-from irlos_pipe.errors import InputDataError
+from irlos_pipe.errors import ConfigurationError, InputDataError
 from irlos_pipe.instrument import Instrument
+from irlos_pipe.optics.propagate import require_resolved
 from irlos_pipe.optics.structure import ResidualBand
 from irlos_pipe.product import Product, Quantity
 from irlos_pipe.psf import PsfModel, PsfSettings
@@ -24,8 +25,15 @@ SETUP_KEYS = ("pixel_scale_mas", "spectrum", "diversity")
 def psf_settings(
     instrument: Instrument, model: ModelConfig, recording: Recording, ncpa_nm: dict[int, float] | None = None
 ) -> PsfSettings:
-    """Settings of the PSF model for one recording; `ncpa_nm` is added to the diversity."""
+    """Settings of the PSF model for one recording; `ncpa_nm` is added to the diversity.
+
+    Raises
+    ------
+    ConfigurationError
+        If the pupil is sampled too coarsely for the window.
+    """
     acquisition = recording.acquisition
+    _require_samples(instrument, model, recording)
     diversity = dict(acquisition.diversity)
     for noll, value in (ncpa_nm or {}).items():
         diversity[noll] = diversity.get(noll, 0.0) + value
@@ -37,6 +45,18 @@ def psf_settings(
         diversity,
         model.pupil_samples,
     )
+
+
+def _require_samples(instrument: Instrument, model: ModelConfig, recording: Recording) -> None:
+    """Turn the model's refusal of a wide window into an error of the recipe."""
+    acquisition, step_m = recording.acquisition, instrument.pupil.diameter_m / model.pupil_samples
+    shortest_m = min(wavelength_nm for wavelength_nm, _ in acquisition.spectrum) * 1e-9
+    try:
+        require_resolved(max(recording.window), acquisition.pixel_scale_mas, shortest_m, step_m)
+    except ValueError as problem:
+        raise ConfigurationError(
+            f"{recording.name}: model.pupil_samples {model.pupil_samples}: {problem}"
+        ) from None
 
 
 def residual_band(instrument: Instrument, model: ModelConfig) -> ResidualBand:

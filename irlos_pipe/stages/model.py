@@ -25,7 +25,7 @@ class ModelConfig(BaseModel):
         description="effects beyond the static wavefront, by name, or {name: {parameter: value}} to fix one",
     )
     pupil_samples: int = Field(128, ge=48, le=512, description="samples across the pupil diameter")
-    cutoff_per_m: float = Field(2.5, gt=0, le=20, description="AO cut-off, 1/(2 actuator pitch) [1/m]")
+    cutoff_per_m: float = Field(2.5, gt=0, le=5, description="AO cut-off, 1/(2 actuator pitch) [1/m]")
     outer_scale_m: float = Field(25.0, gt=1, le=1000, description="outer scale of the turbulence [m]")
 
     @field_validator("effects", mode="after")
