@@ -42,8 +42,8 @@ def main(quick: bool, write_docs: bool) -> None:
 def measure_all(folder: Path, quick: bool) -> dict:
     """Prepare the inputs in `folder` and run every case."""
     drawn = max(entry.quick_frames if quick else entry.frames for entry in NCPA)
-    prepare(folder, drawn, lambda frames: tqdm(frames, desc="drawing frames"))
-    bar = tqdm(total=len(NCPA) + len(OTHERS) + 1)
+    prepare(folder, drawn, lambda frames: tqdm(frames, desc="drawing frames", disable=None))
+    bar = tqdm(total=len(NCPA) + len(OTHERS) + 1, disable=None)
     ncpa, others = ([_measure(entry, folder, quick, bar) for entry in entries] for entries in (NCPA, OTHERS))
     common = _compare(ncpa, Inputs(folder))
     bar.set_description("breakdown")

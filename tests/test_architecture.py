@@ -31,8 +31,8 @@ LAYERS = {
 }
 # Science knows no files, no HDF5, no YAML and no command line: this is all it may use.
 SCIENCE = ("frames", "model", "estimate")
-SCIENCE_MAY_USE = {"__future__", "abc", "collections", "concurrent", "threading", "dataclasses", "enum", "functools", "itertools",
-                   "math", "time", "typing", "warnings", "numpy", "scipy", "torch"}
+SCIENCE_MAY_USE = {"__future__", "abc", "collections", "concurrent", "dataclasses", "enum", "functools",
+                   "itertools", "math", "threading", "time", "typing", "warnings", "numpy", "scipy", "torch"}
 # The package's own __init__ comes first; it imports nothing.
 MODULES = sorted(path.relative_to(PACKAGE.parent) for path in PACKAGE.rglob("*.py"))
 LAYER_OF = {name: layer for layer, (names, _) in LAYERS.items() for name in names}

@@ -30,7 +30,8 @@ def cube() -> tuple[Frames, np.ndarray]:
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_finds_the_aberrations_of_noise_limited_frames(cube, method):
     frames, true = cube
-    result = calibrate(frames, cases.settings(), CalibrationOptions(method, highest_noll=15, prior_scale=None))
+    options = CalibrationOptions(method, highest_noll=15, prior_scale=None)
+    result = calibrate(frames, cases.settings(), options)
     assert set(result.frame_status) == {"converged"}
     assert np.linalg.norm(result.zernike_nm - true) < 0.6  # L1 fits are less efficient than weighted ones
     assert result.frames_nm.shape == (FRAMES, len(NOLLS))
@@ -47,8 +48,8 @@ def test_weighted_fits_err_as_much_as_they_say(cube):
 
 def test_both_optimisers_reach_the_same_minimum(cube):
     frames, _ = cube
-    lm, lbfgs = (calibrate(frames, cases.settings(), CalibrationOptions("dip_avg", "gaussian", name, 15, None))
-                 for name in ("lm", "lbfgs"))
+    both = [CalibrationOptions("dip_avg", "gaussian", name, 15, None) for name in ("lm", "lbfgs")]
+    lm, lbfgs = (calibrate(frames, cases.settings(), options) for options in both)
     assert np.abs(lm.zernike_nm - lbfgs.zernike_nm).max() < 0.02
 
 
@@ -65,8 +66,9 @@ def test_one_invalid_frame_is_flagged_and_left_out(cube):
 
 def test_a_single_frame_is_refused(cube):
     frames, _ = cube
+    single = Frames(frames.images_e[:1], frames.pixel_mask, frames.noise)
     with pytest.raises(ValueError, match="at least two frames"):
-        calibrate(Frames(frames.images_e[:1], frames.pixel_mask, frames.noise), cases.settings(), CalibrationOptions())
+        calibrate(single, cases.settings(), CalibrationOptions())
 
 
 def test_a_centro_symmetric_pupil_gives_the_twin_the_same_image():
@@ -78,7 +80,7 @@ def test_a_centro_symmetric_pupil_gives_the_twin_the_same_image():
 
 
 def test_the_twin_needs_the_larger_aberration_and_loses(cube):
-    frames, true = cube
+    frames, _ = cube
     twin = calibrate(frames, cases.settings(), CalibrationOptions(highest_noll=15)).twin
     assert twin.preferred == "solution"
     assert twin.distance_nm > 100

@@ -29,7 +29,8 @@ def drawn(model, coefficients, flux_e, seed, noise=NOISE):
     rng = np.random.default_rng(seed)
     gain = noise.excess_noise_factor
     shot = gain * rng.poisson(np.maximum(mean, 0) / gain)
-    return torch.as_tensor(shot + np.sqrt(noise.floor_e2) * rng.standard_normal(mean.shape), dtype=torch.float32)
+    read = np.sqrt(noise.floor_e2) * rng.standard_normal(mean.shape)
+    return torch.as_tensor(shot + read, dtype=torch.float32)
 
 
 def random_modes(images: int, seed: int) -> torch.Tensor:
@@ -38,9 +39,10 @@ def random_modes(images: int, seed: int) -> torch.Tensor:
     return torch.as_tensor(np.column_stack([tilts, rng.uniform(-150, 150, images)]))
 
 
-def estimate(model, images, introduced_nm, options=LiftOptions(), noise=NOISE):
-    data = RampData(images, cases.everything(images), noise, introduced_nm)
-    return fit_ramp(model, data, start_from_defocus(model, data, 0.5 * introduced_nm), options).result
+def estimate(model, images, introduced_nm, options=None):
+    data = RampData(images, cases.everything(images), NOISE, introduced_nm)
+    start = start_from_defocus(model, data, 0.5 * introduced_nm)
+    return fit_ramp(model, data, start, options or LiftOptions()).result
 
 
 @pytest.mark.parametrize("mag_j", [9, 12, 15, 18])
@@ -120,7 +122,8 @@ def test_the_capture_range_exceeds_600_nm_either_way(model):
     law = calibrate_law(PsfModel(cases.settings(64, TWO_COLOURS), [4]))
     ratio, _ = axis_ratios(images, cases.everything(images), law.angle_deg)
     data = RampData(images, cases.everything(images), NOISE, introduced)
-    result = fit_ramp(model, data, start_from_defocus(model, data, law.defocus_nm(ratio)), LiftOptions()).result
+    start = start_from_defocus(model, data, law.defocus_nm(ratio))
+    result = fit_ramp(model, data, start, LiftOptions()).result
     assert np.abs(result.mode(4)[0].numpy() - introduced).max() < 5
 
 

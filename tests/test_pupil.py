@@ -59,11 +59,6 @@ def binned(pupil: np.ndarray) -> np.ndarray:
     return pupil.reshape(128, 8, 128, 8).mean((1, 3))
 
 
-def binned(pupil: np.ndarray) -> np.ndarray:
-    """Means over 8 x 8 cells of a grid of 1024 x 1024."""
-    return pupil.reshape(128, 8, 128, 8).mean((1, 3))
-
-
 def spectrum(u: np.ndarray, amplitude: np.ndarray, frequency_per_m: np.ndarray) -> np.ndarray:
     """Fourier sum along the diagonal and both axes of the frequency plane."""
     waves = np.exp(-2j * np.pi * np.outer(frequency_per_m, u))

@@ -38,7 +38,8 @@ def total(errors: dict[int, float]) -> float:
 
 @pytest.fixture(scope="module")
 def own(tmp_path_factory) -> dict:
-    return reduce("defocus_ramp", tmp_path_factory.mktemp("own"), calibration=OWN / "calibration-sky", ramp=OWN / "ramp")
+    output = tmp_path_factory.mktemp("own")
+    return reduce("defocus_ramp", output, calibration=OWN / "calibration-sky", ramp=OWN / "ramp")
 
 
 @pytest.fixture(scope="module")

@@ -48,7 +48,10 @@ def start(members: int) -> torch.Tensor:
 
 
 def scipy_fit(curve: np.ndarray, bounds=(-np.inf, np.inf)):
-    return least_squares(lambda p: p[0] * np.exp(-p[1] * X) + p[2] - curve, [80, 1, 0.0], bounds=bounds, x_scale="jac")
+    def residual(p):
+        return p[0] * np.exp(-p[1] * X) + p[2] - curve
+
+    return least_squares(residual, [80, 1, 0.0], bounds=bounds, x_scale="jac")
 
 
 def test_every_member_of_a_batch_reaches_the_minimum_that_scipy_finds():
