@@ -37,20 +37,22 @@ def ordered_map(function: Callable[[Item], Result], items: Iterable[Item]) -> li
     """Results of `function` for every item, in order; side by side if there are workers.
 
     Called from a worker, it runs in that worker: pieces of pieces do not wait for each other.
+    Where gradients are recorded it runs in the caller's thread: the transforms of `torch.func`
+    do not follow into others, and would return zeros.
     """
     items = list(items)
-    if _pool is None or len(items) < 2 or getattr(_inside, "worker", False):
+    alone = _pool is None or len(items) < 2 or getattr(_inside, "worker", False)
+    if alone or torch.is_grad_enabled():
         return [function(item) for item in items]
     return list(_pool.map(_marked(function), items))
 
 
 def _marked(function: Callable[[Item], Result]) -> Callable[[Item], Result]:
-    """`function`, in a thread that knows it is a worker and inherits whether gradients are recorded."""
-    gradients = torch.is_grad_enabled()
+    """`function`, in a thread that knows it is a worker."""
 
     def run(item: Item) -> Result:
         _inside.worker = True
-        with torch.set_grad_enabled(gradients):
+        with torch.no_grad():
             return function(item)
 
     return run

@@ -213,6 +213,7 @@ class PsfModel:
         intensity = amplitude.real**2 + amplitude.imag**2
         return float(self.weights[index]) * self.to_image(intensity, index, transfer)
 
+    @torch.no_grad()
     def images_and_jacobian(
         self,
         coefficients_nm: torch.Tensor,

@@ -171,6 +171,7 @@ class ImageFit:
 
     # -- quality -----------------------------------------------------------------------------
 
+    @torch.no_grad()
     def reduced_chi2(self, x: torch.Tensor) -> torch.Tensor:
         """χ² per degree of freedom of every member, (batch,), from the variances given."""
         return torch.cat(self._map(self._squared_residual, x, torch.arange(len(x)))) / self.freedom
@@ -179,6 +180,7 @@ class ImageFit:
         residual, _ = self._whitened(self.predict(x), which)
         return (residual**2).sum((1, 2)).cpu()
 
+    @torch.no_grad()
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:
         """Model images of the whole batch [e-], (batch, pixels), float64 on the CPU."""
         return torch.cat(self._map(lambda part, _: self.predict(part).cpu(), x, torch.arange(len(x))))

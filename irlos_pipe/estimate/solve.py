@@ -71,6 +71,7 @@ class Solution:
         return torch.diagonal(self.covariance, dim1=1, dim2=2).clamp_min(0).sqrt()
 
 
+@torch.no_grad()
 def solve(
     problem: Problem,
     start: torch.Tensor,
