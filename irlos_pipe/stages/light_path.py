@@ -31,8 +31,15 @@ def psf_settings(
     ------
     ConfigurationError
         If the pupil is sampled too coarsely for the window.
+    InputDataError
+        If the image is that of one lenslet: the model is that of the full pupil.
     """
     acquisition = recording.acquisition
+    if acquisition.subaperture:
+        raise InputDataError(
+            f"{recording.name}: image {acquisition.subaperture} of a 2x2 mode ({acquisition.mode}); "
+            "calibration and LIFT need full-pupil recordings"
+        )
     _require_samples(instrument, model, recording)
     diversity = dict(acquisition.diversity)
     for noll, value in (ncpa_nm or {}).items():
