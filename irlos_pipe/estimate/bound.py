@@ -6,6 +6,7 @@ import torch
 
 from ..noise import NoiseModel
 from ..psf import PsfModel
+from .solve import scaled_inverse
 
 
 def cramer_rao_nm(
@@ -32,8 +33,5 @@ def cramer_rao_nm(
     flux = flux_e.double().to(unit.device)[:, None]
     columns = torch.cat([jacobian * flux[..., None], unit[:, None], torch.ones_like(unit)[:, None]], dim=1)
     fisher = (columns / noise.variance_e2(unit * flux + background_e)[:, None]) @ columns.mT
-    scale = torch.diagonal(fisher, dim1=1, dim2=2).rsqrt()
-    covariance = (
-        torch.linalg.inv(fisher * scale[:, :, None] * scale[:, None]) * scale[:, :, None] * scale[:, None]
-    )
+    covariance = scaled_inverse(fisher)
     return torch.diagonal(covariance, dim1=1, dim2=2).sqrt()[:, : len(model.nolls)].cpu()

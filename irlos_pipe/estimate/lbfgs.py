@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 
 from .image_fit import ImageFit
-from .solve import CONVERGED, INVALID, MAX_ITERATIONS, Solution, _inverse
+from .solve import CONVERGED, INVALID, MAX_ITERATIONS, Solution, scaled_inverse
 
 HISTORY = 20
 GRADIENT_TOLERANCE = 1e-2  # in units of one standard error
@@ -47,4 +47,4 @@ def solve_lbfgs(problem: ImageFit, start: torch.Tensor, *, max_iterations: int =
     finite = torch.isfinite(value)
     outcome = zip(small, finite, strict=True)
     status = [CONVERGED if s and f else MAX_ITERATIONS if f else INVALID for s, f in outcome]
-    return Solution(x, _inverse(hessian), status, torch.full((len(start),), evaluations), value)
+    return Solution(x, scaled_inverse(hessian), status, torch.full((len(start),), evaluations), value)

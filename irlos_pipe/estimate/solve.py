@@ -17,7 +17,7 @@ import torch
 
 CHI2_TOLERANCE = 1e-3
 ROUNDING = 1e-6  # relative rounding of an objective whose images are propagated in float32
-DAMPING_START, DAMPING_MIN, DAMPING_MAX = 1e-3, 1e-9, 1e9
+DAMPING_START, DAMPING_MIN = 1e-3, 1e-9
 
 CONVERGED, MAX_ITERATIONS, STALLED, INVALID = "converged", "max_iterations", "stalled", "invalid"
 
@@ -172,7 +172,7 @@ class _State:
 
     def solution(self) -> Solution:
         """The batch as it stands."""
-        return Solution(self.x, _inverse(self.hessian), self.status, self.iterations, self.value)
+        return Solution(self.x, scaled_inverse(self.hessian), self.status, self.iterations, self.value)
 
 
 def _scale(hessian: torch.Tensor) -> torch.Tensor:
@@ -188,8 +188,11 @@ def _solve(hessian: torch.Tensor, gradient: torch.Tensor, damping: torch.Tensor)
     return torch.linalg.solve(scaled, (gradient / scale)[..., None])[..., 0] / scale
 
 
-def _inverse(hessian: torch.Tensor) -> torch.Tensor:
-    """Inverse through scaled variables; directions without information get a huge variance."""
+def scaled_inverse(hessian: torch.Tensor) -> torch.Tensor:
+    """Inverse of a batch of Hessians, (batch, p, p), through variables scaled by their curvature.
+
+    Directions without information get a huge variance.
+    """
     scale = _scale(hessian)
     outer = scale[:, :, None] * scale[:, None, :]
     scaled = hessian / outer + 1e-14 * torch.eye(hessian.shape[-1], dtype=hessian.dtype)

@@ -6,18 +6,17 @@ from dataclasses import asdict
 from typing import Literal
 
 import numpy as np
-import torch
 from pydantic import Field
 
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, Frames, calibrate
-from irlos_pipe.noise import NoiseModel
 from irlos_pipe.product import Check, Quantity
 from irlos_pipe.recording import Recording
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.light_path import (
     effect_arrays,
     model_effects,
+    pooled_images,
     psf_settings,
     require_one_setup,
     seeing_arcsec,
@@ -90,11 +89,7 @@ def _calibrate(
             config.max_iterations,
         )
     )
-    frames = Frames(
-        torch.as_tensor(np.concatenate([r.images_e for r in recordings])),
-        torch.as_tensor(np.all([r.pixel_mask for r in recordings], axis=0)),
-        NoiseModel.of(first),
-    )
+    frames = Frames(*pooled_images(recordings))
     total = len(frames.images_e) if options.resolved()[0].images == "frames" else 1
     with ctx.progress(total=total, desc=f"calibrate {method}") as bar:
         result = calibrate(

@@ -11,6 +11,7 @@ from irlos_pipe.effects import CATALOGUE, Conditions, OtfEffect, OtfGrid, Pinned
 from irlos_pipe.effects.seeing_halo import in_band_wfe_nm
 from irlos_pipe.errors import ConfigurationError, InputDataError
 from irlos_pipe.instrument import Instrument
+from irlos_pipe.noise import NoiseModel
 from irlos_pipe.optics.propagate import require_resolved
 from irlos_pipe.optics.structure import ResidualBand
 from irlos_pipe.product import Product, Quantity
@@ -159,6 +160,15 @@ def require_one_setup(recordings: Sequence[Recording]) -> None:
                 f"{other.name}: {', '.join(differing)} differ from those of {first.name}; "
                 "reduce recordings of different set-ups separately"
             )
+
+
+def pooled_images(recordings: Sequence[Recording]) -> tuple[torch.Tensor, torch.Tensor, NoiseModel]:
+    """Frames of all recordings one after the other, pixels good in all of them, and their noise."""
+    return (
+        torch.as_tensor(np.concatenate([r.images_e for r in recordings])),
+        torch.as_tensor(np.all([r.pixel_mask for r in recordings], axis=0)),
+        NoiseModel.of(recordings[0]),
+    )
 
 
 def in_time_order(recordings: Sequence[Recording]) -> list[Recording]:

@@ -11,7 +11,6 @@ from irlos_pipe.effects import OtfEffect, Pinned, SeeingHalo, TipTiltJitter
 from irlos_pipe.errors import ConfigurationError
 from irlos_pipe.estimate.ramp_fit import RampData, start_from_defocus
 from irlos_pipe.estimate.start import scan_start_nm
-from irlos_pipe.noise import NoiseModel
 from irlos_pipe.psf import PsfModel
 from irlos_pipe.recording import Acquisition, Recording
 from irlos_pipe.stages.base import StageContext
@@ -20,6 +19,7 @@ from irlos_pipe.stages.light_path import (
     expected,
     in_time_order,
     model_effects,
+    pooled_images,
     psf_settings,
     require_one_setup,
 )
@@ -57,12 +57,8 @@ def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
         r.accepted() for r in in_time_order(recordings_from_product(ctx.products["ingest"], input_name))
     ]
     require_one_setup(recordings)
-    data = RampData(
-        torch.as_tensor(np.concatenate([r.images_e for r in recordings])),
-        torch.as_tensor(np.all([r.pixel_mask for r in recordings], axis=0)),
-        NoiseModel.of(recordings[0]),
-        np.concatenate([r.introduced_defocus_nm for r in recordings]).astype(float),
-    )
+    introduced_nm = np.concatenate([r.introduced_defocus_nm for r in recordings]).astype(float)
+    data = RampData(*pooled_images(recordings), introduced_nm)
     names = [r.name for r in recordings for _ in range(r.frames)]
     return Ramp(recordings, data, names, [i for r in recordings for i in range(r.frames)])
 
@@ -111,8 +107,13 @@ def ramp_effects(
         elif TipTiltJitter.name in available:
             effects.append(jitter or expected([available[TipTiltJitter.name]])[0])
     else:
-        effects.append(Pinned(TipTiltJitter(), [object_sigma_mas**2]))
+        effects.append(_jitter_of(object_sigma_mas))
     return effects
+
+
+def _jitter_of(sigma_mas: float) -> Pinned:
+    jitter = TipTiltJitter()
+    return Pinned(jitter, jitter.values_of(sigma_mas))
 
 
 def _known(ctx: StageContext, acquisition: Acquisition) -> dict[str, Pinned]:
