@@ -18,6 +18,7 @@ from irlos_pipe.product import Product, Quantity
 from irlos_pipe.psf import PsfModel, PsfSettings
 from irlos_pipe.recording import Acquisition, Recording
 from irlos_pipe.stages.model import ModelConfig
+from irlos_pipe.stages.recordings import recordings_from_product
 
 DEFAULT_SEEING_ARCSEC = 0.8
 SETUP_KEYS = ("pixel_scale_mas", "spectrum", "diversity")
@@ -160,6 +161,13 @@ def require_one_setup(recordings: Sequence[Recording]) -> None:
                 f"{other.name}: {', '.join(differing)} differ from those of {first.name}; "
                 "reduce recordings of different set-ups separately"
             )
+
+
+def used_in_time_order(ingest: Product, input_name: str) -> list[Recording]:
+    """Used frames of a recipe input's recordings, which must share one set-up, in order of time."""
+    recordings = [r.accepted() for r in in_time_order(recordings_from_product(ingest, input_name))]
+    require_one_setup(recordings)
+    return recordings
 
 
 def pooled_images(recordings: Sequence[Recording]) -> tuple[torch.Tensor, torch.Tensor, NoiseModel]:

@@ -15,12 +15,10 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.light_path import (
     expected,
     fixed_transfer,
-    in_time_order,
     model_effects,
     psf_settings,
-    require_one_setup,
+    used_in_time_order,
 )
-from irlos_pipe.stages.recordings import recordings_from_product
 
 NAME = "prior"
 VERSION = 1
@@ -37,10 +35,7 @@ class Config(StageConfig):
 
 def run(ctx: StageContext) -> StageOutput:
     """Calibrate A and B from the model and apply them to every used frame."""
-    recordings = [
-        r.accepted() for r in in_time_order(recordings_from_product(ctx.products["ingest"], ctx.config.input))
-    ]
-    require_one_setup(recordings)
+    recordings = used_in_time_order(ctx.products["ingest"], ctx.config.input)
     try:
         law = _law(ctx, recordings[0])
     except ValueError as problem:

@@ -17,13 +17,11 @@ from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.light_path import (
     calibrated_effects,
     expected,
-    in_time_order,
     model_effects,
     pooled_images,
     psf_settings,
-    require_one_setup,
+    used_in_time_order,
 )
-from irlos_pipe.stages.recordings import recordings_from_product
 
 
 @dataclass(frozen=True)
@@ -53,10 +51,7 @@ class Ramp:
 
 def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
     """All used frames of a recipe input, in order of time."""
-    recordings = [
-        r.accepted() for r in in_time_order(recordings_from_product(ctx.products["ingest"], input_name))
-    ]
-    require_one_setup(recordings)
+    recordings = used_in_time_order(ctx.products["ingest"], input_name)
     introduced_nm = np.concatenate([r.introduced_defocus_nm for r in recordings]).astype(float)
     data = RampData(*pooled_images(recordings), introduced_nm)
     names = [r.name for r in recordings for _ in range(r.frames)]
