@@ -23,6 +23,7 @@ import numpy as np
 import torch
 from numpy.polynomial import chebyshev
 
+from .geometry import PupilGeometry
 from .optics.propagate import (
     FocalGrid,
     baseline_to_pixels,
@@ -31,7 +32,7 @@ from .optics.propagate import (
     pupil_to_focal,
     require_resolved,
 )
-from .optics.pupil import PupilGeometry, band_limited_pupil
+from .optics.pupil import band_limited_pupil
 from .optics.zernike import noll_to_nm, zernike_basis
 from .parallel import ordered_map
 

@@ -14,7 +14,7 @@ from reference_psf import reference
 from scipy.special import j1
 
 from irlos_pipe.optics.propagate import FocalGrid, baseline_to_pixels
-from irlos_pipe.optics.pupil import PupilGeometry
+from irlos_pipe.geometry import PupilGeometry
 from irlos_pipe.psf import PsfModel
 
 NOLLS = tuple(range(2, 52))

@@ -9,10 +9,9 @@ from reference_psf import reference
 from scipy.special import j1
 
 from irlos_pipe.optics.propagate import require_resolved
+from irlos_pipe.geometry import PupilGeometry, Vane
 from irlos_pipe.optics.pupil import (
     CLEAN_BAND,
-    PupilGeometry,
-    Vane,
     area_weighted_pupil,
     band_limited_pupil,
     grid_centres,

@@ -1,34 +1,17 @@
-"""The telescope pupil: outline, central hole and vanes, sampled by area."""
+"""The telescope pupil sampled by area."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+
+from ..geometry import PupilGeometry
 
 SUBSAMPLES = 16  # fine cells per side of a coarse cell; coverage of a fine cell is linear in distance
 PAD = 4  # coarse cells beyond the diameter on each side: room for the filter's ringing
 PASS_BAND, STOP_BAND = 0.7, 1.4  # of the low-pass, in units of the coarse grid's Nyquist frequency
 CLEAN_BAND = min(PASS_BAND, 2 - STOP_BAND)  # neither attenuated nor reached by what folds back
-
-
-@dataclass(frozen=True)
-class Vane:
-    """A straight bar of the spider from `start_m` to `end_m` (x, y), of full width `width_m` [m]."""
-
-    start_m: tuple[float, float]
-    end_m: tuple[float, float]
-    width_m: float
-
-
-@dataclass(frozen=True)
-class PupilGeometry:
-    """Outline of an obscured circular pupil [m]."""
-
-    diameter_m: float
-    obscuration_m: float = 0.0
-    vanes: tuple[Vane, ...] = ()
 
 
 def grid_centres(samples: int, step_m: float) -> np.ndarray:

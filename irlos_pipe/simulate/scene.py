@@ -1,0 +1,128 @@
+"""What is simulated: star, telescope, sky, aberrations, effects and detector of one recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..geometry import PupilGeometry
+from .atmosphere import Sky
+from .detector import DetectorModel
+from .motion import Motion
+
+PHOTONS_PER_S_AT_M15 = 150_000.0  # per UT4 aperture, whole sensor band
+
+
+@dataclass(frozen=True)
+class Band:
+    """Flat pass-band; `share` is its part of the photons.
+
+    Attributes
+    ----------
+    centre_nm, half_width_nm : float
+    """
+
+    centre_nm: float
+    half_width_nm: float
+    share: float = 1.0
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How finely a recording is computed; each default is budgeted in the tests.
+
+    Attributes
+    ----------
+    pupil_samples : int
+        Across the diameter.
+    points_per_band : int
+        Wavelengths of the Gauss–Legendre rule in every band.
+    step_s : float
+        Longest time between two instantaneous images [s].
+    """
+
+    pupil_samples: int = 128
+    points_per_band: int = 5
+    step_s: float = 0.01
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One recording.
+
+    Attributes
+    ----------
+    geometry : PupilGeometry
+    bands : tuple of Band
+    seed : tuple of int
+        Of everything random in this recording.
+    frames : int
+    exposure_s, frame_rate_hz : float
+    mag_j, throughput : float
+        The star, and the part of the photons of `PHOTONS_PER_S_AT_M15` that the bands pass.
+    window : (int, int)
+        Rows and columns [px].
+    ncpa_nm : mapping of int to float
+        Static aberrations, Noll: nm RMS.
+    rotating_nm : mapping of int to float
+        The part before the derotator, as it is at angle 0; it turns with `derotator_angle_deg`,
+        anticlockwise, in addition to `ncpa_nm`.
+    diversity_nm : mapping of int to float
+    introduced_nm : float or tuple of float
+        Defocus (Noll 4) of all frames, or of every frame.
+    sky : Sky or None
+        AO residual; None on the bench.
+    motion : Motion or None
+        Residual tip-tilt.
+    effects : mapping of str to mapping
+        Effects by their catalogue names, with the catalogue's parameters; not told in the side-car.
+    """
+
+    name: str
+    geometry: PupilGeometry
+    bands: tuple[Band, ...]
+    seed: tuple[int, ...]
+    frames: int
+    exposure_s: float
+    role: str = "ncpa_calibration"
+    target: str = "simulated"
+    mag_j: float = 7.0
+    throughput: float = 1.0
+    frame_rate_hz: float = 10.0
+    window: tuple[int, int] = (64, 64)
+    pixel_scale_mas: float = 9.7
+    ncpa_nm: Mapping[int, float] = field(default_factory=dict)
+    rotating_nm: Mapping[int, float] = field(default_factory=dict)
+    derotator_angle_deg: float = 0.0
+    diversity_nm: Mapping[int, float] = field(default_factory=dict)
+    diversity_source: str = "lens"
+    introduced_nm: float | tuple[float, ...] = 0.0
+    sky: Sky | None = None
+    motion: Motion | None = None
+    effects: Mapping[str, Mapping] = field(default_factory=dict)
+    detector: DetectorModel = field(default_factory=DetectorModel)
+    sampling: Sampling = field(default_factory=Sampling)
+    start_unix_s: int = 1_707_618_000
+    first_counter: int = 1000
+
+    @property
+    def photons(self) -> float:
+        """Photons per frame through the whole aperture."""
+        rate = PHOTONS_PER_S_AT_M15 * 10 ** (0.4 * (15 - self.mag_j)) * self.throughput
+        return rate * self.exposure_s
+
+    @property
+    def introduced_per_frame_nm(self) -> np.ndarray:
+        """Introduced defocus, (frames,) [nm RMS]."""
+        return np.broadcast_to(np.asarray(self.introduced_nm, float), (self.frames,))
+
+    def spectrum(self, points_per_band: int | None = None) -> list[tuple[float, float]]:
+        """(wavelength [nm], photon weight) of the Gauss–Legendre rule in every band."""
+        nodes, weights = np.polynomial.legendre.leggauss(points_per_band or self.sampling.points_per_band)
+        return [
+            (float(band.centre_nm + band.half_width_nm * node), float(weight / 2 * band.share))
+            for band in self.bands
+            for node, weight in zip(nodes, weights, strict=True)
+        ]
