@@ -25,6 +25,7 @@ RUNS ?= runs
 
 .DEFAULT_GOAL := help
 .PHONY: help env env-test demo test bench lint clean full calibrate dip-global ramp sensitivity
+.PHONY: paper paper-quick paper-tables
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -71,6 +72,16 @@ ramp: env ## recipes/defocus_ramp.yaml (RAMP=..., CALIBRATION=...)
 
 sensitivity: env ## recipes/sensitivity.yaml (RAMP=..., CALIBRATION=...)
 	$(BIN)/irlos run recipes/sensitivity.yaml $(ramp_input) $(calibration_input) --output $(RUNS)/sensitivity $(ARGS)
+
+paper: env ## every experiment of the paper, hours; stopped, it goes on where it was (ARGS="--only methods")
+	$(BIN)/irlos paper --output $(RUNS)/paper $(ARGS)
+
+paper-quick: env ## the same with small samples, minutes
+	$(BIN)/irlos paper --output $(RUNS)/paper-quick --quick $(ARGS)
+
+paper-tables: env ## after make paper: its numbers to docs/paper_results.json, and from there into README.md
+	cp $(RUNS)/paper/paper_results.json docs/paper_results.json
+	$(BIN)/python -m irlos_pipe.paper.readme
 
 clean: ## remove what building and testing left (not the environment, not runs/)
 	rm -rf build dist demo .pytest_cache .ruff_cache

@@ -109,6 +109,7 @@ class Inputs:
             1,
             _silent,
             logging.getLogger("benchmarks"),
+            self.folder / "scratch",
         )
 
     @property

@@ -189,6 +189,59 @@ def export(product: Path, arrays: tuple[str, ...], output: Path, force: bool) ->
     click.echo(output)
 
 
+@cli.command(epilog=EXIT_CODES)
+@click.argument("spec", metavar="SPEC.yaml", type=FOLDER)
+@click.option("--output", type=FOLDER, required=True, metavar="DIR", help="Folder of the simulation.")
+@click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
+              help="Change a value of the spec; VALUE is YAML. May be repeated.")
+@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed in place of the spec's.")
+@click.option("--force", is_flag=True, help="Make recordings again that are up to date.")
+@click.option("--dry-run", is_flag=True, help="Say what would be made and why; touch nothing.")
+@click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes (default: all processors).")
+@click.option("-q", "--quiet", is_flag=True, help="Tell errors only.")
+def simulate(spec: Path, output: Path, settings: tuple[str, ...], seed: int | None, force: bool,
+             dry_run: bool, jobs: int | None, quiet: bool) -> None:
+    """Simulate the recordings of SPEC.yaml into the folder DIR.
+
+    The spec says star, aberrations, sky, image motion, detector and what else disturbs the
+    recordings; those in recipes/simulations are commented and meant to be copied. The same spec
+    and seed give the same data, whatever --jobs; a recording that is there already is not made
+    again. A recording appears when it is complete.
+
+    \b
+    Examples:
+      irlos simulate recipes/simulations/on_sky.yaml --output sim --dry-run
+      irlos simulate recipes/simulations/on_sky.yaml --output sim
+      irlos run recipes/full_reduction.yaml --output sim/run \\
+            --input calibration=sim/data/calibration --input ramp=sim/data/ramp
+      irlos score sim/run --truth sim/truth
+      irlos simulate recipes/simulations/on_sky.yaml --output sim-1 --seed 1
+      irlos simulate recipes/simulations/on_sky.yaml --output faint \\
+            --set recordings.ramp.mag_j=16 --set sky.seeing_arcsec=1.0
+      irlos simulate recipes/simulations/bench.yaml --output mine \\
+            --set 'effects={companion: {flux_ratio: 0.05, sep_mas: 150, pa_deg: 30}}'
+
+    \b
+    DIR will hold:
+      data/<recording>/         what an observer gets: frames, darks, side-car
+      truth/<recording>.json    what there really was: wavefront, hidden effects, all parameters
+      truth/*_wavefront.fits    mean wavefront, pupil, Zernikes per frame
+      simulation.resolved.yaml  the spec with every default; can be simulated again
+    """
+    from irlos_pipe import campaign
+    from irlos_pipe.terminal import aligned, messages
+
+    checked = campaign.load_spec(spec, settings, seed)
+    if dry_run:
+        click.echo(aligned(campaign.plan_rows(campaign.plan_simulation(checked, output, force))))
+        return
+    resources = _resources("cpu", jobs, quiet)
+    with terminated_like_interrupted(), messages(-1 if quiet else 0):
+        campaign.simulate(checked, output, force, resources.jobs, resources.progress)
+    if not quiet:
+        click.echo(campaign.where_text(checked, output))
+
+
 @cli.command()
 @click.argument("folder", metavar="DIR", type=FOLDER)
 @click.option("--truth", type=FOLDER, required=True, metavar="PATH", help="Folder or file with the truth.")
@@ -202,6 +255,53 @@ def score(folder: Path, truth: Path) -> None:
     from irlos_pipe.score import score_run
 
     click.echo(score_run(folder, truth))
+
+
+@cli.command(epilog=EXIT_CODES)
+@click.option("--output", type=FOLDER, required=True, metavar="DIR", help="Folder of all experiments.")
+@click.option("--quick", is_flag=True, help="Small samples (recipes/paper/quick.yaml): minutes, not hours.")
+@click.option("--only", metavar="NAME", multiple=True, help="Run only this experiment. May be repeated.")
+@click.option("--recipes", type=FOLDER, default=Path("recipes/paper"), show_default=True, metavar="DIR",
+              help="Folder of the experiments' recipes.")
+@click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes (default: all processors).")
+@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed in place of the recipes'.")
+@click.option("-v", "--verbose", count=True, help="Tell more; -vv for debugging.")
+@click.option("-q", "--quiet", is_flag=True, help="Tell errors only.")
+def paper(output: Path, quick: bool, only: tuple[str, ...], recipes: Path, jobs: int | None, seed: int | None,
+          verbose: int, quiet: bool) -> None:
+    """Run every experiment of the paper on simulated data, and sum up all of them in DIR.
+
+    What is up to date is skipped, and an interrupted run goes on where it stopped, in the middle of
+    an experiment too. An experiment that fails does not stop the others (exit code 5). Results do
+    not depend on --jobs. Run it in the source tree, where recipes/paper is.
+
+    \b
+    Examples:
+      irlos paper --output runs/paper-quick --quick
+      irlos paper --output runs/paper
+      irlos paper --output runs/paper --only methods --only slow_loop -v
+
+    \b
+    DIR will hold:
+      report.html         every figure and table, in the order of the paper
+      paper_results.json  all numbers with seeds and sizes, for scripts
+      <experiment>/       the run of each: report.html, results.json, products (irlos show)
+    """
+    from irlos_pipe.paper.experiments import find_experiments
+    from irlos_pipe.paper.run import run_paper
+    from irlos_pipe.paper.text import ran_text
+    from irlos_pipe.terminal import messages
+
+    if verbose and quiet:
+        raise click.UsageError("-v and -q exclude each other")
+    experiments = find_experiments(recipes, quick=quick, only=only, seed=seed)
+    with terminated_like_interrupted(), messages(-1 if quiet else verbose):
+        ran = run_paper(experiments, output, quick, _resources("cpu", jobs, quiet))
+    if not quiet:
+        click.echo(ran_text(ran))
+    for name, problem in ran.problems.items():
+        tell(f"{name}: {problem}")
+    sys.exit(ran.exit_code)
 
 
 def _finish(outcome: Outcome, as_json: bool, quiet: bool) -> NoReturn:

@@ -15,6 +15,7 @@ from irlos_pipe.errors import ConfigurationError
 from irlos_pipe.yamlfile import line_of
 
 KeyPath = tuple[str | int, ...]
+MAX_SHOWN = 60  # characters of a section or list in a message
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,13 @@ def _explain(problem: dict, model: type[BaseModel], section: KeyPath) -> str:
     if problem["type"] == "missing":
         return f"key '{dotted}' is missing{_description(parent, loc)}"
     text = _lower_first(problem["msg"].removeprefix("Input ").removeprefix("Value error, "))
-    return f"{dotted} = {problem['input']!r}: {text}{_hint(problem)}{_description(parent, loc)}"
+    return f"{dotted}{_shown(problem['input'])}: {text}{_hint(problem)}{_description(parent, loc)}"
+
+
+def _shown(value: Any) -> str:
+    """The value, unless it is a long section: its keys stand in the file."""
+    text = f" = {value!r}"
+    return "" if isinstance(value, (dict, list)) and len(text) > MAX_SHOWN else text
 
 
 def _hint(problem: dict) -> str:

@@ -9,8 +9,9 @@ from typing import Any
 
 from irlos_pipe.complaints import suggestion
 from irlos_pipe.errors import ConfigurationError
-from irlos_pipe.instrument_profile import Fact, ModeEntry, Profile, Ratio, parse_profile
 from irlos_pipe.geometry import PupilGeometry, Vane
+from irlos_pipe.instrument_profile import Fact, ModeEntry, Profile, Ratio, SeeingScaleEntry, parse_profile
+from irlos_pipe.seeing import SPARTA, SeeingScale
 from irlos_pipe.yamlfile import load_yaml
 
 PROFILES = Path(__file__).parent / "instruments"
@@ -48,6 +49,8 @@ class Instrument:
         Photons per second through the pupil at m_J = 15 [1/s].
     modes : dict of str to Mode
         By the mode string of the header.
+    seeing_scales : dict of str to SeeingScale
+        By the seeing monitor; ``sparta`` is always among them.
     profile : Profile
         What the values were made from.
     """
@@ -57,6 +60,7 @@ class Instrument:
     defaults: dict[str, float]
     photons_per_s_m15: float
     modes: dict[str, Mode]
+    seeing_scales: dict[str, SeeingScale]
     profile: Profile
 
     @property
@@ -107,6 +111,8 @@ def _instrument(profile: Profile, day: str | None) -> Instrument:
         defaults={key: values.resolve(reference) for key, reference in profile.defaults.items()},
         photons_per_s_m15=float(values["photons_per_s_m15"]),
         modes={name: _mode(name, entry, values) for name, entry in profile.modes.items()},
+        seeing_scales={SPARTA: SeeingScale()}
+        | {name: _seeing_scale(name, entry, values) for name, entry in profile.seeing_scales.items()},
         profile=profile,
     )
 
@@ -140,6 +146,13 @@ def _pupil(values: _Values) -> PupilGeometry:
     width = float(values["pupil_vane_width_m"])
     vanes = tuple(Vane(tuple(start), tuple(end), width) for start, end in values["pupil_vanes_m"])
     return PupilGeometry(float(values["pupil_diameter_m"]), float(values["pupil_obscuration_m"]), vanes)
+
+
+def _seeing_scale(name: str, entry: SeeingScaleEntry, values: _Values) -> SeeingScale:
+    scale = SeeingScale(values.resolve(entry.ratio), values.resolve(entry.offset_arcsec))
+    if not scale.ratio > 0:
+        raise ConfigurationError(f"seeing scale '{name}': ratio {scale.ratio:g} should be positive")
+    return scale
 
 
 def _mode(name: str, entry: ModeEntry, values: _Values) -> Mode:

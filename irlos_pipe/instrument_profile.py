@@ -68,6 +68,13 @@ def _as_list(value: Any) -> Any:
     return value if isinstance(value, list) else [value]
 
 
+class SeeingScaleEntry(_Section):
+    """A seeing monitor; ratio and offset are names of facts."""
+
+    ratio: str = Field(description="name of the fact with SPARTA's seeing over the monitor's")
+    offset_arcsec: str = Field(description="name of the fact with what is added then")
+
+
 class Profile(_Section):
     """The whole file."""
 
@@ -75,6 +82,7 @@ class Profile(_Section):
     title: str = Field("", description="one line for people")
     facts: dict[str, Annotated[list[Fact], BeforeValidator(_as_list)]]
     defaults: dict[str, str | Ratio] = Field({}, description="side-car key: fact that stands in for it")
+    seeing_scales: dict[str, SeeingScaleEntry] = Field({}, description="monitor: its relation to SPARTA")
     modes: dict[str, ModeEntry] = Field({}, description="mode string of the header: properties")
 
     @model_validator(mode="after")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from irlos_pipe.errors import ConfigurationError, InputDataError, IrlosError, Lo
 from irlos_pipe.yamlfile import load_yaml
 
 LOCK_NAME = ".lock"
+PARTIAL = ".partial"
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,17 @@ class RunFolder:
     def product(self, position: int, stage: str) -> Path:
         """Product of the stage at a position in the recipe, counted from 1."""
         return self.path / f"{position:02d}_{stage}.h5"
+
+    def scratch(self, stage: str, key: str) -> Path:
+        """Where a stage keeps finished parts of the product of that key; not made here."""
+        return self.path / PARTIAL / f"{stage}-{key[:16]}"
+
+    def remove_scratch(self, stage: str) -> None:
+        """Remove the parts that a stage kept, those of other keys as well."""
+        for folder in (self.path / PARTIAL).glob(f"{stage}-*"):
+            shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError):  # absent, or another stage's parts are in it
+            (self.path / PARTIAL).rmdir()
 
     def products(self) -> dict[str, Path]:
         """Products behind results.json, by stage name; none from other recipes or earlier settings.

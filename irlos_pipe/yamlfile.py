@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -26,6 +27,13 @@ class _Loader(yaml.SafeLoader):
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )
+
+
+class _Dumper(yaml.SafeDumper):
+    """Safe dumper that writes out what occurs twice, as `load_yaml` refuses aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
 
 
 class _Refused(Exception):
@@ -81,6 +89,11 @@ def parse_yaml(text: str, name: str, error: type[IrlosError] = ConfigurationErro
             f"{name}:1: expected 'key: value' pairs, found {'nothing' if data is None else 'something else'}"
         )
     return data, lines
+
+
+def yaml_text(data: dict) -> str:
+    """Return plain values as YAML that `load_yaml` reads; the keys keep their order."""
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110)
 
 
 def line_of(lines: dict[tuple, int], key_path: tuple) -> int:

@@ -14,31 +14,38 @@ LAYERS = {
     "errors": ({"errors"}, set()),
     "frames": ({"recording", "detector", "noise", "bandlimit", "blemishes", "photon_transfer", "screening"},
                {"errors"}),
-    "geometry": ({"geometry"}, set()),
+    "geometry": ({"geometry", "seeing"}, set()),
     "model": ({"optics", "effects", "psf", "parallel"}, {"errors", "geometry"}),
     # The simulator shares no line of optics with the model that is fitted to its images.
     "simulate": ({"simulate"}, {"errors", "geometry"}),
     "estimate": ({"estimate", "diagnose"}, {"errors", "frames", "geometry", "model"}),
     "experiments": ({"experiments"}, {"errors", "frames", "geometry", "model", "estimate", "simulate"}),
-    "files": ({"atomic", "jsonable", "yamlfile", "complaints"}, {"errors"}),
+    "files": ({"atomic", "jsonable", "yamlfile", "complaints", "overrides"}, {"errors"}),
+    "processes": ({"processes"}, set()),
     "product": ({"product", "runfolder"}, {"errors", "files"}),
     "instrument": ({"instrument", "instrument_profile"}, {"errors", "files", "geometry"}),
-    "reading": ({"sparta", "cleaning"}, {"errors", "files", "frames", "instrument"}),
-    "campaign": ({"campaign"}, {"errors", "files", "geometry", "simulate", "instrument"}),
+    "reading": ({"sparta", "cleaning"}, {"errors", "files", "frames", "geometry", "instrument"}),
+    "campaign": ({"campaign"},
+                 {"errors", "files", "geometry", "simulate", "instrument", "processes", "product"}),
     "stages": ({"stages"},
                {"errors", "files", "frames", "geometry", "model", "estimate", "simulate", "experiments",
-                "product", "instrument", "reading", "campaign"}),
+                "processes", "product", "instrument", "reading", "campaign"}),
     "recipe": ({"recipe"}, {"errors", "files", "instrument", "stages"}),
     "report": ({"report", "score"},
-               {"errors", "files", "frames", "model", "estimate", "experiments", "product", "instrument", "stages"}),
+               {"errors", "files", "frames", "geometry", "model", "estimate", "experiments", "product",
+                "instrument", "stages"}),
     "pipeline": ({"pipeline"}, {"errors", "files", "model", "product", "recipe", "stages", "report"}),
     "text": ({"terminal", "show", "export"}, {"errors", "files", "product", "recipe", "pipeline"}),
-    "commands": ({"cli", "exits", "__main__"}, {"errors", "campaign", "product", "recipe", "pipeline", "report", "text"}),
+    "paper": ({"paper"},
+              {"errors", "files", "product", "recipe", "stages", "report", "pipeline", "text"}),
+    "commands": ({"cli", "exits", "__main__"},
+                 {"errors", "campaign", "product", "recipe", "pipeline", "report", "text", "paper"}),
 }
 # Science knows no files, no HDF5, no YAML and no command line: this is all it may use.
 SCIENCE = ("frames", "geometry", "model", "simulate", "estimate", "experiments")
-SCIENCE_MAY_USE = {"__future__", "abc", "collections", "concurrent", "dataclasses", "enum", "functools",
-                   "itertools", "math", "threading", "time", "typing", "warnings", "numpy", "scipy", "torch"}
+SCIENCE_MAY_USE = {"__future__", "abc", "collections", "concurrent", "dataclasses", "difflib", "enum",
+                   "functools", "itertools", "math", "threading", "time", "typing", "warnings", "numpy",
+                   "scipy", "torch"}
 # The package's own __init__ comes first; it imports nothing.
 MODULES = sorted(path.relative_to(PACKAGE.parent) for path in PACKAGE.rglob("*.py"))
 LAYER_OF = {name: layer for layer, (names, _) in LAYERS.items() for name in names}

@@ -101,10 +101,11 @@ def test_the_residual_is_described_by_its_total_and_its_direction():
     halo = SeeingHalo(BAND, 0.5)
     variance = 120.0**2 - halo.fitting_nm2
     stretch = [0.8 * np.cos(2 * np.deg2rad(70)), 0.8 * np.sin(2 * np.deg2rad(70))]
-    told = halo.describe(np.array([variance, 2.2, *stretch]))
+    told = halo.describe(np.array([variance, 2.2, *stretch, 0.3, -0.4]))
     assert told["wfe_nm"] == pytest.approx(120)
     assert told["slope"] == 2.2
     assert (told["stretch"], told["stretch_angle_deg"]) == pytest.approx((0.8, 70))
+    assert told["cross"] == pytest.approx(0.5)
     assert halo.describe(np.array(halo.values_of(wfe_nm=120.0)))["wfe_nm"] == pytest.approx(120)
 
 

@@ -47,6 +47,7 @@ def run(*paths, config=None, **inputs):
             jobs=1,
             progress=lambda iterable, **_: iterable,
             log=logging.getLogger("test"),
+            scratch=Path("scratch"),
         )
     )
 

@@ -99,6 +99,10 @@ def break_vane(profile):
     profile["facts"]["pupil_vanes_m"]["value"] = [[0, 1, 2]]
 
 
+def turn_seeing_round(profile):
+    profile["facts"]["seeing_ratio_mass_dimm"]["value"] = -1
+
+
 def misspell_reference(profile):
     profile["defaults"]["seeing_arcsec"] = "seing_arcsec"
 
@@ -118,6 +122,7 @@ def overlap_dates(profile):
         (remove_fact, "fact 'photons_per_s_m15' is missing"),
         (give_text, "fact 'pupil_diameter_m' = 'eight' should be a number"),
         (break_vane, r"fact 'pupil_vanes_m' should be a list of \[\[x, y\], \[x, y\]\]"),
+        (turn_seeing_round, "seeing scale 'mass_dimm': ratio -1 should be positive"),
         (misspell_reference, "no fact 'seing_arcsec'; did you mean 'seeing_arcsec'"),
         (overlap_dates, "fact 'pixel_scale_small_mas' has 2 values on the present day"),
     ],

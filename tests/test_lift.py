@@ -127,6 +127,19 @@ def test_the_capture_range_exceeds_600_nm_either_way(model):
     assert np.abs(result.mode(4)[0].numpy() - introduced).max() < 5
 
 
+def test_frames_that_all_converge_to_a_wrong_defocus_are_found_though_none_stands_out(model):
+    """All end near the opposite defocus: none fits better than the others, only the scan can tell."""
+    true = torch.zeros(4, 3, dtype=torch.float64)
+    true[:, 2] = torch.linspace(480, 552, 4)
+    images = drawn(model, true, cases.photons(12), seed=12)
+    data = RampData(images, cases.everything(images), NOISE, true[:, 2].numpy())
+    start = start_from_defocus(model, data, np.zeros(4))
+    first = lift(model, images, data.pixel_mask, NOISE, start)
+    assert (first.solution.converged & ((first.mode(4)[0] - true[:, 2]).abs() > 100)).all()
+    result = fit_ramp(model, data, start, LiftOptions()).result
+    assert torch.allclose(result.mode(4)[0], true[:, 2], atol=5)
+
+
 def test_the_excess_noise_factor_widens_the_error_bars(model):
     true = torch.zeros(1, 3, dtype=torch.float64)
     flux = torch.tensor([cases.photons(10)])

@@ -47,16 +47,54 @@ def test_a_ramp_in_one_direction_has_no_saw_tooth():
     assert np.isnan(summarise(introduced, introduced + 1).saw_tooth_nm)
 
 
-@pytest.mark.parametrize("name", ["slope", "saw_tooth"])
+def halves(introduced: np.ndarray) -> np.ndarray:
+    """True for the frames of the second half of the recording."""
+    return np.arange(len(introduced)) >= len(introduced) // 2
+
+
+@pytest.mark.parametrize("bias_nm", [25.0, -40.0])
+def test_the_bias_of_a_second_run_is_told_from_slope_offset_and_saw_tooth(bias_nm):
+    introduced = repeated(OFFSETS_NM)
+    second = halves(introduced)
+    estimated = 0.97 * introduced + 4.0 + 9.0 * travel_direction(introduced) + bias_nm * second
+    summary = summarise(introduced, estimated, second)
+    assert summary.part_bias_nm == pytest.approx(bias_nm)
+    assert summary.saw_tooth_nm == pytest.approx(18.0)
+
+
+def test_a_bias_is_found_in_a_ramp_of_one_direction_too():
+    introduced = repeated(np.sort(OFFSETS_NM))
+    second = halves(introduced)
+    summary = summarise(introduced, introduced + 30.0 * second, second)
+    assert summary.part_bias_nm == pytest.approx(30.0)
+    assert np.isnan(summary.saw_tooth_nm)
+
+
+def test_a_ramp_of_one_part_has_no_bias_of_a_part():
+    introduced = repeated(OFFSETS_NM)
+    assert np.isnan(summarise(introduced, 1.1 * introduced).part_bias_nm)
+
+
+def test_what_looks_the_same_is_not_told_apart():
+    """A second run that goes down where the first went up: direction and part are one column."""
+    introduced = repeated([0.0, 100, 200, 150, 50])
+    direction = travel_direction(introduced)
+    summary = summarise(introduced, introduced + 20.0 * (direction < 0), direction < 0)
+    assert np.isnan([summary.saw_tooth_nm, summary.part_bias_nm]).all()
+
+
+@pytest.mark.parametrize("name", ["slope", "saw_tooth", "part_bias"])
 def test_quoted_errors_are_the_scatter_over_many_ramps(name):
     rng = np.random.default_rng(2)
     introduced = repeated(OFFSETS_NM)
     ramps = [
-        summarise(introduced, introduced + 20 * rng.standard_normal(len(introduced))) for _ in range(800)
+        summarise(introduced, introduced + 20 * rng.standard_normal(len(introduced)), halves(introduced))
+        for _ in range(800)
     ]
     value, sigma, true = {
         "slope": ("slope", "slope_sigma", 1.0),
         "saw_tooth": ("saw_tooth_nm", "saw_tooth_sigma_nm", 0.0),
+        "part_bias": ("part_bias_nm", "part_bias_sigma_nm", 0.0),
     }[name]
     values = np.array([getattr(ramp, value) for ramp in ramps])
     quoted = np.array([getattr(ramp, sigma) for ramp in ramps])

@@ -8,8 +8,8 @@ import yaml
 from conftest import RECIPE
 
 from irlos_pipe.errors import ConfigurationError
+from irlos_pipe.overrides import overridden, parse_setting
 from irlos_pipe.recipe import load_recipe
-from irlos_pipe.recipe.overrides import overridden, parse_setting
 
 RECIPES = sorted((Path(__file__).parents[1] / "recipes").glob("*.yaml"))
 

@@ -34,3 +34,11 @@ class Pinned:
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """See `OtfEffect.describe`."""
         return self.effect.describe(self._all(values).numpy())
+
+
+def expected(effects: Sequence[OtfEffect]) -> list[OtfEffect]:
+    """The same effects held at the values a fit would start from."""
+    return [
+        Pinned(effect, [p.start for p in effect.parameters]) if effect.parameters else effect
+        for effect in effects
+    ]

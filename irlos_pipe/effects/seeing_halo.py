@@ -1,7 +1,7 @@
 """`seeing_halo`: the long-exposure OTF of the AO residual, ``exp(-½ (2π/λ)² D(b))``.
 
 The structure function D is that of the residual inside the correction band (free variance,
-slope and two-fold anisotropy; the variance, because ∂μ/∂σ vanishes at σ = 0) plus that of the
+slope, two-fold and four-fold anisotropy; the variance, because ∂μ/∂σ vanishes at σ = 0) plus that of the
 von Kármán turbulence beyond it, which the seeing fixes: its light falls mostly outside a window
 of 0.6", where it cannot be told from flux and background.
 """
@@ -52,6 +52,8 @@ class SeeingHalo:
             Parameter("slope", "", 2.0, 2.0, 1.0, -1.0, 6.0),
             Parameter("stretch_cos", "", 0.0, 0.0, 0.7, -3.0, 3.0),
             Parameter("stretch_sin", "", 0.0, 0.0, 0.7, -3.0, 3.0),
+            Parameter("cross_cos", "", 0.0, 0.0, 0.5, -2.0, 2.0),
+            Parameter("cross_sin", "", 0.0, 0.0, 0.5, -2.0, 2.0),
         )
         self._grid: OtfGrid | None = None
 
@@ -67,14 +69,15 @@ class SeeingHalo:
         return 0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2 * structure
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
-        """In-band WFE, total WFE, PSD slope and direction of the elongation."""
-        variance, slope, cos2, sin2 = (float(v) for v in values)
+        """In-band WFE, total WFE, PSD slope, strength and direction of the elongation, four-fold strength."""
+        variance, slope, cos2, sin2, cos4, sin4 = (float(v) for v in values)
         return {
             "wfe_nm": float(np.sqrt(variance + self.fitting_nm2)),
             "in_band_wfe_nm": float(np.sqrt(variance)),
             "slope": slope,
             "stretch": float(np.hypot(cos2, sin2)),
             "stretch_angle_deg": float(np.rad2deg(np.arctan2(sin2, cos2)) / 2 % 180),
+            "cross": float(np.hypot(cos4, sin4)),
         }
 
     def values_of(self, wfe_nm: float) -> list[float]:

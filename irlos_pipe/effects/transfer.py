@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
 from .base import OtfEffect, OtfGrid, Parameter
+
+if TYPE_CHECKING:
+    from ..psf import PsfModel
 
 
 class Transfer:
@@ -53,3 +57,11 @@ class Transfer:
         """Public parameters of every effect, by effect name."""
         pieces = self.split(values)
         return {effect.name: effect.describe(pieces[effect.name]) for effect in self.effects}
+
+
+def fixed_transfer(effects: Sequence[OtfEffect], model: PsfModel) -> torch.Tensor | None:
+    """OTF factors of effects without free parameters, on the model's device; None without effects."""
+    if not effects:
+        return None
+    transfer = Transfer(effects, OtfGrid(model.grid, model.wavelengths_m))
+    return transfer(torch.zeros(0, dtype=torch.float64)).to(model.device, model.dtype)

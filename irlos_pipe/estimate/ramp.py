@@ -22,6 +22,9 @@ class RampSummary:
     saw_tooth_nm, saw_tooth_sigma_nm : float
         Difference between offsets reached upwards and downwards (hysteresis of the focus stage), fitted
         together with a line, which would else take a part of it; NaN when only one direction occurs.
+    part_bias_nm, part_bias_sigma_nm : float
+        Constant bias of the second part of the ramp against the first (the reference of the focus stage
+        lost between two runs), fitted in the same way; NaN when the ramp is told to be of one part.
     offsets_nm, median_nm, scatter_nm : ndarray, (offsets,)
         Introduced defocus, and the median and 1σ (from the 16th and 84th percentile) of the estimates.
     """
@@ -33,6 +36,8 @@ class RampSummary:
     residual_rms_nm: float
     saw_tooth_nm: float
     saw_tooth_sigma_nm: float
+    part_bias_nm: float
+    part_bias_sigma_nm: float
     offsets_nm: np.ndarray
     median_nm: np.ndarray
     scatter_nm: np.ndarray
@@ -48,8 +53,16 @@ def travel_direction(introduced_nm: np.ndarray) -> np.ndarray:
     return moves[last_move]
 
 
-def summarise(introduced_nm: np.ndarray, estimated_nm: np.ndarray) -> RampSummary:
+def summarise(
+    introduced_nm: np.ndarray, estimated_nm: np.ndarray, second_part: np.ndarray | None = None
+) -> RampSummary:
     """Summary of a ramp whose frames are in order of recording; failed estimates are NaN.
+
+    Parameters
+    ----------
+    introduced_nm, estimated_nm : ndarray, (frames,)
+    second_part : ndarray of bool, (frames,), optional
+        True for the frames of a second run, whose focus reference may differ from that of the first.
 
     Raises
     ------
@@ -57,8 +70,9 @@ def summarise(introduced_nm: np.ndarray, estimated_nm: np.ndarray) -> RampSummar
         With fewer than three estimates or a single offset.
     """
     direction = travel_direction(introduced_nm)
+    part = np.zeros(len(introduced_nm)) if second_part is None else np.asarray(second_part, float)
     good = np.isfinite(estimated_nm)
-    introduced, estimated, direction = introduced_nm[good], estimated_nm[good], direction[good]
+    introduced, estimated = introduced_nm[good], estimated_nm[good]
     if len(introduced) < 3 or np.ptp(introduced) == 0:
         raise ValueError("a ramp needs at least three estimates at two or more offsets")
     (slope, offset), covariance = _line(introduced, estimated)
@@ -71,7 +85,7 @@ def summarise(introduced_nm: np.ndarray, estimated_nm: np.ndarray) -> RampSummar
         offset,
         _rms(estimated - introduced),
         _rms(residual),
-        *_saw_tooth(introduced, estimated, direction),
+        *_steps(introduced, estimated, direction[good] / 2, part[good]),
         offsets,
         np.array([np.median(g) for g in groups]),
         np.array([np.diff(np.percentile(g, [15.87, 84.13]))[0] / 2 for g in groups]),
@@ -86,16 +100,29 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[tuple[float, float], float]:
     return (float(slope), float(offset)), float(sigma)
 
 
-def _saw_tooth(introduced: np.ndarray, estimated: np.ndarray, direction: np.ndarray) -> tuple[float, float]:
-    """Twice the coefficient of the direction beside slope and offset, and its standard error."""
-    moved = direction != 0
-    columns = np.stack([introduced, np.ones_like(introduced), direction], axis=1)[moved]
-    solution, _, rank, _ = np.linalg.lstsq(columns, estimated[moved], rcond=None)
-    if rank < 3:
-        return float("nan"), float("nan")
-    residual = estimated[moved] - columns @ solution
-    variance = np.sum(residual**2) / max(len(residual) - 3, 1) * np.linalg.inv(columns.T @ columns)[2, 2]
-    return float(2 * solution[2]), float(2 * np.sqrt(variance))
+def _steps(
+    introduced: np.ndarray, estimated: np.ndarray, direction: np.ndarray, part: np.ndarray
+) -> tuple[float, float, float, float]:
+    """Coefficients of direction and part beside slope and offset, each with its standard error.
+
+    What the ramp cannot tell is NaN: a column that does not vary, or one that the others make up.
+    """
+    both_ways = direction.min() < 0 < direction.max()
+    known = direction != 0 if both_ways else np.full(len(direction), True)
+    columns = np.stack([np.ones_like(introduced), introduced, direction * both_ways, part], axis=1)[known]
+    varies = np.append(True, np.ptp(columns[:, 1:], axis=0) > 0)
+    solution, sigma = np.full(4, np.nan), np.full(4, np.nan)
+    if np.linalg.matrix_rank(columns[:, varies]) == varies.sum():
+        solution[varies], sigma[varies] = _least_squares(columns[:, varies], estimated[known])
+    return float(solution[2]), float(sigma[2]), float(solution[3]), float(sigma[3])
+
+
+def _least_squares(columns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solution and its standard errors from the residuals."""
+    solution = np.linalg.lstsq(columns, values, rcond=None)[0]
+    freedom = max(len(values) - len(solution), 1)
+    variance = np.sum((values - columns @ solution) ** 2) / freedom
+    return solution, np.sqrt(variance * np.diag(np.linalg.inv(columns.T @ columns)))
 
 
 def _rms(values: np.ndarray) -> float:

@@ -19,6 +19,7 @@ from .solve import Solution
 from .start import scan_start_nm
 
 OUTLIER_CHI2 = 2.0  # a fit this much worse than the median of the ramp gets a second try
+CONTRADICTION_NM = 100.0  # and so does one that the scan of defocus puts this far away
 
 
 @dataclass(frozen=True)
@@ -113,24 +114,36 @@ def _fit_effects(model: PsfModel, data: RampData, start_nm: torch.Tensor, transf
 def second_try(
     model: PsfModel, data: RampData, result: LiftResult, options: LiftOptions, transfer: torch.Tensor | None
 ) -> LiftResult:
-    """Restart failed and outlying frames from the defocus scan; keep whichever fits better."""
+    """Restart frames that failed, fit badly or contradict the defocus scan; keep whichever fits better.
+
+    To stand out, a bad fit needs good ones beside it; the scan judges every frame by itself.
+    """
     if not {2, 3, 4} <= set(model.nolls):
         return result
-    typical = result.chi2_nu[torch.isfinite(result.chi2_nu)].median() if len(result.chi2_nu) else 1.0
-    suspect = ~result.solution.converged | ~(result.chi2_nu < OUTLIER_CHI2 * typical)
+    start = scan_start_nm(model, data.images_e, data.pixel_mask, transfer)
+    suspect = _suspect(result, start)
     if not suspect.any():
         return result
-    images = data.images_e[suspect]
-    start = scan_start_nm(model, images, data.pixel_mask, transfer)
     own = (
         options
         if options.prior_mean_nm is None
         else replace(options, prior_mean_nm=options.prior_mean_nm[suspect])
     )
-    again = lift(model, images, data.pixel_mask, data.noise, start, own, transfer=transfer)
+    again = lift(
+        model, data.images_e[suspect], data.pixel_mask, data.noise, start[suspect], own, transfer=transfer
+    )
     better = again.solution.converged & ~(again.chi2_nu > result.chi2_nu[suspect] * 0.999)
     better |= again.solution.converged & ~result.solution.converged[suspect]
     return _merge(result, again, torch.nonzero(suspect)[:, 0], better)
+
+
+def _suspect(result: LiftResult, scan_nm: torch.Tensor) -> torch.Tensor:
+    """Frames to try again, (frames,)."""
+    finite = result.chi2_nu[torch.isfinite(result.chi2_nu)]
+    typical = finite.median() if len(finite) else 1.0
+    focus = result.nolls.index(4)
+    contradicted = (result.zernike_nm[:, focus] - scan_nm[:, focus]).abs() > CONTRADICTION_NM
+    return ~result.solution.converged | ~(result.chi2_nu < OUTLIER_CHI2 * typical) | contradicted
 
 
 def _merge(first: LiftResult, second: LiftResult, where: torch.Tensor, better: torch.Tensor) -> LiftResult:

@@ -5,8 +5,9 @@ frequencies. The quadrature is a fixed matrix, so `D` is linear in the PSD sampl
 its derivatives with respect to any PSD parameter cost one matrix product each.
 
 Outside the correction band the PSD is von Kármán's with the seeing's r0; inside it is
-a power law with free variance, slope and two-fold anisotropy (servo lag and wind stretch
-the residual along one direction).
+a power law with free variance and slope, and with a two-fold and a four-fold anisotropy: servo lag
+stretches the residual along the wind as cos²θ, of whose logarithm these are the first two harmonics,
+and the square grid of the actuators has four directions of its own.
 """
 
 from __future__ import annotations
@@ -89,8 +90,12 @@ class InBandResidual:
         self.log_f = torch.as_tensor(np.log(ff))
         self.cos2 = torch.as_tensor(np.cos(2 * aa))
         self.sin2 = torch.as_tensor(np.sin(2 * aa))
+        self.cos4 = torch.as_tensor(np.cos(4 * aa))
+        self.sin4 = torch.as_tensor(np.sin(4 * aa))
 
-    def structure_nm2(self, variance_nm2, slope, stretch_cos=0.0, stretch_sin=0.0) -> torch.Tensor:
+    def structure_nm2(
+        self, variance_nm2, slope, stretch_cos=0.0, stretch_sin=0.0, cross_cos=0.0, cross_sin=0.0
+    ) -> torch.Tensor:
         """Structure function [nm²], shape of the baselines; differentiable in every argument.
 
         Parameters
@@ -101,8 +106,12 @@ class InBandResidual:
             PSD ∝ f^(-slope).
         stretch_cos, stretch_sin : tensor or float
             PSD ∝ exp(stretch_cos cos 2θ + stretch_sin sin 2θ).
+        cross_cos, cross_sin : tensor or float
+            The same with cos 4θ and sin 4θ.
         """
-        shape = torch.exp(-slope * self.log_f + stretch_cos * self.cos2 + stretch_sin * self.sin2)
+        stretch = stretch_cos * self.cos2 + stretch_sin * self.sin2
+        cross = cross_cos * self.cos4 + cross_sin * self.sin4
+        shape = torch.exp(-slope * self.log_f + stretch + cross)
         psd = variance_nm2 * shape / torch.sum(self.area * shape)
         return (self.matrix @ psd).reshape(self.shape)
 

@@ -17,6 +17,7 @@ from irlos_pipe.pipeline.resources import Resources, limit_threads
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
 from irlos_pipe.product import Product, read_product, write_product
 from irlos_pipe.recipe import Recipe
+from irlos_pipe.runfolder import RunFolder
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageContext, StageOutput, reads
 
@@ -59,7 +60,7 @@ class Job:
         log = stage_logger(step.name)
         limit_threads(self.resources.jobs)
         started, clock = provenance.now(), time.perf_counter()
-        context = self._context(step.name, log)
+        context = self._context(step, log)
         with collected(log) as lines:
             output = STAGES[step.name].run(context)
         times = {"started": started, "finished": provenance.now(),
@@ -67,12 +68,14 @@ class Job:
         self._write(step, output, times, lines)
         RUN.info("%s: done in %.1f s", step.name, times["seconds"])
 
-    def _context(self, name: str, log: logging.Logger) -> StageContext:
+    def _context(self, step: Step, log: logging.Logger) -> StageContext:
+        name = step.name
         earlier = self.recipe.stages[: self.recipe.stages.index(name)]
         products = {other: self._product(other) for other in reads(STAGES[name], earlier)}
         return StageContext(self.recipe.configs[name], self.recipe.model, self.recipe.instrument,
                             self.recipe.inputs, products, self.resources.device, self.recipe.seed,
-                            self.resources.jobs, self.resources.progress, log)
+                            self.resources.jobs, self.resources.progress, log,
+                            RunFolder(self.folder).scratch(name, step.key))
 
     def _product(self, name: str) -> Product:
         if name not in self._loaded:
@@ -88,6 +91,7 @@ class Job:
                           jsonable(self.recipe.configs[step.name]),
                           self._provenance(step, output) | times, log)
         write_product(product, step.path)
+        RunFolder(self.folder).remove_scratch(step.name)
 
     def _provenance(self, step: Step, output: StageOutput) -> dict[str, Any]:
         return {"key": step.key, "parts": step.parts, "recipe": self.recipe.name,

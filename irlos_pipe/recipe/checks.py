@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from irlos_pipe.complaints import Complaints, suggestion
 from irlos_pipe.errors import ConfigurationError
 from irlos_pipe.instrument import Instrument, load_instrument
-from irlos_pipe.recipe.overrides import Override, absolute
+from irlos_pipe.overrides import Override, absolute
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageConfig, needs
 
@@ -24,6 +24,10 @@ def _as_list(value: Any) -> Any:
     return value if isinstance(value, list) else [value]
 
 
+def _none_as_empty(value: Any) -> Any:
+    return {} if value is None else value
+
+
 class RecipeHead(BaseModel):
     """The keys of a recipe that are not sections of a stage."""
 
@@ -32,8 +36,10 @@ class RecipeHead(BaseModel):
     recipe: str = Field(min_length=1, description="name of the recipe")
     title: str = Field("", description="one line for people")
     instrument: str = Field("irlos", description="instrument profile: a name, or the path of a YAML file")
-    inputs: dict[str, Annotated[list[str], BeforeValidator(_as_list)]] = Field(
-        {}, description="input name: a path or a list of paths, relative to the recipe")
+    inputs: Annotated[dict[str, Annotated[list[str], BeforeValidator(_as_list)]],
+                      BeforeValidator(_none_as_empty)] = Field(
+        {}, description="input name: a path or a list of paths, relative to the recipe; none where the "
+                        "stages make their own data")
     stages: list[str] = Field(min_length=1, description="stages in the order of the light path")
     seed: int = Field(0, ge=0, description="seed of every random draw")
 
@@ -86,7 +92,8 @@ def undeclared_inputs(given: Iterable[Override], declared: Any, complaints: Comp
     unknown = [override for override in given if override.key[1] not in declared]
     for override in unknown:
         name = override.key[1]
-        complaints.add(override.key, f"unknown input '{name}'{suggestion(name, declared)}")
+        known = suggestion(name, declared) or "; the recipe has no inputs"
+        complaints.add(override.key, f"unknown input '{name}'{known}")
     return unknown
 
 

@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import yaml
 
 from irlos_pipe.complaints import Complaints, Origins
 from irlos_pipe.errors import ConfigurationError
 from irlos_pipe.instrument import Instrument
-from irlos_pipe.recipe import checks
-from irlos_pipe.recipe.overrides import (
+from irlos_pipe.overrides import (
     Override,
     absolute,
+    accepted,
     input_overrides,
     overridden,
     parse_input,
     parse_setting,
 )
+from irlos_pipe.recipe import checks
 from irlos_pipe.stages.base import StageConfig
 from irlos_pipe.stages.model import ModelConfig
 from irlos_pipe.yamlfile import load_yaml
-
-Parsed = TypeVar("Parsed")
 
 
 @dataclass(frozen=True)
@@ -86,27 +85,15 @@ def load_recipe(path: str | Path, settings: Iterable[str] = (), inputs: Iterable
     path = Path(path)
     written, lines = load_yaml(path)
     rejected: list[ConfigurationError] = []
-    overrides = _accepted(parse_setting, settings, rejected)
+    overrides = accepted(parse_setting, settings, rejected)
     overrides += [] if seed is None else [Override(("seed",), seed, "--seed")]
-    given = input_overrides(_accepted(parse_input, inputs, rejected))
+    given = input_overrides(accepted(parse_input, inputs, rejected))
     overrides += given
     origins = Origins(path, lines, [(override.key, override.where) for override in overrides])
     complaints = Complaints(origins, rejected)
     unknown = checks.undeclared_inputs(given, written.get("inputs"), complaints)
     usable = [override for override in overrides if override not in unknown]
     return _checked(path, reduce(overridden, usable, written), complaints)
-
-
-def _accepted(parse: Callable[[str], Parsed], texts: Iterable[str],
-              rejected: list[ConfigurationError]) -> list[Parsed]:
-    """Parse what can be parsed and collect the complaints about the rest."""
-    parsed = []
-    for text in texts:
-        try:
-            parsed.append(parse(text))
-        except ConfigurationError as error:
-            rejected.append(error)
-    return parsed
 
 
 def _checked(path: Path, data: dict[str, Any], complaints: Complaints) -> Recipe:

@@ -88,6 +88,12 @@ def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None])
     return Markup(_for_page(text.getvalue(), name))
 
 
+def renamed(drawing: Markup, prefix: str) -> Markup:
+    """Return the drawing with other identifiers, for a page that holds several of the same name."""
+    text = IDENTIFIER.sub(lambda found: f' id="{prefix}-{found[1]}"', str(drawing))
+    return Markup(REFERENCE.sub(lambda found: f"{prefix}-{found[0]}", text))
+
+
 def log_y(axes: Axes, *values: np.ndarray) -> None:
     """Make the y axis logarithmic, unless nothing positive is drawn, which matplotlib cannot."""
     if any(np.any(value > 0) for value in values):

@@ -13,7 +13,7 @@ from irlos_pipe.report.images import SIGMA_LIMIT, SIGNED, brightness_scale, imag
 from irlos_pipe.report.ncpa_plots import coefficient_bars, coefficients_in_time, wavefront_map
 from irlos_pipe.report.radial import profile_plot, ring_means
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.text import number, plural
+from irlos_pipe.report.text import number, plural, with_error
 
 STAGE = "calibrate"
 BRIGHTNESS_UNIT = "e⁻ (asinh scale)"
@@ -29,6 +29,7 @@ METHOD_COLUMNS = (
     "converged",
     "time [s]",
 )
+CUBE_COLUMNS = ("recording", "derotator [°]", "NCPA [nm RMS]", "defocus [nm]", "χ²/ν", "frames")
 
 
 def calibrate_section(run: RunData) -> Section:
@@ -38,7 +39,7 @@ def calibrate_section(run: RunData) -> Section:
         *_bars(run),
         Stack([*_profile(run), *_maps(run)]),
         *_in_time(run),
-        Stack([*_effects(run), *_methods(run)]),
+        Stack([*_effects(run), *_cubes(run), *_methods(run)]),
     ]
     return Section(STAGE, "NCPA calibration", _lead(run), blocks)
 
@@ -46,9 +47,10 @@ def calibrate_section(run: RunData) -> Section:
 def _lead(run: RunData) -> str:
     results = run.results(STAGE)
     names = ", ".join(recording.name for recording in run.recordings_of(STAGE))
+    mean = "; every recording by itself, mean over them" if results.get("cubes") else ""
     return (
         f"{results.get('method', '')} on {plural(results.get('frames', 0), 'used frame')}"
-        f"{f' of {names}' if names else ''}; diversity not included in the coefficients."
+        f"{f' of {names}' if names else ''}{mean}; diversity not included in the coefficients."
     )
 
 
@@ -179,6 +181,21 @@ def _effects(run: RunData) -> list[Table]:
         for place, (name, value) in enumerate(values.items())
     ]
     return [Table(("effect", "parameter", "value"), rows, "Estimated with the NCPAs")] if rows else []
+
+
+def _cubes(run: RunData) -> list[Table]:
+    rows = [
+        (
+            cube["name"],
+            number(cube.get("derotator_angle_deg"), "g"),
+            with_error(cube.get("wfe_nm"), cube.get("wfe_sigma_nm")),
+            number(cube.get("zernike_nm", {}).get("4"), "+.1f"),
+            _chi2(cube),
+            number(cube.get("frames"), "d"),
+        )
+        for cube in run.results(STAGE).get("cubes", [])
+    ]
+    return [Table(CUBE_COLUMNS, rows, "Recordings one by one")] if rows else []
 
 
 def _methods(run: RunData) -> list[Table]:

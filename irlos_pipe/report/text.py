@@ -25,3 +25,13 @@ def with_error(value: Any, error: Any, pattern: str = ".1f", unit: str = "") -> 
 def plural(count: int, noun: str) -> str:
     """Format a count with its noun: ``1 frame``, ``2 frames``."""
     return f"{count} {noun}" + ("" if count == 1 else "s")
+
+
+def duration(seconds: float | None) -> str:
+    """Format a time to two units: ``4.2 s``, ``3 min 20 s``, ``2 h 05 min``."""
+    if number(seconds) == MISSING:
+        return MISSING
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"

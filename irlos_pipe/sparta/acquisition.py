@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from irlos_pipe.complaints import suggestion
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.instrument import Instrument
 from irlos_pipe.recording import Acquisition, Detector
+from irlos_pipe.seeing import SPARTA
 from irlos_pipe.sparta.raw import RawRecording
 from irlos_pipe.sparta.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
 
@@ -63,7 +65,12 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     values, sources = _settle(layers)
     _require(values, sources, f"{path}:" if path.exists() else f"{raw.path}: no side-car {path.name};")
     defocus = _per_frame(values["introduced_defocus_nm"], raw, sources["introduced_defocus_nm"])
-    return Resolved(_acquisition(raw, values, sources), defocus, _warnings(raw, values, sources))
+    warnings = _warnings(raw, values, sources)
+    monitor = _seeing_monitor(layers, sources)
+    if monitor != SPARTA:
+        values, line = _on_sparta_scale(raw, values, monitor, instrument)
+        warnings = (*warnings, line)
+    return Resolved(_acquisition(raw, values, sources), defocus, warnings)
 
 
 def _settle(layers: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any], dict[str, str]]:
@@ -74,6 +81,35 @@ def _settle(layers: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any], di
             if key not in values:
                 values[key], sources[key] = value, source
     return values, sources
+
+
+def _seeing_monitor(layers: Mapping[str, Mapping[str, Any]], sources: Mapping[str, str]) -> str:
+    """Whose scale the seeing is on: as the recipe says, else as is said where the seeing stands."""
+    source = sources.get("seeing_arcsec", PROFILE)
+    if source == PROFILE:
+        return SPARTA
+    return layers[RECIPE].get("seeing_scale") or layers[source].get("seeing_scale", SPARTA)
+
+
+def _on_sparta_scale(
+    raw: RawRecording, values: Mapping[str, Any], monitor: str, instrument: Instrument
+) -> tuple[dict[str, Any], str]:
+    """The values with the seeing translated, and a line that says so."""
+    scales = instrument.seeing_scales
+    if monitor not in scales:
+        raise InputDataError(
+            f"{raw.path}: seeing_scale = '{monitor}' is not known to the instrument profile"
+            f"{suggestion(monitor, scales)}"
+        )
+    given = values["seeing_arcsec"]
+    seeing = scales[monitor].to_sparta(given)
+    if seeing <= 0:
+        raise InputDataError(
+            f"{raw.path}: seeing_arcsec = {given:g} by {monitor} would be {seeing:.3g} by SPARTA; "
+            "correct it, or the scale in the instrument profile"
+        )
+    line = f"{raw.name}: seeing of {given:.2f} arcsec by {monitor} taken as {seeing:.2f} arcsec by SPARTA"
+    return {**values, "seeing_arcsec": seeing}, line
 
 
 def _plausible(header: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from astropy.time import Time
 from irlos_pipe.complaints import suggestion
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.instrument import Instrument, Mode
+from irlos_pipe.seeing import SPARTA
 from irlos_pipe.sparta.fitsfile import hdu_label, header_number, image_array, open_fits, stem
 from irlos_pipe.sparta.quadrants import split_quadrants
 from irlos_pipe.sparta.raw import RawRecording
@@ -28,6 +29,7 @@ HEADER_KEYS = {
     "altitude_deg": "ESO TEL ALT",
     "derotator_angle_deg": "ESO INS DROT START",
 }
+MONITOR = "mass_dimm"  # whose seeing stands in the header
 SEEING_RANGE_ARCSEC = (0.05, 10.0)
 
 
@@ -103,8 +105,10 @@ def _from_mode(mode: Mode) -> dict[str, Any]:
 
 def _from_header(header: fits.Header) -> dict[str, Any]:
     numbers = {key: header_number(header, name) for key, name in HEADER_KEYS.items()}
-    target = {"target": str(header["OBJECT"])} if header.get("OBJECT") else {}
-    return {key: value for key, value in numbers.items() if value is not None} | target
+    texts = {"target": str(header["OBJECT"])} if header.get("OBJECT") else {}
+    if numbers["seeing_arcsec"] is not None:
+        texts["seeing_scale"] = MONITOR
+    return {key: value for key, value in numbers.items() if value is not None} | texts
 
 
 def _from_atmosphere(hdus: fits.HDUList) -> dict[str, Any]:
@@ -116,7 +120,7 @@ def _from_atmosphere(hdus: fits.HDUList) -> dict[str, Any]:
     values = np.concatenate([np.ravel(table.data[name]).astype(float) for name in columns] or [np.empty(0)])
     low, high = SEEING_RANGE_ARCSEC
     values = values[(values > low) & (values < high)]
-    return {"seeing_arcsec": float(np.median(values))} if values.size else {}
+    return {"seeing_arcsec": float(np.median(values)), "seeing_scale": SPARTA} if values.size else {}
 
 
 def _start(hdus: fits.HDUList, header: fits.Header) -> float:

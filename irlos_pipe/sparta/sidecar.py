@@ -61,7 +61,8 @@ class AcquisitionKeys(_Section):
     exposure_s: float | None = Field(None, gt=0, le=3600, description="exposure of a frame in seconds")
     frame_rate_hz: float | None = Field(None, gt=0, le=1e5, description="recorded frames per second")
     pixel_scale_mas: float | None = Field(None, gt=0, le=10000, description="mas per pixel")
-    seeing_arcsec: float | None = Field(None, gt=0, le=10, description="seeing on SPARTA's scale")
+    seeing_arcsec: float | None = Field(None, gt=0, le=10, description="seeing, on SPARTA's scale or another")
+    seeing_scale: str | None = Field(None, min_length=1, description="who measured it, for example mass_dimm")
     spectrum: list[SpectrumPoint] | None = Field(None, min_length=1, description="wavelengths with weights")
     diversity: DiversityKeys | None = Field(None, description="aberration introduced on purpose")
     introduced_defocus_nm: float | list[float] | None = Field(

@@ -12,7 +12,20 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from irlos_pipe.stages.base import Stage
 
-LIGHT_PATH = ("ingest", "prior", "calibrate", "lift", "sensitivity", "correct")
+LIGHT_PATH = ("ingest", "prior", "calibrate", "lift", "sensitivity", "correct", "derotator", "modes")
+# Experiments of the paper on simulated data, each a stage of its own recipe, in the order of the paper.
+EXPERIMENTS = (
+    "first_tests",
+    "methods",
+    "correction_gain",
+    "focus_ramp",
+    "derotator_series",
+    "mode_statistics",
+    "mode_number",
+    "capture",
+    "slow_loop",
+    "seeing_scales",
+)
 
 
 class StageRegistry(Mapping[str, "Stage"]):
@@ -33,4 +46,4 @@ class StageRegistry(Mapping[str, "Stage"]):
         return len(self._names)
 
 
-STAGES: Mapping[str, Stage] = StageRegistry(LIGHT_PATH)
+STAGES: Mapping[str, Stage] = StageRegistry((*LIGHT_PATH, *EXPERIMENTS))

@@ -45,6 +45,10 @@ class StageContext:
         ``progress(iterable=None, total=None, desc="")``, tqdm-like; silent unless on a terminal.
     log : logging.Logger
         Goes to run.log and into the product; shown on the terminal with ``-v``.
+    scratch : Path
+        Folder for finished parts of a long stage; made by who first writes there. It survives an
+        interruption, is the same as long as nothing that the product depends on changes, and is
+        removed when the product has been written.
     """
 
     config: StageConfig
@@ -57,6 +61,7 @@ class StageContext:
     jobs: int
     progress: Callable[..., Any]
     log: logging.Logger
+    scratch: Path
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,13 @@ import numpy as np
 from astropy.io import fits
 from pydantic import Field
 
+from irlos_pipe.effects import fixed_transfer
 from irlos_pipe.estimate.correction import Prediction, predict_correction
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.zernike import zernike_basis
 from irlos_pipe.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.light_path import calibrated_effects, fixed_transfer, psf_settings, seeing_arcsec
+from irlos_pipe.stages.light_path import calibrated_effects, psf_settings, seeing_arcsec
 from irlos_pipe.stages.recordings import recordings_from_product
 
 NAME = "correct"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from irlos_pipe.effects import CATALOGUE, Conditions, OtfEffect, OtfGrid, Pinned, SeeingHalo, Transfer
+from irlos_pipe.effects import CATALOGUE, Conditions, OtfEffect, Pinned, SeeingHalo
 from irlos_pipe.effects.seeing_halo import in_band_wfe_nm
 from irlos_pipe.errors import ConfigurationError, InputDataError
 from irlos_pipe.instrument import Instrument
@@ -15,7 +15,7 @@ from irlos_pipe.noise import NoiseModel
 from irlos_pipe.optics.propagate import require_resolved
 from irlos_pipe.optics.structure import ResidualBand
 from irlos_pipe.product import Product, Quantity
-from irlos_pipe.psf import PsfModel, PsfSettings
+from irlos_pipe.psf import PsfSettings
 from irlos_pipe.recording import Acquisition, Recording
 from irlos_pipe.stages.model import ModelConfig
 from irlos_pipe.stages.recordings import recordings_from_product
@@ -86,22 +86,6 @@ def model_effects(instrument: Instrument, model: ModelConfig, acquisition: Acqui
         effect = CATALOGUE[name].under(conditions)
         effects.append(Pinned(effect, effect.values_of(**values)) if values else effect)
     return effects
-
-
-def expected(effects: Sequence[OtfEffect]) -> list[OtfEffect]:
-    """The same effects held at the values a fit would start from."""
-    return [
-        Pinned(effect, [p.start for p in effect.parameters]) if effect.parameters else effect
-        for effect in effects
-    ]
-
-
-def fixed_transfer(effects: Sequence[OtfEffect], model: PsfModel) -> torch.Tensor | None:
-    """OTF factors of effects without free parameters, on the model's device; None without effects."""
-    if not effects:
-        return None
-    transfer = Transfer(effects, OtfGrid(model.grid, model.wavelengths_m))
-    return transfer(torch.zeros(0, dtype=torch.float64)).to(model.device, model.dtype)
 
 
 # -- handing estimated effects from one product to the next ------------------------------------

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from irlos_pipe.effects import OtfEffect, Pinned, SeeingHalo, TipTiltJitter
+from irlos_pipe.effects import OtfEffect, Pinned
 from irlos_pipe.errors import ConfigurationError
+from irlos_pipe.estimate.ramp_effects import ramp_effects
 from irlos_pipe.estimate.ramp_fit import RampData, start_from_defocus
 from irlos_pipe.estimate.start import scan_start_nm
 from irlos_pipe.psf import PsfModel
@@ -16,7 +17,6 @@ from irlos_pipe.recording import Acquisition, Recording
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.light_path import (
     calibrated_effects,
-    expected,
     model_effects,
     pooled_images,
     psf_settings,
@@ -76,39 +76,12 @@ def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: d
     )
 
 
-def ramp_effects(
+def effects_for_lift(
     ctx: StageContext, acquisition: Acquisition, halo: str, object_sigma_mas: str | float
 ) -> list[OtfEffect]:
-    """Effects for LIFT.
-
-    Parameters
-    ----------
-    halo : {"calibrated", "fit", "off"}
-    object_sigma_mas : {"calibrated", "fit"} or float
-        Size of the Gaussian kernel that stands for object and jitter.
-    """
-    available = {effect.name: effect for effect in model_effects(ctx.instrument, ctx.model, acquisition)}
-    known = _known(ctx, acquisition)
-    effects: list[OtfEffect] = []
-    if halo != "off" and SeeingHalo.name in available:
-        pinned = known.get(SeeingHalo.name) or expected([available[SeeingHalo.name]])[0]
-        effects.append(
-            pinned if halo == "calibrated" else Pinned(pinned.effect, pinned.values, free=("variance_nm2",))
-        )
-    if isinstance(object_sigma_mas, str):
-        jitter = known.get(TipTiltJitter.name)
-        if object_sigma_mas == "fit":
-            effects.append(TipTiltJitter())
-        elif TipTiltJitter.name in available:
-            effects.append(jitter or expected([available[TipTiltJitter.name]])[0])
-    else:
-        effects.append(_jitter_of(object_sigma_mas))
-    return effects
-
-
-def _jitter_of(sigma_mas: float) -> Pinned:
-    jitter = TipTiltJitter()
-    return Pinned(jitter, jitter.values_of(sigma_mas))
+    """Effects for LIFT, see `ramp_effects`."""
+    available = model_effects(ctx.instrument, ctx.model, acquisition)
+    return ramp_effects(available, _known(ctx, acquisition), halo, object_sigma_mas)
 
 
 def _known(ctx: StageContext, acquisition: Acquisition) -> dict[str, Pinned]:

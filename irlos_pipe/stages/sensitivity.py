@@ -14,7 +14,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.ramp_input import (
     Ramp,
     calibrated_ncpa_nm,
-    ramp_effects,
+    effects_for_lift,
     ramp_model,
     ramp_start,
     read_ramp,
@@ -111,7 +111,7 @@ def _curve(
     data = RampData(
         ramp.data.images_e[chosen], ramp.data.pixel_mask, ramp.data.noise, ramp.data.introduced_nm[chosen]
     )
-    effects = ramp_effects(ctx, ramp.acquisition, "calibrated", "calibrated")
+    effects = effects_for_lift(ctx, ramp.acquisition, "calibrated", "calibrated")
     bright = fit_ramp(model, data, start, LiftOptions(), effects)
     criterion = Criterion(ctx.config.limit_nm, ctx.config.limit_failures)
     return scan(

@@ -1,20 +1,23 @@
-"""What the command line changes in a recipe: ``--set stage.key=VALUE``, ``--seed``, ``--input NAME=PATH``."""
+"""What the command line changes in a settings file: ``--set KEY=VALUE``, ``--input NAME=PATH``."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from irlos_pipe.errors import ConfigurationError
 from irlos_pipe.yamlfile import parse_yaml
 
+Parsed = TypeVar("Parsed")
+EXAMPLE = "stage.key=VALUE, for example calibrate.method=dip_avg"
+
 
 @dataclass(frozen=True)
 class Override:
-    """One value that replaces the recipe's.
+    """One value that replaces the file's.
 
     Attributes
     ----------
@@ -29,8 +32,8 @@ class Override:
     where: str
 
 
-def parse_setting(text: str) -> Override:
-    """Parse ``stage.key=VALUE``, the value in YAML.
+def parse_setting(text: str, example: str = EXAMPLE) -> Override:
+    """Parse ``stage.key=VALUE``, the value in YAML; `example` is what the error says was expected.
 
     Raises
     ------
@@ -40,10 +43,21 @@ def parse_setting(text: str) -> Override:
     dotted, equals, value = text.partition("=")
     parts = dotted.strip().split(".")
     if not equals or not all(parts):
-        raise ConfigurationError(f"--set {text}: expected stage.key=VALUE, "
-                                 "for example calibrate.method=dip_avg")
+        raise ConfigurationError(f"--set {text}: expected {example}")
     where = f"--set {dotted.strip()}"
     return Override(tuple(map(_key_part, parts)), _yaml_value(value, where), where)
+
+
+def accepted(parse: Callable[[str], Parsed], texts: Iterable[str],
+             rejected: list[ConfigurationError]) -> list[Parsed]:
+    """Parse what can be parsed and collect the complaints about the rest."""
+    parsed = []
+    for text in texts:
+        try:
+            parsed.append(parse(text))
+        except ConfigurationError as error:
+            rejected.append(error)
+    return parsed
 
 
 def parse_input(text: str) -> tuple[str, Path]:

@@ -1,0 +1,167 @@
+"""Sections of a simulation spec: aberrations, sky, motion, detector, sampling. Units are in the keys."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+LARGEST_NM = 10_000.0
+BandName = Literal["narrow_h", "j", "h", "j_h"]
+Shape = Literal["power_law", "servo_lag", "aliasing", "non_stationary"]
+
+
+class Section(BaseModel):
+    """Base of all sections: unknown keys and values that are not finite are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    def over(self, below: Section | None) -> Section:
+        """Return `below` with the keys that were given here replaced."""
+        given = {name: getattr(self, name) for name in self.model_fields_set}
+        return type(self).model_validate({**({} if below is None else dict(below)), **given})
+
+
+def _require_nolls(values: dict[int, float]) -> dict[int, float]:
+    for noll in values:
+        if not 2 <= noll <= 1000:
+            raise ValueError(f"{noll} is no Noll index from 2 to 1000")
+    return values
+
+
+Nanometres = Annotated[float, Field(ge=-LARGEST_NM, le=LARGEST_NM)]
+Zernikes = Annotated[dict[int, Nanometres], AfterValidator(_require_nolls)]
+Relative = Annotated[float, Field(ge=-1, le=1)]
+RelativeZernikes = Annotated[dict[int, Relative], AfterValidator(_require_nolls)]
+Index = Annotated[int, Field(ge=0, lt=4096)]
+Pixel = tuple[Index, Index]
+Degrees = Annotated[float, Field(ge=-720, le=720)]
+
+
+class AberrationKeys(Section):
+    """Static aberrations: drawn by the NCPA law, or given."""
+
+    total_nm: float | None = Field(None, ge=0, le=5000, description="RMS of the drawn modes together, nm")
+    modes: int = Field(50, ge=2, le=500, description="number of drawn modes, from Noll 2 on")
+    zernike_nm: Zernikes | None = Field(None, description="Noll index: nm RMS, instead of a draw")
+
+    @model_validator(mode="after")
+    def _one_way(self) -> AberrationKeys:
+        if (self.total_nm is None) == (self.zernike_nm is None):
+            raise ValueError("give either total_nm (drawn from the seed) or zernike_nm, Noll index: nm RMS")
+        return self
+
+
+class DiversityKeys(Section):
+    """The aberration put in on purpose; the side-car tells it."""
+
+    source: str = Field("lens", min_length=1, description="what introduces it: lens or mirror")
+    zernike: Zernikes = Field({6: -170.0}, description="Noll index: nm RMS")
+
+
+class SkyKeys(Section):
+    """AO residual; its size follows the seeing unless wfe_nm is given."""
+
+    seeing_arcsec: float = Field(0.5, ge=0.1, le=4, description="at 500 nm, on SPARTA's scale")
+    wfe_nm: float | None = Field(None, ge=0, le=1000, description="total residual, nm RMS")
+    shape: Shape = Field("power_law", description="of the spectrum inside the correction band")
+    slope: float = Field(2.0, ge=0, le=6, description="the power law falls like f**-slope")
+    wind_m_s: float = Field(10.0, ge=0, le=100, description="wind speed")
+    wind_angle_deg: Degrees = Field(-20.0, description="from +x towards +y")
+    cutoff_per_m: float = Field(2.5, ge=0.2, le=10, description="1 / (2 actuator pitch)")
+    outer_scale_m: float = Field(25.0, ge=1, le=1000, description="outer scale of the turbulence")
+    delay_s: float = Field(0.003, gt=0, le=1, description="of the loop; sets the servo lag")
+    drift_rms: float = Field(0.25, ge=0, le=1, description="relative, of the size in shape non_stationary")
+    drift_s: float = Field(5.0, gt=0, le=1e4, description="correlation time of that drift")
+
+    @model_validator(mode="after")
+    def _wind(self) -> SkyKeys:
+        if self.wind_m_s == 0 and self.shape in ("servo_lag", "aliasing"):
+            raise ValueError(f"shape {self.shape} needs wind; give wind_m_s above 0")
+        return self
+
+
+class VibrationLine(Section):
+    """One vibration of the telescope."""
+
+    hz: float = Field(gt=0, le=400, description="frequency")
+    share_x: float = Field(ge=0, le=1, description="part of the variance along x")
+    share_y: float = Field(ge=0, le=1, description="part of the variance along y")
+
+
+class MotionKeys(Section):
+    """Residual image motion; the lines are those of UT4 unless given."""
+
+    rms_mas: float = Field(7.0, ge=0, le=200, description="per axis")
+    wander_hz: float = Field(4.0, gt=0, le=200, description="corner frequency of the slow wander")
+    line_coherence_s: float = Field(1.0, gt=0, le=1e4, description="time over which a line keeps its phase")
+    lines: list[VibrationLine] | None = Field(None, description="vibrations: {hz, share_x, share_y}")
+
+    @model_validator(mode="after")
+    def _shares(self) -> MotionKeys:
+        for axis in ("share_x", "share_y"):
+            total = sum(getattr(line, axis) for line in self.lines or ())
+            if total > 1:
+                raise ValueError(f"lines: the values of {axis} add up to {total:g}, more than 1")
+        return self
+
+
+class HotPixel(Section):
+    """A pixel with a dark current of its own."""
+
+    pixel: Pixel = Field(description="[row, column]")
+    e_per_s: float = Field(ge=0, le=1e9, description="dark current")
+
+
+class DetectorKeys(Section):
+    """Detector constants; the defaults are benign."""
+
+    e_per_adu: float = Field(0.5, gt=0, le=1000, description="photo-electrons per ADU")
+    read_noise_e: float = Field(1.0, ge=0, le=1000, description="RMS per pixel and frame, rounding included")
+    pedestal_adu: float = Field(200.0, ge=0, le=60000, description="level without light")
+    fixed_pattern_adu: float = Field(0.0, ge=0, le=5000, description="scatter of the level between pixels")
+    excess_noise_factor: float = Field(1.0, ge=1, le=5, description="photon variance over Poisson's")
+    flat_rms: float = Field(0.0, ge=0, le=0.5, description="scatter of the gain between pixels, relative")
+    dark_e_per_s: float = Field(0.0, ge=0, le=1e6, description="dark current of every pixel")
+    dead: list[Pixel] = Field([], description="[row, column] of pixels that the map of dead pixels tells")
+    hot: list[HotPixel] = Field([], description="pixels that the dark shows: {pixel, e_per_s}")
+    crosstalk_fraction: float = Field(0.0, ge=0, le=0.5, description="charge diffusing to the 4 neighbours")
+    coupling_fraction: float = Field(0.0, ge=0, le=0.5, description="signal induced in the 4 neighbours")
+    nonlinearity_per_e: float = Field(0.0, ge=0, le=1e-3, description="k of the response s (1 - k s)")
+    full_well_e: float | None = Field(None, gt=0, description="signal at which a pixel stops collecting")
+    saturation_adu: float = Field(65535.0, gt=0, le=65535, description="end of the converter")
+    pattern_seed: int = Field(0, ge=0, description="seed of what is fixed in the detector")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> DetectorKeys:
+        rounding_e = self.e_per_adu / 12**0.5
+        if self.read_noise_e < rounding_e:
+            raise ValueError(
+                f"read_noise_e = {self.read_noise_e:g} is below the noise of rounding to whole ADU, "
+                f"e_per_adu/sqrt(12) = {rounding_e:.3g} e-; raise it, or lower e_per_adu"
+            )
+        if self.pedestal_adu >= self.saturation_adu:
+            raise ValueError("pedestal_adu must be below saturation_adu")
+        return self
+
+
+class SamplingKeys(Section):
+    """How finely the light is computed; for tests and for checks of the accuracy."""
+
+    pupil_samples: int | None = Field(None, ge=32, le=1024, description="across the diameter")
+    points_per_band: int = Field(5, ge=1, le=41, description="wavelengths per band")
+    step_s: float = Field(0.01, ge=1e-4, le=10, description="longest time between instantaneous images")
+
+
+class BandKeys(Section):
+    """A flat pass-band."""
+
+    centre_nm: float = Field(ge=500, le=5000, description="centre")
+    half_width_nm: float = Field(ge=0, le=1000, description="half its width")
+    share: float = Field(1.0, gt=0, le=1e6, description="photons, any scale")
+
+    @model_validator(mode="after")
+    def _positive(self) -> BandKeys:
+        if self.half_width_nm > self.centre_nm / 2:
+            raise ValueError("half_width_nm is more than half of centre_nm")
+        return self

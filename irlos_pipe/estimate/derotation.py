@@ -1,0 +1,273 @@
+"""What of the NCPAs turns with the derotator, and what does not.
+
+A cube at derotator angle α shows ``z(α) = f + M(sα) r``: f arises behind the derotator, r before it
+and is turned by `optics.rotation.rotation_matrix`, s = ±1 is the sense. This is linear in f and r,
+and each (n, |m|) is a problem of its own. Rotationally symmetric modes show f + r at every angle,
+so only their sum is measured; tip and tilt are where the star lies, and left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..optics.rotation import partner, rotation_matrix
+from ..optics.zernike import noll_to_nm
+
+POINTING = (2, 3)
+LEAST_SPREAD = 0.01  # 1 − |mean of exp(imα)|²; below it the parts' errors exceed tenfold that of the sum
+
+
+@dataclass(frozen=True)
+class Series:
+    """Estimates at several derotator angles.
+
+    Attributes
+    ----------
+    nolls : tuple of int
+    angles_deg : ndarray, (cubes,)
+        By which the wavefront before the derotator is turned.
+    zernike_nm : ndarray, (cubes, modes)
+    covariance_nm2 : ndarray, (cubes, modes, modes)
+    """
+
+    nolls: tuple[int, ...]
+    angles_deg: np.ndarray
+    zernike_nm: np.ndarray
+    covariance_nm2: np.ndarray
+
+    @property
+    def sigma_nm(self) -> np.ndarray:
+        """Standard errors, (cubes, modes)."""
+        return np.sqrt(np.diagonal(self.covariance_nm2, axis1=1, axis2=2))
+
+    def only(self, keep: np.ndarray) -> Series:
+        """Those modes for which `keep`, (modes,) of bool, is true."""
+        nolls = tuple(noll for noll, kept in zip(self.nolls, keep, strict=True) if kept)
+        return Series(
+            nolls, self.angles_deg, self.zernike_nm[:, keep], self.covariance_nm2[:, keep][:, :, keep]
+        )
+
+    def turned_back(self, sense: int) -> Series:
+        """Every estimate in the frame before the derotator, errors included."""
+        back = np.array([rotation_matrix(self.nolls, -sense * angle) for angle in self.angles_deg])
+        return Series(
+            self.nolls,
+            self.angles_deg,
+            np.einsum("cij,cj->ci", back, self.zernike_nm),
+            back @ self.covariance_nm2 @ back.mT,
+        )
+
+
+@dataclass(frozen=True)
+class Part:
+    """Coefficients with their covariance; zero for modes that are not of this part.
+
+    Attributes
+    ----------
+    zernike_nm : ndarray, (modes,)
+    covariance_nm2 : ndarray, (modes, modes)
+        Of modes of the same (n, |m|); others are taken as independent.
+    """
+
+    zernike_nm: np.ndarray
+    covariance_nm2: np.ndarray
+
+    @property
+    def sigma_nm(self) -> np.ndarray:
+        """Standard errors, (modes,)."""
+        return np.sqrt(np.diag(self.covariance_nm2))
+
+    @property
+    def rms_nm(self) -> float:
+        """RMS over the disc; it holds the noise too."""
+        return float(np.sqrt(np.sum(self.zernike_nm**2)))
+
+    @property
+    def noise_nm(self) -> float:
+        """What the RMS of a vanishing part would be."""
+        return float(np.sqrt(np.trace(self.covariance_nm2)))
+
+
+@dataclass(frozen=True)
+class Split:
+    """The parts of a series.
+
+    Attributes
+    ----------
+    nolls : tuple of int
+    separable : ndarray of bool, (modes,)
+    rotating, fixed : Part
+        Of separable modes; `rotating` in the frame before the derotator, that of angle 0.
+    unsplit : Part
+        Sum of both parts in the other modes: symmetric ones, and those that the angles do not tell apart.
+    predicted_nm : ndarray, (cubes, modes)
+    chi2 : float
+        Against the errors of the single estimates.
+    freedom : int
+    sense : int
+        +1: the rotating part turns anticlockwise with the angle.
+    """
+
+    nolls: tuple[int, ...]
+    separable: np.ndarray
+    rotating: Part
+    fixed: Part
+    unsplit: Part
+    predicted_nm: np.ndarray
+    chi2: float
+    freedom: int
+    sense: int
+
+    @property
+    def chi2_nu(self) -> float:
+        """Reduced χ²; NaN without degrees of freedom."""
+        return self.chi2 / self.freedom if self.freedom else float("nan")
+
+
+def usable_modes(nolls: Sequence[int], highest_noll: int | None = None) -> np.ndarray:
+    """Modes that can be rotated: tip and tilt left out, and whose partner is missing; bool, (modes,)."""
+    among = {noll for noll in nolls if noll not in POINTING and noll <= (highest_noll or noll)}
+    return np.array([noll in among and partner(noll) in among for noll in nolls])
+
+
+def split_series(series: Series, sense: int) -> Split:
+    """Separate the part that turns with the derotator from the part that does not.
+
+    Parameters
+    ----------
+    series : Series
+        Without tip and tilt, every (n, |m|) complete; see `usable_modes`.
+    sense : {1, -1}
+
+    Raises
+    ------
+    ValueError
+        When a partner is missing.
+    """
+    modes = len(series.nolls)
+    turns = np.array([rotation_matrix(series.nolls, sense * angle) for angle in series.angles_deg])
+    separable = np.array([_told_apart(noll, series.angles_deg) for noll in series.nolls])
+    values, covariances = np.zeros((3, modes)), np.zeros((3, modes, modes))
+    for pair in _pairs(series.nolls):
+        parts, design = _design(turns[:, pair][:, :, pair], bool(separable[pair[0]]))
+        value, covariance = _least_squares(design, series, pair)
+        for place, part in enumerate(parts):
+            own = slice(place * len(pair), (place + 1) * len(pair))
+            values[part, pair] = value[own]
+            covariances[part][np.ix_(pair, pair)] = covariance[own, own]
+    rotating, fixed, unsplit = (Part(v, c) for v, c in zip(values, covariances, strict=True))
+    predicted = np.einsum("cij,j->ci", turns, rotating.zernike_nm) + fixed.zernike_nm + unsplit.zernike_nm
+    pulls = (series.zernike_nm - predicted) / series.sigma_nm
+    freedom = pulls.size - modes - int(separable.sum())
+    return Split(
+        series.nolls, separable, rotating, fixed, unsplit, predicted, float(np.sum(pulls**2)), freedom, sense
+    )
+
+
+def _told_apart(noll: int, angles_deg: np.ndarray) -> bool:
+    """Whether the angles are spread enough for a mode of this azimuthal order.
+
+    With equal errors σ in K cubes each part's variance is ``σ²/K/(1 − |⟨exp(imα)⟩|²)``.
+    """
+    m = noll_to_nm(noll)[1]
+    return 1 - abs(np.exp(1j * m * np.radians(angles_deg)).mean()) ** 2 > LEAST_SPREAD
+
+
+def _pairs(nolls: Sequence[int]) -> Iterator[list[int]]:
+    """Places of the modes of each (n, |m|)."""
+    for place, noll in enumerate(nolls):
+        if partner(noll) >= noll:
+            yield sorted({place, list(nolls).index(partner(noll))})
+
+
+def _design(turns: np.ndarray, separable: bool) -> tuple[tuple[int, ...], np.ndarray]:
+    """Numbers of the parts (rotating, fixed, unsplit) and their design, (cubes, modes, unknowns)."""
+    unturned = np.broadcast_to(np.eye(turns.shape[1]), turns.shape)
+    return ((0, 1), np.concatenate([turns, unturned], axis=2)) if separable else ((2,), unturned)
+
+
+def _least_squares(design: np.ndarray, series: Series, pair: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Unknowns and covariance, weighted by the variances.
+
+    A covariance from a few frames may be singular, so correlations enter the propagated errors only.
+    """
+    covariance = series.covariance_nm2[:, pair][:, :, pair]
+    weighted = design / np.diagonal(covariance, axis1=1, axis2=2)[:, :, None]
+    normal = np.einsum("cmu,cmv->uv", weighted, design)
+    gain = np.linalg.solve(normal, np.moveaxis(weighted, 2, 0).reshape(len(normal), -1))
+    gain = gain.reshape(len(normal), len(design), len(pair))
+    value = np.einsum("ucm,cm->u", gain, series.zernike_nm[:, pair])
+    return value, np.einsum("ucm,cmn,vcn->uv", gain, covariance, gain)
+
+
+@dataclass(frozen=True)
+class Senses:
+    """The better of the two senses of rotation.
+
+    Attributes
+    ----------
+    best : Split
+    delta_chi2 : float
+        χ² of the other sense minus that of the best; near 0 where the angles do not tell.
+    """
+
+    best: Split
+    delta_chi2: float
+
+
+def try_both_senses(series: Series) -> Senses:
+    """Split with either sense; at a tie the wavefront turns anticlockwise."""
+    splits = sorted((split_series(series, sense) for sense in (1, -1)), key=lambda split: split.chi2)
+    return Senses(splits[0], splits[1].chi2 - splits[0].chi2)
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """Mean RMS difference between the estimates of two angles [nm].
+
+    Attributes
+    ----------
+    measured_nm : float
+        As measured: small if nothing turned.
+    turned_back_nm : float
+        In the frame before the derotator: small if everything turned.
+    without_fixed_nm : float
+        The same after the fixed part is taken out: small if the split explains all.
+    expected_nm : float
+        From the errors of the estimates alone.
+    """
+
+    measured_nm: float
+    turned_back_nm: float
+    without_fixed_nm: float
+    expected_nm: float
+
+
+def consistency(series: Series, split: Split) -> Consistency:
+    """Compare the estimates of all pairs of angles; with one angle everything is NaN."""
+    moving = Series(
+        series.nolls,
+        series.angles_deg,
+        series.zernike_nm - split.fixed.zernike_nm,
+        series.covariance_nm2,
+    )
+    variance = np.trace(series.covariance_nm2, axis1=1, axis2=2)
+    first, second = np.triu_indices(len(variance), 1)
+    return Consistency(
+        _pairwise_rms(series.zernike_nm),
+        _pairwise_rms(series.turned_back(split.sense).zernike_nm),
+        _pairwise_rms(moving.turned_back(split.sense).zernike_nm),
+        _mean(np.sqrt(variance[first] + variance[second])),
+    )
+
+
+def _pairwise_rms(zernike_nm: np.ndarray) -> float:
+    first, second = np.triu_indices(len(zernike_nm), 1)
+    return _mean(np.sqrt(np.sum((zernike_nm[first] - zernike_nm[second]) ** 2, axis=1)))
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if values.size else float("nan")

@@ -1,0 +1,181 @@
+"""How many modes a cube supports: fit one half of the frames, predict the other half.
+
+More modes always fit better what they were fitted to. Speckle and noise of one half say nothing
+about the other, so the misfit of frames that no fit has seen falls only while modes describe the
+static wavefront, and rises again when they follow chance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ..effects.base import OtfEffect
+from ..psf import PsfSettings
+from .calibration import Calibration, CalibrationOptions, Frames, calibrate, mean_variance_e2
+
+BLOCKS_PER_HALF = 8
+LEAST_FRAMES = 4 * BLOCKS_PER_HALF
+COMPARED = tuple(range(2, 31))  # the modes that SPARTA takes offsets for
+
+
+@dataclass(frozen=True)
+class ModeScan:
+    """Estimates of one cube with different numbers of modes.
+
+    Attributes
+    ----------
+    highest_nolls : tuple of int
+        Modes Noll 2 to this were estimated.
+    nolls : tuple of int
+        Modes that are compared.
+    zernike_nm : ndarray, (numbers, 2, modes)
+        Estimates from either half; 0 for modes that were not estimated.
+    misfit : ndarray, (numbers, blocks)
+        χ²/ν of the mean image of every block of frames against the model of the other half.
+    fitted_chi2_nu : ndarray, (numbers,)
+        Of the images that were fitted, mean over the halves.
+    """
+
+    highest_nolls: tuple[int, ...]
+    nolls: tuple[int, ...]
+    zernike_nm: np.ndarray
+    misfit: np.ndarray
+    fitted_chi2_nu: np.ndarray
+
+    @property
+    def mean_nm(self) -> np.ndarray:
+        """Mean of the halves, (numbers, modes)."""
+        return self.zernike_nm.mean(axis=1)
+
+    @property
+    def halves_nm(self) -> np.ndarray:
+        """Error of the mean as the difference of the halves tells it: half of its RMS, (numbers,)."""
+        return np.sqrt(np.sum((self.zernike_nm[:, 0] - self.zernike_nm[:, 1]) ** 2, axis=1)) / 2
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The recommended number of modes.
+
+    Attributes
+    ----------
+    best : int
+        Place of the least misfit.
+    recommended : int
+        Place of the smallest number whose misfit is not significantly larger.
+    excess, excess_sigma : ndarray, (numbers,)
+        Misfit above the least one, and the standard error of this difference.
+    """
+
+    best: int
+    recommended: int
+    excess: np.ndarray
+    excess_sigma: np.ndarray
+
+
+def halves(frames: int) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the frames of two halves, each (blocks, frames): alternate runs of equal length.
+
+    Runs rather than single frames, whose speckle is correlated with that of their neighbours; many
+    of them, so that both halves see the same slow changes.
+
+    Raises
+    ------
+    ValueError
+        With fewer than `LEAST_FRAMES` frames.
+    """
+    if frames < LEAST_FRAMES:
+        raise ValueError(f"halves need at least {LEAST_FRAMES} frames, there are {frames}")
+    length = frames // (2 * BLOCKS_PER_HALF)
+    runs = np.arange(2 * BLOCKS_PER_HALF * length).reshape(-1, length)
+    return runs[0::2], runs[1::2]
+
+
+def scan_mode_numbers(
+    frames: Frames,
+    settings: PsfSettings,
+    options: CalibrationOptions,
+    highest_nolls: Sequence[int],
+    effects: Sequence[OtfEffect] = (),
+    *,
+    nolls: Sequence[int] = COMPARED,
+    device: str = "cpu",
+    report: Callable[[int], None] | None = None,
+) -> ModeScan:
+    """Calibrate either half of a cube with different numbers of modes.
+
+    Parameters
+    ----------
+    options : CalibrationOptions
+        Its `highest_noll` is replaced.
+    highest_nolls : sequence of int
+    nolls : sequence of int
+        Modes to compare, from 2 on.
+    report : callable, optional
+        Called with 1 after every fit.
+    """
+    parts = halves(len(frames.images_e))
+    estimates, misfits, fitted = [], [], []
+    for highest in highest_nolls:
+        own, fits = replace(options, highest_noll=highest), []
+        for part in parts:
+            fits.append(calibrate(_of(frames, part), settings, own, effects, device=device))
+            if report:
+                report(1)
+        estimates.append([_picked(fit, nolls) for fit in fits])
+        unseen = zip(fits, parts[::-1], strict=True)
+        misfits.append(np.concatenate([held_out_misfit(frames, fit, part) for fit, part in unseen]))
+        fitted.append(np.mean([fit.chi2_nu for fit in fits]))
+    return ModeScan(
+        tuple(highest_nolls), tuple(nolls), np.array(estimates), np.array(misfits), np.array(fitted)
+    )
+
+
+def _picked(fit: Calibration, nolls: Sequence[int]) -> np.ndarray:
+    """Coefficients of `nolls`, (modes,)."""
+    given_nm = dict(zip(fit.nolls, fit.zernike_nm, strict=True))
+    return np.array([given_nm.get(noll, 0.0) for noll in nolls])
+
+
+def held_out_misfit(frames: Frames, fit: Calibration, unseen: np.ndarray) -> np.ndarray:
+    """χ²/ν of blocks of frames against the model of other frames, (blocks,).
+
+    Flux and background of a block are its own: they change and say nothing about the modes.
+
+    Parameters
+    ----------
+    unseen : ndarray of int, (blocks, frames)
+    """
+    good = frames.pixel_mask.numpy()
+    half = _of(frames, unseen)
+    sigma = (len(unseen) * mean_variance_e2(half)).sqrt().numpy()[good]
+    model = fit.model_image_e[good]
+    design = np.stack([model, np.ones_like(model)], axis=1) / sigma[:, None]
+    blocks = half.images_e.reshape(*unseen.shape, *good.shape).double().mean(1).numpy()
+    whitened = blocks[:, good] / sigma
+    left = whitened - whitened @ np.linalg.pinv(design).T @ design.T
+    return np.mean(left**2, axis=1)
+
+
+def _of(frames: Frames, numbers: np.ndarray) -> Frames:
+    return replace(frames, images_e=frames.images_e[torch.as_tensor(numbers.ravel())])
+
+
+def choose(misfit: np.ndarray) -> Choice:
+    """Take the smallest number whose held-out misfit is within its error of the least one.
+
+    Parameters
+    ----------
+    misfit : ndarray, (numbers, blocks)
+        In the order of rising numbers; blocks of several cubes may stand side by side. Differences
+        of the same block are compared, so that what all numbers share falls out.
+    """
+    best = int(np.argmin(misfit.mean(axis=1)))
+    difference = misfit - misfit[best]
+    excess = difference.mean(axis=1)
+    sigma = difference.std(axis=1, ddof=1) / np.sqrt(misfit.shape[1])
+    return Choice(best, int(np.argmax(excess <= sigma)), excess, sigma)

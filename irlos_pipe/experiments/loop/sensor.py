@@ -1,0 +1,65 @@
+"""LIFT as the truth sensor of a closed loop: a measurement per image, or none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ...effects import fixed_transfer
+from ...estimate.bound import cramer_rao_nm
+from ...estimate.lift import LiftOptions, lift
+from ...estimate.ramp_effects import ramp_effects
+from ...noise import NoiseModel
+from ...psf import PsfModel
+from ...simulate.scene import Scene
+from ..broad_band import frame_settings
+from ..observation import model_effects_of, noise_of
+from ..ramps import DEFOCUS, TTF, Knowledge
+
+FOCUS = TTF.index(DEFOCUS)
+LARGEST_SIGMA_NM = 100.0  # a less certain measurement is not used
+
+
+@dataclass(frozen=True)
+class FocusSensor:
+    """LIFT with tip, tilt and defocus free, started from zero: the loops hold the image there.
+
+    Attributes
+    ----------
+    model : PsfModel
+    transfer : tensor or None
+        AO residual and jitter.
+    noise : NoiseModel
+    """
+
+    model: PsfModel
+    transfer: torch.Tensor | None
+    noise: NoiseModel
+
+    def measure(self, images_e: np.ndarray) -> np.ndarray:
+        """Defocus of every image, (images,) [nm RMS]; NaN where LIFT fails or knows too little."""
+        images = torch.as_tensor(images_e)
+        good = torch.ones(images.shape[1:], dtype=torch.bool)
+        start = torch.zeros(len(images), len(TTF), dtype=torch.float64)
+        result = lift(
+            self.model, images, good, self.noise, start, LiftOptions("model"), transfer=self.transfer
+        )
+        defocus, sigma = result.mode(DEFOCUS)
+        usable = result.solution.converged & (sigma < LARGEST_SIGMA_NM)
+        return torch.where(usable, defocus, torch.nan).numpy()
+
+    def bound_nm(self, seen_e: float) -> float:
+        """Cramér–Rao bound at zero defocus, for electrons seen in the window [nm RMS]."""
+        zero = torch.zeros(1, len(TTF), dtype=torch.float64)
+        in_window = self.model.images(zero, self.transfer).double().sum().cpu()
+        flux = seen_e / in_window[None]
+        return float(cramer_rao_nm(self.model, zero, flux, self.noise, transfer=self.transfer)[0, FOCUS])
+
+
+def focus_sensor(scene: Scene, knowledge: Knowledge) -> FocusSensor:
+    """The sensor for a scene, with what a calibration has told."""
+    model = PsfModel(frame_settings(scene, knowledge.ncpa_nm), TTF)
+    effects = ramp_effects(model_effects_of(scene), knowledge.effects)
+    return FocusSensor(model, fixed_transfer(effects, model), noise_of(scene))

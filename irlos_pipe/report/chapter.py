@@ -1,0 +1,119 @@
+"""One experiment as a chapter of a report on several: its sections, and how they were made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from irlos_pipe.report.build import stage_sections
+from irlos_pipe.report.content import Figure, Section, Stack, Table
+from irlos_pipe.report.drawing import renamed
+from irlos_pipe.report.run_data import RunData, read_run
+from irlos_pipe.report.section_origin import finished, warnings
+from irlos_pipe.report.text import duration
+
+LEFT_OUT = {"ingest"}  # frames as they came in: the experiment's own report shows them
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """What a report tells of one experiment.
+
+    Attributes
+    ----------
+    status : str
+        As in results.json, ``failed`` where there are none.
+    problems : list of str
+        Why it failed, and what it warned of.
+    sizes : str
+        The whole numbers among the settings of its last stage: how much was drawn.
+    seconds : float
+        Wall time of all stages.
+    made : dict
+        Provenance of the last stage.
+    """
+
+    name: str
+    title: str
+    status: str = "failed"
+    problems: list[str] = field(default_factory=list)
+    sections: list[Section] = field(default_factory=list)
+    settings: Table | None = None
+    seed: int | None = None
+    sizes: str = ""
+    seconds: float | None = None
+    finished: str = ""
+    made: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def time(self) -> str:
+        """Wall time as text."""
+        return duration(self.seconds)
+
+
+def read_chapter(name: str, folder: Path, problem: str = "") -> Chapter:
+    """Read the run of an experiment.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the report; the identifiers of its drawings begin with it.
+    problem : str
+        What stopped the run, if anything did.
+
+    Raises
+    ------
+    InputDataError
+        When it is not the folder of a run, or a product cannot be read.
+    """
+    run = read_run(folder)
+    last = next(reversed(run.products.values()), None)
+    return Chapter(
+        name,
+        run.recipe.get("title") or name,
+        "failed" if problem else run.status,
+        [*([problem] if problem else []), *warnings(run)],
+        [_own(section, name) for stage, section in stage_sections(run).items() if stage not in LEFT_OUT],
+        _settings(run),
+        run.recipe.get("seed"),
+        _sizes(last.config) if last else "",
+        sum(product.provenance.get("seconds") or 0 for product in run.products.values()),
+        finished(run),
+        last.provenance if last else {},
+    )
+
+
+def _own(section: Section, name: str) -> Section:
+    """The section with identifiers that no other chapter has."""
+    blocks = [_own_block(block, name) for block in section.blocks]
+    return replace(section, name=f"{name}-{section.name}", blocks=blocks)
+
+
+def _own_block(block: Any, name: str) -> Any:
+    if isinstance(block, Stack):
+        return replace(block, blocks=[_own_block(inner, name) for inner in block.blocks])
+    return replace(block, svg=renamed(block.svg, name)) if isinstance(block, Figure) else block
+
+
+def _sizes(config: Mapping[str, Any]) -> str:
+    whole = [key for key, value in config.items() if type(value) is int]  # no true and false
+    return ", ".join(f"{key.replace('_', ' ')} {config[key]}" for key in whole)
+
+
+def _settings(run: RunData) -> Table:
+    rows = [row for stage, product in run.products.items() for row in _flat(product.config, stage)]
+    return Table(("setting", "value"), rows, "Settings", folded=True)
+
+
+def _flat(config: Mapping[str, Any], above: str) -> Iterator[tuple[str, str]]:
+    for key, value in config.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}.{key}")
+        else:
+            yield f"{above}.{key}", _shown(value)
+
+
+def _shown(value: Any) -> str:
+    return ", ".join(map(_shown, value)) if isinstance(value, list) else str(value)

@@ -1,0 +1,70 @@
+"""The report on several experiments: one file that needs nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from irlos_pipe.atomic import write_bytes
+from irlos_pipe.report.chapter import Chapter
+from irlos_pipe.report.content import Section, Table
+from irlos_pipe.report.render import rendered
+from irlos_pipe.report.text import MISSING
+
+TEMPLATE = "collection.html.j2"
+
+
+def write_collection(path: Path, title: str, note: str, chapters: Sequence[Chapter]) -> Path:
+    """Write the page; the same chapters give the same file.
+
+    Parameters
+    ----------
+    note : str
+        One line below the title.
+
+    Raises
+    ------
+    IrlosError
+        When it cannot be written.
+    """
+    page = rendered(TEMPLATE, title=title, note=note, chapters=chapters, contents=_contents(chapters),
+                    origin=_origin(chapters))
+    write_bytes(path, page.encode())
+    return path
+
+
+def _contents(chapters: Sequence[Chapter]) -> Table:
+    rows = [(_link(one), one.status.replace("_", " "), one.sizes, _text(one.seed), one.time)
+            for one in chapters]
+    marks = ["" if one.status == "ok" else "bad" for one in chapters]
+    return Table(("experiment", "status", "sizes", "seed", "time"), rows, marks=marks)
+
+
+def _link(chapter: Chapter) -> Markup:
+    return Markup('<a href="#{}">{}</a>').format(chapter.name, chapter.title)
+
+
+def _text(value: Any) -> str:
+    return MISSING if value is None else str(value)
+
+
+def _origin(chapters: Sequence[Chapter]) -> Section:
+    """Where and with what each experiment was run."""
+    made = [one for one in chapters if one.made]
+    table = Table(("experiment", "finished", "time", "processes", "machine"),
+                  [(one.name, one.finished, one.time, _text(one.made.get("jobs")), _machine(one.made))
+                   for one in made])
+    software = dict.fromkeys(_software(one.made) for one in made)
+    return Section("origin", "Machine and software", "; ".join(software), [table] if made else [])
+
+
+def _machine(made: Mapping[str, Any]) -> str:
+    machine = made.get("machine", {})
+    return f"{machine.get('host', '')} ({machine.get('platform', '')})"
+
+
+def _software(made: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} {version}" for name, version in made.get("software", {}).items())

@@ -1,0 +1,154 @@
+"""AO residual: how large it is, and how its power is spread over spatial frequencies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .checks import SceneError, require_known
+
+VON_KARMAN = 0.0229  # rad² m^(-11/3) r0^(-5/3)
+SEEING_NM = 500.0
+WIND_SCATTER = 0.3  # of the wind vectors of all layers about their mean, relative
+ALIASING_SHARE = 0.6  # of the in-band variance of the shape `aliasing`; the rest is servo lag
+ALIASES = 3  # folded bands on each side
+SHAPES = ("power_law", "servo_lag", "aliasing", "non_stationary")
+
+
+def residual_wfe_nm(seeing_arcsec: float) -> float:
+    """WFE of the AO residual without piston, tip and tilt [nm RMS]; GALACSI NFM test report, Oct 2019."""
+    return 104.27 * seeing_arcsec + 58.6
+
+
+@dataclass(frozen=True)
+class Sky:
+    """AO residual.
+
+    Attributes
+    ----------
+    seeing_arcsec : float
+        At 500 nm.
+    wfe_nm : float, optional
+        Total residual over the pupil without piston, tip and tilt [nm RMS], a long-term average;
+        `residual_wfe_nm` of the seeing if None.
+    shape : str
+        Spectrum inside the correction band: ``power_law``; ``servo_lag``, stretched along the wind;
+        ``aliasing``, rising towards the cut-off; ``non_stationary``, a power law whose strength drifts.
+    slope : float
+        The power law's PSD is ``f**-slope``.
+    wind_m_s, wind_angle_deg : float
+        Angle from +x towards +y.
+    cutoff_per_m : float
+        End of the correction band, 1 / (2 actuator pitch).
+    outer_scale_m : float
+    delay_s : float
+        Of the loop; sets the servo lag.
+    drift_rms, drift_s : float
+        Relative RMS of the residual's size in the shape ``non_stationary``, and its correlation time.
+    """
+
+    seeing_arcsec: float
+    wfe_nm: float | None = None
+    shape: str = "power_law"
+    slope: float = 2.0
+    wind_m_s: float = 10.0
+    wind_angle_deg: float = -20.0
+    cutoff_per_m: float = 2.5
+    outer_scale_m: float = 25.0
+    delay_s: float = 0.003
+    drift_rms: float = 0.25
+    drift_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        require_known("sky.shape", [self.shape], SHAPES)
+        if self.seeing_arcsec <= 0:
+            raise SceneError(f"sky.seeing_arcsec: {self.seeing_arcsec:g} is not positive; leave out the sky")
+        if self.wind_m_s == 0 and self.shape in ("servo_lag", "aliasing"):
+            raise SceneError(f"sky.wind_m_s: the shape {self.shape} needs wind; give a speed above 0")
+
+    @property
+    def total_nm(self) -> float:
+        """Total residual [nm RMS]."""
+        return residual_wfe_nm(self.seeing_arcsec) if self.wfe_nm is None else self.wfe_nm
+
+    @property
+    def wind(self) -> np.ndarray:
+        """Wind vector (x, y) [m/s]."""
+        angle = np.deg2rad(self.wind_angle_deg)
+        return self.wind_m_s * np.array([np.cos(angle), np.sin(angle)])
+
+    def scaled(self, factor: float) -> Sky:
+        """The same residual, larger by a factor: the fitting error grows with seeing^(5/6)."""
+        return replace(self, seeing_arcsec=self.seeing_arcsec * factor**1.2, wfe_nm=self.total_nm * factor)
+
+
+def residual_psd(fx: np.ndarray, fy: np.ndarray, sky: Sky) -> tuple[np.ndarray, np.ndarray]:
+    """Power spectral densities inside and beyond the correction band.
+
+    Parameters
+    ----------
+    fx, fy : ndarray, shapes that broadcast
+        Spatial frequencies [1/m].
+
+    Returns
+    -------
+    inside : ndarray
+        Up to a factor.
+    beyond : ndarray
+        The uncorrected turbulence [nm² m²].
+    """
+    fx, fy = np.broadcast_arrays(fx, fy)
+    f = np.hypot(fx, fy)
+    in_band, beyond_band = (f > 0) & (f < sky.cutoff_per_m), f >= sky.cutoff_per_m
+    inside, beyond = np.zeros(f.shape), np.zeros(f.shape)
+    inside[in_band] = _in_band(fx[in_band], fy[in_band], sky)
+    beyond[beyond_band] = von_karman_nm2_m2(f[beyond_band], sky)
+    return inside, beyond
+
+
+def von_karman_nm2_m2(f_per_m: np.ndarray, sky: Sky) -> np.ndarray:
+    """Spectrum of the uncorrected turbulence [nm² m²]; r0 = 0.976 λ / seeing."""
+    r0_m = 0.976 * SEEING_NM * 1e-9 / np.deg2rad(sky.seeing_arcsec / 3600)
+    strength = VON_KARMAN * r0_m ** (-5 / 3) * (SEEING_NM / (2 * np.pi)) ** 2
+    return strength * (f_per_m**2 + sky.outer_scale_m**-2) ** (-11 / 6)
+
+
+def _in_band(fx: np.ndarray, fy: np.ndarray, sky: Sky) -> np.ndarray:
+    if sky.shape == "servo_lag":
+        return servo_lag_psd(fx, fy, sky)
+    if sky.shape == "aliasing":
+        aliasing, lag = aliasing_psd(fx, fy, sky), servo_lag_psd(fx, fy, sky)
+        return ALIASING_SHARE * aliasing / aliasing.sum() + (1 - ALIASING_SHARE) * lag / lag.sum()
+    return np.hypot(fx, fy) ** -sky.slope
+
+
+def servo_lag_psd(fx: np.ndarray, fy: np.ndarray, sky: Sky) -> np.ndarray:
+    """Turbulence that moved on during the loop's delay [nm² m²].
+
+    ``PSD = vK(f) q / (1 + q)`` with ``q = (2π τ)² <(f·v)²>``: for short delays the difference of the
+    wavefront to its own shifted past, bounded by the turbulence itself. The mean over the layers'
+    winds leaves something across the mean wind too.
+    """
+    along, f2 = fx * sky.wind[0] + fy * sky.wind[1], fx**2 + fy**2
+    spread = (WIND_SCATTER * sky.wind_m_s) ** 2 * f2
+    moved = (2 * np.pi * sky.delay_s) ** 2 * (along**2 + spread)
+    return von_karman_nm2_m2(np.sqrt(f2), sky) * moved / (1 + moved)
+
+
+def aliasing_psd(fx: np.ndarray, fy: np.ndarray, sky: Sky) -> np.ndarray:
+    """Turbulence beyond the cut-off that a Shack–Hartmann sensor takes for low frequencies [nm² m²].
+
+    A sub-aperture of pitch d measures the gradient ``2πi f φ sinc(d fx) sinc(d fy)``. Sampled at d,
+    the gradients at ``g = f + k/d`` appear at f, and the least-squares reconstructor returns
+    ``φ(g) (f·g / f²) sinc(d g) / sinc(d f)`` for each k ≠ 0 (Rigaut et al. 1998; Jolissaint 2010).
+    """
+    pitch_m, f2 = 1 / (2 * sky.cutoff_per_m), fx**2 + fy**2
+    total = np.zeros(f2.shape)
+    for kx in range(-ALIASES, ALIASES + 1):
+        for ky in range(-ALIASES, ALIASES + 1):
+            if (kx, ky) != (0, 0):
+                gx, gy = fx + kx / pitch_m, fy + ky / pitch_m
+                seen = (fx * gx + fy * gy) / f2 * np.sinc(pitch_m * gx) * np.sinc(pitch_m * gy)
+                total += seen**2 * von_karman_nm2_m2(np.hypot(gx, gy), sky)
+    return total / (np.sinc(pitch_m * fx) * np.sinc(pitch_m * fy)) ** 2

@@ -1,0 +1,112 @@
+"""Images of a scene's light through its pupil, image motion included."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.fft
+
+from .imaging import Imager, PixelGrid
+from .pupil import Pupil, amplitude, nominal_area_m2
+from .rays import rays_of, true_pixel_scale_mas
+from .scene import Scene
+from .shaking import Shake
+
+STATIC_NODES = 4  # per pixel and axis
+FINEST_CYCLES_PER_PX = 0.4  # that the image of a pixel may hold; above, pixels are computed in parts
+REACH_SIGMAS = 4.0
+EDGE_PX = 3  # margin for the ringing of the discrete transform at the border
+MIRROR_PX = 8  # border beyond the margin that keeps opposite edges apart
+
+
+class Camera:
+    """Images of a scene.
+
+    The image holds no frequency above D/λ, less than Nyquist's of the pixels, so samples one pixel
+    apart carry its whole spectrum. Motion is a factor on it, exact but for what comes in over the edge
+    of the window, for which a margin is computed.
+
+    The many images of a frame with an AO residual are sampled at the pixels' centres, in single
+    precision, and integrated over the pixels by a factor on the spectrum too; those of a wavefront at
+    rest, in double precision, by `STATIC_NODES` points per pixel.
+
+    Parameters
+    ----------
+    scene : Scene
+    pupil : Pupil
+    motion_mas : float
+        RMS of the motion that `moved` will be asked for, per axis; 0 if it will not.
+    """
+
+    def __init__(self, scene: Scene, pupil: Pupil, motion_mas: float = 0.0):
+        scale_mas, rays = true_pixel_scale_mas(scene), rays_of(scene)
+        wavelengths_nm = list(dict.fromkeys(ray.wavelength_nm for ray in rays))
+        self._parts = _parts_per_pixel(scale_mas, scene.geometry.diameter_m, min(wavelengths_nm))
+        self._part_mas = scale_mas / self._parts
+        self._sampled, self._shaken = scene.moves, motion_mas > 0
+        reach_px = int(np.ceil(REACH_SIGMAS * motion_mas / scale_mas))
+        self._margin = reach_px + EDGE_PX if self._sampled or self._shaken else 0
+        rows, columns = (self._parts * (size + 2 * self._margin) for size in scene.window)
+        self._imager = Imager(
+            pupil.u_m,
+            {wavelength_nm: amplitude(scene, pupil, wavelength_nm) for wavelength_nm in wavelengths_nm},
+            nominal_area_m2(scene),
+            rays,
+            PixelGrid((rows, columns), self._part_mas, 1 if self._sampled else STATIC_NODES),
+            np.complex64 if self._sampled else np.complex128,
+        )
+
+    def images(self, opd_nm: np.ndarray) -> np.ndarray:
+        """Images of wavefronts (times, n, n) [nm] with their margin, in parts of the star's light."""
+        return self._imager.images(opd_nm)
+
+    def frame(self, images: np.ndarray, positions_mas: np.ndarray | None, shake: Shake) -> np.ndarray:
+        """Mean of images in motion, (rows, columns).
+
+        Parameters
+        ----------
+        images : ndarray
+            Of `images`, at rest.
+        positions_mas : ndarray, (times, positions, 2), or None
+            Where each image is while it is exposed; a single image may be given for all times.
+        shake : Shake
+            Motion of all images on top.
+        """
+        if self._sampled or self._shaken:
+            return self._pixels(self._filtered(images, positions_mas, shake))
+        return self._pixels(images.mean(axis=0))
+
+    def _filtered(self, images: np.ndarray, positions_mas: np.ndarray | None, shake: Shake) -> np.ndarray:
+        border = MIRROR_PX * self._parts
+        padded = np.pad(images, ((0, 0), (border, border), (border, border)), mode="symmetric")
+        fx = scipy.fft.rfftfreq(padded.shape[2], self._part_mas)
+        fy = scipy.fft.fftfreq(padded.shape[1], self._part_mas)
+        spectra = scipy.fft.rfft2(padded)
+        if positions_mas is not None:
+            spectra = spectra * transfer(_shared(positions_mas, len(images)), fx, fy)
+        spectrum = spectra.mean(axis=0) * shake.transfer(fx[None, :], fy[:, None])
+        if self._sampled:
+            spectrum *= np.sinc(fx * self._part_mas) * np.sinc(fy * self._part_mas)[:, None]
+        return scipy.fft.irfft2(spectrum, s=padded.shape[1:])[border:-border, border:-border]
+
+    def _pixels(self, image: np.ndarray) -> np.ndarray:
+        """Sum over the parts of every pixel, without the margin."""
+        k, cut = self._parts, slice(self._margin, -self._margin or None)
+        whole = image.reshape(image.shape[0] // k, k, image.shape[1] // k, k).sum(axis=(1, 3))
+        return whole[cut, cut]
+
+
+def transfer(positions_mas: np.ndarray, fx: np.ndarray, fy: np.ndarray) -> np.ndarray:
+    """Mean of exp(-2πi f·position) over positions (times, positions, 2), (times, fy, fx) [1/mas]."""
+    along_x = np.exp(-2j * np.pi * positions_mas[:, :, 0, None] * fx)
+    along_y = np.exp(-2j * np.pi * positions_mas[:, :, 1, None] * fy)
+    return along_y.transpose(0, 2, 1) @ along_x / positions_mas.shape[1]
+
+
+def _shared(positions_mas: np.ndarray, images: int) -> np.ndarray:
+    """Positions of every image; a single one takes those of all times."""
+    return positions_mas if images == len(positions_mas) else positions_mas.reshape(images, -1, 2)
+
+
+def _parts_per_pixel(scale_mas: float, diameter_m: float, wavelength_nm: float) -> int:
+    cycles_per_px = np.deg2rad(scale_mas / 3.6e6) * diameter_m / (wavelength_nm * 1e-9)
+    return max(1, int(np.ceil(cycles_per_px / FINEST_CYCLES_PER_PX)))

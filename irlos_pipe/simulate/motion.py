@@ -1,0 +1,92 @@
+"""Residual image motion: slow wander and the vibration lines of the telescope."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from .checks import SceneError
+
+# Lines of UT4: frequency [Hz] and share of the variance along x (tip) and y (tilt). Integrals of the
+# peaks over the local median in the ERIS telemetry PSD of 5-100 Hz that TIPTOP distributes, in parts
+# of the whole; what lies between the lines falls like the wander's PSD.
+UT4_LINES = (
+    (6.0, 0.139, 0.129),
+    (8.5, 0.064, 0.062),
+    (10.0, 0.049, 0.081),
+    (16.0, 0.018, 0.008),
+    (24.2, 0.0090, 0.0048),
+    (45.5, 0.0144, 0.0100),
+    (48.3, 0.0019, 0.0694),
+    (72.5, 0.0001, 0.0159),
+    (96.7, 0.0013, 0.0068),
+)
+SHORTEST_STEP_S = 1 / 800  # eight samples per period of the fastest line
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Long-term statistics of the image motion.
+
+    Attributes
+    ----------
+    rms_mas : float
+        Per axis, over a long time.
+    lines : tuple of (frequency_hz, share_x, share_y)
+        Vibrations; the wander has the rest of the variance.
+    wander_hz : float
+        Corner frequency of the wander.
+    line_coherence_s : float
+        Time over which a vibration keeps its phase; its line is ``1 / (π coherence)`` wide.
+    """
+
+    rms_mas: float = 7.0
+    lines: tuple[tuple[float, float, float], ...] = UT4_LINES
+    wander_hz: float = 4.0
+    line_coherence_s: float = 1.0
+
+
+class MotionSeries:
+    """Image motion from one moment to the next.
+
+    A vibration is the real part of a complex first-order autoregressive process that turns with the
+    line's frequency: exact at any step, and stationary from the first sample.
+
+    Parameters
+    ----------
+    motion : Motion
+    rng : numpy.random.Generator
+    """
+
+    def __init__(self, motion: Motion, rng: np.random.Generator):
+        lines = np.array(motion.lines, float).reshape(-1, 3)
+        shares = np.vstack([1 - lines[:, 1:].sum(axis=0), lines[:, 1:]])
+        if np.any(shares < 0):
+            raise SceneError("motion.lines: the shares of the variance exceed 1 along one axis; lower them")
+        self._rms_mas = motion.rms_mas * np.sqrt(shares)  # (components, 2)
+        decay = np.append(2 * np.pi * motion.wander_hz, np.full(len(lines), 1 / motion.line_coherence_s))
+        self._rate = -decay + 2j * np.pi * np.append(0.0, lines[:, 0])  # (components,) [1/s]
+        self._rng = rng
+        self._state = self._noise(1)[0]
+
+    def _noise(self, steps: int) -> np.ndarray:
+        """Complex normal numbers, unit variance of the real part, (steps, components, 2)."""
+        parts = self._rng.standard_normal((steps, *self._rms_mas.shape, 2))
+        return parts[..., 0] + 1j * parts[..., 1]
+
+    def skip(self, time_s: float) -> None:
+        """Let time pass unobserved [s]."""
+        self.next_mas(time_s, 1)
+
+    def next_mas(self, step_s: float, steps: int) -> np.ndarray:
+        """Positions after each of the next steps, (steps, 2) = (x, y) [mas]."""
+        memory = np.exp(self._rate * step_s)
+        drive = self._noise(steps) * np.sqrt(1 - np.abs(memory) ** 2)[:, None]
+        track = np.empty_like(drive)
+        for component, factor in enumerate(memory):
+            start = (factor * self._state[component])[None]
+            track[:, component] = lfilter([1.0], [1.0, -factor], drive[:, component], axis=0, zi=start)[0]
+        self._state = track[-1]
+        return np.sum(track.real * self._rms_mas, axis=1)

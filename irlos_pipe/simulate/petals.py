@@ -1,0 +1,79 @@
+"""Petals of the pupil, and the wavefront steps between them that calm nights bring (low-wind effect)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..geometry import PupilGeometry, Vane
+from .checks import SceneError
+
+FIRST_PETAL_DEG = 45.0
+
+
+def petal_opd_nm(
+    effect: Mapping[str, Sequence[float]], geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray
+) -> np.ndarray:
+    """Wavefront at the points (x, y) [nm].
+
+    Parameters
+    ----------
+    effect : mapping
+        `piston_nm`, `tip_nm` and `tilt_nm`, one value per petal each; tip and tilt are Noll 2 and 3 of
+        the whole pupil, restricted to the petal.
+
+    Raises
+    ------
+    SceneError
+        For another number of values than petals.
+    """
+    index, radius_m = petal_index(geometry, x_m, y_m), geometry.diameter_m / 2
+    petals = len(geometry.vanes)
+    piston, tip, tilt = (_per_petal(effect, key, petals)[index] for key in ("piston_nm", "tip_nm", "tilt_nm"))
+    return piston + 2 / radius_m * (tip * x_m + tilt * y_m)
+
+
+def _per_petal(effect: Mapping[str, Sequence[float]], key: str, petals: int) -> np.ndarray:
+    values = np.asarray(effect.get(key, np.zeros(petals)), float)
+    if values.shape != (petals,):
+        raise SceneError(f"effects.low_wind_effect.{key}: the pupil has {petals} petals; give as many values")
+    return values
+
+
+def petal_index(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+    """Number of the petal at every point, counted anticlockwise from the one on the +45° diagonal.
+
+    Petals meet at the middle of the vanes, each seen as a line from its origin outwards.
+
+    Raises
+    ------
+    SceneError
+        For a pupil with fewer than two vanes.
+    """
+    vanes = sorted(geometry.vanes, key=lambda vane: np.arctan2(vane.end_m[1], vane.end_m[0]) % (2 * np.pi))
+    if len(vanes) < 2:
+        raise SceneError(f"low_wind_effect: needs petals, but the pupil has {len(vanes)} vanes; leave it out")
+    first = int(_after_vane(vanes, *_point_on(FIRST_PETAL_DEG, geometry.diameter_m / 2)))
+    return (_after_vane(vanes, x_m, y_m) - first) % len(vanes)
+
+
+def _point_on(angle_deg: float, radius_m: float) -> tuple[np.ndarray, np.ndarray]:
+    angle = np.deg2rad(angle_deg)
+    return np.asarray(radius_m * np.cos(angle)), np.asarray(radius_m * np.sin(angle))
+
+
+def _after_vane(vanes: list[Vane], x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+    """Which vane one meets first going clockwise along the circle through each point."""
+    radius, angle = np.hypot(x_m, y_m), np.arctan2(y_m, x_m)
+    gaps = [(angle - _vane_angle(vane, radius)) % (2 * np.pi) for vane in vanes]
+    return np.argmin(gaps, axis=0)
+
+
+def _vane_angle(vane: Vane, radius_m: np.ndarray) -> np.ndarray:
+    """Polar angle at which the vane's line crosses circles about the axis [rad]."""
+    start, end = complex(*vane.start_m), complex(*vane.end_m)
+    direction = (end - start) / abs(end - start)
+    forward = (start * direction.conjugate()).real
+    along = -forward + np.sqrt(np.maximum(forward**2 - abs(start) ** 2 + radius_m**2, 0.0))
+    return np.angle(start + along * direction)

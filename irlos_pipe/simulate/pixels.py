@@ -1,0 +1,143 @@
+"""What becomes of the light in each pixel, from photo-electrons to the signal at the converter.
+
+The order is that of the hardware, an HgCdTe avalanche photodiode array (SAPHIRA):
+
+1. Photo-electrons *diffuse* to the neighbours before they are multiplied. Each goes its own way, so
+   the counts stay Poissonian and uncorrelated about the diffused mean. Dark current is added here.
+2. The number of electrons is drawn (Poisson).
+3. Each is multiplied on its own. With gamma-distributed gains of mean 1 and variance F - 1 the sum
+   of n of them is gamma-distributed with shape n/(F - 1): variance F n, and never negative. The mean
+   gain differs from pixel to pixel, which is what the flat shows.
+4. Inter-pixel capacitance induces a part of the multiplied signal in the neighbours, noise included.
+5. The capacitance of the node grows with its charge: response ``s (1 - k s)``, then the full well.
+6. The source follower and the amplifier add the read noise; what was left of pedestal or
+   background since the dark was taken adds here, without shot noise.
+
+The response of a pixel (3) thus acts before the non-linearity (5): dividing by the flat undoes it
+exactly for a linear detector only, as in reality.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import convolve
+
+from .late_defects import LateDefects, marked
+
+if TYPE_CHECKING:
+    from .detector import DetectorModel
+    from .scene import Scene
+
+NEIGHBOURS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
+PEDESTAL_STREAM, RESPONSE_STREAM = 0, 1  # of a detector's `pattern_seed`
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """The pixels of one recording.
+
+    Attributes
+    ----------
+    detector : DetectorModel
+    response : ndarray, (rows, columns)
+        Mean gain, 1 on average; 0 in dead pixels.
+    dark_e : ndarray, (rows, columns)
+        Mean dark charge per frame, as the dark image shows it [e-].
+    diffusion : float
+        Charge that leaves a pixel for its four neighbours, fraction.
+    nonlinearity_per_e : float
+        k of the response ``s (1 - k s)`` [1/e-].
+    late : LateDefects
+        What the dark, the flat and the map of dead pixels do not tell.
+    """
+
+    detector: DetectorModel
+    response: np.ndarray
+    dark_e: np.ndarray
+    diffusion: float
+    nonlinearity_per_e: float
+    late: LateDefects
+
+    @classmethod
+    def of(cls, scene: Scene, mean_image_e: np.ndarray) -> Pixels:
+        """Pixels of a scene; `mean_image_e` (rows, columns) tells where its non-linearity is stated [e-]."""
+        detector, effects = scene.detector, scene.effects
+        diffusion = detector.crosstalk_fraction + effects.get("interpixel_crosstalk", {}).get("fraction", 0.0)
+        at_peak = effects.get("detector_nonlinearity", {}).get("fraction_at_peak", 0.0)
+        peak_e = float(shared(mean_image_e, diffusion).max())
+        return cls(
+            detector,
+            response_map(detector, scene.window),
+            dark_map_e(detector, scene.window, scene.exposure_s),
+            diffusion,
+            detector.nonlinearity_per_e + (at_peak / peak_e if peak_e > 0 else 0.0),
+            LateDefects.of(scene.effects, scene.window),
+        )
+
+    def signal_e(self, mean_e: np.ndarray, read_noise_e: float, rng: np.random.Generator) -> np.ndarray:
+        """Signal at the converter for the mean photo-electrons (..., rows, columns) of frames [e-]."""
+        light_e = shared(mean_e, self.diffusion) + self.late.hot_e
+        multiplied_e = multiplied(rng.poisson(light_e + self.dark_e), self.detector.excess_noise_factor, rng)
+        return self._read(multiplied_e * self.late.alive, read_noise_e, rng) + self.late.background_e
+
+    def dark_signal_e(self, frames: int, read_noise_e: float, rng: np.random.Generator) -> np.ndarray:
+        """Signal of frames without light, (frames, rows, columns), late defects not yet there [e-]."""
+        counts = rng.poisson(np.broadcast_to(self.dark_e, (frames, *self.dark_e.shape)))
+        return self._read(multiplied(counts, self.detector.excess_noise_factor, rng), read_noise_e, rng)
+
+    def _read(self, multiplied_e: np.ndarray, read_noise_e: float, rng: np.random.Generator) -> np.ndarray:
+        induced_e = shared(multiplied_e * self.response, self.detector.coupling_fraction)
+        node_e = compressed(induced_e, self.nonlinearity_per_e, self.detector.full_well_e)
+        return node_e + read_noise_e * rng.standard_normal(node_e.shape)
+
+
+def shared(charge_e: np.ndarray, fraction: float) -> np.ndarray:
+    """Give `fraction` of each pixel to its four neighbours; beyond the window it goes on as at its edge.
+
+    Parameters
+    ----------
+    charge_e : ndarray, (..., rows, columns)
+        Charge [e-].
+    """
+    charge_e = np.asarray(charge_e, dtype=np.float64)
+    if fraction == 0:
+        return charge_e
+    kernel = NEIGHBOURS.reshape((1,) * (charge_e.ndim - 2) + NEIGHBOURS.shape)
+    return (1 - fraction) * charge_e + fraction * convolve(charge_e, kernel, mode="nearest")
+
+
+def multiplied(counts: np.ndarray, excess_noise_factor: float, rng: np.random.Generator) -> np.ndarray:
+    """Avalanche multiplication with mean gain 1 and excess noise factor F of whole electrons."""
+    spread = excess_noise_factor - 1
+    return counts.astype(float) if spread == 0 else rng.gamma(counts / spread, spread)
+
+
+def compressed(signal_e: np.ndarray, nonlinearity_per_e: float, full_well_e: float) -> np.ndarray:
+    """``s (1 - k s)``, held where it would turn down, and at the full well."""
+    turn_e = 0.5 / nonlinearity_per_e if nonlinearity_per_e > 0 else np.inf
+    held_e = np.minimum(signal_e, turn_e)
+    return np.minimum(held_e * (1 - nonlinearity_per_e * held_e), full_well_e)
+
+
+def response_map(detector: DetectorModel, window: tuple[int, int]) -> np.ndarray:
+    """Relative gain of each pixel, (rows, columns); 0 in dead pixels."""
+    rng = np.random.default_rng([detector.pattern_seed, RESPONSE_STREAM])
+    response = np.maximum(1 + detector.flat_rms * rng.standard_normal(window), 0.0)
+    return np.where(marked(detector.dead, window), 0.0, response)
+
+
+def pedestal_map_adu(detector: DetectorModel, window: tuple[int, int]) -> np.ndarray:
+    """Level of each pixel without light, (rows, columns) [ADU]."""
+    rng = np.random.default_rng([detector.pattern_seed, PEDESTAL_STREAM])
+    return detector.pedestal_adu + detector.fixed_pattern_adu * rng.standard_normal(window)
+
+
+def dark_map_e(detector: DetectorModel, window: tuple[int, int], exposure_s: float) -> np.ndarray:
+    """Mean dark charge of each pixel in one frame, (rows, columns) [e-]."""
+    dark_e = np.full(window, detector.dark_e_per_s * exposure_s)
+    for pixel, e_per_s in detector.hot_e_per_s:
+        dark_e[tuple(pixel)] += e_per_s * exposure_s
+    return dark_e

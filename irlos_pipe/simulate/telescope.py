@@ -1,0 +1,96 @@
+"""The pupil on a grid, and the Zernikes on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..geometry import PupilGeometry
+from .zernikes import zernike
+
+
+@dataclass(frozen=True, eq=False)
+class Telescope:
+    """Sampled pupil; row = y, column = x.
+
+    Attributes
+    ----------
+    geometry : PupilGeometry
+    u_m : ndarray, (n,)
+        Centres of the cells along x and along y, symmetric about the optical axis [m].
+    transmission : ndarray, (n, n)
+        Clear fraction of every cell.
+    """
+
+    geometry: PupilGeometry
+    u_m: np.ndarray
+    transmission: np.ndarray
+
+    @property
+    def step_m(self) -> float:
+        """Edge of a cell [m]."""
+        return float(self.u_m[1] - self.u_m[0])
+
+    @property
+    def area_m2(self) -> float:
+        """Clear area [m²]."""
+        return float(self.transmission.sum()) * self.step_m**2
+
+    @cached_property
+    def _modes(self) -> dict[int, np.ndarray]:
+        return {}
+
+    def mode(self, noll: int) -> np.ndarray:
+        """Zernike (n, n) of unit RMS over the unobscured disc, continued polynomially beyond it."""
+        if noll not in self._modes:
+            x, y = np.meshgrid(*[self.u_m * 2 / self.geometry.diameter_m] * 2)
+            self._modes[noll] = zernike(noll, x, y)
+        return self._modes[noll]
+
+    def opd_nm(self, zernike_nm: Mapping[int, float]) -> np.ndarray:
+        """Wavefront (n, n) of Noll coefficients [nm RMS]."""
+        start = np.zeros_like(self.transmission)
+        return sum((value_nm * self.mode(noll) for noll, value_nm in zernike_nm.items()), start)
+
+    def tilts_nm(self, motion_mas: np.ndarray) -> np.ndarray:
+        """Wavefronts (times, n, n) [nm] that move the image by (times, 2) = (x, y) [mas]."""
+        slopes = tilt_nm(1.0) * np.asarray(motion_mas)[:, :, None] * self.u_m
+        return slopes[:, 0, None, :] + slopes[:, 1, :, None]
+
+    def fit_zernike_nm(self, opd_nm: np.ndarray, last_noll: int) -> np.ndarray:
+        """Least-squares coefficients of Noll 2..last_noll over the pupil, piston fitted along [nm RMS].
+
+        Parameters
+        ----------
+        opd_nm : ndarray, (..., n, n)
+
+        Returns
+        -------
+        ndarray, (..., last_noll - 1)
+        """
+        flat = np.reshape(opd_nm, (*np.shape(opd_nm)[:-2], -1))
+        return flat[..., self._lit] @ self._fitter(last_noll).T
+
+    @cached_property
+    def _lit(self) -> np.ndarray:
+        return np.flatnonzero(self.transmission)
+
+    @cached_property
+    def _fitters(self) -> dict[int, np.ndarray]:
+        return {}
+
+    def _fitter(self, last_noll: int) -> np.ndarray:
+        """Weighted pseudo-inverse without the row of piston, (last_noll - 1, lit cells)."""
+        if last_noll not in self._fitters:
+            modes = np.array([self.mode(noll).ravel()[self._lit] for noll in range(1, last_noll + 1)])
+            weighted = modes * self.transmission.ravel()[self._lit]
+            self._fitters[last_noll] = np.linalg.solve(weighted @ modes.T, weighted)[1:]
+        return self._fitters[last_noll]
+
+
+def tilt_nm(angle_mas: float) -> float:
+    """Slope of the wavefront that moves the image by an angle [nm per metre of pupil]."""
+    return float(np.deg2rad(angle_mas / 3.6e6) * 1e9)

@@ -1,0 +1,208 @@
+"""Stage `modes`: how strong the modes are (paper, appendix A), and how many to estimate (appendix B)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from irlos_pipe.errors import ConfigurationError
+from irlos_pipe.estimate.calibration import Frames
+from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter, fit_mode_law, mode_scatter
+from irlos_pipe.estimate.mode_number import LEAST_FRAMES, Choice, ModeScan, choose, scan_mode_numbers
+from irlos_pipe.product import Quantity
+from irlos_pipe.recording import Recording
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.calibrate import Config as CalibrateConfig
+from irlos_pipe.stages.calibrate_each import CubeEstimate, cube_estimates
+from irlos_pipe.stages.light_path import model_effects, pooled_images, psf_settings
+from irlos_pipe.stages.mode_laws import law_row
+from irlos_pipe.stages.recordings import recordings_from_product
+
+NAME = "modes"
+VERSION = 1
+NEEDS = ("ingest", "calibrate")
+READS = ("ingest", "calibrate")
+POINTING = (2, 3)  # where the star lies in the window
+LEAST_MODES = 4
+
+
+class Config(StageConfig):
+    """Settings of the mode statistics."""
+
+    same_ncpas: bool = Field(
+        False, description="the cubes share their NCPAs, and count as one draw of every mode"
+    )
+    law_highest_noll: int | None = Field(
+        None, ge=7, le=231, description="the law is fitted to Noll 4 to this; none: to all estimated"
+    )
+    numbers: tuple[int, ...] = Field(
+        (15, 21, 28, 36, 45, 55, 66, 78, 91, 105), description="highest Noll modes to try"
+    )
+    cubes: int = Field(4, ge=0, description="cubes that the numbers are tried on, the first ones")
+
+    @field_validator("numbers")
+    @classmethod
+    def _rising(cls, numbers: tuple[int, ...]) -> tuple[int, ...]:
+        if len(numbers) < 2 or list(numbers) != sorted(set(numbers)) or numbers[0] < 4 or numbers[-1] > 231:
+            raise ValueError("give at least two rising numbers between 4 and 231")
+        return numbers
+
+
+def run(ctx: StageContext) -> StageOutput:
+    """Scatter of the modes with its law, and the scan of the number of modes."""
+    cubes = cube_estimates(ctx.products["calibrate"])
+    if not cubes:
+        raise ConfigurationError("modes needs the cubes one by one: set calibrate.each to true")
+    scatter = _scatter(cubes, ctx.config.same_ncpas)
+    fitted = _fitted(scatter, ctx.config.law_highest_noll)
+    laws = {
+        "estimates": fit_mode_law(scatter, fitted, remove_noise=False),
+        "ncpas": fit_mode_law(scatter, fitted, remove_noise=True),
+    }
+    arrays = _scatter_arrays(cubes, scatter, laws)
+    results = {
+        "method": ctx.products["calibrate"].results["method"],
+        "cubes": len(cubes),
+        "draws": scatter.draws,
+        "laws": {name: law_row(law) for name, law in laws.items()},
+        "numbers": None,
+    }
+    lines = _law_lines(scatter.draws, int(fitted.sum()), laws)
+    scans = _scans(ctx)
+    if scans:
+        choice = choose(np.concatenate([scan.misfit for scan in scans], axis=1))
+        arrays |= _scan_arrays(scans, choice)
+        results["numbers"] = _numbers(scans, choice)
+        lines += _number_lines(results["numbers"])
+    else:
+        lines.append(f"  number of modes not tried: no cube has {LEAST_FRAMES} used frames")
+    return StageOutput(arrays, results, summary=lines)
+
+
+# -- appendix A ----------------------------------------------------------------------------------
+
+
+def _scatter(cubes: list[CubeEstimate], same_ncpas: bool) -> ModeScatter:
+    zernike_nm, sigma_nm = (np.stack([getattr(c, key) for c in cubes]) for key in ("zernike_nm", "sigma_nm"))
+    if same_ncpas:
+        zernike_nm = zernike_nm.mean(axis=0, keepdims=True)
+        sigma_nm = np.sqrt(np.mean(sigma_nm**2, axis=0, keepdims=True) / len(cubes))
+    return mode_scatter(cubes[0].nolls, zernike_nm, sigma_nm)
+
+
+def _fitted(scatter: ModeScatter, highest_noll: int | None) -> np.ndarray:
+    """Modes the law is fitted to: no tip and tilt."""
+    nolls = np.array(scatter.nolls)
+    fitted = ~np.isin(nolls, POINTING) & (nolls <= (highest_noll or nolls[-1]))
+    if fitted.sum() < LEAST_MODES:
+        raise ConfigurationError(
+            f"a law needs at least {LEAST_MODES} modes beyond tilt: raise calibrate.highest_noll to "
+            f"{POINTING[-1] + LEAST_MODES} or more"
+        )
+    return fitted
+
+
+def _law_lines(draws: int, modes: int, laws: dict[str, ModeLaw]) -> list[str]:
+    texts = {"estimates": "of the estimates", "ncpas": "without their errors"}
+    return [
+        f"Modes           std(i) = A exp(−B i) + C, i = 0 for Noll 2, "
+        f"from {draws} {'draw' if draws == 1 else 'draws'} of {modes} modes",
+        *(
+            f"  {texts[name]}: A {law.a_nm:.0f} ± {law.sigma[0]:.0f} nm, B {law.decay:.3f} ± "
+            f"{law.sigma[1]:.3f}, C {law.plateau_nm:.1f} ± {law.sigma[2]:.1f} nm"
+            for name, law in laws.items()
+        ),
+    ]
+
+
+def _scatter_arrays(
+    cubes: list[CubeEstimate], scatter: ModeScatter, laws: dict[str, ModeLaw]
+) -> dict[str, Quantity]:
+    over_frames = np.sqrt(np.mean([np.nanvar(cube.frames_nm, axis=0, ddof=1) for cube in cubes], axis=0))
+    arrays = {
+        "noll": Quantity(np.array(scatter.nolls), "", "Noll index"),
+        "std_nm": Quantity(scatter.std_nm, "nm", "RMS over the draws, about zero", scatter.std_sigma_nm),
+        "noise_nm": Quantity(scatter.noise_nm, "nm", "part of it due to the errors of the estimates"),
+        "frame_std_nm": Quantity(
+            over_frames, "nm", "over the frames of a cube: AO residual and noise, no NCPAs"
+        ),
+    }
+    return arrays | {
+        f"law/{name}_nm": Quantity(law(scatter.nolls), "nm", f"law of the {name}")
+        for name, law in laws.items()
+    }
+
+
+# -- appendix B ----------------------------------------------------------------------------------
+
+
+def _scans(ctx: StageContext) -> list[ModeScan]:
+    """Scan of the first cubes that have enough frames."""
+    stored = CalibrateConfig(**ctx.products["calibrate"].config)
+    recordings = [r.accepted() for r in recordings_from_product(ctx.products["ingest"], stored.input)]
+    usable = [r for r in recordings if r.frames >= LEAST_FRAMES][: ctx.config.cubes]
+    fits = 2 * len(ctx.config.numbers) * len(usable)
+    with ctx.progress(total=fits, desc="number of modes") as bar:
+        return [_scan(ctx, recording, stored, bar.update) for recording in usable]
+
+
+def _scan(ctx: StageContext, recording: Recording, stored: CalibrateConfig, report) -> ModeScan:
+    return scan_mode_numbers(
+        Frames(*pooled_images([recording])),
+        psf_settings(ctx.instrument, ctx.model, recording),
+        stored.options(),
+        ctx.config.numbers,
+        model_effects(ctx.instrument, ctx.model, recording.acquisition),
+        device=ctx.device,
+        report=report,
+    )
+
+
+def _numbers(scans: list[ModeScan], choice: Choice) -> dict:
+    highest = scans[0].highest_nolls
+    return {
+        "cubes": len(scans),
+        "highest_noll": list(highest),
+        "held_out_chi2_nu": np.mean([scan.misfit.mean(axis=1) for scan in scans], axis=0).tolist(),
+        "excess": choice.excess.tolist(),
+        "excess_sigma": choice.excess_sigma.tolist(),
+        "fitted_chi2_nu": np.mean([scan.fitted_chi2_nu for scan in scans], axis=0).tolist(),
+        "change_nm": _rms_over_cubes(_changes_nm(scans, choice.recommended)).tolist(),
+        "halves_nm": _rms_over_cubes([scan.halves_nm for scan in scans]).tolist(),
+        "best": highest[choice.best],
+        "recommended": highest[choice.recommended],
+    }
+
+
+def _changes_nm(scans: list[ModeScan], place: int) -> Iterator[np.ndarray]:
+    """RMS difference from the estimate with one of the numbers, (numbers,) per cube."""
+    for scan in scans:
+        yield np.sqrt(np.sum((scan.mean_nm - scan.mean_nm[place]) ** 2, axis=1))
+
+
+def _rms_over_cubes(values) -> np.ndarray:
+    return np.sqrt(np.mean(np.square(list(values)), axis=0))
+
+
+def _number_lines(numbers: dict) -> list[str]:
+    place = numbers["highest_noll"].index(numbers["recommended"])
+    return [
+        f"  {numbers['recommended'] - 1} modes (Noll 2–{numbers['recommended']}) suffice for unseen frames: "
+        f"χ²/ν {numbers['held_out_chi2_nu'][place]:.3f}, least with Noll {numbers['best']}"
+    ]
+
+
+def _scan_arrays(scans: list[ModeScan], choice: Choice) -> dict[str, Quantity]:
+    return {
+        "numbers/highest_noll": Quantity(np.array(scans[0].highest_nolls), "", "modes Noll 2 to this"),
+        "numbers/noll": Quantity(np.array(scans[0].nolls), "", "modes that are compared"),
+        "numbers/zernike_nm": Quantity(
+            np.stack([scan.zernike_nm for scan in scans]), "nm", "estimates (cube, number, half, mode)"
+        ),
+        "numbers/misfit": Quantity(
+            np.stack([scan.misfit for scan in scans]), "", "χ²/ν of unseen frames (cube, number, block)"
+        ),
+        "numbers/excess": Quantity(choice.excess, "", "held-out χ²/ν above the least", choice.excess_sigma),
+    }
