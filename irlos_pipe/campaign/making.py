@@ -43,7 +43,7 @@ class Job:
     @property
     def spool(self) -> Path:
         """Where its mean images are kept until they are read out."""
-        return self.work / f"{self.index}.npy"
+        return self.work / f"{self.index}.mean_e"
 
     def frames_done(self) -> np.ndarray:
         """Frames that each job has exposed, (count,); shared between processes."""

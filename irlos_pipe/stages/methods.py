@@ -21,6 +21,7 @@ DEPENDS_ON = ("instrument", "seed")
 MODEL_SHAPE = "power_law"  # what the model assumes, up to slope and direction
 OTHER_SHAPES = ("servo_lag", "aliasing", "non_stationary")
 BASELINE = "dip_global"  # the paper's choice
+DIRECTIONS = ("elliptic_residual", "round_residual")
 PARTS = tuple(name for name in VARIANTS if name not in PUBLISHED)
 
 
@@ -64,7 +65,7 @@ def _samples(ctx: StageContext) -> Iterator[Sample]:
         yield from _cubes(ctx, seeing, MODEL_SHAPE, config.samples_between, (DEFAULT, *PUBLISHED))
     for shape in config.shapes:
         for seeing in config.seeings_arcsec:
-            yield from _cubes(ctx, seeing, shape, config.samples_of_shapes, (DEFAULT, BASELINE))
+            yield from _cubes(ctx, seeing, shape, config.samples_of_shapes, (DEFAULT, BASELINE, *DIRECTIONS))
 
 
 def _cubes(
@@ -98,7 +99,7 @@ def _conditions(samples: Sequence[Sample], numbers: Sequence[Arrays]) -> list[di
 
 
 def _condition(numbers: Sequence[Arrays]) -> dict:
-    methods = [name for name in (DEFAULT, *PUBLISHED) if f"{name}/modes_nm" in numbers[0]]
+    methods = [name for name in VARIANTS if all(f"{name}/modes_nm" in n for n in numbers)]
     row = {
         "samples": len(numbers),
         "introduced_nm": float(np.mean([n["introduced_nm"] for n in numbers])),
