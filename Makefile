@@ -22,10 +22,13 @@ ramp_input = $(if $(RAMP),--input ramp=$(RAMP))
 ARGS ?=
 DEMO ?= demo
 RUNS ?= runs
+# What `make simulate` makes, and where.
+SPEC ?= recipes/simulations/on_sky.yaml
+OUT ?= $(RUNS)/simulation
 
 .DEFAULT_GOAL := help
 .PHONY: help env env-test demo test bench lint clean full calibrate dip-global ramp sensitivity
-.PHONY: paper paper-quick paper-tables
+.PHONY: paper paper-quick paper-tables simulate
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -82,6 +85,9 @@ paper-quick: env ## the same with small samples, minutes
 paper-tables: env ## after make paper: its numbers to docs/paper_results.json, and from there into README.md
 	cp $(RUNS)/paper/paper_results.json docs/paper_results.json
 	$(BIN)/python -m irlos_pipe.paper.readme
+
+simulate: env ## recordings with a known truth (SPEC=recipes/simulations/on_sky.yaml, OUT=...)
+	$(BIN)/irlos simulate $(SPEC) --output $(OUT) $(ARGS)
 
 clean: ## remove what building and testing left (not the environment, not runs/)
 	rm -rf build dist demo .pytest_cache .ruff_cache

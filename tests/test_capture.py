@@ -133,9 +133,8 @@ def test_the_stage_reports_every_start_and_passes_when_the_default_misses_nothin
 def test_the_section_shows_starts_and_their_estimates(output):
     product = Product("capture", output.arrays, output.results)
     section = capture_section(RunData({}, "", "ok", "", {"capture": product}, []))
-    assert [block.title for block in section.blocks] == [
-        "Success against defocus",
-        "Estimated against true defocus",
-        "Starts compared",
-    ]
-    assert section.blocks[2].marks[-1] == "good" and section.blocks[2].marks[0] == "bad"
+    success, scatter, table = section.blocks
+    assert success.title == "Success against defocus"
+    assert [figure.title for figure in scatter.blocks] == ["Where the iteration starts", "Where it ends"]
+    assert table.marks[-1] == "good" and table.marks[0] == "bad"
+    assert table.rows[-1][:4] == ("this pipeline's default", "12 of 12", "0", "0")

@@ -23,7 +23,8 @@ def test_the_help_teaches_by_examples_and_exit_codes():
         assert "75" in text and "in use by another run" in text
 
 
-@pytest.mark.parametrize("command", ["run", "validate", "status", "show", "report", "export", "score"])
+@pytest.mark.parametrize("command", [
+    "run", "validate", "status", "show", "report", "export", "score", "simulate"])
 def test_every_command_has_an_example(command):
     result = invoke(command, "--help")
     assert result.exit_code == 0 and f"irlos {command} " in result.stdout

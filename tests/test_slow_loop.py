@@ -225,11 +225,11 @@ def test_the_sensor_s_slope_and_noise_are_found_whatever_the_offset_of_each_sky(
 
 def test_interpolated_frames_are_those_simulated_at_that_defocus():
     star = scene(2)
-    table = frame_table(star, 200.0, 10)
-    for defocus in (-170.0, 33.0, 198.0):
+    table = frame_table(star, 240.0, 8)
+    for defocus in (-230.0, 33.0, 170.0):
         direct = expose(replace(star, introduced_nm=defocus)).mean_e
         interpolated = np.array([table.images_e(frame, np.array([defocus]))[0] for frame in range(2)])
-        assert np.abs(interpolated - direct).max() < 2e-4 * direct.max()
+        assert np.abs(interpolated - direct).max() < 5e-4 * direct.max()
 
 
 def test_the_table_tells_the_defocus_of_the_sky():

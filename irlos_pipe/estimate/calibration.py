@@ -21,6 +21,7 @@ from .methods import METHODS, Method
 from .parameters import Layout
 from .priors import ncpa_sigma_nm
 from .scatter import covariance_of_mean
+from .second_start import HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
 from .solve import Solution, solve
 from .twin import TwinCheck, check_twin
 
@@ -154,7 +155,10 @@ def calibrate(
     model = _model(settings, method, range(2, options.highest_noll + 1), device)
     transfer = Transfer(effects, OtfGrid(model.grid, model.wavelengths_m)) if effects else None
     problem = _problem(frames, model, method, options, transfer)
-    solution = _solve(problem, _start(frames, problem, settings), options, report)
+    start = _start(frames, problem, settings)
+    solution = _solve(problem, start, options, report)
+    if method.effects and not is_plausible(problem, solution):
+        solution = better(solution, _solve(problem, _second_start(frames, settings, start, device), options))
     return _result(frames, problem, method, options, solution, time.perf_counter() - began)
 
 
@@ -234,7 +238,15 @@ def _start(frames: Frames, problem: ImageFit, settings: PsfSettings) -> torch.Te
     return x
 
 
-def _solve(problem: ImageFit, start: torch.Tensor, options: CalibrationOptions, report) -> Solution:
+def _second_start(frames: Frames, settings: PsfSettings, start: torch.Tensor, device: str) -> torch.Tensor:
+    """The start with what single frames tell of the low modes."""
+    highest = min(HIGHEST_NOLL, start.shape[1])
+    model = _model(settings, METHODS["lift_slices"], range(2, highest + 1), device)
+    median_nm = median_of_frames_nm(model, frames.images_e, frames.pixel_mask, frames.noise)
+    return torch.cat([median_nm[None], start[:, len(median_nm) :]], dim=1)
+
+
+def _solve(problem: ImageFit, start: torch.Tensor, options: CalibrationOptions, report=None) -> Solution:
     if options.optimiser == "lbfgs":
         return solve_lbfgs(problem, start, max_iterations=5 * options.max_iterations)
     return solve(problem, start, max_iterations=options.max_iterations, report=report)

@@ -32,6 +32,8 @@ class Curve:
         Estimates per magnitude.
     limit_mag : float
         Faintest magnitude that meets the criterion; NaN if none does.
+    abs_error_nm : ndarray, (magnitudes, trials)
+        |estimated - introduced| of every estimate, NaN where it failed.
     """
 
     nolls: tuple[int, ...]
@@ -43,6 +45,7 @@ class Curve:
     failures: np.ndarray
     trials: int
     limit_mag: float
+    abs_error_nm: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -131,35 +134,46 @@ def scan(
     -------
     Curve
     """
-    rows = []
-    introduced = np.tile(introduced_nm, realisations)
-    flux = signal_e.double().sum((1, 2))
+    introduced, focus = np.tile(introduced_nm, realisations), model.nolls.index(4)
     true = start_nm.clone()
-    true[:, model.nolls.index(4)] = torch.as_tensor(introduced_nm)
+    true[:, focus] = torch.as_tensor(introduced_nm)
+    flux, errors, bounds = signal_e.double().sum((1, 2)), [], []
     for index, magnitude in enumerate(magnitudes):
         factor = min(1.0, 10 ** (-0.4 * (magnitude - mag_j)))
         generator = torch.Generator().manual_seed(seed + 7919 * index)
         dimmed = torch.cat([dim(images_e, signal_e, factor, noise, generator) for _ in range(realisations)])
-        result = lift(
-            model,
-            dimmed,
-            pixel_mask,
-            noise,
-            start_nm.repeat(realisations, 1),
-            LiftOptions(noise="model"),
-            transfer=transfer,
-        )
-        bound = cramer_rao_nm(model, true, flux * factor, noise, transfer=transfer)[:, model.nolls.index(4)]
+        start, options = start_nm.repeat(realisations, 1), LiftOptions(noise="model")
+        result = lift(model, dimmed, pixel_mask, noise, start, options, transfer=transfer)
         error = np.abs(result.mode(4)[0].numpy() - introduced)
         failed = ~result.solution.converged.numpy() | ~(error < criterion.implausible_nm)
-        rows.append((*_percentiles(error[~failed]), float(bound.median()), int(failed.sum())))
+        errors.append(np.where(failed, np.nan, error))
+        bound = cramer_rao_nm(model, true, flux * factor, noise, transfer=transfer)
+        bounds.append(float(bound[:, focus].median()))
         if report is not None:
             report(1)
-    median, low, high, crb, failures = (np.array(column) for column in zip(*rows, strict=True))
-    limit = limiting_magnitude(np.asarray(magnitudes, float), median, failures / len(introduced), criterion)
-    return Curve(
-        model.nolls, np.asarray(magnitudes, float), median, low, high, crb, failures, len(introduced), limit
-    )
+    return curve_of(model.nolls, magnitudes, np.array(errors), np.array(bounds), criterion)
+
+
+def curve_of(
+    nolls: tuple[int, ...],
+    magnitudes: np.ndarray,
+    abs_error_nm: np.ndarray,
+    crb_nm: np.ndarray,
+    criterion: Criterion,
+) -> Curve:
+    """Curve of single errors, which may come from several scans over the same magnitudes.
+
+    Parameters
+    ----------
+    abs_error_nm : ndarray, (magnitudes, trials)
+        NaN where the estimate failed.
+    crb_nm : ndarray, (magnitudes,)
+    """
+    mag_j, trials = np.asarray(magnitudes, float), abs_error_nm.shape[1]
+    failures = np.isnan(abs_error_nm).sum(axis=1)
+    median, low, high = np.array([_percentiles(row[~np.isnan(row)]) for row in abs_error_nm]).T
+    limit = limiting_magnitude(mag_j, median, failures / trials, criterion)
+    return Curve(nolls, mag_j, median, low, high, crb_nm, failures, trials, limit, abs_error_nm)
 
 
 def limiting_magnitude(

@@ -65,7 +65,7 @@ class LoopSample:
     frames: int
     drifts: int
     reach_nm: float = 240.0
-    nodes: int = 10
+    nodes: int = 8
 
 
 def run_loops(sample: LoopSample) -> dict[str, np.ndarray]:

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..geometry import PupilGeometry
+from ..geometry import PupilGeometry, Vane
 
 SUBSAMPLES = 16  # fine cells per side of a coarse cell; coverage of a fine cell is linear in distance
 PAD = 4  # coarse cells beyond the diameter on each side: room for the filter's ringing

@@ -100,6 +100,24 @@ def _draw_configuration(axes: Axes, rows: list[dict[str, Any]], colour: str, mar
     axes.errorbar(magnitude, residual, error, fmt=marker, color=colour, markersize=4.5, label=label)
 
 
+def sensor_noise(results: dict[str, Any]) -> Markup:
+    """Noise of the measurements of every configuration against magnitude, with what was expected."""
+
+    def draw(figure: Canvas) -> None:
+        axes = figure.subplots()
+        for configuration, label in CONFIGURATIONS.items():
+            rows = best_loops(results, configuration)
+            colour, marker = LOOKS[configuration]
+            magnitude = _column(rows, "mag_j")
+            axes.plot(magnitude, _column(rows, "noise_nm"), marker, color=colour, markersize=4.5, label=label)
+            axes.plot(magnitude, _column(rows, "expected_noise_nm"), "--", color=colour, linewidth=0.9)
+        axes.axhline(results["sky_focus_nm"], color=INK, linewidth=0.8, linestyle=":")
+        axes.set(xlabel="J magnitude", ylabel="noise of a measurement [nm RMS]", yscale="log")
+        axes.yaxis.set_major_formatter(ScalarFormatter())
+
+    return svg("loop-noise", (5.2, 4.0), draw)
+
+
 def against_gain(results: dict[str, Any]) -> Markup:
     """Residual against gain for the stars of the scan."""
 

@@ -55,7 +55,8 @@ def methods_section(run: RunData) -> Section:
 
 SEEING_CAPTION = (
     "Median Δ-WFE in Noll 2–30; bars: 16th to 84th percentile over cubes. Grey: NCPAs introduced. Dashes: "
-    "floor from the finite number of speckles in a cube, the part of the default's error that falls as 1/√frames."
+    "floor from the finite number of speckles in a cube, the part of the default's error that falls "
+    "as 1/√frames."
 )
 SAMPLES_CAPTION = "Every point is a cube with NCPAs of its own; Δ-WFE in Noll 2–30, bars at the medians."
 

@@ -13,6 +13,7 @@ from irlos_pipe.report.loop_plots import (
     against_magnitude,
     best_loops,
     scanned_stars,
+    sensor_noise,
     time_series,
 )
 from irlos_pipe.report.run_data import RunData
@@ -25,6 +26,10 @@ SERIES_CAPTION = (
 MAGNITUDE_CAPTION = (
     "Every star at the gain that theory calls best. Dashed: prediction from the spectrum of the drift, the "
     "Cramér–Rao bound and the AO residual's own defocus; nothing is fitted. Bars: standard error over runs."
+)
+NOISE_CAPTION = (
+    "Measured minus true residual, symbols as above. Dashed: Cramér–Rao bound with the AO residual's own "
+    "defocus; dotted: that alone."
 )
 GAIN_CAPTION = (
     "Default calibration, frames of 1 s. Dashed: prediction; dotted: gain at which the loop oscillates."
@@ -53,6 +58,7 @@ def slow_loop_section(run: RunData) -> Section:
     figures = [Figure(against_magnitude(results), "Residual against magnitude", MAGNITUDE_CAPTION)]
     if _best_default(results):
         figures.insert(0, Figure(_series(run, results), "Bright and faint star", SERIES_CAPTION))
+    figures.append(Figure(sensor_noise(results), "LIFT as the loop's sensor", NOISE_CAPTION))
     if scanned_stars(results):
         figures.append(Figure(against_gain(results), "Residual against gain", GAIN_CAPTION))
     return Section(STAGE, "Slow focus loop on LIFT", _lead(results), [*figures, *_tables(results)])

@@ -39,14 +39,14 @@ class Config(StageConfig):
 
     skies: int = Field(3, ge=1, le=1000, description="sets of NCPAs, each with its sky and its calibration")
     drifts: int = Field(2, ge=1, le=1000, description="drifts of the sodium layer on each sky")
-    frames: int = Field(130, ge=10, le=100000, description="frames of 1 s per drift")
-    settle: int = Field(30, ge=0, description="frames left out of the statistics")
-    magnitudes: tuple[float, ...] = Field((12, 16, 18, 20, 21, 22, 23), min_length=1, description="J mag")
+    frames: int = Field(120, ge=10, le=100000, description="frames of 1 s per drift")
+    settle: int = Field(20, ge=0, description="frames left out of the statistics")
+    magnitudes: tuple[float, ...] = Field((12, 18, 20, 21, 22, 23), min_length=1, description="J mag")
     configurations: tuple[str, ...] = Field(
         (UNCALIBRATED, "dip_global", DEFAULT), description="calibration methods, or `uncalibrated`"
     )
     scan_magnitudes: tuple[float, ...] = Field((12, 21), description="stars of the scan of gains")
-    scan_gains: tuple[float, ...] = Field((0.05, 0.1, 0.2, 0.4, 0.6, 0.8), description="gains of the scan")
+    scan_gains: tuple[float, ...] = Field((0.05, 0.1, 0.2, 0.6, 0.8), description="gains of the scan")
     half_rate: bool = Field(True, description="also frames of 2 s, with the default calibration")
     delay: int = Field(1, ge=0, le=10, description="frames between exposure and correction")
     seeing_arcsec: float = Field(0.5, gt=0, le=3)

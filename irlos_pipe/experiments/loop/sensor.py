@@ -19,7 +19,9 @@ from ..observation import model_effects_of, noise_of
 from ..ramps import DEFOCUS, TTF, Knowledge
 
 FOCUS = TTF.index(DEFOCUS)
-LARGEST_SIGMA_NM = 100.0  # a less certain measurement is not used
+# What a loop does not believe: a measurement this uncertain, or this far from where a closed loop can be. Near
+# the faint limit LIFT ends now and then in a noise peak, far away and with a small formal error.
+LARGEST_SIGMA_NM, FARTHEST_NM = 100.0, 200.0
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class FocusSensor:
     noise: NoiseModel
 
     def measure(self, images_e: np.ndarray) -> np.ndarray:
-        """Defocus of every image, (images,) [nm RMS]; NaN where LIFT fails or knows too little."""
+        """Defocus of every image, (images,) [nm RMS]; NaN where none is to be used."""
         images = torch.as_tensor(images_e)
         good = torch.ones(images.shape[1:], dtype=torch.bool)
         start = torch.zeros(len(images), len(TTF), dtype=torch.float64)
@@ -47,8 +49,8 @@ class FocusSensor:
             self.model, images, good, self.noise, start, LiftOptions("model"), transfer=self.transfer
         )
         defocus, sigma = result.mode(DEFOCUS)
-        usable = result.solution.converged & (sigma < LARGEST_SIGMA_NM)
-        return torch.where(usable, defocus, torch.nan).numpy()
+        credible = (sigma < LARGEST_SIGMA_NM) & (defocus.abs() < FARTHEST_NM)
+        return torch.where(result.solution.converged & credible, defocus, torch.nan).numpy()
 
     def bound_nm(self, seen_e: float) -> float:
         """Cramér–Rao bound at zero defocus, for electrons seen in the window [nm RMS]."""
