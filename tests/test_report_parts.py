@@ -12,7 +12,7 @@ from irlos_pipe.report.images import brightness_scale, image_panel, log_scale, t
 from irlos_pipe.report.modes import label, mode_name
 from irlos_pipe.report.radial import ring_means
 from irlos_pipe.report.ramp_plots import RampPoints, image_strip, ramp_plot, residual_limit
-from irlos_pipe.report.section_sensitivity import limit_text
+from irlos_pipe.report.sensitivity_plot import limit_text
 from irlos_pipe.report.text import MISSING, number, plural, with_error
 
 NAN = float("nan")

@@ -5,7 +5,14 @@ import optics_cases as cases
 import pytest
 import torch
 
-from irlos_pipe.estimate.sensitivity import Criterion, dim, limiting_magnitude
+from irlos_pipe.estimate.sensitivity import (
+    MEDIAN_OF_NORMAL,
+    Criterion,
+    curve_of,
+    dim,
+    limiting_magnitude,
+    scan,
+)
 from irlos_pipe.noise import NoiseModel
 from irlos_pipe.psf import PsfModel
 
@@ -63,3 +70,46 @@ def test_a_curve_that_never_meets_the_criterion_has_no_limit():
 
 def test_a_curve_that_always_meets_it_ends_with_the_grid():
     assert limiting_magnitude(MAGNITUDES, np.full(4, 5.0), np.zeros(4), CRITERION) == 18.0
+
+
+def test_a_curve_counts_failures_apart_from_errors():
+    errors = np.array([[1.0, 2.0, 3.0, 4.0, 5.0], [10.0, np.nan, 20.0, 30.0, np.nan]])
+    curve = curve_of((2, 3, 4), np.array([12.0, 14.0]), errors, np.array([1.0, 2.0]), CRITERION)
+    assert curve.median_abs_error_nm.tolist() == [3.0, 20.0]
+    assert curve.failures.tolist() == [0, 2]
+    assert (curve.trials, curve.limit_mag) == (5, 12.0)
+
+
+def test_a_magnitude_at_which_everything_fails_has_no_error():
+    errors = np.array([[1.0, 1.0], [np.nan, np.nan]])
+    curve = curve_of((2, 3, 4), np.array([12.0, 14.0]), errors, np.ones(2), CRITERION)
+    assert np.isnan(curve.median_abs_error_nm[1])
+    assert curve.limit_mag == 12.0
+
+
+def test_a_scan_reaches_the_bound_where_frames_err_by_noise_alone():
+    """Monte Carlo: noisy frames of the model itself, so that the error is that of an efficient estimate."""
+    model = PsfModel(cases.settings(24), [2, 3, 4])
+    introduced = np.linspace(-60, 60, 8)
+    true = torch.zeros(8, 3, dtype=torch.float64)
+    true[:, 2] = torch.as_tensor(introduced)
+    signal = model.images(true).double() * 2e6
+    frames = torch.cat([cases.draw_frames(mean.numpy(), 1, seed) for seed, mean in enumerate(signal)])
+    curve = scan(
+        model,
+        frames,
+        signal,
+        cases.everything(frames),
+        cases.READ_NOISE,
+        introduced,
+        10.0,
+        np.array([12.5, 15.0]),
+        20,
+        true,
+        Criterion(),
+        seed=5,
+    )
+    assert curve.abs_error_nm.shape == (2, 160)
+    # relative error of a median of 160 absolute normal values: 1.17 / sqrt(160) = 9 %
+    assert curve.median_abs_error_nm == pytest.approx(MEDIAN_OF_NORMAL * curve.crb_nm, rel=0.25)
+    assert curve.failures.tolist() == [0, 0]

@@ -19,6 +19,7 @@ from irlos_pipe.report.section_correct import correct_section
 from irlos_pipe.report.section_correction_gain import correction_gain_section
 from irlos_pipe.report.section_derotator import derotator_section
 from irlos_pipe.report.section_derotator_series import derotator_series_section
+from irlos_pipe.report.section_faint import faint_section
 from irlos_pipe.report.section_first_tests import first_tests_section
 from irlos_pipe.report.section_focus_ramp import focus_ramp_section
 from irlos_pipe.report.section_ingest import ingest_section
@@ -49,6 +50,7 @@ SECTIONS: dict[str, Callable[[RunData], Section]] = {
     "methods": methods_section,
     "correction_gain": correction_gain_section,
     "focus_ramp": focus_ramp_section,
+    "faint": faint_section,
     "capture": capture_section,
     "slow_loop": slow_loop_section,
     "derotator_series": derotator_series_section,

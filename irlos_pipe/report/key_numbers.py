@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from irlos_pipe.report.content import KeyNumber
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_quality import quality_text
-from irlos_pipe.report.section_sensitivity import limit_text
+from irlos_pipe.report.sensitivity_plot import limit_text
 from irlos_pipe.report.text import MISSING, number, with_error
 
 

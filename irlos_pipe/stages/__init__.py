@@ -20,6 +20,7 @@ EXPERIMENTS = (
     "correction_gain",
     "focus_ramp",
     "derotator_series",
+    "faint",
     "mode_statistics",
     "mode_number",
     "capture",
