@@ -9,8 +9,8 @@ from typing import Any
 
 from irlos_pipe.complaints import suggestion
 from irlos_pipe.errors import ConfigurationError
-from irlos_pipe.instrument_profile import Fact, ModeEntry, Profile, Ratio, parse_profile
 from irlos_pipe.geometry import PupilGeometry, Vane
+from irlos_pipe.instrument_profile import Fact, ModeEntry, Profile, Ratio, parse_profile
 from irlos_pipe.yamlfile import load_yaml
 
 PROFILES = Path(__file__).parent / "instruments"

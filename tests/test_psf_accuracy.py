@@ -13,8 +13,8 @@ from optics_cases import J_AND_H, MAS_RAD, SCALE_MAS, ncpa_nm, settings, shift_n
 from reference_psf import reference
 from scipy.special import j1
 
-from irlos_pipe.optics.propagate import FocalGrid, baseline_to_pixels
 from irlos_pipe.geometry import PupilGeometry
+from irlos_pipe.optics.propagate import FocalGrid, baseline_to_pixels
 from irlos_pipe.psf import PsfModel
 
 NOLLS = tuple(range(2, 52))

@@ -8,8 +8,8 @@ from optics_cases import UT4
 from reference_psf import reference
 from scipy.special import j1
 
-from irlos_pipe.optics.propagate import require_resolved
 from irlos_pipe.geometry import PupilGeometry, Vane
+from irlos_pipe.optics.propagate import require_resolved
 from irlos_pipe.optics.pupil import (
     CLEAN_BAND,
     area_weighted_pupil,

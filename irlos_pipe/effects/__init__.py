@@ -1,21 +1,23 @@
 """Physical effects beyond the static wavefront, each declaring where on the light path it acts."""
 
-from .base import Conditions, OtfEffect, OtfGrid, Parameter
-from .pinned import Pinned
+from .base import Conditions, Effect, Parameter
+from .effect_set import EffectSet, fixed_optics
+from .motion import TipTiltJitter, Vibration
+from .pinned import Pinned, expected
 from .seeing_halo import SeeingHalo
-from .tip_tilt_jitter import TipTiltJitter
-from .transfer import Transfer
 
-CATALOGUE = {effect.name: effect for effect in (SeeingHalo, TipTiltJitter)}
+CATALOGUE = {effect.name: effect for effect in (TipTiltJitter, Vibration, SeeingHalo)}
 
 __all__ = [
     "CATALOGUE",
     "Conditions",
-    "OtfEffect",
-    "OtfGrid",
+    "Effect",
+    "EffectSet",
     "Parameter",
     "Pinned",
     "SeeingHalo",
     "TipTiltJitter",
-    "Transfer",
+    "Vibration",
+    "expected",
+    "fixed_optics",
 ]

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ..effects.base import OtfEffect, OtfGrid
-from ..effects.transfer import Transfer
+from ..effects import Effect, Pinned
+from ..image_model import ImageModel
 from ..noise import NoiseModel
 from ..psf import PsfModel, PsfSettings
 from .centring import start_tilts_nm
@@ -22,6 +22,7 @@ from .parameters import Layout
 from .priors import ncpa_sigma_nm
 from .scatter import covariance_of_mean
 from .solve import Solution, solve
+from .total_wavefront import effects_in_modes_nm
 from .twin import TwinCheck, check_twin
 
 FRAME_MARGIN_MAS = 100.0  # field beyond the window, for fits of single frames
@@ -85,11 +86,13 @@ class Calibration:
     ----------
     nolls : tuple of int
     zernike_nm : ndarray, (modes,)
-        Static wavefront without the diversity.
+        Static wavefront without the diversity, the part of effects in the pupil included.
+    modes_nm : ndarray, (modes,)
+        The same without that part: what goes with the effects in a model.
     covariance_nm2 : ndarray, (modes, modes)
         From the scatter over frames, autocorrelation included.
     effects : dict
-        Public parameters of the OTF effects, by effect.
+        Public parameters of the effects, by effect.
     effect_values : dict of str to ndarray
         Solver's parameters of each effect, for handing on.
     frames_nm : ndarray, (frames, modes)
@@ -104,8 +107,9 @@ class Calibration:
     options: CalibrationOptions
     nolls: tuple[int, ...]
     zernike_nm: np.ndarray
+    modes_nm: np.ndarray
     covariance_nm2: np.ndarray
-    effects: dict[str, dict[str, float]]
+    effects: dict[str, dict]
     effect_values: dict[str, np.ndarray]
     frames_nm: np.ndarray
     frame_status: list[str]
@@ -127,7 +131,7 @@ def calibrate(
     frames: Frames,
     settings: PsfSettings,
     options: CalibrationOptions,
-    effects: Sequence[OtfEffect] = (),
+    effects: Sequence[Effect | Pinned] = (),
     *,
     device: str = "cpu",
     report: Callable[[int], None] | None = None,
@@ -136,8 +140,8 @@ def calibrate(
 
     Parameters
     ----------
-    effects : sequence of OtfEffect
-        Effects of the model; methods of the paper leave them out.
+    effects : sequence of Effect or Pinned
+        Of the model; methods of the paper leave them out.
     report : callable, optional
         Called with the number of finished frames, for a progress bar.
 
@@ -151,14 +155,13 @@ def calibrate(
     began = time.perf_counter()
     method, options = options.resolved()
     effects = tuple(effects) if method.effects else ()
-    model = _model(settings, method, range(2, options.highest_noll + 1), device)
-    transfer = Transfer(effects, OtfGrid(model.grid, model.wavelengths_m)) if effects else None
-    problem = _problem(frames, model, method, options, transfer)
+    model = ImageModel(_psf_model(settings, method, range(2, options.highest_noll + 1), device), effects)
+    problem = _problem(frames, model, method, options)
     solution = _solve(problem, _start(frames, problem, settings), options, report)
     return _result(frames, problem, method, options, solution, time.perf_counter() - began)
 
 
-def _model(settings: PsfSettings, method: Method, nolls: Sequence[int], device: str) -> PsfModel:
+def _psf_model(settings: PsfSettings, method: Method, nolls: Sequence[int], device: str) -> PsfModel:
     """PSF model: quick for single frames, whose noise hides the difference, exact for the mean.
 
     With the field of single frames, χ²/ν of the mean of 60 noise-limited frames was 1.14 instead of
@@ -197,19 +200,15 @@ def _local_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
 
 
 def _problem(
-    frames: Frames, model: PsfModel, method: Method, options: CalibrationOptions, transfer: Transfer | None
+    frames: Frames, model: ImageModel, method: Method, options: CalibrationOptions
 ) -> ImageFit:
-    prior = None if options.prior_scale is None else ncpa_sigma_nm(model.nolls, options.prior_scale)
-    layout = Layout(model.nolls, transfer.parameters if transfer else (), prior_sigma_nm=prior)
+    nolls, device = model.psf.nolls, model.psf.device
+    prior = None if options.prior_scale is None else ncpa_sigma_nm(nolls, options.prior_scale)
+    layout = Layout(nolls, model.effects.parameters, prior_sigma_nm=prior)
     images, variance = _data(frames, method)
     variance = masked_variance(variance, frames.pixel_mask).flatten(-2)
     return ImageFit(
-        model,
-        layout,
-        images.flatten(2).to(model.device),
-        variance.to(model.device),
-        transfer=transfer,
-        loss=LOSSES[options.loss],
+        model, layout, images.flatten(2).to(device), variance.to(device), loss=LOSSES[options.loss]
     )
 
 
@@ -251,49 +250,59 @@ def _result(
     solution: Solution,
     seconds: float,
 ) -> Calibration:
-    modes = problem.layout.modes
+    layout, effects = problem.layout, problem.model.effects
+    modes = layout.modes
     usable = np.array([status != "invalid" for status in solution.status])
     if method.images == "frames":
         per_frame = solution.values[:, modes].numpy()
         per_frame = np.where(usable[:, None], per_frame, np.nan)
         values = solution.values[torch.as_tensor(usable)].mean(0, keepdim=True)
+        total_nm = values[0, modes].numpy()
     else:
         values = solution.values[:1]
-        per_frame = _linear_estimates(frames, problem, solution)
+        total_nm, per_frame = _linear_estimates(frames, problem, solution)
     mean, sigma = frames.images_e.double().mean(0), mean_variance_e2(frames).sqrt()
     model_image = problem.predict(values)[0].reshape(mean.shape).cpu()
     pull = ((mean - model_image) / sigma)[frames.pixel_mask]
-    transfer = problem.transfer
-    effect_values = values[0, problem.layout.effect_values].numpy()
+    effect_values = values[0, layout.effect_values]
     return Calibration(
         options,
-        problem.layout.nolls,
+        layout.nolls,
+        total_nm,
         values[0, modes].numpy(),
         covariance_of_mean(per_frame[np.isfinite(per_frame).all(1)]),
-        transfer.describe(effect_values) if transfer else {},
-        transfer.split(effect_values) if transfer else {},
+        effects.describe(effect_values),
+        effects.split(effect_values),
         per_frame,
         solution.status,
         solution.iterations.numpy(),
         mean.numpy(),
         model_image.numpy(),
         sigma.numpy(),
-        float((pull**2).sum() / (len(pull) - problem.layout.size)),
+        float((pull**2).sum() / (len(pull) - layout.size)),
         check_twin(problem, solution.values[:1], solution.objective[0]) if method.images == "mean" else None,
         seconds,
     )
 
 
-def _linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> np.ndarray:
-    """Coefficients per frame by one linear step from the shared solution, (frames, modes).
+def _linear_estimates(
+    frames: Frames, problem: ImageFit, solution: Solution
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients of the whole wavefront, (modes,), and per frame, (frames, modes).
 
-    Their mean is the solution; their scatter carries photon noise, speckle and real changes.
+    The latter by one linear step from the shared solution: their mean is the solution, their scatter
+    carries photon noise, speckle and real changes.
     """
-    x = solution.values[:1]
+    x, layout = solution.values[:1], problem.layout
+    added, slopes = effects_in_modes_nm(problem.model.effects, x[0, layout.effect_values], layout.nolls)
+    read = torch.zeros(len(layout.nolls), layout.size, dtype=torch.float64)
+    read[:, layout.modes] = torch.eye(len(layout.nolls), dtype=torch.float64)
+    read[:, layout.effect_values] = slopes.double()
     _, jacobian = problem.predict_and_jacobian(x)
     weight = problem.root_weight[0].double().mean(0) ** 2
-    gain = solution.covariance[0, problem.layout.modes] @ (jacobian[0].double() * weight).cpu()
+    gain = read @ solution.covariance[0] @ (jacobian[0].double() * weight).cpu()
     images = frames.images_e.double().flatten(1)
     flux = images.sum(1, keepdim=True)
     deviation = images * (flux.mean() / flux) - images.mean(0)
-    return (x[0, problem.layout.modes] + (deviation @ gain.mT)).numpy()
+    total = x[0, layout.modes] + added
+    return total.numpy(), (total + deviation @ gain.mT).numpy()

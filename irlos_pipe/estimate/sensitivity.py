@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ..image_model import ImageModel
 from ..noise import NoiseModel
-from ..psf import PsfModel
 from .bound import cramer_rao_nm
 from .lift import LiftOptions, lift
 
@@ -100,7 +100,7 @@ def dim(
 
 
 def scan(
-    model: PsfModel,
+    model: ImageModel,
     images_e: torch.Tensor,
     signal_e: torch.Tensor,
     pixel_mask: torch.Tensor,
@@ -113,7 +113,6 @@ def scan(
     criterion: Criterion,
     seed: int,
     *,
-    transfer: torch.Tensor | None = None,
     report=None,
 ) -> Curve:
     """Error of defocus over a range of magnitudes.
@@ -135,7 +134,8 @@ def scan(
     introduced = np.tile(introduced_nm, realisations)
     flux = signal_e.double().sum((1, 2))
     true = start_nm.clone()
-    true[:, model.nolls.index(4)] = torch.as_tensor(introduced_nm)
+    focus = model.psf.nolls.index(4)
+    true[:, focus] = torch.as_tensor(introduced_nm)
     for index, magnitude in enumerate(magnitudes):
         factor = min(1.0, 10 ** (-0.4 * (magnitude - mag_j)))
         generator = torch.Generator().manual_seed(seed + 7919 * index)
@@ -147,9 +147,8 @@ def scan(
             noise,
             start_nm.repeat(realisations, 1),
             LiftOptions(noise="model"),
-            transfer=transfer,
         )
-        bound = cramer_rao_nm(model, true, flux * factor, noise, transfer=transfer)[:, model.nolls.index(4)]
+        bound = cramer_rao_nm(model, true, flux * factor, noise)[:, focus]
         error = np.abs(result.mode(4)[0].numpy() - introduced)
         failed = ~result.solution.converged.numpy() | ~(error < criterion.implausible_nm)
         rows.append((*_percentiles(error[~failed]), float(bound.median()), int(failed.sum())))
@@ -158,7 +157,7 @@ def scan(
     median, low, high, crb, failures = (np.array(column) for column in zip(*rows, strict=True))
     limit = limiting_magnitude(np.asarray(magnitudes, float), median, failures / len(introduced), criterion)
     return Curve(
-        model.nolls, np.asarray(magnitudes, float), median, low, high, crb, failures, len(introduced), limit
+        model.psf.nolls, np.asarray(magnitudes, float), median, low, high, crb, failures, len(introduced), limit
     )
 
 

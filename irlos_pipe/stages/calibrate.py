@@ -96,7 +96,7 @@ def _calibrate(
             frames,
             psf_settings(ctx.instrument, ctx.model, first),
             options,
-            model_effects(ctx.instrument, ctx.model, first.acquisition),
+            model_effects(ctx.instrument, ctx.model, first, options.resolved()[1].highest_noll),
             device=ctx.device,
             report=bar.update,
         )
@@ -174,6 +174,7 @@ def _arrays(result: Calibration) -> dict[str, Quantity]:
         "zernike_nm": Quantity(
             result.zernike_nm, "nm", "static wavefront without the diversity", result.sigma_nm
         ),
+        "modes_nm": Quantity(result.modes_nm, "nm", "the same without what effects in the pupil add"),
         "covariance_nm2": Quantity(result.covariance_nm2, "nm2", "from the scatter over frames"),
         "frames_nm": Quantity(result.frames_nm, "nm", "coefficients of every frame (frame, mode)"),
         "frame_status": Quantity(np.array(result.frame_status, dtype=object), "", "outcome of every fit"),

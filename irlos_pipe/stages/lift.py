@@ -18,7 +18,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.ramp_input import (
     Ramp,
     calibrated_ncpa_nm,
-    ramp_effects,
+    effects_for_lift,
     ramp_model,
     ramp_start,
     read_ramp,
@@ -91,7 +91,7 @@ def run(ctx: StageContext) -> StageOutput:
 def _fit(ctx: StageContext, ramp: Ramp, *, calibrated: bool, halo: str) -> RampFit:
     ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
     model = ramp_model(ctx, ramp, ctx.config.modes, ncpa_nm)
-    effects = ramp_effects(ctx, ramp.acquisition, halo, ctx.config.object_sigma_mas)
+    effects = effects_for_lift(ctx, ramp.recordings[0], halo, ctx.config.object_sigma_mas)
     start = ramp_start(ctx, model, ramp, ncpa_nm, ctx.config.start)
     with ctx.progress(total=len(ramp.names), desc="lift") as bar:
         return fit_ramp(model, ramp.data, start, _options(ctx.config, start), effects, report=bar.update)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from irlos_pipe.effects import CATALOGUE, Conditions, OtfEffect, OtfGrid, Pinned, SeeingHalo, Transfer
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect, Pinned, SeeingHalo
 from irlos_pipe.effects.seeing_halo import in_band_wfe_nm
 from irlos_pipe.errors import ConfigurationError, InputDataError
 from irlos_pipe.instrument import Instrument
@@ -15,12 +15,13 @@ from irlos_pipe.noise import NoiseModel
 from irlos_pipe.optics.propagate import require_resolved
 from irlos_pipe.optics.structure import ResidualBand
 from irlos_pipe.product import Product, Quantity
-from irlos_pipe.psf import PsfModel, PsfSettings
+from irlos_pipe.psf import PsfSettings
 from irlos_pipe.recording import Acquisition, Recording
-from irlos_pipe.stages.model import ModelConfig
+from irlos_pipe.stages.model import EffectEntry, ModelConfig
 from irlos_pipe.stages.recordings import recordings_from_product
 
 DEFAULT_SEEING_ARCSEC = 0.8
+REPORTED_NOLL = 30  # SPARTA takes 29 modal offsets
 SETUP_KEYS = ("pixel_scale_mas", "spectrum", "diversity")
 
 
@@ -78,30 +79,44 @@ def seeing_arcsec(acquisition: Acquisition) -> float:
     return acquisition.seeing_arcsec or DEFAULT_SEEING_ARCSEC
 
 
-def model_effects(instrument: Instrument, model: ModelConfig, acquisition: Acquisition) -> list[OtfEffect]:
-    """The effects of the recipe's model for one recording, fixed ones pinned."""
-    conditions = Conditions(residual_band(instrument, model), seeing_arcsec(acquisition))
-    effects = []
-    for name, values in model.effect_settings().items():
-        effect = CATALOGUE[name].under(conditions)
-        effects.append(Pinned(effect, effect.values_of(**values)) if values else effect)
-    return effects
+def conditions_of(
+    instrument: Instrument, model: ModelConfig, recording: Recording, highest_noll: int = REPORTED_NOLL
+) -> Conditions:
+    """What effects may start from."""
+    acquisition = recording.acquisition
+    return Conditions(
+        residual_band(instrument, model),
+        seeing_arcsec(acquisition),
+        dict(acquisition.diversity),
+        highest_noll,
+        recording.window,
+        acquisition.pixel_scale_mas,
+    )
 
 
-def expected(effects: Sequence[OtfEffect]) -> list[OtfEffect]:
-    """The same effects held at the values a fit would start from."""
-    return [
-        Pinned(effect, [p.start for p in effect.parameters]) if effect.parameters else effect
-        for effect in effects
-    ]
+def model_effects(
+    instrument: Instrument, model: ModelConfig, recording: Recording, highest_noll: int = REPORTED_NOLL
+) -> list[Effect | Pinned]:
+    """The effects of the recipe's model for one recording, fixed ones pinned.
+
+    Raises
+    ------
+    ConfigurationError
+        If an effect means nothing for this recording.
+    """
+    conditions = conditions_of(instrument, model, recording, highest_noll)
+    return [_effect(entry, conditions, recording.name) for entry in model.entries()]
 
 
-def fixed_transfer(effects: Sequence[OtfEffect], model: PsfModel) -> torch.Tensor | None:
-    """OTF factors of effects without free parameters, on the model's device; None without effects."""
-    if not effects:
-        return None
-    transfer = Transfer(effects, OtfGrid(model.grid, model.wavelengths_m))
-    return transfer(torch.zeros(0, dtype=torch.float64)).to(model.device, model.dtype)
+def _effect(entry: EffectEntry, conditions: Conditions, recording_name: str) -> Effect | Pinned:
+    try:
+        effect = CATALOGUE[entry.name].under(conditions, **entry.options)
+        if not entry.values:
+            return effect
+        values = effect.values_of(**entry.values)
+    except ValueError as problem:
+        raise ConfigurationError(f"model.effects: {entry.name} for {recording_name}: {problem}") from None
+    return Pinned(effect, values, free=[p.name for p in effect.parameters] if entry.fit else ())
 
 
 # -- handing estimated effects from one product to the next ------------------------------------
@@ -119,14 +134,14 @@ def calibrated_effects(
     product: Product,
     instrument: Instrument,
     model: ModelConfig,
-    acquisition: Acquisition,
+    recording: Recording,
     calibration_seeing_arcsec: float,
 ) -> dict[str, Pinned]:
     """Effects as `calibrate` found them, for a recording taken under another seeing.
 
     The in-band residual is scaled by the seeing law; the rest is taken as it is.
     """
-    effects = {effect.name: effect for effect in model_effects(instrument, model, acquisition)}
+    effects = {effect.name: effect for effect in model_effects(instrument, model, recording)}
     pinned = {}
     for name, effect in effects.items():
         key = f"effects/{name}"
@@ -137,7 +152,7 @@ def calibrated_effects(
             if name == SeeingHalo.name:
                 now, then = (
                     in_band_wfe_nm(effect.band, seeing)
-                    for seeing in (seeing_arcsec(acquisition), calibration_seeing_arcsec)
+                    for seeing in (seeing_arcsec(recording.acquisition), calibration_seeing_arcsec)
                 )
                 values[0] *= (now / then) ** 2
             pinned[name] = Pinned(effect, values)

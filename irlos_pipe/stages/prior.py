@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from pydantic import Field
 
+from irlos_pipe.effects import expected, fixed_optics
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.estimate.elongation import ElongationLaw, axis_ratios, calibrate_law
 from irlos_pipe.product import Check, Quantity
@@ -13,8 +14,6 @@ from irlos_pipe.psf import PsfModel
 from irlos_pipe.recording import Recording
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.light_path import (
-    expected,
-    fixed_transfer,
     model_effects,
     psf_settings,
     used_in_time_order,
@@ -51,8 +50,8 @@ def run(ctx: StageContext) -> StageOutput:
 
 def _law(ctx: StageContext, recording: Recording) -> ElongationLaw:
     model = PsfModel(psf_settings(ctx.instrument, ctx.model, recording), [4], device=ctx.device)
-    effects = expected(model_effects(ctx.instrument, ctx.model, recording.acquisition))
-    return calibrate_law(model, fixed_transfer(effects, model))
+    effects = expected(model_effects(ctx.instrument, ctx.model, recording))
+    return calibrate_law(model, fixed_optics(effects, model))
 
 
 def _ratios(recording: Recording, law: ElongationLaw) -> np.ndarray:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from irlos_pipe.effects import OtfEffect, Pinned, SeeingHalo, TipTiltJitter
+from irlos_pipe.effects import Effect, Pinned
 from irlos_pipe.errors import ConfigurationError
+from irlos_pipe.estimate.ramp_effects import ramp_effects
 from irlos_pipe.estimate.ramp_fit import RampData, start_from_defocus
 from irlos_pipe.estimate.start import scan_start_nm
 from irlos_pipe.psf import PsfModel
@@ -16,7 +17,6 @@ from irlos_pipe.recording import Acquisition, Recording
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.light_path import (
     calibrated_effects,
-    expected,
     model_effects,
     pooled_images,
     psf_settings,
@@ -59,14 +59,14 @@ def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
 
 
 def calibrated_ncpa_nm(ctx: StageContext) -> dict[int, float]:
-    """Every estimated mode of the stage `calibrate`."""
+    """Every estimated mode of the stage `calibrate`, without what the effects that it hands on hold."""
     if "calibrate" not in ctx.products:
         raise ConfigurationError(
             "lift.calibrated needs the stage `calibrate` before it; "
             "add it to the recipe, or set lift.calibrated=false"
         )
     arrays = ctx.products["calibrate"].arrays
-    return {int(n): float(v) for n, v in zip(arrays["noll"].value, arrays["zernike_nm"].value, strict=True)}
+    return {int(n): float(v) for n, v in zip(arrays["noll"].value, arrays["modes_nm"].value, strict=True)}
 
 
 def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: dict[int, float]) -> PsfModel:
@@ -76,49 +76,20 @@ def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: d
     )
 
 
-def ramp_effects(
-    ctx: StageContext, acquisition: Acquisition, halo: str, object_sigma_mas: str | float
-) -> list[OtfEffect]:
-    """Effects for LIFT.
-
-    Parameters
-    ----------
-    halo : {"calibrated", "fit", "off"}
-    object_sigma_mas : {"calibrated", "fit"} or float
-        Size of the Gaussian kernel that stands for object and jitter.
-    """
-    available = {effect.name: effect for effect in model_effects(ctx.instrument, ctx.model, acquisition)}
-    known = _known(ctx, acquisition)
-    effects: list[OtfEffect] = []
-    if halo != "off" and SeeingHalo.name in available:
-        pinned = known.get(SeeingHalo.name) or expected([available[SeeingHalo.name]])[0]
-        effects.append(
-            pinned if halo == "calibrated" else Pinned(pinned.effect, pinned.values, free=("variance_nm2",))
-        )
-    if isinstance(object_sigma_mas, str):
-        jitter = known.get(TipTiltJitter.name)
-        if object_sigma_mas == "fit":
-            effects.append(TipTiltJitter())
-        elif TipTiltJitter.name in available:
-            effects.append(jitter or expected([available[TipTiltJitter.name]])[0])
-    else:
-        effects.append(_jitter_of(object_sigma_mas))
-    return effects
+def effects_for_lift(
+    ctx: StageContext, recording: Recording, halo: str, object_sigma_mas: str | float
+) -> list[Effect | Pinned]:
+    """Effects for LIFT, see `ramp_effects`."""
+    available = model_effects(ctx.instrument, ctx.model, recording)
+    return ramp_effects(available, _known(ctx, recording), halo, object_sigma_mas)
 
 
-def _jitter_of(sigma_mas: float) -> Pinned:
-    jitter = TipTiltJitter()
-    return Pinned(jitter, jitter.values_of(sigma_mas))
-
-
-def _known(ctx: StageContext, acquisition: Acquisition) -> dict[str, Pinned]:
+def _known(ctx: StageContext, recording: Recording) -> dict[str, Pinned]:
     """Effects as the calibration found them; none without a calibration."""
     if "calibrate" not in ctx.products:
         return {}
     product = ctx.products["calibrate"]
-    return calibrated_effects(
-        product, ctx.instrument, ctx.model, acquisition, product.results["seeing_arcsec"]
-    )
+    return calibrated_effects(product, ctx.instrument, ctx.model, recording, product.results["seeing_arcsec"])
 
 
 def ramp_start(

@@ -14,7 +14,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.ramp_input import (
     Ramp,
     calibrated_ncpa_nm,
-    ramp_effects,
+    effects_for_lift,
     ramp_model,
     ramp_start,
     read_ramp,
@@ -111,11 +111,11 @@ def _curve(
     data = RampData(
         ramp.data.images_e[chosen], ramp.data.pixel_mask, ramp.data.noise, ramp.data.introduced_nm[chosen]
     )
-    effects = ramp_effects(ctx, ramp.acquisition, "calibrated", "calibrated")
+    effects = effects_for_lift(ctx, ramp.recordings[0], "calibrated", "calibrated")
     bright = fit_ramp(model, data, start, LiftOptions(), effects)
     criterion = Criterion(ctx.config.limit_nm, ctx.config.limit_failures)
     return scan(
-        model,
+        bright.model,
         data.images_e,
         bright.result.model_e,
         data.pixel_mask,
@@ -127,7 +127,6 @@ def _curve(
         start,
         criterion,
         ctx.seed,
-        transfer=bright.transfer,
         report=report,
     )
 
