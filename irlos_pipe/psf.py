@@ -25,7 +25,7 @@ from numpy.polynomial import chebyshev
 
 from .geometry import PupilGeometry
 from .optics.colour import Colour
-from .optics.grids import NM, Optics, OtfGrid, PupilGrid, Sampling, Stations, Tangents
+from .optics.grids import NM, Optics, PupilGrid, Sampling, Stations, Tangents
 from .optics.propagate import (
     FocalGrid,
     baseline_to_pixels,
@@ -114,7 +114,7 @@ class PsfModel:
         """Where effects can act, for `effects.EffectSet`."""
         numbers = self.wavelengths_m, self.weights, self.settings.pixel_scale_mas
         sampling = Sampling(*(torch.as_tensor(n, dtype=torch.float64) for n in numbers))
-        return Stations(self.pupil_grid, OtfGrid.of(self.grid, self.wavelengths_m), sampling, self.nolls)
+        return Stations(self.pupil_grid, self.grid, sampling, self.nolls)
 
     # -- construction ------------------------------------------------------------------------
 

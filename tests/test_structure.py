@@ -156,7 +156,8 @@ def test_the_long_exposure_is_the_mean_of_images_through_random_screens():
 
 
 def test_turbulence_beyond_the_cut_off_adds_to_the_residual_inside():
-    grid = OtfGrid.of(PsfModel(settings(24), (4,)).grid, [1.6e-6])
+    stations = PsfModel(settings(24), (4,)).stations
+    grid = OtfGrid.of(stations.focal, stations.sampling)
     values = torch.tensor([100.0**2, 2.0, 0.0, 0.0], dtype=torch.float64)
     inside, both = (SeeingHalo(BAND, seeing).exponent(values, grid)[0] for seeing in (1e-4, 0.8))
     lengths = np.hypot(grid.baseline_x_m[None], grid.baseline_y_m[:, None])

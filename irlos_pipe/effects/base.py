@@ -89,6 +89,7 @@ class Conditions:
     window : (int, int)
         Rows and columns [px].
     pixel_scale_mas : float
+    spectrum : tuple of (wavelength_nm, weight)
     """
 
     band: ResidualBand
@@ -97,6 +98,7 @@ class Conditions:
     highest_noll: int = 30
     window: tuple[int, int] = (64, 64)
     pixel_scale_mas: float = 9.7
+    spectrum: tuple[tuple[float, float], ...] = ((1600.0, 1.0),)
 
 
 class Effect:
@@ -135,6 +137,11 @@ class Effect:
             If it means nothing under them.
         """
         return cls(**options)
+
+    @classmethod
+    def options_for(cls, **public: Any) -> dict[str, Any]:
+        """Options under which the effect has the parameters that given public values need."""
+        return {}
 
     def values_of(self, **public: Any) -> list[float]:
         """Solver's parameters for given values of the public ones; here they are the same."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import reduce
+from functools import partial, reduce
+from itertools import pairwise
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 import torch
 
-from ..optics.grids import Optics, Sampling, Stations, Tangents
+from ..optics.grids import Optics, OtfGrid, Sampling, Stations, Tangents
 from .base import Effect, Parameter, Place
 from .pinned import Pinned
 
@@ -35,7 +36,7 @@ class EffectSet:
         self.effects = tuple(sorted(effects, key=lambda e: (PLACES.index(e.place), e.order)))
         self.stations = stations
         ends = np.cumsum([0, *(len(effect.parameters) for effect in self.effects)])
-        self._pieces = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        self._pieces = [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -111,7 +112,7 @@ class EffectSet:
 
     def _factor(self, effect, piece: slice, values: torch.Tensor, sampling: Sampling) -> torch.Tensor:
         """OTF factor of one effect, (wavelengths, p, p//2 + 1)."""
-        grid = self.stations.otf.at(sampling.wavelengths_m)
+        grid = OtfGrid.of(self.stations.focal, sampling)
         ones = torch.ones(len(sampling.weights), *grid.length2_m2.shape, dtype=torch.float64)
         return effect.apply(values[piece], ones, grid)
 
@@ -126,8 +127,8 @@ class EffectSet:
             if not effect.parameters:
                 continue
             others = reduce(torch.mul, factors[:number] + factors[number + 1 :], torch.ones(()))
-            own = torch.func.jacfwd(lambda v, e=effect: self._factor(e, slice(None), v, sampling))(values[piece])
-            changes += [others * own[..., i] for i in range(own.shape[-1])]
+            alone = partial(self._factor, effect, slice(None), sampling=sampling)
+            changes += [others * own for own in _derivatives(alone, values[piece])]
         return changes
 
     # -- bookkeeping -------------------------------------------------------------------------
@@ -154,7 +155,20 @@ def _held(effect: Effect | Pinned, values: torch.Tensor) -> Pinned:
     return Pinned(effect, values)
 
 
-def _along(function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor, index: int) -> torch.Tensor:
+def _derivatives(function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor) -> torch.Tensor:
+    """Derivatives of a real or complex `function` with respect to all elements, elements first."""
+    is_complex = function(values).is_complex()
+
+    def parts(v: torch.Tensor) -> torch.Tensor:
+        return torch.view_as_real(function(v)) if is_complex else function(v)
+
+    slopes = torch.func.jacfwd(parts)(values).movedim(-1, 0).contiguous()
+    return torch.view_as_complex(slopes) if is_complex else slopes
+
+
+def _along(
+    function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor, index: int
+) -> torch.Tensor:
     """Derivative of `function` with respect to one element of its argument."""
     direction = torch.zeros_like(values)
     direction[index] = 1

@@ -22,6 +22,13 @@ PLAUSIBLE_MAS2 = (0.0, 40.0**2)
 DIRECTIONS = 8
 
 
+def _variance(start_mas: float) -> Parameter:
+    upper = LARGEST_MAS**2
+    return Parameter(
+        "variance_mas2", "mas²", start_mas**2, lower=0.0, upper=upper, plausible=PLAUSIBLE_MAS2
+    )
+
+
 def _damping(variance_mas2: torch.Tensor, length2_m2: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
     """``w`` of the module's docstring."""
     return 2 * np.pi**2 * MAS**2 * variance_mas2 * length2_m2 / grid.wavelengths_m**2
@@ -39,11 +46,7 @@ class TipTiltJitter(OtfEffect):
     reference = "Goodman 1985, Statistical Optics, section 8.4"
 
     def __init__(self, start_mas: float = 7.0):
-        self.parameters = (
-            Parameter(
-                "variance_mas2", "mas²", start_mas**2, lower=0.0, upper=LARGEST_MAS**2, plausible=PLAUSIBLE_MAS2
-            ),
-        )
+        self.parameters = (_variance(start_mas),)
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
@@ -81,9 +84,7 @@ class Vibration(OtfEffect):
             raise ValueError(f"the shape of a vibration is sinusoidal or gaussian, not {shape!r}")
         self.shape = shape
         self.parameters = (
-            Parameter(
-                "variance_mas2", "mas²", start_mas**2, lower=0.0, upper=LARGEST_MAS**2, plausible=PLAUSIBLE_MAS2
-            ),
+            _variance(start_mas),
             Parameter("angle_rad", "rad", np.deg2rad(start_angle_deg), null=None),
         )
 

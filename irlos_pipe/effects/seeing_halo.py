@@ -45,18 +45,18 @@ class SeeingHalo(OtfEffect):
     name = "seeing_halo"
     public = (
         number("wfe_nm", "nm RMS in all", 0.0, 1000.0, required=False),
-        number("scale", "of the power expected at the seeing", 0.0, 100.0, required=False),
+        number("scale", "of the in-band variance expected at the seeing", 0.0, 100.0, required=False),
     )
     look_alike = "tip_tilt_jitter, which broadens the core instead of feeding a halo"
     reference = "Fétick et al. 2018, A&A 628, A99; Roddier 1981, Prog. Opt. 19, 281"
 
     def __init__(self, band: ResidualBand, seeing_arcsec: float):
         self.band, self.r0_m = band, seeing_to_r0_m(seeing_arcsec)
-        expected = in_band_wfe_nm(band, seeing_arcsec)
+        expected = in_band_wfe_nm(band, seeing_arcsec) ** 2
         self.fitting_nm2 = fitting_variance_nm2(band, self.r0_m)
         self.parameters = (
             Parameter(
-                "variance_nm2", "nm²", expected**2, expected**2, 2 * expected**2, 0.0, 1e6, None, (0.0, 400.0**2)
+                "variance_nm2", "nm²", expected, expected, 2 * expected, 0.0, 1e6, None, (0.0, 400.0**2)
             ),
             Parameter("slope", "", 2.0, 2.0, 1.0, -1.0, 6.0, None, (0.0, 4.0)),
             Parameter("stretch_cos", "", 0.0, 0.0, 0.7, -3.0, 3.0, None, (-2.0, 2.0)),

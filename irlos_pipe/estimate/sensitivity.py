@@ -155,10 +155,9 @@ def scan(
         if report is not None:
             report(1)
     median, low, high, crb, failures = (np.array(column) for column in zip(*rows, strict=True))
-    limit = limiting_magnitude(np.asarray(magnitudes, float), median, failures / len(introduced), criterion)
-    return Curve(
-        model.psf.nolls, np.asarray(magnitudes, float), median, low, high, crb, failures, len(introduced), limit
-    )
+    grid = np.asarray(magnitudes, float)
+    limit = limiting_magnitude(grid, median, failures / len(introduced), criterion)
+    return Curve(model.psf.nolls, grid, median, low, high, crb, failures, len(introduced), limit)
 
 
 def limiting_magnitude(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from .pupil import band_limited_pupil
 from .zernike import zernike_basis
 
 NM = 1e-9
-DARK_BEYOND = 12  # samples outside the rim, where polynomials would grow and the filter's ringing has died out
+DARK_BEYOND = 12  # samples outside the rim: the filter's ringing has died out, polynomials would grow
 
 
 @dataclass(frozen=True)
@@ -64,14 +64,12 @@ class PupilGrid:
     @property
     def lit(self) -> np.ndarray:
         """True where there may be light, (n, n): no huge continuations of polynomials in dark corners."""
-        x, y = np.meshgrid(self.u_m, self.u_m)
-        return np.hypot(x, y) <= self.radius_m * (1 + DARK_BEYOND / self.samples)
+        return _mesh(self.geometry, self.samples)[2]
 
     @property
     def xy(self) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates in units of the radius, (n, n) each; 0 where there is no light."""
-        x, y = np.meshgrid(self.u_m / self.radius_m, self.u_m / self.radius_m)
-        return x * self.lit, y * self.lit
+        return _mesh(self.geometry, self.samples)[:2]
 
     @property
     def light(self) -> float:
@@ -87,11 +85,19 @@ class PupilGrid:
 
     def modes(self, nolls: Sequence[int]) -> np.ndarray:
         """Zernike polynomials, (modes, n, n)."""
-        return zernike_basis(nolls, *self.xy) * self.lit
+        return _modes(self.geometry, self.samples, tuple(nolls))
 
     def phasor(self, opd_nm: torch.Tensor) -> torch.Tensor:
         """``exp(2πi OPD/λ)``, (wavelengths, n, n), of an OPD (n, n) [nm]."""
         return torch.exp(2j * np.pi * NM * opd_nm / self.wavelengths_m)
+
+
+class Sampling(NamedTuple):
+    """Colours and pixels: wavelengths (wavelengths,) [m], photon weights that sum to 1, pixel scale [mas]."""
+
+    wavelengths_m: torch.Tensor
+    weights: torch.Tensor
+    pixel_scale_mas: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -102,19 +108,19 @@ class OtfGrid:
     ----------
     focal : FocalGrid
     wavelengths_m : tensor, (wavelengths, 1, 1)
+    mean_m : tensor, scalar
+        Mean wavelength of the photons.
     """
 
     focal: FocalGrid
     wavelengths_m: torch.Tensor
+    mean_m: torch.Tensor
 
     @classmethod
-    def of(cls, focal: FocalGrid, wavelengths_m: Sequence[float]) -> OtfGrid:
+    def of(cls, focal: FocalGrid, sampling: Sampling) -> OtfGrid:
         """Baselines of a focal grid."""
-        return cls(focal, _colours(wavelengths_m))
-
-    def at(self, wavelengths_m: torch.Tensor) -> OtfGrid:
-        """The same baselines at other wavelengths, (wavelengths,)."""
-        return replace(self, wavelengths_m=_colours(wavelengths_m))
+        mean_m = (sampling.wavelengths_m * sampling.weights).sum()
+        return cls(focal, _colours(sampling.wavelengths_m), mean_m)
 
     @property
     def baseline_x_m(self) -> np.ndarray:
@@ -135,14 +141,6 @@ class OtfGrid:
         """Scalar product ``b·s`` of the baselines with a direction on the sky [m], (..., p, p//2 + 1)."""
         along_x, along_y = (torch.as_tensor(b) for b in (self.baseline_x_m, self.baseline_y_m))
         return along_x[None, :] * x_rad + along_y[:, None] * y_rad
-
-
-class Sampling(NamedTuple):
-    """Colours and pixels: wavelengths (wavelengths,) [m], photon weights that sum to 1, pixel scale [mas]."""
-
-    wavelengths_m: torch.Tensor
-    weights: torch.Tensor
-    pixel_scale_mas: torch.Tensor
 
 
 class Optics(NamedTuple):
@@ -179,9 +177,30 @@ class Stations(NamedTuple):
     """Everything that effects need to know of a light path: its grids, nominal sampling, and modes."""
 
     pupil: PupilGrid
-    otf: OtfGrid
+    focal: FocalGrid
     sampling: Sampling
     nolls: tuple[int, ...]
+
+
+@lru_cache(maxsize=8)
+def _mesh(geometry: PupilGeometry, samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coordinates in units of the radius, 0 in the dark, and where there may be light."""
+    u = band_limited_pupil(geometry, samples)[0] / (geometry.diameter_m / 2)
+    x, y = np.meshgrid(u, u)
+    lit = np.hypot(x, y) <= 1 + DARK_BEYOND / samples
+    return _read_only(x * lit), _read_only(y * lit), _read_only(lit)
+
+
+@lru_cache(maxsize=32)
+def _modes(geometry: PupilGeometry, samples: int, nolls: tuple[int, ...]) -> np.ndarray:
+    x, y, lit = _mesh(geometry, samples)
+    return _read_only(zernike_basis(nolls, x, y) * lit)
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """An array that callers can share."""
+    array.flags.writeable = False
+    return array
 
 
 def _colours(wavelengths_m) -> torch.Tensor:

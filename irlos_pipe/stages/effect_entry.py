@@ -40,7 +40,9 @@ class EffectEntry:
         ValueError
             Saying what is wrong and what is allowed.
         """
-        name, given = next(iter(entry.items())) if isinstance(entry, dict) and len(entry) == 1 else (entry, {})
+        name, given = entry, {}
+        if isinstance(entry, dict) and len(entry) == 1:
+            name, given = next(iter(entry.items()))
         if not isinstance(name, str) or name not in CATALOGUE:
             raise ValueError(f"unknown effect {name!r}; {_hint(name)}")
         effect = CATALOGUE[name]

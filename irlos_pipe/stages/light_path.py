@@ -91,6 +91,7 @@ def conditions_of(
         highest_noll,
         recording.window,
         acquisition.pixel_scale_mas,
+        acquisition.spectrum,
     )
 
 
@@ -109,8 +110,9 @@ def model_effects(
 
 
 def _effect(entry: EffectEntry, conditions: Conditions, recording_name: str) -> Effect | Pinned:
+    kind = CATALOGUE[entry.name]
     try:
-        effect = CATALOGUE[entry.name].under(conditions, **entry.options)
+        effect = kind.under(conditions, **kind.options_for(**entry.values) | entry.options)
         if not entry.values:
             return effect
         values = effect.values_of(**entry.values)
