@@ -70,17 +70,19 @@ class ImageModel:
         when: torch.Tensor | None = None,
         *,
         held: bool = False,
+        modal: bool = True,
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Images as `predict`, and derivatives (images, modes + effect parameters + 2, rows, columns).
 
         The last two are with respect to flux and background. Derivatives have the precision of the
         propagation unless the model has detector effects. Those with respect to effect parameters are
-        left out where the effects are `held`.
+        left out where the effects are `held`, those with respect to modes unless they are `modal`.
         """
-        unit, jacobian = self._unit_and_jacobian(modes_nm, values, when, held)
+        unit, jacobian = self._unit_and_jacobian(modes_nm, values, when, held, modal)
         flux, background = (v[:, None, None].to(unit.device) for v in (flux_e, background_e))
         before = jacobian.shape[1]
-        size = len(self.psf.nolls) + (0 if held else len(values)) + 2
+        modes = len(self.psf.nolls) if modal else 0
+        size = modes + (0 if held else len(values)) + 2
         columns = torch.zeros(len(unit), size, *unit.shape[1:], dtype=unit.dtype, device=unit.device)
         torch.mul(jacobian, flux[:, None].to(unit.dtype), out=columns[:, :before])
         columns[:, -2] = unit
@@ -88,7 +90,7 @@ class ImageModel:
         image = flux * unit.double() + background
         if not self.effects.at("detector"):
             return image, columns
-        return self._detected(image, columns.double(), values, held)
+        return self._detected(image, columns.double(), values, None if held else modes)
 
     @property
     def optics(self) -> Optics:
@@ -121,13 +123,13 @@ class ImageModel:
         repeated = modes_nm.repeat_interleave(TIMES, dim=0)
         return self.effects.modes_at(values, repeated, times), torch.as_tensor(weights / 2)
 
-    def _unit_and_jacobian(self, modes_nm, values: torch.Tensor, when, held: bool):
+    def _unit_and_jacobian(self, modes_nm, values: torch.Tensor, when, held: bool, modal: bool):
         """Unit-flux images and derivatives with respect to modes and effects before the detector."""
         tangents = NO_TANGENTS if held else self.effects.tangents(values)
         modes, weights = modes_nm, torch.ones(1)
         if self.effects.at("time"):
             modes, weights = self._in_time(modes_nm, values, when)
-        unit, jacobian = self.psf.images_and_jacobian(modes, self._optics(values), tangents)
+        unit, jacobian = self.psf.images_and_jacobian(modes, self._optics(values), tangents, modal=modal)
         if len(weights) > 1:
             unit, jacobian = _mean(unit, weights), _mean(jacobian, weights)
         if held:
@@ -147,15 +149,14 @@ class ImageModel:
         with torch.enable_grad():  # in this thread: the transforms do not follow into others
             return torch.func.jvp(images, (values,), (direction,))[1].detach()
 
-    def _detected(self, image: torch.Tensor, columns: torch.Tensor, values: torch.Tensor, held: bool):
-        """Images and derivatives behind the detector."""
+    def _detected(self, image: torch.Tensor, columns: torch.Tensor, values: torch.Tensor, first: int | None):
+        """Images and derivatives behind the detector; `first`: column of the first effect parameter."""
 
         def respond(column: torch.Tensor) -> torch.Tensor:
             return torch.func.jvp(lambda e: self.effects.detect(values, e), (image,), (column,))[1]
 
         columns = torch.func.vmap(respond, in_dims=1, out_dims=1)(columns)
-        first = len(self.psf.nolls)
-        for index in [] if held else self.effects.free_at("detector"):
+        for index in [] if first is None else self.effects.free_at("detector"):
             direction = torch.zeros_like(values)
             direction[index] = 1
             change = torch.func.jvp(lambda v: self.effects.detect(v, image), (values,), (direction,))[1]

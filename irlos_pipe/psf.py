@@ -215,13 +215,18 @@ class PsfModel:
 
     def _one_colour(self, opd: torch.Tensor, index: int, optics: Optics) -> torch.Tensor:
         """Weighted images at one wavelength."""
-        colour, to_focal = self._colour(index, optics), self.to_focal[index]
-        amplitude = to_focal @ colour.field(opd) @ to_focal.mT
+        colour = self._colour(index, optics)
+        amplitude = self._amplitude(colour, opd, index)
         return colour.weight * colour.image(amplitude.real**2 + amplitude.imag**2)
 
     @torch.no_grad()
     def images_and_jacobian(
-        self, coefficients_nm: torch.Tensor, optics: Optics = AS_BUILT, tangents: Tangents = NO_TANGENTS
+        self,
+        coefficients_nm: torch.Tensor,
+        optics: Optics = AS_BUILT,
+        tangents: Tangents = NO_TANGENTS,
+        *,
+        modal: bool = True,
     ):
         """Images and their derivatives.
 
@@ -231,6 +236,8 @@ class PsfModel:
         optics : see `images`
         tangents : Tangents
             Derivatives of pupil and OTF factors with respect to effect parameters.
+        modal : bool
+            False leaves the derivatives with respect to the modes out.
 
         Returns
         -------
@@ -240,25 +247,28 @@ class PsfModel:
         """
         per_frame = len(self.pairs) * self.grid.samples**2
         parts = [
-            self._chunk(chunk, optics, tangents)
+            self._chunk(chunk, optics, tangents, modal)
             for chunk in coefficients_nm.split(max(1, CHUNK_ELEMENTS // per_frame))
         ]
         return torch.cat([part[0] for part in parts]), torch.cat([part[1] for part in parts])
 
-    def _chunk(self, coefficients_nm, optics: Optics, tangents: Tangents):
+    def _chunk(self, coefficients_nm, optics: Optics, tangents: Tangents, modal: bool):
         opd = self.opd_nm(coefficients_nm)
         colours = ordered_map(
-            lambda index: self._one_colour_with_jacobian(opd, index, optics, tangents),
+            lambda index: self._one_colour_with_jacobian(opd, index, optics, tangents, modal),
             range(len(self.weights)),
         )
         return sum(colour[0] for colour in colours), sum(colour[1] for colour in colours)
 
-    def _one_colour_with_jacobian(self, opd, index: int, optics: Optics, tangents: Tangents):
+    def _one_colour_with_jacobian(self, opd, index: int, optics: Optics, tangents: Tangents, modal: bool):
         """Weighted images and derivatives at one wavelength."""
         colour = self._colour(index, optics)
-        amplitude, modal = self._amplitude_and_modal(colour, opd, index)
+        if modal:
+            amplitude, changes = self._amplitude_and_modal(colour, opd, index)
+            columns = [colour.image(changes)]
+        else:
+            amplitude, columns = self._amplitude(colour, opd, index), []
         intensity = amplitude.real**2 + amplitude.imag**2
-        columns = [colour.image(modal)]
         columns += [
             colour.image(self._beat(amplitude, colour, opd, self._complex(one[index]), index))[:, None]
             for one in tangents.pupil
@@ -273,6 +283,11 @@ class PsfModel:
         to_focal = self.to_focal[index]
         return 2 * (amplitude.conj() * (to_focal @ (change * colour.phasor(opd)) @ to_focal.mT)).real
 
+    def _amplitude(self, colour: Colour, opd: torch.Tensor, index: int) -> torch.Tensor:
+        """Focal amplitude, (frames, m, m)."""
+        to_focal = self.to_focal[index]
+        return to_focal @ colour.field(opd) @ to_focal.mT
+
     def _amplitude_and_modal(self, colour: Colour, opd: torch.Tensor, index: int):
         """Focal amplitude (frames, m, m) and intensity derivatives (frames, modes, m, m)."""
         to_focal, m = self.weighted_to_focal[index], self.grids[index].samples
@@ -284,5 +299,5 @@ class PsfModel:
         amplitude = products[:, 0]  # T_0(x) T_0(y) = 1
         beat = (products * amplitude.conj()[:, None]).imag
         scale = float(-4 * np.pi * NM / colour.wavelength_m)
-        modal = (scale * self.combine) @ beat.reshape(*beat.shape[:2], -1)
-        return amplitude, modal.reshape(len(opd), -1, m, m)
+        changes = (scale * self.combine) @ beat.reshape(*beat.shape[:2], -1)
+        return amplitude, changes.reshape(len(opd), -1, m, m)

@@ -97,7 +97,7 @@ def test_derivatives_of_the_misregistered_pupil_are_good_to_a_few_percent(index,
 
 def searched(name: str) -> list[Effect | Pinned]:
     kind = IN_IMAGES[name]
-    return kind.under(CONDITIONS, **kind.options_for(**STRONG[name])).candidates(CONDITIONS)
+    return kind.under(CONDITIONS, **kind.options_for(**STRONG[name])).candidates(WINDOW, 9.7)
 
 
 @pytest.mark.parametrize("name", sorted(IN_IMAGES))
@@ -128,7 +128,7 @@ def test_a_drift_shows_in_single_frames_only():
 
 def test_a_shift_of_the_stop_darkens_the_rim_whichever_way_it_goes():
     """Analysis: to first order the light falls by the projected width of the rim and of the hole."""
-    for effect in PupilMisregistration().candidates(CONDITIONS)[:-1]:
+    for effect in PupilMisregistration().candidates(WINDOW, 9.7)[:-1]:
         change = torch.func.jvp(
             lambda v, e=effect: e.apply(v, torch.zeros(1, 72, 72).double(), psf().pupil_grid)[0],
             (torch.zeros(1).double(),),

@@ -113,6 +113,10 @@ class Effect:
         Numbers under their public names and units.
     options : tuple of Public
         Choices that are not estimated, arguments of the constructor.
+    usual : bool
+        Whether every on-sky recording has it, so that a model without a measurement takes it as expected.
+    instrumental : bool
+        Whether a calibration can hand it on to a recording of another star at another time.
     look_alike : str
         The effect it is most easily mistaken for, and what tells them apart.
     reference : str
@@ -123,6 +127,8 @@ class Effect:
     order: ClassVar[int] = 0  # among effects of the same place
     public: ClassVar[tuple[Public, ...]] = ()
     options: ClassVar[tuple[Public, ...]] = ()
+    usual: ClassVar[bool] = False
+    instrumental: ClassVar[bool] = True
     look_alike: ClassVar[str] = ""
     reference: ClassVar[str] = ""
     parameters: tuple[Parameter, ...]
@@ -151,10 +157,17 @@ class Effect:
         """Parameters under the public names and units of the effect catalogue."""
         return {p.name: float(v) for p, v in zip(self.parameters, values, strict=True)}
 
-    def candidates(self, conditions: Conditions) -> list[Effect]:
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Any]:
         """Effects whose derivative at the null values is to be looked at when searching for this one.
 
-        Where position, direction or size mean nothing in the absence of the effect, one per value tried.
+        Where position, direction or size mean nothing in the absence of the effect, one per value tried:
+        `Pinned` at its null values with the size left free.
+
+        Parameters
+        ----------
+        window : (int, int)
+            Rows and columns [px].
+        pixel_scale_mas : float
         """
         return [self]
 

@@ -27,6 +27,7 @@ class AtmosphericDispersion(OtfEffect):
     """
 
     name = "atmospheric_dispersion"
+    instrumental = False
     public = (
         number("mas_per_um", "mas/µm towards longer waves", 0.0, 5000.0),
         number("angle_deg", "deg from +x towards +y"),
@@ -67,6 +68,7 @@ class Spectrum(SamplingEffect):
     """
 
     name = "spectrum"
+    instrumental = False  # belongs to the filter
     public = (
         number("wavelength_nm", "nm, weighted mean", 300.0, 5000.0, required=False),
         number("slope", "1/µm, relative change of the weight", -5.0, 5.0, required=False),

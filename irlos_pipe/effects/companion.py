@@ -10,7 +10,7 @@ from ..optics.propagate import MAS
 from .base import Conditions, Effect, OtfEffect, Parameter, number
 from .pinned import Pinned
 
-STEP_MAS = 20.0  # of a search: half the resolution at 1.6 µm
+STEP_MAS = 25.0  # of a search: less than the resolution at 1.2 µm
 INNER_MAS = 30.0  # closer than this the pair is unresolved
 
 
@@ -27,6 +27,7 @@ class Companion(OtfEffect):
     """
 
     name = "companion"
+    instrumental = False
     public = (
         number("flux_ratio", "secondary over primary", 0.0, 1.0),
         number("sep_mas", "mas", 0.0, 5000.0),
@@ -67,9 +68,9 @@ class Companion(OtfEffect):
         angle = np.deg2rad(pa_deg)
         return [flux_ratio, float(sep_mas * np.cos(angle)), float(sep_mas * np.sin(angle))]
 
-    def candidates(self, conditions: Conditions) -> list[Effect]:
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
         """One per position on a grid over half the window about the star."""
-        reach = (n / 2 * conditions.pixel_scale_mas for n in conditions.window[::-1])
+        reach = (n / 2 * pixel_scale_mas for n in window[::-1])
         columns, rows = (STEP_MAS * np.arange(-(r // STEP_MAS), r // STEP_MAS + 1) for r in reach)
         return [
             Pinned(self, [0.0, x, y], free=("flux_ratio",))

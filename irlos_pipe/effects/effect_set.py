@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 import torch
+from torch.autograd import forward_ad
 
 from ..optics.grids import Optics, OtfGrid, Sampling, Stations, Tangents
 from .base import Effect, Parameter, Place
@@ -157,6 +158,10 @@ def _held(effect: Effect | Pinned, values: torch.Tensor) -> Pinned:
 
 def _derivatives(function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor) -> torch.Tensor:
     """Derivatives of a real or complex `function` with respect to all elements, elements first."""
+    if len(values) == 1:  # dual numbers cost much less than the vectorised transform
+        with forward_ad.dual_level():
+            dual = function(forward_ad.make_dual(values, torch.ones_like(values)))
+            return forward_ad.unpack_dual(dual).tangent[None]
     is_complex = function(values).is_complex()
 
     def parts(v: torch.Tensor) -> torch.Tensor:

@@ -13,7 +13,7 @@ import torch
 
 from ..optics.grids import OtfGrid
 from ..optics.propagate import MAS
-from .base import Conditions, Effect, OtfEffect, Parameter, Public, number
+from .base import Effect, OtfEffect, Parameter, Public, number
 from .bessel import j0_of_twice_root
 from .pinned import Pinned
 
@@ -41,6 +41,7 @@ class TipTiltJitter(OtfEffect):
     """
 
     name = "tip_tilt_jitter"
+    usual = True
     public = (number("sigma_mas", "mas RMS per axis", 0.0, LARGEST_MAS),)
     look_alike = "interpixel_crosstalk, which does not move the centroids of single frames"
     reference = "Goodman 1985, Statistical Optics, section 8.4"
@@ -104,7 +105,7 @@ class Vibration(OtfEffect):
         """Solver's parameters for a known motion."""
         return [sigma_mas**2, float(np.deg2rad(angle_deg))]
 
-    def candidates(self, conditions: Conditions) -> list[Effect]:
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
         """One per direction."""
         angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
         return [Pinned(self, [0.0, angle], free=("variance_mas2",)) for angle in angles]

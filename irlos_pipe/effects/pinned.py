@@ -21,6 +21,7 @@ class Pinned:
     def __init__(self, effect: Effect, values: Sequence[float], free: Sequence[str] = ()):
         self.effect = effect
         self.name, self.place, self.order = effect.name, effect.place, effect.order
+        self.instrumental = effect.instrumental
         self.values = np.asarray(values, float)
         self.free = [i for i, p in enumerate(effect.parameters) if p.name in free]
 
@@ -57,8 +58,13 @@ class Pinned:
 
 
 def expected(effects: Sequence[Effect | Pinned]) -> list[Effect | Pinned]:
-    """The same effects held at the values a fit would start from."""
-    return [
-        Pinned(effect, [p.start for p in effect.parameters]) if effect.parameters else effect
-        for effect in effects
-    ]
+    """The same effects held at what is to be expected: usual ones at their start, others absent."""
+    return [_expected(effect) for effect in effects]
+
+
+def _expected(effect: Effect | Pinned) -> Effect | Pinned:
+    if not effect.parameters:
+        return effect
+    if isinstance(effect, Pinned):
+        return Pinned(effect.effect, effect.values)
+    return Pinned(effect, [p.start for p in effect.parameters] if effect.usual else effect.null_values)

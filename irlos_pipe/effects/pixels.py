@@ -73,6 +73,7 @@ class BackgroundGradient(DetectorEffect):
 
     name = "background_gradient"
     order = 2
+    instrumental = False
     public = (
         number("e_per_pixel", "e-/px", 0.0, 1e6),
         number("angle_deg", "deg from +x towards +y, uphill"),
@@ -164,7 +165,7 @@ class BadPixels(DetectorEffect):
         """Nothing in excess: the pixels are masked."""
         return [0.0] * len(self.pixels)
 
-    def candidates(self, conditions: Conditions) -> list[Effect]:
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
         """One per pixel."""
-        rows, columns = conditions.window
+        rows, columns = window
         return [BadPixels([(row, column)]) for row in range(rows) for column in range(columns)]

@@ -71,7 +71,7 @@ class PupilMisregistration(PupilEffect):
         """Solver's parameters for a known misregistration."""
         return [float(np.hypot(dx_m, dy_m)), float(np.arctan2(dy_m, dx_m)), rotation_deg]
 
-    def candidates(self, conditions: Conditions) -> list[Effect]:
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
         """One per direction of the shift, and the rotation."""
         angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
         shifts = [Pinned(self, [0.0, angle, 0.0], free=("distance_m",)) for angle in angles]

@@ -43,6 +43,7 @@ class SeeingHalo(OtfEffect):
     """
 
     name = "seeing_halo"
+    usual = True
     public = (
         number("wfe_nm", "nm RMS in all", 0.0, 1000.0, required=False),
         number("scale", "of the in-band variance expected at the seeing", 0.0, 100.0, required=False),
@@ -104,7 +105,7 @@ class SeeingHalo(OtfEffect):
         variance = scale * expected if wfe_nm is None else max(wfe_nm**2 - self.fitting_nm2, 0.0)
         return [variance, *(p.start for p in self.parameters[1:])]
 
-    def candidates(self, conditions: Conditions) -> list[Effect]:
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
         """The whole halo scaled: the turbulence beyond the cut-off is not there without the effect."""
         return [ScaledHalo(self)]
 

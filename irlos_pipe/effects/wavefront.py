@@ -135,7 +135,7 @@ class PhaseBump(_Map):
         bump = torch.exp(-((u - x) ** 2 + (v - y) ** 2) / (2 * width**2))
         return height * bump * torch.as_tensor(grid.lit)
 
-    def candidates(self, conditions: Conditions) -> list[Effect]:
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
         """One per position on a grid and per width."""
         steps = np.arange(-REACH_M + BUMP_STEP_M / 2, REACH_M, BUMP_STEP_M)
         return [

@@ -11,9 +11,10 @@ import torch
 
 from ..effects import Effect, Pinned
 from ..image_model import ImageModel
-from ..noise import NoiseModel
 from ..psf import PsfModel, PsfSettings
 from .centring import start_tilts_nm
+from .cube import Frames, mean_variance_e2
+from .drift import drifts, measured_drift
 from .image_fit import ImageFit, masked_variance
 from .lbfgs import solve_lbfgs
 from .loss import LOSSES
@@ -21,29 +22,12 @@ from .methods import METHODS, Method
 from .parameters import Layout
 from .priors import ncpa_sigma_nm
 from .scatter import covariance_of_mean
+from .search import located, searched_for
 from .solve import Solution, solve
 from .total_wavefront import effects_in_modes_nm
 from .twin import TwinCheck, check_twin
 
 FRAME_MARGIN_MAS = 100.0  # field beyond the window, for fits of single frames
-LOCAL_PX = 5  # side of the square over which scatter is averaged
-
-
-@dataclass(frozen=True)
-class Frames:
-    """Images of a calibration cube.
-
-    Attributes
-    ----------
-    images_e : tensor, (frames, rows, columns)
-    pixel_mask : tensor of bool, (rows, columns)
-        True for good pixels.
-    noise : NoiseModel
-    """
-
-    images_e: torch.Tensor
-    pixel_mask: torch.Tensor
-    noise: NoiseModel
 
 
 @dataclass(frozen=True)
@@ -155,10 +139,44 @@ def calibrate(
     began = time.perf_counter()
     method, options = options.resolved()
     effects = tuple(effects) if method.effects else ()
-    model = ImageModel(_psf_model(settings, method, range(2, options.highest_noll + 1), device), effects)
-    problem = _problem(frames, model, method, options)
-    solution = _solve(problem, _start(frames, problem, settings), options, report)
-    return _result(frames, problem, method, options, solution, time.perf_counter() - began)
+    psf = _psf_model(settings, method, range(2, options.highest_noll + 1), device)
+    task = _Task(frames, psf, method, options, report)
+    steady = [effect for effect in effects if not drifts(effect)]
+    fit = _fit_steady(task, steady)
+    for effect in effects:
+        if drifts(effect):
+            frames_nm = _linear_estimates(frames, *fit)[1]
+            fit = task.fit([*fit[0].model.effects.effects, measured_drift(effect, psf.nolls, frames_nm)], fit)
+    return _result(task, *fit, time.perf_counter() - began)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is to be fitted, whatever the effects in the model."""
+
+    frames: Frames
+    psf: PsfModel
+    method: Method
+    options: CalibrationOptions
+    report: Callable[[int], None] | None
+
+    def fit(
+        self, effects: Sequence[Effect | Pinned], near: tuple[ImageFit, Solution] | None = None
+    ) -> tuple[ImageFit, Solution]:
+        """Fit with these effects, from scratch or from the modes of another fit."""
+        problem = _problem(self.frames, ImageModel(self.psf, effects), self.method, self.options)
+        start = _start(self.frames, problem, self.psf.settings)
+        if near is not None:
+            start[:, problem.layout.modes] = near[1].values[:, near[0].layout.modes]
+        return problem, _solve(problem, start, self.options, self.report)
+
+
+def _fit_steady(task: _Task, effects: Sequence[Effect | Pinned]) -> tuple[ImageFit, Solution]:
+    """Fit with all effects; those whose place is unknown are searched for in what the others leave."""
+    fit = task.fit([effect for effect in effects if not searched_for(effect)])
+    if not any(searched_for(effect) for effect in effects):
+        return fit
+    return task.fit(located(fit[0], fit[1].values[:1], effects), fit)
 
 
 def _psf_model(settings: PsfSettings, method: Method, nolls: Sequence[int], device: str) -> PsfModel:
@@ -176,32 +194,7 @@ def _psf_model(settings: PsfSettings, method: Method, nolls: Sequence[int], devi
 # -- the problem -----------------------------------------------------------------------------
 
 
-def mean_variance_e2(frames: Frames) -> torch.Tensor:
-    """Variance of the mean image [e-²], (rows, columns): the scatter between frames.
-
-    The ratio of scatter to photon noise is averaged over 5×5 pixels, about λ/D, before it is held
-    above one: pixel by pixel, scatter from few frames is uncertain, and its excursions would raise
-    the variance and lower χ².
-    """
-    images = frames.images_e.double()
-    photons = frames.noise.variance_e2(images.mean(0))
-    ratio = _local_mean(images.var(0, correction=1) / photons, frames.pixel_mask.double())
-    return photons * ratio.clamp_min(1.0) / len(images)
-
-
-def _local_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-    """Weighted running mean over `LOCAL_PX` × `LOCAL_PX` pixels, (rows, columns)."""
-    kernel = torch.ones(1, 1, LOCAL_PX, LOCAL_PX, dtype=values.dtype)
-    total, norm = (
-        torch.nn.functional.conv2d(plane[None, None], kernel, padding=LOCAL_PX // 2)[0, 0]
-        for plane in (torch.where(weight > 0, values * weight, 0.0), weight)
-    )
-    return total / norm.clamp_min(1.0)
-
-
-def _problem(
-    frames: Frames, model: ImageModel, method: Method, options: CalibrationOptions
-) -> ImageFit:
+def _problem(frames: Frames, model: ImageModel, method: Method, options: CalibrationOptions) -> ImageFit:
     nolls, device = model.psf.nolls, model.psf.device
     prior = None if options.prior_scale is None else ncpa_sigma_nm(nolls, options.prior_scale)
     layout = Layout(nolls, model.effects.parameters, prior_sigma_nm=prior)
@@ -242,14 +235,8 @@ def _solve(problem: ImageFit, start: torch.Tensor, options: CalibrationOptions, 
 # -- the result ------------------------------------------------------------------------------
 
 
-def _result(
-    frames: Frames,
-    problem: ImageFit,
-    method: Method,
-    options: CalibrationOptions,
-    solution: Solution,
-    seconds: float,
-) -> Calibration:
+def _result(task: _Task, problem: ImageFit, solution: Solution, seconds: float) -> Calibration:
+    frames, method = task.frames, task.method
     layout, effects = problem.layout, problem.model.effects
     modes = layout.modes
     usable = np.array([status != "invalid" for status in solution.status])
@@ -266,7 +253,7 @@ def _result(
     pull = ((mean - model_image) / sigma)[frames.pixel_mask]
     effect_values = values[0, layout.effect_values]
     return Calibration(
-        options,
+        task.options,
         layout.nolls,
         total_nm,
         values[0, modes].numpy(),
