@@ -23,7 +23,8 @@ from irlos_pipe.noise import NoiseModel
 from irlos_pipe.parallel import set_workers
 from irlos_pipe.psf import PsfModel, PsfSettings
 from irlos_pipe.stages.calibrate import Config as CalibrateConfig
-from irlos_pipe.stages.light_path import model_effects, psf_settings
+from irlos_pipe.stages.light_path import psf_settings
+from irlos_pipe.stages.model_effects import model_effects
 from irlos_pipe.stages.ramp_input import (
     calibrated_ncpa_nm,
     effects_for_lift,

@@ -117,6 +117,8 @@ class Effect:
         Whether every on-sky recording has it, so that a model without a measurement takes it as expected.
     instrumental : bool
         Whether a calibration can hand it on to a recording of another star at another time.
+    aberration : bool
+        Whether it is a part of the static wavefront, which a calibration of NCPAs hands on.
     look_alike : str
         The effect it is most easily mistaken for, and what tells them apart.
     reference : str
@@ -129,6 +131,7 @@ class Effect:
     options: ClassVar[tuple[Public, ...]] = ()
     usual: ClassVar[bool] = False
     instrumental: ClassVar[bool] = True
+    aberration: ClassVar[bool] = False
     look_alike: ClassVar[str] = ""
     reference: ClassVar[str] = ""
     parameters: tuple[Parameter, ...]

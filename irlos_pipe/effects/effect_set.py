@@ -72,9 +72,7 @@ class EffectSet:
     def tangents(self, values: torch.Tensor) -> Tangents:
         """Derivatives of pupil and OTF factors with respect to the parameters at these places."""
         sampling = self._sampling(values)
-        pupil = [
-            _along(lambda v: self._pupil(v, sampling), values, index) for index in self.free_at("pupil")
-        ]
+        pupil = [_along(lambda v: self._pupil(v, sampling), values, index) for index in self.free_at("pupil")]
         return Tangents(pupil, self._transfer_derivatives(values, sampling))
 
     def modes_at(self, values: torch.Tensor, modes_nm: torch.Tensor, when: torch.Tensor) -> torch.Tensor:
@@ -85,11 +83,6 @@ class EffectSet:
     def detect(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
         """Electrons in the pixels as the detector shows them."""
         return reduce(lambda x, e: e[0].apply(values[e[1]], x), self.at("detector"), images_e)
-
-    def introduced_nm(self, values: torch.Tensor, commanded_nm: np.ndarray) -> torch.Tensor:
-        """Defocus that the focus stage really introduces, (frames,)."""
-        start = torch.as_tensor(np.asarray(commanded_nm, float))
-        return reduce(lambda x, e: e[0].apply(values[e[1]], x, commanded_nm), self.at("ramp"), start)
 
     def opd_nm(self, values: torch.Tensor) -> torch.Tensor:
         """Part of the wavefront that effects in the pupil add, (n, n) [nm]."""

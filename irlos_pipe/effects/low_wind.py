@@ -26,6 +26,7 @@ class LowWindEffect(PupilEffect):
     """
 
     name = "low_wind_effect"
+    aberration = True
     order = 0  # adds to the field, before what multiplies it
     public = tuple(
         Public(kind, "nm, petals anticlockwise from +45°", "petals", -3000.0, 3000.0) for kind in KINDS

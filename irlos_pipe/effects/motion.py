@@ -24,9 +24,7 @@ DIRECTIONS = 8
 
 def _variance(start_mas: float) -> Parameter:
     upper = LARGEST_MAS**2
-    return Parameter(
-        "variance_mas2", "mas²", start_mas**2, lower=0.0, upper=upper, plausible=PLAUSIBLE_MAS2
-    )
+    return Parameter("variance_mas2", "mas²", start_mas**2, lower=0.0, upper=upper, plausible=PLAUSIBLE_MAS2)
 
 
 def _damping(variance_mas2: torch.Tensor, length2_m2: torch.Tensor, grid: OtfGrid) -> torch.Tensor:

@@ -21,7 +21,7 @@ class Pinned:
     def __init__(self, effect: Effect, values: Sequence[float], free: Sequence[str] = ()):
         self.effect = effect
         self.name, self.place, self.order = effect.name, effect.place, effect.order
-        self.instrumental = effect.instrumental
+        self.instrumental, self.aberration = effect.instrumental, effect.aberration
         self.values = np.asarray(values, float)
         self.free = [i for i, p in enumerate(effect.parameters) if p.name in free]
 

@@ -25,9 +25,7 @@ class InterpixelCrosstalk(DetectorEffect):
     public = (number("fraction", "shared with the four neighbours together", 0.0, 0.8),)
     look_alike = "tip_tilt_jitter, which moves the centroids of single frames"
     reference = "Moore, Ninkov & Forrest 2006, Opt. Eng. 45, 076402; Finger et al. 2006, SPIE 6276, 62760F"
-    parameters = (
-        Parameter("fraction", "", 0.02, lower=0.0, upper=0.8, plausible=(0.0, 0.2)),
-    )
+    parameters = (Parameter("fraction", "", 0.02, lower=0.0, upper=0.8, plausible=(0.0, 0.2)),)
 
     def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
         """See `DetectorEffect.apply`."""
@@ -52,9 +50,7 @@ class DetectorNonlinearity(DetectorEffect):
     public = (number("fraction_at_peak", "lost at the brightest pixel of the mean image", -0.4, 0.4),)
     look_alike = "tip_tilt_jitter, which conserves the light; a fainter star tells them apart"
     reference = "Plazas et al. 2017, JINST 12, C04009"
-    parameters = (
-        Parameter("fraction_at_peak", "", 0.0, 0.0, 0.1, -0.4, 0.4, plausible=(-0.05, 0.25)),
-    )
+    parameters = (Parameter("fraction_at_peak", "", 0.0, 0.0, 0.1, -0.4, 0.4, plausible=(-0.05, 0.25)),)
 
     def __init__(self, peak_e: float | None = None):
         self.peak_e = peak_e

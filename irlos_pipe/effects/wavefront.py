@@ -82,6 +82,7 @@ class HighOrderNcpa(ZernikeTable, _Map):
     """
 
     name, table = "high_order_ncpa", "zernike_nm"
+    aberration = True
     public = (Public(table, "Noll index: nm RMS", "zernike", -1000.0, 1000.0),)
     options = (Public("nolls", "Noll indices to estimate", "nolls"),)
     template = Parameter("", "nm", 0.0, 0.0, HIGH_ORDER_SIGMA_NM, plausible=(-200.0, 200.0))
@@ -110,6 +111,7 @@ class PhaseBump(_Map):
     """
 
     name = "phase_bump"
+    aberration = True
     public = (
         number("nm", "nm, peak", -2000.0, 2000.0),
         number("x_m", "m", -5.0, 5.0),

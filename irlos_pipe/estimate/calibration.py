@@ -272,9 +272,7 @@ def _result(task: _Task, problem: ImageFit, solution: Solution, seconds: float) 
     )
 
 
-def _linear_estimates(
-    frames: Frames, problem: ImageFit, solution: Solution
-) -> tuple[np.ndarray, np.ndarray]:
+def _linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients of the whole wavefront, (modes,), and per frame, (frames, modes).
 
     The latter by one linear step from the shared solution: their mean is the solution, their scatter

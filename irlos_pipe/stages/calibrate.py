@@ -6,21 +6,23 @@ from dataclasses import asdict
 from typing import Literal
 
 import numpy as np
+import torch
 from pydantic import Field
 
+from irlos_pipe.effects.telling import rows_of
 from irlos_pipe.errors import InputDataError
-from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, Frames, calibrate
+from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
+from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.product import Check, Quantity
 from irlos_pipe.recording import Recording
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.light_path import (
-    effect_arrays,
-    model_effects,
     pooled_images,
     psf_settings,
     require_one_setup,
     seeing_arcsec,
 )
+from irlos_pipe.stages.model_effects import effect_arrays, good_pixels, image_effects, model_effects
 from irlos_pipe.stages.recordings import recordings_from_product
 
 NAME = "calibrate"
@@ -89,14 +91,16 @@ def _calibrate(
             config.max_iterations,
         )
     )
-    frames = Frames(*pooled_images(recordings))
+    effects = model_effects(ctx.instrument, ctx.model, first, options.resolved()[1].highest_noll)
+    images_e, pixel_mask, noise = pooled_images(recordings)
+    frames = Frames(images_e, pixel_mask & torch.as_tensor(good_pixels(effects, first.window)), noise)
     total = len(frames.images_e) if options.resolved()[0].images == "frames" else 1
     with ctx.progress(total=total, desc=f"calibrate {method}") as bar:
         result = calibrate(
             frames,
             psf_settings(ctx.instrument, ctx.model, first),
             options,
-            model_effects(ctx.instrument, ctx.model, first, options.resolved()[1].highest_noll),
+            image_effects(effects),
             device=ctx.device,
             report=bar.update,
         )
@@ -228,7 +232,7 @@ def _summary(result: Calibration, others: list[Calibration]) -> list[str]:
         f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f})"
     ]
     for name, values in result.effects.items():
-        lines.append(f"  {name:16s}" + ", ".join(f"{key} {value:.3g}" for key, value in values.items()))
+        lines.append(f"  {name:22s}" + ", ".join(f"{key} {number:.3g}" for key, number in rows_of(values)))
     lines += [
         f"  beside: {_wfe_nm(other):.1f} nm RMS ({other.options.method}, {other.seconds:.1f} s, "
         f"χ²/ν {other.chi2_nu:.2f})"

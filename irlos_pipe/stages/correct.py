@@ -15,7 +15,8 @@ from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.zernike import zernike_basis
 from irlos_pipe.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.light_path import calibrated_effects, psf_settings, seeing_arcsec
+from irlos_pipe.stages.light_path import psf_settings, seeing_arcsec
+from irlos_pipe.stages.model_effects import calibrated_effects
 from irlos_pipe.stages.recordings import recordings_from_product
 
 NAME = "correct"
@@ -94,9 +95,8 @@ def _fits(table: fits.BinTableHDU) -> bytes:
 def _predict(ctx: StageContext, nolls: list[int], zernike_nm: np.ndarray) -> Prediction:
     recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
     product = ctx.products["calibrate"]
-    effects = calibrated_effects(
-        product, ctx.instrument, ctx.model, recording, seeing_arcsec(recording.acquisition)
-    )
+    seeing = seeing_arcsec(recording.acquisition)
+    effects = calibrated_effects(product, ctx.instrument, ctx.model, recording, seeing, same_star=True)
     return predict_correction(
         psf_settings(ctx.instrument, ctx.model, recording),
         nolls,

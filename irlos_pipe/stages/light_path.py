@@ -1,4 +1,4 @@
-"""From a recipe and a recording to the PSF model's settings and effects."""
+"""From a recipe and a recording to the PSF model's settings, and recordings that belong together."""
 
 from __future__ import annotations
 
@@ -7,21 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from irlos_pipe.effects import CATALOGUE, Conditions, Effect, Pinned, SeeingHalo
-from irlos_pipe.effects.seeing_halo import in_band_wfe_nm
 from irlos_pipe.errors import ConfigurationError, InputDataError
 from irlos_pipe.instrument import Instrument
 from irlos_pipe.noise import NoiseModel
 from irlos_pipe.optics.propagate import require_resolved
 from irlos_pipe.optics.structure import ResidualBand
-from irlos_pipe.product import Product, Quantity
+from irlos_pipe.product import Product
 from irlos_pipe.psf import PsfSettings
 from irlos_pipe.recording import Acquisition, Recording
-from irlos_pipe.stages.model import EffectEntry, ModelConfig
+from irlos_pipe.stages.model import ModelConfig
 from irlos_pipe.stages.recordings import recordings_from_product
 
 DEFAULT_SEEING_ARCSEC = 0.8
-REPORTED_NOLL = 30  # SPARTA takes 29 modal offsets
 SETUP_KEYS = ("pixel_scale_mas", "spectrum", "diversity")
 
 
@@ -77,88 +74,6 @@ def residual_band(instrument: Instrument, model: ModelConfig) -> ResidualBand:
 def seeing_arcsec(acquisition: Acquisition) -> float:
     """Seeing of a recording, or a typical one where it is not known."""
     return acquisition.seeing_arcsec or DEFAULT_SEEING_ARCSEC
-
-
-def conditions_of(
-    instrument: Instrument, model: ModelConfig, recording: Recording, highest_noll: int = REPORTED_NOLL
-) -> Conditions:
-    """What effects may start from."""
-    acquisition = recording.acquisition
-    return Conditions(
-        residual_band(instrument, model),
-        seeing_arcsec(acquisition),
-        dict(acquisition.diversity),
-        highest_noll,
-        recording.window,
-        acquisition.pixel_scale_mas,
-        acquisition.spectrum,
-    )
-
-
-def model_effects(
-    instrument: Instrument, model: ModelConfig, recording: Recording, highest_noll: int = REPORTED_NOLL
-) -> list[Effect | Pinned]:
-    """The effects of the recipe's model for one recording, fixed ones pinned.
-
-    Raises
-    ------
-    ConfigurationError
-        If an effect means nothing for this recording.
-    """
-    conditions = conditions_of(instrument, model, recording, highest_noll)
-    return [_effect(entry, conditions, recording.name) for entry in model.entries()]
-
-
-def _effect(entry: EffectEntry, conditions: Conditions, recording_name: str) -> Effect | Pinned:
-    kind = CATALOGUE[entry.name]
-    try:
-        effect = kind.under(conditions, **kind.options_for(**entry.values) | entry.options)
-        if not entry.values:
-            return effect
-        values = effect.values_of(**entry.values)
-    except ValueError as problem:
-        raise ConfigurationError(f"model.effects: {entry.name} for {recording_name}: {problem}") from None
-    return Pinned(effect, values, free=[p.name for p in effect.parameters] if entry.fit else ())
-
-
-# -- handing estimated effects from one product to the next ------------------------------------
-
-
-def effect_arrays(effect_values: dict[str, np.ndarray]) -> dict[str, Quantity]:
-    """Solver's parameters of every effect as arrays of a product."""
-    return {
-        f"effects/{name}": Quantity(values, "", "parameters of the effect, in the order of its declaration")
-        for name, values in effect_values.items()
-    }
-
-
-def calibrated_effects(
-    product: Product,
-    instrument: Instrument,
-    model: ModelConfig,
-    recording: Recording,
-    calibration_seeing_arcsec: float,
-) -> dict[str, Pinned]:
-    """Effects as `calibrate` found them, for a recording taken under another seeing.
-
-    The in-band residual is scaled by the seeing law; the rest is taken as it is.
-    """
-    effects = {effect.name: effect for effect in model_effects(instrument, model, recording)}
-    pinned = {}
-    for name, effect in effects.items():
-        key = f"effects/{name}"
-        if isinstance(effect, Pinned):
-            pinned[name] = effect
-        elif key in product.arrays:
-            values = np.array(product.arrays[key].value, float)
-            if name == SeeingHalo.name:
-                now, then = (
-                    in_band_wfe_nm(effect.band, seeing)
-                    for seeing in (seeing_arcsec(recording.acquisition), calibration_seeing_arcsec)
-                )
-                values[0] *= (now / then) ** 2
-            pinned[name] = Pinned(effect, values)
-    return pinned
 
 
 # -- recordings that belong together -----------------------------------------------------------

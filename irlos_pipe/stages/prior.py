@@ -13,11 +13,8 @@ from irlos_pipe.product import Check, Quantity
 from irlos_pipe.psf import PsfModel
 from irlos_pipe.recording import Recording
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.light_path import (
-    model_effects,
-    psf_settings,
-    used_in_time_order,
-)
+from irlos_pipe.stages.light_path import psf_settings, used_in_time_order
+from irlos_pipe.stages.model_effects import good_pixels, model_effects
 
 NAME = "prior"
 VERSION = 1
@@ -41,7 +38,8 @@ def run(ctx: StageContext) -> StageOutput:
         raise InputDataError(
             f"{recordings[0].name}: {problem}; leave the stage `prior` out for such data"
         ) from None
-    ratios = [_ratios(recording, law) for recording in recordings]
+    listed = good_pixels(model_effects(ctx.instrument, ctx.model, recordings[0]), recordings[0].window)
+    ratios = [_ratios(recording, recording.pixel_mask & listed, law) for recording in recordings]
     ctx.log.info(
         "elongation law: defocus = %.1f (ratio - 1) %+.1f nm, valid %s nm", law.A, law.B, law.valid_nm
     )
@@ -54,10 +52,8 @@ def _law(ctx: StageContext, recording: Recording) -> ElongationLaw:
     return calibrate_law(model, fixed_optics(effects, model))
 
 
-def _ratios(recording: Recording, law: ElongationLaw) -> np.ndarray:
-    return axis_ratios(
-        torch.as_tensor(recording.images_e), torch.as_tensor(recording.pixel_mask), law.angle_deg
-    )[0]
+def _ratios(recording: Recording, good: np.ndarray, law: ElongationLaw) -> np.ndarray:
+    return axis_ratios(torch.as_tensor(recording.images_e), torch.as_tensor(good), law.angle_deg)[0]
 
 
 def _output(

@@ -111,7 +111,7 @@ def _curve(
     data = RampData(
         ramp.data.images_e[chosen], ramp.data.pixel_mask, ramp.data.noise, ramp.data.introduced_nm[chosen]
     )
-    effects = effects_for_lift(ctx, ramp.recordings[0], "calibrated", "calibrated")
+    effects = effects_for_lift(ctx, ramp.recordings[0], "calibrated", "calibrated", calibrated=calibrated)
     bright = fit_ramp(model, data, start, LiftOptions(), effects)
     criterion = Criterion(ctx.config.limit_nm, ctx.config.limit_failures)
     return scan(
