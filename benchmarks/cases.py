@@ -15,15 +15,24 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from irlos_pipe.estimate.calibration import CalibrationOptions, Frames, calibrate
+from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.lift import LiftOptions, lift
 from irlos_pipe.estimate.ramp_fit import fit_ramp
+from irlos_pipe.image_model import ImageModel
 from irlos_pipe.noise import NoiseModel
 from irlos_pipe.parallel import set_workers
 from irlos_pipe.psf import PsfModel, PsfSettings
 from irlos_pipe.stages.calibrate import Config as CalibrateConfig
-from irlos_pipe.stages.light_path import model_effects, psf_settings
-from irlos_pipe.stages.ramp_input import calibrated_ncpa_nm, ramp_effects, ramp_model, ramp_start, read_ramp
+from irlos_pipe.stages.light_path import psf_settings
+from irlos_pipe.stages.model_effects import model_effects
+from irlos_pipe.stages.ramp_input import (
+    calibrated_ncpa_nm,
+    effects_for_lift,
+    ramp_model,
+    ramp_start,
+    read_ramp,
+)
 from irlos_pipe.stages.recordings import recordings_from_product
 
 from .frames import DIVERSITY_NM, NOLLS, PIXEL_SCALE_MAS, READ_NOISE_E, WAVELENGTH_NM, WINDOW_PX
@@ -93,7 +102,7 @@ def long_exposure(inputs: Inputs, count: int) -> dict:
             frames,
             psf_settings(context.instrument, context.model, recording),
             CalibrationOptions(),
-            model_effects(context.instrument, context.model, recording.acquisition),
+            model_effects(context.instrument, context.model, recording),
         )
     truth = true_zernike_nm("calibration-sky")
     found = dict(zip(result.nolls, result.zernike_nm, strict=True))
@@ -117,7 +126,7 @@ def prepared_ramp(inputs: Inputs, halo: str) -> Callable[[], tuple[float, int]]:
     context, ncpa_nm = inputs.context, calibrated_ncpa_nm(inputs.context)
     ramp = read_ramp(context, context.config.input)
     model = ramp_model(context, ramp, context.config.modes, ncpa_nm)
-    effects = [] if halo == "off" else ramp_effects(context, ramp.acquisition, halo, "calibrated")
+    effects = [] if halo == "off" else effects_for_lift(context, ramp.recordings[0], halo, "calibrated")
     start_nm = ramp_start(context, model, ramp, ncpa_nm, context.config.start)
 
     def fit() -> tuple[float, int]:
@@ -175,7 +184,7 @@ def lift_latency(inputs: Inputs, count: int) -> dict:
     times_s = []
     for _ in range(count):
         with stopwatch() as watch:
-            lift(model, image_e, frames.pixel_mask, frames.noise, torch.zeros_like(truth_nm))
+            lift(ImageModel(model), image_e, frames.pixel_mask, frames.noise, torch.zeros_like(truth_nm))
         times_s.append((watch.wall_s, watch.cpu_s))
     wall_s, cpu_s = np.array(times_s).T
     return {

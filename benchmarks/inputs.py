@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from irlos_pipe.estimate.calibration import Frames
+from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.instrument import load_instrument
 from irlos_pipe.noise import NoiseModel
 from irlos_pipe.product import Product, read_product

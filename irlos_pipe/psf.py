@@ -2,16 +2,16 @@
 
 One pass along the light path, shapes ``(frame, wavelength, y, x)``::
 
-    field      E = P exp(2πi Φ/λ)                    pupil
+    field      E = P exp(2πi Φ/λ)                    pupil: petals, stops, static maps
     amplitude  U = F E Fᵀ                            focal grid, pitch λ/2D'
     intensity  I = |U|² / ∫|P|²                      unit total flux
-    OTF        O = FFT(I) · T(λ)                     AO residual, jitter, object
-    image      Σ_λ w(λ) G(λ) O G(λ)ᵀ                 exactly the detector's pixels
+    OTF        O = FFT(I) · T(λ)                     AO residual, motion, companion, dispersion
+    image      Σ_λ w(λ) G(λ) O G(λ)ᵀ                 exactly the detector's pixels: colours, plate scale
 
-Flux and background multiply and add outside: they are parameters of a fit, not of the
-optics. Derivatives are hand-written. ``∂I/∂a_k = -(4π/λ) Im(U* F[Z_k E])``, and because a
-Zernike polynomial of degree n is a sum of products T_a(x) T_b(y), a + b ≤ n, the transform
-along x is shared by all modes.
+What physical effects make of P, T, and of the sampling (λ, w, pixel scale in G) arrives as one
+`Optics`. Flux, background and the detector follow in `image_model`. Derivatives are hand-written:
+``∂I/∂a_k = -(4π/λ) Im(U* F[Z_k E])``, and because a Zernike polynomial of degree n is a sum of
+products T_a(x) T_b(y), a + b ≤ n, the transform along x is shared by all modes.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ import torch
 from numpy.polynomial import chebyshev
 
 from .geometry import PupilGeometry
+from .optics.colour import Colour
+from .optics.grids import NM, Optics, PupilGrid, Sampling, Stations, Tangents
 from .optics.propagate import (
     FocalGrid,
     baseline_to_pixels,
@@ -32,12 +34,11 @@ from .optics.propagate import (
     pupil_to_focal,
     require_resolved,
 )
-from .optics.pupil import band_limited_pupil
 from .optics.zernike import noll_to_nm, zernike_basis
 from .parallel import ordered_map
 
-NM = 1e-9
 COMPLEX = {torch.float32: torch.complex64, torch.float64: torch.complex128}
+AS_BUILT, NO_TANGENTS = Optics(), Tangents()
 CHUNK_ELEMENTS = 6_000_000  # complex numbers held per batch of frames
 
 
@@ -101,11 +102,19 @@ class PsfModel:
         wavelengths, weights = np.array(settings.spectrum, float).T
         self.wavelengths_m = wavelengths * NM
         self.weights = weights / weights.sum()
-        u, amplitude = band_limited_pupil(settings.geometry, settings.pupil_samples)
-        self.grids = self._focal_grids(u)
+        self.pupil_grid = PupilGrid.of(settings.geometry, settings.pupil_samples, self.wavelengths_m)
+        self.grids = self._focal_grids(self.pupil_grid.u_m)
         self.grid = max(self.grids, key=lambda grid: grid.samples)
-        self._set_pupil(u, amplitude)
+        self._set_pupil(self.pupil_grid)
+        self._set_products(self.pupil_grid)
         self._set_pixels()
+
+    @property
+    def stations(self) -> Stations:
+        """Where effects can act, for `effects.EffectSet`."""
+        numbers = self.wavelengths_m, self.weights, self.settings.pixel_scale_mas
+        sampling = Sampling(*(torch.as_tensor(n, dtype=torch.float64) for n in numbers))
+        return Stations(self.pupil_grid, self.grid, sampling, self.nolls)
 
     # -- construction ------------------------------------------------------------------------
 
@@ -121,44 +130,44 @@ class PsfModel:
         padded = max(*needed, samples(self.settings.halo_margin_mas, self.wavelengths_m.min()))
         return [FocalGrid(count, len(u) * step_m, padded) for count in needed]
 
-    def _set_pupil(self, u: np.ndarray, amplitude: np.ndarray) -> None:
-        radius = self.settings.geometry.diameter_m / 2
-        x, y = np.meshgrid(u / radius, u / radius)
-        lit = np.hypot(x, y) <= 1 + 12 / self.settings.pupil_samples  # no huge continuations in dark corners
-        step = u[1] - u[0]
-        # The pupil is clear or opaque, so ∫P² = ∫P, and the mean survives the band limit.
-        norm = np.sqrt(np.sum(amplitude)) * step * (2 * self.grid.width_m)
-        self.amplitude = self._real(np.where(lit, amplitude, 0) / norm)
-        self.basis = self._real(zernike_basis(self.nolls, x, y) * lit).reshape(len(self.nolls), -1)
-        diversity = np.zeros_like(x)
+    def _set_pupil(self, grid: PupilGrid) -> None:
+        self.amplitude = self._real(grid.amplitude)
+        self.basis = self._real(grid.modes(self.nolls)).reshape(len(self.nolls), -1)
+        diversity = np.zeros_like(grid.amplitude)
         for noll, value_nm in self.settings.diversity.items():
-            diversity += value_nm * zernike_basis([noll], x, y)[0]
-        self.diversity_nm = self._real(diversity * lit)
-        self._set_products(u / u[-1], x * lit, y * lit, lit)
-        self.to_focal = [self._complex(pupil_to_focal(u, grid)) for grid in self.grids]
-        polynomials = self._complex(chebyshev.chebvander(u / u[-1], self.degree).T)
+            diversity += value_nm * grid.modes([noll])[0]
+        self.diversity_nm = self._real(diversity)
+        self.to_focal = [self._complex(pupil_to_focal(grid.u_m, focal)) for focal in self.grids]
+
+    def _set_products(self, grid: PupilGrid) -> None:
+        """Every mode in products of Chebyshev polynomials, and the transforms of these along one axis."""
+        self.degree = max((noll_to_nm(noll)[0] for noll in self.nolls), default=0)
+        self.pairs = [(a, b) for b in range(self.degree + 1) for a in range(self.degree + 1 - b)]
+        vander = chebyshev.chebvander(grid.u_m / grid.u_m[-1], self.degree)
+        columns = np.stack([np.outer(vander[:, b], vander[:, a])[grid.lit] for a, b in self.pairs], axis=1)
+        modes = zernike_basis(self.nolls, *grid.xy)[:, grid.lit].T
+        self.combine = self._real(np.linalg.lstsq(columns, modes, rcond=None)[0].T)  # (K, pairs)
+        polynomials = self._complex(vander.T)
         self.weighted_to_focal = [  # (degree+1, m, n) each
             polynomials[:, None, :] * matrix[None] for matrix in self.to_focal
         ]
 
-    def _set_products(self, t: np.ndarray, x: np.ndarray, y: np.ndarray, lit: np.ndarray) -> None:
-        """Coefficients of every mode in products of Chebyshev polynomials."""
-        self.degree = max((noll_to_nm(noll)[0] for noll in self.nolls), default=0)
-        self.pairs = [(a, b) for b in range(self.degree + 1) for a in range(self.degree + 1 - b)]
-        vander = chebyshev.chebvander(t, self.degree)
-        columns = np.stack([np.outer(vander[:, b], vander[:, a])[lit] for a, b in self.pairs], axis=1)
-        modes = zernike_basis(self.nolls, x, y)[:, lit].T
-        self.combine = self._real(np.linalg.lstsq(columns, modes, rcond=None)[0].T)  # (K, pairs)
-
     def _set_pixels(self) -> None:
-        rows, columns = self.settings.window
+        colours = list(zip(self.wavelengths_m, self.grids, strict=True))
         scale = self.settings.pixel_scale_mas
-        self.plain, self.filtered = [], []
-        for lam, grid in zip(self.wavelengths_m, self.grids, strict=True):
-            self.plain.append([self._real(focal_to_pixels(px, scale, lam, grid)) for px in (rows, columns)])
-            along_y = baseline_to_pixels(grid.baseline_y_m, rows, scale, lam, grid, half=False)
-            along_x = baseline_to_pixels(grid.baseline_x_m, columns, scale, lam, grid, half=True)
-            self.filtered.append([self._complex(along_y), self._complex(along_x)])
+        self.plain = [self._plain_matrices(scale, *colour) for colour in colours]
+        self.filtered = [self._filtered_matrices(scale, *colour) for colour in colours]
+
+    def _plain_matrices(self, scale_mas, wavelength_m, grid: FocalGrid) -> list[torch.Tensor]:
+        """From focal intensity to rows and to columns."""
+        return [self._real(focal_to_pixels(px, scale_mas, wavelength_m, grid)) for px in self.settings.window]
+
+    def _filtered_matrices(self, scale_mas, wavelength_m, grid: FocalGrid) -> list[torch.Tensor]:
+        """From the real FFT of the focal intensity to rows and to columns."""
+        (rows, columns), sky = self.settings.window, (scale_mas, wavelength_m, grid)
+        along_y = baseline_to_pixels(grid.baseline_y_m, rows, *sky, half=False)
+        along_x = baseline_to_pixels(grid.baseline_x_m, columns, *sky, half=True)
+        return [self._complex(along_y), self._complex(along_x)]
 
     def _real(self, array) -> torch.Tensor:
         return torch.as_tensor(array, dtype=self.dtype, device=self.device)
@@ -173,104 +182,122 @@ class PsfModel:
         coefficients = coefficients_nm.to(self.device, self.dtype)
         return (coefficients @ self.basis).reshape(-1, *self.amplitude.shape) + self.diversity_nm
 
-    def field(self, opd_nm: torch.Tensor, wavelength_m: float) -> torch.Tensor:
-        """Complex field in the pupil."""
-        return torch.polar(self.amplitude.expand_as(opd_nm), opd_nm * (2 * np.pi * NM / wavelength_m))
+    def _colour(self, index: int, optics: Optics) -> Colour:
+        """The light path at one wavelength."""
+        wavelength_m, weight = float(self.wavelengths_m[index]), float(self.weights[index])
+        transfer = None if optics.transfer is None else self._like_images(optics.transfer[index])
+        matrices = (self.plain if transfer is None else self.filtered)[index]
+        if optics.sampling is not None:
+            wavelength_m, weight = optics.sampling.wavelengths_m[index], optics.sampling.weights[index]
+            make = self._plain_matrices if transfer is None else self._filtered_matrices
+            matrices = make(optics.sampling.pixel_scale_mas, wavelength_m, self.grids[index])
+        pupil = self.amplitude if optics.pupil is None else self._complex(optics.pupil[index])
+        return Colour(wavelength_m, weight, pupil, transfer, *matrices, self.grid.padded)
 
-    def to_image(
-        self, intensity: torch.Tensor, wavelength: int, transfer: torch.Tensor | None
-    ) -> torch.Tensor:
-        """Pixel flux from focal intensity ``(..., m, m)`` at one wavelength, through the OTF factors."""
-        if transfer is None:
-            to_rows, to_columns = self.plain[wavelength]
-            return to_rows @ intensity @ to_columns.mT
-        to_rows, to_columns = self.filtered[wavelength]
-        spectrum = torch.fft.rfft2(intensity, s=(self.grid.padded,) * 2) * transfer[wavelength]
-        partial = to_rows @ spectrum
-        return partial.real @ to_columns.real.mT - partial.imag @ to_columns.imag.mT
+    def _like_images(self, factor: torch.Tensor) -> torch.Tensor:
+        return self._complex(factor) if factor.is_complex() else self._real(factor)
 
-    def images(self, coefficients_nm: torch.Tensor, transfer: torch.Tensor | None = None) -> torch.Tensor:
+    def images(self, coefficients_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
         """Unit-flux images; differentiable by autograd as well.
 
         Parameters
         ----------
         coefficients_nm : tensor, (frames, modes)
-        transfer : tensor, (wavelengths, p, p//2 + 1), optional
-            OTF factors on the baselines of `grid`, p = ``grid.padded``.
+        optics : Optics
+            What effects make of the light path, see `effects.EffectSet`.
 
         Returns
         -------
         tensor, (frames, rows, columns)
         """
         opd = self.opd_nm(coefficients_nm)
-        return sum(
-            ordered_map(lambda index: self._one_colour(opd, index, transfer), range(len(self.weights)))
-        )
+        return sum(ordered_map(lambda index: self._one_colour(opd, index, optics), range(len(self.weights))))
 
-    def _one_colour(self, opd: torch.Tensor, index: int, transfer: torch.Tensor | None) -> torch.Tensor:
+    def _one_colour(self, opd: torch.Tensor, index: int, optics: Optics) -> torch.Tensor:
         """Weighted images at one wavelength."""
-        to_focal = self.to_focal[index]
-        amplitude = to_focal @ self.field(opd, self.wavelengths_m[index]) @ to_focal.mT
-        intensity = amplitude.real**2 + amplitude.imag**2
-        return float(self.weights[index]) * self.to_image(intensity, index, transfer)
+        colour = self._colour(index, optics)
+        amplitude = self._amplitude(colour, opd, index)
+        return colour.weight * colour.image(amplitude.real**2 + amplitude.imag**2)
 
     @torch.no_grad()
     def images_and_jacobian(
         self,
         coefficients_nm: torch.Tensor,
-        transfer: torch.Tensor | None = None,
-        transfer_derivatives: torch.Tensor | None = None,
+        optics: Optics = AS_BUILT,
+        tangents: Tangents = NO_TANGENTS,
+        *,
+        modal: bool = True,
     ):
         """Images and their derivatives.
 
         Parameters
         ----------
         coefficients_nm : tensor, (frames, modes)
-        transfer : see `images`
-        transfer_derivatives : tensor, (parameters, wavelengths, m, m//2 + 1), optional
+        optics : see `images`
+        tangents : Tangents
+            Derivatives of pupil and OTF factors with respect to effect parameters.
+        modal : bool
+            False leaves the derivatives with respect to the modes out.
 
         Returns
         -------
         images : tensor, (frames, rows, columns)
         jacobian : tensor, (frames, modes + parameters, rows, columns)
-            First the modes [1/nm], then the OTF parameters.
+            First the modes [1/nm], then the parameters in the pupil, then those of the OTF.
         """
         per_frame = len(self.pairs) * self.grid.samples**2
         parts = [
-            self._chunk(chunk, transfer, transfer_derivatives)
+            self._chunk(chunk, optics, tangents, modal)
             for chunk in coefficients_nm.split(max(1, CHUNK_ELEMENTS // per_frame))
         ]
         return torch.cat([part[0] for part in parts]), torch.cat([part[1] for part in parts])
 
-    def _chunk(self, coefficients_nm, transfer, transfer_derivatives):
+    def _chunk(self, coefficients_nm, optics: Optics, tangents: Tangents, modal: bool):
         opd = self.opd_nm(coefficients_nm)
         colours = ordered_map(
-            lambda index: self._one_colour_with_jacobian(opd, index, transfer, transfer_derivatives),
+            lambda index: self._one_colour_with_jacobian(opd, index, optics, tangents, modal),
             range(len(self.weights)),
         )
         return sum(colour[0] for colour in colours), sum(colour[1] for colour in colours)
 
-    def _one_colour_with_jacobian(self, opd, index, transfer, transfer_derivatives):
+    def _one_colour_with_jacobian(self, opd, index: int, optics: Optics, tangents: Tangents, modal: bool):
         """Weighted images and derivatives at one wavelength."""
-        amplitude, modal = self._amplitude_and_modal(opd, index)
+        colour = self._colour(index, optics)
+        if modal:
+            amplitude, changes = self._amplitude_and_modal(colour, opd, index)
+            columns = [colour.image(changes)]
+        else:
+            amplitude, columns = self._amplitude(colour, opd, index), []
         intensity = amplitude.real**2 + amplitude.imag**2
-        columns = [self.to_image(modal, index, transfer)]
-        if transfer_derivatives is not None:
-            columns += [self.to_image(intensity, index, one)[:, None] for one in transfer_derivatives]
-        weight = float(self.weights[index])
-        return weight * self.to_image(intensity, index, transfer), weight * torch.cat(columns, dim=1)
+        columns += [
+            colour.image(self._beat(amplitude, colour, opd, self._complex(one[index]), index))[:, None]
+            for one in tangents.pupil
+        ]
+        columns += [
+            colour.image(intensity, self._like_images(one[index]))[:, None] for one in tangents.transfer
+        ]
+        return colour.weight * colour.image(intensity), colour.weight * torch.cat(columns, dim=1)
 
-    def _amplitude_and_modal(self, opd: torch.Tensor, index: int):
+    def _beat(self, amplitude, colour: Colour, opd, change, index: int) -> torch.Tensor:
+        """Derivative of the intensity, (frames, m, m), for a `change` (n, n) of the pupil's amplitude."""
+        to_focal = self.to_focal[index]
+        return 2 * (amplitude.conj() * (to_focal @ (change * colour.phasor(opd)) @ to_focal.mT)).real
+
+    def _amplitude(self, colour: Colour, opd: torch.Tensor, index: int) -> torch.Tensor:
+        """Focal amplitude, (frames, m, m)."""
+        to_focal = self.to_focal[index]
+        return to_focal @ colour.field(opd) @ to_focal.mT
+
+    def _amplitude_and_modal(self, colour: Colour, opd: torch.Tensor, index: int):
         """Focal amplitude (frames, m, m) and intensity derivatives (frames, modes, m, m)."""
-        wavelength_m, m = self.wavelengths_m[index], self.grids[index].samples
-        to_focal = self.weighted_to_focal[index]
-        field = self.field(opd, wavelength_m)
+        to_focal, m = self.weighted_to_focal[index], self.grids[index].samples
+        field = colour.field(opd)
         along_x = field @ to_focal.reshape(-1, field.shape[-1]).mT  # (frames, n, (degree+1)·m)
         along_x = along_x.reshape(*field.shape[:2], self.degree + 1, m).transpose(1, 2).contiguous()
         along_y = [to_focal[b] @ along_x[:, : self.degree + 1 - b] for b in range(self.degree + 1)]
         products = torch.cat(along_y, dim=1)  # (frames, pairs, m, m)
         amplitude = products[:, 0]  # T_0(x) T_0(y) = 1
         beat = (products * amplitude.conj()[:, None]).imag
-        scale = -4 * np.pi * NM / wavelength_m
-        modal = (scale * self.combine) @ beat.reshape(*beat.shape[:2], -1)
-        return amplitude, modal.reshape(len(opd), -1, m, m)
+        scale = float(-4 * np.pi * NM / colour.wavelength_m)
+        changes = (scale * self.combine) @ beat.reshape(*beat.shape[:2], -1)
+        return amplitude, changes.reshape(len(opd), -1, m, m)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from irlos_pipe.effects import OtfGrid, SeeingHalo, TipTiltJitter, Transfer
+from irlos_pipe.effects import EffectSet, SeeingHalo, TipTiltJitter
 from irlos_pipe.instrument import load_instrument
 from irlos_pipe.noise import NoiseModel
 from irlos_pipe.optics.structure import ResidualBand
@@ -56,16 +56,9 @@ def vector(zernike_nm: dict[int, float], nolls) -> torch.Tensor:
     return torch.tensor([[zernike_nm.get(noll, 0.0) for noll in nolls]], dtype=torch.float64)
 
 
-def halo_and_jitter(model: PsfModel, seeing_arcsec: float = 0.5) -> Transfer:
-    """OTF factors of the AO residual and the image motion, all parameters free."""
-    return Transfer(
-        (SeeingHalo(BAND, seeing_arcsec), TipTiltJitter()), OtfGrid(model.grid, model.wavelengths_m)
-    )
-
-
-def starts(transfer: Transfer) -> torch.Tensor:
-    """Start values of the parameters of `transfer`."""
-    return torch.tensor([parameter.start for parameter in transfer.parameters], dtype=torch.float64)
+def halo_and_jitter(model: PsfModel, seeing_arcsec: float = 0.5) -> EffectSet:
+    """AO residual and image motion, all parameters free."""
+    return EffectSet((SeeingHalo(BAND, seeing_arcsec), TipTiltJitter()), model.stations)
 
 
 def photons(mag_j: float, exposure_s: float = 1.0) -> float:

@@ -15,7 +15,7 @@ import pytest
 
 hcipy = pytest.importorskip("hcipy", reason="the independent images need HCIPy, a development dependency")
 sys.path.append(str(Path(__file__).resolve().parents[1] / "data_samples"))
-from simulator.telescope import ut4_aperture  # noqa: E402
+from simulator.telescope import OBSCURATION_M, ut4_aperture  # noqa: E402
 
 DIAMETER_M = 8.0
 MAS_RAD = np.deg2rad(1 / 3.6e6)
@@ -47,8 +47,21 @@ class ReferenceImager:
         """OPD of Noll coefficients, flat [nm]."""
         return sum((nm * self._mode(noll) for noll, nm in zernike_nm.items()), np.zeros(self.grid.size))
 
-    def image(self, zernike_nm, wavelength_nm: float, window, pixel_scale_mas: float) -> np.ndarray:
-        """Pixel-integrated image (rows, columns); `zernike_nm` is a dict, or a flat OPD [nm]."""
+    def misregistered(self, stop_m: tuple[float, float], rotation_deg: float) -> np.ndarray:
+        """Transmission where an annular stop at `stop_m` and the pupil with turned vanes are both clear."""
+        turn = np.deg2rad(rotation_deg)
+        annulus = hcipy.make_obstructed_circular_aperture(DIAMETER_M, OBSCURATION_M / DIAMETER_M)
+        stop = hcipy.make_shifted_aperture(annulus, stop_m)
+        turned = hcipy.make_rotated_aperture(ut4_aperture, turn)
+        return _supersampled(self.grid, self.step_m, lambda grid: stop(grid) * turned(grid))
+
+    def image(
+        self, zernike_nm, wavelength_nm: float, window, pixel_scale_mas: float, transmission=None
+    ) -> np.ndarray:
+        """Pixel-integrated image (rows, columns); `zernike_nm` is a dict, or a flat OPD [nm].
+
+        Another `transmission` than that of the pupil still counts as fractions of the light through it.
+        """
         opd = self.opd_nm(zernike_nm) if isinstance(zernike_nm, dict) else zernike_nm
         nodes, weights = np.polynomial.legendre.leggauss(NODES)
         pixel = pixel_scale_mas * MAS_RAD
@@ -57,7 +70,8 @@ class ReferenceImager:
         axes = [columns.ravel() * pixel * wavenumber, rows.ravel() * pixel * wavenumber]
         focal = hcipy.CartesianGrid(hcipy.SeparatedCoords(axes))
         transform = hcipy.MatrixFourierTransform(self.grid, focal)
-        field = hcipy.Field(self.transmission * np.exp(2j * np.pi * opd / wavelength_nm), self.grid)
+        amplitude = self.transmission if transmission is None else transmission
+        field = hcipy.Field(amplitude * np.exp(2j * np.pi * opd / wavelength_nm), self.grid)
         intensity = np.abs(np.asarray(transform.forward(field))) ** 2
         fine = intensity.reshape(window[0], NODES, window[1], NODES)
         integrated = np.einsum("yjxi,j,i->yx", fine, weights / 2, weights / 2)
@@ -77,10 +91,10 @@ class ReferenceImager:
         )
 
 
-def _supersampled(grid, step_m: float) -> np.ndarray:
+def _supersampled(grid, step_m: float, aperture=ut4_aperture) -> np.ndarray:
     """Area-weighted transmission: mean over points spread evenly in every cell."""
     offsets = ((np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES - 0.5) * step_m
-    shifted = (ut4_aperture(grid.shifted([dx, dy])) for dx in offsets for dy in offsets)
+    shifted = (aperture(grid.shifted([dx, dy])) for dx in offsets for dy in offsets)
     return np.asarray(sum(shifted)) / SUBSAMPLES**2
 
 

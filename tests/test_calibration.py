@@ -7,7 +7,8 @@ import optics_cases as cases
 import pytest
 import torch
 
-from irlos_pipe.estimate.calibration import CalibrationOptions, Frames, calibrate
+from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.methods import METHODS
 from irlos_pipe.estimate.scatter import autocorrelation_time, covariance_of_mean
 from irlos_pipe.estimate.twin import twin_of

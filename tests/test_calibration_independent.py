@@ -7,7 +7,8 @@ import pytest
 from optics_cases import READ_NOISE, draw_frames, everything, ncpa_nm, settings
 from reference_psf import reference
 
-from irlos_pipe.estimate.calibration import CalibrationOptions, Frames, calibrate
+from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.methods import METHODS
 
 HIGHEST_NOLL, FRAMES, FLUX_E = 21, 16, 2e6

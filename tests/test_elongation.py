@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from optics_cases import J_AND_H, draw_frames, everything, halo_and_jitter, settings, starts, vector
+from optics_cases import J_AND_H, draw_frames, everything, halo_and_jitter, settings, vector
 
 from irlos_pipe.estimate.elongation import ElongationLaw, axis_ratios, calibrate_law, diversity_angle_deg
 from irlos_pipe.psf import PsfModel
@@ -91,12 +91,12 @@ def test_the_law_gives_the_defocus_of_images_within_its_range(diversity):
 def test_the_law_holds_with_residual_noise_and_another_star_position():
     case = settings(64, J_AND_H[1::3])
     own = PsfModel(case, (4,))
-    transfer = halo_and_jitter(own)
-    law = calibrate_law(own, transfer(starts(transfer)).float())
+    effects = halo_and_jitter(own)
+    law = calibrate_law(own, effects(effects.starts))
     model = PsfModel(case, (2, 3, 4))
     true = np.array([-150.0, -50.0, 50.0, 150.0])
     wavefronts = torch.cat([vector({2: 60.0, 3: -40.0, 4: nm}, (2, 3, 4)) for nm in true])
-    means = model.images(wavefronts, transfer(starts(transfer)).float()).double().numpy() * 5e4
+    means = model.images(wavefronts, effects(effects.starts)).double().numpy() * 5e4
     frames = torch.cat([draw_frames(mean, 1, seed) for seed, mean in enumerate(means)])
     ratio, _ = axis_ratios(frames, everything(frames), law.angle_deg)
     assert np.abs(law.defocus_nm(ratio) - true).max() < 80

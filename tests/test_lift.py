@@ -10,6 +10,7 @@ from irlos_pipe.estimate.bound import cramer_rao_nm
 from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
 from irlos_pipe.estimate.lift import LiftOptions, lift
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
+from irlos_pipe.image_model import ImageModel
 from irlos_pipe.noise import NoiseModel
 from irlos_pipe.psf import PsfModel
 
@@ -52,7 +53,7 @@ def test_lift_is_unbiased_efficient_and_its_error_bars_hold(model, mag_j):
     flux = cases.photons(mag_j)
     result = estimate(model, drawn(model, true, flux, seed=100 + mag_j), true[:, 2].numpy())
     error = (result.zernike_nm - true)[:, 2].numpy()
-    bound = cramer_rao_nm(model, true, torch.full((images,), flux), NOISE)[:, 2].numpy()
+    bound = cramer_rao_nm(ImageModel(model), true, torch.full((images,), flux), NOISE)[:, 2].numpy()
     rmse, expected = np.sqrt(np.mean(error**2)), np.sqrt(np.mean(bound**2))
     assert result.solution.converged.all()
     assert abs(error.mean()) < 3.5 * expected / np.sqrt(images)
@@ -78,7 +79,8 @@ def test_at_zero_flux_map_returns_the_prior_with_its_covariance(model):
     rng = np.random.default_rng(1)
     images = torch.as_tensor(0.01 * rng.standard_normal((1, 64, 64)), dtype=torch.float32)
     options = LiftOptions("model", mean.double(), sigma.double())
-    result = lift(model, images, cases.everything(images), NoiseModel(1.0, 100.0), mean.double(), options)
+    noise, everything = NoiseModel(1.0, 100.0), cases.everything(images)
+    result = lift(ImageModel(model), images, everything, noise, mean.double(), options)
     assert torch.allclose(result.zernike_nm, mean.double(), atol=0.05)
     assert torch.allclose(result.covariance_nm2[0], torch.diag(sigma.double() ** 2), rtol=1e-2, atol=1.0)
 
@@ -87,7 +89,7 @@ def test_map_lies_between_the_prior_and_the_maximum_likelihood(model):
     true = torch.tensor([[0.0, 0.0, 100.0]], dtype=torch.float64)
     image = drawn(model, true, cases.photons(20), seed=3)
     ml = estimate(model, image, np.array([100.0])).zernike_nm[0, 2]
-    sigma = float(cramer_rao_nm(model, true, torch.tensor([cases.photons(20)]), NOISE)[0, 2])
+    sigma = float(cramer_rao_nm(ImageModel(model), true, torch.tensor([cases.photons(20)]), NOISE)[0, 2])
     options = LiftOptions("model", torch.zeros(1, 3).double(), torch.full((3,), sigma).double())
     between = estimate(model, image, np.array([100.0]), options).zernike_nm[0, 2]
     assert abs(float(between / ml) - 0.5) < 0.15  # equal precision of prior and data: half way
@@ -97,7 +99,7 @@ def test_a_frame_of_nan_is_flagged_and_the_others_are_estimated(model):
     true = random_modes(3, seed=5)
     images = drawn(model, true, cases.photons(12), seed=6)
     images[1, 10, 10] = float("nan")
-    result = lift(model, images, cases.everything(images), NOISE, true * 0.9)
+    result = lift(ImageModel(model), images, cases.everything(images), NOISE, true * 0.9)
     assert result.solution.status[1] == "invalid"
     assert torch.allclose(result.zernike_nm[[0, 2]], true[[0, 2]], atol=2.0)
 
@@ -109,7 +111,8 @@ def test_masked_pixels_carry_no_weight(model):
     hurt[:, 30:33, 30:33] = 1e6
     mask = cases.everything(images)
     mask[30:33, 30:33] = False
-    a, b = (lift(model, picture, mask, NOISE, true * 0.9, LiftOptions("model")) for picture in (images, hurt))
+    whole, options = ImageModel(model), LiftOptions("model")
+    a, b = (lift(whole, picture, mask, NOISE, true * 0.9, options) for picture in (images, hurt))
     # The start's smoothed variances see the neighbours of masked pixels; the estimates must not.
     assert torch.allclose(a.zernike_nm, b.zernike_nm, atol=0.05)
 
@@ -143,5 +146,7 @@ def test_frames_that_all_converge_to_a_wrong_defocus_are_found_though_none_stand
 def test_the_excess_noise_factor_widens_the_error_bars(model):
     true = torch.zeros(1, 3, dtype=torch.float64)
     flux = torch.tensor([cases.photons(10)])
-    poisson, excess = (cramer_rao_nm(model, true, flux, NoiseModel(factor, 0.01)) for factor in (1.0, 1.5))
+    poisson, excess = (
+        cramer_rao_nm(ImageModel(model), true, flux, NoiseModel(factor, 0.01)) for factor in (1.0, 1.5)
+    )
     assert torch.allclose(excess, poisson * np.sqrt(1.5), rtol=1e-3)

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from irlos_pipe.effects import Conditions, OtfGrid, SeeingHalo
-from irlos_pipe.estimate.calibration import Frames
+from irlos_pipe.effects import Conditions, SeeingHalo
+from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.experiments.methods import Distribution, Sample, compare, scene_of, speckle_floor_nm
-from irlos_pipe.experiments.variants import DEFAULT, VARIANTS, PartialHalo, sharpest_half
+from irlos_pipe.experiments.variants import DEFAULT, VARIANTS, partial_halo, sharpest_half
 from irlos_pipe.instrument import load_instrument
 from irlos_pipe.noise import NoiseModel
+from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.propagate import FocalGrid
 from irlos_pipe.optics.structure import ResidualBand
 
@@ -86,11 +87,12 @@ def test_the_sharpest_half_is_the_half_with_less_blur():
 
 
 def test_a_residual_without_direction_has_a_round_transfer_function():
-    halo = PartialHalo(SeeingHalo.under(Conditions(ResidualBand(0.125, 2.5), 0.8)), 2)
-    grid = OtfGrid(FocalGrid(96, 9.0, 96), [1.6e-6])
-    exponent = halo.exponent(torch.tensor([1e4, 2.0], dtype=torch.float64), grid)[0].numpy()
-    along_x = exponent[0, 1:20]
-    along_y = exponent[1:20, 0]
+    halo = partial_halo(SeeingHalo.under(Conditions(ResidualBand(0.125, 2.5), 0.8)), 2)
+    wavelength_m = torch.tensor(1.6e-6, dtype=torch.float64)
+    grid = OtfGrid(FocalGrid(96, 9.0, 96), wavelength_m[None, None, None], wavelength_m)
+    values = torch.tensor([1e4, 2.0], dtype=torch.float64)
+    factor = halo.apply(values, torch.ones((), dtype=torch.float64), grid)[0].numpy()
+    along_x, along_y = -np.log(factor[0, 1:20]), -np.log(factor[1:20, 0])
     assert along_x == pytest.approx(along_y, rel=1e-3)
 
 

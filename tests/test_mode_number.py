@@ -6,7 +6,8 @@ import optics_cases as cases
 import pytest
 import torch
 
-from irlos_pipe.estimate.calibration import CalibrationOptions, Frames
+from irlos_pipe.estimate.calibration import CalibrationOptions
+from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.mode_number import BLOCKS_PER_HALF, choose, halves, scan_mode_numbers
 from irlos_pipe.psf import PsfModel
 

@@ -7,6 +7,7 @@ import torch
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.solve import solve
+from irlos_pipe.image_model import ImageModel
 from irlos_pipe.parallel import ordered_map, set_workers
 from irlos_pipe.psf import PsfModel
 
@@ -25,7 +26,8 @@ def fitted(workers: int) -> torch.Tensor:
     mean = model.images(torch.zeros(1, 3)).double().numpy() * 1e5
     frames = cases.draw_frames(mean[0], 11, seed=1)
     images = frames[:, None].flatten(2)
-    problem = ImageFit(model, Layout(TTF), images, cases.READ_NOISE.variance_e2(images.mean(0, keepdim=True)))
+    variance = cases.READ_NOISE.variance_e2(images.mean(0, keepdim=True))
+    problem = ImageFit(ImageModel(model), Layout(TTF), images, variance)
     return solve(problem, problem.layout.start(images[:, 0])).values
 
 

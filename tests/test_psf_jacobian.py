@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import pytest
 import torch
-from optics_cases import J_AND_H, NARROW_H, halo_and_jitter, ncpa_nm, settings, starts, vector
+from optics_cases import J_AND_H, NARROW_H, halo_and_jitter, ncpa_nm, settings, vector
 
-from irlos_pipe.psf import PsfModel
+from irlos_pipe.psf import AS_BUILT, PsfModel
 
 NOLLS = tuple(range(2, 22))
 SPECTRA = {"mono": NARROW_H, "polychromatic": J_AND_H[::2]}
@@ -33,8 +33,8 @@ def wavefronts() -> torch.Tensor:
 
 @pytest.fixture(params=[False, True], ids=["bare", "with OTF factors"])
 def factor(request, model):
-    transfer = halo_and_jitter(model)
-    return transfer(starts(transfer)) if request.param else None
+    effects = halo_and_jitter(model)
+    return effects(effects.starts) if request.param else AS_BUILT
 
 
 def central_difference(function, x: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
@@ -68,24 +68,24 @@ def test_the_images_beside_the_derivatives_are_the_images(model, factor, wavefro
 
 
 def test_derivatives_of_otf_parameters_are_finite_differences(model, wavefronts):
-    transfer = halo_and_jitter(model)
-    values = starts(transfer) * 1.1 + 0.05
-    _, jacobian = model.images_and_jacobian(wavefronts, transfer(values), transfer.derivatives(values))
+    effects = halo_and_jitter(model)
+    values = effects.starts * 1.1 + 0.05
+    _, jacobian = model.images_and_jacobian(wavefronts, effects(values), effects.tangents(values))
     steps = 1e-4 * values.abs().clamp_min(1.0)
     for frame, x in enumerate(wavefronts):
-        numeric = central_difference(lambda v, x=x: model.images(x[None], transfer(v))[0], values, steps)
+        numeric = central_difference(lambda v, x=x: model.images(x[None], effects(v))[0], values, steps)
         for parameter, ours, theirs in zip(
-            transfer.parameters, jacobian[frame, len(NOLLS) :], numeric, strict=True
+            effects.parameters, jacobian[frame, len(NOLLS) :], numeric, strict=True
         ):
             tolerance = 1e-6 * float(theirs.abs().max())
             assert ours.numpy() == pytest.approx(theirs.numpy(), abs=tolerance), parameter.name
 
 
 def test_derivatives_with_respect_to_an_effect_do_not_vanish_when_it_is_absent(model, wavefronts):
-    transfer = halo_and_jitter(model)
-    values = starts(transfer)
+    effects = halo_and_jitter(model)
+    values = effects.starts
     values[0] = values[-1] = 0.0  # variances of residual and jitter
-    _, jacobian = model.images_and_jacobian(wavefronts, transfer(values), transfer.derivatives(values))
+    _, jacobian = model.images_and_jacobian(wavefronts, effects(values), effects.tangents(values))
     for position in (0, -1):
         column = jacobian[:, len(NOLLS) :][:, position]
         assert torch.isfinite(column).all()

@@ -1,5 +1,5 @@
-"""The second start of a fit that ended in a wrong minimum. Truth: coefficients that frames were drawn with from
-the model (same code, on purpose: what is tested is the way to the minimum)."""
+"""The second start of a fit that ended in a wrong minimum. Truth: coefficients that frames were drawn with
+from the model (same code, on purpose: what is tested is the way to the minimum)."""
 
 import numpy as np
 import optics_cases as cases
@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from irlos_pipe.estimate import calibration
-from irlos_pipe.estimate.calibration import CalibrationOptions, Frames, calibrate
+from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.second_start import FRAMES, better, median_of_frames_nm
 from irlos_pipe.estimate.solve import CONVERGED, INVALID, Solution
 from irlos_pipe.psf import PsfModel

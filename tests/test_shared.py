@@ -8,10 +8,11 @@ import pytest
 import torch
 from optics_cases import BAND, READ_NOISE, draw_frames, everything, settings, vector
 
-from irlos_pipe.effects import OtfGrid, Pinned, SeeingHalo, TipTiltJitter, Transfer
+from irlos_pipe.effects import EffectSet, Pinned, SeeingHalo, TipTiltJitter
 from irlos_pipe.estimate.lift import image_problem, smooth
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.shared import SharedFit, fit_shared
+from irlos_pipe.image_model import ImageModel
 from irlos_pipe.psf import PsfModel
 
 NOLLS = (2, 3, 4)
@@ -28,19 +29,18 @@ def wavefronts() -> torch.Tensor:
     return torch.cat([vector({2: 20.0, 3: -15.0, 4: nm}, NOLLS) for nm in DEFOCUS_NM])
 
 
-def joint_fit(model: PsfModel, transfer: Transfer, true: float, seed: int) -> SharedFit:
-    """Fit of a ramp drawn with the only free parameter of `transfer` at `true`."""
-    factor = transfer(torch.tensor([true], dtype=torch.float64)).float()
-    means = model.images(wavefronts(), factor).double().clamp_min(0).numpy() * FLUX_E
+def joint_fit(model: PsfModel, effects: EffectSet, true: float, seed: int) -> SharedFit:
+    """Fit of a ramp drawn with the only free parameter of `effects` at `true`."""
+    optics = effects(torch.tensor([true], dtype=torch.float64))
+    means = model.images(wavefronts(), optics).double().clamp_min(0).numpy() * FLUX_E
     frames = torch.cat([draw_frames(mean, 1, seed + i) for i, mean in enumerate(means)])
     layout, variance = Layout(model.nolls), READ_NOISE.variance_e2(smooth(frames))
-    problem = image_problem(model, layout, frames, variance, everything(frames), None)
-    return fit_shared(problem, transfer, layout.start(frames.flatten(1), 0.8 * wavefronts()))
+    problem = image_problem(ImageModel(model, effects), layout, frames, variance, everything(frames))
+    return fit_shared(problem, layout.start(frames.flatten(1), 0.8 * wavefronts()))
 
 
 def jitter_fit(model: PsfModel, seed: int, start_mas: float = 7.0, sigma_mas: float = SIGMA_MAS) -> SharedFit:
-    transfer = Transfer((TipTiltJitter(start_mas),), OtfGrid(model.grid, model.wavelengths_m))
-    return joint_fit(model, transfer, sigma_mas**2, 10 * seed)
+    return joint_fit(model, EffectSet((TipTiltJitter(start_mas),), model.stations), sigma_mas**2, 10 * seed)
 
 
 def test_the_size_of_the_object_is_recovered_from_a_ramp(model):
@@ -74,10 +74,8 @@ def test_an_absent_object_stays_at_its_bound(model):
 def test_the_residual_can_be_scaled_on_a_ramp(model):
     halo = SeeingHalo(BAND, 0.5)
     start = [p.start for p in halo.parameters]
-    transfer = Transfer(
-        (Pinned(halo, start, free=("variance_nm2",)),), OtfGrid(model.grid, model.wavelengths_m)
-    )
+    effects = EffectSet((Pinned(halo, start, free=("variance_nm2",)),), model.stations)
     true = 1.5 * start[0]
-    fit = joint_fit(model, transfer, true, seed=80)
+    fit = joint_fit(model, effects, true, seed=80)
     assert fit.status == "converged"
     assert abs(fit.values.item() - true) < 4 * fit.covariance.item() ** 0.5

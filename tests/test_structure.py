@@ -9,12 +9,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from optics_cases import BAND, NARROW_H, halo_and_jitter, settings, starts
+from optics_cases import BAND, NARROW_H, halo_and_jitter, settings
 from reference_psf import DIAMETER_M, reference
 from scipy.integrate import quad
 from scipy.special import gamma, j0, kv
 
-from irlos_pipe.effects import OtfGrid, SeeingHalo, Transfer
+from irlos_pipe.effects import EffectSet, SeeingHalo
+from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.structure import (
     InBandResidual,
     ResidualBand,
@@ -148,7 +149,7 @@ def test_the_long_exposure_is_the_mean_of_images_through_random_screens():
     )
     model = PsfModel(settings(window, diversity={}), (4,), dtype=torch.float64)
     good_seeing = SeeingHalo(BAND, 0.01)  # leaves next to nothing beyond the cut-off, as in the screens
-    halo = Transfer((good_seeing,), OtfGrid(model.grid, model.wavelengths_m))
+    halo = EffectSet((good_seeing,), model.stations)
     values = torch.tensor([150.0**2, 2.0, 0.0, 0.0], dtype=torch.float64)
     ours = model.images(torch.zeros(1, 1), halo(values))[0].numpy()
     error = drawn.std(0, ddof=1) / np.sqrt(SCREENS)
@@ -160,7 +161,8 @@ def test_the_long_exposure_is_the_mean_of_images_through_random_screens():
 
 
 def test_turbulence_beyond_the_cut_off_adds_to_the_residual_inside():
-    grid = OtfGrid(PsfModel(settings(24), (4,)).grid, [1.6e-6])
+    stations = PsfModel(settings(24), (4,)).stations
+    grid = OtfGrid.of(stations.focal, stations.sampling)
     values = torch.tensor([100.0**2, 2.0, 0.0, 0.0], dtype=torch.float64)
     inside, both = (SeeingHalo(BAND, seeing).exponent(values, grid)[0] for seeing in (1e-4, 0.8))
     lengths = np.hypot(grid.baseline_x_m[None], grid.baseline_y_m[:, None])
@@ -170,8 +172,8 @@ def test_turbulence_beyond_the_cut_off_adds_to_the_residual_inside():
 
 def test_the_otf_factors_lie_between_zero_and_one_and_start_at_one():
     model = PsfModel(settings(24), (4,), dtype=torch.float64)
-    transfer = halo_and_jitter(model)
-    factor = transfer(starts(transfer))
+    effects = halo_and_jitter(model)
+    factor = effects(effects.starts).transfer
     assert factor[0, 0, 0] == pytest.approx(1, abs=1e-12)
     assert factor.min() > 0
     assert factor.max() <= 1 + 1e-12

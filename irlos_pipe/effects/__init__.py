@@ -1,23 +1,55 @@
 """Physical effects beyond the static wavefront, each declaring where on the light path it acts."""
 
-from .base import Conditions, OtfEffect, OtfGrid, Parameter
+from .base import Conditions, Effect, Parameter
+from .colour import AtmosphericDispersion, PlateScale, Spectrum
+from .companion import Companion
+from .drift import NcpaDrift
+from .effect_set import EffectSet, fixed_optics
+from .focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
+from .low_wind import LowWindEffect
+from .motion import TipTiltJitter, Vibration
 from .pinned import Pinned, expected
+from .pixels import BackgroundGradient, BadPixels, DetectorNonlinearity, InterpixelCrosstalk
+from .pupil_stop import AmplitudeAberration, PupilMisregistration
 from .seeing_halo import SeeingHalo
-from .tip_tilt_jitter import TipTiltJitter
-from .transfer import Transfer, fixed_transfer
+from .wavefront import DiversityError, HighOrderNcpa, PhaseBump
 
-CATALOGUE = {effect.name: effect for effect in (SeeingHalo, TipTiltJitter)}
+CATALOGUE: dict[str, type[Effect]] = {
+    effect.name: effect
+    for effect in (
+        TipTiltJitter,
+        Vibration,
+        SeeingHalo,
+        AtmosphericDispersion,
+        Spectrum,
+        PlateScale,
+        DiversityError,
+        PupilMisregistration,
+        AmplitudeAberration,
+        LowWindEffect,
+        HighOrderNcpa,
+        PhaseBump,
+        NcpaDrift,
+        Companion,
+        InterpixelCrosstalk,
+        DetectorNonlinearity,
+        BackgroundGradient,
+        BadPixels,
+        FocusStageHysteresis,
+        FocusStageOffset,
+        FocusStageScale,
+    )
+}
 
 __all__ = [
     "CATALOGUE",
     "Conditions",
-    "OtfEffect",
-    "OtfGrid",
+    "Effect",
+    "EffectSet",
     "Parameter",
     "Pinned",
     "SeeingHalo",
     "TipTiltJitter",
-    "Transfer",
     "expected",
-    "fixed_transfer",
+    "fixed_optics",
 ]

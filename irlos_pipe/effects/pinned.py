@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
 
-from .base import OtfEffect, OtfGrid
+from .base import Effect, Parameter
 
 
 class Pinned:
@@ -17,28 +18,53 @@ class Pinned:
     This is how parameters estimated by one stage are handed on to the next.
     """
 
-    def __init__(self, effect: OtfEffect, values: Sequence[float], free: Sequence[str] = ()):
-        self.effect, self.name = effect, effect.name
+    def __init__(self, effect: Effect, values: Sequence[float], free: Sequence[str] = ()):
+        self.effect = effect
+        self.name, self.place, self.order = effect.name, effect.place, effect.order
+        self.instrumental, self.aberration = effect.instrumental, effect.aberration
         self.values = np.asarray(values, float)
         self.free = [i for i, p in enumerate(effect.parameters) if p.name in free]
-        self.parameters = tuple(replace(effect.parameters[i], start=float(self.values[i])) for i in self.free)
 
-    def _all(self, values) -> torch.Tensor:
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Those left free."""
+        return tuple(replace(self.effect.parameters[i], start=float(self.values[i])) for i in self.free)
+
+    @property
+    def null_values(self) -> list[float]:
+        """See `Effect.null_values`."""
+        return [p.start if p.null is None else p.null for p in self.parameters]
+
+    def all_values(self, values) -> torch.Tensor:
+        """Values of all parameters of the effect, from those of the free ones."""
         full = torch.as_tensor(self.values, dtype=torch.float64)
-        return full if not self.free else full.index_put((torch.tensor(self.free),), torch.as_tensor(values))
+        if not self.free:
+            return full
+        place = torch.as_tensor(np.eye(len(self.values))[self.free])
+        held = torch.as_tensor(np.isin(np.arange(len(self.values)), self.free, invert=True))
+        return full * held + torch.as_tensor(values, dtype=torch.float64) @ place
 
-    def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """See `OtfEffect.exponent`."""
-        return self.effect.exponent(self._all(values), grid)
+    def apply(self, values: torch.Tensor, *light: Any) -> Any:
+        """See the `apply` of the effect's place."""
+        return self.effect.apply(self.all_values(values), *light)
 
-    def describe(self, values: np.ndarray) -> dict[str, float]:
-        """See `OtfEffect.describe`."""
-        return self.effect.describe(self._all(values).numpy())
+    def opd_nm(self, values: torch.Tensor, grid) -> torch.Tensor | None:
+        """See `PupilEffect.opd_nm`."""
+        return self.effect.opd_nm(self.all_values(values), grid)
+
+    def describe(self, values: Sequence[float]) -> dict[str, Any]:
+        """See `Effect.describe`."""
+        return self.effect.describe(self.all_values(values).numpy())
 
 
-def expected(effects: Sequence[OtfEffect]) -> list[OtfEffect]:
-    """The same effects held at the values a fit would start from."""
-    return [
-        Pinned(effect, [p.start for p in effect.parameters]) if effect.parameters else effect
-        for effect in effects
-    ]
+def expected(effects: Sequence[Effect | Pinned]) -> list[Effect | Pinned]:
+    """The same effects held at what is to be expected: usual ones at their start, others absent."""
+    return [_expected(effect) for effect in effects]
+
+
+def _expected(effect: Effect | Pinned) -> Effect | Pinned:
+    if not effect.parameters:
+        return effect
+    if isinstance(effect, Pinned):
+        return Pinned(effect.effect, effect.values)
+    return Pinned(effect, [p.start for p in effect.parameters] if effect.usual else effect.null_values)

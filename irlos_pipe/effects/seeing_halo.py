@@ -11,6 +11,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from ..optics.grids import NM, OtfGrid
+from ..optics.propagate import FocalGrid
 from ..optics.structure import (
     InBandResidual,
     ResidualBand,
@@ -18,9 +20,8 @@ from ..optics.structure import (
     fitting_variance_nm2,
     seeing_to_r0_m,
 )
-from .base import Conditions, OtfGrid, Parameter
+from .base import Conditions, Effect, OtfEffect, Parameter, number
 
-NM = 1e-9
 WFE_PER_ARCSEC_NM, WFE_FLOOR_NM = 104.27, 58.6  # total residual against seeing, GALACSI test report 2019
 
 
@@ -31,7 +32,7 @@ def in_band_wfe_nm(band: ResidualBand, seeing_arcsec: float) -> float:
     return float(np.sqrt(max(total**2 - fitting, (0.3 * total) ** 2)))
 
 
-class SeeingHalo:
+class SeeingHalo(OtfEffect):
     """Averaged speckle and halo of the residual wavefront.
 
     Parameters
@@ -42,24 +43,33 @@ class SeeingHalo:
     """
 
     name = "seeing_halo"
+    usual = True
+    public = (
+        number("wfe_nm", "nm RMS in all", 0.0, 1000.0, required=False),
+        number("scale", "of the in-band variance expected at the seeing", 0.0, 100.0, required=False),
+    )
+    look_alike = "tip_tilt_jitter, which broadens the core instead of feeding a halo"
+    reference = "Fétick et al. 2018, A&A 628, A99; Roddier 1981, Prog. Opt. 19, 281"
 
     def __init__(self, band: ResidualBand, seeing_arcsec: float):
         self.band, self.r0_m = band, seeing_to_r0_m(seeing_arcsec)
-        expected = in_band_wfe_nm(band, seeing_arcsec)
+        expected = in_band_wfe_nm(band, seeing_arcsec) ** 2
         self.fitting_nm2 = fitting_variance_nm2(band, self.r0_m)
         self.parameters = (
-            Parameter("variance_nm2", "nm²", expected**2, expected**2, 2 * expected**2, 0.0, 1e6),
-            Parameter("slope", "", 2.0, 2.0, 1.0, -1.0, 6.0),
-            Parameter("stretch_cos", "", 0.0, 0.0, 0.7, -3.0, 3.0),
-            Parameter("stretch_sin", "", 0.0, 0.0, 0.7, -3.0, 3.0),
-            Parameter("cross_cos", "", 0.0, 0.0, 0.5, -2.0, 2.0),
-            Parameter("cross_sin", "", 0.0, 0.0, 0.5, -2.0, 2.0),
+            Parameter(
+                "variance_nm2", "nm²", expected, expected, 2 * expected, 0.0, 1e6, None, (0.0, 400.0**2)
+            ),
+            Parameter("slope", "", 2.0, 2.0, 1.0, -1.0, 6.0, None, (0.0, 4.0)),
+            Parameter("stretch_cos", "", 0.0, 0.0, 0.7, -3.0, 3.0, None, (-2.0, 2.0)),
+            Parameter("stretch_sin", "", 0.0, 0.0, 0.7, -3.0, 3.0, None, (-2.0, 2.0)),
+            Parameter("cross_cos", "", 0.0, 0.0, 0.5, -2.0, 2.0, None, (-2.0, 2.0)),
+            Parameter("cross_sin", "", 0.0, 0.0, 0.5, -2.0, 2.0, None, (-2.0, 2.0)),
         )
-        self._grid: OtfGrid | None = None
+        self._baselines: FocalGrid | None = None
 
     @classmethod
     def under(cls, conditions: Conditions) -> SeeingHalo:
-        """See `OtfEffect.under`."""
+        """See `Effect.under`."""
         return cls(conditions.band, conditions.seeing_arcsec)
 
     def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
@@ -67,6 +77,10 @@ class SeeingHalo:
         self._prepare(grid)
         structure = self._in_band.structure_nm2(*values) + self._fitting
         return 0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2 * structure
+
+    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+        """See `OtfEffect.apply`."""
+        return factor * torch.exp(-self.exponent(values, grid))
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """In-band WFE, total WFE, PSD slope, strength and direction of the elongation, four-fold strength."""
@@ -80,15 +94,50 @@ class SeeingHalo:
             "cross": float(np.hypot(cos4, sin4)),
         }
 
-    def values_of(self, wfe_nm: float) -> list[float]:
-        """Solver's parameters for a known total residual [nm RMS], its shape as expected."""
-        return [max(wfe_nm**2 - self.fitting_nm2, 0.0), *(p.start for p in self.parameters[1:])]
+    def values_of(self, wfe_nm: float | None = None, scale: float | None = None) -> list[float]:
+        """Solver's parameters for a known total residual, its shape as expected.
+
+        Raises
+        ------
+        ValueError
+            Unless exactly one of the two is given.
+        """
+        if (wfe_nm is None) == (scale is None):
+            raise ValueError("seeing_halo is fixed by either wfe_nm or scale")
+        expected = self.parameters[0].start
+        variance = scale * expected if wfe_nm is None else max(wfe_nm**2 - self.fitting_nm2, 0.0)
+        return [variance, *(p.start for p in self.parameters[1:])]
+
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
+        """The whole halo scaled: the turbulence beyond the cut-off is not there without the effect."""
+        return [ScaledHalo(self)]
 
     def _prepare(self, grid: OtfGrid) -> None:
         """Quadrature matrices for these baselines, made once."""
-        if self._grid is grid:
+        if self._baselines == grid.focal:
             return
         bx, by = np.broadcast_arrays(grid.baseline_x_m[None, :], grid.baseline_y_m[:, None])
         self._in_band = InBandResidual(bx, by, self.band)
         self._fitting = torch.as_tensor(fitting_structure_nm2(np.hypot(bx, by), self.band, self.r0_m))
-        self._grid = grid
+        self._baselines = grid.focal
+
+
+class ScaledHalo(OtfEffect):
+    """The halo expected at the seeing times one factor, 0 without and 1 with it: for searches.
+
+    Parameters
+    ----------
+    halo : SeeingHalo
+        What it stands for; a fit then goes on with this.
+    """
+
+    name = SeeingHalo.name
+    parameters = (Parameter("scale", "", 1.0, lower=0.0, upper=100.0, plausible=(0.0, 10.0)),)
+
+    def __init__(self, halo: SeeingHalo):
+        self.halo = halo
+
+    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+        """See `OtfEffect.apply`."""
+        expected = torch.tensor([p.start for p in self.halo.parameters], dtype=torch.float64)
+        return factor * torch.exp(-values[0] * self.halo.exponent(expected, grid))

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import torch
 
+from ..image_model import ImageModel
 from ..noise import NoiseModel
-from ..psf import PsfModel
 from .solve import scaled_inverse
 
 
 def cramer_rao_nm(
-    model: PsfModel,
+    model: ImageModel,
     coefficients_nm: torch.Tensor,
     flux_e: torch.Tensor,
     noise: NoiseModel,
     *,
-    transfer: torch.Tensor | None = None,
     background_e: float = 0.0,
 ) -> torch.Tensor:
     """Smallest standard errors of the modes with flux and background free, (images, modes) [nm].
@@ -25,13 +24,14 @@ def cramer_rao_nm(
 
     Parameters
     ----------
+    model : ImageModel
+        Without free effect parameters.
     coefficients_nm : tensor, (images, modes)
     flux_e : tensor, (images,)
     """
-    unit, jacobian = model.images_and_jacobian(coefficients_nm, transfer)
-    unit, jacobian = unit.double().flatten(1), jacobian.double().flatten(2)
-    flux = flux_e.double().to(unit.device)[:, None]
-    columns = torch.cat([jacobian * flux[..., None], unit[:, None], torch.ones_like(unit)[:, None]], dim=1)
-    fisher = (columns / noise.variance_e2(unit * flux + background_e)[:, None]) @ columns.mT
+    flux = flux_e.double()
+    image, columns = model.predict_and_jacobian(coefficients_nm, flux, torch.full_like(flux, background_e))
+    image, columns = image.flatten(1), columns.double().flatten(2)
+    fisher = (columns / noise.variance_e2(image)[:, None]) @ columns.mT
     covariance = scaled_inverse(fisher)
-    return torch.diagonal(covariance, dim1=1, dim2=2).sqrt()[:, : len(model.nolls)].cpu()
+    return torch.diagonal(covariance, dim1=1, dim2=2).sqrt()[:, : len(model.psf.nolls)].cpu()

@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ..effects.base import OtfEffect, OtfGrid
-from ..effects.transfer import Transfer
-from ..noise import NoiseModel
+from ..effects import Effect, Pinned
+from ..image_model import ImageModel
 from ..psf import PsfModel, PsfSettings
 from .centring import start_tilts_nm
+from .cube import Frames, mean_variance_e2
+from .drift import drifts, measured_drift
 from .image_fit import ImageFit, masked_variance
 from .lbfgs import solve_lbfgs
 from .loss import LOSSES
@@ -21,29 +22,13 @@ from .methods import METHODS, Method
 from .parameters import Layout
 from .priors import ncpa_sigma_nm
 from .scatter import covariance_of_mean
+from .search import located, searched_for
 from .second_start import HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
 from .solve import Solution, solve
+from .total_wavefront import effects_in_modes_nm
 from .twin import TwinCheck, check_twin
 
 FRAME_MARGIN_MAS = 100.0  # field beyond the window, for fits of single frames
-LOCAL_PX = 5  # side of the square over which scatter is averaged
-
-
-@dataclass(frozen=True)
-class Frames:
-    """Images of a calibration cube.
-
-    Attributes
-    ----------
-    images_e : tensor, (frames, rows, columns)
-    pixel_mask : tensor of bool, (rows, columns)
-        True for good pixels.
-    noise : NoiseModel
-    """
-
-    images_e: torch.Tensor
-    pixel_mask: torch.Tensor
-    noise: NoiseModel
 
 
 @dataclass(frozen=True)
@@ -86,11 +71,13 @@ class Calibration:
     ----------
     nolls : tuple of int
     zernike_nm : ndarray, (modes,)
-        Static wavefront without the diversity.
+        Static wavefront without the diversity, the part of effects in the pupil included.
+    modes_nm : ndarray, (modes,)
+        The same without that part: what goes with the effects in a model.
     covariance_nm2 : ndarray, (modes, modes)
         From the scatter over frames, autocorrelation included.
     effects : dict
-        Public parameters of the OTF effects, by effect.
+        Public parameters of the effects, by effect.
     effect_values : dict of str to ndarray
         Solver's parameters of each effect, for handing on.
     frames_nm : ndarray, (frames, modes)
@@ -105,8 +92,9 @@ class Calibration:
     options: CalibrationOptions
     nolls: tuple[int, ...]
     zernike_nm: np.ndarray
+    modes_nm: np.ndarray
     covariance_nm2: np.ndarray
-    effects: dict[str, dict[str, float]]
+    effects: dict[str, dict]
     effect_values: dict[str, np.ndarray]
     frames_nm: np.ndarray
     frame_status: list[str]
@@ -128,7 +116,7 @@ def calibrate(
     frames: Frames,
     settings: PsfSettings,
     options: CalibrationOptions,
-    effects: Sequence[OtfEffect] = (),
+    effects: Sequence[Effect | Pinned] = (),
     *,
     device: str = "cpu",
     report: Callable[[int], None] | None = None,
@@ -137,8 +125,8 @@ def calibrate(
 
     Parameters
     ----------
-    effects : sequence of OtfEffect
-        Effects of the model; methods of the paper leave them out.
+    effects : sequence of Effect or Pinned
+        Of the model; methods of the paper leave them out.
     report : callable, optional
         Called with the number of finished frames, for a progress bar.
 
@@ -152,17 +140,51 @@ def calibrate(
     began = time.perf_counter()
     method, options = options.resolved()
     effects = tuple(effects) if method.effects else ()
-    model = _model(settings, method, range(2, options.highest_noll + 1), device)
-    transfer = Transfer(effects, OtfGrid(model.grid, model.wavelengths_m)) if effects else None
-    problem = _problem(frames, model, method, options, transfer)
-    start = _start(frames, problem, settings)
-    solution = _solve(problem, start, options, report)
-    if method.effects and not is_plausible(problem, solution):
-        solution = better(solution, _solve(problem, _second_start(frames, settings, start, device), options))
-    return _result(frames, problem, method, options, solution, time.perf_counter() - began)
+    psf = _psf_model(settings, method, range(2, options.highest_noll + 1), device)
+    task = _Task(frames, psf, method, options, report)
+    steady = [effect for effect in effects if not drifts(effect)]
+    fit = _fit_steady(task, steady)
+    for effect in effects:
+        if drifts(effect):
+            frames_nm = _linear_estimates(frames, *fit)[1]
+            fit = task.fit([*fit[0].model.effects.effects, measured_drift(effect, psf.nolls, frames_nm)], fit)
+    return _result(task, *fit, time.perf_counter() - began)
 
 
-def _model(settings: PsfSettings, method: Method, nolls: Sequence[int], device: str) -> PsfModel:
+@dataclass(frozen=True)
+class _Task:
+    """What is to be fitted, whatever the effects in the model."""
+
+    frames: Frames
+    psf: PsfModel
+    method: Method
+    options: CalibrationOptions
+    report: Callable[[int], None] | None
+
+    def fit(
+        self, effects: Sequence[Effect | Pinned], near: tuple[ImageFit, Solution] | None = None
+    ) -> tuple[ImageFit, Solution]:
+        """Fit with these effects, from scratch or from the modes of another fit."""
+        problem = _problem(self.frames, ImageModel(self.psf, effects), self.method, self.options)
+        start = _start(self.frames, problem, self.psf.settings)
+        if near is not None:
+            start[:, problem.layout.modes] = near[1].values[:, near[0].layout.modes]
+        solution = _solve(problem, start, self.options, self.report)
+        if near is None and self.method.effects and not is_plausible(problem, solution):
+            again = _second_start(self.frames, self.psf, start)
+            solution = better(solution, _solve(problem, again, self.options))
+        return problem, solution
+
+
+def _fit_steady(task: _Task, effects: Sequence[Effect | Pinned]) -> tuple[ImageFit, Solution]:
+    """Fit with all effects; those whose place is unknown are searched for in what the others leave."""
+    fit = task.fit([effect for effect in effects if not searched_for(effect)])
+    if not any(searched_for(effect) for effect in effects):
+        return fit
+    return task.fit(located(fit[0], fit[1].values[:1], effects), fit)
+
+
+def _psf_model(settings: PsfSettings, method: Method, nolls: Sequence[int], device: str) -> PsfModel:
     """PSF model: quick for single frames, whose noise hides the difference, exact for the mean.
 
     With the field of single frames, χ²/ν of the mean of 60 noise-limited frames was 1.14 instead of
@@ -177,43 +199,14 @@ def _model(settings: PsfSettings, method: Method, nolls: Sequence[int], device: 
 # -- the problem -----------------------------------------------------------------------------
 
 
-def mean_variance_e2(frames: Frames) -> torch.Tensor:
-    """Variance of the mean image [e-²], (rows, columns): the scatter between frames.
-
-    The ratio of scatter to photon noise is averaged over 5×5 pixels, about λ/D, before it is held
-    above one: pixel by pixel, scatter from few frames is uncertain, and its excursions would raise
-    the variance and lower χ².
-    """
-    images = frames.images_e.double()
-    photons = frames.noise.variance_e2(images.mean(0))
-    ratio = _local_mean(images.var(0, correction=1) / photons, frames.pixel_mask.double())
-    return photons * ratio.clamp_min(1.0) / len(images)
-
-
-def _local_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-    """Weighted running mean over `LOCAL_PX` × `LOCAL_PX` pixels, (rows, columns)."""
-    kernel = torch.ones(1, 1, LOCAL_PX, LOCAL_PX, dtype=values.dtype)
-    total, norm = (
-        torch.nn.functional.conv2d(plane[None, None], kernel, padding=LOCAL_PX // 2)[0, 0]
-        for plane in (torch.where(weight > 0, values * weight, 0.0), weight)
-    )
-    return total / norm.clamp_min(1.0)
-
-
-def _problem(
-    frames: Frames, model: PsfModel, method: Method, options: CalibrationOptions, transfer: Transfer | None
-) -> ImageFit:
-    prior = None if options.prior_scale is None else ncpa_sigma_nm(model.nolls, options.prior_scale)
-    layout = Layout(model.nolls, transfer.parameters if transfer else (), prior_sigma_nm=prior)
+def _problem(frames: Frames, model: ImageModel, method: Method, options: CalibrationOptions) -> ImageFit:
+    nolls, device = model.psf.nolls, model.psf.device
+    prior = None if options.prior_scale is None else ncpa_sigma_nm(nolls, options.prior_scale)
+    layout = Layout(nolls, model.effects.parameters, prior_sigma_nm=prior)
     images, variance = _data(frames, method)
     variance = masked_variance(variance, frames.pixel_mask).flatten(-2)
     return ImageFit(
-        model,
-        layout,
-        images.flatten(2).to(model.device),
-        variance.to(model.device),
-        transfer=transfer,
-        loss=LOSSES[options.loss],
+        model, layout, images.flatten(2).to(device), variance.to(device), loss=LOSSES[options.loss]
     )
 
 
@@ -238,12 +231,12 @@ def _start(frames: Frames, problem: ImageFit, settings: PsfSettings) -> torch.Te
     return x
 
 
-def _second_start(frames: Frames, settings: PsfSettings, start: torch.Tensor, device: str) -> torch.Tensor:
+def _second_start(frames: Frames, psf: PsfModel, start: torch.Tensor) -> torch.Tensor:
     """The start with what single frames tell of the low modes."""
-    highest = min(HIGHEST_NOLL, start.shape[1])
-    model = _model(settings, METHODS["lift_slices"], range(2, highest + 1), device)
+    nolls = [noll for noll in psf.nolls if noll <= HIGHEST_NOLL]
+    model = _psf_model(psf.settings, METHODS["lift_slices"], nolls, psf.device)
     median_nm = median_of_frames_nm(model, frames.images_e, frames.pixel_mask, frames.noise)
-    return torch.cat([median_nm[None], start[:, len(median_nm) :]], dim=1)
+    return torch.cat([median_nm[None], start[:, len(nolls) :]], dim=1)
 
 
 def _solve(problem: ImageFit, start: torch.Tensor, options: CalibrationOptions, report=None) -> Solution:
@@ -255,57 +248,59 @@ def _solve(problem: ImageFit, start: torch.Tensor, options: CalibrationOptions, 
 # -- the result ------------------------------------------------------------------------------
 
 
-def _result(
-    frames: Frames,
-    problem: ImageFit,
-    method: Method,
-    options: CalibrationOptions,
-    solution: Solution,
-    seconds: float,
-) -> Calibration:
-    modes = problem.layout.modes
+def _result(task: _Task, problem: ImageFit, solution: Solution, seconds: float) -> Calibration:
+    frames, method = task.frames, task.method
+    layout, effects = problem.layout, problem.model.effects
+    modes = layout.modes
     usable = np.array([status != "invalid" for status in solution.status])
     if method.images == "frames":
         per_frame = solution.values[:, modes].numpy()
         per_frame = np.where(usable[:, None], per_frame, np.nan)
         values = solution.values[torch.as_tensor(usable)].mean(0, keepdim=True)
+        total_nm = values[0, modes].numpy()
     else:
         values = solution.values[:1]
-        per_frame = _linear_estimates(frames, problem, solution)
+        total_nm, per_frame = _linear_estimates(frames, problem, solution)
     mean, sigma = frames.images_e.double().mean(0), mean_variance_e2(frames).sqrt()
     model_image = problem.predict(values)[0].reshape(mean.shape).cpu()
     pull = ((mean - model_image) / sigma)[frames.pixel_mask]
-    transfer = problem.transfer
-    effect_values = values[0, problem.layout.effect_values].numpy()
+    effect_values = values[0, layout.effect_values]
     return Calibration(
-        options,
-        problem.layout.nolls,
+        task.options,
+        layout.nolls,
+        total_nm,
         values[0, modes].numpy(),
         covariance_of_mean(per_frame[np.isfinite(per_frame).all(1)]),
-        transfer.describe(effect_values) if transfer else {},
-        transfer.split(effect_values) if transfer else {},
+        effects.describe(effect_values),
+        effects.split(effect_values),
         per_frame,
         solution.status,
         solution.iterations.numpy(),
         mean.numpy(),
         model_image.numpy(),
         sigma.numpy(),
-        float((pull**2).sum() / (len(pull) - problem.layout.size)),
+        float((pull**2).sum() / (len(pull) - layout.size)),
         check_twin(problem, solution.values[:1], solution.objective[0]) if method.images == "mean" else None,
         seconds,
     )
 
 
-def _linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> np.ndarray:
-    """Coefficients per frame by one linear step from the shared solution, (frames, modes).
+def _linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients of the whole wavefront, (modes,), and per frame, (frames, modes).
 
-    Their mean is the solution; their scatter carries photon noise, speckle and real changes.
+    The latter by one linear step from the shared solution: their mean is the solution, their scatter
+    carries photon noise, speckle and real changes.
     """
-    x = solution.values[:1]
+    x, layout = solution.values[:1], problem.layout
+    added, slopes = effects_in_modes_nm(problem.model.effects, x[0, layout.effect_values], layout.nolls)
+    read = torch.zeros(len(layout.nolls), layout.size, dtype=torch.float64)
+    read[:, layout.modes] = torch.eye(len(layout.nolls), dtype=torch.float64)
+    read[:, layout.effect_values] = slopes.double()
     _, jacobian = problem.predict_and_jacobian(x)
     weight = problem.root_weight[0].double().mean(0) ** 2
-    gain = solution.covariance[0, problem.layout.modes] @ (jacobian[0].double() * weight).cpu()
+    gain = read @ solution.covariance[0] @ (jacobian[0].double() * weight).cpu()
     images = frames.images_e.double().flatten(1)
     flux = images.sum(1, keepdim=True)
     deviation = images * (flux.mean() / flux) - images.mean(0)
-    return (x[0, problem.layout.modes] + (deviation @ gain.mT)).numpy()
+    total = x[0, layout.modes] + added
+    return total.numpy(), (total + deviation @ gain.mT).numpy()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
+from ..optics.grids import Optics
 from ..psf import PsfModel, PsfSettings
 
 
@@ -36,26 +38,30 @@ class Prediction:
 
 def predict_correction(
     settings: PsfSettings,
-    nolls,
-    zernike_nm: np.ndarray,
-    corrected: tuple[int, ...],
-    gain: float,
-    make_transfer,
+    nolls: Sequence[int],
+    modes_nm: np.ndarray,
+    total_nm: np.ndarray,
+    gain: np.ndarray,
+    make_optics: Callable[[PsfModel], Optics],
 ) -> Prediction:
-    """Images before and after removing the modes `corrected`; tip and tilt are left out of both.
+    """Images before and after a correction; tip and tilt are left out of both.
 
     Parameters
     ----------
-    gain : float
-        Part of the corrected modes that is taken out.
-    make_transfer : callable
-        ``make_transfer(model)`` gives the fixed OTF factors of AO residual and jitter, or None.
+    modes_nm, total_nm : ndarray, (modes,)
+        Modes that go with the effects of `make_optics`, and those of the whole wavefront, which is what
+        is corrected.
+    gain : ndarray, (modes,)
+        Part of each mode that is taken out.
+    make_optics : callable
+        ``make_optics(model)`` gives what AO residual, jitter and other effects make of the light path.
     """
     model = PsfModel(replace(settings, diversity={}), nolls)
-    before = torch.as_tensor(np.where(np.isin(nolls, (2, 3)), 0.0, zernike_nm))
-    after = torch.as_tensor(np.where(np.isin(nolls, corrected), (1 - gain) * before, before))
-    transfer = make_transfer(model)
-    images = model.images(torch.stack([before, after]), transfer).double().numpy()
+    motion = np.isin(nolls, (2, 3))
+    before = np.where(motion, modes_nm - total_nm, modes_nm)
+    after = np.where(motion, before, modes_nm - gain * total_nm)
+    wavefronts = torch.as_tensor(np.stack([before, after]))
+    images = model.images(wavefronts, make_optics(model)).double().numpy()
     perfect = model.images(torch.zeros(1, len(nolls)))[0].double().numpy()
     radius, profiles = _profiles(images, settings.pixel_scale_mas)
     peak = perfect.max()

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..psf import PsfModel
+from ..optics.grids import Optics
+from ..psf import AS_BUILT, PsfModel
 from .solve import Solution, solve
 
 SPAN_NM = np.linspace(-400.0, 400.0, 33)  # defocus scanned for the calibration of A and B
@@ -144,7 +145,7 @@ def axis_ratios(
     return np.where(solution.converged.numpy(), ratio, np.nan), solution
 
 
-def calibrate_law(model: PsfModel, transfer: torch.Tensor | None = None) -> ElongationLaw:
+def calibrate_law(model: PsfModel, optics: Optics = AS_BUILT) -> ElongationLaw:
     """A and B from model images over a range of defocus.
 
     Parameters
@@ -153,7 +154,7 @@ def calibrate_law(model: PsfModel, transfer: torch.Tensor | None = None) -> Elon
         With Noll 4 as its only mode.
     """
     angle = diversity_angle_deg(model.settings.diversity)
-    images = model.images(torch.as_tensor(SPAN_NM)[:, None], transfer).cpu()
+    images = model.images(torch.as_tensor(SPAN_NM)[:, None], optics).cpu()
     ratio, _ = axis_ratios(images, torch.ones(images.shape[1:], dtype=torch.bool), angle)
     return _fit_law(ratio, angle)
 

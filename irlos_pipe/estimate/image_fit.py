@@ -11,9 +11,8 @@ import math
 
 import torch
 
-from ..effects.transfer import Transfer
+from ..image_model import ImageModel
 from ..parallel import ordered_map
-from ..psf import PsfModel
 from .loss import GAUSSIAN, Loss
 from .parameters import Layout
 from .solve import CHI2_TOLERANCE
@@ -23,35 +22,34 @@ LOOK_AHEAD = 2  # re-weightings of a robust loss per Jacobian
 
 
 class ImageFit:
-    """Images against ``flux · PSF(modes, effects) + background``.
+    """Images against those of an `ImageModel`.
 
     Parameters
     ----------
-    model : PsfModel
-        Its `nolls` are the fitted modes.
+    model : ImageModel
+        The modes of its PSF are the fitted ones. Its free effect parameters are either those of
+        `layout.effects`, fitted along, or stay at `held`.
     layout : Layout
     images_e : tensor, (batch, repeats, pixels)
         Data; the images along `repeats` share one parameter vector.
     variance_e2 : tensor, broadcastable to `images_e`
         Variance of the data; infinite for masked pixels.
-    transfer : Transfer or tensor, optional
-        OTF factors: with free parameters (those of `layout.effects`), or fixed, or none.
     loss : Loss
     """
 
     def __init__(
         self,
-        model: PsfModel,
+        model: ImageModel,
         layout: Layout,
         images_e: torch.Tensor,
         variance_e2: torch.Tensor,
         *,
-        transfer: Transfer | torch.Tensor | None = None,
         loss: Loss = GAUSSIAN,
     ):
         self.model, self.layout, self.loss = model, layout, loss
         self.images = images_e
-        self.transfer = transfer
+        self.device = model.psf.device
+        self.held = model.effects.starts
         self.root_weight = self._root_weight(variance_e2)
         self.freedom = max(
             1,
@@ -105,32 +103,22 @@ class ImageFit:
 
     def predict(self, x: torch.Tensor) -> torch.Tensor:
         """Model images [e-], (b, pixels), float64 on the model's device."""
-        x = x.to(self.model.device)
-        unit = self.model.images(x[:, self.layout.modes], self._factor(x)).double().flatten(1)
-        return x[:, -2:-1] * unit + x[:, -1:]
+        return self.model.predict(*self._arguments(x)).flatten(1)
 
     def predict_and_jacobian(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Model images [e-], (b, pixels), float64, and derivatives (b, parameters, pixels) as propagated."""
-        x = x.to(self.model.device)
-        free = self._factor_derivatives(x)
-        unit, jacobian = self.model.images_and_jacobian(x[:, self.layout.modes], self._factor(x), free)
-        columns = torch.empty(len(x), self.layout.size, unit[0].numel(), dtype=unit.dtype, device=x.device)
-        torch.mul(jacobian.flatten(2), x[:, -2, None, None].to(unit.dtype), out=columns[:, :-2])
-        columns[:, -2] = unit.flatten(1)
-        columns[:, -1] = 1.0
-        return x[:, -2:-1] * unit.double().flatten(1) + x[:, -1:], columns
+        """Model images [e-], (b, pixels), float64, and derivatives (b, parameters, pixels)."""
+        image, columns = self.model.predict_and_jacobian(*self._arguments(x), held=not self.layout.effects)
+        return image.flatten(1), columns.flatten(2)
 
-    def _factor(self, x: torch.Tensor) -> torch.Tensor | None:
-        if isinstance(self.transfer, Transfer):
-            values = x[0, self.layout.effect_values].cpu()
-            return self.transfer(values).to(self.model.device, self.model.dtype)
-        return self.transfer
+    def predict_and_all_derivatives(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The same with those with respect to effect parameters that are held, before flux and background."""
+        image, columns = self.model.predict_and_jacobian(*self._arguments(x))
+        return image.flatten(1), columns.flatten(2)
 
-    def _factor_derivatives(self, x: torch.Tensor) -> torch.Tensor | None:
-        if not self.layout.effects:
-            return None
-        values = x[0, self.layout.effect_values].cpu()
-        return self.transfer.derivatives(values).to(self.model.device, self.model.dtype)
+    def _arguments(self, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Modes, flux, background and effect parameters, as `ImageModel` wants them."""
+        values = x[0, self.layout.effect_values].cpu() if self.layout.effects else self.held
+        return x[:, self.layout.modes].to(self.device), x[:, -2], x[:, -1], values
 
     def _whitened(self, model_e: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Whitened residuals (b, repeats, pixels) and the square roots of the weights."""

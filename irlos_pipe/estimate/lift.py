@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import torch
 
+from ..image_model import ImageModel
 from ..noise import NoiseModel
-from ..psf import PsfModel
 from .image_fit import ImageFit, masked_variance
 from .parameters import Layout
 from .solve import Solution, solve
@@ -79,38 +79,37 @@ class LiftResult:
 
 
 def lift(
-    model: PsfModel,
+    model: ImageModel,
     images_e: torch.Tensor,
     pixel_mask: torch.Tensor,
     noise: NoiseModel,
     start_nm: torch.Tensor,
     options: LiftOptions = LiftOptions(),
     *,
-    transfer: torch.Tensor | None = None,
     report: Callable[[int], None] | None = None,
 ) -> LiftResult:
     """Estimate the modes of `model` in every image.
 
     Parameters
     ----------
-    model : PsfModel
-        Its diversity holds the introduced diversity and, if calibrated, the NCPAs.
+    model : ImageModel
+        Its effects have no free parameters; the diversity of its PSF holds the introduced diversity and,
+        if calibrated, the NCPAs.
     images_e : tensor, (images, rows, columns)
     pixel_mask : tensor of bool, (rows, columns)
     start_nm : tensor, (images, modes)
-    transfer : tensor, optional
-        Fixed OTF factors (AO residual, jitter, object).
 
     Returns
     -------
     LiftResult
     """
-    layout = Layout(model.nolls, prior_mean_nm=options.prior_mean_nm, prior_sigma_nm=options.prior_sigma_nm)
+    nolls = model.psf.nolls
+    layout = Layout(nolls, prior_mean_nm=options.prior_mean_nm, prior_sigma_nm=options.prior_sigma_nm)
     flat = images_e.flatten(1)
     x = layout.start(flat * pixel_mask.flatten(), start_nm)
     signal = smooth(images_e)
     for round_ in range(NOISE_ROUNDS[options.noise]):
-        problem = image_problem(model, layout, images_e, noise.variance_e2(signal), pixel_mask, transfer)
+        problem = image_problem(model, layout, images_e, noise.variance_e2(signal), pixel_mask)
         solution = solve(
             problem, x, max_iterations=options.max_iterations, report=report if round_ == 0 else None
         )
@@ -118,7 +117,7 @@ def lift(
         signal = problem.predict_all(x).reshape(images_e.shape)
     modes = layout.modes
     return LiftResult(
-        model.nolls,
+        nolls,
         solution.values[:, modes],
         solution.covariance[:, modes, modes],
         solution,
@@ -128,22 +127,16 @@ def lift(
 
 
 def image_problem(
-    model: PsfModel,
+    model: ImageModel,
     layout: Layout,
     images_e: torch.Tensor,
     variance_e2: torch.Tensor,
     pixel_mask: torch.Tensor,
-    transfer: torch.Tensor | None,
 ) -> ImageFit:
     """One image, one parameter vector, for a whole batch."""
     variance = masked_variance(variance_e2, pixel_mask)[:, None].flatten(2)
-    return ImageFit(
-        model,
-        layout,
-        images_e[:, None].flatten(2).to(model.device),
-        variance.to(model.device),
-        transfer=transfer,
-    )
+    device = model.psf.device
+    return ImageFit(model, layout, images_e[:, None].flatten(2).to(device), variance.to(device))
 
 
 def smooth(images_e: torch.Tensor) -> torch.Tensor:

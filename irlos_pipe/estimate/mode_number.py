@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ..effects.base import OtfEffect
+from ..effects import Effect, Pinned
 from ..psf import PsfSettings
-from .calibration import Calibration, CalibrationOptions, Frames, calibrate, mean_variance_e2
+from .calibration import Calibration, CalibrationOptions, calibrate
+from .cube import Frames, mean_variance_e2
 
 BLOCKS_PER_HALF = 8
 LEAST_FRAMES = 4 * BLOCKS_PER_HALF
@@ -100,7 +101,7 @@ def scan_mode_numbers(
     settings: PsfSettings,
     options: CalibrationOptions,
     highest_nolls: Sequence[int],
-    effects: Sequence[OtfEffect] = (),
+    effects: Sequence[Effect | Pinned] = (),
     *,
     nolls: Sequence[int] = COMPARED,
     device: str = "cpu",

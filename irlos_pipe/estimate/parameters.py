@@ -20,7 +20,7 @@ class Layout:
     ----------
     nolls : tuple of int
     effects : tuple of Parameter
-        Free parameters of the OTF effects; empty when the OTF is fixed.
+        Free parameters of the effects; empty where they are held.
     prior_mean_nm, prior_sigma_nm : tensor, (modes,) or (batch, modes), optional
         Gaussian prior of the modes; no prior when absent.
     """

@@ -4,40 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ..effects import OtfEffect, Pinned, SeeingHalo, TipTiltJitter, expected
+from ..effects import Effect, Pinned, SeeingHalo, TipTiltJitter, expected
 
 
 def ramp_effects(
-    available: Sequence[OtfEffect],
+    available: Sequence[Effect | Pinned],
     known: Mapping[str, Pinned],
     halo: str = "calibrated",
     object_sigma_mas: str | float = "calibrated",
-) -> list[OtfEffect]:
+) -> list[Effect | Pinned]:
     """Effects for `fit_ramp`.
 
     Parameters
     ----------
-    available : sequence of OtfEffect
+    available : sequence of Effect or Pinned
         The effects of the model.
     known : mapping of str to Pinned
-        Those that a calibration has measured, by name; the others are taken as expected.
+        Those that a calibration has measured, by name. Of the others, residual and jitter are taken as
+        expected, and the rest as `available` has them: a free one is fitted to the whole ramp.
     halo : {"calibrated", "fit", "off"}
     object_sigma_mas : {"calibrated", "fit"} or float
         Size of the Gaussian kernel that stands for object and jitter.
     """
     best = {effect.name: known.get(effect.name) or expected([effect])[0] for effect in available}
-    residual = _halo(best.get(SeeingHalo.name), halo)
-    kernel = _kernel(best.get(TipTiltJitter.name), object_sigma_mas)
-    return [effect for effect in (residual, kernel) if effect is not None]
+    residual = _halo(best.pop(SeeingHalo.name, None), halo)
+    kernel = _kernel(best.pop(TipTiltJitter.name, None), object_sigma_mas)
+    rest = [known.get(effect.name, effect) for effect in available if effect.name in best]
+    return [effect for effect in (residual, kernel, *rest) if effect is not None]
 
 
-def _halo(best: Pinned | None, halo: str) -> OtfEffect | None:
+def _halo(best: Pinned | None, halo: str) -> Effect | Pinned | None:
     if halo == "off" or best is None:
         return None
     return Pinned(best.effect, best.values, free=("variance_nm2",)) if halo == "fit" else best
 
 
-def _kernel(best: Pinned | None, object_sigma_mas: str | float) -> OtfEffect | None:
+def _kernel(best: Pinned | None, object_sigma_mas: str | float) -> Effect | Pinned | None:
     if object_sigma_mas == "calibrated":
         return best
     jitter = TipTiltJitter()

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ..effects import OtfEffect, OtfGrid, Transfer
+from ..effects import Effect, EffectSet, Pinned
+from ..effects.effect_set import NOTHING
+from ..image_model import ImageModel
 from ..noise import NoiseModel
 from ..psf import PsfModel
 from .centring import start_tilts_nm
@@ -47,17 +49,17 @@ class RampFit:
     Attributes
     ----------
     result : LiftResult
-    transfer : tensor or None
-        The OTF factors used.
+    model : ImageModel
+        The one used, its effects held at what was found.
     effects : dict
-        Public parameters of the effects in them.
+        Their public parameters.
     shared : SharedFit or None
         Where effect parameters were fitted to the whole ramp.
     start_nm : tensor, (frames, modes)
     """
 
     result: LiftResult
-    transfer: torch.Tensor | None
+    model: ImageModel
     effects: dict[str, dict[str, float]]
     shared: SharedFit | None
     start_nm: torch.Tensor
@@ -81,7 +83,7 @@ def fit_ramp(
     data: RampData,
     start_nm: torch.Tensor,
     options: LiftOptions,
-    effects: Sequence[OtfEffect] = (),
+    effects: Sequence[Effect | Pinned] = (),
     *,
     report: Callable[[int], None] | None = None,
 ) -> RampFit:
@@ -89,38 +91,35 @@ def fit_ramp(
 
     Parameters
     ----------
-    effects : sequence of OtfEffect
+    effects : sequence of Effect or Pinned
         Pinned ones are fixed, others are shared by all frames.
     """
-    transfer = Transfer(effects, OtfGrid(model.grid, model.wavelengths_m)) if effects else None
-    shared = _fit_effects(model, data, start_nm, transfer) if transfer and transfer.parameters else None
-    values = shared.values if shared else torch.zeros(0, dtype=torch.float64)
-    factor = transfer(values).to(model.device, model.dtype) if transfer else None
-    result = lift(
-        model, data.images_e, data.pixel_mask, data.noise, start_nm, options, transfer=factor, report=report
-    )
-    result = second_try(model, data, result, options, factor)
-    return RampFit(result, factor, transfer.describe(values.numpy()) if transfer else {}, shared, start_nm)
+    free = EffectSet(effects, model.stations)
+    shared = _fit_effects(model, data, start_nm, free) if free.parameters else None
+    held = free.held(shared.values if shared else NOTHING)
+    complete = ImageModel(model, held)
+    result = lift(complete, data.images_e, data.pixel_mask, data.noise, start_nm, options, report=report)
+    result = second_try(complete, data, result, options)
+    return RampFit(result, complete, held.describe(NOTHING), shared, start_nm)
 
 
-def _fit_effects(model: PsfModel, data: RampData, start_nm: torch.Tensor, transfer: Transfer) -> SharedFit:
+def _fit_effects(model: PsfModel, data: RampData, start_nm: torch.Tensor, effects: EffectSet) -> SharedFit:
     layout = Layout(model.nolls)
     variance = data.noise.variance_e2(smooth(data.images_e))
-    problem = image_problem(model, layout, data.images_e, variance, data.pixel_mask, None)
-    x = layout.start((data.images_e * data.pixel_mask).flatten(1), start_nm)
-    return fit_shared(problem, transfer, x)
+    problem = image_problem(ImageModel(model, effects), layout, data.images_e, variance, data.pixel_mask)
+    return fit_shared(problem, layout.start((data.images_e * data.pixel_mask).flatten(1), start_nm))
 
 
 def second_try(
-    model: PsfModel, data: RampData, result: LiftResult, options: LiftOptions, transfer: torch.Tensor | None
+    model: ImageModel, data: RampData, result: LiftResult, options: LiftOptions
 ) -> LiftResult:
     """Restart frames that failed, fit badly or contradict the defocus scan; keep whichever fits better.
 
     To stand out, a bad fit needs good ones beside it; the scan judges every frame by itself.
     """
-    if not {2, 3, 4} <= set(model.nolls):
+    if not {2, 3, 4} <= set(model.psf.nolls):
         return result
-    start = scan_start_nm(model, data.images_e, data.pixel_mask, transfer)
+    start = scan_start_nm(model.psf, data.images_e, data.pixel_mask, model.optics)
     suspect = _suspect(result, start)
     if not suspect.any():
         return result
@@ -129,9 +128,7 @@ def second_try(
         if options.prior_mean_nm is None
         else replace(options, prior_mean_nm=options.prior_mean_nm[suspect])
     )
-    again = lift(
-        model, data.images_e[suspect], data.pixel_mask, data.noise, start[suspect], own, transfer=transfer
-    )
+    again = lift(model, data.images_e[suspect], data.pixel_mask, data.noise, start[suspect], own)
     better = again.solution.converged & ~(again.chi2_nu > result.chi2_nu[suspect] * 0.999)
     better |= again.solution.converged & ~result.solution.converged[suspect]
     return _merge(result, again, torch.nonzero(suspect)[:, 0], better)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import torch
 
+from ..image_model import ImageModel
 from ..noise import NoiseModel
 from ..psf import PsfModel
 from .centring import start_tilts_nm
@@ -49,7 +50,7 @@ def median_of_frames_nm(
     scale, diameter = model.settings.pixel_scale_mas, model.settings.geometry.diameter_m
     start[:, :2] = start_tilts_nm((some * pixel_mask).double(), scale, diameter)
     options = LiftOptions(noise="data", max_iterations=MAX_ITERATIONS)
-    result = lift(model, some, pixel_mask, noise, start, options)
+    result = lift(ImageModel(model), some, pixel_mask, noise, start, options)
     valid = torch.tensor([status != INVALID for status in result.solution.status])
     estimates = result.zernike_nm[valid]
     return estimates.median(dim=0).values if len(estimates) else start.new_zeros(len(model.nolls))

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ..image_model import ImageModel
 from ..noise import NoiseModel
-from ..psf import PsfModel
 from .bound import cramer_rao_nm
 from .lift import LiftOptions, lift
 
@@ -103,7 +103,7 @@ def dim(
 
 
 def scan(
-    model: PsfModel,
+    model: ImageModel,
     images_e: torch.Tensor,
     signal_e: torch.Tensor,
     pixel_mask: torch.Tensor,
@@ -116,7 +116,6 @@ def scan(
     criterion: Criterion,
     seed: int,
     *,
-    transfer: torch.Tensor | None = None,
     report=None,
 ) -> Curve:
     """Error of defocus over a range of magnitudes.
@@ -134,7 +133,7 @@ def scan(
     -------
     Curve
     """
-    introduced, focus = np.tile(introduced_nm, realisations), model.nolls.index(4)
+    introduced, focus = np.tile(introduced_nm, realisations), model.psf.nolls.index(4)
     true = start_nm.clone()
     true[:, focus] = torch.as_tensor(introduced_nm)
     flux, errors, bounds = signal_e.double().sum((1, 2)), [], []
@@ -143,15 +142,15 @@ def scan(
         generator = torch.Generator().manual_seed(seed + 7919 * index)
         dimmed = torch.cat([dim(images_e, signal_e, factor, noise, generator) for _ in range(realisations)])
         start, options = start_nm.repeat(realisations, 1), LiftOptions(noise="model")
-        result = lift(model, dimmed, pixel_mask, noise, start, options, transfer=transfer)
+        result = lift(model, dimmed, pixel_mask, noise, start, options)
         error = np.abs(result.mode(4)[0].numpy() - introduced)
         failed = ~result.solution.converged.numpy() | ~(error < criterion.implausible_nm)
         errors.append(np.where(failed, np.nan, error))
-        bound = cramer_rao_nm(model, true, flux * factor, noise, transfer=transfer)
+        bound = cramer_rao_nm(model, true, flux * factor, noise)
         bounds.append(float(bound[:, focus].median()))
         if report is not None:
             report(1)
-    return curve_of(model.nolls, magnitudes, np.array(errors), np.array(bounds), criterion)
+    return curve_of(model.psf.nolls, magnitudes, np.array(errors), np.array(bounds), criterion)
 
 
 def curve_of(

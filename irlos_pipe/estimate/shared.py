@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import torch
 
-from ..effects.transfer import Transfer
 from .image_fit import ImageFit
 from .solve import CONVERGED, MAX_ITERATIONS, solve
 
@@ -39,15 +38,14 @@ class SharedFit:
     status: str
 
 
-def fit_shared(problem: ImageFit, transfer: Transfer, x: torch.Tensor) -> SharedFit:
-    """Fit the free parameters of `transfer` to all images of `problem` together.
+def fit_shared(problem: ImageFit, x: torch.Tensor) -> SharedFit:
+    """Fit the free effect parameters of a problem's model to all its images together.
 
     Parameters
     ----------
     problem : ImageFit
-        One parameter vector per image; its own transfer is replaced on the way.
-    transfer : Transfer
-        With at least one free parameter.
+        One parameter vector per image; its effects have free parameters, which start at `problem.held`
+        and are left there at the result.
     x : tensor, (images, parameters)
         Start of the per-image parameters.
 
@@ -55,31 +53,39 @@ def fit_shared(problem: ImageFit, transfer: Transfer, x: torch.Tensor) -> Shared
     -------
     SharedFit
     """
-    limits = torch.tensor([[p.lower, p.upper] for p in transfer.parameters], dtype=torch.float64)
-    values = torch.tensor([p.start for p in transfer.parameters], dtype=torch.float64)
+    parameters = problem.model.effects.parameters
+    limits = torch.tensor([[p.lower, p.upper] for p in parameters], dtype=torch.float64)
+    values = problem.held
     status = MAX_ITERATIONS
     for _ in range(OUTER_ITERATIONS):
-        problem.transfer = transfer(values).to(problem.model.device, problem.model.dtype)
         x = solve(problem, x, max_iterations=20).values
-        gradient, information = _reduced(problem, transfer, values, x)
+        gradient, information = _reduced(problem, x)
+        gradient, information = _with_prior(parameters, values, gradient, information)
         covariance = torch.linalg.inv(information)
         trial = (values - covariance @ gradient).clamp(limits[:, 0], limits[:, 1])
         small = ((trial - values).abs() / torch.diagonal(covariance).sqrt()).max() < STEP_SIGMA
-        values = trial
+        values = problem.held = trial
         if small:
             status = CONVERGED
             break
     return SharedFit(values, covariance, x, status)
 
 
-def _reduced(problem: ImageFit, transfer: Transfer, values: torch.Tensor, x: torch.Tensor):
+def _with_prior(parameters, values, gradient, information):
+    """Gradient and information with the Gaussian priors of the shared parameters."""
+    mean = torch.tensor([p.prior_mean for p in parameters], dtype=torch.float64)
+    precision = torch.tensor([p.prior_sigma for p in parameters], dtype=torch.float64) ** -2
+    return gradient + precision * (values - mean), information + torch.diag(precision)
+
+
+def _reduced(problem: ImageFit, x: torch.Tensor):
     """Gradient and information of the shared parameters with the per-image ones eliminated."""
-    derivatives = transfer.derivatives(values).to(problem.model.device, problem.model.dtype)
-    gradient = torch.zeros(len(values), dtype=torch.float64)
-    information = torch.zeros(len(values), len(values), dtype=torch.float64)
+    size = len(problem.held)
+    gradient = torch.zeros(size, dtype=torch.float64)
+    information = torch.zeros(size, size, dtype=torch.float64)
     own = problem.layout.size
     for part, which in zip(x.split(8), torch.arange(len(x)).split(8), strict=True):
-        columns, residual = _whitened_columns(problem, derivatives, part, which)
+        columns, residual = _whitened_columns(problem, part, which)
         force, normal = columns @ residual[..., None], columns @ columns.mT
         normal[:, :own, :own] += torch.diag_embed(problem.prior_precision[which]).to(normal.device)
         inner = torch.linalg.solve(
@@ -91,24 +97,12 @@ def _reduced(problem: ImageFit, transfer: Transfer, values: torch.Tensor, x: tor
     return gradient, information
 
 
-def _whitened_columns(problem: ImageFit, derivatives: torch.Tensor, x: torch.Tensor, which: torch.Tensor):
+def _whitened_columns(problem: ImageFit, x: torch.Tensor, which: torch.Tensor):
     """Derivatives (b, own + shared, pixels) and residuals (b, pixels), both over the noise."""
-    x = x.to(problem.model.device)
-    unit, jacobian = problem.model.images_and_jacobian(
-        x[:, problem.layout.modes], problem.transfer, derivatives
-    )
-    unit, jacobian = unit.double().flatten(1), jacobian.double().flatten(2)
-    modes, flux = len(problem.layout.nolls), x[:, -2, None, None]
-    columns = torch.cat(
-        [
-            jacobian[:, :modes] * flux,
-            unit[:, None],
-            torch.ones_like(unit)[:, None],
-            jacobian[:, modes:] * flux,
-        ],
-        dim=1,
-    )
+    image, columns = problem.predict_and_all_derivatives(x)
+    modes, shared = len(problem.layout.nolls), len(problem.held)
+    order = [*range(modes), -2, -1, *range(modes, modes + shared)]
     which = which.to(problem.images.device)
     root = problem.root_weight[which, 0].double()
-    residual = (problem.images[which, 0].double() - x[:, -2:-1] * unit - x[:, -1:]) * root
-    return columns * root[:, None], residual
+    residual = (problem.images[which, 0].double() - image) * root
+    return columns[:, order].double() * root[:, None], residual

@@ -10,15 +10,16 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from ..optics.grids import Optics
 from ..optics.propagate import MAS
-from ..psf import PsfModel
+from ..psf import AS_BUILT, PsfModel
 from .centring import TILT_NM_PER_RAD
 
 SCAN_NM = np.linspace(-700.0, 700.0, 57)
 
 
 def scan_start_nm(
-    model: PsfModel, images_e: torch.Tensor, pixel_mask: torch.Tensor, transfer: torch.Tensor | None = None
+    model: PsfModel, images_e: torch.Tensor, pixel_mask: torch.Tensor, optics: Optics = AS_BUILT
 ) -> torch.Tensor:
     """Tip, tilt and defocus of the template that resembles each image most, other modes 0.
 
@@ -35,7 +36,7 @@ def scan_start_nm(
     focus = model.nolls.index(4)
     coefficients = torch.zeros(len(SCAN_NM), len(model.nolls), dtype=torch.float64)
     coefficients[:, focus] = torch.as_tensor(SCAN_NM)
-    templates = model.images(coefficients, transfer).cpu().double()
+    templates = model.images(coefficients, optics).cpu().double()
     correlation, shift = _best_shift(_standardised(templates), _standardised(images_e.double() * pixel_mask))
     best = correlation.argmax(1)
     start = torch.zeros(len(images_e), len(model.nolls), dtype=torch.float64)

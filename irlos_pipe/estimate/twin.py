@@ -65,7 +65,7 @@ def check_twin(problem: ImageFit, x: torch.Tensor, objective: float) -> TwinChec
     """
     modes, nolls = problem.layout.modes, problem.layout.nolls
     start = x.clone()
-    start[:, modes] = twin_of(x[:, modes], nolls, problem.model.settings.diversity)
+    start[:, modes] = twin_of(x[:, modes], nolls, problem.model.psf.settings.diversity)
     twin = solve(problem, start, max_iterations=30)
     shape = [i for i, noll in enumerate(nolls) if noll > 3]
     size = [v[0, shape].square().sum().sqrt() for v in (x, twin.values, twin.values - x)]

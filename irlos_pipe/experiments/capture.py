@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ..effects import expected, fixed_transfer
+from ..effects import expected
 from ..estimate.centring import TILT_NM_PER_RAD
 from ..estimate.lift import LiftOptions, LiftResult, lift
 from ..estimate.methods import METHODS
 from ..estimate.ramp_fit import RampData, second_try, start_from_defocus
 from ..estimate.start import scan_start_nm
 from ..geometry import PupilGeometry
+from ..image_model import ImageModel
 from ..optics.propagate import MAS
 from ..psf import PsfModel
 from ..simulate.exposure import expose
@@ -86,31 +87,28 @@ def capture(sample: CaptureSample) -> dict[str, np.ndarray]:
         ``/converged`` and ``/chi2_nu``, (frames,) each.
     """
     ramp = simulate_ramp(sample)
-    model = PsfModel(frame_settings(ramp.scene, ramp.known_ncpa_nm), TTF)
-    effects = expected(model_effects_of(ramp.scene))
-    transfer = fixed_transfer(effects, model)
+    psf = PsfModel(frame_settings(ramp.scene, ramp.known_ncpa_nm), TTF)
+    model = ImageModel(psf, expected(model_effects_of(ramp.scene)))
     found = {"true_nm": ramp.data.introduced_nm}
-    for name, start, result in _results(ramp, model, transfer):
+    for name, start, result in _results(ramp, model):
         found |= {f"{name}/{key}": value for key, value in _numbers(start, result).items()}
     return found
 
 
-def _results(
-    ramp: Ramp, model: PsfModel, transfer: torch.Tensor
-) -> Iterator[tuple[str, torch.Tensor, LiftResult]]:
+def _results(ramp: Ramp, model: ImageModel) -> Iterator[tuple[str, torch.Tensor, LiftResult]]:
     """Name, start and estimates of every start."""
     data, options = ramp.data, LiftOptions()
     prior_nm = elongation_defocus_nm(ramp.scene, data) - ramp.known_ncpa_nm.get(DEFOCUS, 0.0)
     starts = {
-        "zero": start_from_defocus(model, data, np.zeros(len(prior_nm))),
-        "elongation": start_from_defocus(model, data, prior_nm),
-        "scan": scan_start_nm(model, data.images_e, data.pixel_mask, transfer),
+        "zero": start_from_defocus(model.psf, data, np.zeros(len(prior_nm))),
+        "elongation": start_from_defocus(model.psf, data, prior_nm),
+        "scan": scan_start_nm(model.psf, data.images_e, data.pixel_mask, model.optics),
     }
     for name, start in starts.items():
-        result = lift(model, data.images_e, data.pixel_mask, data.noise, start, options, transfer=transfer)
+        result = lift(model, data.images_e, data.pixel_mask, data.noise, start, options)
         yield name, start, result
         if name == "elongation":
-            yield "default", start, second_try(model, data, result, options, transfer)
+            yield "default", start, second_try(model, data, result, options)
 
 
 def _numbers(start_nm: torch.Tensor, result: LiftResult) -> dict[str, np.ndarray]:

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ..effects import fixed_transfer
 from ..estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, Curve, curve_of, scan
 from ..geometry import PupilGeometry
+from ..image_model import ImageModel
 from ..simulate.exposure import expose
 from ..simulate.scene import Scene
 from .focus_ramp import RAMP_STREAM, SAMPLING, WAYS
@@ -121,9 +121,8 @@ def _scan(
     observed: ObservedRamp, key: str, signal_e: torch.Tensor, magnitudes: np.ndarray, sample: FaintSample
 ) -> Curve:
     way, data = WAYS[key], observed.data
-    model = observed.model(way)
     return scan(
-        model,
+        ImageModel(observed.model(way), observed.effects(way)),
         data.images_e,
         signal_e,
         data.pixel_mask,
@@ -135,7 +134,6 @@ def _scan(
         torch.zeros(len(data.images_e), len(way.modes), dtype=torch.float64),
         Criterion(),
         sample.seed[-1],
-        transfer=fixed_transfer(observed.effects(way), model),
     )
 
 

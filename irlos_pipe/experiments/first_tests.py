@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ..effects import fixed_transfer
 from ..estimate.lift import LiftOptions, LiftResult, lift
 from ..estimate.ramp import summarise
 from ..estimate.ramp_fit import second_try, start_from_defocus
 from ..estimate.start import scan_start_nm
 from ..geometry import PupilGeometry
+from ..image_model import ImageModel
 from ..simulate.exposure import expose
 from ..simulate.focus_stage import reached_nm
 from ..simulate.ncpa import draw_ncpa_nm
@@ -211,18 +211,18 @@ def _from_every_start(observed: ObservedRamp, way: Way) -> dict[str, np.ndarray]
 
     ``default`` is the elongation prior with a second try of outlying frames from the scan.
     """
-    model, data, options = observed.model(way), observed.data, LiftOptions("data")
-    transfer = fixed_transfer(observed.effects(way), model)
+    psf, data, options = observed.model(way), observed.data, LiftOptions("data")
+    model = ImageModel(psf, observed.effects(way))
     starts = {
-        "zero": start_from_defocus(model, data, np.zeros(len(data.introduced_nm))),
-        "elongation": observed.start_nm(way, model),
-        "scan": scan_start_nm(model, data.images_e, data.pixel_mask, transfer),
+        "zero": start_from_defocus(psf, data, np.zeros(len(data.introduced_nm))),
+        "elongation": observed.start_nm(way, psf),
+        "scan": scan_start_nm(psf, data.images_e, data.pixel_mask, model.optics),
     }
     results = {
-        name: lift(model, data.images_e, data.pixel_mask, data.noise, start, options, transfer=transfer)
+        name: lift(model, data.images_e, data.pixel_mask, data.noise, start, options)
         for name, start in starts.items()
     }
-    results["default"] = second_try(model, data, results["elongation"], options, transfer)
+    results["default"] = second_try(model, data, results["elongation"], options)
     wrong = _wrong(results)
     return {f"{name}/wrong": wrong[name] for name in results} | {
         f"{name}/iterations": result.solution.iterations.numpy() for name, result in results.items()

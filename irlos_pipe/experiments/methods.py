@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..estimate.calibration import Frames
+from ..estimate.cube import Frames
 from ..geometry import PupilGeometry
 from ..simulate.atmosphere import Sky
 from ..simulate.detector import DetectorModel

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..estimate.calibration import CalibrationOptions, Frames, calibrate
+from ..estimate.calibration import CalibrationOptions, calibrate
+from ..estimate.cube import Frames
 from ..estimate.mode_number import choose, scan_mode_numbers
 from ..simulate.exposure import Exposed, expose
 from ..simulate.scene import Scene

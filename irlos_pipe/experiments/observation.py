@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..effects import Conditions, OtfEffect, SeeingHalo, TipTiltJitter
-from ..estimate.calibration import Frames
+from ..effects import Conditions, Effect, SeeingHalo, TipTiltJitter
+from ..estimate.cube import Frames
 from ..noise import NoiseModel
 from ..optics.pupil import grid_centres
 from ..optics.structure import ResidualBand
@@ -38,10 +38,17 @@ def settings_of(scene: Scene, ncpa_nm: Mapping[int, float] | None = None) -> Psf
     return PsfSettings(scene.geometry, scene.window, scene.pixel_scale_mas, spectrum, diversity)
 
 
-def model_effects_of(scene: Scene) -> list[OtfEffect]:
+def model_effects_of(scene: Scene) -> list[Effect]:
     """AO residual and jitter, starting from the seeing that a side-car tells."""
     band = ResidualBand(1 / scene.geometry.diameter_m, 2.5, 25.0)
-    conditions = Conditions(band, scene.sky.seeing_arcsec if scene.sky else BENCH_SEEING_ARCSEC)
+    conditions = Conditions(
+        band,
+        scene.sky.seeing_arcsec if scene.sky else BENCH_SEEING_ARCSEC,
+        dict(scene.diversity_nm),
+        window=scene.window,
+        pixel_scale_mas=scene.pixel_scale_mas,
+        spectrum=tuple(scene.spectrum(SIDE_CAR_POINTS)),
+    )
     return [SeeingHalo.under(conditions), TipTiltJitter.under(conditions)]
 
 

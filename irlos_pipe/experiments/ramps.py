@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from ..effects import OtfEffect, Pinned, expected, fixed_transfer
+from ..effects import Effect, Pinned, expected, fixed_optics
 from ..estimate.calibration import Calibration
 from ..estimate.elongation import axis_ratios, calibrate_law
 from ..estimate.lift import LiftOptions
@@ -68,7 +68,7 @@ class Knowledge:
 
 def knowledge_of(scene: Scene, calibration: Calibration) -> Knowledge:
     """NCPAs and effects of a calibration of `scene`."""
-    ncpa_nm = dict(zip(calibration.nolls, calibration.zernike_nm.tolist(), strict=True))
+    ncpa_nm = dict(zip(calibration.nolls, calibration.modes_nm.tolist(), strict=True))
     effects = {
         effect.name: Pinned(effect, calibration.effect_values[effect.name])
         for effect in model_effects_of(scene)
@@ -86,7 +86,7 @@ def ramp_data(scene: Scene, exposed: Exposed) -> RampData:
 def elongation_defocus_nm(scene: Scene, data: RampData) -> np.ndarray:
     """Defocus of every frame from the elongation of its image, (frames,), the law from the model."""
     model = PsfModel(settings_of(scene), [DEFOCUS])
-    law = calibrate_law(model, fixed_transfer(expected(model_effects_of(scene)), model))
+    law = calibrate_law(model, fixed_optics(expected(model_effects_of(scene)), model))
     return law.defocus_nm(axis_ratios(data.images_e, data.pixel_mask, law.angle_deg)[0])
 
 
@@ -113,7 +113,7 @@ class ObservedRamp:
         """PSF model of a way, the NCPAs it knows added to the diversity."""
         return PsfModel(frame_settings(self.scene, self.knowledge[way.ncpa].ncpa_nm), way.modes)
 
-    def effects(self, way: Way) -> list[OtfEffect]:
+    def effects(self, way: Way) -> list[Effect | Pinned]:
         """AO residual and kernel of a way."""
         known = self.knowledge[way.ncpa].effects
         return ramp_effects(model_effects_of(self.scene), known, way.halo, way.kernel)

@@ -6,36 +6,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-import torch
-
-from ..effects import OtfEffect, SeeingHalo, expected
-from ..estimate.calibration import Calibration, CalibrationOptions, Frames, calibrate
+from ..effects import Effect, Pinned, SeeingHalo, expected
+from ..estimate.calibration import Calibration, CalibrationOptions, calibrate
+from ..estimate.cube import Frames
 from ..psf import PsfSettings
 
 DEFAULT = "long_exposure"
 PUBLISHED = ("lift_avg", "dip_avg", "dip_joint", "lift_slices", "dip_global")
 PUBLISHED_MODES = 30  # Noll 2 to this, as SPARTA can correct
 
-Effects = Sequence[OtfEffect]
+Effects = Sequence[Effect | Pinned]
 
 
-class PartialHalo:
+def partial_halo(halo: SeeingHalo, count: int) -> Pinned:
     """AO residual with its first `count` parameters free and the others, all of its direction, at zero."""
-
-    def __init__(self, halo: SeeingHalo, count: int):
-        self.halo, self.name = halo, halo.name
-        self.parameters = halo.parameters[:count]
-
-    def exponent(self, values, grid):
-        """See `SeeingHalo.exponent`."""
-        return self.halo.exponent(torch.cat([values, self._zeros()]), grid)
-
-    def describe(self, values):
-        """See `SeeingHalo.describe`."""
-        return self.halo.describe([*values, *self._zeros().tolist()])
-
-    def _zeros(self) -> torch.Tensor:
-        return torch.zeros(len(self.halo.parameters) - len(self.parameters), dtype=torch.float64)
+    starts, names = ([getattr(p, key) for p in halo.parameters] for key in ("start", "name"))
+    return Pinned(halo, starts, free=names[:count])
 
 
 @dataclass(frozen=True)
@@ -69,7 +55,7 @@ def published(method: str) -> Variant:
 
 
 def _partial(effects: Effects, count: int) -> Effects:
-    return [PartialHalo(effect, count) if isinstance(effect, SeeingHalo) else effect for effect in effects]
+    return [partial_halo(effect, count) if isinstance(effect, SeeingHalo) else effect for effect in effects]
 
 
 def _expected_residual(effects: Effects) -> Effects:

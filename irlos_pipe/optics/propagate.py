@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from .pupil import CLEAN_BAND, grid_centres
 
@@ -85,65 +86,75 @@ def pupil_to_focal(u_m: np.ndarray, grid: FocalGrid) -> np.ndarray:
     return np.exp(-2j * np.pi * np.outer(grid.frequency_per_m, u_m)) * (u_m[1] - u_m[0])
 
 
-def pixel_centres_rad(pixels: int, pixel_scale_mas: float) -> np.ndarray:
-    """Pixel centres; the optical axis lies at (N - 1)/2 for even and odd N."""
-    return grid_centres(pixels, pixel_scale_mas * MAS)
-
-
 def baseline_to_pixels(
     baselines_m: np.ndarray,
     pixels: int,
-    pixel_scale_mas: float,
-    wavelength_m: float,
+    pixel_scale_mas: float | torch.Tensor,
+    wavelength_m: float | torch.Tensor,
     grid: FocalGrid,
     *,
     half: bool,
-) -> np.ndarray:
+) -> torch.Tensor:
     """Matrix from FFT coefficients of the focal intensity to pixel-integrated flux.
 
     Parameters
     ----------
     baselines_m : ndarray
         `FocalGrid.baseline_y_m` or, with ``half=True``, `FocalGrid.baseline_x_m`.
+    pixel_scale_mas, wavelength_m : float or scalar tensor
+        The matrix is differentiable in both.
     half : bool
         True for the axis of a real FFT: inner coefficients count twice, and the real part
         of the two-axis product is taken.
 
     Returns
     -------
-    ndarray, (pixels, len(baselines_m)), complex
+    tensor, (pixels, len(baselines_m)), complex128
 
     Raises
     ------
     ValueError
         If the window is wider than the focal grid, which would alias silently.
     """
+    require_field(pixels, float(pixel_scale_mas), float(wavelength_m), grid)
+    pixel = torch.as_tensor(pixel_scale_mas * MAS / wavelength_m, dtype=torch.float64)  # over baselines
+    offset = torch.as_tensor(grid_centres(pixels, 1.0))[:, None] * pixel
+    offset = offset - grid.frequency_per_m[0]  # the FFT counts from the first sample
+    baselines = torch.as_tensor(baselines_m)
+    weight = torch.sinc(baselines * pixel) * pixel * 2 * grid.width_m / grid.padded
+    if half:
+        weight = weight * torch.as_tensor(_half_plane_counts(len(baselines_m), grid.padded))
+    return torch.exp(2j * np.pi * offset * baselines) * weight
+
+
+def require_field(pixels: int, pixel_scale_mas: float, wavelength_m: float, grid: FocalGrid) -> None:
+    """Raise ValueError if the window is wider than the computed field."""
     field_rad = grid.samples * wavelength_m / (2 * grid.width_m)
     if pixels * pixel_scale_mas * MAS > field_rad:
         raise ValueError(
             f"a window of {pixels} px x {pixel_scale_mas} mas is wider than the computed field of "
             f"{field_rad / MAS:.0f} mas at {wavelength_m * 1e9:.0f} nm: it would alias"
         )
-    pixel = pixel_scale_mas * MAS / wavelength_m  # in units of 1/baseline
-    centres = pixel_centres_rad(pixels, pixel_scale_mas) / wavelength_m
-    offset = centres[:, None] - grid.frequency_per_m[0]  # the FFT counts from the first sample
-    weight = np.sinc(baselines_m * pixel) * pixel * 2 * grid.width_m / grid.padded
-    if half:
-        inner = np.ones(len(baselines_m)) * 2
-        inner[0] = 1
-        if grid.padded % 2 == 0:
-            inner[-1] = 1
-        weight = weight * inner
-    return np.exp(2j * np.pi * offset * baselines_m) * weight
 
 
-def focal_to_pixels(pixels: int, pixel_scale_mas: float, wavelength_m: float, grid: FocalGrid) -> np.ndarray:
+def _half_plane_counts(baselines: int, padded: int) -> np.ndarray:
+    """How often each coefficient of a real FFT of `padded` samples stands for itself or its conjugate."""
+    counts = np.full(baselines, 2.0)
+    counts[0] = 1
+    if padded % 2 == 0:
+        counts[-1] = 1
+    return counts
+
+
+def focal_to_pixels(
+    pixels: int, pixel_scale_mas: float | torch.Tensor, wavelength_m: float | torch.Tensor, grid: FocalGrid
+) -> torch.Tensor:
     """Real matrix from focal intensity to pixel-integrated flux along one axis, without OTF factors.
 
     Returns
     -------
-    ndarray, (pixels, grid.samples), float64
+    tensor, (pixels, grid.samples), float64
     """
     to_pixels = baseline_to_pixels(grid.baseline_y_m, pixels, pixel_scale_mas, wavelength_m, grid, half=False)
     transform = np.fft.fft(np.eye(grid.padded), axis=0)[:, : grid.samples]
-    return (to_pixels @ transform).real
+    return (to_pixels @ torch.as_tensor(transform)).real

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from ..geometry import PupilGeometry, Vane
 
 SUBSAMPLES = 16  # fine cells per side of a coarse cell; coverage of a fine cell is linear in distance
+ROWS_AT_A_TIME = 64
+ON_AXIS = (0.0, 0.0)
 PAD = 4  # coarse cells beyond the diameter on each side: room for the filter's ringing
 PASS_BAND, STOP_BAND = 0.7, 1.4  # of the low-pass, in units of the coarse grid's Nyquist frequency
 CLEAN_BAND = min(PASS_BAND, 2 - STOP_BAND)  # neither attenuated nor reached by what folds back
@@ -33,12 +36,7 @@ def area_weighted_pupil(geometry: PupilGeometry, centres_m: np.ndarray) -> np.nd
     ndarray, (samples, samples), float64
         Row index is y, column index is x; values between 0 and 1.
     """
-    step = centres_m[1] - centres_m[0]
-    rows = [
-        _clear_fraction(geometry, centres_m[None, :], y[:, None], step)
-        for y in np.array_split(centres_m, max(1, len(centres_m) // 64))
-    ]
-    return np.concatenate(rows)
+    return np.concatenate([clear for _, clear in _by_rows(geometry, centres_m, ON_AXIS)])
 
 
 @lru_cache(maxsize=8)
@@ -58,36 +56,100 @@ def band_limited_pupil(geometry: PupilGeometry, samples: int) -> tuple[np.ndarra
     amplitude : ndarray, (len(u_m), len(u_m))
         May ring slightly below 0 and above 1.
     """
-    step = geometry.diameter_m / samples
     total = samples + 2 * PAD
-    fine = grid_centres(total * SUBSAMPLES, step / SUBSAMPLES)
-    response, half_cell = _low_pass(len(fine))
-    spectrum = np.fft.fft2(area_weighted_pupil(geometry, fine))
-    kernel = response * half_cell
-    filtered = np.fft.ifft2(spectrum * kernel[:, None] * kernel[None, :]).real
-    pick = slice(SUBSAMPLES // 2 - 1, None, SUBSAMPLES)
-    u_m, amplitude = grid_centres(total, step), np.ascontiguousarray(filtered[pick, pick])
+    u_m, amplitude = grid_centres(total, geometry.diameter_m / samples), band_limited(geometry, samples)
     u_m.flags.writeable = amplitude.flags.writeable = False  # they are shared by all callers
     return u_m, amplitude
 
 
-def _low_pass(size: int) -> tuple[np.ndarray, np.ndarray]:
+def band_limited(
+    geometry: PupilGeometry,
+    samples: int,
+    *,
+    stop_m: tuple[float, float] = ON_AXIS,
+    subsamples: int = SUBSAMPLES,
+) -> np.ndarray:
+    """Amplitude of a pupil as in `band_limited_pupil`, (n, n).
+
+    Parameters
+    ----------
+    stop_m : (float, float)
+        Position of an internal stop that has the outline and the hole of the pupil, but no vanes.
+    subsamples : int
+        Fine cells per side of a coarse cell.
+    """
+    return _filtered(geometry, samples, stop_m, subsamples, lambda clear, x, y: clear[None])[0]
+
+
+def band_limited_parts(
+    geometry: PupilGeometry, samples: int, part: Callable[[np.ndarray, np.ndarray], np.ndarray], count: int
+) -> np.ndarray:
+    """Amplitudes of the parts of a pupil, (count, n, n); ``part(x_m, y_m)`` is the number of each point's."""
+
+    def split(clear: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return clear * (part(x, y) == np.arange(count)[:, None, None])
+
+    return _filtered(geometry, samples, ON_AXIS, SUBSAMPLES, split)
+
+
+def _filtered(geometry: PupilGeometry, samples: int, stop_m, subsamples: int, split) -> np.ndarray:
+    """Low-passed maps that `split` makes of the clear fraction of each fine cell, (maps, n, n)."""
+    total = samples + 2 * PAD
+    fine = grid_centres(total * subsamples, geometry.diameter_m / samples / subsamples)
+    filtering = _filter_matrix(total, subsamples)
+    return sum(
+        filtering[:, rows] @ (split(clear, fine[None, :], fine[rows, None]) @ filtering.T)
+        for rows, clear in _by_rows(geometry, fine, stop_m)
+    )
+
+
+@lru_cache(maxsize=8)
+def _filter_matrix(total: int, subsamples: int) -> np.ndarray:
+    """Low-pass along one axis of the fine grid, and the picking of the coarse samples, (total, fine)."""
+    size = total * subsamples
+    response, half_cell = _low_pass(size, subsamples)
+    impulse = np.fft.ifft(response * half_cell).real
+    picked = np.arange(total) * subsamples + subsamples // 2 - 1
+    return impulse[(picked[:, None] - np.arange(size)[None, :]) % size]
+
+
+def _low_pass(size: int, subsamples: int) -> tuple[np.ndarray, np.ndarray]:
     """Low-pass of the fine grid, and the half-cell shift that centres the picked samples."""
     cycles = np.fft.fftfreq(size)  # per fine cell
-    nyquists = np.abs(cycles) * 2 * SUBSAMPLES
+    nyquists = np.abs(cycles) * 2 * subsamples
     ramp = np.clip((nyquists - PASS_BAND) / (STOP_BAND - PASS_BAND), 0, 1)
     return np.cos(np.pi / 2 * ramp) ** 2 / np.sinc(cycles), np.exp(1j * np.pi * cycles)
 
 
-def _clear_fraction(geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
+def _by_rows(
+    geometry: PupilGeometry, centres_m: np.ndarray, stop_m: tuple[float, float]
+) -> Iterator[tuple[slice, np.ndarray]]:
+    """Clear fraction of the cells, a few rows at a time, with the rows they are."""
+    step = centres_m[1] - centres_m[0]
+    for first in range(0, len(centres_m), ROWS_AT_A_TIME):
+        rows = slice(first, first + ROWS_AT_A_TIME)
+        yield rows, _clear_fraction(geometry, centres_m[None, :], centres_m[rows, None], step, stop_m)
+
+
+def _clear_fraction(
+    geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float, stop_m: tuple[float, float]
+) -> np.ndarray:
     """Fraction of sub-cells of size `step` that transmit, from the distance to each edge."""
-    radius = np.hypot(x, y)
-    clear = _inside((geometry.diameter_m / 2 - radius) / step)
+    outer, hole = _distances(geometry, np.hypot(x, y))
+    if stop_m != ON_AXIS:
+        of_stop = _distances(geometry, np.hypot(x - stop_m[0], y - stop_m[1]))
+        outer, hole = np.minimum(outer, of_stop[0]), np.minimum(hole, of_stop[1])
+    clear = _inside(outer / step)
     if geometry.obscuration_m > 0:
-        clear = clear * _inside((radius - geometry.obscuration_m / 2) / step)
+        clear = clear * _inside(hole / step)
     for vane in geometry.vanes:
         clear = clear * (1 - _vane_cover(vane, x, y, step))
     return clear
+
+
+def _distances(geometry: PupilGeometry, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far points lie inside the outline and outside the hole [m]."""
+    return geometry.diameter_m / 2 - radius, radius - geometry.obscuration_m / 2
 
 
 def _inside(distance_cells: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.detector import star_position
+from irlos_pipe.effects.telling import rows_of
 from irlos_pipe.report.content import Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE
 from irlos_pipe.report.images import SIGMA_LIMIT, SIGNED, brightness_scale, image_panel, symmetric_scale
@@ -178,7 +179,7 @@ def _effects(run: RunData) -> list[Table]:
     rows = [
         ("" if place else effect, name, number(value, ".4g"))
         for effect, values in effects.items()
-        for place, (name, value) in enumerate(values.items())
+        for place, (name, value) in enumerate(rows_of(values))
     ]
     return [Table(("effect", "parameter", "value"), rows, "Estimated with the NCPAs")] if rows else []
 

@@ -7,16 +7,17 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from irlos_pipe.errors import InputDataError
-from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, Frames, calibrate
+from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
 from irlos_pipe.recording import Recording
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate_each import Cube, each_output
 from irlos_pipe.stages.calibrate_output import joint_output, wfe_nm
-from irlos_pipe.stages.light_path import model_effects, pooled_images, psf_settings, require_one_setup
+from irlos_pipe.stages.calibration_input import cube_input
+from irlos_pipe.stages.light_path import require_one_setup
 from irlos_pipe.stages.recordings import recordings_from_product
 
 NAME = "calibrate"
-VERSION = 2
+VERSION = 3
 NEEDS = ("ingest",)
 READS = ("ingest",)
 LEAST_FRAMES = 2
@@ -98,16 +99,11 @@ def _too_few(recording: Recording) -> str:
 
 def _calibrate(ctx: StageContext, recordings: list[Recording], options: CalibrationOptions) -> Calibration:
     """One method on all frames of the recordings."""
-    first, frames = recordings[0], Frames(*pooled_images(recordings))
-    total = len(frames.images_e) if options.resolved()[0].images == "frames" else 1
+    first, cube = recordings[0], cube_input(ctx, recordings, options)
+    total = len(cube.frames.images_e) if options.resolved()[0].images == "frames" else 1
     with ctx.progress(total=total, desc=f"calibrate {options.method}") as bar:
         result = calibrate(
-            frames,
-            psf_settings(ctx.instrument, ctx.model, first),
-            options,
-            model_effects(ctx.instrument, ctx.model, first.acquisition),
-            device=ctx.device,
-            report=bar.update,
+            cube.frames, cube.settings, options, cube.effects, device=ctx.device, report=bar.update
         )
     ctx.log.info(
         "%s, %s: %.1f nm RMS, chi2/nu %.2f, %.1f s",

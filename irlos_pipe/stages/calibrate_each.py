@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irlos_pipe.effects.telling import mean_of
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.product import Product, Quantity
 from irlos_pipe.recording import Acquisition
@@ -26,7 +27,8 @@ from irlos_pipe.stages.calibrate_output import (
     results_of,
     wfe_nm,
 )
-from irlos_pipe.stages.light_path import effect_arrays, seeing_arcsec
+from irlos_pipe.stages.light_path import seeing_arcsec
+from irlos_pipe.stages.model_effects import effect_arrays
 
 ROOT = "cubes"
 
@@ -109,13 +111,11 @@ class _Mean:
         self.first = self.all[0]
         self.nolls = self.first.nolls
         self.zernike_nm = np.mean([one.zernike_nm for one in self.all], axis=0)
+        self.modes_nm = np.mean([one.modes_nm for one in self.all], axis=0)
         self.covariance_nm2 = np.sum([one.covariance_nm2 for one in self.all], axis=0) / len(self.all) ** 2
         self.sigma_nm = np.sqrt(np.diag(self.covariance_nm2))
         self.seeing_arcsec = float(np.mean([seeing_arcsec(cube.acquisition) for cube in cubes]))
-        self.effects = {
-            name: {key: float(np.mean([one.effects[name][key] for one in self.all])) for key in values}
-            for name, values in self.first.effects.items()
-        }
+        self.effects = mean_of([one.effects for one in self.all])
 
     def arrays(self) -> dict[str, Quantity]:
         text = "mean over the cubes: static wavefront without the diversity"
@@ -126,6 +126,7 @@ class _Mean:
         return {
             "noll": Quantity(np.array(self.nolls), "", "Noll index of every estimated mode"),
             "zernike_nm": Quantity(self.zernike_nm, "nm", text, self.sigma_nm),
+            "modes_nm": Quantity(self.modes_nm, "nm", "the same without what effects in the pupil add"),
             "covariance_nm2": Quantity(self.covariance_nm2, "nm2", "from the scatter over frames"),
         } | effect_arrays(effect_values)
 

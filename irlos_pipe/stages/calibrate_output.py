@@ -8,11 +8,13 @@ from typing import Protocol
 
 import numpy as np
 
+from irlos_pipe.effects.telling import rows_of
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.product import Check, Quantity
 from irlos_pipe.recording import Recording
 from irlos_pipe.stages.base import StageOutput
-from irlos_pipe.stages.light_path import effect_arrays, seeing_arcsec
+from irlos_pipe.stages.light_path import seeing_arcsec
+from irlos_pipe.stages.model_effects import effect_arrays
 
 EXPORTED = 30  # highest Noll mode reported: SPARTA takes 29 modal offsets
 
@@ -84,6 +86,7 @@ def arrays_of(result: Calibration) -> dict[str, Quantity]:
         "zernike_nm": Quantity(
             result.zernike_nm, "nm", "static wavefront without the diversity", result.sigma_nm
         ),
+        "modes_nm": Quantity(result.modes_nm, "nm", "the same without what effects in the pupil add"),
         "covariance_nm2": Quantity(result.covariance_nm2, "nm2", "from the scatter over frames"),
         "frames_nm": Quantity(result.frames_nm, "nm", "coefficients of every frame (frame, mode)"),
         "frame_status": Quantity(np.array(result.frame_status, dtype=object), "", "outcome of every fit"),
@@ -134,10 +137,10 @@ def _twin_check(result: Calibration, prefix: str) -> list[Check]:
     ]
 
 
-def effect_lines(effects: dict[str, dict[str, float]]) -> list[str]:
+def effect_lines(effects: dict[str, dict]) -> list[str]:
     """One line per effect."""
     return [
-        f"  {name:16s}" + ", ".join(f"{key} {value:.3g}" for key, value in values.items())
+        f"  {name:22s}" + ", ".join(f"{key} {value:.3g}" for key, value in rows_of(values))
         for name, values in effects.items()
     ]
 

@@ -9,17 +9,18 @@ import numpy as np
 from astropy.io import fits
 from pydantic import Field
 
-from irlos_pipe.effects import fixed_transfer
+from irlos_pipe.effects import fixed_optics
 from irlos_pipe.estimate.correction import Prediction, predict_correction
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.zernike import zernike_basis
 from irlos_pipe.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.light_path import calibrated_effects, psf_settings, seeing_arcsec
+from irlos_pipe.stages.light_path import psf_settings, seeing_arcsec
+from irlos_pipe.stages.model_effects import calibrated_effects
 from irlos_pipe.stages.recordings import recordings_from_product
 
 NAME = "correct"
-VERSION = 1
+VERSION = 2
 NEEDS = ("ingest", "calibrate")
 READS = ("ingest", "calibrate")
 HIGHEST_NOLL = 30
@@ -94,17 +95,15 @@ def _fits(table: fits.BinTableHDU) -> bytes:
 def _predict(ctx: StageContext, nolls: list[int], zernike_nm: np.ndarray) -> Prediction:
     recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
     product = ctx.products["calibrate"]
-    effects = calibrated_effects(
-        product, ctx.instrument, ctx.model, recording.acquisition, seeing_arcsec(recording.acquisition)
-    )
-    corrected = tuple(noll for noll in nolls if noll <= HIGHEST_NOLL)
+    seeing = seeing_arcsec(recording.acquisition)
+    effects = calibrated_effects(product, ctx.instrument, ctx.model, recording, seeing, same_star=True)
     return predict_correction(
         psf_settings(ctx.instrument, ctx.model, recording),
         nolls,
+        np.array(product.arrays["modes_nm"].value, float),
         zernike_nm,
-        corrected,
-        ctx.config.gain,
-        lambda model: fixed_transfer(list(effects.values()), model),
+        np.where(np.array(nolls) <= HIGHEST_NOLL, ctx.config.gain, 0.0),
+        lambda model: fixed_optics(list(effects.values()), model),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -9,12 +10,14 @@ import torch
 from pydantic import Field
 
 from irlos_pipe.errors import InputDataError
+from irlos_pipe.estimate.focus_stage import FocusStage, fit_focus_stage
 from irlos_pipe.estimate.lift import LiftOptions
 from irlos_pipe.estimate.priors import ncpa_sigma_nm
 from irlos_pipe.estimate.ramp import RampSummary, summarise
 from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
 from irlos_pipe.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.model_effects import model_effects
 from irlos_pipe.stages.ramp_input import (
     Ramp,
     calibrated_ncpa_nm,
@@ -25,7 +28,7 @@ from irlos_pipe.stages.ramp_input import (
 )
 
 NAME = "lift"
-VERSION = 1
+VERSION = 2
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 
@@ -78,11 +81,13 @@ def run(ctx: StageContext) -> StageOutput:
         )
     ramp = read_ramp(ctx, ctx.config.input)
     fit = _fit(ctx, ramp, calibrated=ctx.config.calibrated, halo=ctx.config.halo)
+    focus = _focus_stage(ctx, ramp, fit)
+    ramp = replace(ramp, data=replace(ramp.data, introduced_nm=focus.introduced_nm))
     summary = _summarise(ramp, fit)
     others = _comparison(ctx, ramp) if ctx.config.compare else {}
     return StageOutput(
         _arrays(ramp, fit, summary),
-        _results(ctx, ramp, fit, summary, others),
+        _results(ctx, ramp, fit, summary, others, focus),
         _checks(ctx.config, fit, summary),
         summary=_lines(ctx, fit, summary, others),
     )
@@ -91,10 +96,21 @@ def run(ctx: StageContext) -> StageOutput:
 def _fit(ctx: StageContext, ramp: Ramp, *, calibrated: bool, halo: str) -> RampFit:
     ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
     model = ramp_model(ctx, ramp, ctx.config.modes, ncpa_nm)
-    effects = effects_for_lift(ctx, ramp.acquisition, halo, ctx.config.object_sigma_mas)
+    recording, kernel = ramp.recordings[0], ctx.config.object_sigma_mas
+    effects = effects_for_lift(ctx, recording, halo, kernel, calibrated=calibrated)
     start = ramp_start(ctx, model, ramp, ncpa_nm, ctx.config.start)
     with ctx.progress(total=len(ramp.names), desc="lift") as bar:
         return fit_ramp(model, ramp.data, start, _options(ctx.config, start), effects, report=bar.update)
+
+
+def _focus_stage(ctx: StageContext, ramp: Ramp, fit: RampFit) -> FocusStage:
+    """What the focus stage really did, as far as the recipe's model says that it may err."""
+    effects = model_effects(ctx.instrument, ctx.model, ramp.recordings[0])
+    ramp_effects = [effect for effect in effects if effect.place == "ramp"]
+    try:
+        return fit_focus_stage(ramp_effects, ramp.commanded_nm, _defocus(fit))
+    except ValueError as problem:
+        raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
 
 
 def _options(config: Config, start_nm: torch.Tensor) -> LiftOptions:
@@ -136,7 +152,12 @@ def _summarise(ramp: Ramp, fit: RampFit) -> RampSummary:
 
 
 def _results(
-    ctx: StageContext, ramp: Ramp, fit: RampFit, summary: RampSummary, others: dict[str, RampSummary]
+    ctx: StageContext,
+    ramp: Ramp,
+    fit: RampFit,
+    summary: RampSummary,
+    others: dict[str, RampSummary],
+    focus: FocusStage,
 ) -> dict:
     return {
         "modes": list(ctx.config.modes),
@@ -144,7 +165,8 @@ def _results(
         "points": _points(ramp, fit),
         "summary": _numbers(summary),
         "offsets": _offsets(summary),
-        "effects": fit.effects,
+        "effects": fit.effects | focus.effects,
+        "effects_sigma": focus.sigma,
         "effects_fitted_jointly": fit.shared is not None,
         "compare": {name: _numbers(other) for name, other in others.items()},
     }
@@ -159,6 +181,7 @@ def _points(ramp: Ramp, fit: RampFit) -> list[dict]:
             "name": name,
             "frame": ramp.frame[i],
             "introduced_nm": float(ramp.data.introduced_nm[i]),
+            "commanded_nm": float(ramp.commanded_nm[i]),
             "defocus_nm": defocus[i],
             "sigma_nm": sigma[i],
             "converged": fit.result.solution.status[i] == "converged",

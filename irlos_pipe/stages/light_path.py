@@ -1,4 +1,4 @@
-"""From a recipe and a recording to the PSF model's settings and effects."""
+"""From a recipe and a recording to the PSF model's settings, and recordings that belong together."""
 
 from __future__ import annotations
 
@@ -7,14 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from irlos_pipe.effects import CATALOGUE, Conditions, OtfEffect, Pinned, SeeingHalo
-from irlos_pipe.effects.seeing_halo import in_band_wfe_nm
 from irlos_pipe.errors import ConfigurationError, InputDataError
 from irlos_pipe.instrument import Instrument
 from irlos_pipe.noise import NoiseModel
 from irlos_pipe.optics.propagate import require_resolved
 from irlos_pipe.optics.structure import ResidualBand
-from irlos_pipe.product import Product, Quantity
+from irlos_pipe.product import Product
 from irlos_pipe.psf import PsfSettings
 from irlos_pipe.recording import Acquisition, Recording
 from irlos_pipe.stages.model import ModelConfig
@@ -76,56 +74,6 @@ def residual_band(instrument: Instrument, model: ModelConfig) -> ResidualBand:
 def seeing_arcsec(acquisition: Acquisition) -> float:
     """Seeing of a recording, or a typical one where it is not known."""
     return acquisition.seeing_arcsec or DEFAULT_SEEING_ARCSEC
-
-
-def model_effects(instrument: Instrument, model: ModelConfig, acquisition: Acquisition) -> list[OtfEffect]:
-    """The effects of the recipe's model for one recording, fixed ones pinned."""
-    conditions = Conditions(residual_band(instrument, model), seeing_arcsec(acquisition))
-    effects = []
-    for name, values in model.effect_settings().items():
-        effect = CATALOGUE[name].under(conditions)
-        effects.append(Pinned(effect, effect.values_of(**values)) if values else effect)
-    return effects
-
-
-# -- handing estimated effects from one product to the next ------------------------------------
-
-
-def effect_arrays(effect_values: dict[str, np.ndarray]) -> dict[str, Quantity]:
-    """Solver's parameters of every effect as arrays of a product."""
-    return {
-        f"effects/{name}": Quantity(values, "", "parameters of the effect, in the order of its declaration")
-        for name, values in effect_values.items()
-    }
-
-
-def calibrated_effects(
-    product: Product,
-    instrument: Instrument,
-    model: ModelConfig,
-    acquisition: Acquisition,
-    calibration_seeing_arcsec: float,
-) -> dict[str, Pinned]:
-    """Effects as `calibrate` found them, for a recording taken under another seeing.
-
-    The in-band residual is scaled by the seeing law; the rest is taken as it is.
-    """
-    effects = {effect.name: effect for effect in model_effects(instrument, model, acquisition)}
-    pinned = {}
-    for name, effect in effects.items():
-        key = f"effects/{name}"
-        if isinstance(effect, Pinned):
-            pinned[name] = effect
-        elif key in product.arrays:
-            values = np.array(product.arrays[key].value, float)
-            if name == SeeingHalo.name:
-                now, then = (
-                    in_band_wfe_nm(effect.band, seeing)
-                    for seeing in (seeing_arcsec(acquisition), calibration_seeing_arcsec)
-                )
-                values[0] *= (now / then) ** 2
-            pinned[name] = Pinned(effect, values)
-    return pinned
 
 
 # -- recordings that belong together -----------------------------------------------------------

@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from irlos_pipe.errors import ConfigurationError
-from irlos_pipe.estimate.calibration import Frames
 from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter, fit_mode_law, mode_scatter
 from irlos_pipe.estimate.mode_number import LEAST_FRAMES, Choice, ModeScan, choose, scan_mode_numbers
 from irlos_pipe.product import Quantity
@@ -16,12 +15,12 @@ from irlos_pipe.recording import Recording
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate import Config as CalibrateConfig
 from irlos_pipe.stages.calibrate_each import CubeEstimate, cube_estimates
-from irlos_pipe.stages.light_path import model_effects, pooled_images, psf_settings
+from irlos_pipe.stages.calibration_input import cube_input
 from irlos_pipe.stages.mode_laws import law_row
 from irlos_pipe.stages.recordings import recordings_from_product
 
 NAME = "modes"
-VERSION = 1
+VERSION = 2
 NEEDS = ("ingest", "calibrate")
 READS = ("ingest", "calibrate")
 POINTING = (2, 3)  # where the star lies in the window
@@ -149,12 +148,14 @@ def _scans(ctx: StageContext) -> list[ModeScan]:
 
 
 def _scan(ctx: StageContext, recording: Recording, stored: CalibrateConfig, report) -> ModeScan:
+    options = stored.options()
+    cube = cube_input(ctx, [recording], options)
     return scan_mode_numbers(
-        Frames(*pooled_images([recording])),
-        psf_settings(ctx.instrument, ctx.model, recording),
-        stored.options(),
+        cube.frames,
+        cube.settings,
+        options,
         ctx.config.numbers,
-        model_effects(ctx.instrument, ctx.model, recording.acquisition),
+        cube.effects,
         device=ctx.device,
         report=report,
     )

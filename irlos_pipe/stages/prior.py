@@ -6,17 +6,18 @@ import numpy as np
 import torch
 from pydantic import Field
 
-from irlos_pipe.effects import expected, fixed_transfer
+from irlos_pipe.effects import expected, fixed_optics
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.estimate.elongation import ElongationLaw, axis_ratios, calibrate_law
 from irlos_pipe.product import Check, Quantity
 from irlos_pipe.psf import PsfModel
 from irlos_pipe.recording import Recording
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.light_path import model_effects, psf_settings, used_in_time_order
+from irlos_pipe.stages.light_path import psf_settings, used_in_time_order
+from irlos_pipe.stages.model_effects import good_pixels, model_effects
 
 NAME = "prior"
-VERSION = 1
+VERSION = 2
 NEEDS = ("ingest",)
 READS = ("ingest",)
 
@@ -37,7 +38,8 @@ def run(ctx: StageContext) -> StageOutput:
         raise InputDataError(
             f"{recordings[0].name}: {problem}; leave the stage `prior` out for such data"
         ) from None
-    ratios = [_ratios(recording, law) for recording in recordings]
+    listed = good_pixels(model_effects(ctx.instrument, ctx.model, recordings[0]), recordings[0].window)
+    ratios = [_ratios(recording, recording.pixel_mask & listed, law) for recording in recordings]
     ctx.log.info(
         "elongation law: defocus = %.1f (ratio - 1) %+.1f nm, valid %s nm", law.A, law.B, law.valid_nm
     )
@@ -46,14 +48,12 @@ def run(ctx: StageContext) -> StageOutput:
 
 def _law(ctx: StageContext, recording: Recording) -> ElongationLaw:
     model = PsfModel(psf_settings(ctx.instrument, ctx.model, recording), [4], device=ctx.device)
-    effects = expected(model_effects(ctx.instrument, ctx.model, recording.acquisition))
-    return calibrate_law(model, fixed_transfer(effects, model))
+    effects = expected(model_effects(ctx.instrument, ctx.model, recording))
+    return calibrate_law(model, fixed_optics(effects, model))
 
 
-def _ratios(recording: Recording, law: ElongationLaw) -> np.ndarray:
-    return axis_ratios(
-        torch.as_tensor(recording.images_e), torch.as_tensor(recording.pixel_mask), law.angle_deg
-    )[0]
+def _ratios(recording: Recording, good: np.ndarray, law: ElongationLaw) -> np.ndarray:
+    return axis_ratios(torch.as_tensor(recording.images_e), torch.as_tensor(good), law.angle_deg)[0]
 
 
 def _output(

@@ -21,7 +21,7 @@ from irlos_pipe.stages.ramp_input import (
 )
 
 NAME = "sensitivity"
-VERSION = 1
+VERSION = 2
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 
@@ -111,11 +111,11 @@ def _curve(
     data = RampData(
         ramp.data.images_e[chosen], ramp.data.pixel_mask, ramp.data.noise, ramp.data.introduced_nm[chosen]
     )
-    effects = effects_for_lift(ctx, ramp.acquisition, "calibrated", "calibrated")
+    effects = effects_for_lift(ctx, ramp.recordings[0], "calibrated", "calibrated", calibrated=calibrated)
     bright = fit_ramp(model, data, start, LiftOptions(), effects)
     criterion = Criterion(ctx.config.limit_nm, ctx.config.limit_failures)
     return scan(
-        model,
+        bright.model,
         data.images_e,
         bright.result.model_e,
         data.pixel_mask,
@@ -127,7 +127,6 @@ def _curve(
         start,
         criterion,
         ctx.seed,
-        transfer=bright.transfer,
         report=report,
     )
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ...effects import fixed_transfer
 from ...estimate.bound import cramer_rao_nm
 from ...estimate.lift import LiftOptions, lift
 from ...estimate.ramp_effects import ramp_effects
+from ...image_model import ImageModel
 from ...noise import NoiseModel
 from ...psf import PsfModel
 from ...simulate.scene import Scene
@@ -30,14 +30,12 @@ class FocusSensor:
 
     Attributes
     ----------
-    model : PsfModel
-    transfer : tensor or None
-        AO residual and jitter.
+    model : ImageModel
+        With AO residual and jitter.
     noise : NoiseModel
     """
 
-    model: PsfModel
-    transfer: torch.Tensor | None
+    model: ImageModel
     noise: NoiseModel
 
     def measure(self, images_e: np.ndarray) -> np.ndarray:
@@ -45,9 +43,7 @@ class FocusSensor:
         images = torch.as_tensor(images_e)
         good = torch.ones(images.shape[1:], dtype=torch.bool)
         start = torch.zeros(len(images), len(TTF), dtype=torch.float64)
-        result = lift(
-            self.model, images, good, self.noise, start, LiftOptions("model"), transfer=self.transfer
-        )
+        result = lift(self.model, images, good, self.noise, start, LiftOptions("model"))
         defocus, sigma = result.mode(DEFOCUS)
         credible = (sigma < LARGEST_SIGMA_NM) & (defocus.abs() < FARTHEST_NM)
         return torch.where(result.solution.converged & credible, defocus, torch.nan).numpy()
@@ -55,13 +51,13 @@ class FocusSensor:
     def bound_nm(self, seen_e: float) -> float:
         """Cramér–Rao bound at zero defocus, for electrons seen in the window [nm RMS]."""
         zero = torch.zeros(1, len(TTF), dtype=torch.float64)
-        in_window = self.model.images(zero, self.transfer).double().sum().cpu()
+        in_window = self.model.psf.images(zero, self.model.optics).double().sum().cpu()
         flux = seen_e / in_window[None]
-        return float(cramer_rao_nm(self.model, zero, flux, self.noise, transfer=self.transfer)[0, FOCUS])
+        return float(cramer_rao_nm(self.model, zero, flux, self.noise)[0, FOCUS])
 
 
 def focus_sensor(scene: Scene, knowledge: Knowledge) -> FocusSensor:
     """The sensor for a scene, with what a calibration has told."""
-    model = PsfModel(frame_settings(scene, knowledge.ncpa_nm), TTF)
+    psf = PsfModel(frame_settings(scene, knowledge.ncpa_nm), TTF)
     effects = ramp_effects(model_effects_of(scene), knowledge.effects)
-    return FocusSensor(model, fixed_transfer(effects, model), noise_of(scene))
+    return FocusSensor(ImageModel(psf, effects), noise_of(scene))

@@ -1,0 +1,130 @@
+"""Effects of colour: `atmospheric_dispersion`, `spectrum` and `plate_scale`.
+
+Dispersion shifts the images of the wavelengths against each other; a wrong spectrum or pixel scale
+changes λ, the photon weights, or the angle of a pixel, of which the image sees the ratio only: in a
+narrow band a shifted centre and another scale are nearly one effect, and only Noll 4 and the halo, which
+know λ by itself, tell them apart.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from ..optics.grids import NM, OtfGrid, Sampling
+from ..optics.propagate import MAS
+from .base import Conditions, OtfEffect, Parameter, SamplingEffect, number
+
+UM = 1e-6
+
+
+class AtmosphericDispersion(OtfEffect):
+    """Chromatic elongation that is left when nothing, or not enough, corrects the atmosphere's.
+
+    Every wavelength is displaced in proportion to its distance from the mean one, along the direction
+    to the zenith; the OTF factor is ``exp(-2πi b·s/λ)``. Refractivity is nearly linear in
+    λ over a band.
+    """
+
+    name = "atmospheric_dispersion"
+    instrumental = False
+    public = (
+        number("mas_per_um", "mas/µm towards longer waves", 0.0, 5000.0),
+        number("angle_deg", "deg from +x towards +y"),
+    )
+    look_alike = "vibration, which is as long at every wavelength"
+    reference = "Filippenko 1982, PASP 94, 715; Edlén 1966, Metrologia 2, 71"
+    parameters = (
+        Parameter("x_mas_per_um", "mas/µm", 0.0, prior_sigma=300.0, plausible=(-600.0, 600.0)),
+        Parameter("y_mas_per_um", "mas/µm", 0.0, prior_sigma=300.0, plausible=(-600.0, 600.0)),
+    )
+
+    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+        """See `OtfEffect.apply`."""
+        distance_um = (grid.wavelengths_m - grid.mean_m) / UM
+        path_m = grid.path_m(values[0] * MAS, values[1] * MAS) * distance_um
+        return factor * torch.exp(-2j * np.pi * path_m / grid.wavelengths_m)
+
+    def describe(self, values: np.ndarray) -> dict[str, float]:
+        """Size and direction."""
+        x, y = (float(v) for v in values)
+        return {"mas_per_um": float(np.hypot(x, y)), "angle_deg": float(np.rad2deg(np.arctan2(y, x)) % 360)}
+
+    def values_of(self, mas_per_um: float, angle_deg: float) -> list[float]:
+        """Solver's parameters for a known dispersion."""
+        angle = np.deg2rad(angle_deg)
+        return [float(mas_per_um * np.cos(angle)), float(mas_per_um * np.sin(angle))]
+
+
+class Spectrum(SamplingEffect):
+    """The band differs from the assumed one in centre, width or colour.
+
+    All wavelengths are shifted, stretched about the mean, and weighted by ``1 + slope (λ - λ_mean)``.
+
+    Parameters
+    ----------
+    mean_nm : float
+        Weighted mean of the assumed spectrum.
+    """
+
+    name = "spectrum"
+    instrumental = False  # belongs to the filter
+    public = (
+        number("wavelength_nm", "nm, weighted mean", 300.0, 5000.0, required=False),
+        number("slope", "1/µm, relative change of the weight", -5.0, 5.0, required=False),
+        number("width", "in units of the assumed one", 0.01, 10.0, required=False),
+    )
+    look_alike = "plate_scale in a narrow band; a second filter tells them apart"
+    reference = "Filter curve of the recording; Goodman 2005, Introduction to Fourier Optics, section 6.2"
+    parameters = (
+        Parameter("shift_nm", "nm", 0.0, 0.0, 50.0, -200.0, 200.0, plausible=(-100.0, 100.0)),
+        Parameter("slope_per_um", "1/µm", 0.0, 0.0, 1.0, -3.0, 3.0, plausible=(-2.0, 2.0)),
+        Parameter("stretch", "", 0.0, 0.0, 0.3, -0.9, 3.0, plausible=(-0.6, 1.0)),
+    )
+
+    def __init__(self, mean_nm: float = 1600.0):
+        self.mean_nm = mean_nm
+
+    @classmethod
+    def under(cls, conditions: Conditions) -> Spectrum:
+        """See `Effect.under`."""
+        wavelengths_nm, weights = np.array(conditions.spectrum, float).T
+        return cls(float(np.average(wavelengths_nm, weights=weights)))
+
+    def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
+        """See `SamplingEffect.apply`."""
+        mean = (nominal.wavelengths_m * nominal.weights).sum()
+        distance = nominal.wavelengths_m - mean
+        weights = sampling.weights * (1 + values[1] * distance / UM)
+        moved = sampling.wavelengths_m + values[0] * NM + values[2] * distance
+        return sampling._replace(wavelengths_m=moved, weights=weights / weights.sum())
+
+    def describe(self, values: np.ndarray) -> dict[str, float]:
+        """Mean wavelength before re-weighting, slope and width."""
+        shift, slope, stretch = (float(v) for v in values)
+        return {"wavelength_nm": self.mean_nm + shift, "slope": slope, "width": 1 + stretch}
+
+    def values_of(
+        self, wavelength_nm: float | None = None, slope: float = 0.0, width: float = 1.0
+    ) -> list[float]:
+        """Solver's parameters for a known spectrum."""
+        return [0.0 if wavelength_nm is None else wavelength_nm - self.mean_nm, slope, width - 1]
+
+
+class PlateScale(SamplingEffect):
+    """The pixels are larger on the sky than assumed, by a fraction.
+
+    A lens away from its place, or another focal length: every angle that a pixel covers changes alike.
+    """
+
+    name = "plate_scale"
+    public = (number("fraction", "of the assumed scale", -0.05, 0.05),)
+    look_alike = "spectrum in a narrow band; two stars of known distance tell them apart"
+    reference = "Goodman 2005, Introduction to Fourier Optics, section 5.2"
+    parameters = (
+        Parameter("fraction", "", 0.0, prior_sigma=0.02, lower=-0.05, upper=0.05, plausible=(-0.03, 0.03)),
+    )
+
+    def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
+        """See `SamplingEffect.apply`."""
+        return sampling._replace(pixel_scale_mas=sampling.pixel_scale_mas * (1 + values[0]))

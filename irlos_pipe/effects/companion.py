@@ -1,0 +1,80 @@
+"""`companion`: a second, fainter source in the window."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from ..optics.grids import OtfGrid
+from ..optics.propagate import MAS
+from .base import Conditions, Effect, OtfEffect, Parameter, number
+from .pinned import Pinned
+
+STEP_MAS = 25.0  # of a search: less than the resolution at 1.2 µm
+INNER_MAS = 30.0  # closer than this the pair is unresolved
+
+
+class Companion(OtfEffect):
+    """Second source with the spectrum of the star: a binary, or a reflection between plane surfaces.
+
+    The images of both add, ``(1 + f exp(-2πi b·s/λ)) / (1 + f)`` on the OTF. The total light stays; the
+    position means nothing without the companion and is scanned in a search.
+
+    Parameters
+    ----------
+    start : (float, float, float)
+        Flux ratio and position [mas].
+    """
+
+    name = "companion"
+    instrumental = False
+    public = (
+        number("flux_ratio", "secondary over primary", 0.0, 1.0),
+        number("sep_mas", "mas", 0.0, 5000.0),
+        number("pa_deg", "deg from +x towards +y"),
+    )
+    look_alike = "vibration when closer than λ/D; a ghost, which moves with focus"
+    reference = "Labeyrie 1970, A&A 6, 85"
+
+    def __init__(self, start: tuple[float, float, float] = (0.01, 100.0, 0.0), reach_mas: float = 300.0):
+        flux, x, y = start
+        inside = {"lower": -reach_mas, "upper": reach_mas, "null": None}
+        self.parameters = (
+            Parameter("flux_ratio", "", flux, lower=0.0, upper=1.0, plausible=(0.0, 0.9)),
+            Parameter("x_mas", "mas", x, **inside),
+            Parameter("y_mas", "mas", y, **inside),
+        )
+
+    @classmethod
+    def under(cls, conditions: Conditions) -> Companion:
+        """Within half the window's width of the star on every side."""
+        reach_mas = max(conditions.window) / 2 * conditions.pixel_scale_mas
+        return cls((0.01, reach_mas / 3, 0.0), reach_mas)
+
+    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+        """See `OtfEffect.apply`."""
+        flux, x, y = values
+        displaced = torch.exp(-2j * np.pi * grid.path_m(x * MAS, y * MAS) / grid.wavelengths_m)
+        return factor * (1 + flux * displaced) / (1 + flux)
+
+    def describe(self, values: np.ndarray) -> dict[str, float]:
+        """Flux ratio, separation and position angle."""
+        flux, x, y = (float(v) for v in values)
+        angle = float(np.rad2deg(np.arctan2(y, x)) % 360)
+        return {"flux_ratio": flux, "sep_mas": float(np.hypot(x, y)), "pa_deg": angle}
+
+    def values_of(self, flux_ratio: float, sep_mas: float, pa_deg: float) -> list[float]:
+        """Solver's parameters for a known companion."""
+        angle = np.deg2rad(pa_deg)
+        return [flux_ratio, float(sep_mas * np.cos(angle)), float(sep_mas * np.sin(angle))]
+
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
+        """One per position on a grid over half the window about the star."""
+        reach = (n / 2 * pixel_scale_mas for n in window[::-1])
+        columns, rows = (STEP_MAS * np.arange(-(r // STEP_MAS), r // STEP_MAS + 1) for r in reach)
+        return [
+            Pinned(self, [0.0, x, y], free=("flux_ratio",))
+            for y in rows
+            for x in columns
+            if np.hypot(x, y) >= INNER_MAS
+        ]

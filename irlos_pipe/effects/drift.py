@@ -1,0 +1,55 @@
+"""`ncpa_drift`: the static wavefront is not static."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from .base import Conditions, Parameter, Public, TimeEffect
+from .zernike_table import ZernikeTable
+
+
+class NcpaDrift(ZernikeTable, TimeEffect):
+    """Aberrations that change in proportion to time: temperature, flexure, a turning derotator.
+
+    The coefficients are the change from the first frame to the last, about the mean, so the NCPAs are
+    those of the middle of the recording. In the mean image a drift is a blur of second order, whose
+    derivative vanishes without it; it is single frames that show it, with its sign.
+
+    Parameters
+    ----------
+    nolls : sequence of int
+        Among the modes that are estimated.
+    """
+
+    name, table = "ncpa_drift", "zernike_nm"
+    instrumental = False
+    public = (Public(table, "Noll index: nm RMS from the first frame to the last", "zernike", -1e4, 1e4),)
+    options = (Public("nolls", "Noll indices to estimate", "nolls"),)
+    template = Parameter("", "nm", 0.0, 0.0, 50.0, plausible=(-300.0, 300.0))
+    look_alike = "tip_tilt_jitter and seeing_halo in the mean image; none in the frames"
+    reference = "Vigan et al. 2022, A&A 660, A140"
+
+    @classmethod
+    def under(cls, conditions: Conditions, nolls: Sequence[int] = range(2, 12)) -> NcpaDrift:
+        """By default Noll 2 to 11."""
+        return cls(nolls)
+
+    def apply(
+        self, values: torch.Tensor, modes_nm: torch.Tensor, nolls: tuple[int, ...], when: torch.Tensor
+    ) -> torch.Tensor:
+        """See `TimeEffect.apply`.
+
+        Raises
+        ------
+        ValueError
+            If a mode that drifts is not estimated.
+        """
+        missing = sorted(set(self.nolls) - set(nolls))
+        if missing:
+            raise ValueError(f"ncpa_drift of Noll {missing}: only modes that are estimated can drift")
+        place = torch.zeros(len(self.nolls), len(nolls), dtype=torch.float64)
+        for row, noll in enumerate(self.nolls):
+            place[row, nolls.index(noll)] = 1
+        return modes_nm + (when.double() - 0.5)[:, None] * (values @ place)

@@ -1,0 +1,178 @@
+"""All effects of a model together, as a function of one parameter vector."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial, reduce
+from itertools import pairwise
+from typing import TYPE_CHECKING, get_args
+
+import numpy as np
+import torch
+from torch.autograd import forward_ad
+
+from ..optics.grids import Optics, OtfGrid, Sampling, Stations, Tangents
+from .base import Effect, Parameter, Place
+from .pinned import Pinned
+
+if TYPE_CHECKING:
+    from ..psf import PsfModel
+
+PLACES = get_args(Place)
+NOTHING = torch.zeros(0, dtype=torch.float64)
+
+
+class EffectSet:
+    """Effects in the order of the light path, and the parameter vector they share.
+
+    Parameters
+    ----------
+    effects : sequence of Effect or Pinned
+        In any order; parameters come in the order of `effects` of this object.
+    stations : Stations
+        Of the `PsfModel` whose light path they act on.
+    """
+
+    def __init__(self, effects: Sequence[Effect | Pinned], stations: Stations):
+        self.effects = tuple(sorted(effects, key=lambda e: (PLACES.index(e.place), e.order)))
+        self.stations = stations
+        ends = np.cumsum([0, *(len(effect.parameters) for effect in self.effects)])
+        self._pieces = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Free parameters of all effects in order."""
+        return tuple(parameter for effect in self.effects for parameter in effect.parameters)
+
+    def at(self, place: Place) -> list[tuple[Effect | Pinned, slice]]:
+        """Effects at one place with their parts of the parameter vector."""
+        pairs = zip(self.effects, self._pieces, strict=True)
+        return [(effect, piece) for effect, piece in pairs if effect.place == place]
+
+    def free_at(self, place: Place) -> list[int]:
+        """Positions in the parameter vector of the parameters at one place."""
+        return [i for _, piece in self.at(place) for i in range(piece.start, piece.stop)]
+
+    @property
+    def starts(self) -> torch.Tensor:
+        """Where a fit begins."""
+        return torch.tensor([p.start for p in self.parameters], dtype=torch.float64)
+
+    # -- light path --------------------------------------------------------------------------
+
+    def __call__(self, values: torch.Tensor = NOTHING) -> Optics:
+        """What the effects make of pupil, OTF and sampling."""
+        sampling = self._sampling(values)
+        return Optics(
+            self._pupil(values, sampling) if self.at("pupil") else None,
+            self._transfer(values, sampling) if self.at("otf") else None,
+            sampling if self.at("sampling") else None,
+        )
+
+    def tangents(self, values: torch.Tensor) -> Tangents:
+        """Derivatives of pupil and OTF factors with respect to the parameters at these places."""
+        sampling = self._sampling(values)
+        pupil = [_along(lambda v: self._pupil(v, sampling), values, index) for index in self.free_at("pupil")]
+        return Tangents(pupil, self._transfer_derivatives(values, sampling))
+
+    def modes_at(self, values: torch.Tensor, modes_nm: torch.Tensor, when: torch.Tensor) -> torch.Tensor:
+        """Coefficients at the times `when` of the recording, see `TimeEffect.apply`."""
+        nolls = self.stations.nolls
+        return reduce(lambda x, e: e[0].apply(values[e[1]], x, nolls, when), self.at("time"), modes_nm)
+
+    def detect(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
+        """Electrons in the pixels as the detector shows them."""
+        return reduce(lambda x, e: e[0].apply(values[e[1]], x), self.at("detector"), images_e)
+
+    def opd_nm(self, values: torch.Tensor) -> torch.Tensor:
+        """Part of the wavefront that effects in the pupil add, (n, n) [nm]."""
+        grid = self.stations.pupil
+        maps = [effect.opd_nm(values[piece], grid) for effect, piece in self.at("pupil")]
+        nothing = torch.zeros(len(grid.u_m), len(grid.u_m), dtype=torch.float64)
+        return sum((opd for opd in maps if opd is not None), nothing)
+
+    def _sampling(self, values: torch.Tensor) -> Sampling:
+        nominal = self.stations.sampling
+        return reduce(lambda s, e: e[0].apply(values[e[1]], s, nominal), self.at("sampling"), nominal)
+
+    def _pupil(self, values: torch.Tensor, sampling: Sampling) -> torch.Tensor:
+        grid = self.stations.pupil.at(sampling.wavelengths_m)
+        clear = torch.as_tensor(grid.amplitude, dtype=torch.complex128).expand(len(sampling.weights), -1, -1)
+        return reduce(lambda field, e: e[0].apply(values[e[1]], field, grid), self.at("pupil"), clear)
+
+    def _transfer(self, values: torch.Tensor, sampling: Sampling) -> torch.Tensor:
+        factors = (self._factor(*pair, values, sampling) for pair in self.at("otf"))
+        return reduce(torch.mul, factors)
+
+    def _factor(self, effect, piece: slice, values: torch.Tensor, sampling: Sampling) -> torch.Tensor:
+        """OTF factor of one effect, (wavelengths, p, p//2 + 1)."""
+        grid = OtfGrid.of(self.stations.focal, sampling)
+        ones = torch.ones(len(sampling.weights), *grid.length2_m2.shape, dtype=torch.float64)
+        return effect.apply(values[piece], ones, grid)
+
+    def _transfer_derivatives(self, values: torch.Tensor, sampling: Sampling) -> list[torch.Tensor]:
+        """Each factor's own derivatives times the factors of the others."""
+        pairs = self.at("otf")
+        if not self.free_at("otf"):
+            return []
+        factors = [self._factor(*pair, values, sampling) for pair in pairs]
+        changes = []
+        for number, (effect, piece) in enumerate(pairs):
+            if not effect.parameters:
+                continue
+            others = reduce(torch.mul, factors[:number] + factors[number + 1 :], torch.ones(()))
+            alone = partial(self._factor, effect, slice(None), sampling=sampling)
+            changes += [others * own for own in _derivatives(alone, values[piece])]
+        return changes
+
+    # -- bookkeeping -------------------------------------------------------------------------
+
+    def split(self, values) -> dict[str, np.ndarray]:
+        """The parameter vector cut into one piece per effect, by effect name."""
+        pairs = zip(self.effects, self._pieces, strict=True)
+        return {effect.name: np.asarray(values[piece], float) for effect, piece in pairs}
+
+    def describe(self, values) -> dict[str, dict]:
+        """Public parameters of every effect, by effect name."""
+        pieces = self.split(values)
+        return {effect.name: effect.describe(pieces[effect.name]) for effect in self.effects}
+
+    def held(self, values: torch.Tensor) -> EffectSet:
+        """The same effects, nothing free, at `values`."""
+        pairs = zip(self.effects, self._pieces, strict=True)
+        return EffectSet([_held(effect, values[piece]) for effect, piece in pairs], self.stations)
+
+
+def _held(effect: Effect | Pinned, values: torch.Tensor) -> Pinned:
+    if isinstance(effect, Pinned):
+        return Pinned(effect.effect, effect.all_values(values).numpy())
+    return Pinned(effect, values)
+
+
+def _derivatives(function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor) -> torch.Tensor:
+    """Derivatives of a real or complex `function` with respect to all elements, elements first."""
+    if len(values) == 1:  # dual numbers cost much less than the vectorised transform
+        with forward_ad.dual_level():
+            dual = function(forward_ad.make_dual(values, torch.ones_like(values)))
+            return forward_ad.unpack_dual(dual).tangent[None]
+    is_complex = function(values).is_complex()
+
+    def parts(v: torch.Tensor) -> torch.Tensor:
+        return torch.view_as_real(function(v)) if is_complex else function(v)
+
+    slopes = torch.func.jacfwd(parts)(values).movedim(-1, 0).contiguous()
+    return torch.view_as_complex(slopes) if is_complex else slopes
+
+
+def _along(
+    function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor, index: int
+) -> torch.Tensor:
+    """Derivative of `function` with respect to one element of its argument."""
+    direction = torch.zeros_like(values)
+    direction[index] = 1
+    return torch.func.jvp(function, (values,), (direction,))[1]
+
+
+def fixed_optics(effects: Sequence[Effect | Pinned], model: PsfModel) -> Optics:
+    """What effects without free parameters make of the light path of `model`."""
+    return EffectSet(effects, model.stations)()

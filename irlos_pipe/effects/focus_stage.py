@@ -1,0 +1,87 @@
+"""The focus stage misses its offsets: `focus_stage_hysteresis`, `focus_stage_offset`, `focus_stage_scale`.
+
+They change the defocus that a ramp really introduces, and with it what its estimates are compared with.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from .base import Parameter, RampEffect, number
+
+
+def travel_direction(commanded_nm: np.ndarray) -> np.ndarray:
+    """+1 or -1 for values reached by a rise or fall of the introduced defocus, in order of recording.
+
+    Frames at an unchanged offset keep the direction in which it was reached; 0 before the first move.
+    """
+    moves = np.sign(np.diff(commanded_nm, prepend=commanded_nm[:1]))
+    last_move = np.maximum.accumulate(np.where(moves != 0, np.arange(len(moves)), 0))
+    return moves[last_move]
+
+
+class FocusStageHysteresis(RampEffect):
+    """Backlash: an offset reached upwards lies higher, one reached downwards lower, by `nm` each.
+
+    A ramp that changes its direction after every step shows it as a saw-tooth.
+    """
+
+    name = "focus_stage_hysteresis"
+    public = (number("nm", "nm RMS, half the width of the loop", -1000.0, 1000.0),)
+    look_alike = "a drift of focus; every offset from both sides tells them apart"
+    reference = "Saw-tooth of the first target in the on-sky experiment of LIFT for IRLOS"
+    parameters = (Parameter("nm", "nm", 0.0, plausible=(-150.0, 150.0)),)
+
+    def apply(
+        self, values: torch.Tensor, introduced_nm: torch.Tensor, commanded_nm: np.ndarray
+    ) -> torch.Tensor:
+        """See `RampEffect.apply`."""
+        return introduced_nm + values[0] * torch.as_tensor(travel_direction(commanded_nm))
+
+
+class FocusStageOffset(RampEffect):
+    """A constant bias of the ramp, or of its frames with offsets in a range: two runs, two references.
+
+    Parameters
+    ----------
+    above_nm, below_nm : float
+        The bias concerns commanded offsets between them.
+    """
+
+    name = "focus_stage_offset"
+    public = (number("nm", "nm RMS", -2000.0, 2000.0),)
+    options = (number("above_nm", "nm RMS"), number("below_nm", "nm RMS"))
+    look_alike = "defocus among the NCPAs, exactly, unless it concerns a part of the ramp"
+    reference = "Constant bias of the second target in the on-sky experiment of LIFT for IRLOS"
+    parameters = (Parameter("nm", "nm", 0.0, plausible=(-300.0, 300.0)),)
+
+    def __init__(self, above_nm: float = -np.inf, below_nm: float = np.inf):
+        self.above_nm, self.below_nm = above_nm, below_nm
+
+    def apply(
+        self, values: torch.Tensor, introduced_nm: torch.Tensor, commanded_nm: np.ndarray
+    ) -> torch.Tensor:
+        """See `RampEffect.apply`."""
+        concerned = (commanded_nm > self.above_nm) & (commanded_nm < self.below_nm)
+        return introduced_nm + values[0] * torch.as_tensor(concerned.astype(float))
+
+
+class FocusStageScale(RampEffect):
+    """The stage moves by more than it is told, by a fraction.
+
+    Its calibration is off, or the optics behind it turn the same step into more defocus; the estimates
+    then lie on a straight line of another slope than one.
+    """
+
+    name = "focus_stage_scale"
+    public = (number("fraction", "", -0.9, 10.0),)
+    look_alike = "wrong wavelength or pixel scale, which scale all modes alike"
+    reference = "Straight line through a ramp's estimates"
+    parameters = (Parameter("fraction", "", 0.0, plausible=(-0.3, 0.3)),)
+
+    def apply(
+        self, values: torch.Tensor, introduced_nm: torch.Tensor, commanded_nm: np.ndarray
+    ) -> torch.Tensor:
+        """See `RampEffect.apply`."""
+        return introduced_nm + values[0] * torch.as_tensor(np.asarray(commanded_nm, float))

@@ -1,0 +1,109 @@
+"""Image motion within an exposure: `tip_tilt_jitter` and `vibration`.
+
+The time average of an image that moves by s(t) has the OTF of the image at rest times the
+characteristic function of the motion, ``⟨exp(-2πi b·s/λ)⟩`` (e.g. Goodman 1985, Statistical Optics, §8):
+``exp(-w)`` for a Gaussian and ``J0(2√w)`` for a sinusoidal motion, ``w = 2π² σ² b²/λ²`` with σ² the
+variance along the baseline. The parameter is the variance, because ∂μ/∂σ vanishes at σ = 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from ..optics.grids import OtfGrid
+from ..optics.propagate import MAS
+from .base import Effect, OtfEffect, Parameter, Public, number
+from .bessel import j0_of_twice_root
+from .pinned import Pinned
+
+LARGEST_MAS = 60.0
+PLAUSIBLE_MAS2 = (0.0, 40.0**2)
+DIRECTIONS = 8
+
+
+def _variance(start_mas: float) -> Parameter:
+    upper = LARGEST_MAS**2
+    return Parameter("variance_mas2", "mas²", start_mas**2, lower=0.0, upper=upper, plausible=PLAUSIBLE_MAS2)
+
+
+def _damping(variance_mas2: torch.Tensor, length2_m2: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+    """``w`` of the module's docstring."""
+    return 2 * np.pi**2 * MAS**2 * variance_mas2 * length2_m2 / grid.wavelengths_m**2
+
+
+class TipTiltJitter(OtfEffect):
+    """Isotropic Gaussian blur of the image: residual tip-tilt, fast against the exposure.
+
+    A Gaussian object of the same size (the `σ_obj` of LIFT) has the same OTF.
+    """
+
+    name = "tip_tilt_jitter"
+    usual = True
+    public = (number("sigma_mas", "mas RMS per axis", 0.0, LARGEST_MAS),)
+    look_alike = "interpixel_crosstalk, which does not move the centroids of single frames"
+    reference = "Goodman 1985, Statistical Optics, section 8.4"
+
+    def __init__(self, start_mas: float = 7.0):
+        self.parameters = (_variance(start_mas),)
+
+    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+        """See `OtfEffect.apply`."""
+        return factor * torch.exp(-_damping(values[0], grid.length2_m2, grid))
+
+    def describe(self, values: np.ndarray) -> dict[str, float]:
+        """RMS per axis [mas]."""
+        return {"sigma_mas": float(np.sqrt(max(values[0], 0.0)))}
+
+    def values_of(self, sigma_mas: float) -> list[float]:
+        """Solver's parameters for a known size."""
+        return [sigma_mas**2]
+
+
+class Vibration(OtfEffect):
+    """Motion along one line, as resonances of the telescope's structure make it.
+
+    A single line of the vibration spectrum moves the image sinusoidally, many lines together as a
+    Gaussian. The direction means nothing without motion and is scanned in a search.
+
+    Parameters
+    ----------
+    shape : {"sinusoidal", "gaussian"}
+    start_mas, start_angle_deg : float
+    """
+
+    name = "vibration"
+    public = (number("sigma_mas", "mas RMS", 0.0, LARGEST_MAS), number("angle_deg", "deg from +x towards +y"))
+    options = (Public("shape", "sinusoidal or gaussian", "word"),)
+    look_alike = "a companion closer than λ/D, which is one-sided; Noll 5 and 6, which have other rings"
+    reference = "Goodman 1985, Statistical Optics, section 8.4; lines of UT4 in ERIS telemetry"
+
+    def __init__(self, shape: str = "sinusoidal", start_mas: float = 7.0, start_angle_deg: float = 0.0):
+        if shape not in ("sinusoidal", "gaussian"):
+            raise ValueError(f"the shape of a vibration is sinusoidal or gaussian, not {shape!r}")
+        self.shape = shape
+        self.parameters = (
+            _variance(start_mas),
+            Parameter("angle_rad", "rad", np.deg2rad(start_angle_deg), null=None),
+        )
+
+    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+        """See `OtfEffect.apply`."""
+        along = grid.path_m(torch.cos(values[1]), torch.sin(values[1]))
+        damping = _damping(values[0], along**2, grid)
+        own = torch.exp(-damping) if self.shape == "gaussian" else j0_of_twice_root(damping)
+        return factor * own
+
+    def describe(self, values: np.ndarray) -> dict[str, float]:
+        """RMS along the line [mas] and its direction."""
+        angle = float(np.rad2deg(values[1]) % 180)
+        return {"sigma_mas": float(np.sqrt(max(values[0], 0.0))), "angle_deg": angle}
+
+    def values_of(self, sigma_mas: float, angle_deg: float) -> list[float]:
+        """Solver's parameters for a known motion."""
+        return [sigma_mas**2, float(np.deg2rad(angle_deg))]
+
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
+        """One per direction."""
+        angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+        return [Pinned(self, [0.0, angle], free=("variance_mas2",)) for angle in angles]

@@ -1,0 +1,167 @@
+"""The detector: `interpixel_crosstalk`, `detector_nonlinearity`, `background_gradient`, `bad_pixels`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from .base import Conditions, DetectorEffect, Effect, Parameter, Public, number
+
+NEIGHBOURS = ((0, 1), (2, 1), (1, 0), (1, 2))  # offsets in an image padded by one pixel
+
+
+class InterpixelCrosstalk(DetectorEffect):
+    """Charge that diffuses, or couples by capacitance, to the four neighbours.
+
+    A pixel keeps ``1 - fraction`` and gives each neighbour a quarter of the rest; beyond the window the
+    image goes on as at its edge.
+    """
+
+    name = "interpixel_crosstalk"
+    order = 0
+    public = (number("fraction", "shared with the four neighbours together", 0.0, 0.8),)
+    look_alike = "tip_tilt_jitter, which moves the centroids of single frames"
+    reference = "Moore, Ninkov & Forrest 2006, Opt. Eng. 45, 076402; Finger et al. 2006, SPIE 6276, 62760F"
+    parameters = (Parameter("fraction", "", 0.02, lower=0.0, upper=0.8, plausible=(0.0, 0.2)),)
+
+    def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
+        """See `DetectorEffect.apply`."""
+        rows, columns = images_e.shape[-2:]
+        shape = (-1, 1, rows, columns)
+        padded = torch.nn.functional.pad(images_e.reshape(shape), (1, 1, 1, 1), mode="replicate")
+        received = sum(padded[..., r : r + rows, c : c + columns] for r, c in NEIGHBOURS) / 4
+        return images_e + values[0] * (received.reshape(images_e.shape) - images_e)
+
+
+class DetectorNonlinearity(DetectorEffect):
+    """The node's capacitance grows with its charge: ``s (1 - f s / s_peak)``.
+
+    Parameters
+    ----------
+    peak_e : float, optional
+        Signal at which the fraction is stated; by default that of the brightest pixel of each image.
+    """
+
+    name = "detector_nonlinearity"
+    order = 1
+    public = (number("fraction_at_peak", "lost at the brightest pixel of the mean image", -0.4, 0.4),)
+    look_alike = "tip_tilt_jitter, which conserves the light; a fainter star tells them apart"
+    reference = "Plazas et al. 2017, JINST 12, C04009"
+    parameters = (Parameter("fraction_at_peak", "", 0.0, 0.0, 0.1, -0.4, 0.4, plausible=(-0.05, 0.25)),)
+
+    def __init__(self, peak_e: float | None = None):
+        self.peak_e = peak_e
+
+    def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
+        """See `DetectorEffect.apply`."""
+        peak = images_e.amax((-2, -1), keepdim=True) if self.peak_e is None else self.peak_e
+        return images_e * (1 - values[0] * images_e / peak)
+
+
+class BackgroundGradient(DetectorEffect):
+    """A slope that dark and sky subtraction left; the pedestal is the background of every fit.
+
+    Added after the detector's response, zero in the middle of the window.
+    """
+
+    name = "background_gradient"
+    order = 2
+    instrumental = False
+    public = (
+        number("e_per_pixel", "e-/px", 0.0, 1e6),
+        number("angle_deg", "deg from +x towards +y, uphill"),
+    )
+    look_alike = "seeing_halo stretched by coma, which falls off with distance"
+    reference = "Bertin & Arnouts 1996, A&AS 117, 393"
+    parameters = (
+        Parameter("x_e_per_px", "e-/px", 0.0),
+        Parameter("y_e_per_px", "e-/px", 0.0),
+    )
+
+    def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
+        """See `DetectorEffect.apply`."""
+        y, x = (
+            torch.arange(size, dtype=torch.float64, device=images_e.device) - (size - 1) / 2
+            for size in images_e.shape[-2:]
+        )
+        return images_e + values[0] * x[None, :] + values[1] * y[:, None]
+
+    def describe(self, values: np.ndarray) -> dict[str, float]:
+        """Steepness and direction."""
+        x, y = (float(v) for v in values)
+        return {"e_per_pixel": float(np.hypot(x, y)), "angle_deg": float(np.rad2deg(np.arctan2(y, x)) % 360)}
+
+    def values_of(self, e_per_pixel: float, angle_deg: float) -> list[float]:
+        """Solver's parameters for a known slope."""
+        angle = np.deg2rad(angle_deg)
+        return [float(e_per_pixel * np.cos(angle)), float(e_per_pixel * np.sin(angle))]
+
+
+class BadPixels(DetectorEffect):
+    """Hot, dead or stuck pixels that the map of dead pixels does not list.
+
+    What such a pixel shows is no function of the light, so each has an offset of its own: fitting it
+    is the same as masking the pixel, and its derivative is how a search snoops for one.
+
+    Parameters
+    ----------
+    pixels : sequence of (row, column)
+    """
+
+    name = "bad_pixels"
+    order = 3
+    public = (Public("pixels", "[row, column]", "pixels"),)
+    look_alike = "a companion, or whatever else a single pixel pulls at; its course in time is not the star's"
+    reference = "Baarda 1968, A testing procedure for use in geodetic networks (data snooping)"
+
+    def __init__(self, pixels: Sequence[Sequence[int]] = ()):
+        self.pixels = tuple((int(row), int(column)) for row, column in pixels)
+        self.parameters = tuple(
+            Parameter(f"excess_{row}_{column}_e", "e-", 0.0) for row, column in self.pixels
+        )
+
+    @classmethod
+    def options_for(cls, **public: Any) -> dict[str, Any]:
+        """Their positions."""
+        return dict(public)
+
+    @classmethod
+    def under(cls, conditions: Conditions, pixels: Sequence[Sequence[int]] = ()) -> BadPixels:
+        """See `Effect.under`."""
+        rows, columns = conditions.window
+        outside = [list(pixel) for pixel in pixels if not (pixel[0] < rows and pixel[1] < columns)]
+        if outside:
+            raise ValueError(f"pixels {outside} lie outside the window of {rows} x {columns}")
+        return cls(pixels)
+
+    def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
+        """See `DetectorEffect.apply`."""
+        rows, columns = images_e.shape[-2:]
+        for value, (row, column) in zip(values, self.pixels, strict=True):
+            there = torch.zeros(rows, columns, dtype=torch.float64, device=images_e.device)
+            there[row, column] = 1
+            images_e = images_e + value * there
+        return images_e
+
+    def mask(self, window: tuple[int, int]) -> np.ndarray:
+        """True for pixels that are good, (rows, columns)."""
+        good = np.ones(window, dtype=bool)
+        for pixel in self.pixels:
+            good[pixel] = False
+        return good
+
+    def describe(self, values: np.ndarray) -> dict[str, list[list[int]]]:
+        """Where they are."""
+        return {"pixels": [list(pixel) for pixel in self.pixels]}
+
+    def values_of(self, pixels: Sequence[Sequence[int]]) -> list[float]:
+        """Nothing in excess: the pixels are masked."""
+        return [0.0] * len(self.pixels)
+
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
+        """One per pixel."""
+        rows, columns = window
+        return [BadPixels([(row, column)]) for row in range(rows) for column in range(columns)]

@@ -1,0 +1,174 @@
+"""Where light passes the pupil, and how much: `pupil_misregistration` and `amplitude_aberration`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import torch
+
+from ..geometry import PupilGeometry, Vane
+from ..optics.grids import PupilGrid
+from ..optics.pupil import band_limited
+from .base import Conditions, Effect, Parameter, Public, PupilEffect, number
+from .pinned import Pinned
+from .zernike_table import ZernikeTable
+
+CELL_M = 0.008  # of the drawing of which differences are taken
+STEP_M = 0.006  # largest displacement of an edge in a finite difference
+DIRECTIONS = 8
+RIM_M_PER_DEG = 4.0 * np.pi / 180
+
+
+class PupilMisregistration(PupilEffect):
+    """An internal stop that does not lie on the image of the telescope pupil, and vanes that are turned.
+
+    The stop has the outline and the central hole of the pupil and no vanes; light passes where both do.
+    Any shift darkens a crescent at the rim and one at the hole, whichever way it goes: the image is not
+    differentiable in (dx, dy) at zero, but it is in (distance ≥ 0, direction). Edges are drawn on a grid
+    of a few mm and band-limited, and derivatives are finite differences over `STEP_M`.
+
+    Parameters
+    ----------
+    start : (float, float, float)
+        Distance [m], direction and rotation [deg].
+    """
+
+    name = "pupil_misregistration"
+    order = 0  # changes where there is light, before what multiplies it
+    public = (
+        number("dx_m", "m", -1.0, 1.0),
+        number("dy_m", "m", -1.0, 1.0),
+        number("rotation_deg", "deg of the vanes, anticlockwise", -180.0, 180.0),
+    )
+    look_alike = "amplitude_aberration of Noll 2 and 3, which has no sharp edges"
+    reference = "Dohlen et al. 2006, SPIE 6269, 62690Q; VLT pupil stops"
+
+    def __init__(self, start: tuple[float, float, float] = (0.03, 0.0, 0.0)):
+        distance, direction, rotation = start
+        self.parameters = (
+            Parameter("distance_m", "m", distance, 0.0, 0.3, 0.0, 1.0, plausible=(0.0, 0.5)),
+            Parameter("direction_rad", "rad", np.deg2rad(direction), null=None),
+            Parameter("rotation_deg", "deg", rotation, 0.0, 5.0, -45.0, 45.0, plausible=(-15.0, 15.0)),
+        )
+
+    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.apply`."""
+        return field + _Moved.apply(values, grid) * grid.light
+
+    def describe(self, values: np.ndarray) -> dict[str, float]:
+        """Displacement of the stop and rotation of the vanes."""
+        distance, direction, rotation = (float(v) for v in values)
+        return {
+            "dx_m": distance * float(np.cos(direction)),
+            "dy_m": distance * float(np.sin(direction)),
+            "rotation_deg": rotation,
+        }
+
+    def values_of(self, dx_m: float, dy_m: float, rotation_deg: float) -> list[float]:
+        """Solver's parameters for a known misregistration."""
+        return [float(np.hypot(dx_m, dy_m)), float(np.arctan2(dy_m, dx_m)), rotation_deg]
+
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
+        """One per direction of the shift, and the rotation."""
+        angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
+        shifts = [Pinned(self, [0.0, angle, 0.0], free=("distance_m",)) for angle in angles]
+        return [*shifts, Pinned(self, [0.0, 0.0, 0.0], free=("rotation_deg",))]
+
+
+class _Moved(torch.autograd.Function):
+    """Change of the band-limited amplitude, (n, n), for (distance, direction, rotation)."""
+
+    @staticmethod
+    def forward(values, grid):
+        return torch.tensor(_change(grid.geometry, grid.samples, *values.tolist()))
+
+    @staticmethod
+    def setup_context(ctx, inputs, output):
+        ctx.values, ctx.grid = inputs[0].detach(), inputs[1]
+
+    @staticmethod
+    def jvp(ctx, along, _):
+        return _difference(ctx.grid, np.array(ctx.values.tolist()), np.array(along.tolist()))
+
+    @staticmethod
+    def backward(ctx, upstream):
+        values, directions = np.array(ctx.values.tolist()), np.eye(3)
+        slopes = [(upstream * _difference(ctx.grid, values, one)).sum() for one in directions]
+        return torch.stack(slopes), None
+
+
+def _difference(grid: PupilGrid, values: np.ndarray, along: np.ndarray) -> torch.Tensor:
+    """Derivative of the amplitude along a direction; forward where the distance would become negative."""
+    reach_m = abs(along[0]) + values[0] * abs(along[1]) + RIM_M_PER_DEG * abs(along[2])
+    if reach_m == 0:
+        return torch.zeros(len(grid.u_m), len(grid.u_m), dtype=torch.float64)
+    step = STEP_M / reach_m
+    ahead, behind = values + step * along, values - step * along
+    if min(ahead[0], behind[0]) < 0:
+        sign = 1 if ahead[0] > behind[0] else -1
+        ahead, behind = (values, values - step * along) if sign < 0 else (ahead, values)
+    width = np.linalg.norm(ahead - behind) / np.linalg.norm(along)
+    change = _change(grid.geometry, grid.samples, *ahead) - _change(grid.geometry, grid.samples, *behind)
+    return torch.tensor(change / width)
+
+
+@lru_cache(maxsize=16)
+def _change(
+    geometry: PupilGeometry, samples: int, distance_m: float, direction_rad: float, rotation_deg: float
+) -> np.ndarray:
+    """Amplitude of the misregistered pupil minus that of the pupil as it should be."""
+    stop_m = (float(distance_m * np.cos(direction_rad)), float(distance_m * np.sin(direction_rad)))
+    turned = with_vanes_turned(geometry, rotation_deg)
+    fine = _subsamples(geometry, samples)
+    return band_limited(turned, samples, stop_m=stop_m, subsamples=fine) - _clear(geometry, samples)
+
+
+@lru_cache(maxsize=4)
+def _clear(geometry: PupilGeometry, samples: int) -> np.ndarray:
+    return band_limited(geometry, samples, subsamples=_subsamples(geometry, samples))
+
+
+def _subsamples(geometry: PupilGeometry, samples: int) -> int:
+    """Even number of fine cells of about `CELL_M` per coarse cell."""
+    return 2 * int(np.ceil(geometry.diameter_m / samples / CELL_M / 2))
+
+
+def with_vanes_turned(geometry: PupilGeometry, angle_deg: float) -> PupilGeometry:
+    """The same pupil with its spider turned anticlockwise about the axis."""
+    return replace(geometry, vanes=tuple(_turned(vane, angle_deg) for vane in geometry.vanes))
+
+
+def _turned(vane: Vane, angle_deg: float) -> Vane:
+    turn = np.exp(1j * np.deg2rad(angle_deg))
+    start, end = (complex(*point) * turn for point in (vane.start_m, vane.end_m))
+    return Vane((start.real, start.imag), (end.real, end.imag), vane.width_m)
+
+
+class AmplitudeAberration(ZernikeTable, PupilEffect):
+    """Smooth non-uniform transmission: coatings, vignetting far from the pupil, scintillation that stays.
+
+    The amplitude is multiplied by ``1 + Σ c_k Z_k``.
+
+    Parameters
+    ----------
+    nolls : sequence of int
+    """
+
+    name, table = "amplitude_aberration", "zernike"
+    public = (Public(table, "Noll index: relative amplitude", "zernike", -1.0, 1.0),)
+    options = (Public("nolls", "Noll indices to estimate", "nolls"),)
+    template = Parameter("", "", 0.0, 0.0, 0.1, -0.5, 0.5, plausible=(-0.3, 0.3))
+    look_alike = "pupil_misregistration, which has sharp edges; the halo, which is not static"
+    reference = "Jolissaint et al. 2006, JOSA A 23, 382"
+
+    @classmethod
+    def under(cls, conditions: Conditions, nolls: Sequence[int] = range(2, 12)) -> AmplitudeAberration:
+        """By default the modes up to spherical, Noll 2 to 11."""
+        return cls(nolls)
+
+    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.apply`."""
+        return field * (1 + torch.tensordot(values, torch.tensor(grid.modes(self.nolls)), 1))

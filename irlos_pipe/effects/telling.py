@@ -1,0 +1,31 @@
+"""Public values of an effect for people: tables and lists unrolled, means over several estimates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+
+def rows_of(public: Mapping[str, Any]) -> list[tuple[str, float]]:
+    """Labels and numbers, such as ``("sigma_mas", 7.0)`` or ``("tip_nm 3", -20.0)``."""
+    return [row for name, value in public.items() for row in _rows(name, value)]
+
+
+def mean_of(estimates: Sequence[Any]) -> Any:
+    """Public values with every number the mean over estimates of the same effect."""
+    first = estimates[0]
+    if isinstance(first, Mapping):
+        return {key: mean_of([one[key] for one in estimates]) for key in first}
+    if isinstance(first, Sequence) and not isinstance(first, str):
+        return [mean_of(same) for same in zip(*estimates, strict=True)]
+    return first if all(one == first for one in estimates) else float(np.mean(estimates))
+
+
+def _rows(name: str, value: Any) -> list[tuple[str, float]]:
+    if isinstance(value, Mapping):
+        return [row for key, one in value.items() for row in _rows(f"{name} {key}", one)]
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [row for place, one in enumerate(value, start=1) for row in _rows(f"{name} {place}", one)]
+    return [(name, value)]

@@ -1,0 +1,149 @@
+"""Static wavefront beyond the estimated modes: `diversity_error`, `high_order_ncpa` and `phase_bump`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from ..optics.grids import PupilGrid
+from ..optics.zernike import noll_to_nm
+from .base import Conditions, Effect, Parameter, Public, PupilEffect, number
+from .pinned import Pinned
+from .zernike_table import ZernikeTable
+
+HIGH_ORDER_SIGMA_NM = 60.0
+EXTRA_ORDERS = 2  # radial orders beyond the estimated modes, by default
+REACH_M = 4.0  # from the axis
+BUMP_STEP_M, BUMP_WIDTHS_M = 0.8, (0.3, 0.8)  # of a search
+
+
+class _Map(PupilEffect):
+    """An OPD: multiplies the field by ``exp(2πi OPD/λ)``."""
+
+    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.apply`."""
+        return field * grid.phasor(self._map_nm(values, grid))
+
+    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor | None:
+        """See `PupilEffect.opd_nm`."""
+        return self._map_nm(values, grid)
+
+    def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        raise NotImplementedError
+
+
+class DiversityError(_Map):
+    """The introduced diversity is larger than it is said to be, by some nm along its own shape.
+
+    A lens that is not as calibrated, a mirror that does not reach its command. Not a part of the NCPAs.
+
+    Parameters
+    ----------
+    diversity : dict of int to float
+        As introduced, Noll: nm RMS.
+    """
+
+    name = "diversity_error"
+    public = (number("nm", "nm RMS, more than introduced", -500.0, 500.0),)
+    look_alike = "an NCPA of the same Noll index, exactly, but for a recording with another diversity"
+    reference = "Gonsalves 1982, Opt. Eng. 21, 829; Blanc et al. 2003, A&A 399, 373"
+    parameters = (Parameter("nm", "nm", 0.0, prior_sigma=50.0, plausible=(-150.0, 150.0)),)
+
+    def __init__(self, diversity: dict[int, float]):
+        if not any(diversity.values()):
+            raise ValueError("there is no diversity that could be wrong")
+        self.diversity = dict(diversity)
+
+    @classmethod
+    def under(cls, conditions: Conditions) -> DiversityError:
+        """See `Effect.under`."""
+        return cls(conditions.diversity)
+
+    def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        shape = np.array(list(self.diversity.values()))
+        direction = shape / np.linalg.norm(shape)
+        return values[0] * torch.as_tensor(np.tensordot(direction, grid.modes(list(self.diversity)), 1))
+
+    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> None:
+        """Nothing: it belongs to the diversity, not to the aberrations."""
+
+
+class HighOrderNcpa(ZernikeTable, _Map):
+    """Static modes beyond the estimated ones: polishing marks of mirrors, print-through of actuators.
+
+    The law of the NCPAs falls slowly, so modes that are left out weigh as much together as the last ones
+    estimated; their light lies at the angle nλ/D of their radial order n.
+
+    Parameters
+    ----------
+    nolls : sequence of int
+    """
+
+    name, table = "high_order_ncpa", "zernike_nm"
+    aberration = True
+    public = (Public(table, "Noll index: nm RMS", "zernike", -1000.0, 1000.0),)
+    options = (Public("nolls", "Noll indices to estimate", "nolls"),)
+    template = Parameter("", "nm", 0.0, 0.0, HIGH_ORDER_SIGMA_NM, plausible=(-200.0, 200.0))
+    look_alike = "phase_bump and low_wind_effect, of which each mode takes a part"
+    reference = "Noll 1976, JOSA 66, 207"
+
+    @classmethod
+    def under(cls, conditions: Conditions, nolls: Sequence[int] = ()) -> HighOrderNcpa:
+        """By default the next two radial orders."""
+        order = noll_to_nm(conditions.highest_noll + 1)[0] + EXTRA_ORDERS
+        return cls(nolls or range(conditions.highest_noll + 1, order * (order + 1) // 2 + 1))
+
+    def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        return torch.tensordot(values, torch.tensor(grid.modes(self.nolls)), 1)
+
+
+class PhaseBump(_Map):
+    """A Gaussian OPD somewhere in the pupil: a bad actuator, glue, dust on a mirror near the pupil.
+
+    ``nm · exp(-½ r²/width²)``. Position and width mean nothing without it and are scanned in a search.
+
+    Parameters
+    ----------
+    start : (float, float, float, float)
+        Height [nm], x, y and width [m].
+    """
+
+    name = "phase_bump"
+    aberration = True
+    public = (
+        number("nm", "nm, peak", -2000.0, 2000.0),
+        number("x_m", "m", -5.0, 5.0),
+        number("y_m", "m", -5.0, 5.0),
+        number("width_m", "m, sigma", 0.01, 5.0),
+    )
+    look_alike = "high_order_ncpa, of which every mode takes a part of the bump"
+    reference = "MUSE-NFM phase bump, 206 nm RMS in all"
+
+    def __init__(self, start: tuple[float, float, float, float] = (50.0, 2.0, 0.0, 0.5)):
+        height, x, y, width = start
+        inside = {"lower": -REACH_M, "upper": REACH_M, "null": None}
+        self.parameters = (
+            Parameter("nm", "nm", height, 0.0, 300.0, plausible=(-600.0, 600.0)),
+            Parameter("x_m", "m", x, **inside),
+            Parameter("y_m", "m", y, **inside),
+            Parameter("width_m", "m", width, 0.6, 0.6, 0.1, 3.0, None, (0.15, 2.0)),
+        )
+
+    def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        height, x, y, width = values
+        u, v = (torch.as_tensor(axis * grid.radius_m) for axis in grid.xy)
+        bump = torch.exp(-((u - x) ** 2 + (v - y) ** 2) / (2 * width**2))
+        return height * bump * torch.as_tensor(grid.lit)
+
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
+        """One per position on a grid and per width."""
+        steps = np.arange(-REACH_M + BUMP_STEP_M / 2, REACH_M, BUMP_STEP_M)
+        return [
+            Pinned(self, [0.0, x, y, width], free=("nm",))
+            for width in BUMP_WIDTHS_M
+            for y in steps
+            for x in steps
+            if np.hypot(x, y) < REACH_M
+        ]

@@ -1,0 +1,46 @@
+"""What effects have in common whose public value is a table {Noll index: coefficient}."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from .base import Parameter
+
+
+class ZernikeTable:
+    """One parameter per mode; a base class beside that of the place.
+
+    Class attributes
+    ----------------
+    table : str
+        Name of the public table.
+    template : Parameter
+        Of one mode, except its name.
+    """
+
+    table: ClassVar[str]
+    template: ClassVar[Parameter]
+
+    def __init__(self, nolls: Sequence[int]):
+        self.nolls = tuple(int(noll) for noll in nolls)
+        if len(set(self.nolls)) != len(self.nolls):
+            raise ValueError(f"a Noll index occurs twice in {list(self.nolls)}")
+        self.parameters = tuple(replace(self.template, name=f"noll_{noll}") for noll in self.nolls)
+
+    @classmethod
+    def options_for(cls, **public: Any) -> dict[str, Any]:
+        """The modes of the table."""
+        return {"nolls": sorted(int(noll) for noll in public[cls.table])} if cls.table in public else {}
+
+    def describe(self, values: Sequence[float]) -> dict[str, dict[str, float]]:
+        """Coefficients by Noll index."""
+        return {self.table: {str(n): float(v) for n, v in zip(self.nolls, np.asarray(values), strict=True)}}
+
+    def values_of(self, **public: Mapping) -> list[float]:
+        """Solver's parameters for a table of coefficients; modes that it lacks are 0."""
+        given = {int(noll): float(value) for noll, value in public[self.table].items()}
+        return [given.get(noll, 0.0) for noll in self.nolls]

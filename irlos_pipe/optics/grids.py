@@ -1,0 +1,207 @@
+"""Where light is sampled on its way: the pupil, the baselines of the OTF, the colours and pixels.
+
+Physical effects act on these grids, and `psf.PsfModel` propagates between them. Everything is float64;
+the propagation chooses its own precision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from ..geometry import PupilGeometry
+from .propagate import FocalGrid
+from .pupil import band_limited_pupil
+from .zernike import zernike_basis
+
+NM = 1e-9
+DARK_BEYOND = 12  # samples outside the rim: the filter's ringing has died out, polynomials would grow
+
+
+@dataclass(frozen=True)
+class PupilGrid:
+    """Samples of the pupil.
+
+    Attributes
+    ----------
+    geometry : PupilGeometry
+    samples : int
+        Across the diameter.
+    u_m : ndarray, (n,)
+        Coordinates along either axis [m].
+    wavelengths_m : tensor, (wavelengths, 1, 1)
+    """
+
+    geometry: PupilGeometry
+    samples: int
+    u_m: np.ndarray
+    wavelengths_m: torch.Tensor
+
+    @classmethod
+    def of(cls, geometry: PupilGeometry, samples: int, wavelengths_m: Sequence[float]) -> PupilGrid:
+        """Grid of the band-limited pupil."""
+        return cls(geometry, samples, band_limited_pupil(geometry, samples)[0], _colours(wavelengths_m))
+
+    def at(self, wavelengths_m: torch.Tensor) -> PupilGrid:
+        """The same samples at other wavelengths, (wavelengths,)."""
+        return replace(self, wavelengths_m=_colours(wavelengths_m))
+
+    @property
+    def radius_m(self) -> float:
+        """Radius of the pupil, the unit of `xy`."""
+        return self.geometry.diameter_m / 2
+
+    @property
+    def width_m(self) -> float:
+        """Width of the grid, a little more than the diameter."""
+        return len(self.u_m) * (self.u_m[1] - self.u_m[0])
+
+    @property
+    def lit(self) -> np.ndarray:
+        """True where there may be light, (n, n): no huge continuations of polynomials in dark corners."""
+        return _mesh(self.geometry, self.samples)[2]
+
+    @property
+    def xy(self) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates in units of the radius, (n, n) each; 0 where there is no light."""
+        return _mesh(self.geometry, self.samples)[:2]
+
+    @property
+    def light(self) -> float:
+        """Scale of amplitudes that makes the light through the clear pupil one, focal grid included."""
+        amplitude = band_limited_pupil(self.geometry, self.samples)[1]
+        # The pupil is clear or opaque, so ∫P² = ∫P, and the mean survives the band limit.
+        return 1 / (np.sqrt(np.sum(amplitude)) * (self.u_m[1] - self.u_m[0]) * 2 * self.width_m)
+
+    @property
+    def amplitude(self) -> np.ndarray:
+        """Amplitude of the pupil as it should be, (n, n)."""
+        return np.where(self.lit, band_limited_pupil(self.geometry, self.samples)[1], 0) * self.light
+
+    def modes(self, nolls: Sequence[int]) -> np.ndarray:
+        """Zernike polynomials, (modes, n, n)."""
+        return _modes(self.geometry, self.samples, tuple(nolls))
+
+    def phasor(self, opd_nm: torch.Tensor) -> torch.Tensor:
+        """``exp(2πi OPD/λ)``, (wavelengths, n, n), of an OPD (n, n) [nm]."""
+        return torch.exp(2j * np.pi * NM * opd_nm / self.wavelengths_m)
+
+
+class Sampling(NamedTuple):
+    """Colours and pixels: wavelengths (wavelengths,) [m], photon weights that sum to 1, pixel scale [mas]."""
+
+    wavelengths_m: torch.Tensor
+    weights: torch.Tensor
+    pixel_scale_mas: torch.Tensor
+
+
+@dataclass(frozen=True)
+class OtfGrid:
+    """Baselines and wavelengths on which OTF factors are evaluated.
+
+    Attributes
+    ----------
+    focal : FocalGrid
+    wavelengths_m : tensor, (wavelengths, 1, 1)
+    mean_m : tensor, scalar
+        Mean wavelength of the photons.
+    """
+
+    focal: FocalGrid
+    wavelengths_m: torch.Tensor
+    mean_m: torch.Tensor
+
+    @classmethod
+    def of(cls, focal: FocalGrid, sampling: Sampling) -> OtfGrid:
+        """Baselines of a focal grid."""
+        mean_m = (sampling.wavelengths_m * sampling.weights).sum()
+        return cls(focal, _colours(sampling.wavelengths_m), mean_m)
+
+    @property
+    def baseline_x_m(self) -> np.ndarray:
+        """Baselines along x, (p//2 + 1,) [m]."""
+        return self.focal.baseline_x_m
+
+    @property
+    def baseline_y_m(self) -> np.ndarray:
+        """Baselines along y, (p,) [m]."""
+        return self.focal.baseline_y_m
+
+    @cached_property
+    def length2_m2(self) -> torch.Tensor:
+        """Squared length of the baselines, (p, p//2 + 1)."""
+        return torch.as_tensor(self.baseline_x_m[None, :] ** 2 + self.baseline_y_m[:, None] ** 2)
+
+    def path_m(self, x_rad, y_rad) -> torch.Tensor:
+        """Scalar product ``b·s`` of the baselines with a direction on the sky [m], (..., p, p//2 + 1)."""
+        along_x, along_y = (torch.as_tensor(b) for b in (self.baseline_x_m, self.baseline_y_m))
+        return along_x[None, :] * x_rad + along_y[:, None] * y_rad
+
+
+class Optics(NamedTuple):
+    """What effects make of the light path; None where they leave it as it is.
+
+    Attributes
+    ----------
+    pupil : tensor, (wavelengths, n, n), complex
+        Amplitude of the pupil, instead of the clear one.
+    transfer : tensor, (wavelengths, p, p//2 + 1)
+        Factor of the OTF.
+    sampling : Sampling
+    """
+
+    pupil: torch.Tensor | None = None
+    transfer: torch.Tensor | None = None
+    sampling: Sampling | None = None
+
+
+class Tangents(NamedTuple):
+    """Derivatives of `Optics` with respect to effect parameters, parameters first.
+
+    Attributes
+    ----------
+    pupil : tensor, (parameters, wavelengths, n, n), or empty
+    transfer : sequence of tensor, (wavelengths, p, p//2 + 1) each
+    """
+
+    pupil: Sequence[torch.Tensor] = ()
+    transfer: Sequence[torch.Tensor] = ()
+
+
+class Stations(NamedTuple):
+    """Everything that effects need to know of a light path: its grids, nominal sampling, and modes."""
+
+    pupil: PupilGrid
+    focal: FocalGrid
+    sampling: Sampling
+    nolls: tuple[int, ...]
+
+
+@lru_cache(maxsize=8)
+def _mesh(geometry: PupilGeometry, samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coordinates in units of the radius, 0 in the dark, and where there may be light."""
+    u = band_limited_pupil(geometry, samples)[0] / (geometry.diameter_m / 2)
+    x, y = np.meshgrid(u, u)
+    lit = np.hypot(x, y) <= 1 + DARK_BEYOND / samples
+    return _read_only(x * lit), _read_only(y * lit), _read_only(lit)
+
+
+@lru_cache(maxsize=32)
+def _modes(geometry: PupilGeometry, samples: int, nolls: tuple[int, ...]) -> np.ndarray:
+    x, y, lit = _mesh(geometry, samples)
+    return _read_only(zernike_basis(nolls, x, y) * lit)
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """An array that callers can share."""
+    array.flags.writeable = False
+    return array
+
+
+def _colours(wavelengths_m) -> torch.Tensor:
+    return torch.as_tensor(wavelengths_m, dtype=torch.float64)[:, None, None]
