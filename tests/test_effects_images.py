@@ -47,8 +47,8 @@ def tilt_nm(x_mas: float, y_mas: float) -> np.ndarray:
     return reference().opd_nm({2: x_mas * TILT_NM_PER_MAS, 3: y_mas * TILT_NM_PER_MAS})
 
 
-def xy_m() -> tuple[np.ndarray, np.ndarray]:
-    grid = reference().grid
+def xy_m(samples: int = 1024) -> tuple[np.ndarray, np.ndarray]:
+    grid = reference(samples).grid
     return np.asarray(grid.x), np.asarray(grid.y)
 
 
