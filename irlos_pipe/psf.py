@@ -132,7 +132,7 @@ class PsfModel:
 
     def _set_pupil(self, grid: PupilGrid) -> None:
         self.amplitude = self._real(grid.amplitude)
-        self.basis = self._real(grid.modes(self.nolls)).reshape(len(self.nolls), -1)
+        self.basis = self._real(grid.modes(self.nolls).copy()).reshape(len(self.nolls), -1)
         diversity = np.zeros_like(grid.amplitude)
         for noll, value_nm in self.settings.diversity.items():
             diversity += value_nm * grid.modes([noll])[0]

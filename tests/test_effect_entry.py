@@ -7,7 +7,7 @@ import pytest
 import torch
 from effect_cases import STRONG
 
-from irlos_pipe.effects.telling import rows_of
+from irlos_pipe.effects.telling import mean_of, rows_of
 from irlos_pipe.errors import ConfigurationError
 from irlos_pipe.instrument import load_instrument
 from irlos_pipe.recording import Acquisition, Detector, Recording
@@ -96,6 +96,13 @@ def test_public_values_are_told_one_number_a_row():
         ("sigma_mas", 7.0), ("zernike_nm 70", 1.0), ("tip_nm 1", 2.0), ("tip_nm 2", 3.0),
         ("pixels 1 1", 4), ("pixels 1 2", 5),
     ]  # fmt: skip
+
+
+def test_the_mean_over_estimates_is_taken_number_by_number():
+    first = {"vibration": {"sigma_mas": 3.0, "shape": "gaussian"}, "petals": {"tip_nm": [1.0, -2.0]}}
+    second = {"vibration": {"sigma_mas": 5.0, "shape": "gaussian"}, "petals": {"tip_nm": [2.0, 2.0]}}
+    mean = {"vibration": {"sigma_mas": 4.0, "shape": "gaussian"}, "petals": {"tip_nm": [1.5, 0.0]}}
+    assert mean_of([first, second]) == mean
 
 
 def test_a_fixed_effect_has_the_values_of_the_recipe():
