@@ -1,5 +1,5 @@
-"""The derotator test on simulated cubes. Truth: the simulator, which turns wavefronts by its own code, and the
-height of the bump."""
+"""The derotator test on simulated cubes. Truth: the simulator, which turns wavefronts by its own code, and
+the height of the bump."""
 
 from dataclasses import replace
 

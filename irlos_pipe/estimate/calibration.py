@@ -130,6 +130,7 @@ def calibrate(
     options: CalibrationOptions,
     effects: Sequence[OtfEffect] = (),
     *,
+    start_nm: np.ndarray | None = None,
     device: str = "cpu",
     report: Callable[[int], None] | None = None,
 ) -> Calibration:
@@ -139,6 +140,9 @@ def calibrate(
     ----------
     effects : sequence of OtfEffect
         Effects of the model; methods of the paper leave them out.
+    start_nm : ndarray, (modes,), optional
+        Start from Noll 2 on, for as many modes as there are; else the fit starts from none, and once more
+        from single frames if it ends in a wrong minimum.
     report : callable, optional
         Called with the number of finished frames, for a progress bar.
 
@@ -155,10 +159,9 @@ def calibrate(
     model = _model(settings, method, range(2, options.highest_noll + 1), device)
     transfer = Transfer(effects, OtfGrid(model.grid, model.wavelengths_m)) if effects else None
     problem = _problem(frames, model, method, options, transfer)
-    start = _start(frames, problem, settings)
-    solution = _solve(problem, start, options, report)
-    if method.effects and not is_plausible(problem, solution):
-        solution = better(solution, _solve(problem, _second_start(frames, settings, start, device), options))
+    solution = _solve(problem, _start(frames, problem, settings, start_nm), options, report)
+    if method.effects and start_nm is None and not is_plausible(problem, solution):
+        solution = better(solution, _solve(problem, _second_start(frames, problem, settings), options))
     return _result(frames, problem, method, options, solution, time.perf_counter() - began)
 
 
@@ -229,21 +232,24 @@ def _data(frames: Frames, method: Method) -> tuple[torch.Tensor, torch.Tensor]:
     return (images * (flux.mean() / flux)[:, None, None].to(images.dtype))[None], variance[None, None]
 
 
-def _start(frames: Frames, problem: ImageFit, settings: PsfSettings) -> torch.Tensor:
-    """Zero aberrations, tip and tilt from the centroids."""
+def _start(frames: Frames, problem: ImageFit, settings: PsfSettings, start_nm=None) -> torch.Tensor:
+    """Tip and tilt from the centroids and no aberrations, or the first modes of `start_nm`."""
     first = problem.images.double().mean(1).cpu()
     x = problem.layout.start(first)
     masked = first.reshape(-1, *settings.window) * frames.pixel_mask
     x[:, :2] = start_tilts_nm(masked, settings.pixel_scale_mas, settings.geometry.diameter_m)
+    if start_nm is not None:
+        common = min(len(start_nm), len(problem.layout.nolls))
+        x[:, :common] = torch.as_tensor(start_nm[:common])
     return x
 
 
-def _second_start(frames: Frames, settings: PsfSettings, start: torch.Tensor, device: str) -> torch.Tensor:
+def _second_start(frames: Frames, problem: ImageFit, settings: PsfSettings) -> torch.Tensor:
     """The start with what single frames tell of the low modes."""
-    highest = min(HIGHEST_NOLL, start.shape[1])
-    model = _model(settings, METHODS["lift_slices"], range(2, highest + 1), device)
+    nolls = [noll for noll in problem.layout.nolls if noll <= HIGHEST_NOLL]
+    model = _model(settings, METHODS["lift_slices"], nolls, problem.model.device)
     median_nm = median_of_frames_nm(model, frames.images_e, frames.pixel_mask, frames.noise)
-    return torch.cat([median_nm[None], start[:, len(median_nm) :]], dim=1)
+    return _start(frames, problem, settings, median_nm)
 
 
 def _solve(problem: ImageFit, start: torch.Tensor, options: CalibrationOptions, report=None) -> Solution:

@@ -223,13 +223,13 @@ def _from_every_start(observed: ObservedRamp, way: Way) -> dict[str, np.ndarray]
         for name, start in starts.items()
     }
     results["default"] = second_try(model, data, results["elongation"], options, transfer)
-    wrong = _wrong(results)
+    wrong = wrong_minima(results)
     return {f"{name}/wrong": wrong[name] for name in results} | {
         f"{name}/iterations": result.solution.iterations.numpy() for name, result in results.items()
     }
 
 
-def _wrong(results: Mapping[str, LiftResult], apart_nm: float = 50.0) -> dict[str, np.ndarray]:
+def wrong_minima(results: Mapping[str, LiftResult], apart_nm: float = 50.0) -> dict[str, np.ndarray]:
     """Frames that did not converge, or lie `apart_nm` from the best of all starts, (frames,) per start."""
     defocus = torch.stack([result.mode(DEFOCUS)[0] for result in results.values()])
     converged = torch.stack([result.solution.converged for result in results.values()])

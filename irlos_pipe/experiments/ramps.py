@@ -80,7 +80,7 @@ def knowledge_of(scene: Scene, calibration: Calibration) -> Knowledge:
 def ramp_data(scene: Scene, exposed: Exposed) -> RampData:
     """Noisy frames of a ramp with the defocus that the focus stage was told to introduce."""
     good = torch.ones(scene.window, dtype=torch.bool)
-    return RampData(images_of(scene, exposed), good, noise_of(scene), scene.introduced_per_frame_nm)
+    return RampData(images_of(scene, exposed), good, noise_of(scene), scene.introduced_per_frame_nm.copy())
 
 
 def elongation_defocus_nm(scene: Scene, data: RampData) -> np.ndarray:

@@ -15,10 +15,10 @@ STAGE = "faint"
 LABELS = {"none": "no NCPAs", "published": "NCPAs by DIP global", "default": "this pipeline"}
 COLOURS = {"none": ORANGE, "published": GREEN, "default": BLUE}
 CAPTION = (
-    "Median |estimated − introduced defocus|. Circles, thick lines: three modes, with the 16th to 84th percentile "
-    f"as a band and, dashed, the Cramér–Rao bound times {MEDIAN_OF_NORMAL}, the median |error| of an efficient "
-    "estimate. Squares: nine modes. Dotted: a perfect sensor, which sees the mean defocus of the AO residual in "
-    "every frame. Dash-dotted and vertical lines: criterion and limiting magnitudes."
+    "Median |estimated − introduced defocus|. Circles, thick lines: three modes, with the 16th to 84th "
+    f"percentile as a band and, dashed, the Cramér–Rao bound times {MEDIAN_OF_NORMAL}, the median |error| of "
+    "an efficient estimate. Squares: nine modes. Dotted: a perfect sensor, which sees the mean defocus of "
+    "the AO residual in every frame. Dash-dotted and vertical lines: criterion and limiting magnitudes."
 )
 
 

@@ -58,8 +58,8 @@ def _strength(run: RunData) -> list[Figure]:
         for text, std in found.items()
     }
     caption = (
-        "RMS over the cubes, tip and tilt equalised. Lines: laws fitted from Noll 4 on, that of DIP global to "
-        "all modes, the others to the introduced ones."
+        "RMS over the cubes, tip and tilt equalised. Lines: laws fitted from Noll 4 on, that of DIP global "
+        "to all modes, the others to the introduced ones."
     )
     lines = {"law of the introduced modes": np.stack([noll, laws["introduced"]])}
     return [Figure(strength_plot("mode-statistics", points, lines), "Strength of the modes", caption)]

@@ -19,7 +19,7 @@ from ..observation import model_effects_of, noise_of
 from ..ramps import DEFOCUS, TTF, Knowledge
 
 FOCUS = TTF.index(DEFOCUS)
-# What a loop does not believe: a measurement this uncertain, or this far from where a closed loop can be. Near
+# What a loop does not believe: a measurement so uncertain, or so far from where a closed loop can be. Near
 # the faint limit LIFT ends now and then in a noise peak, far away and with a small formal error.
 LARGEST_SIGMA_NM, FARTHEST_NM = 100.0, 200.0
 
