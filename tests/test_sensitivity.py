@@ -13,6 +13,7 @@ from irlos_pipe.estimate.sensitivity import (
     limiting_magnitude,
     scan,
 )
+from irlos_pipe.image_model import ImageModel
 from irlos_pipe.noise import NoiseModel
 from irlos_pipe.psf import PsfModel
 
@@ -96,7 +97,7 @@ def test_a_scan_reaches_the_bound_where_frames_err_by_noise_alone():
     signal = model.images(true).double() * 2e6
     frames = torch.cat([cases.draw_frames(mean.numpy(), 1, seed) for seed, mean in enumerate(signal)])
     curve = scan(
-        model,
+        ImageModel(model),
         frames,
         signal,
         cases.everything(frames),

@@ -118,6 +118,7 @@ def calibrate(
     options: CalibrationOptions,
     effects: Sequence[Effect | Pinned] = (),
     *,
+    start_nm: np.ndarray | None = None,
     device: str = "cpu",
     report: Callable[[int], None] | None = None,
 ) -> Calibration:
@@ -127,6 +128,9 @@ def calibrate(
     ----------
     effects : sequence of Effect or Pinned
         Of the model; methods of the paper leave them out.
+    start_nm : ndarray, (modes,), optional
+        Start from Noll 2 on, for as many modes as there are; else the fit starts from none, and once more
+        from single frames if it ends in a wrong minimum.
     report : callable, optional
         Called with the number of finished frames, for a progress bar.
 
@@ -141,7 +145,7 @@ def calibrate(
     method, options = options.resolved()
     effects = tuple(effects) if method.effects else ()
     psf = _psf_model(settings, method, range(2, options.highest_noll + 1), device)
-    task = _Task(frames, psf, method, options, report)
+    task = _Task(frames, psf, method, options, start_nm, report)
     steady = [effect for effect in effects if not drifts(effect)]
     fit = _fit_steady(task, steady)
     for effect in effects:
@@ -159,6 +163,7 @@ class _Task:
     psf: PsfModel
     method: Method
     options: CalibrationOptions
+    start_nm: np.ndarray | None
     report: Callable[[int], None] | None
 
     def fit(
@@ -166,12 +171,13 @@ class _Task:
     ) -> tuple[ImageFit, Solution]:
         """Fit with these effects, from scratch or from the modes of another fit."""
         problem = _problem(self.frames, ImageModel(self.psf, effects), self.method, self.options)
-        start = _start(self.frames, problem, self.psf.settings)
+        start = _start(self.frames, problem, self.psf.settings, self.start_nm)
         if near is not None:
             start[:, problem.layout.modes] = near[1].values[:, near[0].layout.modes]
         solution = _solve(problem, start, self.options, self.report)
-        if near is None and self.method.effects and not is_plausible(problem, solution):
-            again = _second_start(self.frames, self.psf, start)
+        alone = near is None and self.start_nm is None
+        if alone and self.method.effects and not is_plausible(problem, solution):
+            again = _second_start(self.frames, problem, self.psf)
             solution = better(solution, _solve(problem, again, self.options))
         return problem, solution
 
@@ -222,21 +228,24 @@ def _data(frames: Frames, method: Method) -> tuple[torch.Tensor, torch.Tensor]:
     return (images * (flux.mean() / flux)[:, None, None].to(images.dtype))[None], variance[None, None]
 
 
-def _start(frames: Frames, problem: ImageFit, settings: PsfSettings) -> torch.Tensor:
-    """Zero aberrations, tip and tilt from the centroids."""
+def _start(frames: Frames, problem: ImageFit, settings: PsfSettings, start_nm=None) -> torch.Tensor:
+    """Tip and tilt from the centroids and no aberrations, or the first modes of `start_nm`."""
     first = problem.images.double().mean(1).cpu()
     x = problem.layout.start(first)
     masked = first.reshape(-1, *settings.window) * frames.pixel_mask
     x[:, :2] = start_tilts_nm(masked, settings.pixel_scale_mas, settings.geometry.diameter_m)
+    if start_nm is not None:
+        common = min(len(start_nm), len(problem.layout.nolls))
+        x[:, :common] = torch.as_tensor(start_nm[:common])
     return x
 
 
-def _second_start(frames: Frames, psf: PsfModel, start: torch.Tensor) -> torch.Tensor:
+def _second_start(frames: Frames, problem: ImageFit, psf: PsfModel) -> torch.Tensor:
     """The start with what single frames tell of the low modes."""
     nolls = [noll for noll in psf.nolls if noll <= HIGHEST_NOLL]
     model = _psf_model(psf.settings, METHODS["lift_slices"], nolls, psf.device)
     median_nm = median_of_frames_nm(model, frames.images_e, frames.pixel_mask, frames.noise)
-    return torch.cat([median_nm[None], start[:, len(nolls) :]], dim=1)
+    return _start(frames, problem, psf.settings, median_nm)
 
 
 def _solve(problem: ImageFit, start: torch.Tensor, options: CalibrationOptions, report=None) -> Solution:

@@ -119,21 +119,48 @@ def scan_mode_numbers(
     report : callable, optional
         Called with 1 after every fit.
     """
-    parts = halves(len(frames.images_e))
-    estimates, misfits, fitted = [], [], []
-    for highest in highest_nolls:
-        own, fits = replace(options, highest_noll=highest), []
-        for part in parts:
-            fits.append(calibrate(_of(frames, part), settings, own, effects, device=device))
-            if report:
-                report(1)
-        estimates.append([_picked(fit, nolls) for fit in fits])
-        unseen = zip(fits, parts[::-1], strict=True)
-        misfits.append(np.concatenate([held_out_misfit(frames, fit, part) for fit, part in unseen]))
-        fitted.append(np.mean([fit.chi2_nu for fit in fits]))
+    one, other = halves(len(frames.images_e))
+    fits = [
+        fit_mode_numbers(
+            _of(frames, half), settings, options, highest_nolls, effects, device=device, report=report
+        )
+        for half in (one, other)
+    ]
+    misfit = [
+        np.concatenate([held_out_misfit(frames, of_one, other), held_out_misfit(frames, of_other, one)])
+        for of_one, of_other in zip(*fits, strict=True)
+    ]
     return ModeScan(
-        tuple(highest_nolls), tuple(nolls), np.array(estimates), np.array(misfits), np.array(fitted)
+        tuple(highest_nolls),
+        tuple(nolls),
+        np.array([[_picked(fit, nolls) for fit in pair] for pair in zip(*fits, strict=True)]),
+        np.array(misfit),
+        np.mean([[fit.chi2_nu for fit in half] for half in fits], axis=0),
     )
+
+
+def fit_mode_numbers(
+    frames: Frames,
+    settings: PsfSettings,
+    options: CalibrationOptions,
+    highest_nolls: Sequence[int],
+    effects: Sequence[Effect | Pinned] = (),
+    *,
+    device: str = "cpu",
+    report: Callable[[int], None] | None = None,
+) -> list[Calibration]:
+    """Calibrations with different numbers of modes, in the order of `highest_nolls`.
+
+    Every fit starts from that with the next larger number: a model that lacks modes easily falls into
+    a wrong minimum, and this is not what is asked here.
+    """
+    fits: list[Calibration] = []
+    for highest in reversed(highest_nolls):
+        own, start_nm = replace(options, highest_noll=highest), fits[-1].zernike_nm if fits else None
+        fits.append(calibrate(frames, settings, own, effects, start_nm=start_nm, device=device))
+        if report:
+            report(1)
+    return fits[::-1]
 
 
 def _picked(fit: Calibration, nolls: Sequence[int]) -> np.ndarray:

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..estimate.calibration import CalibrationOptions, calibrate
+from ..estimate.calibration import Calibration, CalibrationOptions, calibrate
 from ..estimate.cube import Frames
-from ..estimate.mode_number import choose, scan_mode_numbers
+from ..estimate.mode_number import choose, fit_mode_numbers, scan_mode_numbers
+from ..psf import PsfSettings
 from ..simulate.exposure import Exposed, expose
 from ..simulate.scene import Scene
 from .methods import Sample, scene_of
@@ -75,12 +76,19 @@ def _errors(
     cube, dimmed = _cube(scene, exposed, mag_j)
     count = sample.frames[method]
     own = replace(cube, images_e=cube.images_e[:count])
-    errors = []
-    for highest in sample.highest_nolls:
-        options = replace(_options(method), highest_noll=highest)
-        result = calibrate(own, settings_of(dimmed), options, model_effects_of(dimmed))
-        errors.append(modes_delta_nm(exposed, result.nolls, result.zernike_nm, first_frames=count))
-    return errors
+    fit = fit_mode_numbers if method == DEFAULT else _from_none
+    fits = fit(own, settings_of(dimmed), _options(method), sample.highest_nolls, model_effects_of(dimmed))
+    return [modes_delta_nm(exposed, one.nolls, one.zernike_nm, first_frames=count) for one in fits]
+
+
+def _from_none(
+    frames: Frames, settings: PsfSettings, options: CalibrationOptions, highest_nolls: Sequence[int], effects
+) -> list[Calibration]:
+    """Every number of modes by itself, as the published methods are meant."""
+    return [
+        calibrate(frames, settings, replace(options, highest_noll=highest), effects)
+        for highest in highest_nolls
+    ]
 
 
 def _options(method: str) -> CalibrationOptions:

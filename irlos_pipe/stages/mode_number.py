@@ -23,13 +23,13 @@ PUBLISHED, LIFT = "dip_global", "lift_avg"
 class Config(StageConfig):
     """Sizes of the experiment."""
 
-    cubes: int = Field(5, ge=1, le=1000, description="cubes, each with its own NCPAs of 50 modes")
+    cubes: int = Field(4, ge=1, le=1000, description="cubes, each with its own NCPAs of 50 modes")
     frames: int = Field(200, ge=32, le=10000, description="frames of a cube")
     published_frames: int = Field(
         20, ge=2, le=10000, description="the first frames, for the published method, which fits one by one"
     )
     numbers: tuple[int, ...] = Field(
-        (11, 16, 21, 31, 41, 51, 61, 81, 101), min_length=2, description="highest Noll modes estimated"
+        (16, 21, 31, 41, 51, 61, 81, 101), min_length=2, description="highest Noll modes estimated"
     )
     magnitudes: tuple[float, ...] = Field(
         (7.0, 14.0, 16.0, 18.0), min_length=1, description="of the star, in J"

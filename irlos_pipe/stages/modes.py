@@ -37,7 +37,7 @@ class Config(StageConfig):
         None, ge=7, le=231, description="the law is fitted to Noll 4 to this; none: to all estimated"
     )
     numbers: tuple[int, ...] = Field(
-        (15, 21, 28, 36, 45, 55, 66, 78, 91, 105), description="highest Noll modes to try"
+        (21, 36, 45, 55, 66, 78, 91, 105), description="highest Noll modes to try"
     )
     cubes: int = Field(4, ge=0, description="cubes that the numbers are tried on, the first ones")
 

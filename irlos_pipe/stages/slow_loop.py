@@ -37,8 +37,8 @@ class Layer(StageConfig):
 class Config(StageConfig):
     """Sizes and conditions of the experiment."""
 
-    skies: int = Field(3, ge=1, le=1000, description="sets of NCPAs, each with its sky and its calibration")
-    drifts: int = Field(2, ge=1, le=1000, description="drifts of the sodium layer on each sky")
+    skies: int = Field(4, ge=1, le=1000, description="sets of NCPAs, each with its sky and its calibration")
+    drifts: int = Field(1, ge=1, le=1000, description="drifts of the sodium layer on each sky")
     frames: int = Field(120, ge=10, le=100000, description="frames of 1 s per drift")
     settle: int = Field(20, ge=0, description="frames left out of the statistics")
     magnitudes: tuple[float, ...] = Field((12, 18, 20, 21, 22, 23), min_length=1, description="J mag")

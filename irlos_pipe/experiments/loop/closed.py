@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,7 +68,6 @@ def close_loops(
     drift_nm: np.ndarray,
     delay: int,
     rng: np.random.Generator,
-    report: Callable[[int], None] | None = None,
 ) -> LoopRecord:
     """Run all loops over the frames of `table`, made from `scene`.
 
@@ -88,8 +87,6 @@ def close_loops(
             members = bank.ready(frame, name)
             if len(members):
                 bank.correct(members, frame, sensor.measure(electrons(scene, bank.images_e[members], rng)))
-        if report:
-            report(1)
     return bank.record()
 
 

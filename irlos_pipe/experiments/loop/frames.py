@@ -8,7 +8,6 @@ band-limited in a, and the series converges as fast as Bessel functions do beyon
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,18 +44,11 @@ class FrameTable:
         return (weights @ flat).reshape(-1, *window)
 
 
-def frame_table(
-    scene: Scene, reach_nm: float, nodes: int, report: Callable[[int], None] | None = None
-) -> FrameTable:
+def frame_table(scene: Scene, reach_nm: float, nodes: int) -> FrameTable:
     """Simulate a scene at the Chebyshev nodes of ±`reach_nm`; the sky is the same at all of them."""
     points = chebyshev.chebpts1(nodes)
-    exposed = []
-    for point in points:
-        exposed.append(expose(replace(scene, introduced_nm=float(point * reach_nm))))
-        if report:
-            report(1)
-    values = np.stack([one.mean_e for one in exposed])
+    exposed = [expose(replace(scene, introduced_nm=float(point * reach_nm))) for point in points]
     to_series = np.linalg.inv(chebyshev.chebvander(points, nodes - 1))
-    series = np.tensordot(to_series, values, axes=1).astype(np.float32)
+    series = np.tensordot(to_series, np.stack([one.mean_e for one in exposed]), axes=1).astype(np.float32)
     focus = exposed[0].zernike_nm[:, FOCUS - 2] - scene.ncpa_nm.get(FOCUS, 0.0)
     return FrameTable(reach_nm, series, focus)
