@@ -19,6 +19,7 @@ from irlos_pipe.report.section_correct import correct_section
 from irlos_pipe.report.section_correction_gain import correction_gain_section
 from irlos_pipe.report.section_derotator import derotator_section
 from irlos_pipe.report.section_derotator_series import derotator_series_section
+from irlos_pipe.report.section_diagnose import diagnose_section
 from irlos_pipe.report.section_faint import faint_section
 from irlos_pipe.report.section_first_tests import first_tests_section
 from irlos_pipe.report.section_focus_ramp import focus_ramp_section
@@ -38,6 +39,7 @@ from irlos_pipe.runfolder import RunFolder
 
 # Results first, in the order in which they build on one another; what went in comes behind.
 SECTIONS: dict[str, Callable[[RunData], Section]] = {
+    "diagnose": diagnose_section,
     "calibrate": calibrate_section,
     "correct": correct_section,
     "prior": prior_section,

@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from irlos_pipe.stages.base import Stage
 
-LIGHT_PATH = ("ingest", "prior", "calibrate", "lift", "sensitivity", "correct", "derotator", "modes")
+LIGHT_PATH = (
+    "ingest",
+    "prior",
+    "calibrate",
+    "lift",
+    "sensitivity",
+    "correct",
+    "derotator",
+    "modes",
+    "diagnose",
+)
 # Experiments of the paper on simulated data, each a stage of its own recipe, in the order of the paper.
 EXPERIMENTS = (
     "first_tests",

@@ -1,0 +1,1 @@
+"""Naming what the model of an image lacks: detect, identify, adapt, validate."""

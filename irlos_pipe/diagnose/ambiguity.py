@@ -1,0 +1,65 @@
+"""Which other names these data allow beside the best one, and what would tell them apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from .held_out import Judge, preference
+from .refit import Refit
+
+SURE = 3.0  # Vuong's statistic on the held-out frames
+EXPLAINS_AS_MUCH = 0.97
+CLEARLY_LESS = 25.0  # of calibrated χ²
+LIKENESS = 0.9
+LARGEST_SET = 3
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A name that cannot be told from the best one.
+
+    Attributes
+    ----------
+    name : str
+    reason : str
+    separated_by : str
+        The measurement that would tell them apart.
+    likeness : float
+        |cos| between what the two add to the image, beyond what the fitted parameters imitate.
+    """
+
+    name: str
+    reason: str
+    separated_by: str
+    likeness: float
+
+
+def alternatives(ranked: Sequence[Refit], judges: Sequence[Judge]) -> list[Alternative]:
+    """Names that are not significantly worse than the first of `ranked`."""
+    best = ranked[0]
+    found = []
+    for other, judge in zip(ranked[1:], judges[1:], strict=True):
+        z = preference(judges[0], judge)
+        deficit = (other.fitted.chi2 - best.fitted.chi2) / best.score.inflation
+        if deficit < CLEARLY_LESS or (z < SURE and other.gain > EXPLAINS_AS_MUCH * best.gain):
+            found.append(_alternative(best, other, z))
+    return sorted(found, key=lambda one: -one.likeness)[: LARGEST_SET - 1]
+
+
+def likeness(one: Refit, other: Refit, before) -> float:
+    """|cos| of the changes of the image that two refits make, projected off the fitted parameters."""
+    changes = torch.stack(
+        [(refit.fitted.image_e - before.fitted.image_e) * before.root for refit in (one, other)], dim=1
+    )
+    gram = before.norm2(changes)
+    return float(gram[0, 1].abs() / (gram[0, 0] * gram[1, 1]).clamp_min(1e-300).sqrt())
+
+
+def _alternative(best: Refit, other: Refit, z: float) -> Alternative:
+    cosine = likeness(best, other, best.origin)
+    alike = "they change the image alike" if cosine > LIKENESS else "both explain the excess as well"
+    reason = f"{alike} (|cos| {cosine:.3f}), and the held-out frames do not decide (z {z:.1f})"
+    return Alternative(other.name, reason, best.bare.look_alike, cosine)

@@ -1,0 +1,38 @@
+"""Single pixels that stand out of the residual, their neighbours being well explained."""
+
+from __future__ import annotations
+
+import torch
+
+from ..effects.pixels import BadPixels
+from .families import Family
+from .optimum import Optimum
+
+OUTSTANDING = 50.0  # fall of χ² by a pixel's own offset: 7 σ, one of some thousand pixels
+ALONE = 4.0  # times the largest residual of the neighbours
+MOST = 20
+
+
+def outstanding_pixels(optimum: Optimum) -> list[tuple[int, int]]:
+    """(row, column) of the pixels that nothing smooth explains, the worst first."""
+    window = optimum.fitted.problem.model.psf.settings.window
+    left = 1 - (optimum.basis**2).sum(1)
+    pull = (optimum.residual / left.clamp_min(1e-6).sqrt()).abs().reshape(window)
+    around = _largest_neighbour(pull)
+    chosen = (pull**2 > OUTSTANDING) & (pull > ALONE * around)
+    places = torch.nonzero(chosen)[pull[chosen].argsort(descending=True)]
+    return [(int(row), int(column)) for row, column in places[:MOST]]
+
+
+def bad_pixel_family(optimum: Optimum) -> list[Family]:
+    """The family of these pixels; none where there are none."""
+    pixels = outstanding_pixels(optimum)
+    return [Family(BadPixels.name, (BadPixels(pixels),))] if pixels else []
+
+
+def _largest_neighbour(image: torch.Tensor) -> torch.Tensor:
+    """Largest of the eight neighbours."""
+    rows, columns = image.shape
+    padded = torch.nn.functional.pad(image[None, None], (1, 1, 1, 1))[0, 0]
+    shifted = [padded[r : r + rows, c : c + columns] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
+    return torch.stack(shifted).amax(0)

@@ -1,0 +1,181 @@
+"""From what a search found to the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from ..effects import Pinned
+from ..effects.seeing_halo import SeeingHalo
+from ..estimate.total_wavefront import effects_in_modes_nm
+from .cube import Cube
+from .decide import Accepted, Options, threshold
+from .detect import Score
+from .fitting import Fitted
+from .held_out import Judge, gap_between
+from .motion_check import motion_ratio
+from .noise_check import PHOTONS, NoiseVerdict
+from .optimum import Optimum
+from .sizes import detectable, parameter_covariance, public_sigma, within_reach
+from .verdict import EFFECT, NONE, UNKNOWN, Diagnosis, Pictures, Step
+
+if TYPE_CHECKING:
+    from .workflow import Search
+
+LEFT, LEFT_CHI2_NU = 0.05, 1.3  # part of the excess, and χ² over its expectation, from which much is left
+MUST_EXPLAIN = 0.8
+
+
+def conclude(cube: Cube, search: Search, noise: NoiseVerdict, options: Options) -> Diagnosis:
+    """The verdict with all its numbers."""
+    why = why_unknown(search, noise, options)
+    steps = [*_drift_steps(cube, search, options), *_steps(cube, search)]
+    known = steps if not why else []
+    final = search.final if not why else search.null
+    judges = [Judge(cube.held_out, optimum.fitted) for optimum in (search.null, final)]
+    testable = [s for s in search.scores if s.testable and within_reach(s, _least_gain(s))]
+    untestable = [s.name for s in search.scores if s not in testable]
+    return Diagnosis(
+        verdict=UNKNOWN if why else EFFECT if known else NONE,
+        steps=known,
+        nearest=steps[0] if why and steps else None,
+        unexplained=bool(why),
+        why_unknown=why,
+        gap=gap_between(*judges),
+        mdb={s.name: detectable(s, _least_gain(s)) for s in testable},
+        untestable=[*untestable, *search.meaningless],
+        noise=noise,
+        chi2_nu=(search.null.excess.chi2_nu, search.final.excess.chi2_nu),
+        excess_sigma=(search.null.excess.significance, search.final.excess.significance),
+        motion_ratio=motion_ratio(cube.training, search.final.fitted),
+        drift_significance=search.drift.significance,
+        frames=(len(cube.training), len(cube.held_out)),
+        nolls=search.null.fitted.problem.layout.nolls,
+        modes_nm=tuple(total_modes_nm(optimum.fitted) for optimum in (search.null, final)),
+        modes_sigma_nm=_modes_sigma_nm(final),
+        pictures=_pictures(judges, search.null, final),
+    )
+
+
+def why_unknown(search: Search, noise: NoiseVerdict, options: Options) -> str:
+    """What speaks against the names found, or for something that has none; empty if nothing does."""
+    null, final = search.null.excess, search.final.excess
+    much = final.significance > options.sure and final.chi2_nu > LEFT_CHI2_NU
+    if much and final.chi2 > LEFT * null.chi2:
+        return f"{final.chi2 / null.chi2:.0%} of the excess is left (χ²/ν {final.chi2_nu:.2f})"
+    for one in search.accepted:
+        if one.refit.implausible:
+            return f"{one.name} would need {', '.join(one.refit.implausible)} beyond what is plausible"
+        if one.name == SeeingHalo.name and noise.kind == PHOTONS:
+            return "a halo without the speckles that an AO residual makes from frame to frame"
+    return ""
+
+
+def total_modes_nm(fitted: Fitted) -> np.ndarray:
+    """Coefficients of the whole static wavefront, what effects in the pupil add included."""
+    effects, values = fitted.problem.model.effects, fitted.effect_values
+    added = effects_in_modes_nm(effects, values, fitted.problem.layout.nolls)[0]
+    return fitted.modes_nm + added.numpy()
+
+
+def _modes_sigma_nm(optimum: Optimum) -> np.ndarray:
+    covariance = parameter_covariance(optimum.stack, optimum.fitted)
+    return np.sqrt(np.diag(covariance))[optimum.fitted.problem.layout.modes]
+
+
+def _least_gain(score: Score) -> float:
+    """Fall of χ², in units of its inflation, from which the effect counts as seen."""
+    return threshold(len(score.usable), score.trials)
+
+
+# -- names -------------------------------------------------------------------------------------
+
+
+def _steps(cube: Cube, search: Search) -> list[Step]:
+    fitted = search.final.fitted
+    covariance = parameter_covariance(cube.training, fitted)
+    return [_step(cube, one, fitted, covariance) for one in search.accepted]
+
+
+def _step(cube: Cube, accepted: Accepted, fitted: Fitted, covariance: np.ndarray) -> Step:
+    refit = accepted.refit
+    bare = refit.bare
+    effect = next(e for e in fitted.effects if e.name == refit.name)
+    values = effect.all_values(fitted.values_of(refit.name)).numpy()
+    full = np.zeros((len(values), len(values)))
+    columns = _columns(fitted, refit.name)
+    full[np.ix_(effect.free, effect.free)] = covariance[np.ix_(columns, columns)]
+    judges = (Judge(cube.held_out, one) for one in (refit.origin.fitted, refit.fitted))
+    return Step(
+        Pinned(bare, values),
+        bare.describe(values),
+        public_sigma(bare, values, full),
+        refit.significance,
+        accepted.ranking[0].explained,
+        accepted.preference,
+        gap_between(*judges),
+        accepted.alternatives,
+        accepted.ranking,
+    )
+
+
+def _columns(fitted: Fitted, name: str) -> list[int]:
+    """Columns of an effect's free parameters in the whole parameter vector."""
+    begin = fitted.problem.layout.effect_values.start
+    for effect in fitted.effects:
+        end = begin + len(effect.parameters)
+        if effect.name == name:
+            return list(range(begin, end))
+        begin = end
+    raise KeyError(name)
+
+
+def _drift_steps(cube: Cube, search: Search, options: Options) -> list[Step]:
+    drift = search.drift
+    if drift.significance < options.sure:
+        return []
+    judge = Judge(cube.held_out, search.null.fitted)
+    effect = drift.effect()
+    sigma = effect.effect.describe(drift.sigma_nm)
+    return [
+        Step(
+            effect,
+            effect.describe([]),
+            sigma,
+            drift.significance,
+            float("nan"),
+            float("nan"),
+            gap_between(judge, judge),
+        )
+    ]
+
+
+# -- pictures ----------------------------------------------------------------------------------
+
+
+def _pictures(judges: Sequence[Judge], null: Optimum, final: Optimum) -> Pictures:
+    stack, shape = judges[0].stack, final.fitted.problem.model.psf.settings.window
+    deviations = final.deviations - (final.deviations @ final.basis) @ final.basis.mT
+    _, size, modes = torch.linalg.svd(deviations, full_matrices=False)
+    leading = modes[0] * size[0] / np.sqrt(len(deviations) * len(final.stack))
+    models = [optimum.fitted.problem.model for optimum in (null, final)]
+    values = [optimum.fitted.effect_values for optimum in (null, final)]
+    opds = [m.effects.opd_nm(v).numpy() for m, v in zip(models, values, strict=True)]
+    return Pictures(
+        *(one.reshape(shape).numpy() for one in (stack.mean_e, stack.variance_e2.sqrt())),
+        *(judge.mean_e.reshape(shape).numpy() for judge in judges),
+        leading.reshape(shape).numpy(),
+        opds[1] - opds[0],
+        _amplitude(models[1], values[1]) - _amplitude(models[0], values[0]),
+    )
+
+
+def _amplitude(model, values: torch.Tensor) -> np.ndarray:
+    """Amplitude in the pupil, 1 where it is clear, (n, n)."""
+    grid = model.psf.pupil_grid
+    pupil = model.effects(values).pupil
+    field = grid.amplitude if pupil is None else pupil[0].abs().numpy()
+    return field / grid.light

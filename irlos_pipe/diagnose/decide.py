@@ -1,0 +1,130 @@
+"""Whether a fitted name is accepted, and whether names found earlier are still needed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .ambiguity import Alternative, alternatives
+from .cube import Cube
+from .fitting import Fitter
+from .held_out import Judge, preference
+from .motion_check import MOVING, motion_ratio
+from .optimum import Optimum
+from .refit import PER_PARAMETER, Refit
+from .verdict import Ranked
+
+MOTIONS, BLURS = ("tip_tilt_jitter", "vibration"), ("interpixel_crosstalk",)
+MUST_EXPLAIN = 0.8  # of what is left, for a further name
+PREFERRED = 3.0  # Vuong's statistic on held-out frames whose noise is known
+
+
+@dataclass(frozen=True)
+class Options:
+    """Choices of a diagnosis.
+
+    Attributes
+    ----------
+    highest_noll : int
+        Noll 2 to this belong to every model; what lies beyond can be found as `high_order_ncpa`.
+    held_out : float
+        Part of the frames that no fit sees.
+    most_names : int
+        At which to stop.
+    sure : float
+        Significance of a detection in Gaussian σ.
+    """
+
+    highest_noll: int = 30
+    held_out: float = 0.25
+    most_names: int = 4
+    sure: float = 5.0
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """A name, and how it compared.
+
+    Attributes
+    ----------
+    refit : Refit
+    preference : float
+        Vuong's statistic on the held-out frames, against the model before.
+    alternatives : sequence of Alternative
+    ranking : sequence of Ranked
+    """
+
+    refit: Refit
+    preference: float
+    alternatives: Sequence[Alternative]
+    ranking: Sequence[Ranked]
+
+    @property
+    def name(self) -> str:
+        """Of the effect."""
+        return self.refit.name
+
+
+def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool) -> Accepted | None:
+    """The best of the fitted names, if it is significant, if the held-out frames agree, and if,
+    unless it is the `first`, it explains most of what is left.
+    """
+    if not ranked or not detected(ranked[0], options.sure):
+        return None
+    best = ranked[0]
+    before = best.origin
+    if not first and before.excess.significance > options.sure and explained(best) < MUST_EXPLAIN:
+        return None
+    judges = [Judge(cube.held_out, refit.fitted) for refit in ranked]
+    ranked, judges = by_motion(ranked, judges, cube)
+    best = ranked[0]
+    z = preference(judges[0], Judge(cube.held_out, before.fitted))
+    if z < (PREFERRED if cube.training.photon_limited else 0.0):
+        return None
+    ranking = [Ranked(r.name, r.gain, explained(r), r.significance) for r in ranked]
+    return Accepted(best, z, alternatives(ranked, judges), ranking)
+
+
+def by_motion(
+    ranked: Sequence[Refit], judges: Sequence[Judge], cube: Cube
+) -> tuple[Sequence[Refit], Sequence[Judge]]:
+    """Between motion and a detector that blurs, which the mean image hardly tells apart, frames decide."""
+    rivals = {one.name for one in alternatives(ranked, judges)} & {*MOTIONS, *BLURS}
+    if ranked[0].name not in (*MOTIONS, *BLURS) or not rivals:
+        return ranked, judges
+    right = MOTIONS if motion_ratio(cube.training, ranked[0].fitted) > MOVING else BLURS
+    allowed = [i for i, one in enumerate(ranked) if one.name in right and (i == 0 or one.name in rivals)]
+    order = [*allowed, *(i for i in range(len(ranked)) if i not in allowed)]
+    return [ranked[i] for i in order], [judges[i] for i in order]
+
+
+def detected(refit: Refit, sure: float) -> bool:
+    """Whether the fall of χ² and the significance are beyond chance."""
+    return (
+        refit.significance > sure
+        and refit.gain > threshold(refit.parameters, refit.score.trials) * refit.score.inflation
+    )
+
+
+def threshold(parameters: int, trials: int) -> float:
+    """Fall of χ² that chance does not reach, over many data sets with small errors of the model."""
+    return parameters + 6 * np.sqrt(2 * parameters) + 20 + 2 * np.log(trials)
+
+
+def explained(refit: Refit) -> float:
+    """Part of the excess that a name explains."""
+    before = refit.origin.excess.chi2
+    return (before - refit.excess.chi2) / max(before, refit.gain)
+
+
+def no_longer_needed(fitter: Fitter, current: Optimum, accepted: Sequence[Accepted]) -> list[Accepted]:
+    """Names found earlier without which the model fits as well."""
+    superfluous = []
+    for one in accepted[:-1]:
+        kept = [effect for effect in current.fitted.continued() if effect.name != one.name]
+        loss = fitter.fit(kept, current.fitted).chi2 - current.fitted.chi2
+        if loss < PER_PARAMETER * one.refit.parameters * one.refit.score.inflation:
+            superfluous.append(one)
+    return superfluous[:1]

@@ -1,0 +1,188 @@
+"""Which families of effects the residual calls for: score tests at the optimum of the current model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from scipy import special, stats
+
+from ..effects import Effect, Pinned
+from ..effects.companion import Companion
+from ..estimate.search import _frozen as frozen
+from ..image_model import ImageModel
+from .companion_search import around, brightest_companions
+from .families import Family
+from .optimum import Optimum
+
+ABSORBED = 0.003  # part of a derivative's power below which the fitted parameters imitate the effect
+NOTHING = 1e-9  # of the largest derivative: a parameter without meaning here, a colour of a single wavelength
+MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames
+
+
+@dataclass(frozen=True)
+class Score:
+    """What one candidate would do at the optimum without it.
+
+    Attributes
+    ----------
+    candidate : Effect or Pinned
+        Its free parameters at their null values.
+    sizes : ndarray, (parameters,)
+        Linear estimate of the free parameters, within their bounds.
+    gain : float
+        Predicted fall of χ².
+    inflation : float
+        Fall of χ² per parameter that the scatter of frames leads to expect without the effect.
+    survival : float
+        Part of the derivative's power that the fitted parameters cannot imitate, of the best parameter.
+    significance : float
+        In Gaussian σ, candidates of the family counted as trials.
+    smallest : ndarray, (parameters,)
+        Size of each parameter whose expected gain is one times the inflation, median over the candidates.
+    usable : tuple of str
+        Parameters that these data determine.
+    trials : int
+        Candidates of the family.
+    """
+
+    candidate: Effect | Pinned
+    sizes: np.ndarray
+    gain: float
+    inflation: float
+    survival: float
+    significance: float
+    smallest: np.ndarray
+    usable: tuple[str, ...] = ()
+    trials: int = 1
+
+    @property
+    def name(self) -> str:
+        """Of the effect."""
+        return self.candidate.name
+
+    @property
+    def testable(self) -> bool:
+        """Whether these data can show the effect."""
+        return self.survival > ABSORBED
+
+    def start(self) -> Pinned:
+        """The whole effect, free, at the linear estimate."""
+        bare = self.candidate.effect if isinstance(self.candidate, Pinned) else self.candidate
+        pinned = isinstance(self.candidate, Pinned)
+        values = self.candidate.all_values(self.sizes).numpy() if pinned else self.sizes
+        return Pinned(
+            bare, values, [p.name for p in bare.parameters if p.null is None or p.name in self.usable]
+        )
+
+
+def scores(optimum: Optimum, families: Sequence[Family]) -> list[Score]:
+    """Best candidate of every family, the most significant family first."""
+    found = [score_family(optimum, family) for family in families]
+    return sorted(found, key=lambda one: -one.significance)
+
+
+def score_family(optimum: Optimum, family: Family) -> Score:
+    """Best candidate of one family; its other candidates count as trials."""
+    settings = optimum.fitted.problem.model.psf.settings
+    tried = [
+        candidate
+        for effect in family.variants
+        for candidate in effect.candidates(settings.window, settings.pixel_scale_mas)
+    ]
+    trials = len(tried)
+    if family.name == Companion.name:
+        tried = [*brightest_companions(optimum, tried), *around(tried[0].effect)]
+    found = [_score(optimum, one, trials) for one in tried]
+    best = max(found, key=lambda one: one.gain)
+    typical = [one.smallest for one in found if one.usable == best.usable]
+    return replace(best, smallest=np.median(typical, axis=0))
+
+
+def whitened_shapes(optimum: Optimum, candidate: Effect | Pinned) -> torch.Tensor:
+    """Derivatives of the mean image with respect to a candidate's parameters at null, (pixels, m)."""
+    fitted = optimum.fitted
+    model, layout, x = fitted.problem.model, fitted.problem.layout, fitted.x
+    held = model.effects.held(fitted.effect_values)
+    own = held.effects if candidate.place == "sampling" else frozen(model.effects, fitted.effect_values)
+    whole = ImageModel(model.psf, [*own, candidate])
+    null = torch.tensor(candidate.null_values, dtype=torch.float64)
+    modal = candidate.place not in ("pupil", "otf")  # with nothing else there is nothing to propagate
+    at = x[:, layout.modes], x[:, -2], x[:, -1], null
+    columns = whole.predict_and_jacobian(*at, modal=modal)[1][0].cpu().double().flatten(1)
+    return (columns[len(columns) - 2 - len(null) : -2] * optimum.root).mT
+
+
+def _score(optimum: Optimum, candidate: Effect | Pinned, trials: int) -> Score:
+    shapes = whitened_shapes(optimum, candidate)
+    power, left = (shapes**2).sum(0), torch.diagonal(optimum.norm2(shapes))
+    survival = left / power.clamp_min(1e-300)
+    usable = (power > NOTHING * power.max()) & (survival > ABSORBED)
+    if not usable.any():
+        nothing = np.full(len(power), np.inf)
+        null = np.array(candidate.null_values, float)
+        return Score(candidate, null, 0.0, 1.0, float(survival.max()), 0.0, nothing)
+    sizes, gain, inflation, significance = _test(optimum, candidate, shapes, usable, trials)
+    smallest = torch.where(usable, (inflation / left.clamp_min(1e-300)).sqrt(), torch.inf).numpy()
+    names = tuple(p.name for p, use in zip(candidate.parameters, usable.tolist(), strict=True) if use)
+    best = float(survival[usable].max())
+    return Score(candidate, sizes, gain, inflation, best, significance, smallest, names, trials)
+
+
+def _test(optimum: Optimum, candidate, shapes: torch.Tensor, usable: torch.Tensor, trials: int):
+    """Linear sizes, fall of χ², its inflation and its significance."""
+    sigma = torch.tensor([p.prior_sigma for p in candidate.parameters], dtype=torch.float64)[usable]
+    used = shapes[:, usable]
+    normal = optimum.norm2(used) + torch.diag(sigma**-2)
+    meeting = optimum.meeting(used)
+    null = torch.tensor(candidate.null_values, dtype=torch.float64)
+    change = torch.zeros_like(null)
+    change[usable] = torch.linalg.solve(normal, meeting)
+    sizes = _within(candidate, null + change)
+    step = (sizes - null)[usable]
+    gain = float(2 * step @ meeting - step @ normal @ step)
+    inflation, significance = significance_of(optimum, used, normal, meeting, trials)
+    return sizes.numpy(), gain, inflation, significance if gain > 0 else 0.0
+
+
+def significance_of(optimum: Optimum, shapes, normal, meeting, trials: int) -> tuple[float, float]:
+    """Inflation, and Hotelling's T² of the projections over the frames in Gaussian σ.
+
+    Frames allow no test in more directions than a part of their number: the leading ones of the
+    normal matrix are taken, into which the family's power falls. Directions that the prior holds are
+    left out.
+    """
+    stack = optimum.stack
+    values, vectors = torch.linalg.eigh(normal)
+    measured = ((vectors.mT @ optimum.norm2(shapes)) * vectors.mT).sum(1) > 0.5 * values
+    axes = (vectors / values.sqrt())[:, measured]  # the shapes along them are orthonormal
+    if not stack.photon_limited:
+        axes = axes[:, -max(1, int(MOST_OF_FRAMES * stack.independent)) :]
+    along, covariance = axes.mT @ meeting, stack.covariance_of_mean(optimum.per_frame(shapes @ axes))
+    inflation = float(covariance.diagonal().mean())
+    if stack.photon_limited:
+        return 1.0, gaussian_sigma(float(along @ along), len(along), np.inf, trials)
+    hotelling = float(along @ torch.linalg.solve(covariance, along))
+    return inflation, gaussian_sigma(hotelling, len(along), stack.independent, trials)
+
+
+def gaussian_sigma(hotelling: float, directions: int, frames: float, trials: int = 1) -> float:
+    """Hotelling's T² of a mean over frames as the σ of a normal deviate of the same tail probability.
+
+    With infinitely many `frames` it is χ².
+    """
+    if np.isinf(frames):
+        tail = stats.chi2.logsf(hotelling, directions)
+        # Beyond the range of logsf: its leading terms.
+        tail = tail if np.isfinite(tail) else -hotelling / 2 + (directions / 2 - 1) * np.log(hotelling / 2)
+    else:
+        freedom = max(frames - directions, 1.0)
+        tail = stats.f.logsf(hotelling * freedom / (directions * (frames - 1)), directions, freedom)
+    return float(max(-special.ndtri_exp(min(tail + np.log(trials), np.log(0.5))), 0.0))
+
+
+def _within(candidate: Effect | Pinned, values: torch.Tensor) -> torch.Tensor:
+    limits = torch.tensor([[p.lower, p.upper] for p in candidate.parameters], dtype=torch.float64)
+    return values.clamp(limits[:, 0], limits[:, 1])

@@ -1,0 +1,95 @@
+"""Models judged on frames that no fit has seen.
+
+What belongs to single frames, tip, tilt, flux and background, is refitted linearly; all else is frozen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from .cube import Stack
+from .fitting import Fitted
+
+
+@dataclass(frozen=True)
+class Gap:
+    """``Σ|measured − predicted| / Σ measured`` of the mean held-out image.
+
+    Attributes
+    ----------
+    before, after : float
+        With the old and the new model.
+    floor : float
+        With a perfect model, from noise alone.
+    """
+
+    before: float
+    after: float
+    floor: float
+
+    @property
+    def shrink(self) -> float:
+        """Part of the gap above the floor that the new model closes; NaN where there was none."""
+        open_ = self.before - self.floor
+        return (self.before - self.after) / open_ if open_ > 0 else float("nan")
+
+
+class Judge:
+    """A model's residuals on the held-out frames.
+
+    Parameters
+    ----------
+    stack : Stack
+        Of the held-out frames.
+    fitted : Fitted
+    """
+
+    def __init__(self, stack: Stack, fitted: Fitted):
+        self.stack = stack
+        image, columns = fitted.problem.predict_and_jacobian(fitted.x)
+        self.image = image[0].cpu()
+        own = columns[0, [0, 1, -2, -1]].cpu().double().mT
+        root = stack.root[:, None]
+        self.basis, triangle = torch.linalg.qr(own * root)
+        self.moves = own @ torch.linalg.inv(triangle)
+
+    @property
+    def mean_e(self) -> torch.Tensor:
+        """Prediction of the mean image, (pixels,)."""
+        residual = (self.stack.mean_e - self.image) * self.stack.root
+        return self.image + self.moves @ (self.basis.mT @ residual)
+
+    @property
+    def gap(self) -> float:
+        """See `Gap`."""
+        good = self.stack.root > 0
+        return float((self.stack.mean_e - self.mean_e)[good].abs().sum() / self.stack.mean_e[good].sum())
+
+    @property
+    def losses(self) -> np.ndarray:
+        """Half of χ² of every frame, (frames,)."""
+        images = self.stack.frames.images_e.double().flatten(1)
+        residual = torch.where(self.stack.root > 0, images - self.image, 0.0) * self.stack.root
+        left = residual - (residual @ self.basis) @ self.basis.mT
+        return (0.5 * (left**2).sum(1) / len(self.stack)).numpy()
+
+
+def preference(better: Judge, worse: Judge) -> float:
+    """Vuong's statistic: mean difference of the losses over its standard error."""
+    difference = worse.losses - better.losses
+    error = difference.std(ddof=1) / np.sqrt(better.stack.independent)
+    return float(difference.mean() / error) if error > 0 else 0.0
+
+
+def noise_floor(stack: Stack) -> float:
+    """What noise alone leaves of the gap: a normal deviate is √(2/π) σ away from zero on average."""
+    good = stack.root > 0
+    return float(np.sqrt(2 / np.pi) * stack.variance_e2[good].sqrt().sum() / stack.mean_e[good].sum())
+
+
+def gap_between(before: Judge, after: Judge) -> Gap:
+    """Gaps of two models on the same frames."""
+    return Gap(before.gap, after.gap, noise_floor(before.stack))

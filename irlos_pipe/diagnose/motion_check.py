@@ -1,0 +1,29 @@
+"""Whether the image moves from frame to frame by more than photon noise makes it seem to move."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from .cube import Stack
+from .fitting import Fitted
+
+MOVING = 1.5  # variance ratio from which frames move
+
+
+def motion_ratio(stack: Stack, fitted: Fitted) -> float:
+    """Variance of tip and tilt between successive frames over that of photon noise.
+
+    Well above 1 for motion, whether or not most of it averages out within a frame; 1 for a detector
+    that blurs.
+    """
+    frames = stack.frames
+    columns = fitted.problem.predict_and_jacobian(fitted.x)[1][0, [0, 1, -2, -1]].cpu().double().mT
+    variance = frames.noise.variance_e2(stack.mean_e)
+    root = torch.where(frames.pixel_mask.flatten(), variance**-0.5, 0.0)
+    whitened = columns * root[:, None]
+    covariance = torch.linalg.inv(whitened.mT @ whitened)
+    images = frames.images_e.double().flatten(1) * root
+    values = (images @ whitened @ covariance)[:, :2].numpy()
+    steps = np.diff(values, axis=0)
+    return float(np.mean(steps.var(0) / (2 * np.diag(covariance.numpy())[:2])))

@@ -1,0 +1,70 @@
+"""The verdict in the words of an engineer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .verdict import NONE, UNKNOWN, Diagnosis, Step
+
+PHRASES = {
+    "tip_tilt_jitter": "image motion of {sigma_mas:.1f} mas RMS per axis",
+    "vibration": "a vibration of {sigma_mas:.1f} mas RMS along {angle_deg:.0f}°",
+    "atmospheric_dispersion": "a chromatic elongation of {mas_per_um:.0f} mas/µm along {angle_deg:.0f}°",
+    "plate_scale": "pixels larger by {fraction:.2%}",
+    "diversity_error": "{nm:.0f} nm more diversity",
+    "phase_bump": "a bump of {nm:.0f} nm at ({x_m:.1f}, {y_m:.1f}) m in the pupil, {width_m:.1f} m wide",
+    "companion": "a second source of {flux_ratio:.2%} at {sep_mas:.0f} mas, PA {pa_deg:.0f}°",
+    "interpixel_crosstalk": "charge shared between pixels, {fraction:.2%}",
+    "detector_nonlinearity": "a loss of {fraction_at_peak:.1%} at the brightest pixel",
+    "background_gradient": "a background slope of {e_per_pixel:.2g} e⁻/px towards {angle_deg:.0f}°",
+    "pupil_misregistration": "a stop {dx_m:.3f}, {dy_m:.3f} m off, vanes turned by {rotation_deg:.1f}°",
+    "spectrum": "a spectrum about {wavelength_nm:.1f} nm, {width:.2f} times as wide",
+}
+
+
+def sentence(diagnosis: Diagnosis) -> str:
+    """One or two sentences."""
+    if diagnosis.verdict == NONE:
+        return f"Nothing significant is missing in the model{_limit(diagnosis)}."
+    if diagnosis.verdict == UNKNOWN:
+        nearest = diagnosis.nearest
+        near = "" if nearest is None else f"; the nearest is {phrase(nearest)}"
+        return f"Something is missing that nothing in the catalogue explains: {diagnosis.why_unknown}{near}."
+    wanted = " and ".join(phrase(step) for step in diagnosis.steps)
+    return f"The images want {wanted}{_others(diagnosis.steps)}; nothing else is missing{_limit(diagnosis)}."
+
+
+def phrase(step: Step) -> str:
+    """A name with its size."""
+    if step.name == "seeing_halo" and "wfe_nm" in step.public:
+        return f"an AO residual of {step.public['wfe_nm']:.0f} nm RMS"
+    if step.name in PHRASES:
+        return PHRASES[step.name].format(**step.public)
+    if step.name == "bad_pixels":
+        return f"bad pixels at {step.public['pixels']}"
+    return f"{step.name.replace('_', ' ')} of {_size(step.public):.3g} RMS over its parameters"
+
+
+def _others(steps: Sequence[Step]) -> str:
+    others = [f"{step.name}: {other.name}" for step in steps for other in step.alternatives]
+    return f" (not told apart from {', '.join(others)})" if others else ""
+
+
+def _limit(diagnosis: Diagnosis) -> str:
+    limits = diagnosis.mdb.get("companion"), diagnosis.mdb.get("vibration")
+    words = []
+    if limits[0]:
+        words.append(f"a companion of {limits[0]['flux_ratio']:.1g}")
+    if limits[1]:
+        words.append(f"a vibration of {limits[1]['sigma_mas']:.1f} mas")
+    return f" above {' or '.join(words)}" if words else ""
+
+
+def _size(public: Mapping[str, Any]) -> float:
+    numbers = [
+        n for value in public.values() for n in (value.values() if isinstance(value, Mapping) else value)
+    ]
+    return float(np.sqrt(np.mean(np.square(numbers))))

@@ -1,0 +1,140 @@
+"""What a diagnosis says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from ..effects import Pinned
+from .ambiguity import Alternative
+from .held_out import Gap
+from .noise_check import NoiseVerdict
+
+NONE, EFFECT, UNKNOWN = "none", "effect", "unknown"
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One family as it stood when a name was chosen.
+
+    Attributes
+    ----------
+    gain : float
+        Fall of χ² by the fit.
+    explained : float
+        Part of the excess that it explains.
+    significance : float
+        In Gaussian σ.
+    """
+
+    name: str
+    gain: float
+    explained: float
+    significance: float
+
+
+@dataclass(frozen=True)
+class Step:
+    """One name, in the order found.
+
+    Attributes
+    ----------
+    effect : Pinned
+        As it stands in the final model, nothing free.
+    public, sigma : dict
+        Parameters and standard errors under public names.
+    significance : float
+        In Gaussian σ.
+    explained : float
+        Part of the excess that was there before.
+    preference : float
+        Vuong's statistic on the held-out frames, against the model before.
+    gap : Gap
+        On the held-out frames, of the models before and after it.
+    alternatives : sequence of Alternative
+    ranking : sequence of Ranked
+        Families that were fitted, the best first.
+    """
+
+    effect: Pinned
+    public: dict[str, Any]
+    sigma: dict[str, Any]
+    significance: float
+    explained: float
+    preference: float
+    gap: Gap
+    alternatives: Sequence[Alternative] = ()
+    ranking: Sequence[Ranked] = ()
+
+    @property
+    def name(self) -> str:
+        """Of the effect."""
+        return self.effect.name
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Mean held-out image and its predictions [e-], all (rows, columns); added OPD (n, n) [nm].
+
+    Attributes
+    ----------
+    leading : ndarray
+        Leading mode of the residual over the frames, over the standard error of a frame.
+    """
+
+    measured_e: np.ndarray
+    sigma_e: np.ndarray
+    before_e: np.ndarray
+    after_e: np.ndarray
+    leading: np.ndarray
+    added_opd_nm: np.ndarray
+    added_amplitude: np.ndarray
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The whole verdict.
+
+    Attributes
+    ----------
+    verdict : {"none", "effect", "unknown"}
+    steps : sequence of Step
+        Names accepted.
+    nearest : Step or None
+        What comes nearest, where the verdict is unknown.
+    unexplained : bool
+        Whether a significant part of the residual is left.
+    why_unknown : str
+    mdb : dict
+        Smallest detectable size of every effect that was not seen.
+    untestable : sequence of str
+        Effects that the free parameters absorb.
+    chi2_nu : (float, float)
+        Of the mean training image over its expectation, before and after.
+    modes_nm : (ndarray, ndarray)
+        Total Zernike coefficients before and after, in the order of `nolls`.
+    """
+
+    verdict: Literal["none", "effect", "unknown"]
+    steps: Sequence[Step]
+    nearest: Step | None
+    unexplained: bool
+    why_unknown: str
+    gap: Gap
+    mdb: dict[str, dict]
+    untestable: Sequence[str]
+    noise: NoiseVerdict
+    chi2_nu: tuple[float, float]
+    excess_sigma: tuple[float, float]
+    motion_ratio: float
+    drift_significance: float
+    frames: tuple[int, int]
+    nolls: tuple[int, ...]
+    modes_nm: tuple[np.ndarray, np.ndarray]
+    modes_sigma_nm: np.ndarray
+    pictures: Pictures
+    model: dict[str, dict] = field(default_factory=dict)
+    seconds: float = 0.0

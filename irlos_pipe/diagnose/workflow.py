@@ -1,0 +1,163 @@
+"""The diagnosis: detect, propose, refit, decide, adapt, and judge on frames that no fit has seen."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from ..effects import Conditions, Effect, Pinned
+from ..estimate.cube import Frames
+from ..psf import PsfModel, PsfSettings
+from .bad_pixel_check import bad_pixel_family
+from .conclude import conclude
+from .cube import Cube, split
+from .decide import Accepted, Options, choose, no_longer_needed
+from .detect import Score, scores
+from .drift_check import Drift, measure_drift
+from .families import families, names_of
+from .fitting import Fitted, Fitter
+from .noise_check import PHOTONS, judge_noise
+from .optimum import Optimum
+from .refit import refits
+from .verdict import Diagnosis
+
+Report = Callable[[int], None]
+
+
+def silent(count: int) -> None:
+    """Report nothing."""
+
+
+def diagnose(
+    frames: Frames,
+    settings: PsfSettings,
+    conditions: Conditions,
+    effects: Sequence[Effect | Pinned],
+    options: Options,
+    *,
+    device: str = "cpu",
+    report: Report = silent,
+) -> Diagnosis:
+    """Find what the model of a cube lacks.
+
+    Parameters
+    ----------
+    frames : Frames
+        In order of time.
+    conditions : Conditions
+        From which missing effects start.
+    effects : sequence of Effect or Pinned
+        What the model has already.
+    report : callable, optional
+        Called with the number of finished fits, for a progress bar.
+
+    Raises
+    ------
+    ValueError
+        If there are too few frames.
+    """
+    began = time.perf_counter()
+    cube = split(frames, options.held_out)
+    noise = judge_noise(cube.training)
+    cube = cube.limited_by(noise.kind == PHOTONS)
+    nolls = range(2, options.highest_noll + 1)
+    psf = PsfModel(settings, nolls, device=device, dtype=torch.float64)
+    task = Task(cube, Fitter(psf, cube.training), conditions, options, report)
+    search = task.searched(effects)
+    diagnosis = conclude(task.cube, search, noise, options)
+    return replace(diagnosis, seconds=time.perf_counter() - began)
+
+
+@dataclass(frozen=True)
+class Search:
+    """What was found on the way.
+
+    Attributes
+    ----------
+    null, final : Optimum
+        Before and after all names.
+    drift : Drift
+    accepted : list of Accepted
+        Names in the order found, the drift not among them.
+    scores : list of Score
+        Of all families at the end.
+    meaningless : list of str
+        Effects that mean nothing for this cube.
+    """
+
+    null: Optimum
+    final: Optimum
+    drift: Drift
+    accepted: list[Accepted]
+    scores: list[Score]
+    meaningless: list[str]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A cube with the means to fit it."""
+
+    cube: Cube
+    fitter: Fitter
+    conditions: Conditions
+    options: Options
+    report: Report
+
+    def searched(self, effects: Sequence[Effect | Pinned]) -> Search:
+        """Add names until nothing significant is missing, or nothing explains what is."""
+        null = self._optimum(self._null(effects))
+        drift, current = self._with_drift(null)
+        accepted: list[Accepted] = []
+        while True:
+            found, meaningless = self._scores(current)
+            chosen = self._next_name(current, found, first=not accepted)
+            if chosen is None or len(accepted) == self.options.most_names:
+                return Search(null, current, drift, accepted, found, meaningless)
+            accepted.append(chosen)
+            current, accepted = self._adapted(null, accepted)
+
+    # -- steps ---------------------------------------------------------------------------------
+
+    def _null(self, effects: Sequence[Effect | Pinned]) -> Fitted:
+        """The fit without anything new, or its twin where that is better."""
+        fitted = self.fitter.fit(effects)
+        twin = self.fitter.twin(fitted)
+        self.report(2)
+        return min((fitted, twin), key=lambda one: float(one.solution.objective[0]))
+
+    def _with_drift(self, null: Optimum) -> tuple[Drift, Optimum]:
+        """The drift of the frames, and the model with it if it is significant."""
+        drift = measure_drift(self.cube.training, null.fitted)
+        if drift.significance < self.options.sure:
+            return drift, null
+        fitted = self.fitter.fit([*null.fitted.continued(), drift.effect()], null.fitted)
+        return drift, self._optimum(fitted)
+
+    def _scores(self, current: Optimum) -> tuple[list[Score], list[str]]:
+        """Scores of all families that the model lacks."""
+        missing, meaningless = families(self.conditions, names_of(current.fitted.effects))
+        return scores(current, [*missing, *bad_pixel_family(current)]), meaningless
+
+    def _next_name(self, current: Optimum, found: list[Score], *, first: bool) -> Accepted | None:
+        """The name to add next; None if nothing is missing or nothing explains it."""
+        sure = self.options.sure
+        suspicious = current.excess.significance > sure or any(s.significance > sure for s in found)
+        if not suspicious:
+            return None
+        ranked = refits(self.fitter, current, found, self.report)
+        return choose(ranked, self.cube, self.options, first=first)
+
+    def _adapted(self, null: Optimum, accepted: list[Accepted]) -> tuple[Optimum, list[Accepted]]:
+        """The model with the new name, without those that it makes superfluous."""
+        current = accepted[-1].refit.optimum
+        for one in no_longer_needed(self.fitter, current, accepted):
+            accepted = [other for other in accepted if other is not one]
+            kept = [effect for effect in current.fitted.continued() if effect.name != one.name]
+            current = self._optimum(self.fitter.fit(kept, current.fitted))
+        return current, accepted
+
+    def _optimum(self, fitted: Fitted) -> Optimum:
+        return Optimum(self.cube.training, fitted)

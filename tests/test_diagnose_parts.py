@@ -1,0 +1,213 @@
+"""Parts of a diagnosis, on frames drawn from the model itself (same code) unless a test says otherwise.
+
+Truth: scipy's distributions, Monte Carlo, finite differences, and what was put into the frames.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+import torch
+from optics_cases import BAND, DIVERSITY, READ_NOISE, draw_frames, everything, ncpa_nm, settings, vector
+from scipy import stats
+
+from irlos_pipe.diagnose.bad_pixel_check import outstanding_pixels
+from irlos_pipe.diagnose.companion_search import brightest_companions
+from irlos_pipe.diagnose.cube import Cube, Stack, split
+from irlos_pipe.diagnose.detect import gaussian_sigma, score_family, scores
+from irlos_pipe.diagnose.drift_check import measure_drift
+from irlos_pipe.diagnose.families import Family, families
+from irlos_pipe.diagnose.fitting import Fitted, Fitter
+from irlos_pipe.diagnose.held_out import Judge, noise_floor, preference
+from irlos_pipe.diagnose.motion_check import motion_ratio
+from irlos_pipe.diagnose.noise_check import judge_noise
+from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.sizes import detectable, public_sigma
+from irlos_pipe.effects import Conditions, TipTiltJitter
+from irlos_pipe.effects.companion import Companion
+from irlos_pipe.effects.motion import Vibration
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.image_model import ImageModel
+from irlos_pipe.noise import NoiseModel
+from irlos_pipe.psf import PsfModel
+
+WINDOW, NOLLS, FRAMES, FLUX_E = 32, tuple(range(2, 12)), 40, 3e5
+CASE = settings(WINDOW, margin_mas=100.0, halo_margin_mas=250.0)
+CONDITIONS = Conditions(BAND, 0.5, DIVERSITY, NOLLS[-1], CASE.window, 9.7, CASE.spectrum)
+TRUE_NM = ncpa_nm(4, NOLLS[-1], 90.0)
+
+
+@functools.cache
+def model() -> PsfModel:
+    return PsfModel(CASE, NOLLS, dtype=torch.float64)
+
+
+def image(modes_nm: dict[int, float] = TRUE_NM, effect=None, values=()) -> np.ndarray:
+    """Mean image [e-] with one effect or none."""
+    whole = ImageModel(model(), [] if effect is None else [effect])
+    flux, none = torch.tensor([FLUX_E], dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
+    values = torch.tensor(values, dtype=torch.float64)
+    return whole.predict(vector(modes_nm, NOLLS), flux, none, values)[0].numpy()
+
+
+def frames(mean_e: np.ndarray, seed: int = 1, noise: NoiseModel = READ_NOISE) -> Frames:
+    images = draw_frames(mean_e, FRAMES, seed, noise)
+    return Frames(images, everything(images), READ_NOISE)
+
+
+def cube(mean_e: np.ndarray, seed: int = 1) -> Cube:
+    return split(frames(mean_e, seed)).limited_by(True)
+
+
+def optimum(stack: Stack, effects=()) -> Optimum:
+    return Optimum(stack, fitted(stack, effects))
+
+
+def fitted(stack: Stack, effects=()) -> Fitted:
+    return Fitter(model(), stack).fit(effects)
+
+
+# -- frames ------------------------------------------------------------------------------------
+
+
+def test_held_out_frames_lie_between_the_others_and_are_no_part_of_them():
+    parts = split(frames(image()), 0.25)
+    training, held = parts.training.when, parts.held_out.when
+    assert not set(training) & set(held)
+    assert len(held) == pytest.approx(0.25 * FRAMES, abs=2)
+    assert training.min() < held.min() < held.max() < training.max()
+
+
+def test_too_few_frames_are_refused():
+    few = Frames(torch.zeros(6, 8, 8), torch.ones(8, 8, dtype=torch.bool), READ_NOISE)
+    with pytest.raises(ValueError, match="6 frames"):
+        split(few)
+
+
+def test_poisson_frames_keep_to_the_noise_model():
+    verdict = judge_noise(split(frames(image())).training)
+    assert verdict.kind == "photon-limited"
+    assert verdict.holds
+    assert verdict.bright_ratio == pytest.approx(1, abs=0.1)
+
+
+def test_a_wrong_gain_shows_in_the_noise_verdict():
+    """Variance twice the mean in every pixel, floor included."""
+    verdict = judge_noise(split(frames(image(), noise=NoiseModel(2.0, 2.0))).training)
+    assert not verdict.holds or verdict.kind == "speckle-limited"
+
+
+def test_speckles_that_change_make_a_cube_speckle_limited():
+    rng = np.random.default_rng(2)
+    moving = [image({**TRUE_NM, 7: TRUE_NM[7] + 60 * rng.standard_normal()}) for _ in range(FRAMES)]
+    assert judge_noise(split(frames(np.array(moving))).training).kind == "speckle-limited"
+
+
+# -- statistics --------------------------------------------------------------------------------
+
+
+def test_significance_is_that_of_a_normal_deviate_of_the_same_tail():
+    assert gaussian_sigma(30.0, 4, np.inf) == pytest.approx(stats.norm.isf(stats.chi2.sf(30.0, 4)), rel=1e-6)
+    tail = stats.f.sf(30.0 * 36 / (4 * 39), 4, 36)
+    assert gaussian_sigma(30.0, 4, 40.0, trials=3) == pytest.approx(stats.norm.isf(3 * tail), rel=1e-6)
+
+
+def test_significance_stays_finite_and_grows_far_out():
+    far = [gaussian_sigma(value, 3, np.inf) for value in (1e3, 1e5, 1e7)]
+    assert np.all(np.isfinite(far))
+    assert far == sorted(far)
+    assert far[2] == pytest.approx(np.sqrt(1e7), rel=1e-2)
+
+
+def test_what_noise_leaves_of_chi2_is_expected_from_the_frames():
+    """Monte Carlo: without anything missing the excess scatters about zero by its σ."""
+    deviates = [optimum(cube(image(), seed).training).excess.significance for seed in range(12)]
+    assert abs(np.mean(deviates)) < 3 / np.sqrt(12)
+    assert 0.5 < np.std(deviates) < 1.6
+
+
+def test_scores_of_clean_frames_stay_below_the_threshold_and_inflate_nothing():
+    present, _ = families(CONDITIONS, ["pupil_misregistration", "phase_bump"])  # the slow ones left out
+    found = scores(optimum(cube(image(), 5).training), present)
+    assert max(score.significance for score in found) < 5
+
+
+# -- single effects ----------------------------------------------------------------------------
+
+
+def test_the_quick_search_finds_the_companion_that_the_exact_score_prefers():
+    place = (-58.2, 77.6)  # whole pixels
+    stack = cube(image(effect=Companion(), values=[0.02, *place])).training
+    candidates = Companion.under(CONDITIONS).candidates(CASE.window, 9.7)
+    best = brightest_companions(optimum(stack), candidates)[0]
+    assert best.values[1:] == pytest.approx(place, abs=9.8)
+
+
+def test_a_linear_size_is_near_the_true_one_when_the_effect_is_weak():
+    stack = cube(image(effect=TipTiltJitter(), values=[4.0])).training
+    score = score_family(optimum(stack), Family("tip_tilt_jitter", (TipTiltJitter(),)))
+    assert score.sizes[0] == pytest.approx(4.0, abs=5 * score.smallest[0])
+    assert score.significance > 3
+
+
+def test_the_smallest_detectable_size_is_detected_half_of_the_time():
+    """Gain of 30 expected at the size told for 30: Monte Carlo over 10 cubes, ±1 of its mean."""
+    jitter = Family("tip_tilt_jitter", (TipTiltJitter(),))
+    null = score_family(optimum(cube(image(), 3).training), jitter)
+    size = detectable(null, 30.0)["sigma_mas"]
+    stacks = [cube(image(effect=TipTiltJitter(), values=[size**2]), seed).training for seed in range(10)]
+    gains = [score_family(optimum(stack), jitter).gain for stack in stacks]
+    assert np.mean(gains) == pytest.approx(31, abs=3 * 2 * np.sqrt(31 / 10))
+
+
+def test_a_hot_pixel_stands_out_and_nothing_else():
+    mean = image()
+    mean[5, 22] += 60
+    assert outstanding_pixels(optimum(cube(mean).training)) == [(5, 22)]
+    assert outstanding_pixels(optimum(cube(image()).training)) == []
+
+
+def test_a_drift_is_measured_with_its_sign():
+    true = {5: 25.0, 8: -18.0}
+    course = np.linspace(-0.5, 0.5, FRAMES)
+    mean = np.array([image({n: TRUE_NM[n] + true.get(n, 0.0) * t for n in NOLLS}) for t in course])
+    stack = cube(mean).training
+    drift = measure_drift(stack, fitted(stack))
+    expected = np.array([true.get(noll, 0.0) for noll in drift.nolls])
+    assert drift.significance > 5
+    assert np.max(np.abs((drift.change_nm - expected) / drift.sigma_nm)) < 4.5
+
+
+def test_a_steady_wavefront_shows_no_drift():
+    stack = cube(image(), 8).training
+    assert measure_drift(stack, fitted(stack)).significance < 4
+
+
+def test_images_that_move_from_frame_to_frame_are_told_from_those_that_do_not():
+    rng = np.random.default_rng(6)
+    moving = np.array([image({**TRUE_NM, 2: TRUE_NM[2] + 8 * rng.standard_normal()}) for _ in range(FRAMES)])
+    still, shaken = (cube(mean).training for mean in (image(), moving))
+    assert motion_ratio(still, fitted(still)) == pytest.approx(1, abs=0.6)
+    assert motion_ratio(shaken, fitted(shaken)) > 3
+
+
+def test_the_held_out_frames_prefer_the_true_model_and_its_gap_is_that_of_noise():
+    parts = cube(image(effect=Vibration(), values=[64.0, 0.6]))
+    without = Judge(parts.held_out, fitted(parts.training))
+    with_it = Judge(parts.held_out, fitted(parts.training, [Vibration(start_angle_deg=30.0)]))
+    assert preference(with_it, without) > 3
+    assert with_it.gap == pytest.approx(noise_floor(parts.held_out), rel=0.1)
+    assert with_it.gap < without.gap
+
+
+def test_errors_of_public_values_follow_from_those_of_the_solver():
+    """Monte Carlo of 20000 draws of the solver's parameters."""
+    companion, values = Companion(), np.array([0.03, 60.0, -45.0])
+    covariance = np.array([[1e-6, 2e-4, 0], [2e-4, 0.3, 0.1], [0, 0.1, 0.5]])
+    drawn = np.random.default_rng(0).multivariate_normal(values, covariance, 20000)
+    public = [companion.describe(one) for one in drawn]
+    sigma = public_sigma(companion, values, covariance)
+    for key in ("flux_ratio", "sep_mas", "pa_deg"):
+        assert sigma[key] == pytest.approx(np.std([one[key] for one in public]), rel=0.03)
