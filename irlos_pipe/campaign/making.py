@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from irlos_pipe.campaign.folder import WORK_PREFIX, SimulationFolder
@@ -81,8 +82,11 @@ def make_all(
 
 
 def _in_turn(tasks: Sequence[Job], show: Callable[[], None]) -> Iterator[tuple[Job, Made]]:
+    """Perform the tasks here, with one thread as worker processes have: more give other last bits."""
     for task in tasks:
-        yield task, task.perform(show)
+        with threadpool_limits(1):
+            made = task.perform(show)
+        yield task, made
 
 
 def _side_by_side(tasks: Sequence[Job], jobs: int, show: Callable[[], None]) -> Iterator[tuple[Job, Made]]:

@@ -37,7 +37,7 @@ class Config(StageConfig):
     )
     frames: int = Field(600, ge=10, le=10000, description="frames of a cube")
     published_frames: int = Field(
-        200, ge=2, le=10000, description="the first frames, for the published method, which fits one by one"
+        100, ge=2, le=10000, description="the first frames, for the published method, which fits one by one"
     )
     seeing_arcsec: float = Field(1.2, gt=0, le=5)
     mag_j: float = Field(8.0, ge=0, le=20)
