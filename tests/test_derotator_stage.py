@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import series_bench as bench
+from experiment_stage import section_of
 
 from irlos_pipe.errors import ConfigurationError, InputDataError
+from irlos_pipe.report.section_derotator import derotator_section
 from irlos_pipe.stages import calibrate, derotator
 
 ANGLES = (0.0, 40.0, 110.0, 160.0)
@@ -137,3 +139,25 @@ def test_a_joint_estimate_of_all_cubes_cannot_be_split(recordings):
     products["calibrate"] = bench.run_stage(calibrate, products, **EACH | {"each": False})[1]
     with pytest.raises(ConfigurationError, match=r"set calibrate\.each to true"):
         bench.run_stage(derotator, products)
+
+
+def blocks(output) -> dict[str, object]:
+    """Blocks of the section by title."""
+    section = section_of(output, "derotator", derotator_section)
+    flat = [one for block in section.blocks for one in getattr(block, "blocks", [block])]
+    return {block.title: block for block in flat} | {"lead": section.lead}
+
+
+def test_the_section_shows_angles_parts_and_their_consistency(split):
+    found = blocks(split)
+    assert [row[1] for row in found["Angles"].rows] == ["0°", "40°", "110°", "160°"]
+    assert found["Parts"].rows[0][2] == f"{split.results['parts']['rotating']['rms_nm']:.1f}"
+    assert {"Wavefront at every angle", "Parts of the wavefront", "Consistency"} <= set(found)
+
+
+def test_the_section_of_one_angle_says_what_is_missing(recordings):
+    products = {"ingest": bench.ingest_product(recordings[:1])}
+    products["calibrate"] = bench.run_stage(calibrate, products, **EACH)[1]
+    found = blocks(bench.run_stage(derotator, products)[0])
+    assert "two or more angles" in found["lead"]
+    assert "Parts" not in found

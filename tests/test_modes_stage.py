@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 import series_bench as bench
+from experiment_stage import section_of
 
 from irlos_pipe.errors import ConfigurationError
+from irlos_pipe.report.section_modes import modes_section
 from irlos_pipe.stages import calibrate, modes
 
 ANGLES = (0.0, 50.0, 120.0)
@@ -77,3 +79,12 @@ def test_a_law_needs_enough_modes(products):
 def test_numbers_rise_and_are_those_of_modes(numbers):
     with pytest.raises(ValueError, match="at least two rising numbers"):
         modes.Config(numbers=numbers)
+
+
+def test_the_section_shows_strength_law_and_numbers(output):
+    section = section_of(output, "modes", modes_section)
+    flat = [one for block in section.blocks for one in getattr(block, "blocks", [block])]
+    found = {block.title: block for block in flat}
+    assert {"Strength of the modes", "Frames that no fit has seen", "Change of the estimate"} <= set(found)
+    marked = [row[0] for row in found["Number of modes"].rows if row[0].endswith("*")]
+    assert marked == [f"{output.results['numbers']['recommended']} *"]
