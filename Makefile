@@ -52,8 +52,8 @@ demo: env ## full reduction of data_samples/, then its result against the truth
 	$(BIN)/irlos run recipes/full_reduction.yaml --output $(DEMO) $(ARGS)
 	$(BIN)/irlos score $(DEMO) --truth data_samples/truth
 
-test: env-test ## run the tests
-	$(BIN)/python -m pytest -q $(ARGS)
+test: env-test ## run the tests, one process per processor
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 8 $(ARGS)
 
 bench: env-test ## time dip_global against other implementations
 	$(BIN)/python -m benchmarks $(ARGS)
