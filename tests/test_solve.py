@@ -112,3 +112,36 @@ def test_a_far_start_only_costs_iterations(far):
     solution = solve(Decays(data), there, max_iterations=200)
     expected = np.array([scipy_fit(curve).x for curve in data])
     assert np.allclose(solution.values, expected, rtol=1e-2, atol=0.05)
+
+
+class Bent:
+    """Residuals ``x``, ``1 + bend x²/2`` and a large constant, as noise makes it.
+
+    At the minimum, x = 0, Gauss–Newton sees a curvature of 1, and there is one of 1 + bend: above
+    a bend of 1 its full steps leap further across the minimum every time.
+    """
+
+    lower, upper = torch.tensor([-9.0]), torch.tensor([9.0])
+    constant = 2000.0
+
+    def __init__(self, bend: float):
+        self.bend = bend
+
+    def negligible(self, value):
+        return torch.full_like(value, 1e-3)
+
+    def objective(self, p, which):
+        x = p[:, 0]
+        return 0.5 * (x**2 + (1 + 0.5 * self.bend * x**2) ** 2) + self.constant
+
+    def normal_equations(self, p, which):
+        slope = self.bend * p
+        gradient = p + (1 + 0.5 * self.bend * p**2) * slope
+        return self.objective(p, which), gradient, (1 + slope**2)[..., None]
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.9, 1.3, 2.0])
+def test_curvature_that_gauss_newton_neglects_does_not_keep_it_from_converging(bend):
+    solution = solve(Bent(bend), torch.tensor([[0.2]]), max_iterations=40)
+    assert solution.status == [CONVERGED]
+    assert abs(float(solution.values)) < 0.05

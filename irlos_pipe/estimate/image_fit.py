@@ -47,6 +47,7 @@ class ImageFit:
         loss: Loss = GAUSSIAN,
     ):
         self.model, self.layout, self.loss = model, layout, loss
+        self.reweighted = not loss.quadratic
         self.images = images_e
         self.device = model.psf.device
         self.held = model.effects.starts

@@ -18,12 +18,17 @@ import torch
 CHI2_TOLERANCE = 1e-3
 ROUNDING = 1e-6  # relative rounding of an objective whose images are propagated in float32
 DAMPING_START, DAMPING_MIN = 1e-3, 1e-9
+GOOD_STEP, POOR_STEP = 0.75, 0.25  # parts of the predicted fall that lower, or raise, the damping
 
 CONVERGED, MAX_ITERATIONS, STALLED, INVALID = "converged", "max_iterations", "stalled", "invalid"
 
 
 class Problem(Protocol):
-    """A batch of least-squares problems; `which` selects members of the batch."""
+    """A batch of least-squares problems; `which` selects members of the batch.
+
+    A problem may have ``reweighted = True``: its equations are those of a re-weighted problem, whose
+    quadratic model does not foretell the fall of the objective.
+    """
 
     lower: torch.Tensor
     upper: torch.Tensor
@@ -148,15 +153,35 @@ class _State:
         for _ in range(12):
             step = self._free_step(which, self.damping[which])
             trial = (self.x[which] + step).clamp(self.problem.lower, self.problem.upper)
+            taken = trial - self.x[which]
             value = self.problem.objective(trial, which)
             better = value <= self.value[which] * (1 + ROUNDING)  # False for NaN as well
             self.x[which[better]] = trial[better]
-            self.damping[which[better]] = (self.damping[which[better]] / 10).clamp_min(DAMPING_MIN)
+            self._adapt_damping(which[better], taken[better], value[better])
             which = which[~better]
             if len(which) == 0:
                 return
             self.damping[which] *= 10
         self._close(which, STALLED)
+
+    def _adapt_damping(self, which: torch.Tensor, step: torch.Tensor, value: torch.Tensor) -> None:
+        """Lower the damping where the quadratic model foretold the fall, raise it where it did not.
+
+        In a noisy image the curvature that Gauss–Newton neglects can be as large as what it keeps. Full
+        steps then leap across the minimum and back, and the objective hardly falls.
+        """
+        self.damping[which] = (self.damping[which] * self._factor(which, step, value)).clamp_min(DAMPING_MIN)
+
+    def _factor(self, which: torch.Tensor, step: torch.Tensor, value: torch.Tensor) -> torch.Tensor:
+        """Factor on the damping after an accepted step."""
+        if getattr(self.problem, "reweighted", False):
+            return torch.full_like(value, 0.1)
+        curvature = (step[:, None] @ self.hessian[which] @ step[..., None])[:, 0, 0]
+        predicted = -(self.gradient[which] * step).sum(1) - 0.5 * curvature
+        fall = self.value[which] - value
+        factor = torch.where(fall >= GOOD_STEP * predicted, 0.1, 1.0)
+        factor[(fall < POOR_STEP * predicted) & (predicted > ROUNDING * value)] = 10.0
+        return factor
 
     def _free_step(self, which: torch.Tensor, damping: torch.Tensor) -> torch.Tensor:
         """Damped Gauss–Newton step, with parameters that push against a bound held fixed."""
