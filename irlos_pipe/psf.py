@@ -11,13 +11,15 @@ One pass along the light path, shapes ``(frame, wavelength, y, x)``::
 What physical effects make of P, T, and of the sampling (λ, w, pixel scale in G) arrives as one
 `Optics`. Flux, background and the detector follow in `image_model`. Derivatives are hand-written:
 ``∂I/∂a_k = -(4π/λ) Im(U* F[Z_k E])``, and because a Zernike polynomial of degree n is a sum of
-products T_a(x) T_b(y), a + b ≤ n, the transform along x is shared by all modes.
+products T_a(x) T_b(y), a + b ≤ n, the transform along x is shared by all modes. The transforms themselves
+are those of `optics.matrix_dft`, where fields are real arrays ``(frame, 2, y, x)``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial, reduce
 
 import numpy as np
 import torch
@@ -26,12 +28,12 @@ from numpy.polynomial import chebyshev
 from .geometry import PupilGeometry
 from .optics.colour import Colour
 from .optics.grids import NM, Optics, PupilGrid, Sampling, Stations, Tangents
+from .optics.matrix_dft import MatrixDft, mirrored, products_up_to
 from .optics.propagate import (
     FocalGrid,
     baseline_to_pixels,
     focal_samples_for,
     focal_to_pixels,
-    pupil_to_focal,
     require_resolved,
 )
 from .optics.zernike import noll_to_nm, zernike_basis
@@ -131,43 +133,45 @@ class PsfModel:
         return [FocalGrid(count, len(u) * step_m, padded) for count in needed]
 
     def _set_pupil(self, grid: PupilGrid) -> None:
-        self.amplitude = self._real(grid.amplitude)
-        self.basis = self._real(grid.modes(self.nolls).copy()).reshape(len(self.nolls), -1)
+        self.amplitude = self._map(grid.amplitude)
+        self.basis = self._map(grid.modes(self.nolls).copy()).flatten(1)
         diversity = np.zeros_like(grid.amplitude)
         for noll, value_nm in self.settings.diversity.items():
             diversity += value_nm * grid.modes([noll])[0]
-        self.diversity_nm = self._real(diversity)
-        self.to_focal = [self._complex(pupil_to_focal(grid.u_m, focal)) for focal in self.grids]
+        self.diversity_nm = self._map(diversity)
 
     def _set_products(self, grid: PupilGrid) -> None:
-        """Every mode in products of Chebyshev polynomials, and the transforms of these along one axis."""
-        self.degree = max((noll_to_nm(noll)[0] for noll in self.nolls), default=0)
-        self.pairs = [(a, b) for b in range(self.degree + 1) for a in range(self.degree + 1 - b)]
-        vander = chebyshev.chebvander(grid.u_m / grid.u_m[-1], self.degree)
-        columns = np.stack([np.outer(vander[:, b], vander[:, a])[grid.lit] for a, b in self.pairs], axis=1)
+        """Every mode in products of Chebyshev polynomials, and the transforms that serve these products."""
+        degree = max((noll_to_nm(noll)[0] for noll in self.nolls), default=0)
+        pairs = products_up_to(degree)
+        vander = chebyshev.chebvander(grid.u_m / grid.u_m[-1], degree)
+        columns = np.stack([np.outer(vander[:, b], vander[:, a])[grid.lit] for a, b in pairs], axis=1)
         modes = zernike_basis(self.nolls, *grid.xy)[:, grid.lit].T
-        self.combine = self._real(np.linalg.lstsq(columns, modes, rcond=None)[0].T)  # (K, pairs)
-        polynomials = self._complex(vander.T)
-        self.weighted_to_focal = [  # (degree+1, m, n) each
-            polynomials[:, None, :] * matrix[None] for matrix in self.to_focal
-        ]
+        signs = [-1.0 if a % 2 and b % 2 else 1.0 for a, b in pairs]  # as `MatrixDft.products` returns them
+        self.combine = self._real(np.linalg.lstsq(columns, modes, rcond=None)[0].T * signs)  # (K, pairs)
+        self.dfts = [MatrixDft(grid.u_m, focal, vander.T, self.amplitude) for focal in self.grids]
 
     def _set_pixels(self) -> None:
-        colours = list(zip(self.wavelengths_m, self.grids, strict=True))
+        colours = list(zip(self.wavelengths_m, self.weights, self.grids, strict=True))
         scale = self.settings.pixel_scale_mas
         self.plain = [self._plain_matrices(scale, *colour) for colour in colours]
         self.filtered = [self._filtered_matrices(scale, *colour) for colour in colours]
 
-    def _plain_matrices(self, scale_mas, wavelength_m, grid: FocalGrid) -> list[torch.Tensor]:
-        """From focal intensity to rows and to columns."""
-        return [self._real(focal_to_pixels(px, scale_mas, wavelength_m, grid)) for px in self.settings.window]
+    def _plain_matrices(self, scale_mas, wavelength_m, weight, grid: FocalGrid) -> list[torch.Tensor]:
+        """From focal intensity to rows, weighted, and to columns."""
+        rows, columns = (focal_to_pixels(px, scale_mas, wavelength_m, grid) for px in self.settings.window)
+        return [self._real(weight * rows), self._real(columns)]
 
-    def _filtered_matrices(self, scale_mas, wavelength_m, grid: FocalGrid) -> list[torch.Tensor]:
-        """From the real FFT of the focal intensity to rows and to columns."""
+    def _filtered_matrices(self, scale_mas, wavelength_m, weight, grid: FocalGrid) -> list[torch.Tensor]:
+        """From the real FFT of the focal intensity to rows, weighted, and to columns."""
         (rows, columns), sky = self.settings.window, (scale_mas, wavelength_m, grid)
         along_y = baseline_to_pixels(grid.baseline_y_m, rows, *sky, half=False)
         along_x = baseline_to_pixels(grid.baseline_x_m, columns, *sky, half=True)
-        return [self._complex(along_y), self._complex(along_x)]
+        return [self._complex(weight * along_y), self._complex(along_x)]
+
+    def _map(self, array) -> torch.Tensor:
+        """Real maps of the pupil as the propagation wants them, (..., n, n)."""
+        return mirrored(self._real(array))
 
     def _real(self, array) -> torch.Tensor:
         return torch.as_tensor(array, dtype=self.dtype, device=self.device)
@@ -177,22 +181,22 @@ class PsfModel:
 
     # -- light path --------------------------------------------------------------------------
 
-    def opd_nm(self, coefficients_nm: torch.Tensor) -> torch.Tensor:
-        """Wavefront with the diversity, (frames, n, n), from coefficients (frames, modes) [nm]."""
+    def _opd_nm(self, coefficients_nm: torch.Tensor) -> torch.Tensor:
+        """Wavefront with the diversity, (frames, n, n) in mirrored order [nm]."""
         coefficients = coefficients_nm.to(self.device, self.dtype)
-        return (coefficients @ self.basis).reshape(-1, *self.amplitude.shape) + self.diversity_nm
+        return (coefficients @ self.basis).unflatten(1, self.amplitude.shape) + self.diversity_nm
 
     def _colour(self, index: int, optics: Optics) -> Colour:
         """The light path at one wavelength."""
-        wavelength_m, weight = float(self.wavelengths_m[index]), float(self.weights[index])
+        wavelength_m = float(self.wavelengths_m[index])
         transfer = None if optics.transfer is None else self._like_images(optics.transfer[index])
         matrices = (self.plain if transfer is None else self.filtered)[index]
         if optics.sampling is not None:
             wavelength_m, weight = optics.sampling.wavelengths_m[index], optics.sampling.weights[index]
             make = self._plain_matrices if transfer is None else self._filtered_matrices
-            matrices = make(optics.sampling.pixel_scale_mas, wavelength_m, self.grids[index])
-        pupil = self.amplitude if optics.pupil is None else self._complex(optics.pupil[index])
-        return Colour(wavelength_m, weight, pupil, transfer, *matrices, self.grid.padded)
+            matrices = make(optics.sampling.pixel_scale_mas, wavelength_m, weight, self.grids[index])
+        pupil = self.amplitude if optics.pupil is None else mirrored(self._complex(optics.pupil[index]))
+        return Colour(wavelength_m, pupil, transfer, *matrices, self.grid.padded)
 
     def _like_images(self, factor: torch.Tensor) -> torch.Tensor:
         return self._complex(factor) if factor.is_complex() else self._real(factor)
@@ -210,14 +214,14 @@ class PsfModel:
         -------
         tensor, (frames, rows, columns)
         """
-        opd = self.opd_nm(coefficients_nm)
-        return sum(ordered_map(lambda index: self._one_colour(opd, index, optics), range(len(self.weights))))
+        opd = self._opd_nm(coefficients_nm)
+        one_colour = partial(self._one_colour, opd, optics)
+        return reduce(torch.add, ordered_map(one_colour, range(len(self.weights))))
 
-    def _one_colour(self, opd: torch.Tensor, index: int, optics: Optics) -> torch.Tensor:
+    def _one_colour(self, opd: torch.Tensor, optics: Optics, index: int) -> torch.Tensor:
         """Weighted images at one wavelength."""
         colour = self._colour(index, optics)
-        amplitude = self._amplitude(colour, opd, index)
-        return colour.weight * colour.image(amplitude.real**2 + amplitude.imag**2)
+        return colour.image(_intensity(self.dfts[index].amplitude(colour.field(opd))))
 
     @torch.no_grad()
     def images_and_jacobian(
@@ -245,59 +249,47 @@ class PsfModel:
         jacobian : tensor, (frames, modes + parameters, rows, columns)
             First the modes [1/nm], then the parameters in the pupil, then those of the OTF.
         """
-        per_frame = len(self.pairs) * self.grid.samples**2
+        per_frame = 2 * self.combine.shape[1] * self.grid.samples**2
         parts = [
             self._chunk(chunk, optics, tangents, modal)
             for chunk in coefficients_nm.split(max(1, CHUNK_ELEMENTS // per_frame))
         ]
-        return torch.cat([part[0] for part in parts]), torch.cat([part[1] for part in parts])
+        return parts[0] if len(parts) == 1 else tuple(map(torch.cat, zip(*parts, strict=True)))
 
     def _chunk(self, coefficients_nm, optics: Optics, tangents: Tangents, modal: bool):
-        opd = self.opd_nm(coefficients_nm)
-        colours = ordered_map(
-            lambda index: self._one_colour_with_jacobian(opd, index, optics, tangents, modal),
-            range(len(self.weights)),
-        )
-        return sum(colour[0] for colour in colours), sum(colour[1] for colour in colours)
+        opd = self._opd_nm(coefficients_nm)
+        one_colour = partial(self._one_colour_with_jacobian, opd, optics, tangents, modal)
+        images, jacobians = zip(*ordered_map(one_colour, range(len(self.weights))), strict=True)
+        return reduce(torch.Tensor.add_, images), reduce(torch.Tensor.add_, jacobians).transpose(0, 1)
 
-    def _one_colour_with_jacobian(self, opd, index: int, optics: Optics, tangents: Tangents, modal: bool):
-        """Weighted images and derivatives at one wavelength."""
-        colour = self._colour(index, optics)
+    def _one_colour_with_jacobian(self, opd, optics: Optics, tangents: Tangents, modal: bool, index: int):
+        """Weighted images, and derivatives (parameters, frames, rows, columns), at one wavelength."""
+        colour, dft = self._colour(index, optics), self.dfts[index]
+        field = colour.field(opd)
         if modal:
-            amplitude, changes = self._amplitude_and_modal(colour, opd, index)
+            amplitude, changes = self._amplitude_and_modal(dft, field, float(colour.wavelength_m))
             columns = [colour.image(changes)]
         else:
-            amplitude, columns = self._amplitude(colour, opd, index), []
-        intensity = amplitude.real**2 + amplitude.imag**2
-        columns += [
-            colour.image(self._beat(amplitude, colour, opd, self._complex(one[index]), index))[:, None]
-            for one in tangents.pupil
-        ]
-        columns += [
-            colour.image(intensity, self._like_images(one[index]))[:, None] for one in tangents.transfer
-        ]
-        return colour.weight * colour.image(intensity), colour.weight * torch.cat(columns, dim=1)
+            amplitude, columns = dft.amplitude(field), []
+        for one in tangents.pupil:
+            change = dft.amplitude(colour.field(opd, mirrored(self._complex(one[index]))))
+            columns.append(colour.image(2 * (amplitude * change).sum(1))[None])
+        intensity = _intensity(amplitude)
+        columns += [colour.image(intensity, self._like_images(one[index]))[None] for one in tangents.transfer]
+        return colour.image(intensity), columns[0] if len(columns) == 1 else torch.cat(columns)
 
-    def _beat(self, amplitude, colour: Colour, opd, change, index: int) -> torch.Tensor:
-        """Derivative of the intensity, (frames, m, m), for a `change` (n, n) of the pupil's amplitude."""
-        to_focal = self.to_focal[index]
-        return 2 * (amplitude.conj() * (to_focal @ (change * colour.phasor(opd)) @ to_focal.mT)).real
+    def _amplitude_and_modal(self, dft: MatrixDft, field: torch.Tensor, wavelength_m: float):
+        """Focal amplitude (frames, 2, m, m) and intensity derivatives (modes, frames, m, m)."""
+        even, odd = dft.products(field)
+        amplitude = even[0]  # T_0(x) T_0(y) = 1
+        real, imag = amplitude[:, 0], amplitude[:, 1]
+        beat = torch.cat([even[:, :, 1], odd[:, :, 0]]) * real
+        beat[: len(even)].addcmul_(even[:, :, 0], imag, value=-1)
+        beat[len(even) :].addcmul_(odd[:, :, 1], imag)
+        scale = -4 * np.pi * NM / wavelength_m
+        return amplitude, ((scale * self.combine) @ beat.flatten(1)).unflatten(1, beat.shape[1:])
 
-    def _amplitude(self, colour: Colour, opd: torch.Tensor, index: int) -> torch.Tensor:
-        """Focal amplitude, (frames, m, m)."""
-        to_focal = self.to_focal[index]
-        return to_focal @ colour.field(opd) @ to_focal.mT
 
-    def _amplitude_and_modal(self, colour: Colour, opd: torch.Tensor, index: int):
-        """Focal amplitude (frames, m, m) and intensity derivatives (frames, modes, m, m)."""
-        to_focal, m = self.weighted_to_focal[index], self.grids[index].samples
-        field = colour.field(opd)
-        along_x = field @ to_focal.reshape(-1, field.shape[-1]).mT  # (frames, n, (degree+1)·m)
-        along_x = along_x.reshape(*field.shape[:2], self.degree + 1, m).transpose(1, 2).contiguous()
-        along_y = [to_focal[b] @ along_x[:, : self.degree + 1 - b] for b in range(self.degree + 1)]
-        products = torch.cat(along_y, dim=1)  # (frames, pairs, m, m)
-        amplitude = products[:, 0]  # T_0(x) T_0(y) = 1
-        beat = (products * amplitude.conj()[:, None]).imag
-        scale = float(-4 * np.pi * NM / colour.wavelength_m)
-        changes = (scale * self.combine) @ beat.reshape(*beat.shape[:2], -1)
-        return amplitude, changes.reshape(len(opd), -1, m, m)
+def _intensity(amplitude: torch.Tensor) -> torch.Tensor:
+    """``|U|²``, (frames, m, m)."""
+    return amplitude.square().sum(1)

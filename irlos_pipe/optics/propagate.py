@@ -81,11 +81,6 @@ def require_resolved(window_px: int, pixel_scale_mas: float, wavelength_m: float
         )
 
 
-def pupil_to_focal(u_m: np.ndarray, grid: FocalGrid) -> np.ndarray:
-    """Matrix ``exp(-2πi (a/λ) u) du``, shape (focal samples, pupil samples)."""
-    return np.exp(-2j * np.pi * np.outer(grid.frequency_per_m, u_m)) * (u_m[1] - u_m[0])
-
-
 def baseline_to_pixels(
     baselines_m: np.ndarray,
     pixels: int,

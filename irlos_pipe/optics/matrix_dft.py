@@ -1,0 +1,115 @@
+"""Fourier transform from the pupil to the focal plane: real matrices on even and odd parts of a field.
+
+The samples of either plane lie symmetrically about the optical axis. In ``exp(-iφ) = cos φ - i sin φ`` the
+cosine therefore sees only the even part of a field, and the sine only its odd part. Along one axis::
+
+    Re U = cos · Re E_even + sin · Im E_odd
+
+is one real matrix product where the complex one would do two; Im U is the same of ``-iE``. For two axes the
+parts that belong together are those of `_packed`. An odd polynomial turns even parts into odd ones, so that
+the same packing serves for the field times polynomials: the products are those of ``-iE`` then.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from .propagate import FocalGrid
+
+
+def mirrored(array: torch.Tensor) -> torch.Tensor:
+    """A map (..., n, n) with both axes in mirrored order: the positive half outwards, then the negative one.
+
+    Field arithmetic does not care about the order of samples, and even and odd parts of mirrored maps are
+    sums and differences of their halves.
+    """
+    half = array.shape[-1] // 2
+    order = torch.tensor([*range(half, 2 * half), *reversed(range(half))], device=array.device)
+    return array.index_select(-1, order).index_select(-2, order)
+
+
+def products_up_to(degree: int) -> list[tuple[int, int]]:
+    """Degrees (a, b) along x and y of all products up to a total degree: even sums first, then odd ones."""
+    return [
+        (a, b)
+        for parity in (0, 1)
+        for b in range(degree + 1)
+        for a in range((b + parity) % 2, degree + 1 - b, 2)
+    ]
+
+
+class MatrixDft:
+    """Transform of fields, and of fields times products of polynomials ``T_a(x) T_b(y)``.
+
+    Fields are real arrays (frames, 2, n, n), real part and imaginary part, in `mirrored` order; focal
+    amplitudes are (frames, 2, m, m) in natural order.
+
+    Parameters
+    ----------
+    u_m : ndarray, (n,)
+        Samples of the pupil along either axis [m]; n is even.
+    grid : FocalGrid
+    polynomials : ndarray, (degree + 1, n)
+        T_0 = 1, T_1, ..., by turns even and odd, at `u_m`.
+    like : tensor
+        Of the precision and on the device that the transform is to have.
+    """
+
+    def __init__(self, u_m: np.ndarray, grid: FocalGrid, polynomials: np.ndarray, like: torch.Tensor):
+        half, step_m = len(u_m) // 2, u_m[1] - u_m[0]
+        phase = 2 * np.pi * np.outer(u_m[half:], grid.frequency_per_m)
+        cosine, sine = step_m * np.cos(phase), step_m * np.sin(phase)
+        even, odd = np.concatenate([cosine, sine]), np.concatenate([-sine, cosine])  # (n, m)
+        weights = np.tile(polynomials[:, half:], 2)[:, :, None]
+        along_x = np.stack([w * (odd if a % 2 else even) for a, w in enumerate(weights)])
+        self.along_x = torch.as_tensor(along_x).to(like)  # (degree + 1, n, m)
+        self.along_y = self.along_x.mT.contiguous()
+
+    def amplitude(self, field: torch.Tensor) -> torch.Tensor:
+        """Focal amplitude ``F E Fᵀ``."""
+        return self.along_y[0] @ (_packed(field) @ self.along_x[0])
+
+    def products(self, field: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Transforms ``F[T_a(x) T_b(y) E]`` in the order of `products_up_to`: even sums, odd sums.
+
+        Returns
+        -------
+        even, odd : tensor, (products, frames, 2, m, m)
+            Times -1 where a and b are odd, times -i where one of them is.
+        """
+        packed = _packed(field).flatten(0, 1)
+        rows = packed.flatten(0, 1)
+        along_x = [
+            torch.bmm(rows.expand(len(matrices), -1, -1), matrices).unflatten(1, packed.shape[:2])
+            for matrices in (self.along_x[0::2], self.along_x[1::2])
+        ]
+        return tuple(self._along_y(along_x, parity) for parity in (0, 1))
+
+    def _along_y(self, along_x: list[torch.Tensor], parity: int) -> torch.Tensor:
+        """Products with an even or odd sum of degrees, from the transforms along x by parity."""
+        top, images, m = len(self.along_y), along_x[0].shape[1], along_x[0].shape[3]
+        counts = [len(range((b + parity) % 2, top - b, 2)) for b in range(top)]
+        products = along_x[0].new_empty(sum(counts), images, m, m)
+        for b, (count, block) in enumerate(zip(counts, products.split(counts), strict=True)):
+            fields = along_x[(b + parity) % 2][:count].flatten(0, 1)
+            torch.bmm(self.along_y[b].expand(len(fields), -1, -1), fields, out=block.flatten(0, 1))
+        return products.unflatten(1, (-1, 2))
+
+
+def _packed(field: torch.Tensor) -> torch.Tensor:
+    """Parts of a field E whose real transform is Re U, and those for Im U, (frames, 2, n, n).
+
+    Even and odd along y by even and odd along x: ``[[Re, Im], [Im, -Re]]`` of E, and the same of -iE.
+    """
+    turned = torch.stack([field[:, 1], -field[:, 0]], dim=1)
+    (even, odd), (turned_even, turned_odd) = _even_and_odd(field, -1), _even_and_odd(turned, -1)
+    upper, _ = _even_and_odd(torch.cat([even, turned_odd], dim=-1), -2)
+    _, lower = _even_and_odd(torch.cat([turned_even, -odd], dim=-1), -2)
+    return torch.cat([upper, lower], dim=-2)
+
+
+def _even_and_odd(field: torch.Tensor, axis: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Twice the even and the odd part of a mirrored field on the positive half of an axis."""
+    positive, negative = field.tensor_split(2, dim=axis)
+    return positive + negative, positive - negative
