@@ -14,7 +14,7 @@ import yaml
 
 from irlos_pipe.errors import ConfigurationError, IrlosError
 
-MAX_BYTES = 4_000_000
+MAX_BYTES = 1_000_000  # some seconds of parsing; one defocus per frame of 100 000 frames
 MAX_DEPTH = 30
 
 
@@ -138,7 +138,14 @@ def _build(node: yaml.Node | None, key_path: tuple, lines: dict[tuple, int], loa
             lines[(*key_path, index)] = child.start_mark.line + 1
             items.append(_build(child, (*key_path, index), lines, loader))
         return items
-    return None if node is None else loader.construct_object(node)
+    return None if node is None else _scalar(node, loader)
+
+
+def _scalar(node: yaml.ScalarNode, loader: _Loader) -> Any:
+    value = loader.construct_object(node)
+    if isinstance(value, str) and any("\ud800" <= letter <= "\udfff" for letter in value):
+        raise _Refused(node.start_mark.line + 1, "half of a surrogate pair is no letter; write the letter")
+    return value
 
 
 def _build_mapping(node: yaml.MappingNode, key_path: tuple, lines: dict[tuple, int], loader: _Loader) -> dict:
@@ -147,7 +154,7 @@ def _build_mapping(node: yaml.MappingNode, key_path: tuple, lines: dict[tuple, i
         line = key_node.start_mark.line + 1
         if not isinstance(key_node, yaml.ScalarNode):
             raise _Refused(line, "a key must be a plain word or number")
-        key = loader.construct_object(key_node)
+        key = _scalar(key_node, loader)
         if key in data:
             raise _Refused(line, f"key '{key}' is given twice (first on line {lines[(*key_path, key)]})")
         lines[(*key_path, key)] = line

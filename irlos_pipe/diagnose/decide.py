@@ -54,12 +54,15 @@ class Accepted:
         Vuong's statistic on the held-out frames, against the model before.
     alternatives : sequence of Alternative
     ranking : sequence of Ranked
+    rivals : sequence of Refit
+        Fits of the alternatives.
     """
 
     refit: Refit
     preference: float
     alternatives: Sequence[Alternative]
     ranking: Sequence[Ranked]
+    rivals: Sequence[Refit] = ()
 
     @property
     def name(self) -> str:
@@ -84,7 +87,9 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool
     if z < (PREFERRED if cube.training.photon_limited else 0.0):
         return None
     ranking = [Ranked(r.name, r.gain, explained(r), r.significance) for r in ranked]
-    return Accepted(best, z, alternatives(ranked, judges), ranking)
+    others = alternatives(ranked, judges)
+    rivals = [next(r for r in ranked if r.name == other.name) for other in others]
+    return Accepted(best, z, others, ranking, rivals)
 
 
 def by_motion(

@@ -11,6 +11,7 @@ from scipy import special, stats
 
 from ..effects import Effect, Pinned
 from ..effects.companion import Companion
+from ..estimate.image_fit import ImageFit
 from ..estimate.search import _frozen as frozen
 from ..image_model import ImageModel
 from .companion_search import around, brightest_companions
@@ -102,17 +103,27 @@ def score_family(optimum: Optimum, family: Family) -> Score:
 
 
 def whitened_shapes(optimum: Optimum, candidate: Effect | Pinned) -> torch.Tensor:
-    """Derivatives of the mean image with respect to a candidate's parameters at null, (pixels, m)."""
-    fitted = optimum.fitted
-    model, layout, x = fitted.problem.model, fitted.problem.layout, fitted.x
-    held = model.effects.held(fitted.effect_values)
-    own = held.effects if candidate.place == "sampling" else frozen(model.effects, fitted.effect_values)
+    """Derivatives of the mean images with respect to a candidate's parameters at null, (pixels, m)."""
+    problem, views = optimum.fitted.problem, optimum.fitted.views
+    columns = [
+        _derivatives(part, problem.part(optimum.fitted.x, number), view.seen(candidate, views[0]))
+        for number, (part, view) in enumerate(zip(problem.parts, views, strict=True))
+    ]
+    return (torch.cat(columns, dim=1) * optimum.root).mT
+
+
+def _derivatives(part: ImageFit, x: torch.Tensor, candidate: Effect | Pinned) -> torch.Tensor:
+    """Of the mean image of one recording with respect to a candidate's parameters at null, (m, pixels)."""
+    model, layout = part.model, part.layout
+    values = x[0, layout.effect_values]
+    sampling = candidate.place == "sampling"
+    own = model.effects.held(values).effects if sampling else frozen(model.effects, values)
     whole = ImageModel(model.psf, [*own, candidate])
     null = torch.tensor(candidate.null_values, dtype=torch.float64)
     modal = candidate.place not in ("pupil", "otf")  # with nothing else there is nothing to propagate
     at = x[:, layout.modes], x[:, -2], x[:, -1], null
     columns = whole.predict_and_jacobian(*at, modal=modal)[1][0].cpu().double().flatten(1)
-    return (columns[len(columns) - 2 - len(null) : -2] * optimum.root).mT
+    return columns[len(columns) - 2 - len(null) : -2]
 
 
 def _score(optimum: Optimum, candidate: Effect | Pinned, trials: int) -> Score:

@@ -7,6 +7,7 @@ follows the signal with the excess-noise factor; speckles of an AO residual exce
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,12 @@ class NoiseVerdict:
         return f"{self.kind}, variance over prediction {ratios}" + (
             "" if self.holds else "; the noise model does not hold"
         )
+
+
+def judge_all(stacks: Sequence[Stack]) -> NoiseVerdict:
+    """The verdict on the recording whose noise is furthest from the noise model's."""
+    found = [judge_noise(stack) for stack in stacks]
+    return max(found, key=lambda one: abs(np.log(max(one.bright_ratio, 1e-9))))
 
 
 def judge_noise(stack: Stack) -> NoiseVerdict:

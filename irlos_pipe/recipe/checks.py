@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -106,7 +107,7 @@ def check_inputs(inputs: Mapping[str, Sequence[str]], folder: Path,
     found = {name: tuple(absolute(path, folder) for path in paths) for name, paths in inputs.items()}
     for name, paths in found.items():
         for path in paths:
-            if not path.exists():
+            if not os.path.exists(path):  # also of a name that no file can have
                 complaints.add(("inputs", name), f"input '{name}': no such file or folder: {path}; "
                                                  f"correct it, or give --input {name}=PATH")
     return found
