@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from irlos_pipe.errors import ConfigurationError, IrlosError
+from irlos_pipe.errors import ConfigurationError, InputDataError, IrlosError
 
 EXIT_CODES = """\b
 Exit codes:
@@ -47,6 +47,9 @@ class IrlosGroup(click.Group):
         except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except Exception as error:
+            if isinstance(error, OSError) and error.filename:  # a path that was given
+                tell(f"{error.filename}: {error.strerror}")
+                ctx.exit(InputDataError.exit_code)
             tell(f"unexpected {type(error).__name__}: {error}; the traceback is in {_saved_traceback()}")
             ctx.exit(1)
 

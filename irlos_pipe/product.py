@@ -126,13 +126,33 @@ class _CheckEntry(BaseModel):
         return Check(self.name, value, self.unit, self.low, self.high, self.message)
 
 
+class _InputEntry(BaseModel):
+    """A file that a stage read; there may be more of it."""
+
+    label: str
+    sha256: str
+
+
+class _Provenance(BaseModel):
+    """What the pipeline reads of the provenance; there may be more."""
+
+    key: str = ""
+    parts: dict[str, Any] = {}
+    summary: list[str] = []
+    failures: list[str] = []
+    files: list[str] = []
+    inputs: list[_InputEntry] = []
+    software: dict[str, str] = {}
+    machine: dict[str, Any] = {}
+
+
 class _Sections(BaseModel):
     """The JSON sections of the file."""
 
     results: dict[str, Any]
     checks: list[_CheckEntry]
     config: dict[str, Any]
-    provenance: dict[str, Any]
+    provenance: _Provenance
     log: list[str]
 
 
@@ -217,9 +237,9 @@ def _require_schema(file: h5py.File, path: Path) -> None:
 
 def _read_open_file(file: h5py.File, arrays: bool) -> Product:
     found = {name: json.loads(file[name].asstr()[()]) for name in _Sections.model_fields}
-    content = dict(_Sections.model_validate(found))
-    content["checks"] = [entry.check() for entry in content["checks"]]
-    return Product(stage=str(file.attrs["stage"]), arrays=_read_arrays(file) if arrays else {}, **content)
+    checks = [entry.check() for entry in _Sections.model_validate(found).checks]
+    return Product(stage=str(file.attrs["stage"]), arrays=_read_arrays(file) if arrays else {},
+                   **found | {"checks": checks})
 
 
 def _read_arrays(file: h5py.File) -> dict[str, Quantity]:

@@ -106,9 +106,11 @@ def line_of(lines: dict[tuple, int], key_path: tuple) -> int:
 
 def _read_text(path: Path, error: type[IrlosError]) -> str:
     try:
-        if path.stat().st_size > MAX_BYTES:
+        with path.open("rb") as stream:
+            content = stream.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
             raise error(f"{path}: larger than {MAX_BYTES // 1_000_000} MB; this is not a settings file")
-        return path.read_text(encoding="utf-8-sig")
+        return content.decode("utf-8-sig")
     except OSError as exc:
         raise error(f"{path}: cannot be read: {exc.strerror or exc}") from None
     except UnicodeDecodeError:

@@ -17,17 +17,20 @@ from scipy import stats
 from irlos_pipe.diagnose.bad_pixel_check import outstanding_pixels
 from irlos_pipe.diagnose.companion_search import brightest_companions
 from irlos_pipe.diagnose.cube import Cube, Stack, split
+from irlos_pipe.diagnose.decide import by_plausibility
 from irlos_pipe.diagnose.detect import gaussian_sigma, score_family, scores
 from irlos_pipe.diagnose.drift_check import measure_drift
 from irlos_pipe.diagnose.families import Family, families
 from irlos_pipe.diagnose.fitting import Fitted, Fitter, most_plausible
-from irlos_pipe.diagnose.held_out import Judge, noise_floor, preference
+from irlos_pipe.diagnose.held_out import Gap, Judge, noise_floor, preference
 from irlos_pipe.diagnose.motion_check import motion_ratio
 from irlos_pipe.diagnose.noise_check import judge_noise
 from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.refit import refits
+from irlos_pipe.diagnose.screened_pixels import Screened, screened_step
 from irlos_pipe.diagnose.sizes import detectable, determined, public_sigma
 from irlos_pipe.diagnose.view import View
-from irlos_pipe.effects import Conditions, TipTiltJitter
+from irlos_pipe.effects import CATALOGUE, Conditions, PlateScale, TipTiltJitter
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.motion import Vibration
 from irlos_pipe.estimate.cube import Frames
@@ -39,6 +42,7 @@ WINDOW, NOLLS, FRAMES, FLUX_E = 32, tuple(range(2, 12)), 40, 3e5
 CASE = settings(WINDOW, margin_mas=100.0, halo_margin_mas=250.0)
 CONDITIONS = Conditions(BAND, 0.5, DIVERSITY, NOLLS[-1], CASE.window, 9.7, CASE.spectrum)
 TRUE_NM = ncpa_nm(4, NOLLS[-1], 90.0)
+STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
 
 
 @functools.cache
@@ -179,6 +183,40 @@ def test_a_hot_pixel_stands_out_and_nothing_else():
     mean[5, 22] += 60
     assert outstanding_pixels(optimum(cube(mean).training)) == [(5, 22)]
     assert outstanding_pixels(optimum(cube(image()).training)) == []
+
+
+def test_of_names_that_fit_alike_one_that_is_plausible_comes_first():
+    """5 % more wavelength is 5 % less of a pixel in a narrow band, which no lens makes; filters do differ."""
+    stack = cube(image(effect=PlateScale(), values=[-0.045]))
+    at_rest = optimum(stack.training)
+    present, _ = families(CONDITIONS, [n for n in CATALOGUE if n not in ("plate_scale", "spectrum")])
+    fitter = Fitter([View(model(), CONDITIONS)], stack.training)
+    ranked = refits(fitter, at_rest, scores(at_rest, present))
+    ranked.sort(key=lambda one: one.name)  # plate_scale first
+    judges = [Judge(stack.held_out, one.fitted) for one in ranked]
+    first, second = by_plausibility(ranked, judges)[0]
+    assert (first.name, second.name) == ("spectrum", "plate_scale")
+    assert second.implausible and not first.implausible
+
+
+def test_a_stop_that_is_off_is_fitted_with_its_turn_although_either_is_searched_for_alone():
+    score = score_family(optimum(cube(image()).training), Family("pupil_misregistration", (STOP,)))
+    assert {p.name for p in score.start().parameters} == {"distance_m", "direction_rad", "rotation_deg"}
+    sizes = [detectable(one, 30.0).keys() for one in (score, *score.besides)]
+    assert sorted(key for keys in sizes for key in keys) == ["dx_m", "dy_m", "rotation_deg"]
+
+
+def test_a_masked_pixel_is_named_if_it_showed_something_else_than_the_star():
+    at_rest = optimum(cube(image()).training)
+    star_e = float(image()[5, 22])
+    gap = Gap(0.01, 0.01, 0.01)
+    right, hot = Screened(5, 22, star_e), Screened(5, 22, star_e + 60)
+    assert screened_step([right], at_rest, FRAMES, gap) is None
+    step = screened_step([right, hot], at_rest, FRAMES, gap)
+    assert (step.name, step.public) == ("bad_pixels", {"pixels": [[5, 22]]})
+    assert step.significance > 5
+    light_e = float(at_rest.fitted.image_e.sum())
+    assert step.gap.before == pytest.approx((0.01 * light_e + 60) / (light_e + star_e + 60), rel=1e-2)
 
 
 def test_a_drift_is_measured_with_its_sign():

@@ -108,3 +108,11 @@ def test_too_few_frames_are_refused_with_the_name_of_the_recording():
     )
     with pytest.raises(Exception, match="short: a diagnosis needs 16 used frames"):
         stage._frames([recording], np.ones(CASE.window, bool))
+
+
+def test_bad_pixels_of_the_model_and_those_found_make_one_list():
+    known, found = {"bad_pixels": {"pixels": [[3, 4]]}}, {"bad_pixels": {"pixels": [[1, 2], [3, 4]]}}
+    assert stage._with_one_list_of_pixels(["seeing_halo", known, found]) == [
+        "seeing_halo",
+        {"bad_pixels": {"pixels": [[1, 2], [3, 4]]}},
+    ]

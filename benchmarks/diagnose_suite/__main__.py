@@ -22,8 +22,11 @@ from .working import Folder, work
 @click.option("--jobs", default=1, show_default=True, help="Worker processes, of one thread each.")
 @click.option("--only", default="*", help="Cases whose name matches, for example '*companion*'.")
 @click.option("--sample", type=int, help="That many of them, evenly spread.")
+@click.option("--finished", is_flag=True, help="Those among them that are finished already; run none.")
 @click.option("--list", "listed", is_flag=True, help="Print the names of the cases and stop.")
-def main(output: Path | None, jobs: int, only: str, sample: int | None, listed: bool) -> None:
+def main(
+    output: Path | None, jobs: int, only: str, sample: int | None, finished: bool, listed: bool
+) -> None:
     """Hide effects in simulated recordings and see whether `diagnose` names them.
 
     A folder is gone on with where it stopped: finished cases are kept.
@@ -34,7 +37,10 @@ def main(output: Path | None, jobs: int, only: str, sample: int | None, listed: 
         return
     if output is None:
         raise click.UsageError("give --output DIR, a folder for the recordings and the results")
-    outcomes, failed = run_all(cases, Folder(output.resolve()), jobs)
+    folder = Folder(output.resolve())
+    if finished:
+        cases = [case for case in cases if folder.outcome(case).is_file()]
+    outcomes, failed = run_all(cases, folder, jobs)
     click.echo(write_report(outcomes, failed, output))
     raise SystemExit(1 if failed else 0)
 

@@ -23,6 +23,7 @@ from .held_out import Judge, gap_between
 from .motion_check import motion_ratio
 from .noise_check import PHOTONS, SPECKLES, NoiseVerdict
 from .optimum import Optimum
+from .screened_pixels import Screened, screened_step
 from .second_recording import Advice, SecondRecordings
 from .sizes import detectable, determined, parameter_covariance, public_sigma, within_reach
 from .verdict import EFFECT, NONE, UNKNOWN, Diagnosis, Pictures, Step
@@ -35,25 +36,35 @@ if TYPE_CHECKING:
 LEFT, LEFT_CHI2_NU = {PHOTONS: 0.003, SPECKLES: 0.05}, 1.3
 
 
-def conclude(cube: Cube, search: Search, noise: NoiseVerdict, options: Options) -> Diagnosis:
+def conclude(
+    cube: Cube,
+    search: Search,
+    noise: NoiseVerdict,
+    options: Options,
+    screened: Sequence[Screened] = (),
+) -> Diagnosis:
     """The verdict with all its numbers."""
     why = why_unknown(search, noise, options)
     steps = [*_drift_steps(cube, search, options), *_steps(cube, search)]
     final = search.final if not why else search.null
     judges = [Judge(cube.held_out, optimum.fitted) for optimum in (search.null, final)]
+    gap = gap_between(*judges)
     testable = [s for s in search.scores if s.testable and within_reach(s, _least_gain(s))]
     hidden = [s for s in search.scores if s not in testable]
     seconds = SecondRecordings(search.final)
     steps = [_with_separation(step, search, seconds) for step in steps]
     known = steps if not why else []
+    pixels = screened_step(screened, final, len(cube.training.parts[0]), gap)
+    if pixels is not None:
+        known, gap = [pixels, *known], replace(gap, before=pixels.gap.before)
     return Diagnosis(
         verdict=UNKNOWN if why else EFFECT if known else NONE,
         steps=known,
         nearest=steps[0] if why and steps else None,
         unexplained=bool(why),
         why_unknown=why,
-        gap=gap_between(*judges),
-        mdb={s.name: detectable(s, _least_gain(s)) for s in testable} | _elsewhere(search, options),
+        gap=gap,
+        mdb={s.name: _smallest(s) for s in testable} | _elsewhere(search, options),
         untestable=[*(s.name for s in hidden), *search.meaningless],
         advice=_advice(hidden, seconds),
         noise=noise,
@@ -98,6 +109,12 @@ def _modes_sigma_nm(optimum: Optimum) -> np.ndarray:
 def _least_gain(score: Score) -> float:
     """Fall of χ², in units of its inflation, from which the effect counts as seen."""
     return threshold(len(score.usable), score.trials)
+
+
+def _smallest(score: Score) -> dict:
+    """Public size of every parameter that would have been seen."""
+    found = (detectable(one, _least_gain(one)) for one in (*score.besides, score))
+    return {key: size for public in found for key, size in public.items()}
 
 
 def _elsewhere(search: Search, options: Options) -> dict[str, dict]:

@@ -187,7 +187,8 @@ def _steadied(mean_e: torch.Tensor, frames: Frames) -> torch.Tensor:
     A variance from the very mean that it weighs is large where the noise is positive and small where it
     is negative, which raises the χ² of faint pixels by a few per cent.
     """
-    variance = frames.noise.variance_e2(mean_e)
-    calm = frames.noise.variance_e2(smooth(mean_e[None])[0])
-    faint = mean_e < FAINT_SIGMA * (variance / len(frames.images_e)).sqrt()
+    count = len(frames.images_e)
+    variance = frames.noise.mean_variance_e2(mean_e, count)
+    calm = frames.noise.mean_variance_e2(smooth(mean_e[None])[0], count)
+    faint = mean_e < FAINT_SIGMA * variance.sqrt()
     return torch.where(faint, calm / variance, 1.0)

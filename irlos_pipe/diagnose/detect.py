@@ -47,6 +47,8 @@ class Score:
         Parameters that these data determine.
     trials : int
         Candidates of the family.
+    besides : tuple of Score
+        Best candidates with other parameters of the same effect.
     """
 
     candidate: Effect | Pinned
@@ -58,6 +60,7 @@ class Score:
     smallest: np.ndarray
     usable: tuple[str, ...] = ()
     trials: int = 1
+    besides: tuple[Score, ...] = ()
 
     @property
     def name(self) -> str:
@@ -70,13 +73,12 @@ class Score:
         return self.survival > ABSORBED
 
     def start(self) -> Pinned:
-        """The whole effect, free, at the linear estimate."""
+        """The whole effect, free but for what these data do not determine, at the linear estimate."""
         bare = self.candidate.effect if isinstance(self.candidate, Pinned) else self.candidate
         pinned = isinstance(self.candidate, Pinned)
         values = self.candidate.all_values(self.sizes).numpy() if pinned else self.sizes
-        return Pinned(
-            bare, values, [p.name for p in bare.parameters if p.null is None or p.name in self.usable]
-        )
+        unseen = {p.name for p in self.candidate.parameters} - {*self.usable}
+        return Pinned(bare, values, [p.name for p in bare.parameters if p.name not in unseen])
 
 
 def scores(optimum: Optimum, families: Sequence[Family]) -> list[Score]:
@@ -97,9 +99,15 @@ def score_family(optimum: Optimum, family: Family) -> Score:
     if family.name == Companion.name:
         tried = [*brightest_companions(optimum, tried), *around(tried[0].effect)]
     found = [_score(optimum, one, trials) for one in tried]
-    best = max(found, key=lambda one: one.gain)
-    typical = [one.smallest for one in found if one.usable == best.usable]
-    return replace(best, smallest=np.median(typical, axis=0))
+    kinds = {one.usable: _typical([o for o in found if o.usable == one.usable]) for one in found}
+    best = max(kinds.values(), key=lambda one: one.gain)
+    return replace(best, besides=tuple(one for one in kinds.values() if one is not best and one.usable))
+
+
+def _typical(alike: Sequence[Score]) -> Score:
+    """The best of candidates with the same parameters, with sizes that are typical of them all."""
+    smallest = np.median([one.smallest for one in alike], axis=0)
+    return replace(max(alike, key=lambda one: one.gain), smallest=smallest)
 
 
 def whitened_shapes(optimum: Optimum, candidate: Effect | Pinned) -> torch.Tensor:

@@ -67,7 +67,7 @@ def judge_noise(stack: Stack) -> NoiseVerdict:
     basis = np.linalg.qr(shapes.T)[0]
     quiet = differences - (differences @ basis) @ basis.T
     measured = (quiet**2).mean(0).reshape(mean.shape) / 2
-    predicted = stack.frames.noise.variance_e2(torch.as_tensor(mean)).numpy()
+    predicted = stack.frames.noise.scatter_e2(torch.as_tensor(mean)).numpy()
     bright = good & (mean > BRIGHT * mean.max())
     faint = good & (mean < np.quantile(mean[good], FAINT))
     ratios = [float(measured[where].sum() / predicted[where].sum()) for where in (bright, faint)]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -18,6 +19,9 @@ from ..effects.seeing_halo import ScaledHalo, SeeingHalo
 from ..effects.wavefront import DiversityError
 from ..estimate.cube import Frames
 from ..psf import PsfModel, PsfSettings
+
+if TYPE_CHECKING:
+    from .screened_pixels import Screened
 
 
 @dataclass(frozen=True)
@@ -31,11 +35,14 @@ class Exposures:
     settings : PsfSettings
         Introduced defocus included in the diversity.
     conditions : Conditions
+    screened : sequence of Screened
+        Pixels masked in the frames because of what they showed there.
     """
 
     frames: Frames
     settings: PsfSettings
     conditions: Conditions
+    screened: Sequence[Screened] = ()
 
     def view(self, nolls: Sequence[int], device: str) -> View:
         """Its model, in float64: the mean image is more precise than float32."""

@@ -61,7 +61,7 @@ def diagnose(
     views = [one.view(nolls, device) for one in recordings]
     task = Task(cube, Fitter(views, cube.training), recordings[0].conditions, options, report)
     search = task.searched(effects)
-    diagnosis = conclude(task.cube, search, noise, options)
+    diagnosis = conclude(task.cube, search, noise, options, recordings[0].screened)
     return replace(diagnosis, seconds=time.perf_counter() - began)
 
 

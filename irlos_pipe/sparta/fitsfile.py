@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
+import mmap
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,6 +19,8 @@ from irlos_pipe.errors import InputDataError, IrlosError
 FITS_SUFFIXES = (".fits", ".fit", ".fts", ".fits.gz", ".fits.fz")
 FITS_BEGIN, GZIP_BEGIN = b"SIMPLE", b"\x1f\x8b"
 MAX_REST_BYTES = 2**20  # looked at behind the last HDU
+CARD_BYTES = 80
+COUNTS = re.compile(rb"(Z?NAXIS {2,3}|TFIELDS )= *([0-9]{4,})")
 MIN_WINDOW_PX = 5
 MAX_WINDOW_PX = 4096
 MAX_UNPACKED_BYTES = 2**29  # of an HDU in a compressed file: 30 000 frames of 64x64 px
@@ -47,6 +52,7 @@ def open_fits(path: Path) -> Iterator[fits.HDUList]:
     """
     try:
         _require_content(path)
+        _require_countable(path)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             # opened here, for astropy leaves its own stream open when a header is damaged
@@ -128,6 +134,23 @@ def _require_content(path: Path) -> None:
         begin = stream.read(len(FITS_BEGIN))
     if begin != FITS_BEGIN and not begin.startswith(GZIP_BEGIN):
         raise InputDataError(f"{path}: not a FITS file, for it does not begin with '{FITS_BEGIN.decode()}'")
+
+
+def _require_countable(path: Path) -> None:
+    """Refuse headers with more axes or columns than FITS allows: astropy would count up to any number."""
+    for found in COUNTS.finditer(_beginning(path)):
+        if found.start() % CARD_BYTES == 0:
+            key, number = (group.decode().strip() for group in found.groups())
+            raise InputDataError(f"{path}: {key} = {number} in a header, FITS allows 999: damaged")
+
+
+def _beginning(path: Path) -> bytes | mmap.mmap:
+    """All of a plain file, without reading it; of a compressed one what holds its first headers."""
+    with path.open("rb") as stream:
+        if stream.read(len(GZIP_BEGIN)) != GZIP_BEGIN:
+            return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+    with gzip.open(path) as stream:
+        return stream.read(MAX_REST_BYTES)
 
 
 def _require_complete(hdus: fits.HDUList, path: Path) -> None:

@@ -21,13 +21,13 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.product import Quantity
 from irlos_pipe.recording import Recording
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.diagnose_input import by_setting, introduced_nm
+from irlos_pipe.stages.diagnose_input import by_setting, introduced_nm, screened_pixels
 from irlos_pipe.stages.light_path import pooled_images, psf_settings
 from irlos_pipe.stages.model_effects import conditions_of, good_pixels, image_effects, model_effects
 from irlos_pipe.stages.ramp_diagnosis import run_on_ramp
 
 NAME = "diagnose"
-VERSION = 1
+VERSION = 2
 NEEDS = ("ingest",)
 READS = ("ingest", "calibrate", "lift")
 MODEL_FILE = "model.yaml"
@@ -76,6 +76,7 @@ def _exposures(ctx: StageContext, alike: list[Recording], effects: list[Effect |
         _frames(alike, good_pixels(effects, first.window)),
         psf_settings(ctx.instrument, ctx.model, first, {4: introduced_nm(first)}),
         conditions_of(ctx.instrument, ctx.model, first, ctx.config.highest_noll),
+        screened_pixels(ctx.products["ingest"], first),
     )
 
 
@@ -182,8 +183,24 @@ def _summary(result: Diagnosis) -> list[str]:
 def _model_yaml(ctx: StageContext, entries: list[dict[str, Any]]) -> bytes:
     """The recipe's section `model` with entries added to its effects."""
     section = ctx.model.model_dump(mode="json")
-    section["effects"] = [*section["effects"], *entries]
+    section["effects"] = _with_one_list_of_pixels([*section["effects"], *entries])
     return yaml.safe_dump(section, sort_keys=False, allow_unicode=True).encode()
+
+
+def _with_one_list_of_pixels(effects: list[Any]) -> list[Any]:
+    """Entries of which one lists all bad pixels, wherever they were found."""
+    listed = [e["bad_pixels"]["pixels"] for e in effects if isinstance(e, dict) and "bad_pixels" in e]
+    if len(listed) < 2:
+        return effects
+    others = [e for e in effects if not (isinstance(e, dict) and "bad_pixels" in e)]
+    return [
+        *others,
+        {
+            "bad_pixels": {
+                "pixels": [list(p) for p in sorted({tuple(pixel) for part in listed for pixel in part})]
+            }
+        },
+    ]
 
 
 def _entry(step: Step) -> dict[str, Any]:

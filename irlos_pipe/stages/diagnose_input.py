@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from irlos_pipe.diagnose.screened_pixels import Screened
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.product import Product
 from irlos_pipe.recording import Recording
 from irlos_pipe.stages.light_path import in_time_order
-from irlos_pipe.stages.recordings import recordings_from_product
+from irlos_pipe.stages.recordings import prefix_of, recordings_from_product
 
 COMMON = {"pixel_scale_mas": "pixel scale", "derotator_angle_deg": "derotator angle"}
 
@@ -46,6 +47,26 @@ def introduced_nm(recording: Recording) -> float:
             "recordings of one defocus each, or the recipe diagnose_ramp"
         )
     return float(values[0]) if len(values) else 0.0
+
+
+def screened_pixels(ingest: Product, recording: Recording) -> list[Screened]:
+    """Pixels that ingest found bad by what they showed, with the mean of it over the used frames."""
+    row = next(r for r in ingest.results["inputs"] if (r["input"], r["name"]) == _key(recording))
+    found = [tuple(pixel) for pixel in row.get("bad_pixels_found", [])]
+    if not found:
+        return []
+    raw_adu, background_adu, flat = (
+        ingest.arrays[f"{prefix_of(recording)}/{name}"].value
+        for name in ("raw_adu", "background_adu", "flat")
+    )
+    used = ingest.arrays[f"{prefix_of(recording)}/used"].value
+    mean_adu = np.mean(raw_adu[np.asarray(used, bool)], axis=0, dtype=float)
+    mean_e = (mean_adu - background_adu) / flat * recording.acquisition.detector.e_per_adu
+    return [Screened(*pixel, float(mean_e[pixel])) for pixel in found if np.isfinite(mean_e[pixel])]
+
+
+def _key(recording: Recording) -> tuple[str, str]:
+    return recording.input, recording.name
 
 
 def _setting(recording: Recording) -> tuple:

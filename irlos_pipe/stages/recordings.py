@@ -24,10 +24,16 @@ PER_RECORDING = {
     "frame_counter": ("", "counter of the recorder"),
     "introduced_defocus_nm": ("nm", "introduced defocus, RMS"),
     "background_variance_e2": ("e-2", "variance per pixel beyond read noise and photons of the star"),
+    "dark_variance_e2": ("e-2", "variance per pixel of the dark image, the same in every frame"),
     "frames_missing": ("", "frames the recorder lost"),
     "start_unix_s": ("s", "time of the first frame since 1970"),
 }
-SCALARS = {"background_variance_e2": float, "frames_missing": int, "start_unix_s": float}
+SCALARS = {
+    "background_variance_e2": float,
+    "dark_variance_e2": float,
+    "frames_missing": int,
+    "start_unix_s": float,
+}
 
 
 def prefix_of(recording: Recording) -> str:
