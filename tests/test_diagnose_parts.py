@@ -6,6 +6,7 @@ Truth: scipy's distributions, Monte Carlo, finite differences, and what was put 
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -33,6 +34,7 @@ from irlos_pipe.diagnose.view import View
 from irlos_pipe.effects import CATALOGUE, Conditions, PlateScale, TipTiltJitter
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.motion import Vibration
+from irlos_pipe.effects.pixels import BackgroundGradient
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.image_model import ImageModel
 from irlos_pipe.noise import NoiseModel
@@ -281,3 +283,20 @@ def test_errors_of_public_values_follow_from_those_of_the_solver():
     sigma = public_sigma(companion, values, covariance)
     for key in ("flux_ratio", "sep_mas", "pa_deg"):
         assert sigma[key] == pytest.approx(np.std([one[key] for one in public]), rel=0.03)
+
+
+def test_a_name_is_fitted_from_zero_as_well_where_the_model_lies_in_a_false_minimum(monkeypatch):
+    """The gradient is put on the image by hand; the wavefront of the model before is 600 nm off."""
+    stack = cube(image() + 6.0 * np.arange(WINDOW)).training
+    right = fitted(stack)
+    wrong = right.x.clone()
+    wrong[:, right.problem.layout.modes] += vector({5: 400.0, 9: -450.0}, NOLLS)
+    solution = replace(right.solution, values=wrong)
+    lost = Optimum(stack, replace(right, solution=solution, chi2=float(right.problem.chi2(wrong))))
+    score = score_family(lost, Family("background_gradient", (BackgroundGradient(),)))
+    fitter = Fitter([View(model(), CONDITIONS)], stack)
+    found = refits(fitter, lost, [score])[0]
+    assert found.public["e_per_pixel"] == pytest.approx(6.0, rel=0.01)
+    assert found.fitted.modes_nm == pytest.approx(vector(TRUE_NM, NOLLS)[0].numpy(), abs=5.0)
+    monkeypatch.setattr("irlos_pipe.diagnose.refit.FAR", np.inf)
+    assert refits(fitter, lost, [score])[0].fitted.chi2 > 10 * found.fitted.chi2
