@@ -2,6 +2,7 @@
 
 import json
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -339,3 +340,11 @@ def test_a_complete_side_car_leaves_no_warning(tmp_path, caplog):
     with caplog.at_level(logging.WARNING, logger="test"):
         run(tmp_path)
     assert caplog.messages == []
+
+
+def test_a_product_of_the_first_version_is_read_as_if_its_dark_had_no_noise(tmp_path):
+    write_recorder(tmp_path / "rec", counts(IMAGE))
+    product = product_of(run(tmp_path))
+    older = {key: one for key, one in product.arrays.items() if not key.endswith("/dark_variance_e2")}
+    assert len(older) == len(product.arrays) - 1
+    assert recordings_from_product(replace(product, arrays=older))[0].dark_variance_e2 == 0.0

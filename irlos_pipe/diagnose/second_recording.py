@@ -77,7 +77,9 @@ class SecondRecordings:
             Fall of χ² from which it counts as seen.
         """
         found = ((words, self._score(score, optimum)) for words, optimum in self.beside.items())
-        useful = [(words, one) for words, one in found if one.testable and within_reach(one, gain)]
+        useful = [
+            (words, one) for words, one in found if one.testable and within_reach(one, gain, plausible=True)
+        ]
         if not useful:
             return None
         words, best = max(useful, key=lambda pair: pair[1].survival)

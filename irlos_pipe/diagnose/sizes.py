@@ -76,10 +76,16 @@ def detectable(score: Score, gain: float) -> dict[str, Any]:
     return {key: v for key, v in largest.items() if key not in DIRECTIONS and _size(v) > NOTHING}
 
 
-def within_reach(score: Score, gain: float) -> bool:
-    """Whether the size that would be detected lies within the bounds of the effect's parameters."""
+def within_reach(score: Score, gain: float, *, plausible: bool = False) -> bool:
+    """Whether the size that would be detected lies within the bounds of the effect's parameters.
+
+    Parameters
+    ----------
+    plausible : bool
+        Within the plausible range instead.
+    """
     null = np.array(score.candidate.null_values, float)
-    limits = np.array([(p.lower, p.upper) for p in score.candidate.parameters])
+    limits = np.array([p.plausible if plausible else (p.lower, p.upper) for p in score.candidate.parameters])
     reach = np.maximum(limits[:, 1] - null, null - limits[:, 0])
     return bool(np.any(score.smallest * np.sqrt(gain) < reach))
 
