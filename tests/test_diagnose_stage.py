@@ -105,6 +105,7 @@ def test_too_few_frames_are_refused_with_the_name_of_the_recording():
         pixel_mask=np.ones(CASE.window, bool),
         acquisition=SimpleNamespace(detector=SimpleNamespace(read_noise_e=1.0, excess_noise_factor=1.0)),
         background_variance_e2=0.0,
+        dark_variance_e2=0.0,
     )
     with pytest.raises(Exception, match="short: a diagnosis needs 16 used frames"):
         stage._frames([recording], np.ones(CASE.window, bool))
