@@ -76,6 +76,6 @@ def bench(tmp_path, monkeypatch) -> Bench:
 
 
 def pytest_configure():
-    """Let Ctrl-C end the processes that tests start: a suite in the background hands on that it is ignored."""
+    """Let Ctrl-C end the processes that tests start: a suite in the background makes them ignore it."""
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
