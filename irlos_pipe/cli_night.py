@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from irlos_pipe.cli_options import FOLDER, resources_of
-from irlos_pipe.errors import NothingToDo
+from irlos_pipe.errors import ExitCode, NothingToDo
 from irlos_pipe.exits import EXIT_CODES, tell, terminated_like_interrupted
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def trend(tree: Path, names: tuple[str, ...], config: Path | None, until: object
     click.echo(trend_json(found) if as_json else trend_text(found))
     if alarms_line(found):
         tell(alarms_line(found))
-        sys.exit(4)
+        sys.exit(ExitCode.QUALITY)
 
 
 def _runner(engine: str, scheduler: str | None, jobs: int) -> Runner:

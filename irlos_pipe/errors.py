@@ -1,31 +1,47 @@
 """What can go wrong on the user's side, and the exit code each kind carries."""
 
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """How every command ends."""
+
+    DONE = 0
+    UNEXPECTED = 1
+    CONFIGURATION = 2
+    BAD_DATA = 3
+    QUALITY = 4
+    PARTIAL = 5
+    NOTHING_TO_DO = 64
+    LOCKED = 75
+    INTERRUPTED = 130
+
 
 class IrlosError(Exception):
     """Base of every error that is told in one line instead of a traceback."""
 
-    exit_code = 1
+    exit_code = ExitCode.UNEXPECTED
 
 
 class ConfigurationError(IrlosError):
     """A recipe, an option or a value that cannot be used."""
 
-    exit_code = 2
+    exit_code = ExitCode.CONFIGURATION
 
 
 class InputDataError(IrlosError):
     """Input data that cannot be read or make no sense."""
 
-    exit_code = 3
+    exit_code = ExitCode.BAD_DATA
 
 
 class NothingToDo(IrlosError):
     """No input was found."""
 
-    exit_code = 64
+    exit_code = ExitCode.NOTHING_TO_DO
 
 
 class Locked(IrlosError):
     """Another run owns the output folder."""
 
-    exit_code = 75
+    exit_code = ExitCode.LOCKED

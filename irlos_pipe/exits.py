@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from irlos_pipe.errors import ConfigurationError, InputDataError, IrlosError
+from irlos_pipe.errors import ConfigurationError, ExitCode, IrlosError
 
 EXIT_CODES = """\b
 Exit codes:
@@ -43,15 +43,15 @@ class IrlosGroup(click.Group):
             ctx.exit(error.exit_code)
         except KeyboardInterrupt:
             tell("interrupted; finished products stay, run the same command to go on")
-            ctx.exit(130)
+            ctx.exit(ExitCode.INTERRUPTED)
         except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except Exception as error:
             if isinstance(error, OSError) and error.filename:  # a path that was given
                 tell(f"{error.filename}: {error.strerror}")
-                ctx.exit(InputDataError.exit_code)
+                ctx.exit(ExitCode.BAD_DATA)
             tell(f"unexpected {type(error).__name__}: {error}; the traceback is in {_saved_traceback()}")
-            ctx.exit(1)
+            ctx.exit(ExitCode.UNEXPECTED)
 
 
 def _lines(error: IrlosError) -> str:

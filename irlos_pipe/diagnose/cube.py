@@ -19,8 +19,21 @@ FAINT_SIGMA = 30.0  # signal of the mean over its noise below which a pixel's va
 LEADING = 8  # principal components of a cube that show its autocorrelation
 
 
+class Means:
+    """What a `Stack` and several `Stacks` have in common."""
+
+    @property
+    def root(self) -> torch.Tensor:
+        """One over the standard errors of the mean images, 0 for bad pixels, (pixels,)."""
+        return self.variance_e2**-0.5
+
+    def covariance_of_mean(self, series: torch.Tensor) -> torch.Tensor:
+        """Covariance of the mean of whitened numbers per frame (frames, m), (m, m)."""
+        return torch.atleast_2d(torch.cov(series.mT)) / self.independent
+
+
 @dataclass(frozen=True)
-class Stack:
+class Stack(Means):
     """Frames of one part of a cube, brought to the same flux, and their mean.
 
     Attributes
@@ -51,11 +64,6 @@ class Stack:
     def __len__(self) -> int:
         return len(self.when)
 
-    @property
-    def root(self) -> torch.Tensor:
-        """One over the standard error of the mean image, 0 for bad pixels, (pixels,)."""
-        return self.variance_e2**-0.5
-
     @cached_property
     def deviations(self) -> torch.Tensor:
         """Frames of equal flux minus their mean, over the standard error of the mean, (frames, pixels)."""
@@ -73,10 +81,6 @@ class Stack:
         leading = (left * values)[:, :LEADING].numpy()
         return len(self) / float(np.median(autocorrelation_time(leading)))
 
-    def covariance_of_mean(self, series: torch.Tensor) -> torch.Tensor:
-        """Covariance of the mean of whitened numbers per frame (frames, m), (m, m)."""
-        return torch.atleast_2d(torch.cov(series.mT)) / self.independent
-
     @property
     def parts(self) -> tuple[Stack, ...]:
         """Itself, as the only recording."""
@@ -84,7 +88,7 @@ class Stack:
 
 
 @dataclass(frozen=True)
-class Stacks:
+class Stacks(Means):
     """Frames of several recordings, their mean images one after the other; otherwise as `Stack`.
 
     Every frame belongs to one recording, of whose mean it is a part; its deviations are zero in the
@@ -111,11 +115,6 @@ class Stacks:
         """Variances of the mean images, (pixels,)."""
         return torch.cat([part.variance_e2 for part in self.parts])
 
-    @property
-    def root(self) -> torch.Tensor:
-        """One over the standard errors of the mean images, 0 for bad pixels, (pixels,)."""
-        return self.variance_e2**-0.5
-
     @cached_property
     def independent(self) -> float:
         """Number of independent frames."""
@@ -129,10 +128,6 @@ class Stacks:
         every = len(self) * self.independent
         scaled = (one.deviations * (every / (len(one) * one.independent)) ** 0.5 for one in self.parts)
         return torch.block_diag(*scaled)
-
-    def covariance_of_mean(self, series: torch.Tensor) -> torch.Tensor:
-        """Covariance of the mean of whitened numbers per frame (frames, m), (m, m)."""
-        return torch.atleast_2d(torch.cov(series.mT)) / self.independent
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from .ambiguity import Alternative, alternatives
 from .cube import Cube
-from .fitting import Fitter
+from .fitting import Fitted, Fitter
 from .held_out import Judge, preference
 from .motion_check import MOVING, motion_ratio
 from .optimum import Optimum
@@ -96,22 +96,35 @@ def by_motion(
     ranked: Sequence[Refit], judges: Sequence[Judge], cube: Cube
 ) -> tuple[Sequence[Refit], Sequence[Judge]]:
     """Between motion and a detector that blurs, which the mean image hardly tells apart, frames decide."""
-    rivals = {one.name for one in alternatives(ranked, judges)} & {*MOTIONS, *BLURS}
-    if ranked[0].name not in (*MOTIONS, *BLURS) or not rivals:
+    rivals = _rivals(ranked, judges)
+    if ranked[0].name not in (*MOTIONS, *BLURS) or not rivals & {*MOTIONS, *BLURS}:
         return ranked, judges
     right = MOTIONS if motion_ratio(cube.training, ranked[0].fitted) > MOVING else BLURS
     allowed = [i for i, one in enumerate(ranked) if one.name in right and (i == 0 or one.name in rivals)]
-    order = [*allowed, *(i for i in range(len(ranked)) if i not in allowed)]
-    return [ranked[i] for i in order], [judges[i] for i in order]
+    return _led_by(allowed, ranked, judges)
 
 
 def by_plausibility(
     ranked: Sequence[Refit], judges: Sequence[Judge]
 ) -> tuple[Sequence[Refit], Sequence[Judge]]:
     """Of names that the images do not tell apart, one that need not be larger than anything known."""
-    rivals = {one.name for one in alternatives(ranked, judges)} if ranked[0].implausible else set()
-    better = next((i for i, one in enumerate(ranked) if one.name in rivals and not one.implausible), 0)
-    order = [better, *(i for i in range(len(ranked)) if i != better)]
+    if not ranked[0].implausible:
+        return ranked, judges
+    rivals = _rivals(ranked, judges)
+    better = [i for i, one in enumerate(ranked) if one.name in rivals and not one.implausible]
+    return _led_by(better[:1], ranked, judges)
+
+
+def _rivals(ranked: Sequence[Refit], judges: Sequence[Judge]) -> set[str]:
+    """Names that these data allow beside the first."""
+    return {one.name for one in alternatives(ranked, judges)}
+
+
+def _led_by(
+    first: Sequence[int], ranked: Sequence[Refit], judges: Sequence[Judge]
+) -> tuple[Sequence[Refit], Sequence[Judge]]:
+    """The same in another order: some ahead, the others as they were."""
+    order = [*first, *(i for i in range(len(ranked)) if i not in first)]
     return [ranked[i] for i in order], [judges[i] for i in order]
 
 
@@ -134,12 +147,14 @@ def explained(refit: Refit) -> float:
     return (before - refit.excess.chi2) / max(before, refit.gain)
 
 
-def no_longer_needed(fitter: Fitter, current: Optimum, accepted: Sequence[Accepted]) -> list[Accepted]:
-    """Names found earlier without which the model fits as well."""
-    superfluous = []
+def no_longer_needed(
+    fitter: Fitter, current: Optimum, accepted: Sequence[Accepted]
+) -> tuple[Accepted, Fitted] | None:
+    """A name found earlier without which the model fits as well, and that fit; None if all are needed."""
     for one in accepted[:-1]:
         kept = [effect for effect in current.fitted.continued() if effect.name != one.name]
-        loss = fitter.fit(kept, current.fitted).chi2 - current.fitted.chi2
-        if loss < PER_PARAMETER * one.refit.parameters * one.refit.score.inflation:
-            superfluous.append(one)
-    return superfluous[:1]
+        without = fitter.fit(kept, current.fitted)
+        price = PER_PARAMETER * one.refit.parameters * one.refit.score.inflation
+        if without.chi2 - current.fitted.chi2 < price:
+            return one, without
+    return None

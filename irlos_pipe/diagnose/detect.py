@@ -12,7 +12,7 @@ from scipy import special, stats
 from ..effects import Effect, Pinned
 from ..effects.companion import Companion
 from ..estimate.image_fit import ImageFit
-from ..estimate.search import _frozen as frozen
+from ..estimate.search import frozen
 from ..image_model import ImageModel
 from .companion_search import around, brightest_companions
 from .families import Family
@@ -74,9 +74,7 @@ class Score:
 
     def start(self) -> Pinned:
         """The whole effect, free but for what these data do not determine, at the linear estimate."""
-        bare = self.candidate.effect if isinstance(self.candidate, Pinned) else self.candidate
-        pinned = isinstance(self.candidate, Pinned)
-        values = self.candidate.all_values(self.sizes).numpy() if pinned else self.sizes
+        bare, values = self.candidate.bare, self.candidate.all_values(self.sizes).numpy()
         unseen = {p.name for p in self.candidate.parameters} - {*self.usable}
         return Pinned(bare, values, [p.name for p in bare.parameters if p.name not in unseen])
 
@@ -97,7 +95,7 @@ def score_family(optimum: Optimum, family: Family) -> Score:
     ]
     trials = len(tried)
     if family.name == Companion.name:
-        tried = [*brightest_companions(optimum, tried), *around(tried[0].effect)]
+        tried = [*brightest_companions(optimum, tried), *around(tried[0].bare)]
     found = [_score(optimum, one, trials) for one in tried]
     kinds = {one.usable: _typical([o for o in found if o.usable == one.usable]) for one in found}
     best = max(kinds.values(), key=lambda one: one.gain)

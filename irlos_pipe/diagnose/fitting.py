@@ -102,9 +102,8 @@ def most_plausible(found: Sequence[Fitted]) -> Fitted:
 def _from_here(effect: Effect | Pinned, values: np.ndarray) -> Effect | Pinned:
     if not effect.parameters:
         return effect
-    bare = effect.effect if isinstance(effect, Pinned) else effect
-    full = effect.all_values(values).numpy() if isinstance(effect, Pinned) else values
-    return Pinned(bare, full, free=[p.name for p in effect.parameters])
+    free = [parameter.name for parameter in effect.parameters]
+    return Pinned(effect.bare, effect.all_values(values).numpy(), free)
 
 
 class Fitter:

@@ -94,13 +94,12 @@ class Refit:
     @property
     def bare(self) -> Effect:
         """The effect itself."""
-        return self.effect.effect if isinstance(self.effect, Pinned) else self.effect
+        return self.effect.bare
 
     @property
     def values(self) -> np.ndarray:
         """All its parameters."""
-        free = self.fitted.values_of(self.name)
-        return self.effect.all_values(free).numpy() if isinstance(self.effect, Pinned) else free
+        return self.effect.all_values(self.fitted.values_of(self.name)).numpy()
 
     @property
     def public(self) -> dict:

@@ -62,13 +62,11 @@ def detectable(score: Score, gain: float) -> dict[str, Any]:
     Positions and directions, which do not change with the size, are left out; of a displacement whose
     direction does not matter both components are its size.
     """
-    bare = score.candidate.effect if isinstance(score.candidate, Pinned) else score.candidate
-    full = score.candidate.all_values if isinstance(score.candidate, Pinned) else np.asarray
     null = np.array(score.candidate.null_values, float)
     sizes = np.where(np.isfinite(score.smallest), score.smallest, 0.0) * np.sqrt(gain)
-    absent = bare.describe(np.asarray(full(null), float))
+    absent = score.candidate.describe(null)
     alone = np.diag(sizes) if not _is_table(absent) else [sizes]
-    changes = [_difference(bare.describe(np.asarray(full(null + one), float)), absent) for one in alone]
+    changes = [_difference(score.candidate.describe(null + one), absent) for one in alone]
     largest = {key: max((one[key] for one in changes), key=_size) for key in absent}
     for pair in COMPONENTS:
         if pair <= largest.keys():

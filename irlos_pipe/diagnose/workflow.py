@@ -111,7 +111,7 @@ class Task:
             if chosen is None or len(accepted) == self.options.most_names:
                 return Search(null, current, drift, accepted, found, meaningless)
             accepted.append(chosen)
-            current, accepted = self._adapted(null, accepted)
+            current, accepted = self._adapted(accepted)
 
     # -- steps ---------------------------------------------------------------------------------
 
@@ -146,14 +146,14 @@ class Task:
         ranked = refits(self.fitter, current, found, self.report)
         return choose(ranked, self.cube, self.options, first=first)
 
-    def _adapted(self, null: Optimum, accepted: list[Accepted]) -> tuple[Optimum, list[Accepted]]:
-        """The model with the new name, without those that it makes superfluous."""
+    def _adapted(self, accepted: list[Accepted]) -> tuple[Optimum, list[Accepted]]:
+        """The model with the new name, without one that it makes superfluous."""
         current = accepted[-1].refit.optimum
-        for one in no_longer_needed(self.fitter, current, accepted):
-            accepted = [other for other in accepted if other is not one]
-            kept = [effect for effect in current.fitted.continued() if effect.name != one.name]
-            current = self._optimum(self.fitter.fit(kept, current.fitted))
-        return current, accepted
+        superfluous = no_longer_needed(self.fitter, current, accepted)
+        if superfluous is None:
+            return current, accepted
+        one, without = superfluous
+        return self._optimum(without), [other for other in accepted if other is not one]
 
     def _optimum(self, fitted: Fitted) -> Optimum:
         return Optimum(self.cube.training, fitted)

@@ -175,6 +175,15 @@ class Effect:
         return [self]
 
     @property
+    def bare(self) -> Effect:
+        """The effect itself; of a `Pinned` one, what is pinned."""
+        return self
+
+    def all_values(self, values: Sequence[float]) -> torch.Tensor:
+        """Values of all parameters from those of the free ones, float64; here all are free."""
+        return torch.as_tensor(values, dtype=torch.float64)
+
+    @property
     def null_values(self) -> list[float]:
         """Values at which the effect is absent, other parameters at their start."""
         return [p.start if p.null is None else p.null for p in self.parameters]

@@ -14,6 +14,7 @@ import torch
 from ..optics.grids import NM, OtfGrid, Sampling
 from ..optics.propagate import MAS
 from .base import Conditions, OtfEffect, Parameter, SamplingEffect, number
+from .polar import components, size_and_angle
 
 UM = 1e-6
 
@@ -47,13 +48,11 @@ class AtmosphericDispersion(OtfEffect):
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """Size and direction."""
-        x, y = (float(v) for v in values)
-        return {"mas_per_um": float(np.hypot(x, y)), "angle_deg": float(np.rad2deg(np.arctan2(y, x)) % 360)}
+        return dict(zip(("mas_per_um", "angle_deg"), size_and_angle(*values), strict=True))
 
     def values_of(self, mas_per_um: float, angle_deg: float) -> list[float]:
         """Solver's parameters for a known dispersion."""
-        angle = np.deg2rad(angle_deg)
-        return [float(mas_per_um * np.cos(angle)), float(mas_per_um * np.sin(angle))]
+        return components(mas_per_um, angle_deg)
 
 
 class Spectrum(SamplingEffect):

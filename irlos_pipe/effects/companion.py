@@ -9,6 +9,7 @@ from ..optics.grids import OtfGrid
 from ..optics.propagate import MAS
 from .base import Conditions, Effect, OtfEffect, Parameter, number
 from .pinned import Pinned
+from .polar import components, size_and_angle
 
 STEP_MAS = 25.0  # of a search: less than the resolution at 1.2 µm
 INNER_MAS = 30.0  # closer than this the pair is unresolved
@@ -60,13 +61,12 @@ class Companion(OtfEffect):
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """Flux ratio, separation and position angle."""
         flux, x, y = (float(v) for v in values)
-        angle = float(np.rad2deg(np.arctan2(y, x)) % 360)
-        return {"flux_ratio": flux, "sep_mas": float(np.hypot(x, y)), "pa_deg": angle}
+        sep_mas, pa_deg = size_and_angle(x, y)
+        return {"flux_ratio": flux, "sep_mas": sep_mas, "pa_deg": pa_deg}
 
     def values_of(self, flux_ratio: float, sep_mas: float, pa_deg: float) -> list[float]:
         """Solver's parameters for a known companion."""
-        angle = np.deg2rad(pa_deg)
-        return [flux_ratio, float(sep_mas * np.cos(angle)), float(sep_mas * np.sin(angle))]
+        return [flux_ratio, *components(sep_mas, pa_deg)]
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
         """One per position on a grid over half the window about the star."""

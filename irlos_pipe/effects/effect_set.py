@@ -144,9 +144,7 @@ class EffectSet:
 
 
 def _held(effect: Effect | Pinned, values: torch.Tensor) -> Pinned:
-    if isinstance(effect, Pinned):
-        return Pinned(effect.effect, effect.all_values(values).numpy())
-    return Pinned(effect, values)
+    return Pinned(effect.bare, effect.all_values(values).numpy())
 
 
 def _derivatives(function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor) -> torch.Tensor:

@@ -35,8 +35,13 @@ class Pinned:
         """See `Effect.null_values`."""
         return [p.start if p.null is None else p.null for p in self.parameters]
 
-    def all_values(self, values) -> torch.Tensor:
-        """Values of all parameters of the effect, from those of the free ones."""
+    @property
+    def bare(self) -> Effect:
+        """See `Effect.bare`."""
+        return self.effect
+
+    def all_values(self, values: Sequence[float]) -> torch.Tensor:
+        """See `Effect.all_values`."""
         full = torch.as_tensor(self.values, dtype=torch.float64)
         if not self.free:
             return full

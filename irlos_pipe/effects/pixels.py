@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from .base import Conditions, DetectorEffect, Effect, Parameter, Public, number
+from .polar import components, size_and_angle
 
 NEIGHBOURS = ((0, 1), (2, 1), (1, 0), (1, 2))  # offsets in an image padded by one pixel
 
@@ -91,13 +92,11 @@ class BackgroundGradient(DetectorEffect):
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """Steepness and direction."""
-        x, y = (float(v) for v in values)
-        return {"e_per_pixel": float(np.hypot(x, y)), "angle_deg": float(np.rad2deg(np.arctan2(y, x)) % 360)}
+        return dict(zip(("e_per_pixel", "angle_deg"), size_and_angle(*values), strict=True))
 
     def values_of(self, e_per_pixel: float, angle_deg: float) -> list[float]:
         """Solver's parameters for a known slope."""
-        angle = np.deg2rad(angle_deg)
-        return [float(e_per_pixel * np.cos(angle)), float(e_per_pixel * np.sin(angle))]
+        return components(e_per_pixel, angle_deg)
 
 
 class BadPixels(DetectorEffect):

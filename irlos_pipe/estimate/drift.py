@@ -32,7 +32,7 @@ def measured_drift(effect: Effect | Pinned, nolls: Sequence[int], frames_nm: np.
     ValueError
         If a mode that is to drift is not estimated.
     """
-    bare = effect.effect if isinstance(effect, Pinned) else effect
+    bare = effect.bare
     missing = sorted(set(bare.nolls) - set(nolls))
     if missing:
         raise ValueError(f"ncpa_drift of Noll {missing}: only modes that are estimated can drift")

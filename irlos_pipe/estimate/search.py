@@ -87,7 +87,7 @@ class _Null:
         self.root = problem.root_weight[0].double().square().mean(0).sqrt()
         self.residual = (problem.images[0].double().mean(0) - image[0]) * self.root
         self.basis = torch.linalg.qr((columns[0].double() * self.root).mT)[0]  # (pixels, parameters)
-        self.own = _frozen(problem.model.effects, x[0, problem.layout.effect_values])
+        self.own = frozen(problem.model.effects, x[0, problem.layout.effect_values])
 
     def score(self, candidate: Effect | Pinned) -> Score:
         """See `score`."""
@@ -123,7 +123,7 @@ class _FrozenTransfer(OtfEffect):
         return factor * self.factor
 
 
-def _frozen(effects: EffectSet, values: torch.Tensor) -> list[Effect | Pinned]:
+def frozen(effects: EffectSet, values: torch.Tensor) -> list[Effect | Pinned]:
     """The effects held at `values`, those of the OTF as one; all as they are where wavelengths may move."""
     held = effects.held(values)
     if not held.at("otf") or held.at("sampling"):

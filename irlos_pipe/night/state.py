@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from irlos_pipe.errors import ExitCode
 from irlos_pipe.night.description import Description
 from irlos_pipe.night.discover import Unusable
 from irlos_pipe.night.grouping import LeftOut
@@ -11,7 +12,6 @@ from irlos_pipe.night.jobs import Job
 from irlos_pipe.night.reduce import UNCHANGED, Reduced
 
 DOUBTS = {"qc_failed": "a QC limit failed", "partial": "some exposures failed"}
-DONE, BAD_DATA, QUALITY, PARTIAL = 0, 3, 4, 5
 
 
 @dataclass
@@ -72,10 +72,10 @@ class Night:
         """By the contract: 5 when a part failed, 3 when all did, 4 when a limit or a band did."""
         succeeded = any(not one.failed for one in self.reduced.values())
         if self.failures:
-            return PARTIAL if succeeded else BAD_DATA
+            return ExitCode.PARTIAL if succeeded else ExitCode.BAD_DATA
         if any(one.status == "partial" for one in self.reduced.values()):
-            return PARTIAL
-        return QUALITY if self.doubts else DONE
+            return ExitCode.PARTIAL
+        return ExitCode.QUALITY if self.doubts else ExitCode.DONE
 
 
 @dataclass
@@ -92,4 +92,5 @@ class Ran:
     def exit_code(self) -> int:
         """That of the night if there is one; of several, 5 as soon as one failed."""
         codes = {night.exit_code for night in self.nights.values()}
-        return PARTIAL if len(codes) > 1 and codes & {BAD_DATA, PARTIAL} else max(codes, default=DONE)
+        partly = len(codes) > 1 and codes & {ExitCode.BAD_DATA, ExitCode.PARTIAL}
+        return ExitCode.PARTIAL if partly else max(codes, default=ExitCode.DONE)

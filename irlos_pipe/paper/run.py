@@ -6,14 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from irlos_pipe.errors import IrlosError
+from irlos_pipe.errors import ExitCode, IrlosError
 from irlos_pipe.paper.collect import collect_numbers, collect_reports, require_size
 from irlos_pipe.paper.experiments import Experiment
 from irlos_pipe.pipeline import Outcome, Resources, run_recipe
 from irlos_pipe.pipeline.runlog import RUN
 from irlos_pipe.runfolder import owned_folder
-
-PARTIAL, QUALITY_FAILED = 5, 4
 
 
 @dataclass
@@ -39,9 +37,9 @@ class Ran:
     def exit_code(self) -> int:
         """0, or 5 when an experiment failed or lost a part, or 4 when a QC limit did."""
         codes = {outcome.exit_code for outcome in self.outcomes.values()}
-        if self.problems or codes - {0, QUALITY_FAILED}:
-            return PARTIAL
-        return max(codes, default=0)
+        if self.problems or codes - {ExitCode.DONE, ExitCode.QUALITY}:
+            return ExitCode.PARTIAL
+        return max(codes, default=ExitCode.DONE)
 
 
 def run_paper(known: Sequence[Experiment], folder: Path, quick: bool, resources: Resources) -> Ran:

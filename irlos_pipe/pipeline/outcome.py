@@ -7,9 +7,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from irlos_pipe.errors import ExitCode
 from irlos_pipe.product import Product
 
-EXIT_CODES = {"ok": 0, "qc_failed": 4, "partial": 5, "failed": 1}
+EXIT_CODES = {
+    "ok": ExitCode.DONE,
+    "qc_failed": ExitCode.QUALITY,
+    "partial": ExitCode.PARTIAL,
+    "failed": ExitCode.UNEXPECTED,
+}
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from irlos_pipe.diagnose.screened_pixels import Screened
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.product import Product
 from irlos_pipe.recording import Recording
-from irlos_pipe.stages.light_path import in_time_order
+from irlos_pipe.stages.light_path import differences, in_time_order
 from irlos_pipe.stages.recordings import prefix_of, recordings_from_product
 
 COMMON = {"pixel_scale_mas": "pixel scale", "derotator_angle_deg": "derotator angle"}
@@ -81,17 +81,10 @@ def _size(diversity: dict[int, float]) -> float:
 
 def _require_common(recordings: list[Recording]) -> None:
     """Raise InputDataError unless window, pixel scale and derotator angle are the same."""
-    first = recordings[0]
     for other in recordings[1:]:
-        differing = [
-            words
-            for key, words in COMMON.items()
-            if getattr(other.acquisition, key) != getattr(first.acquisition, key)
-        ]
-        if other.window != first.window:
-            differing.append("window")
+        differing = differences(recordings[0], other, COMMON)
         if differing:
             raise InputDataError(
-                f"{other.name}: {' and '.join(differing)} of {first.name} are others; cubes diagnosed "
-                "together may differ in focus, diversity and band only"
+                f"{other.name}: {' and '.join(differing)} of {recordings[0].name} are others; cubes "
+                "diagnosed together may differ in focus, diversity and band only"
             )

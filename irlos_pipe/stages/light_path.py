@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -19,7 +19,7 @@ from irlos_pipe.stages.model import ModelConfig
 from irlos_pipe.stages.recordings import recordings_from_product
 
 DEFAULT_SEEING_ARCSEC = 0.8
-SETUP_KEYS = ("pixel_scale_mas", "spectrum", "diversity")
+SETUP_KEYS = {key: key for key in ("pixel_scale_mas", "spectrum", "diversity")}
 
 
 def psf_settings(
@@ -81,18 +81,20 @@ def seeing_arcsec(acquisition: Acquisition) -> float:
 
 def require_one_setup(recordings: Sequence[Recording]) -> None:
     """Raise InputDataError unless all recordings share window, pixel scale, spectrum and diversity."""
-    first = recordings[0]
     for other in recordings[1:]:
-        differing = [
-            key for key in SETUP_KEYS if getattr(other.acquisition, key) != getattr(first.acquisition, key)
-        ]
-        if other.window != first.window:
-            differing.append("window")
+        differing = differences(recordings[0], other, SETUP_KEYS)
         if differing:
             raise InputDataError(
-                f"{other.name}: {', '.join(differing)} differ from those of {first.name}; "
+                f"{other.name}: {', '.join(differing)} differ from those of {recordings[0].name}; "
                 "reduce recordings of different set-ups separately"
             )
+
+
+def differences(one: Recording, other: Recording, words: Mapping[str, str]) -> list[str]:
+    """What differs between two recordings, in `words` for numbers of the acquisition, or the window."""
+    here, there = one.acquisition, other.acquisition
+    differing = [said for key, said in words.items() if getattr(here, key) != getattr(there, key)]
+    return differing if one.window == other.window else [*differing, "window"]
 
 
 def used_in_time_order(ingest: Product, input_name: str) -> list[Recording]:
