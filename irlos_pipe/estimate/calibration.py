@@ -29,6 +29,8 @@ from .total_wavefront import effects_in_modes_nm
 from .twin import TwinCheck, check_twin
 
 FRAME_MARGIN_MAS = 100.0  # field beyond the window, for fits of single frames
+FRAME_PUPIL_SAMPLES = 64  # across the diameter, for the same; errs by 1e-4 of the peak at 150 nm RMS
+ROUGH_ITERATIONS = 8  # of the few frames whose median all others start from
 
 
 @dataclass(frozen=True)
@@ -171,7 +173,10 @@ class _Task:
     ) -> tuple[ImageFit, Solution]:
         """Fit with these effects, from scratch or from the modes of another fit."""
         problem = _problem(self.frames, ImageModel(self.psf, effects), self.method, self.options)
-        start = _start(self.frames, problem, self.psf.settings, self.start_nm)
+        if self.method.images == "frames" and self.start_nm is None:
+            start = _frames_start(self.frames, problem)
+        else:
+            start = _start(self.frames, problem, self.psf.settings, self.start_nm)
         if near is not None:
             start[:, problem.layout.modes] = near[1].values[:, near[0].layout.modes]
         solution = _solve(problem, start, self.options, self.report)
@@ -198,8 +203,12 @@ def _psf_model(settings: PsfSettings, method: Method, nolls: Sequence[int], devi
     """
     if method.images == "mean":
         return PsfModel(settings, nolls, device=device, dtype=torch.float64)
-    narrow = min(settings.margin_mas, FRAME_MARGIN_MAS)
-    return PsfModel(replace(settings, margin_mas=narrow), nolls, device=device)
+    quick = replace(
+        settings,
+        margin_mas=min(settings.margin_mas, FRAME_MARGIN_MAS),
+        pupil_samples=min(settings.pupil_samples, FRAME_PUPIL_SAMPLES),
+    )
+    return PsfModel(quick, nolls, device=device)
 
 
 # -- the problem -----------------------------------------------------------------------------
@@ -237,6 +246,20 @@ def _start(frames: Frames, problem: ImageFit, settings: PsfSettings, start_nm=No
     if start_nm is not None:
         common = min(len(start_nm), len(problem.layout.nolls))
         x[:, :common] = torch.as_tensor(start_nm[:common])
+    return x
+
+
+def _frames_start(frames: Frames, problem: ImageFit) -> torch.Tensor:
+    """What a few frames agree on, which is close for all; tip and tilt of every frame by itself."""
+    model = problem.model.psf
+    median_nm = median_of_frames_nm(
+        model, frames.images_e, frames.pixel_mask, frames.noise, ROUGH_ITERATIONS
+    )
+    x = _start(frames, problem, model.settings)
+    scale, diameter = model.settings.pixel_scale_mas, model.settings.geometry.diameter_m
+    modelled = start_tilts_nm(model.images(median_nm[None]).double().cpu(), scale, diameter)
+    x[:, :2] += median_nm[:2] - modelled
+    x[:, 2 : len(median_nm)] = median_nm[2:]
     return x
 
 
