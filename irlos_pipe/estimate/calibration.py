@@ -15,6 +15,7 @@ from ..psf import PsfModel, PsfSettings
 from .centring import start_tilts_nm
 from .cube import Frames, mean_variance_e2
 from .drift import drifts, measured_drift
+from .frame_settings import frame_settings
 from .image_fit import ImageFit, masked_variance
 from .lbfgs import solve_lbfgs
 from .loss import LOSSES
@@ -28,8 +29,6 @@ from .solve import Solution, solve
 from .total_wavefront import effects_in_modes_nm
 from .twin import TwinCheck, check_twin
 
-FRAME_MARGIN_MAS = 100.0  # field beyond the window, for fits of single frames
-FRAME_PUPIL_SAMPLES = 64  # across the diameter, for the same; errs by 1e-4 of the peak at 150 nm RMS
 ROUGH_ITERATIONS = 8  # of the few frames whose median all others start from
 
 
@@ -196,19 +195,10 @@ def _fit_steady(task: _Task, effects: Sequence[Effect | Pinned]) -> tuple[ImageF
 
 
 def _psf_model(settings: PsfSettings, method: Method, nolls: Sequence[int], device: str) -> PsfModel:
-    """PSF model: quick for single frames, whose noise hides the difference, exact for the mean.
-
-    With the field of single frames, χ²/ν of the mean of 60 noise-limited frames was 1.14 instead of
-    0.99, and the rounding of float32 kept its fit from converging.
-    """
+    """PSF model: quick for single frames, exact for the mean; rounding of float32 would stall its fit."""
     if method.images == "mean":
         return PsfModel(settings, nolls, device=device, dtype=torch.float64)
-    quick = replace(
-        settings,
-        margin_mas=min(settings.margin_mas, FRAME_MARGIN_MAS),
-        pupil_samples=min(settings.pupil_samples, FRAME_PUPIL_SAMPLES),
-    )
-    return PsfModel(quick, nolls, device=device)
+    return PsfModel(frame_settings(settings), nolls, device=device)
 
 
 # -- the problem -----------------------------------------------------------------------------

@@ -47,7 +47,7 @@ class ImageFit:
         loss: Loss = GAUSSIAN,
     ):
         self.model, self.layout, self.loss = model, layout, loss
-        self.reweighted = not loss.quadratic
+        self.reweighted, self.tolerance = not loss.quadratic, CHI2_TOLERANCE
         self.images = images_e
         self.device = model.psf.device
         self.held = model.effects.starts
@@ -75,7 +75,7 @@ class ImageFit:
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
         """Fall of χ² that no longer matters: errors being scaled by √(χ²/ν), a part of χ²/ν."""
         scatter = (2 * value / self.freedom).clamp_min(1.0)
-        return torch.maximum(CHI2_TOLERANCE * scatter, self.loss.relative_tolerance * value)
+        return torch.maximum(self.tolerance * scatter, self.loss.relative_tolerance * value)
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         """Sum of the loss over pixels plus the prior's half χ², (b,)."""
