@@ -25,13 +25,16 @@ RUNS ?= runs
 # What `make simulate` makes, and where.
 SPEC ?= recipes/simulations/on_sky.yaml
 OUT ?= $(RUNS)/simulation
+# What `make night` reduces, and where the results of all nights are.
+NIGHT ?= data_samples
+TREE ?= $(RUNS)/nights
 
 .DEFAULT_GOAL := help
-.PHONY: help env env-test demo test bench lint clean full calibrate dip-global ramp sensitivity
-.PHONY: paper paper-quick paper-tables simulate
+.PHONY: help env env-test demo test bench fuzz faults lint clean full calibrate dip-global ramp sensitivity
+.PHONY: paper paper-quick paper-tables simulate night diagnose-suite
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 env: $(VENV)/.env-run ## create the environment in .venv (PYTHON=..., TORCH_INDEX=...)
 env-test: $(VENV)/.env-test ## the same with what the tests need
@@ -57,6 +60,15 @@ test: env-test ## run the tests, one process per processor
 
 bench: env-test ## time dip_global against other implementations
 	$(BIN)/python -m benchmarks $(ARGS)
+
+diagnose-suite: env-test ## hide every effect in simulated cubes and score diagnose, hours (ARGS="--sample 20 --jobs 2")
+	$(BIN)/python -m benchmarks.diagnose_suite --output $(RUNS)/diagnose-suite $(ARGS)
+
+fuzz: env-test ## some thousand damaged and hostile inputs (ARGS="--cases 2000 --seed 1 --jobs 2")
+	PYTHONPATH=tests $(BIN)/python -m fuzz $(ARGS)
+
+faults: env-test ## kill runs and fill their disks at random moments (ARGS="--kills 200 --seed 1")
+	PYTHONPATH=tests $(BIN)/python -m faults $(ARGS)
 
 lint: env-test ## check the style
 	$(BIN)/ruff check .
@@ -88,6 +100,9 @@ paper-tables: env ## after make paper: its numbers to docs/paper_results.json, a
 
 simulate: env ## recordings with a known truth (SPEC=recipes/simulations/on_sky.yaml, OUT=...)
 	$(BIN)/irlos simulate $(SPEC) --output $(OUT) $(ARGS)
+
+night: env ## reduce what is new or out of date in a night or an archive (NIGHT=..., TREE=...)
+	$(BIN)/irlos night $(NIGHT) --output $(TREE) $(ARGS)
 
 clean: ## remove what building and testing left (not the environment, not runs/)
 	rm -rf build dist demo .pytest_cache .ruff_cache

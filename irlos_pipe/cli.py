@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 import irlos_pipe
+from irlos_pipe.cli_night import night, trend
+from irlos_pipe.cli_options import FOLDER, recipe_options, resources_of
 from irlos_pipe.exits import EXIT_CODES, IrlosGroup, tell, terminated_like_interrupted
 
 # Commands import what they need when they run: the help should not wait for PyTorch.
 if TYPE_CHECKING:
-    from irlos_pipe.pipeline import Outcome, Resources
-
-# Whether a path can be read is told by what reads it, in one line.
-FOLDER = click.Path(path_type=Path, readable=False)
+    from irlos_pipe.pipeline import Outcome
 
 
 @click.group(cls=IrlosGroup, epilog=EXIT_CODES, context_settings={"help_option_names": ["-h", "--help"]})
@@ -34,21 +32,6 @@ def cli() -> None:
 
     Each command explains itself: irlos COMMAND --help
     """
-
-
-def recipe_options(command: Callable) -> Callable:
-    """Add the recipe and the options that change it."""
-    for decorate in (
-        click.option("--seed", type=click.IntRange(min=0), metavar="N",
-                     help="Seed of random draws (default: the recipe's)."),
-        click.option("--set", "settings", metavar="STAGE.KEY=VALUE", multiple=True,
-                     help="Change a value of the recipe; VALUE is YAML. May be repeated."),
-        click.option("--input", "inputs", metavar="NAME=PATH", multiple=True,
-                     help="File or folder for an input of the recipe; a NAME given again makes a list."),
-        click.argument("recipe", type=FOLDER),
-    ):
-        command = decorate(command)
-    return command
 
 
 @cli.command(epilog=EXIT_CODES)
@@ -98,7 +81,7 @@ def run(recipe: Path, output: Path, first: str, last: str, force: bool, dry_run:
         click.echo(plan_text(plan_run(checked, output, selection)[1], as_json))
         return
     with terminated_like_interrupted(), messages(-1 if quiet else verbose):
-        outcome = run_recipe(checked, output, selection, _resources(device, jobs, quiet))
+        outcome = run_recipe(checked, output, selection, resources_of(device, jobs, quiet))
     _finish(outcome, as_json, quiet)
 
 
@@ -235,7 +218,7 @@ def simulate(spec: Path, output: Path, settings: tuple[str, ...], seed: int | No
     if dry_run:
         click.echo(aligned(campaign.plan_rows(campaign.plan_simulation(checked, output, force))))
         return
-    resources = _resources("cpu", jobs, quiet)
+    resources = resources_of("cpu", jobs, quiet)
     with terminated_like_interrupted(), messages(-1 if quiet else 0):
         campaign.simulate(checked, output, force, resources.jobs, resources.progress)
     if not quiet:
@@ -296,7 +279,7 @@ def paper(output: Path, quick: bool, only: tuple[str, ...], recipes: Path, jobs:
         raise click.UsageError("-v and -q exclude each other")
     experiments = find_experiments(recipes, quick=quick, only=only, seed=seed)
     with terminated_like_interrupted(), messages(-1 if quiet else verbose):
-        ran = run_paper(experiments, output, quick, _resources("cpu", jobs, quiet))
+        ran = run_paper(experiments, output, quick, resources_of("cpu", jobs, quiet))
     if not quiet:
         click.echo(ran_text(ran))
     for name, problem in ran.problems.items():
@@ -315,9 +298,5 @@ def _finish(outcome: Outcome, as_json: bool, quiet: bool) -> NoReturn:
     sys.exit(outcome.exit_code)
 
 
-def _resources(device: str, jobs: int | None, quiet: bool) -> Resources:
-    from irlos_pipe.pipeline import resources
-
-    show_bars = sys.stderr.isatty() and not quiet
-    return resources.Resources(resources.resolve_device(device), jobs or resources.available_cpus(),
-                               resources.terminal_progress if show_bars else resources.silent_progress)
+for command in (night, trend):
+    cli.add_command(command)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from irlos_pipe.errors import IrlosError
+from irlos_pipe.errors import ConfigurationError, InputDataError, IrlosError
 
 EXIT_CODES = """\b
 Exit codes:
@@ -39,7 +39,7 @@ class IrlosGroup(click.Group):
         try:
             return super().invoke(ctx)
         except IrlosError as error:
-            tell(str(error) or type(error).__name__)
+            tell(_lines(error))
             ctx.exit(error.exit_code)
         except KeyboardInterrupt:
             tell("interrupted; finished products stay, run the same command to go on")
@@ -47,8 +47,17 @@ class IrlosGroup(click.Group):
         except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except Exception as error:
+            if isinstance(error, OSError) and error.filename:  # a path that was given
+                tell(f"{error.filename}: {error.strerror}")
+                ctx.exit(InputDataError.exit_code)
             tell(f"unexpected {type(error).__name__}: {error}; the traceback is in {_saved_traceback()}")
             ctx.exit(1)
+
+
+def _lines(error: IrlosError) -> str:
+    """All complaints about a configuration, a line each; anything else in one line."""
+    text = str(error) or type(error).__name__
+    return text if isinstance(error, ConfigurationError) else " ".join(text.splitlines())
 
 
 def tell(message: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
@@ -137,9 +138,18 @@ class _Values:
     def resolve(self, reference: str | Ratio) -> float:
         """Return the value of a fact, or the first one divided by the others."""
         if isinstance(reference, str):
-            return float(self[reference])
+            return self._number(reference)
         first, *others = reference.divide
-        return float(self[first]) / prod(float(self[name]) for name in others)
+        divisor = prod(self._number(name) for name in others)
+        if divisor == 0:
+            raise ConfigurationError(f"'{first}' cannot be divided by {', '.join(others)}, which make zero")
+        return self._number(first) / divisor
+
+    def _number(self, name: str) -> float:
+        value = self[name]
+        if not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise ConfigurationError(f"fact '{name}' = {value!r} should be a number")
+        return float(value)
 
 
 def _pupil(values: _Values) -> PupilGeometry:

@@ -11,7 +11,8 @@ Layout of the file::
     /provenance      JSON: inputs, versions, host, times, key
     /log             one line per message
 
-Nothing but ``provenance`` and ``log`` depends on when and where the file was made.
+Nothing but ``provenance`` and ``log`` depends on when and where the file was made. A checksum of all
+stands in front (`irlos_pipe.seal`).
 """
 
 from __future__ import annotations
@@ -24,14 +25,15 @@ from typing import Any
 
 import h5py
 import numpy as np
+from pydantic import BaseModel
 
 from irlos_pipe.atomic import write_bytes
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.jsonable import json_text
+from irlos_pipe.seal import BLOCK_BYTES, require_self_contained, require_unchanged, seal
 
 SCHEMA = "irlos-product"
 SCHEMA_VERSION = 1
-SECTIONS = ("results", "checks", "config", "provenance", "log")
 COMPRESS_ABOVE_BYTES = 4096
 
 
@@ -109,6 +111,51 @@ class Product:
     log: list[str] = field(default_factory=list)
 
 
+class _CheckEntry(BaseModel):
+    """A check as it stands in the file; NaN is null there."""
+
+    name: str
+    value: int | float | None
+    unit: str
+    low: int | float | None
+    high: int | float | None
+    message: str
+
+    def check(self) -> Check:
+        value = np.nan if self.value is None else self.value
+        return Check(self.name, value, self.unit, self.low, self.high, self.message)
+
+
+class _InputEntry(BaseModel):
+    """A file that a stage read; there may be more of it."""
+
+    label: str
+    sha256: str
+
+
+class _Provenance(BaseModel):
+    """What the pipeline reads of the provenance; there may be more."""
+
+    key: str = ""
+    parts: dict[str, Any] = {}
+    summary: list[str] = []
+    failures: list[str] = []
+    files: list[str] = []
+    inputs: list[_InputEntry] = []
+    software: dict[str, str] = {}
+    machine: dict[str, Any] = {}
+
+
+class _Sections(BaseModel):
+    """The JSON sections of the file."""
+
+    results: dict[str, Any]
+    checks: list[_CheckEntry]
+    config: dict[str, Any]
+    provenance: _Provenance
+    log: list[str]
+
+
 def write_product(product: Product, path: Path) -> None:
     """Write a product atomically.
 
@@ -119,12 +166,13 @@ def write_product(product: Product, path: Path) -> None:
     """
     # HDF5 builds the file in memory: it cannot recover from a disk that fills up half way.
     buffer = io.BytesIO()
-    with h5py.File(buffer, "w") as file:
+    with h5py.File(buffer, "w", userblock_size=BLOCK_BYTES) as file:
         file.attrs.update(schema=SCHEMA, schema_version=SCHEMA_VERSION, stage=product.stage)
         for name, quantity in product.arrays.items():
             _write_quantity(file, name, quantity)
         for section, content in _sections(product).items():
             file.create_dataset(section, data=json_text(content), track_times=False)
+    seal(buffer.getbuffer())
     write_bytes(Path(path), buffer.getbuffer())
 
 
@@ -142,11 +190,16 @@ def read_product(path: Path, *, arrays: bool = True) -> Product:
     if not path.is_file():
         raise InputDataError(f"{path}: no such product")
     try:
+        require_unchanged(path)
         with h5py.File(path, "r") as file:
             _require_schema(file, path)
+            require_self_contained(file)
             return _read_open_file(file, arrays)
-    except (OSError, KeyError, RuntimeError, ValueError) as error:
-        raise InputDataError(f"{path}: not a readable product, truncated or damaged ({error}); "
+    except InputDataError:
+        raise
+    except Exception as error:  # a damaged file can raise nearly anything from inside HDF5
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        raise InputDataError(f"{path}: not a readable product, truncated or damaged ({reason}); "
                              "remove it and run again") from error
 
 
@@ -183,14 +236,10 @@ def _require_schema(file: h5py.File, path: Path) -> None:
 
 
 def _read_open_file(file: h5py.File, arrays: bool) -> Product:
-    content = {section: json.loads(file[section].asstr()[()]) for section in SECTIONS}
-    content["checks"] = [_check_from(entry) for entry in content["checks"]]
-    return Product(stage=file.attrs["stage"], arrays=_read_arrays(file) if arrays else {}, **content)
-
-
-def _check_from(entry: dict[str, Any]) -> Check:
-    value = np.nan if entry["value"] is None else entry["value"]
-    return Check(entry["name"], value, entry["unit"], entry["low"], entry["high"], entry["message"])
+    found = {name: json.loads(file[name].asstr()[()]) for name in _Sections.model_fields}
+    checks = [entry.check() for entry in _Sections.model_validate(found).checks]
+    return Product(stage=str(file.attrs["stage"]), arrays=_read_arrays(file) if arrays else {},
+                   **found | {"checks": checks})
 
 
 def _read_arrays(file: h5py.File) -> dict[str, Quantity]:

@@ -92,6 +92,8 @@ class Recording:
         Time since the first frame, counter of the recorder, introduced defocus [nm RMS].
     background_variance_e2 : float
         Variance per pixel beyond read noise and source photons, e.g. of the background [e-²].
+    dark_variance_e2 : float
+        Variance per pixel of the dark image that was taken from every frame [e-²].
     frames_missing : int
         Frames the recorder lost (gaps of the counter).
     start_unix_s : float
@@ -109,6 +111,7 @@ class Recording:
     introduced_defocus_nm: np.ndarray
     acquisition: Acquisition
     background_variance_e2: float = 0.0
+    dark_variance_e2: float = 0.0
     frames_missing: int = 0
     start_unix_s: float = float("nan")
 

@@ -80,7 +80,7 @@ class RunFolder:
     def _told_stages(self) -> set[str]:
         try:
             return set(json.loads(self.results.read_text())["stages"])
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise InputDataError(f"{self.results}: cannot be read ({error}); run the recipe again") from error
 
 

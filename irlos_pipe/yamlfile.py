@@ -14,7 +14,7 @@ import yaml
 
 from irlos_pipe.errors import ConfigurationError, IrlosError
 
-MAX_BYTES = 4_000_000
+MAX_BYTES = 1_000_000  # some seconds of parsing; one defocus per frame of 100 000 frames
 MAX_DEPTH = 30
 
 
@@ -106,9 +106,11 @@ def line_of(lines: dict[tuple, int], key_path: tuple) -> int:
 
 def _read_text(path: Path, error: type[IrlosError]) -> str:
     try:
-        if path.stat().st_size > MAX_BYTES:
+        with path.open("rb") as stream:
+            content = stream.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
             raise error(f"{path}: larger than {MAX_BYTES // 1_000_000} MB; this is not a settings file")
-        return path.read_text(encoding="utf-8-sig")
+        return content.decode("utf-8-sig")
     except OSError as exc:
         raise error(f"{path}: cannot be read: {exc.strerror or exc}") from None
     except UnicodeDecodeError:
@@ -138,7 +140,14 @@ def _build(node: yaml.Node | None, key_path: tuple, lines: dict[tuple, int], loa
             lines[(*key_path, index)] = child.start_mark.line + 1
             items.append(_build(child, (*key_path, index), lines, loader))
         return items
-    return None if node is None else loader.construct_object(node)
+    return None if node is None else _scalar(node, loader)
+
+
+def _scalar(node: yaml.ScalarNode, loader: _Loader) -> Any:
+    value = loader.construct_object(node)
+    if isinstance(value, str) and any("\ud800" <= letter <= "\udfff" for letter in value):
+        raise _Refused(node.start_mark.line + 1, "half of a surrogate pair is no letter; write the letter")
+    return value
 
 
 def _build_mapping(node: yaml.MappingNode, key_path: tuple, lines: dict[tuple, int], loader: _Loader) -> dict:
@@ -147,7 +156,7 @@ def _build_mapping(node: yaml.MappingNode, key_path: tuple, lines: dict[tuple, i
         line = key_node.start_mark.line + 1
         if not isinstance(key_node, yaml.ScalarNode):
             raise _Refused(line, "a key must be a plain word or number")
-        key = loader.construct_object(key_node)
+        key = _scalar(key_node, loader)
         if key in data:
             raise _Refused(line, f"key '{key}' is given twice (first on line {lines[(*key_path, key)]})")
         lines[(*key_path, key)] = line

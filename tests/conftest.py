@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,3 +73,9 @@ def bench(tmp_path, monkeypatch) -> Bench:
     (bench.data / "a.dat").write_bytes(b"12345")
     (bench.data / "b.dat").write_bytes(b"123")
     return bench
+
+
+def pytest_configure():
+    """Let Ctrl-C end the processes that tests start: a suite in the background makes them ignore it."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)

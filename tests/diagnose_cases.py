@@ -10,6 +10,7 @@ from reference_psf import ReferenceImager, reference
 
 from irlos_pipe.diagnose.decide import Options
 from irlos_pipe.diagnose.verdict import Diagnosis
+from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.diagnose.workflow import diagnose
 from irlos_pipe.effects import Conditions
 from irlos_pipe.estimate.cube import Frames
@@ -63,4 +64,4 @@ def cube(image: np.ndarray, seed: int = 3) -> Frames:
 def diagnosis_of(kind: str) -> Diagnosis:
     """Diagnosis of one of the images above, made once per test process."""
     image = {"plain": plain, "companion": with_companion, "spot": with_opaque_spot}[kind]()
-    return diagnose(cube(image), CASE, CONDITIONS, [], Options(HIGHEST_NOLL))
+    return diagnose([Exposures(cube(image), CASE, CONDITIONS)], [], Options(HIGHEST_NOLL))

@@ -12,7 +12,8 @@ PACKAGE = Path(__file__).parents[1] / "irlos_pipe"
 # Layer: (its modules and packages, the other layers it may import).
 LAYERS = {
     "errors": ({"errors"}, set()),
-    "frames": ({"recording", "detector", "noise", "bandlimit", "blemishes", "photon_transfer", "screening"},
+    "frames": ({"recording", "detector", "noise", "bandlimit", "blemishes", "dark_noise", "photon_transfer",
+                "screening"},
                {"errors"}),
     "geometry": ({"geometry", "seeing"}, set()),
     "model": ({"optics", "effects", "psf", "image_model", "parallel"}, {"errors", "geometry"}),
@@ -22,7 +23,7 @@ LAYERS = {
     "experiments": ({"experiments"}, {"errors", "frames", "geometry", "model", "estimate", "simulate"}),
     "files": ({"atomic", "jsonable", "yamlfile", "complaints", "overrides"}, {"errors"}),
     "processes": ({"processes"}, set()),
-    "product": ({"product", "runfolder"}, {"errors", "files"}),
+    "product": ({"product", "seal", "runfolder"}, {"errors", "files"}),
     "instrument": ({"instrument", "instrument_profile"}, {"errors", "files", "geometry"}),
     "reading": ({"sparta", "cleaning"}, {"errors", "files", "frames", "geometry", "instrument"}),
     "campaign": ({"campaign"},
@@ -38,8 +39,11 @@ LAYERS = {
     "text": ({"terminal", "show", "export"}, {"errors", "files", "product", "recipe", "pipeline"}),
     "paper": ({"paper"},
               {"errors", "files", "product", "recipe", "stages", "report", "pipeline", "text"}),
-    "commands": ({"cli", "exits", "__main__"},
-                 {"errors", "campaign", "product", "recipe", "pipeline", "report", "text", "paper"}),
+    "night": ({"night"},
+              {"errors", "files", "processes", "product", "instrument", "reading", "recipe", "stages",
+               "report", "pipeline", "text"}),
+    "commands": ({"cli", "cli_night", "cli_options", "exits", "__main__"},
+                 {"errors", "campaign", "product", "recipe", "pipeline", "report", "text", "paper", "night"}),
 }
 # Science knows no files, no HDF5, no YAML and no command line: this is all it may use.
 SCIENCE = ("frames", "geometry", "model", "simulate", "estimate", "experiments")
@@ -117,4 +121,4 @@ def test_the_guard_sees_forbidden_imports_and_lets_others_pass(source, module, e
 
 def test_only_the_commands_know_click():
     users = {str(module) for module in MODULES if "click" in imports(text(module), module)}
-    assert users == {"irlos_pipe/cli.py", "irlos_pipe/exits.py"}
+    assert users == {f"irlos_pipe/{name}.py" for name in ("cli", "cli_night", "cli_options", "exits")}

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from astropy.io import fits
 from campaign_specs import CUBE, RAMP, simulated, spec_of, truth
+
+from irlos_pipe.campaign.folder import SimulationFolder
 
 
 def test_the_truth_is_the_wavefront_that_was_put_in(tmp_path):
@@ -44,3 +48,17 @@ def test_the_wavefront_file_agrees_with_the_coefficients(tmp_path):
     told = truth(tmp_path / "out", "cube")["mean_zernike_nm"]
     assert np.array_equal(np.isfinite(opd_nm), clear > 0) and zernike_nm.shape == (3, 30)
     assert zernike_nm.mean(axis=0) == pytest.approx(list(told.values()), abs=1e-4)
+
+
+def test_a_truth_that_names_a_folder_elsewhere_removes_nothing_there(tmp_path):
+    target = SimulationFolder(tmp_path / "sim")
+    (tmp_path / "sim" / "truth").mkdir(parents=True)
+    (tmp_path / "sim" / "data" / "mine").mkdir(parents=True)
+    (tmp_path / "precious").mkdir()
+    for name, told in (("x", "../../precious"), ("y", "mine"), ("z", ".")):
+        forged = {"simulation": {"recording": {"name": told}}}
+        (tmp_path / "sim" / "truth" / f"{name}.json").write_text(json.dumps(forged))
+        target.remove(name)
+    assert (tmp_path / "precious").is_dir()
+    assert list((tmp_path / "sim" / "data").iterdir()) == []
+    assert list((tmp_path / "sim" / "truth").iterdir()) == []

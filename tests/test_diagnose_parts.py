@@ -6,6 +6,8 @@ Truth: scipy's distributions, Monte Carlo, finite differences, and what was put 
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,18 +18,23 @@ from scipy import stats
 from irlos_pipe.diagnose.bad_pixel_check import outstanding_pixels
 from irlos_pipe.diagnose.companion_search import brightest_companions
 from irlos_pipe.diagnose.cube import Cube, Stack, split
+from irlos_pipe.diagnose.decide import by_plausibility
 from irlos_pipe.diagnose.detect import gaussian_sigma, score_family, scores
 from irlos_pipe.diagnose.drift_check import measure_drift
 from irlos_pipe.diagnose.families import Family, families
-from irlos_pipe.diagnose.fitting import Fitted, Fitter
-from irlos_pipe.diagnose.held_out import Judge, noise_floor, preference
+from irlos_pipe.diagnose.fitting import Fitted, Fitter, most_plausible
+from irlos_pipe.diagnose.held_out import Gap, Judge, noise_floor, preference
 from irlos_pipe.diagnose.motion_check import motion_ratio
 from irlos_pipe.diagnose.noise_check import judge_noise
 from irlos_pipe.diagnose.optimum import Optimum
-from irlos_pipe.diagnose.sizes import detectable, public_sigma
-from irlos_pipe.effects import Conditions, TipTiltJitter
+from irlos_pipe.diagnose.refit import refits
+from irlos_pipe.diagnose.screened_pixels import Screened, screened_step
+from irlos_pipe.diagnose.sizes import detectable, determined, public_sigma
+from irlos_pipe.diagnose.view import View
+from irlos_pipe.effects import CATALOGUE, Conditions, PlateScale, TipTiltJitter
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.motion import Vibration
+from irlos_pipe.effects.pixels import BackgroundGradient
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.image_model import ImageModel
 from irlos_pipe.noise import NoiseModel
@@ -37,6 +44,7 @@ WINDOW, NOLLS, FRAMES, FLUX_E = 32, tuple(range(2, 12)), 40, 3e5
 CASE = settings(WINDOW, margin_mas=100.0, halo_margin_mas=250.0)
 CONDITIONS = Conditions(BAND, 0.5, DIVERSITY, NOLLS[-1], CASE.window, 9.7, CASE.spectrum)
 TRUE_NM = ncpa_nm(4, NOLLS[-1], 90.0)
+STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
 
 
 @functools.cache
@@ -66,7 +74,7 @@ def optimum(stack: Stack, effects=()) -> Optimum:
 
 
 def fitted(stack: Stack, effects=()) -> Fitted:
-    return Fitter(model(), stack).fit(effects)
+    return Fitter([View(model(), CONDITIONS)], stack).fit(effects)
 
 
 # -- frames ------------------------------------------------------------------------------------
@@ -134,6 +142,16 @@ def test_scores_of_clean_frames_stay_below_the_threshold_and_inflate_nothing():
     assert max(score.significance for score in found) < 5
 
 
+@pytest.mark.parametrize(("lower_by", "chosen"), [(20.0, 0), (20_000.0, 1)])
+def test_rounding_of_a_large_chi2_decides_nothing_between_twins_but_a_better_fit_does(lower_by, chosen):
+    problem = SimpleNamespace(freedom=1000)
+    small, large = (
+        SimpleNamespace(chi2=chi2, penalty=penalty, problem=problem)
+        for chi2, penalty in ((100_000.0, 2.0), (100_000.0 - lower_by, 12.0))
+    )
+    assert most_plausible([small, large]) is (small, large)[chosen]
+
+
 # -- single effects ----------------------------------------------------------------------------
 
 
@@ -169,6 +187,40 @@ def test_a_hot_pixel_stands_out_and_nothing_else():
     assert outstanding_pixels(optimum(cube(image()).training)) == []
 
 
+def test_of_names_that_fit_alike_one_that_is_plausible_comes_first():
+    """5 % more wavelength is 5 % less of a pixel in a narrow band, which no lens makes; filters do differ."""
+    stack = cube(image(effect=PlateScale(), values=[-0.045]))
+    at_rest = optimum(stack.training)
+    present, _ = families(CONDITIONS, [n for n in CATALOGUE if n not in ("plate_scale", "spectrum")])
+    fitter = Fitter([View(model(), CONDITIONS)], stack.training)
+    ranked = refits(fitter, at_rest, scores(at_rest, present))
+    ranked.sort(key=lambda one: one.name)  # plate_scale first
+    judges = [Judge(stack.held_out, one.fitted) for one in ranked]
+    first, second = by_plausibility(ranked, judges)[0]
+    assert (first.name, second.name) == ("spectrum", "plate_scale")
+    assert second.implausible and not first.implausible
+
+
+def test_a_stop_that_is_off_is_fitted_with_its_turn_although_either_is_searched_for_alone():
+    score = score_family(optimum(cube(image()).training), Family("pupil_misregistration", (STOP,)))
+    assert {p.name for p in score.start().parameters} == {"distance_m", "direction_rad", "rotation_deg"}
+    sizes = [detectable(one, 30.0).keys() for one in (score, *score.besides)]
+    assert sorted(key for keys in sizes for key in keys) == ["dx_m", "dy_m", "rotation_deg"]
+
+
+def test_a_masked_pixel_is_named_if_it_showed_something_else_than_the_star():
+    at_rest = optimum(cube(image()).training)
+    star_e = float(image()[5, 22])
+    gap = Gap(0.01, 0.01, 0.01)
+    right, hot = Screened(5, 22, star_e), Screened(5, 22, star_e + 60)
+    assert screened_step([right], at_rest, FRAMES, gap) is None
+    step = screened_step([right, hot], at_rest, FRAMES, gap)
+    assert (step.name, step.public) == ("bad_pixels", {"pixels": [[5, 22]]})
+    assert step.significance > 5
+    light_e = float(at_rest.fitted.image_e.sum())
+    assert step.gap.before == pytest.approx((0.01 * light_e + 60) / (light_e + star_e + 60), rel=1e-2)
+
+
 def test_a_drift_is_measured_with_its_sign():
     true = {5: 25.0, 8: -18.0}
     course = np.linspace(-0.5, 0.5, FRAMES)
@@ -198,8 +250,28 @@ def test_the_held_out_frames_prefer_the_true_model_and_its_gap_is_that_of_noise(
     without = Judge(parts.held_out, fitted(parts.training))
     with_it = Judge(parts.held_out, fitted(parts.training, [Vibration(start_angle_deg=30.0)]))
     assert preference(with_it, without) > 3
-    assert with_it.gap == pytest.approx(noise_floor(parts.held_out), rel=0.1)
+    assert with_it.gap == pytest.approx(noise_floor(with_it), rel=0.1)
     assert with_it.gap < without.gap
+
+
+def test_directions_that_only_the_prior_holds_are_no_part_of_an_effects_error():
+    """Two parameters with a prior of 300 whose difference alone is measured, to ±2: by hand ±1 each."""
+    prior = np.eye(2) / 300.0**2
+    measured = np.outer([1, -1], [1, -1]) / 2.0**2
+    effect = SimpleNamespace(parameters=2 * (SimpleNamespace(prior_sigma=300.0),))
+    own = determined(effect, np.linalg.inv(measured + prior))
+    assert np.sqrt(np.diag(own)) == pytest.approx([1.0, 1.0], rel=1e-3)
+
+
+def test_motion_from_frame_to_frame_does_not_raise_the_floor_of_the_gap():
+    """Monte Carlo: frames that differ by a tilt, which is refitted, and by photons."""
+    rng = np.random.default_rng(9)
+    still = image()
+    moved = np.array([image({**TRUE_NM, 2: TRUE_NM[2] + 8 * rng.standard_normal()}) for _ in range(FRAMES)])
+    calm, shaken = (split(frames(mean)).limited_by(False) for mean in (still, moved))
+    floors = [noise_floor(Judge(one.held_out, fitted(one.training))) for one in (calm, shaken)]
+    photons = noise_floor(Judge(cube(still).held_out, fitted(cube(still).training)))
+    assert floors == pytest.approx([photons, photons], rel=0.15)
 
 
 def test_errors_of_public_values_follow_from_those_of_the_solver():
@@ -211,3 +283,20 @@ def test_errors_of_public_values_follow_from_those_of_the_solver():
     sigma = public_sigma(companion, values, covariance)
     for key in ("flux_ratio", "sep_mas", "pa_deg"):
         assert sigma[key] == pytest.approx(np.std([one[key] for one in public]), rel=0.03)
+
+
+def test_a_name_is_fitted_from_zero_as_well_where_the_model_lies_in_a_false_minimum(monkeypatch):
+    """The gradient is put on the image by hand; the wavefront of the model before is 600 nm off."""
+    stack = cube(image() + 6.0 * np.arange(WINDOW)).training
+    right = fitted(stack)
+    wrong = right.x.clone()
+    wrong[:, right.problem.layout.modes] += vector({5: 400.0, 9: -450.0}, NOLLS)
+    solution = replace(right.solution, values=wrong)
+    lost = Optimum(stack, replace(right, solution=solution, chi2=float(right.problem.chi2(wrong))))
+    score = score_family(lost, Family("background_gradient", (BackgroundGradient(),)))
+    fitter = Fitter([View(model(), CONDITIONS)], stack)
+    found = refits(fitter, lost, [score])[0]
+    assert found.public["e_per_pixel"] == pytest.approx(6.0, rel=0.01)
+    assert found.fitted.modes_nm == pytest.approx(vector(TRUE_NM, NOLLS)[0].numpy(), abs=5.0)
+    monkeypatch.setattr("irlos_pipe.diagnose.refit.FAR", np.inf)
+    assert refits(fitter, lost, [score])[0].fitted.chi2 > 10 * found.fitted.chi2

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from irlos_pipe.diagnose.ramp import diagnose_ramp
+from irlos_pipe.stages.ramp_diagnosis import frames_held_out
 
 OFFSETS_NM = (-300, -200, -100, 0, 100, 200, 300, 250, 150, 50, -50, -150, -250)
 COMMANDED_NM = np.repeat(np.array(OFFSETS_NM, float), 6)
@@ -61,6 +62,23 @@ def test_frames_in_another_order_than_told_are_no_error_of_the_stage():
     rng = np.random.default_rng(5)
     mixed = np.repeat(rng.permutation(np.array(OFFSETS_NM, float)), 6)
     assert diagnosed(mixed).verdict == "unknown"
+
+
+def test_a_stage_that_would_have_to_err_beyond_what_stages_do_is_no_explanation():
+    result = diagnosed(COMMANDED_NM + 450.0 * (COMMANDED_NM > 60))
+    assert result.verdict == "unknown"
+
+
+def test_a_ramp_that_misses_by_many_errors_is_not_explained_by_explaining_most_of_it():
+    """More than 90 % of χ² is the scale; what is left, 20 nm from visit to visit, is five times its error."""
+    rng = np.random.default_rng(3)
+    scattered = np.repeat(20.0 * rng.standard_normal(len(OFFSETS_NM)), 6)
+    assert diagnosed(1.29 * COMMANDED_NM + scattered).verdict == "unknown"
+
+
+def test_of_short_visits_whole_ones_are_held_out_and_of_long_ones_their_last_frames():
+    assert frames_held_out(np.arange(8.0), 4).tolist() == 2 * [False, False, False, True]
+    assert frames_held_out(np.repeat([0.0, 50.0], 5), 4).nonzero()[0].tolist() == [3, 8]
 
 
 def test_a_ramp_in_one_direction_cannot_show_hysteresis():

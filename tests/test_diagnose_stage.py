@@ -105,6 +105,15 @@ def test_too_few_frames_are_refused_with_the_name_of_the_recording():
         pixel_mask=np.ones(CASE.window, bool),
         acquisition=SimpleNamespace(detector=SimpleNamespace(read_noise_e=1.0, excess_noise_factor=1.0)),
         background_variance_e2=0.0,
+        dark_variance_e2=0.0,
     )
     with pytest.raises(Exception, match="short: a diagnosis needs 16 used frames"):
         stage._frames([recording], np.ones(CASE.window, bool))
+
+
+def test_bad_pixels_of_the_model_and_those_found_make_one_list():
+    known, found = {"bad_pixels": {"pixels": [[3, 4]]}}, {"bad_pixels": {"pixels": [[1, 2], [3, 4]]}}
+    assert stage._with_one_list_of_pixels(["seeing_halo", known, found]) == [
+        "seeing_halo",
+        {"bad_pixels": {"pixels": [[1, 2], [3, 4]]}},
+    ]

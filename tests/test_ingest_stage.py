@@ -2,6 +2,7 @@
 
 import json
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -225,7 +226,7 @@ def test_a_dark_recording_serves_the_others_of_its_input(tmp_path):
     assert [row["role"] for row in output.results["inputs"]] == ["ncpa_calibration", "dark"]
     background = output.arrays["recordings/cube/rec/background_adu"].value
     assert background == pytest.approx(pattern, abs=1.5)
-    assert only_recording(output).background_variance_e2 >= 4 / 50 * 0.25 * 0.8
+    assert only_recording(output).dark_variance_e2 <= 4 / 50 * 0.25 * 1.2
 
 
 def test_the_lenslets_of_a_2x2_mode_become_recordings(tmp_path):
@@ -339,3 +340,11 @@ def test_a_complete_side_car_leaves_no_warning(tmp_path, caplog):
     with caplog.at_level(logging.WARNING, logger="test"):
         run(tmp_path)
     assert caplog.messages == []
+
+
+def test_a_product_of_the_first_version_is_read_as_if_its_dark_had_no_noise(tmp_path):
+    write_recorder(tmp_path / "rec", counts(IMAGE))
+    product = product_of(run(tmp_path))
+    older = {key: one for key, one in product.arrays.items() if not key.endswith("/dark_variance_e2")}
+    assert len(older) == len(product.arrays) - 1
+    assert recordings_from_product(replace(product, arrays=older))[0].dark_variance_e2 == 0.0

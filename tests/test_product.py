@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
-from irlos_pipe import atomic
+from irlos_pipe import atomic, product, seal
 from irlos_pipe.errors import InputDataError, IrlosError
 from irlos_pipe.jsonable import json_text, jsonable
 from irlos_pipe.product import Check, Product, Quantity, read_product, write_product
@@ -47,12 +47,12 @@ def test_every_array_comes_back_with_type_unit_description_and_error(path, name)
 
 
 def test_results_checks_configuration_provenance_and_log_come_back(path):
-    product = make_product()
-    write_product(product, path)
+    written = make_product()
+    write_product(written, path)
     read = read_product(path)
     assert read.results == {"frames": 5, "flux_e": None}
-    assert (read.stage, read.checks, read.config) == (product.stage, product.checks, product.config)
-    assert (read.provenance, read.log) == (product.provenance, product.log)
+    assert (read.stage, read.checks, read.config) == (written.stage, written.checks, written.config)
+    assert (read.provenance, read.log) == (written.provenance, written.log)
 
 
 def test_a_product_can_be_read_without_its_arrays(path):
@@ -76,15 +76,46 @@ def test_a_truncated_product_is_told_with_its_name(path, share):
         read_product(path)
 
 
-def test_a_flipped_bit_in_the_frames_is_noticed(path):
+def test_a_flipped_bit_anywhere_is_noticed(path):
     write_product(make_product(), path)
-    with h5py.File(path) as file:
-        chunk = file["arrays/recordings/sky/images_e"].id.get_chunk_info(0)
+    content = path.read_bytes()
+    for place in np.random.default_rng(3).integers(len(content), size=200):
+        changed = bytearray(content)
+        changed[place] ^= 1
+        path.write_bytes(changed)
+        if place < seal.BLOCK_BYTES:
+            continue  # the checksum itself, or the padding behind it
+        with pytest.raises(InputDataError, match="does not fit its checksum"):
+            read_product(path, arrays=False)
+
+
+def test_a_flipped_bit_in_the_checksum_does_not_change_what_is_read(path):
+    write_product(make_product(), path)
     content = bytearray(path.read_bytes())
-    content[chunk.byte_offset + chunk.size // 2] ^= 1
+    content[0] ^= 1
     path.write_bytes(content)
-    with pytest.raises(InputDataError, match="damaged"):
-        read_product(path)
+    assert np.array_equal(read_product(path).arrays["zernike_nm"].value, [1.0, -2.0])
+
+
+def test_a_product_without_a_checksum_is_read(path):
+    write_product(make_product(), path)
+    path.write_bytes(path.read_bytes()[seal.BLOCK_BYTES:])
+    assert read_product(path).results["frames"] == 5
+
+
+@pytest.mark.parametrize(("forge", "reason"), [
+    (lambda file: file.__setitem__("arrays/x", h5py.ExternalLink("/etc/passwd", "/x")), "link to elsewhere"),
+    (lambda file: file.__setitem__("arrays/x", h5py.SoftLink("/arrays")), "link to elsewhere"),
+    (lambda file: file.create_dataset("x", (9,), "u1", external=[("/etc/passwd", 0, 9)]), "in another file"),
+    (lambda file: file.create_dataset("x", (10**7, 10**7), "f8", chunks=(10, 10)), "that are not stored"),
+    (lambda file: file.__setitem__("arrays/x", file["arrays"]), "not a readable product")])
+def test_what_leads_out_of_a_product_or_is_not_in_it_is_refused(path, forge, reason):
+    write_product(make_product(), path)
+    path.write_bytes(path.read_bytes()[seal.BLOCK_BYTES:])
+    with h5py.File(path, "r+") as file:
+        forge(file)
+    with pytest.raises(InputDataError, match=reason):
+        read_product(path, arrays=False)
 
 
 def test_a_file_of_another_kind_is_no_product(path):
@@ -100,10 +131,10 @@ def test_another_hdf5_file_is_no_product(path):
         read_product(path)
 
 
-def test_a_product_of_a_newer_format_asks_for_an_update(path):
-    write_product(make_product(), path)
-    with h5py.File(path, "a") as file:
-        file.attrs["schema_version"] = 99
+def test_a_product_of_a_newer_format_asks_for_an_update(path, monkeypatch):
+    with monkeypatch.context() as newer:
+        newer.setattr(product, "SCHEMA_VERSION", 99)
+        write_product(make_product(), path)
     with pytest.raises(InputDataError, match="newer"):
         read_product(path)
 

@@ -83,5 +83,5 @@ def test_a_file_that_is_no_text_is_refused(tmp_path):
 
 def test_a_huge_file_is_not_even_read(tmp_path):
     (tmp_path / "f.yaml").write_bytes(b"#" * 5_000_000)
-    with pytest.raises(ConfigurationError, match="larger than 4 MB"):
+    with pytest.raises(ConfigurationError, match="larger than 1 MB"):
         load_yaml(tmp_path / "f.yaml")

@@ -75,7 +75,9 @@ class SimulationFolder:
         before = _read_made_from(truth)
         name = before["recording"]["name"] if before else truth_name.replace(DOUBLE, "/")
         self.forget(truth)
-        shutil.rmtree(self.path / "data" / name, ignore_errors=True)
+        data = (self.path / "data").resolve()
+        if data in (data / name).resolve().parents:  # whoever changed the truth may have named any folder
+            shutil.rmtree(data / name, ignore_errors=True)
         return name
 
     def forget(self, truth: Path) -> None:

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import torch
 
+from .fitting import Fitted
 from .held_out import Judge, preference
+from .optimum import Optimum
 from .refit import Refit
 
 SURE = 3.0  # Vuong's statistic on the held-out frames
@@ -26,15 +28,21 @@ class Alternative:
     name : str
     reason : str
     separated_by : str
-        The measurement that would tell them apart.
+        What tells them apart.
     likeness : float
         |cos| between what the two add to the image, beyond what the fitted parameters imitate.
+    second_recording : str
+        How a further recording differs with which they are least alike.
+    likeness_then : float
+        The same with it.
     """
 
     name: str
     reason: str
     separated_by: str
     likeness: float
+    second_recording: str = ""
+    likeness_then: float = float("nan")
 
 
 def alternatives(ranked: Sequence[Refit], judges: Sequence[Judge]) -> list[Alternative]:
@@ -49,17 +57,17 @@ def alternatives(ranked: Sequence[Refit], judges: Sequence[Judge]) -> list[Alter
     return sorted(found, key=lambda one: -one.likeness)[: LARGEST_SET - 1]
 
 
-def likeness(one: Refit, other: Refit, before) -> float:
-    """|cos| of the changes of the image that two refits make, projected off the fitted parameters."""
+def likeness(one: Fitted, other: Fitted, before: Optimum) -> float:
+    """|cos| of the changes of the image that two models make, projected off the fitted parameters."""
     changes = torch.stack(
-        [(refit.fitted.image_e - before.fitted.image_e) * before.root for refit in (one, other)], dim=1
+        [(fitted.image_e - before.fitted.image_e) * before.root for fitted in (one, other)], dim=1
     )
     gram = before.norm2(changes)
     return float(gram[0, 1].abs() / (gram[0, 0] * gram[1, 1]).clamp_min(1e-300).sqrt())
 
 
 def _alternative(best: Refit, other: Refit, z: float) -> Alternative:
-    cosine = likeness(best, other, best.origin)
+    cosine = likeness(best.fitted, other.fitted, best.origin)
     alike = "they change the image alike" if cosine > LIKENESS else "both explain the excess as well"
     reason = f"{alike} (|cos| {cosine:.3f}), and the held-out frames do not decide (z {z:.1f})"
     return Alternative(other.name, reason, best.bare.look_alike, cosine)

@@ -15,13 +15,20 @@ MOST = 20
 
 def outstanding_pixels(optimum: Optimum) -> list[tuple[int, int]]:
     """(row, column) of the pixels that nothing smooth explains, the worst first."""
-    window = optimum.fitted.problem.model.psf.settings.window
+    problem = optimum.fitted.problem
     left = 1 - (optimum.basis**2).sum(1)
-    pull = (optimum.residual / left.clamp_min(1e-6).sqrt()).abs().reshape(window)
+    pulls = (optimum.residual / left.clamp_min(1e-6).sqrt()).abs().reshape(-1, *problem.window)
+    pull = pulls.amax(0)
     around = _largest_neighbour(pull)
     chosen = (pull**2 > OUTSTANDING) & (pull > ALONE * around)
     places = torch.nonzero(chosen)[pull[chosen].argsort(descending=True)]
     return [(int(row), int(column)) for row, column in places[:MOST]]
+
+
+def smallest_excess_e(optimum: Optimum) -> float:
+    """Excess of a single pixel that would stand out, median over the window [e-]."""
+    error = optimum.stack.variance_e2.sqrt()
+    return float(OUTSTANDING**0.5 * error[error.isfinite()].median())
 
 
 def bad_pixel_family(optimum: Optimum) -> list[Family]:

@@ -12,6 +12,7 @@ import torch
 
 from ..effects import Pinned
 from ..effects.companion import INNER_MAS, Companion
+from .fitting import Fitted
 from .optimum import Optimum
 
 PLACES = 3  # candidates to look at more closely
@@ -46,18 +47,22 @@ def around(companion: Companion) -> list[Pinned]:
 def companion_gains(optimum: Optimum, window: tuple[int, int]) -> np.ndarray:
     """Fall of χ² for every shift (rows, columns), 0 first, of a window of twice the size."""
     padded = [2 * n for n in window]
-    model = optimum.fitted.image_e - optimum.fitted.x[0, -1]
-    spectrum = torch.fft.rfft2(model.reshape(window), s=padded).conj()
+    fitted = optimum.fitted
+    backgrounds = torch.cat([part[-1:].expand(window[0] * window[1]) for part in _vectors(fitted)])
+    stars = (fitted.image_e - backgrounds).reshape(-1, *window)
     root = optimum.root
 
-    def correlate(images: torch.Tensor, with_spectrum: torch.Tensor) -> torch.Tensor:
-        return torch.fft.irfft2(
-            torch.fft.rfft2(images.reshape(-1, *window), s=padded) * with_spectrum, s=padded
-        )
+    def correlate(weights: torch.Tensor, images: torch.Tensor) -> torch.Tensor:
+        """Of every recording's part, summed over the recordings."""
+        spectra = [torch.fft.rfft2(one.reshape(-1, *window), s=padded) for one in (weights, images)]
+        return torch.fft.irfft2(spectra[0] * spectra[1].conj(), s=padded).sum(0)
 
-    meeting = correlate(optimum.residual * root, spectrum)[0]
-    squared = torch.fft.rfft2((model**2).reshape(window), s=padded).conj()
-    power = correlate(root**2, squared)[0]
-    imitated = sum(correlate(column * root, spectrum)[0] ** 2 for column in optimum.basis.mT)
+    meeting, power = correlate(optimum.residual * root, stars), correlate(root**2, stars**2)
+    imitated = sum(correlate(column * root, stars) ** 2 for column in optimum.basis.mT)
     left = (power - imitated).clamp_min(1e-3 * power.max())
     return (meeting.clamp_min(0) ** 2 / left).numpy()
+
+
+def _vectors(fitted: Fitted) -> list[torch.Tensor]:
+    """Parameters of every recording."""
+    return [fitted.problem.part(fitted.x, number)[0] for number in range(len(fitted.problem.parts))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -76,26 +77,79 @@ class Stack:
         """Covariance of the mean of whitened numbers per frame (frames, m), (m, m)."""
         return torch.atleast_2d(torch.cov(series.mT)) / self.independent
 
-    def without(self, good: torch.Tensor) -> Stack:
-        """The same with more pixels masked; `good`: (rows, columns)."""
-        masked = Stack.of(replace(self.frames, pixel_mask=self.frames.pixel_mask & good), self.when)
-        return replace(masked, photon_limited=self.photon_limited)
+    @property
+    def parts(self) -> tuple[Stack, ...]:
+        """Itself, as the only recording."""
+        return (self,)
+
+
+@dataclass(frozen=True)
+class Stacks:
+    """Frames of several recordings, their mean images one after the other; otherwise as `Stack`.
+
+    Every frame belongs to one recording, of whose mean it is a part; its deviations are zero in the
+    pixels of the others, and are scaled so that covariances over all frames are those of all the means.
+    """
+
+    parts: tuple[Stack, ...]
+
+    def __len__(self) -> int:
+        return sum(len(part) for part in self.parts)
+
+    @property
+    def photon_limited(self) -> bool:
+        """Whether the noise model alone says how uncertain the means are."""
+        return all(part.photon_limited for part in self.parts)
+
+    @cached_property
+    def mean_e(self) -> torch.Tensor:
+        """Mean images, (pixels,)."""
+        return torch.cat([part.mean_e for part in self.parts])
+
+    @cached_property
+    def variance_e2(self) -> torch.Tensor:
+        """Variances of the mean images, (pixels,)."""
+        return torch.cat([part.variance_e2 for part in self.parts])
+
+    @property
+    def root(self) -> torch.Tensor:
+        """One over the standard errors of the mean images, 0 for bad pixels, (pixels,)."""
+        return self.variance_e2**-0.5
+
+    @cached_property
+    def independent(self) -> float:
+        """Number of independent frames."""
+        return sum(part.independent for part in self.parts)
+
+    @cached_property
+    def deviations(self) -> torch.Tensor:
+        """Frames minus the mean of their recording, whitened and scaled, (frames, pixels)."""
+        if len(self.parts) == 1:
+            return self.parts[0].deviations
+        every = len(self) * self.independent
+        scaled = (one.deviations * (every / (len(one) * one.independent)) ** 0.5 for one in self.parts)
+        return torch.block_diag(*scaled)
+
+    def covariance_of_mean(self, series: torch.Tensor) -> torch.Tensor:
+        """Covariance of the mean of whitened numbers per frame (frames, m), (m, m)."""
+        return torch.atleast_2d(torch.cov(series.mT)) / self.independent
 
 
 @dataclass(frozen=True)
 class Cube:
     """Training and held-out frames."""
 
-    training: Stack
-    held_out: Stack
+    training: Stack | Stacks
+    held_out: Stack | Stacks
+
+    @classmethod
+    def of_all(cls, cubes: Sequence[Cube]) -> Cube:
+        """Several recordings as one."""
+        return cls(Stacks(tuple(c.training for c in cubes)), Stacks(tuple(c.held_out for c in cubes)))
 
     def limited_by(self, photons: bool) -> Cube:
-        """The same, the noise model trusted or not."""
+        """One recording, the noise model trusted or not."""
         return Cube(*(replace(stack, photon_limited=photons) for stack in (self.training, self.held_out)))
-
-    def without(self, good: torch.Tensor) -> Cube:
-        """The same with more pixels masked."""
-        return Cube(self.training.without(good), self.held_out.without(good))
 
 
 def split(frames: Frames, share: float = 0.25) -> Cube:
@@ -133,7 +187,8 @@ def _steadied(mean_e: torch.Tensor, frames: Frames) -> torch.Tensor:
     A variance from the very mean that it weighs is large where the noise is positive and small where it
     is negative, which raises the χ² of faint pixels by a few per cent.
     """
-    variance = frames.noise.variance_e2(mean_e)
-    calm = frames.noise.variance_e2(smooth(mean_e[None])[0])
-    faint = mean_e < FAINT_SIGMA * (variance / len(frames.images_e)).sqrt()
+    count = len(frames.images_e)
+    variance = frames.noise.mean_variance_e2(mean_e, count)
+    calm = frames.noise.mean_variance_e2(smooth(mean_e[None])[0], count)
+    faint = mean_e < FAINT_SIGMA * variance.sqrt()
     return torch.where(faint, calm / variance, 1.0)

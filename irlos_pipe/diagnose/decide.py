@@ -54,12 +54,15 @@ class Accepted:
         Vuong's statistic on the held-out frames, against the model before.
     alternatives : sequence of Alternative
     ranking : sequence of Ranked
+    rivals : sequence of Refit
+        Fits of the alternatives.
     """
 
     refit: Refit
     preference: float
     alternatives: Sequence[Alternative]
     ranking: Sequence[Ranked]
+    rivals: Sequence[Refit] = ()
 
     @property
     def name(self) -> str:
@@ -78,13 +81,15 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool
     if not first and before.excess.significance > options.sure and explained(best) < MUST_EXPLAIN:
         return None
     judges = [Judge(cube.held_out, refit.fitted) for refit in ranked]
-    ranked, judges = by_motion(ranked, judges, cube)
+    ranked, judges = by_plausibility(*by_motion(ranked, judges, cube))
     best = ranked[0]
     z = preference(judges[0], Judge(cube.held_out, before.fitted))
     if z < (PREFERRED if cube.training.photon_limited else 0.0):
         return None
     ranking = [Ranked(r.name, r.gain, explained(r), r.significance) for r in ranked]
-    return Accepted(best, z, alternatives(ranked, judges), ranking)
+    others = alternatives(ranked, judges)
+    rivals = [next(r for r in ranked if r.name == other.name) for other in others]
+    return Accepted(best, z, others, ranking, rivals)
 
 
 def by_motion(
@@ -97,6 +102,16 @@ def by_motion(
     right = MOTIONS if motion_ratio(cube.training, ranked[0].fitted) > MOVING else BLURS
     allowed = [i for i, one in enumerate(ranked) if one.name in right and (i == 0 or one.name in rivals)]
     order = [*allowed, *(i for i in range(len(ranked)) if i not in allowed)]
+    return [ranked[i] for i in order], [judges[i] for i in order]
+
+
+def by_plausibility(
+    ranked: Sequence[Refit], judges: Sequence[Judge]
+) -> tuple[Sequence[Refit], Sequence[Judge]]:
+    """Of names that the images do not tell apart, one that need not be larger than anything known."""
+    rivals = {one.name for one in alternatives(ranked, judges)} if ranked[0].implausible else set()
+    better = next((i for i, one in enumerate(ranked) if one.name in rivals and not one.implausible), 0)
+    order = [better, *(i for i in range(len(ranked)) if i != better)]
     return [ranked[i] for i in order], [judges[i] for i in order]
 
 

@@ -11,6 +11,7 @@ from scipy import special, stats
 
 from ..effects import Effect, Pinned
 from ..effects.companion import Companion
+from ..estimate.image_fit import ImageFit
 from ..estimate.search import _frozen as frozen
 from ..image_model import ImageModel
 from .companion_search import around, brightest_companions
@@ -46,6 +47,8 @@ class Score:
         Parameters that these data determine.
     trials : int
         Candidates of the family.
+    besides : tuple of Score
+        Best candidates with other parameters of the same effect.
     """
 
     candidate: Effect | Pinned
@@ -57,6 +60,7 @@ class Score:
     smallest: np.ndarray
     usable: tuple[str, ...] = ()
     trials: int = 1
+    besides: tuple[Score, ...] = ()
 
     @property
     def name(self) -> str:
@@ -69,13 +73,12 @@ class Score:
         return self.survival > ABSORBED
 
     def start(self) -> Pinned:
-        """The whole effect, free, at the linear estimate."""
+        """The whole effect, free but for what these data do not determine, at the linear estimate."""
         bare = self.candidate.effect if isinstance(self.candidate, Pinned) else self.candidate
         pinned = isinstance(self.candidate, Pinned)
         values = self.candidate.all_values(self.sizes).numpy() if pinned else self.sizes
-        return Pinned(
-            bare, values, [p.name for p in bare.parameters if p.null is None or p.name in self.usable]
-        )
+        unseen = {p.name for p in self.candidate.parameters} - {*self.usable}
+        return Pinned(bare, values, [p.name for p in bare.parameters if p.name not in unseen])
 
 
 def scores(optimum: Optimum, families: Sequence[Family]) -> list[Score]:
@@ -96,23 +99,39 @@ def score_family(optimum: Optimum, family: Family) -> Score:
     if family.name == Companion.name:
         tried = [*brightest_companions(optimum, tried), *around(tried[0].effect)]
     found = [_score(optimum, one, trials) for one in tried]
-    best = max(found, key=lambda one: one.gain)
-    typical = [one.smallest for one in found if one.usable == best.usable]
-    return replace(best, smallest=np.median(typical, axis=0))
+    kinds = {one.usable: _typical([o for o in found if o.usable == one.usable]) for one in found}
+    best = max(kinds.values(), key=lambda one: one.gain)
+    return replace(best, besides=tuple(one for one in kinds.values() if one is not best and one.usable))
+
+
+def _typical(alike: Sequence[Score]) -> Score:
+    """The best of candidates with the same parameters, with sizes that are typical of them all."""
+    smallest = np.median([one.smallest for one in alike], axis=0)
+    return replace(max(alike, key=lambda one: one.gain), smallest=smallest)
 
 
 def whitened_shapes(optimum: Optimum, candidate: Effect | Pinned) -> torch.Tensor:
-    """Derivatives of the mean image with respect to a candidate's parameters at null, (pixels, m)."""
-    fitted = optimum.fitted
-    model, layout, x = fitted.problem.model, fitted.problem.layout, fitted.x
-    held = model.effects.held(fitted.effect_values)
-    own = held.effects if candidate.place == "sampling" else frozen(model.effects, fitted.effect_values)
+    """Derivatives of the mean images with respect to a candidate's parameters at null, (pixels, m)."""
+    problem, views = optimum.fitted.problem, optimum.fitted.views
+    columns = [
+        _derivatives(part, problem.part(optimum.fitted.x, number), view.seen(candidate, views[0]))
+        for number, (part, view) in enumerate(zip(problem.parts, views, strict=True))
+    ]
+    return (torch.cat(columns, dim=1) * optimum.root).mT
+
+
+def _derivatives(part: ImageFit, x: torch.Tensor, candidate: Effect | Pinned) -> torch.Tensor:
+    """Of the mean image of one recording with respect to a candidate's parameters at null, (m, pixels)."""
+    model, layout = part.model, part.layout
+    values = x[0, layout.effect_values]
+    sampling = candidate.place == "sampling"
+    own = model.effects.held(values).effects if sampling else frozen(model.effects, values)
     whole = ImageModel(model.psf, [*own, candidate])
     null = torch.tensor(candidate.null_values, dtype=torch.float64)
     modal = candidate.place not in ("pupil", "otf")  # with nothing else there is nothing to propagate
     at = x[:, layout.modes], x[:, -2], x[:, -1], null
     columns = whole.predict_and_jacobian(*at, modal=modal)[1][0].cpu().double().flatten(1)
-    return (columns[len(columns) - 2 - len(null) : -2] * optimum.root).mT
+    return columns[len(columns) - 2 - len(null) : -2]
 
 
 def _score(optimum: Optimum, candidate: Effect | Pinned, trials: int) -> Score:

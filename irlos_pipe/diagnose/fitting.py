@@ -1,9 +1,9 @@
-"""Fits of the mean training image with one set of effects or another."""
+"""Fits of the mean training images with one set of effects or another."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -16,8 +16,9 @@ from ..estimate.priors import ncpa_sigma_nm
 from ..estimate.solve import Solution, solve
 from ..estimate.twin import twin_of
 from ..image_model import ImageModel
-from ..psf import PsfModel
-from .cube import Stack
+from .cube import Stack, Stacks
+from .joint_fit import OWN, JointFit
+from .view import View
 
 PRIOR_SCALE = 3.0  # over the law of the NCPAs
 MAX_ITERATIONS = 30
@@ -29,15 +30,18 @@ class Fitted:
 
     Attributes
     ----------
-    problem : ImageFit
+    problem : JointFit
     solution : Solution
     chi2 : float
-        Of the mean training image.
+        Of the mean training images.
+    views : sequence of View
+        Of the recordings.
     """
 
-    problem: ImageFit
+    problem: JointFit
     solution: Solution
     chi2: float
+    views: Sequence[View]
 
     @property
     def x(self) -> torch.Tensor:
@@ -56,13 +60,18 @@ class Fitted:
 
     @property
     def effect_values(self) -> torch.Tensor:
-        """Parameters of the effects, (parameters,)."""
+        """Parameters of the effects as the first recording has them, (parameters,)."""
         return self.x[0, self.problem.layout.effect_values]
 
     @property
     def image_e(self) -> torch.Tensor:
-        """Predicted mean image, (pixels,)."""
-        return self.problem.predict(self.x)[0].cpu()
+        """Predicted mean images, (pixels,)."""
+        return self.problem.predict(self.x)
+
+    @property
+    def penalty(self) -> float:
+        """What the priors add to χ²."""
+        return 2 * float(self.solution.objective[0]) - self.chi2
 
     @property
     def converged(self) -> bool:
@@ -79,6 +88,17 @@ class Fitted:
         return [_from_here(effect, pieces[effect.name]) for effect in self.effects]
 
 
+def most_plausible(found: Sequence[Fitted]) -> Fitted:
+    """The best of several fits of one model, whose priors count however bad it is.
+
+    Twins have the same image but for rounding, so the smaller aberration must win. While something is
+    missing in the model, χ² is large and rounding of it would outweigh any prior: it is counted in units
+    of its smallest value per degree of freedom.
+    """
+    unit = max(1.0, min(one.chi2 / one.problem.freedom for one in found))
+    return min(found, key=lambda one: one.chi2 / unit + one.penalty)
+
+
 def _from_here(effect: Effect | Pinned, values: np.ndarray) -> Effect | Pinned:
     if not effect.parameters:
         return effect
@@ -88,17 +108,18 @@ def _from_here(effect: Effect | Pinned, values: np.ndarray) -> Effect | Pinned:
 
 
 class Fitter:
-    """Fits one mean image with any effects.
+    """Fits the mean images of some recordings with any effects.
 
     Parameters
     ----------
-    psf : PsfModel
-        In float64: the mean image is more precise than float32.
-    stack : Stack
+    views : sequence of View
+        Of each recording.
+    stack : Stack or Stacks
+        Their frames.
     """
 
-    def __init__(self, psf: PsfModel, stack: Stack):
-        self.psf, self.stack = psf, stack
+    def __init__(self, views: Sequence[View], stack: Stack | Stacks):
+        self.views, self.stack = views, stack
 
     def fit(self, effects: Sequence[Effect | Pinned], near: Fitted | None = None) -> Fitted:
         """Fit from zero wavefront, or from modes, flux and background of another fit."""
@@ -109,29 +130,57 @@ class Fitter:
         """The fit that starts from the twin of another one, (φ(u) → −φ(−u))."""
         problem, start = fitted.problem, fitted.x.clone()
         modes = problem.layout.modes
-        start[:, modes] = twin_of(start[:, modes], self.psf.nolls, self.psf.settings.diversity)
+        psf = self.views[0].psf
+        start[:, modes] = twin_of(start[:, modes], psf.nolls, psf.settings.diversity)
         return self._solved(problem, start)
 
-    def _problem(self, effects: Sequence[Effect | Pinned]) -> ImageFit:
-        model = ImageModel(self.psf, effects)
-        prior = ncpa_sigma_nm(self.psf.nolls, PRIOR_SCALE)
-        layout = Layout(self.psf.nolls, model.effects.parameters, prior_sigma_nm=prior)
-        stack, device = self.stack, self.psf.device
-        return ImageFit(
-            model, layout, stack.mean_e[None, None].to(device), stack.variance_e2[None, None].to(device)
-        )
+    def at(self, fitted: Fitted) -> Fitted:
+        """The model of another fit, whose first recordings are the same, as it is.
 
-    def _start(self, problem: ImageFit, near: Fitted | None) -> torch.Tensor:
-        masked = self.stack.mean_e * (self.stack.root > 0)
-        x = problem.layout.start(masked[None])
-        if near is None:
-            settings = self.psf.settings
-            image = masked.reshape(1, *settings.window)
-            x[:, :2] = start_tilts_nm(image, settings.pixel_scale_mas, settings.geometry.diameter_m)
-            return x
-        x[:, problem.layout.modes], x[:, -2:] = near.x[:, near.problem.layout.modes], near.x[:, -2:]
+        Further recordings point and shine like the first.
+        """
+        problem = self._problem(fitted.continued())
+        x = torch.zeros(1, problem.size, dtype=torch.float64)
+        known = [fitted.problem.part(fitted.x, n) for n in range(len(fitted.problem.parts))]
+        for number, columns in reversed(list(enumerate(problem.columns))):
+            x[:, columns] = known[number] if number < len(known) else known[0]
+        solution = replace(fitted.solution, values=x)
+        return Fitted(problem, solution, float(problem.chi2(x)), self.views)
+
+    def _problem(self, effects: Sequence[Effect | Pinned]) -> JointFit:
+        pairs = zip(self.views, self.stack.parts, strict=True)
+        return JointFit([self._part(view, part, effects) for view, part in pairs])
+
+    def _part(self, view: View, stack: Stack, effects: Sequence[Effect | Pinned]) -> ImageFit:
+        """The problem of one recording by itself."""
+        psf = view.psf
+        model = ImageModel(psf, [view.seen(effect, self.views[0]) for effect in effects])
+        prior = ncpa_sigma_nm(psf.nolls, PRIOR_SCALE)
+        layout = Layout(psf.nolls, model.effects.parameters, prior_sigma_nm=prior)
+        data = (one[None, None].to(psf.device) for one in (stack.mean_e, stack.variance_e2))
+        return ImageFit(model, layout, *data)
+
+    def _start(self, problem: JointFit, near: Fitted | None) -> torch.Tensor:
+        x = torch.zeros(1, problem.size, dtype=torch.float64)
+        parts = zip(self.views, self.stack.parts, problem.parts, problem.columns, strict=True)
+        for view, stack, part, columns in reversed(list(parts)):  # what they share is that of the first
+            x[:, columns] = _first_guess(view, stack, part)
+        if near is not None:
+            behind = OWN * (len(self.views) - 1) + 2
+            x[:, problem.layout.modes] = near.x[:, near.problem.layout.modes]
+            x[:, -behind:] = near.x[:, -behind:]
         return x
 
-    def _solved(self, problem: ImageFit, start: torch.Tensor) -> Fitted:
+    def _solved(self, problem: JointFit, start: torch.Tensor) -> Fitted:
         solution = solve(problem, start, max_iterations=MAX_ITERATIONS)
-        return Fitted(problem, solution, float(problem.reduced_chi2(solution.values)[0] * problem.freedom))
+        return Fitted(problem, solution, float(problem.chi2(solution.values)), self.views)
+
+
+def _first_guess(view: View, stack: Stack, part: ImageFit) -> torch.Tensor:
+    """Flux from the sum, tip and tilt from the centroid, nothing else, (1, parameters)."""
+    settings = view.psf.settings
+    masked = (stack.mean_e * (stack.root > 0))[None]
+    x = part.layout.start(masked)
+    image = masked.reshape(1, *settings.window)
+    x[:, :2] = start_tilts_nm(image, settings.pixel_scale_mas, settings.geometry.diameter_m)
+    return x

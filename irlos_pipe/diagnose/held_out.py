@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from .cube import Stack
+from .cube import Stack, Stacks
 from .fitting import Fitted
 
 
 @dataclass(frozen=True)
 class Gap:
-    """``Σ|measured − predicted| / Σ measured`` of the mean held-out image.
+    """``Σ|measured − predicted| / Σ measured`` of the mean held-out images.
 
     Attributes
     ----------
@@ -42,23 +42,22 @@ class Judge:
 
     Parameters
     ----------
-    stack : Stack
+    stack : Stack or Stacks
         Of the held-out frames.
     fitted : Fitted
     """
 
-    def __init__(self, stack: Stack, fitted: Fitted):
-        self.stack = stack
-        image, columns = fitted.problem.predict_and_jacobian(fitted.x)
-        self.image = image[0].cpu()
-        own = columns[0, [0, 1, -2, -1]].cpu().double().mT
+    def __init__(self, stack: Stack | Stacks, fitted: Fitted):
+        self.stack, self.pixels = stack, fitted.problem.pixels
+        self.image, columns = fitted.problem.predict_and_jacobian(fitted.x)
+        own = columns[fitted.problem.own].mT
         root = stack.root[:, None]
         self.basis, triangle = torch.linalg.qr(own * root)
         self.moves = own @ torch.linalg.inv(triangle)
 
     @property
     def mean_e(self) -> torch.Tensor:
-        """Prediction of the mean image, (pixels,)."""
+        """Prediction of the mean images, (pixels,)."""
         residual = (self.stack.mean_e - self.image) * self.stack.root
         return self.image + self.moves @ (self.basis.mT @ residual)
 
@@ -71,10 +70,15 @@ class Judge:
     @property
     def losses(self) -> np.ndarray:
         """Half of χ² of every frame, (frames,)."""
-        images = self.stack.frames.images_e.double().flatten(1)
-        residual = torch.where(self.stack.root > 0, images - self.image, 0.0) * self.stack.root
-        left = residual - (residual @ self.basis) @ self.basis.mT
-        return (0.5 * (left**2).sum(1) / len(self.stack)).numpy()
+        pairs = zip(self.stack.parts, self.pixels, strict=True)
+        return np.concatenate([self._losses(stack, pixels) for stack, pixels in pairs])
+
+    def _losses(self, stack: Stack, pixels: slice) -> np.ndarray:
+        """Of the frames of one recording."""
+        images, basis = stack.frames.images_e.double().flatten(1), self.basis[pixels]
+        residual = torch.where(stack.root > 0, images - self.image[pixels], 0.0) * stack.root
+        left = residual - (residual @ basis) @ basis.mT
+        return (0.5 * (left**2).sum(1) / len(stack)).numpy()
 
 
 def preference(better: Judge, worse: Judge) -> float:
@@ -84,12 +88,20 @@ def preference(better: Judge, worse: Judge) -> float:
     return float(difference.mean() / error) if error > 0 else 0.0
 
 
-def noise_floor(stack: Stack) -> float:
-    """What noise alone leaves of the gap: a normal deviate is √(2/π) σ away from zero on average."""
-    good = stack.root > 0
-    return float(np.sqrt(2 / np.pi) * stack.variance_e2[good].sqrt().sum() / stack.mean_e[good].sum())
+def noise_floor(judge: Judge) -> float:
+    """What noise alone leaves of the gap: a normal deviate is √(2/π) σ away from zero on average.
+
+    What frames differ by in pointing, flux and background is no noise: it is refitted. The root of a
+    variance that n frames give is too small by 1 / 4 (n - 1) on average.
+    """
+    stack = judge.stack
+    good, freedom = stack.root > 0, len(stack) - 1
+    left = stack.deviations - (stack.deviations @ judge.basis) @ judge.basis.mT
+    variance = stack.variance_e2 * (left**2).sum(0) / freedom / stack.independent
+    noise_e = variance[good].sqrt().sum() * (1 + 1 / (4 * freedom))
+    return float(np.sqrt(2 / np.pi) * noise_e / stack.mean_e[good].sum())
 
 
 def gap_between(before: Judge, after: Judge) -> Gap:
     """Gaps of two models on the same frames."""
-    return Gap(before.gap, after.gap, noise_floor(before.stack))
+    return Gap(before.gap, after.gap, noise_floor(before))

@@ -7,6 +7,7 @@ follows the signal with the excess-noise factor; speckles of an AO residual exce
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +51,12 @@ class NoiseVerdict:
         )
 
 
+def judge_all(stacks: Sequence[Stack]) -> NoiseVerdict:
+    """The verdict on the recording whose noise is furthest from the noise model's."""
+    found = [judge_noise(stack) for stack in stacks]
+    return max(found, key=lambda one: abs(np.log(max(one.bright_ratio, 1e-9))))
+
+
 def judge_noise(stack: Stack) -> NoiseVerdict:
     """Compare variances with the noise model's."""
     images = stack.frames.images_e.double().numpy()
@@ -60,7 +67,7 @@ def judge_noise(stack: Stack) -> NoiseVerdict:
     basis = np.linalg.qr(shapes.T)[0]
     quiet = differences - (differences @ basis) @ basis.T
     measured = (quiet**2).mean(0).reshape(mean.shape) / 2
-    predicted = stack.frames.noise.variance_e2(torch.as_tensor(mean)).numpy()
+    predicted = stack.frames.noise.scatter_e2(torch.as_tensor(mean)).numpy()
     bright = good & (mean > BRIGHT * mean.max())
     faint = good & (mean < np.quantile(mean[good], FAINT))
     ratios = [float(measured[where].sum() / predicted[where].sum()) for where in (bright, faint)]

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import torch
 
-from .cube import Stack
+from .cube import Stack, Stacks
 from .fitting import Fitted
 
 
@@ -46,28 +46,32 @@ class Excess:
 
 
 class Optimum:
-    """Whitened residual of the mean training image and of its frames.
+    """Whitened residual of the mean training images and of their frames.
 
     Parameters
     ----------
-    stack : Stack
+    stack : Stack or Stacks
     fitted : Fitted
     """
 
-    def __init__(self, stack: Stack, fitted: Fitted):
+    def __init__(self, stack: Stack | Stacks, fitted: Fitted):
         self.stack, self.fitted = stack, fitted
         problem, x = fitted.problem, fitted.x
         self.root = stack.root
         image, columns = problem.predict_and_jacobian(x)
-        self.residual = (stack.mean_e - image[0].cpu()) * self.root
+        self.residual = (stack.mean_e - image) * self.root
         precision = problem.prior_precision[0].sqrt()
-        design = torch.cat([(columns[0].cpu().double() * self.root).mT, torch.diag(precision)])
+        design = torch.cat([(columns * self.root).mT, torch.diag(precision)])
         design = design / design.norm(dim=0).clamp_min(1e-300)
         basis = torch.linalg.qr(design)[0]
         self.basis = basis[: len(self.residual)]
         prior = -(x[0] - problem.prior_mean[0]) * precision
         self._unconverged = self.basis.mT @ self.residual + basis[len(self.residual) :].mT @ prior
-        self.deviations = stack.deviations
+
+    @property
+    def deviations(self) -> torch.Tensor:
+        """Of the frames, whitened, (frames, pixels)."""
+        return self.stack.deviations
 
     def project(self, shapes: torch.Tensor) -> torch.Tensor:
         """What is left of whitened shapes (pixels, m)."""

@@ -22,7 +22,8 @@ PER_PARAMETER = 8.0  # of χ², that a size or an edge has to earn
 CLOSE = 6.0  # of χ², by which two names differ that are not told apart
 WORST_CONDITION = 1e3
 SEEN_SIGMA = 5.2  # from which an error counts as seen
-LEFT, LEFT_CHI2_NU = 0.1, 3.0
+LEFT, LEFT_CHI2_NU = 0.1, 3.0  # part of χ², and χ²/ν, from which something is left
+FAR_OFF_CHI2_NU = 10.0  # visits then miss by three times their errors, whatever part of χ² it is
 SEPARATION = {
     FocusStageHysteresis.name: "every offset reached from both sides",
     FocusStageOffset.name: "the same offsets in another order, and a calibration at one of them",
@@ -62,6 +63,12 @@ class RampName:
         return self.effect.name
 
     @property
+    def plausible(self) -> bool:
+        """Whether a stage could err by so much."""
+        low, high = self.effect.parameters[0].plausible
+        return low <= self.size <= high
+
+    @property
     def pinned(self) -> Pinned:
         """The effect at its size."""
         return Pinned(self.effect, [self.size])
@@ -75,6 +82,8 @@ class RampDiagnosis:
     ----------
     verdict : {"none", "effect", "unknown"}
     names : sequence of RampName
+    nearest : sequence of RampName
+        What comes nearest, where the verdict is unknown.
     chi2_nu : (float, float)
         Of the visits, before and after.
     smallest : dict of str to float
@@ -84,6 +93,7 @@ class RampDiagnosis:
 
     verdict: str
     names: Sequence[RampName]
+    nearest: Sequence[RampName]
     chi2_nu: tuple[float, float]
     smallest: dict[str, float]
     untestable: Sequence[str]
@@ -152,9 +162,13 @@ class _Fit:
 
 
 def _all_fits(data: np.ndarray, shapes: Shapes, most: int) -> list[_Fit]:
-    """Every choice of up to `most` errors of different kinds or parts, the best first."""
+    """Every choice of up to `most` errors of different kinds, the best first.
+
+    Biases of several parts of a ramp could follow any curve, and would explain everything.
+    """
     choices = chain.from_iterable(combinations(shapes, count) for count in range(most + 1))
-    fits = (_Fit.of(data, shapes, choice) for choice in choices)
+    different = (choice for choice in choices if len({one.name for one in choice}) == len(choice))
+    fits = (_Fit.of(data, shapes, choice) for choice in different)
     return sorted((fit for fit in fits if fit is not None), key=lambda fit: fit.price)
 
 
@@ -194,7 +208,8 @@ def _edges(effect: RampEffect) -> int:
 
 def _verdict(data: np.ndarray, shapes: Shapes, fit: _Fit, names: list[RampName]) -> RampDiagnosis:
     after = fit.chi2 / max(len(data) - len(fit.effects), 1)
-    unexplained = after > LEFT_CHI2_NU and fit.chi2 > LEFT * float(data @ data)
+    unexplained = after > FAR_OFF_CHI2_NU or (after > LEFT_CHI2_NU and fit.chi2 > LEFT * float(data @ data))
+    unexplained = unexplained or not all(one.plausible for one in names)
     seen = {one.name for one in names}
     smallest = {
         one.name: float(SEEN_SIGMA * np.sqrt(beside.covariance[-1, -1]))
@@ -204,4 +219,6 @@ def _verdict(data: np.ndarray, shapes: Shapes, fit: _Fit, names: list[RampName])
     }
     verdict = "unknown" if unexplained else "effect" if names else "none"
     untestable = sorted(SEPARATION.keys() - seen - set(smallest))
-    return RampDiagnosis(verdict, names, (float(data @ data) / len(data), after), smallest, untestable)
+    known, nearest = ([], names) if unexplained else (names, [])
+    chi2_nu = (float(data @ data) / len(data), after)
+    return RampDiagnosis(verdict, known, nearest, chi2_nu, smallest, untestable)

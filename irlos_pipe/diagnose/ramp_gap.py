@@ -92,7 +92,7 @@ def _noise_e(data: RampData, at_offset: torch.Tensor, averaged: int) -> float:
     A normal deviate is √(2/π) σ away from zero on average.
     """
     images = data.images_e.double()[at_offset]
-    photons = data.noise.variance_e2(images.mean(0))
+    photons = data.noise.scatter_e2(images.mean(0))
     scatter = images.var(0, correction=1) if len(images) > 1 else photons
-    sigma = (torch.maximum(photons, scatter) / averaged).sqrt()
+    sigma = (torch.maximum(photons, scatter) / averaged + data.noise.shared_e2).sqrt()
     return float(np.sqrt(2 / np.pi) * sigma[data.pixel_mask].sum())

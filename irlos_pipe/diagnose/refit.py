@@ -11,12 +11,13 @@ import numpy as np
 from ..effects import Effect, Pinned
 from ..effects.seeing_halo import ScaledHalo
 from .detect import Score, gaussian_sigma
-from .fitting import Fitted, Fitter
+from .fitting import Fitted, Fitter, most_plausible
 from .optimum import Excess, Optimum
 
 PROPOSALS = 8
 HOPELESS = 0.1  # of the fall of χ² by a name that leaves nothing to explain: others need no fit
 NOTHING_LEFT = 5.0  # significance of the excess
+FAR = 10.0  # χ²/ν from which the model may be at a false minimum
 PER_PARAMETER = 8.0  # of χ², that a parameter has to earn
 FULL_HALO = 0.1  # of the expected residual, from which the halo's shape is fitted as well
 
@@ -133,9 +134,20 @@ def refits(
         report(1)
         if any(one.explains_all and score.gain < HOPELESS * one.gain for one in found):
             continue
-        fitted = fitter.fit([*origin.fitted.continued(), _start(score)], origin.fitted)
-        found.append(Refit(score, origin, fitted))
+        found.append(_refit(fitter, origin, score))
     return sorted(found, key=lambda one: -one.merit)
+
+
+def _refit(fitter: Fitter, origin: Optimum, score: Score) -> Refit:
+    """The family fitted from where the model is, and from zero if that may be a false minimum.
+
+    A model that misses something large can fit it with a wavefront far from the true one.
+    """
+    effects = [*origin.fitted.continued(), _start(score)]
+    near = Refit(score, origin, fitter.fit(effects, origin.fitted))
+    if origin.excess.chi2_nu < FAR or near.excess.significance < NOTHING_LEFT:
+        return near
+    return Refit(score, origin, most_plausible([near.fitted, fitter.fit(effects)]))
 
 
 def proposals(scores: Sequence[Score]) -> list[Score]:

@@ -27,6 +27,10 @@ PHRASES = {
 
 def sentence(diagnosis: Diagnosis) -> str:
     """One or two sentences."""
+    return f"{_found(diagnosis)}{_advised(diagnosis)}"
+
+
+def _found(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == NONE:
         return f"Nothing significant is missing in the model{_limit(diagnosis)}."
     if diagnosis.verdict == UNKNOWN:
@@ -46,6 +50,17 @@ def phrase(step: Step) -> str:
     if step.name == "bad_pixels":
         return f"bad pixels at {step.public['pixels']}"
     return f"{step.name.replace('_', ' ')} of {_size(step.public):.3g} RMS over its parameters"
+
+
+def _advised(diagnosis: Diagnosis) -> str:
+    """Which further recording would show what this one hides."""
+    by_recording: dict[str, list[str]] = {}
+    for name, advice in diagnosis.advice.items():
+        by_recording.setdefault(advice.recording, []).append(name)
+    return "".join(
+        f" Untestable here: {', '.join(names)}; a second recording {words} would show it."
+        for words, names in by_recording.items()
+    )
 
 
 def _others(steps: Sequence[Step]) -> str:

@@ -8,20 +8,26 @@ from typing import Any
 import numpy as np
 
 from ..effects import Effect, Pinned
-from .cube import Stack
+from .cube import Stack, Stacks
 from .detect import Score
-from .drift_check import linear_gain
 from .fitting import Fitted
 
 STEP = 1e-3  # of a standard error, in derivatives of public values
+FAR = 1e3  # standard errors, in place of a prior that there is none of
+UNDETERMINED = 0.5  # of the prior's variance that is left, from which the data tell nothing
+NOTHING = 1e-9
+DIRECTIONS = ("angle_deg", "pa_deg", "sep_mas", "stretch_angle_deg")
+COMPONENTS = ({"dx_m", "dy_m"},)
 
 
-def parameter_covariance(stack: Stack, fitted: Fitted) -> np.ndarray:
+def parameter_covariance(stack: Stack | Stacks, fitted: Fitted) -> np.ndarray:
     """Covariance of all parameters: from the scatter between frames, at least that of the Fisher matrix."""
     fisher = fitted.solution.covariance[0].numpy()
     if stack.photon_limited:
         return fisher
-    scatter = stack.covariance_of_mean(stack.deviations @ linear_gain(stack, fitted).mT).numpy()
+    jacobian = fitted.problem.predict_and_jacobian(fitted.x)[1]
+    gain = fitted.solution.covariance[0] @ (jacobian * stack.root)
+    scatter = stack.covariance_of_mean(stack.deviations @ gain.mT).numpy()
     ratio = np.sqrt(np.maximum(np.diag(fisher) / np.maximum(np.diag(scatter), 1e-300), 1.0))
     return scatter * np.outer(ratio, ratio)
 
@@ -36,25 +42,50 @@ def public_sigma(bare: Effect, values: np.ndarray, covariance: np.ndarray) -> di
     return _combined(slopes, covariance, 2 * np.where(steps > 0, steps, 1e-9))
 
 
-def detectable(score: Score, gain: float) -> dict[str, Any]:
-    """Public size at which the effect would lower χ² by `gain` times its inflation.
+def determined(effect: Effect | Pinned, covariance: np.ndarray) -> np.ndarray:
+    """Covariance of an effect's free parameters without the directions that only the prior holds.
 
-    Positions and directions, which do not change with the size, are left out.
+    Petals may move together, which tip, tilt and piston of the whole pupil do as well: the prior keeps
+    such a direction at zero, and its width says nothing about the effect.
+    """
+    sigma = np.array([p.prior_sigma for p in effect.parameters])
+    scale = np.where(np.isfinite(sigma), sigma, np.sqrt(np.diag(covariance)) * FAR)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    kept = vectors[:, values < UNDETERMINED]
+    projector = kept @ kept.T
+    return (projector @ (covariance / np.outer(scale, scale)) @ projector) * np.outer(scale, scale)
+
+
+def detectable(score: Score, gain: float) -> dict[str, Any]:
+    """Public size at which the effect would lower χ² by `gain` times its inflation, parameter by parameter.
+
+    Positions and directions, which do not change with the size, are left out; of a displacement whose
+    direction does not matter both components are its size.
     """
     bare = score.candidate.effect if isinstance(score.candidate, Pinned) else score.candidate
-    null = np.array(score.candidate.null_values, float)
-    size = np.where(np.isfinite(score.smallest), score.smallest, 0.0) * np.sqrt(gain)
-    if not _is_table(bare.describe(bare.null_values)):
-        size[1:] = 0.0
     full = score.candidate.all_values if isinstance(score.candidate, Pinned) else np.asarray
-    absent, present = (bare.describe(np.asarray(full(v), float)) for v in (null, null + size))
-    return {key: v for key, v in _difference(present, absent).items() if np.any(np.abs(_flat(v)) > 0)}
-
-
-def within_reach(score: Score, gain: float) -> bool:
-    """Whether the size that would be detected lies within the bounds of the effect's parameters."""
     null = np.array(score.candidate.null_values, float)
-    limits = np.array([(p.lower, p.upper) for p in score.candidate.parameters])
+    sizes = np.where(np.isfinite(score.smallest), score.smallest, 0.0) * np.sqrt(gain)
+    absent = bare.describe(np.asarray(full(null), float))
+    alone = np.diag(sizes) if not _is_table(absent) else [sizes]
+    changes = [_difference(bare.describe(np.asarray(full(null + one), float)), absent) for one in alone]
+    largest = {key: max((one[key] for one in changes), key=_size) for key in absent}
+    for pair in COMPONENTS:
+        if pair <= largest.keys():
+            largest |= dict.fromkeys(pair, float(np.hypot(*(largest[key] for key in pair))))
+    return {key: v for key, v in largest.items() if key not in DIRECTIONS and _size(v) > NOTHING}
+
+
+def within_reach(score: Score, gain: float, *, plausible: bool = False) -> bool:
+    """Whether the size that would be detected lies within the bounds of the effect's parameters.
+
+    Parameters
+    ----------
+    plausible : bool
+        Within the plausible range instead.
+    """
+    null = np.array(score.candidate.null_values, float)
+    limits = np.array([p.plausible if plausible else (p.lower, p.upper) for p in score.candidate.parameters])
     reach = np.maximum(limits[:, 1] - null, null - limits[:, 0])
     return bool(np.any(score.smallest * np.sqrt(gain) < reach))
 
@@ -69,6 +100,10 @@ def _flat(value: Any) -> list[float]:
     if isinstance(value, Sequence):
         return [number for one in value for number in _flat(one)]
     return [value]
+
+
+def _size(value: Any) -> float:
+    return float(np.max(np.abs(_flat(value))))
 
 
 def _map(function: Callable, *values: Any) -> Any:

@@ -12,6 +12,7 @@ from ..effects import Pinned
 from .ambiguity import Alternative
 from .held_out import Gap
 from .noise_check import NoiseVerdict
+from .second_recording import Advice
 
 NONE, EFFECT, UNKNOWN = "none", "effect", "unknown"
 
@@ -112,6 +113,8 @@ class Diagnosis:
         Smallest detectable size of every effect that was not seen.
     untestable : sequence of str
         Effects that the free parameters absorb.
+    advice : dict of str to Advice
+        For those of them that a second recording beside this one would show.
     chi2_nu : (float, float)
         Of the mean training image over its expectation, before and after.
     modes_nm : (ndarray, ndarray)
@@ -136,5 +139,6 @@ class Diagnosis:
     modes_nm: tuple[np.ndarray, np.ndarray]
     modes_sigma_nm: np.ndarray
     pictures: Pictures
+    advice: dict[str, Advice] = field(default_factory=dict)
     model: dict[str, dict] = field(default_factory=dict)
     seconds: float = 0.0

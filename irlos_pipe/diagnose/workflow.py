@@ -6,11 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import torch
-
 from ..effects import Conditions, Effect, Pinned
-from ..estimate.cube import Frames
-from ..psf import PsfModel, PsfSettings
 from .bad_pixel_check import bad_pixel_family
 from .conclude import conclude
 from .cube import Cube, split
@@ -18,11 +14,12 @@ from .decide import Accepted, Options, choose, no_longer_needed
 from .detect import Score, scores
 from .drift_check import Drift, measure_drift
 from .families import families, names_of
-from .fitting import Fitted, Fitter
-from .noise_check import PHOTONS, judge_noise
+from .fitting import Fitted, Fitter, most_plausible
+from .noise_check import PHOTONS, judge_all
 from .optimum import Optimum
 from .refit import refits
 from .verdict import Diagnosis
+from .view import Exposures
 
 Report = Callable[[int], None]
 
@@ -32,23 +29,20 @@ def silent(count: int) -> None:
 
 
 def diagnose(
-    frames: Frames,
-    settings: PsfSettings,
-    conditions: Conditions,
+    recordings: Sequence[Exposures],
     effects: Sequence[Effect | Pinned],
     options: Options,
     *,
     device: str = "cpu",
     report: Report = silent,
 ) -> Diagnosis:
-    """Find what the model of a cube lacks.
+    """Find what the model of one recording lacks, or that of several taken with different settings.
 
     Parameters
     ----------
-    frames : Frames
-        In order of time.
-    conditions : Conditions
-        From which missing effects start.
+    recordings : sequence of Exposures
+        With different focus, diversity or band, but the same window; of one wavefront. Effects are stated
+        for the first.
     effects : sequence of Effect or Pinned
         What the model has already.
     report : callable, optional
@@ -60,14 +54,14 @@ def diagnose(
         If there are too few frames.
     """
     began = time.perf_counter()
-    cube = split(frames, options.held_out)
-    noise = judge_noise(cube.training)
-    cube = cube.limited_by(noise.kind == PHOTONS)
+    cubes = [split(one.frames, options.held_out) for one in recordings]
+    noise = judge_all([cube.training for cube in cubes])
+    cube = Cube.of_all([one.limited_by(noise.kind == PHOTONS) for one in cubes])
     nolls = range(2, options.highest_noll + 1)
-    psf = PsfModel(settings, nolls, device=device, dtype=torch.float64)
-    task = Task(cube, Fitter(psf, cube.training), conditions, options, report)
+    views = [one.view(nolls, device) for one in recordings]
+    task = Task(cube, Fitter(views, cube.training), recordings[0].conditions, options, report)
     search = task.searched(effects)
-    diagnosis = conclude(task.cube, search, noise, options)
+    diagnosis = conclude(task.cube, search, noise, options, recordings[0].screened)
     return replace(diagnosis, seconds=time.perf_counter() - began)
 
 
@@ -122,11 +116,13 @@ class Task:
     # -- steps ---------------------------------------------------------------------------------
 
     def _null(self, effects: Sequence[Effect | Pinned]) -> Fitted:
-        """The fit without anything new, or its twin where that is better."""
-        fitted = self.fitter.fit(effects)
-        twin = self.fitter.twin(fitted)
+        """The fit without anything new, of it and its twins the most plausible."""
+        found = [self.fitter.fit(effects)]
+        found.append(self.fitter.twin(found[0]))
+        if found[1].chi2 < found[0].chi2:  # a deeper minimum, which has a twin of its own
+            found.append(self.fitter.twin(found[1]))
         self.report(2)
-        return min((fitted, twin), key=lambda one: float(one.solution.objective[0]))
+        return most_plausible(found)
 
     def _with_drift(self, null: Optimum) -> tuple[Drift, Optimum]:
         """The drift of the frames, and the model with it if it is significant."""

@@ -29,16 +29,16 @@ class Frames:
 
 
 def mean_variance_e2(frames: Frames) -> torch.Tensor:
-    """Variance of the mean image [e-²], (rows, columns): the scatter between frames.
+    """Variance of the mean image [e-²], (rows, columns): the scatter between frames, and what they share.
 
     The ratio of scatter to photon noise is averaged over 5×5 pixels, about λ/D, before it is held
     above one: pixel by pixel, scatter from few frames is uncertain, and its excursions would raise
     the variance and lower χ².
     """
     images = frames.images_e.double()
-    photons = frames.noise.variance_e2(images.mean(0))
+    photons = frames.noise.scatter_e2(images.mean(0))
     ratio = _local_mean(images.var(0, correction=1) / photons, frames.pixel_mask.double())
-    return photons * ratio.clamp_min(1.0) / len(images)
+    return photons * ratio.clamp_min(1.0) / len(images) + frames.noise.shared_e2
 
 
 def _local_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:

@@ -180,7 +180,8 @@ def held_out_misfit(frames: Frames, fit: Calibration, unseen: np.ndarray) -> np.
     """
     good = frames.pixel_mask.numpy()
     half = _of(frames, unseen)
-    sigma = (len(unseen) * mean_variance_e2(half)).sqrt().numpy()[good]
+    changing = mean_variance_e2(half) - half.noise.shared_e2  # both halves share the rest
+    sigma = (len(unseen) * changing).sqrt().numpy()[good]
     model = fit.model_image_e[good]
     design = np.stack([model, np.ones_like(model)], axis=1) / sigma[:, None]
     blocks = half.images_e.reshape(*unseen.shape, *good.shape).double().mean(1).numpy()

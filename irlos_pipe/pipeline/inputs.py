@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from irlos_pipe.atomic import write_if_changed
 from irlos_pipe.errors import InputDataError, NothingToDo
@@ -66,7 +67,14 @@ def _labelled(root: Path, name: str) -> Iterator[tuple[str, Path]]:
     files = list(_walk(root)) if root.is_dir() else [root, *_companions(root)]
     if not files:
         raise NothingToDo(f"input '{name}': {root} holds no files; nothing to process")
-    return ((path.relative_to(root.parent).as_posix(), path) for path in files)
+    return ((_label(path, root), path) for path in files)
+
+
+def _label(path: Path, root: Path) -> str:
+    label = path.relative_to(root.parent).as_posix()
+    if not label.isprintable():  # control characters, and bytes that are no UTF-8
+        raise InputDataError(f"{str(path)!r}: the name holds characters that cannot be shown; rename it")
+    return label
 
 
 def _companions(path: Path) -> Iterator[Path]:
@@ -87,18 +95,19 @@ def _unreadable(error: OSError) -> None:
     raise InputDataError(f"{error.filename}: cannot be read: {error.strerror}") from error
 
 
-def _read_cache(folder: Path) -> dict[str, list]:
+def _read_cache(folder: Path) -> dict[str, Any]:
     try:
-        return json.loads((folder / CACHE_NAME).read_text())
-    except (OSError, ValueError):
+        entries = json.loads((folder / CACHE_NAME).read_text())
+    except (OSError, ValueError, RecursionError):
         return {}
+    return entries if isinstance(entries, dict) else {}
 
 
-def _checksum(path: Path, cache: Mapping[str, list]) -> str:
+def _checksum(path: Path, cache: Mapping[str, Any]) -> str:
     try:
-        known = cache.get(str(path))
-        if known and known[:2] == _stamp(path):
-            return known[2]
+        match cache.get(str(path)):
+            case [int(size), int(time_ns), str(sha256)] if [size, time_ns] == _stamp(path):
+                return sha256
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:

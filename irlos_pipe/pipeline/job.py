@@ -13,7 +13,7 @@ from irlos_pipe.jsonable import jsonable
 from irlos_pipe.pipeline import provenance
 from irlos_pipe.pipeline.inputs import InputFile
 from irlos_pipe.pipeline.plan import Action, Step
-from irlos_pipe.pipeline.resources import Resources, limit_threads
+from irlos_pipe.pipeline.resources import Resources, limit_threads, one_blas_thread
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
 from irlos_pipe.product import Product, read_product, write_product
 from irlos_pipe.recipe import Recipe
@@ -61,7 +61,7 @@ class Job:
         limit_threads(self.resources.jobs)
         started, clock = provenance.now(), time.perf_counter()
         context = self._context(step, log)
-        with collected(log) as lines:
+        with collected(log) as lines, one_blas_thread():
             output = STAGES[step.name].run(context)
         times = {"started": started, "finished": provenance.now(),
                  "seconds": round(time.perf_counter() - clock, 3)}

@@ -158,6 +158,7 @@ def _why_outdated(name: str, path: Path, parts: Mapping[str, Any], key: str) -> 
 def _stored(name: str, path: Path) -> dict[str, Any]:
     """Return the provenance of a product on disk."""
     product = read_product(path, arrays=False)
-    if product.stage != name or not {"key", "parts", "files"} <= product.provenance.keys():
+    told = {"key", "parts", "files", "summary", "failures"}
+    if product.stage != name or not told <= product.provenance.keys():
         raise InputDataError(f"{path}: not a product of stage '{name}' made by a run")
     return product.provenance

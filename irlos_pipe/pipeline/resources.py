@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
+from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from irlos_pipe.errors import ConfigurationError
@@ -64,6 +66,11 @@ def resolve_device(wanted: str) -> str:
         raise ConfigurationError("--device cuda: PyTorch finds no CUDA device; use --device cpu, "
                                  "or install a CUDA build of PyTorch (make env TORCH_INDEX=...)")
     return "cpu"
+
+
+def one_blas_thread() -> AbstractContextManager:
+    """While the block lasts NumPy and SciPy use one thread: sums of several differ in the last bits."""
+    return threadpool_limits(1, user_api="blas")
 
 
 def limit_threads(jobs: int) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -15,6 +17,7 @@ from irlos_pipe.overrides import Override, absolute
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageConfig, needs
 
+INPUT_NAME = re.compile(r"[^\W_][\w.+-]*")  # becomes a group in products
 Section = TypeVar("Section", bound=BaseModel)
 
 
@@ -101,12 +104,15 @@ def check_inputs(inputs: Mapping[str, Sequence[str]], folder: Path,
                  complaints: Complaints) -> dict[str, tuple[Path, ...]]:
     """Check that all inputs exist; returns absolute paths, counted from the recipe's `folder`."""
     for name, paths in inputs.items():
+        if not INPUT_NAME.fullmatch(name):
+            complaints.add(("inputs", name), f"input {name!r}: a name is made of letters, digits and . _ + - "
+                                             "and begins with a letter or digit")
         if not paths:
             complaints.add(("inputs", name), f"input '{name}' is not given; add --input {name}=PATH")
     found = {name: tuple(absolute(path, folder) for path in paths) for name, paths in inputs.items()}
     for name, paths in found.items():
         for path in paths:
-            if not path.exists():
+            if not os.path.exists(path):  # also of a name that no file can have
                 complaints.add(("inputs", name), f"input '{name}': no such file or folder: {path}; "
                                                  f"correct it, or give --input {name}=PATH")
     return found

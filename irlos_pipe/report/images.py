@@ -11,6 +11,7 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.colors import AsinhNorm, LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
 
 from irlos_pipe.report.drawing import svg
 
@@ -76,6 +77,9 @@ def image_panel(
         axes.set(xlabel=f"x [{axis_unit}]", ylabel=f"y [{axis_unit}]")
         _cross_out(axes, pixel_mask, step)
         figure.colorbar(shown, cax=bar, label=unit)
+        if isinstance(bar.yaxis.get_major_formatter(), ScalarFormatter):
+            bar.ticklabel_format(scilimits=(-2, 3))  # numbers short enough to leave the unit its place
+            bar.yaxis.get_offset_text().set_fontsize("x-small")
 
     return svg(name, PANEL_IN, draw)
 

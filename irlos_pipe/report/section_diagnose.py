@@ -159,11 +159,18 @@ def _step_rows(step: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 def _separation(results: Mapping[str, Any]) -> list[Table]:
     rows = [
-        (f"{step['effect']} or {other['name']}", other["reason"], other["separated_by"])
+        (f"{step['effect']} or {other['name']}", other["reason"], _what_separates(other))
         for step in results.get("steps", [])
         for other in step.get("alternatives", [])
     ]
     return [Table(("names", "why", "what tells them apart"), rows, "Not told apart")] if rows else []
+
+
+def _what_separates(other: Mapping[str, Any]) -> str:
+    """What tells them apart, and the second recording in which they are least alike."""
+    words = other.get("second_recording")
+    cosine = number(other.get("likeness_then"), ".2f")
+    return other["separated_by"] + (f"; a second recording {words} (|cos| then {cosine})" if words else "")
 
 
 def _modes(results: Mapping[str, Any]) -> list[Table]:
@@ -189,8 +196,18 @@ def _limits(results: Mapping[str, Any]) -> list[Table | Text]:
         for name, public in mdb.items()
     ]
     table = Table(("effect", "smallest size that would have been seen"), rows, "Not seen", folded=True)
-    untestable = ", ".join(results.get("untestable", []))
-    told = [f"Untestable with these free parameters: {untestable}."] if untestable else []
+    hidden = [(name, *_second(results, name)) for name in results.get("untestable", [])]
+    columns = ("effect", "second recording that shows it", "smallest size seen then")
+    untestable = Table(columns, hidden, "Untestable with these free parameters")
     noise = (results.get("noise") or {}).get("text")
-    text = " ".join([*told, *([f"Noise: {noise}."] if noise else [])])
-    return [*([table] if rows else []), *([Text(text)] if text else [])]
+    told = [Text(f"Noise: {noise}.")] if noise else []
+    return [*([table] if rows else []), *([untestable] if hidden else []), *told]
+
+
+def _second(results: Mapping[str, Any], name: str) -> tuple[str, str]:
+    """The recording to take, and what it would show."""
+    advice = (results.get("second_recording") or {}).get(name)
+    if advice is None:
+        return "none of those tried", "–"
+    sizes = ", ".join(f"{key} {number(value, '.2g')}" for key, value in rows_of(advice["smallest"]))
+    return advice["recording"], sizes

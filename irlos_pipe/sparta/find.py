@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from itertools import chain, count
 from pathlib import Path
 
@@ -20,11 +20,18 @@ DAMAGED = "damaged"
 COMPUTER_FILE = re.compile(r"\w*(Acq|Ctr|Monitor|RTC|Recn)\.[\w.]+\.fits", re.ASCII)
 
 
-def recording_files(paths: Sequence[Path]) -> list[Path]:
+def recording_files(
+    paths: Sequence[Path], refused: Callable[[InputDataError], None] | None = None
+) -> list[Path]:
     """Find the files with recordings among the given files and folders.
 
     Folders are searched through all their depth, in the natural order of names (2 before 10).
     A damaged FITS file counts as a recording: reading it will say what is wrong.
+
+    Parameters
+    ----------
+    refused : callable, optional
+        Told of folders below that may not be read; raised otherwise.
 
     Raises
     ------
@@ -33,7 +40,7 @@ def recording_files(paths: Sequence[Path]) -> list[Path]:
     NothingToDo
         No recording under any of the paths.
     """
-    files = [file for path in paths for file in _files_under(Path(path))]
+    files = [file for path in paths for file in _files_under(Path(path), refused or _raise)]
     if not files:
         raise NothingToDo(
             f"no recordings under {', '.join(map(str, paths)) or 'no path'}: neither SPARTA recorder "
@@ -71,21 +78,26 @@ def _layout(path: Path) -> str | None:
         return next((layout.LAYOUT for layout in LAYOUTS if layout.recognises(hdus)), None)
 
 
-def _files_under(path: Path) -> Iterator[Path]:
+def _raise(error: InputDataError) -> None:
+    raise error
+
+
+def _files_under(path: Path, refused: Callable[[InputDataError], None]) -> Iterator[Path]:
     if not path.exists():
         raise InputDataError(f"{path}: no such file or folder")
     if path.is_dir():
-        yield from _files_in_folder(path)
+        yield from _files_in_folder(path, refused)
     elif not has_fits_name(path):
         raise InputDataError(f"{path}: not a FITS file; give a FITS file, or a folder to search")
     else:
         yield path
 
 
-def _files_in_folder(folder: Path) -> Iterator[Path]:
+def _files_in_folder(folder: Path, refused: Callable[[InputDataError], None]) -> Iterator[Path]:
     """Data files of a folder, then those of its subfolders; hidden ones are left out."""
     if not os.access(folder, os.R_OK | os.X_OK):
-        raise InputDataError(f"{folder}: no permission to read the folder")
+        refused(InputDataError(f"{folder}: no permission to read the folder"))
+        return
     entries = sorted(
         (entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=natural_order
     )
@@ -97,7 +109,7 @@ def _files_in_folder(folder: Path) -> Iterator[Path]:
     yield from _data_files(candidates)
     for entry in entries:
         if entry.is_dir():
-            yield from _files_in_folder(entry)
+            yield from _files_in_folder(entry, refused)
 
 
 def _data_files(candidates: list[Path]) -> list[Path]:

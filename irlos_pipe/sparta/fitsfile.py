@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
+import mmap
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,9 +17,14 @@ from astropy.io import fits
 from irlos_pipe.errors import InputDataError, IrlosError
 
 FITS_SUFFIXES = (".fits", ".fit", ".fts", ".fits.gz", ".fits.fz")
-FITS_BEGIN, EXTENSION_BEGIN, GZIP_BEGIN = b"SIMPLE", b"XTENSION", b"\x1f\x8b"
+FITS_BEGIN, GZIP_BEGIN = b"SIMPLE", b"\x1f\x8b"
+MAX_REST_BYTES = 2**20  # looked at behind the last HDU
+CARD_BYTES = 80
+COUNTS = re.compile(rb"(Z?NAXIS {2,3}|TFIELDS )= *([0-9]{4,})")
 MIN_WINDOW_PX = 5
 MAX_WINDOW_PX = 4096
+MAX_UNPACKED_BYTES = 2**29  # of an HDU in a compressed file: 30 000 frames of 64x64 px
+MAX_COMPRESSION = 1100  # deflate makes no more of less
 
 
 def has_fits_name(path: Path) -> bool:
@@ -39,16 +47,20 @@ def open_fits(path: Path) -> Iterator[fits.HDUList]:
     Raises
     ------
     InputDataError
-        No access, empty, truncated, or not FITS; also for any error of astropy inside the block.
+        No access, empty, truncated, damaged by its own checksum, or not FITS; also for any error of
+        astropy inside the block.
     """
     try:
         _require_content(path)
+        _require_countable(path)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             # opened here, for astropy leaves its own stream open when a header is damaged
-            with path.open("rb") as stream, fits.open(stream, memmap=False, lazy_load_hdus=False) as hdus:
+            # and one HDU after the other, so that a size is checked before what follows is sought
+            with path.open("rb") as stream, fits.open(stream, memmap=False, lazy_load_hdus=True) as hdus:
                 _require_complete(hdus, path)
-                _require_no_torn_header(hdus, path)
+                _require_end(hdus, path)
+                _require_sums(hdus, path)
                 yield hdus
     except IrlosError:
         raise
@@ -124,32 +136,81 @@ def _require_content(path: Path) -> None:
         raise InputDataError(f"{path}: not a FITS file, for it does not begin with '{FITS_BEGIN.decode()}'")
 
 
+def _require_countable(path: Path) -> None:
+    """Refuse headers with more axes or columns than FITS allows: astropy would count up to any number."""
+    for found in COUNTS.finditer(_beginning(path)):
+        if found.start() % CARD_BYTES == 0:
+            key, number = (group.decode().strip() for group in found.groups())
+            raise InputDataError(f"{path}: {key} = {number} in a header, FITS allows 999: damaged")
+
+
+def _beginning(path: Path) -> bytes | mmap.mmap:
+    """All of a plain file, without reading it; of a compressed one what holds its first headers."""
+    with path.open("rb") as stream:
+        if stream.read(len(GZIP_BEGIN)) != GZIP_BEGIN:
+            return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+    with gzip.open(path) as stream:
+        return stream.read(MAX_REST_BYTES)
+
+
 def _require_complete(hdus: fits.HDUList, path: Path) -> None:
     """Compare the sizes the headers announce with the file, before anything is allocated."""
-    size = _plain_size(path)
+    file_bytes = path.stat().st_size
     for index, hdu in enumerate(hdus):
-        info = hdu.fileinfo() if size is not None else None
-        if info is not None and info["datLoc"] + hdu.size > size:
+        info = hdu.fileinfo()
+        if info is None:
+            continue
+        stored = info["datSpan"] if _is_plain(path) else file_bytes
+        if _is_plain(path) and info["datLoc"] + min(hdu.size, stored) > file_bytes:
             raise InputDataError(
                 f"{hdu_label(path, index, hdu)}: the header announces {hdu.size} bytes of data, the "
-                f"file holds {max(0, size - info['datLoc'])}: truncated, or a wrong header"
+                f"file holds {max(0, file_bytes - info['datLoc'])}: truncated, or a wrong header"
             )
+        if hdu.size > stored:
+            _require_unpackable(hdu.size, stored, hdu_label(path, index, hdu))
 
 
-def _require_no_torn_header(hdus: fits.HDUList, path: Path) -> None:
-    """Astropy passes in silence over an extension whose header is cut off."""
+def _require_unpackable(size: int, stored: int, where: str) -> None:
+    """Refuse compressed data that announce more than they can hold, or than should be unpacked unseen."""
+    if size > MAX_COMPRESSION * stored:
+        raise InputDataError(
+            f"{where}: the header announces {size} bytes of data, more than {stored} compressed bytes can "
+            "hold: truncated, or a wrong header"
+        )
+    if size > MAX_UNPACKED_BYTES:
+        raise InputDataError(
+            f"{where}: {size} bytes when unpacked, more than {MAX_UNPACKED_BYTES} are not unpacked in "
+            "memory; unpack the file"
+        )
+
+
+def _require_end(hdus: fits.HDUList, path: Path) -> None:
+    """Astropy passes in silence over an extension whose header is damaged, and all that follows it."""
     last = hdus[-1].fileinfo()
-    if _plain_size(path) is None or last is None:
+    if not _is_plain(path) or last is None:
         return
     with path.open("rb") as stream:
         stream.seek(last["datLoc"] + last["datSpan"])
-        if stream.read(len(EXTENSION_BEGIN)) == EXTENSION_BEGIN:
-            raise InputDataError(f"{path}: HDU {len(hdus)}: its header is cut off or damaged")
+        if stream.read(MAX_REST_BYTES).strip(b"\0 "):
+            raise InputDataError(
+                f"{path}: HDU {len(hdus)}: its header is cut off or damaged: something follows HDU "
+                f"{len(hdus) - 1} that is no extension"
+            )
 
 
-def _plain_size(path: Path) -> int | None:
-    """Size of the file in bytes; None if it is compressed and says nothing about its content."""
-    return None if path.name.lower().endswith((".gz", ".fz")) else path.stat().st_size
+def _require_sums(hdus: fits.HDUList, path: Path) -> None:
+    """Compare the data with their checksum where the file gives one."""
+    for index, hdu in enumerate(hdus):
+        if "DATASUM" in hdu.header and not hdu.verify_datasum():
+            raise InputDataError(
+                f"{hdu_label(path, index, hdu)}: the data do not fit their DATASUM: damaged, or changed "
+                "without a new one"
+            )
+
+
+def _is_plain(path: Path) -> bool:
+    """Tell whether positions in the file are those of its headers and data."""
+    return not path.name.lower().endswith((".gz", ".fz"))
 
 
 def _one_line(error: Exception) -> str:

@@ -1,4 +1,4 @@
-"""Stage `diagnose`: what the model of a cube or a ramp lacks, by name and size, and how the gap shrinks."""
+"""Stage `diagnose`: what the model of cubes or a ramp lacks, by name and size, and how the gap shrinks."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from pydantic import Field
 from irlos_pipe.diagnose.decide import Options
 from irlos_pipe.diagnose.sentence import sentence
 from irlos_pipe.diagnose.verdict import Diagnosis, Step
+from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.diagnose.workflow import diagnose
-from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects import CATALOGUE, Effect, Pinned
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.product import Quantity
 from irlos_pipe.recording import Recording
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.light_path import pooled_images, psf_settings, used_in_time_order
+from irlos_pipe.stages.diagnose_input import by_setting, introduced_nm, screened_pixels
+from irlos_pipe.stages.light_path import pooled_images, psf_settings
 from irlos_pipe.stages.model_effects import conditions_of, good_pixels, image_effects, model_effects
 from irlos_pipe.stages.ramp_diagnosis import run_on_ramp
 
 NAME = "diagnose"
-VERSION = 1
+VERSION = 2
 NEEDS = ("ingest",)
 READS = ("ingest", "calibrate", "lift")
 MODEL_FILE = "model.yaml"
@@ -39,7 +41,7 @@ HELD = ("bad_pixels", "ncpa_drift")
 class Config(StageConfig):
     """Settings of the diagnosis."""
 
-    input: str = Field("cube", description="recipe input that holds the cube, or the ramp")
+    input: str = Field("cube", description="recipe input that holds the cubes, or the ramp")
     highest_noll: int = Field(
         66, ge=4, le=231, description="modes 2 to this belong to every model; beyond: high_order_ncpa"
     )
@@ -49,30 +51,37 @@ class Config(StageConfig):
 
 
 def run(ctx: StageContext) -> StageOutput:
-    """Diagnose the recipe's input: behind the stage `lift` a ramp, else a cube."""
+    """Diagnose the recipe's input: behind the stage `lift` a ramp, else cubes of one wavefront."""
     if "lift" in ctx.products:
         output, entries = run_on_ramp(ctx, round(1 / ctx.config.held_out))
         return replace(output, files={MODEL_FILE: _model_yaml(ctx, entries)})
-    recordings = used_in_time_order(ctx.products["ingest"], ctx.config.input)
-    result = _diagnose(ctx, recordings)
+    result = _diagnose(ctx, by_setting(ctx.products["ingest"], ctx.config.input))
     model = _model_yaml(ctx, [_entry(step) for step in result.steps])
     return StageOutput(_arrays(result), _results(result), files={MODEL_FILE: model}, summary=_summary(result))
 
 
-def _diagnose(ctx: StageContext, recordings: list[Recording]) -> Diagnosis:
-    config, first = ctx.config, recordings[0]
-    effects = model_effects(ctx.instrument, ctx.model, first, config.highest_noll)
-    conditions = conditions_of(ctx.instrument, ctx.model, first, config.highest_noll)
-    frames = _frames(recordings, good_pixels(effects, first.window))
+def _diagnose(ctx: StageContext, settings: list[list[Recording]]) -> Diagnosis:
+    config = ctx.config
+    effects = model_effects(ctx.instrument, ctx.model, settings[0][0], config.highest_noll)
+    exposures = [_exposures(ctx, alike, effects) for alike in settings]
     options = Options(config.highest_noll, config.held_out, config.most_names, config.sure_sigma)
-    settings = psf_settings(ctx.instrument, ctx.model, first)
     with ctx.progress(total=EXPECTED_FITS, desc="diagnose") as bar:
-        found = image_effects(effects)
-        return diagnose(frames, settings, conditions, found, options, device=ctx.device, report=bar.update)
+        return diagnose(exposures, image_effects(effects), options, device=ctx.device, report=bar.update)
+
+
+def _exposures(ctx: StageContext, alike: list[Recording], effects: list[Effect | Pinned]) -> Exposures:
+    """Recordings of one setting, the introduced defocus among what is known of it."""
+    first = alike[0]
+    return Exposures(
+        _frames(alike, good_pixels(effects, first.window)),
+        psf_settings(ctx.instrument, ctx.model, first, {4: introduced_nm(first)}),
+        conditions_of(ctx.instrument, ctx.model, first, ctx.config.highest_noll),
+        screened_pixels(ctx.products["ingest"], first),
+    )
 
 
 def _frames(recordings: list[Recording], good: np.ndarray) -> Frames:
-    """Frames of all recordings, pixels that the model lists as bad masked."""
+    """Frames of recordings of one setting, pixels that the model lists as bad masked."""
     images_e, pixel_mask, noise = pooled_images(recordings)
     if len(images_e) < FEWEST_FRAMES:
         raise InputDataError(
@@ -94,6 +103,7 @@ def _results(result: Diagnosis) -> dict[str, Any]:
         "unexplained": result.unexplained,
         "why_unknown": result.why_unknown,
         "untestable": list(result.untestable),
+        "second_recording": {name: asdict(advice) for name, advice in result.advice.items()},
         "mdb": result.mdb,
         "model": MODEL_FILE,
         "noise": asdict(result.noise) | {"holds": result.noise.holds, "text": result.noise.text},
@@ -173,8 +183,24 @@ def _summary(result: Diagnosis) -> list[str]:
 def _model_yaml(ctx: StageContext, entries: list[dict[str, Any]]) -> bytes:
     """The recipe's section `model` with entries added to its effects."""
     section = ctx.model.model_dump(mode="json")
-    section["effects"] = [*section["effects"], *entries]
+    section["effects"] = _with_one_list_of_pixels([*section["effects"], *entries])
     return yaml.safe_dump(section, sort_keys=False, allow_unicode=True).encode()
+
+
+def _with_one_list_of_pixels(effects: list[Any]) -> list[Any]:
+    """Entries of which one lists all bad pixels, wherever they were found."""
+    listed = [e["bad_pixels"]["pixels"] for e in effects if isinstance(e, dict) and "bad_pixels" in e]
+    if len(listed) < 2:
+        return effects
+    others = [e for e in effects if not (isinstance(e, dict) and "bad_pixels" in e)]
+    return [
+        *others,
+        {
+            "bad_pixels": {
+                "pixels": [list(p) for p in sorted({tuple(pixel) for part in listed for pixel in part})]
+            }
+        },
+    ]
 
 
 def _entry(step: Step) -> dict[str, Any]:

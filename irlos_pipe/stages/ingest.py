@@ -9,6 +9,7 @@ from pydantic import Field
 
 from irlos_pipe.blemishes import Thresholds
 from irlos_pipe.cleaning import Cleaned, clean
+from irlos_pipe.dark_noise import dark_variance_e2
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.instrument import Instrument
 from irlos_pipe.product import Quantity
@@ -23,7 +24,7 @@ from irlos_pipe.stages.ingest_sources import Source, read_sources, with_darks
 from irlos_pipe.stages.recordings import arrays_from_recording, prefix_of
 
 NAME = "ingest"
-VERSION = 1
+VERSION = 2
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})
 MAS_PER_RADIAN = np.degrees(1) * 3.6e6
@@ -169,19 +170,25 @@ def _recording(source: Source, cleaned: Cleaned) -> Recording:
         introduced_defocus_nm=source.resolved.introduced_defocus_nm,
         acquisition=replace(acquisition, detector=detector),
         background_variance_e2=_background_variance(raw, acquisition, cleaned),
+        dark_variance_e2=_dark_variance(raw, acquisition, cleaned),
         frames_missing=frames_missing(raw.frame_counter),
         start_unix_s=raw.start_unix_s,
     )
 
 
 def _background_variance(raw: RawRecording, acquisition: Acquisition, cleaned: Cleaned) -> float:
-    """Variance beyond read noise and star: measured, else from the sky; plus that of the dark image."""
+    """Variance beyond read noise and star: measured, else from the sky."""
     detector = acquisition.detector
     sky = raw.calibration.background_adu
     sky_e = 0.0 if sky is None else max(0.0, float(np.nanmedian(sky)) * detector.e_per_adu)
     measured = cleaned.noise.beyond_e2(detector.read_noise_e**2)
-    of_dark = raw.calibration.dark_variance_adu2 * detector.e_per_adu**2
-    return max(measured, sky_e * detector.excess_noise_factor) + of_dark
+    return max(measured, sky_e * detector.excess_noise_factor)
+
+
+def _dark_variance(raw: RawRecording, acquisition: Acquisition, cleaned: Cleaned) -> float:
+    """Noise of the dark: not more than the dark itself says, nor than the mean of the frames shows."""
+    of_dark = raw.calibration.dark_variance_adu2 * acquisition.detector.e_per_adu**2
+    return dark_variance_e2(cleaned.images_e[cleaned.reasons == ""], cleaned.pixel_mask, of_dark)
 
 
 def _arrays(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[str, Quantity]:

@@ -29,6 +29,7 @@ def row(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[str, 
         "reasons": tally(recording.reason),
         "saturated_frames": int(np.sum(recording.reason == SATURATED)),
         "bad_pixels": np.argwhere(~recording.pixel_mask).tolist(),
+        "bad_pixels_found": np.argwhere(~recording.pixel_mask & ~_listed(recording, raw)).tolist(),
         "cosmic_hits": int(cleaned.hits.frame.size),
         "centre_offset_px": list(centre_offset_px(recording)),
         "pedestal_adu": cleaned.background.pedestal_adu,
@@ -36,8 +37,15 @@ def row(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[str, 
         "noise_floor_e2": cleaned.noise.floor_e2,
         "excess_noise_measured": cleaned.noise.excess_noise_factor,
         "background_variance_e2": recording.background_variance_e2,
+        "dark_variance_e2": recording.dark_variance_e2,
         "sources": acquisition.sources,
     }
+
+
+def _listed(recording: Recording, raw: RawRecording) -> np.ndarray:
+    """Pixels that the map of dead pixels lists, (rows, columns)."""
+    bad = raw.calibration.bad
+    return np.zeros(recording.window, bool) if bad is None else np.asarray(bad, bool)
 
 
 def dark_row(source: Source) -> dict[str, Any]:

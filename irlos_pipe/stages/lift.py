@@ -60,8 +60,10 @@ class Config(StageConfig):
     noise: Literal["data", "model", "iterative"] = Field(
         "iterative", description="where the variances come from"
     )
-    start: Literal["elongation", "scan", "zero"] = Field(
-        "elongation", description="where the iteration begins"
+    start: Literal["elongation", "scan", "told", "zero"] = Field(
+        "elongation",
+        description="where the iteration begins; told: at the introduced defocus, as without a diversity "
+        "images do not show its sign",
     )
     max_iterations: int = Field(40, ge=1, le=1000, description="per fit")
     compare: bool = Field(

@@ -24,7 +24,7 @@ KEYS = {"focus_stage_scale": "fraction"}  # others: nm
 
 
 def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[str, Any]]]:
-    """Diagnose the ramp that `lift` estimated; of every visit, each `every`-th frame is held out.
+    """Diagnose the ramp that `lift` estimated; one frame in `every` is held out.
 
     Returns
     -------
@@ -36,11 +36,7 @@ def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[s
     ramp = read_ramp(ctx, ctx.config.input)
     lift = ctx.products["lift"]
     estimated = np.asarray(lift.arrays["defocus_nm"].value, float)
-    held_out = np.array(ramp.frame) % every == every - 1
-    if not held_out.any():
-        raise InputDataError(
-            f"{ramp.names[0]}: with fewer than {every} frames per offset none can be held out"
-        )
+    held_out = frames_held_out(ramp.commanded_nm, every)
     try:
         result = diagnose_ramp(ramp.commanded_nm, estimated, ~held_out, ctx.config.sure_sigma)
     except ValueError as problem:
@@ -50,6 +46,16 @@ def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[s
     results = _results(ramp, result, gap, estimated, corrected) | {"seconds": time.perf_counter() - began}
     output = StageOutput(_arrays(ramp, estimated, corrected), results, summary=_summary(result, gap))
     return output, [entry(one) for one in result.names]
+
+
+def frames_held_out(commanded_nm: np.ndarray, every: int) -> np.ndarray:
+    """Frames that no fit may see, (frames,): of every visit each `every`-th, or of all frames if visits
+    are shorter than that."""
+    starts = np.flatnonzero(np.diff(commanded_nm, prepend=np.nan) != 0)
+    visits = np.split(np.arange(len(commanded_nm)), starts[1:])
+    within = np.concatenate([np.arange(len(visit)) for visit in visits])
+    count = within if within.max() >= every - 1 else np.arange(len(commanded_nm))
+    return count % every == every - 1
 
 
 def _gap(ctx: StageContext, ramp: Ramp, lift, corrected_nm: np.ndarray, held_out: np.ndarray) -> Gap:
@@ -73,6 +79,7 @@ def _results(
         "verdict": result.verdict,
         "sentence": sentence(result),
         "steps": [_step(one, gap) for one in result.names],
+        "nearest": _step(result.nearest[0], gap) if result.nearest else None,
         "gap": {"before": gap.before, "after": gap.after, "floor": gap.floor, "shrink": gap.shrink},
         "unexplained": result.verdict == "unknown",
         "untestable": list(result.untestable),
@@ -119,7 +126,9 @@ def _part(one: RampName) -> dict[str, float]:
 def sentence(result: RampDiagnosis) -> str:
     """The verdict in the words of an engineer."""
     if result.verdict == "unknown":
-        return "The ramp does not follow its offsets, and no error of the focus stage explains it."
+        near = " and ".join(_phrase(one) for one in result.nearest)
+        told = f"; the nearest is {near}" if near else ""
+        return f"The ramp does not follow its offsets, and no error of the focus stage explains it{told}."
     if not result.names:
         return "The focus stage does what it is told."
     return f"The ramp wants {' and '.join(_phrase(one) for one in result.names)}; nothing else is missing."

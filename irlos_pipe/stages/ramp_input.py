@@ -116,10 +116,10 @@ def _known(ctx: StageContext, recording: Recording) -> dict[str, Pinned]:
 def ramp_start(
     ctx: StageContext, model: PsfModel, ramp: Ramp, ncpa_nm: dict[int, float], start: str
 ) -> torch.Tensor:
-    """Start of every frame: from the elongation prior, from a scan of defocus, or from zero."""
+    """Start of every frame: the elongation prior, a scan of defocus, what the stage was told, or zero."""
     if start == "scan":
         return scan_start_nm(model, ramp.data.images_e, ramp.data.pixel_mask)
-    defocus = np.zeros(len(ramp.names))
+    defocus = ramp.commanded_nm if start == "told" else np.zeros(len(ramp.names))
     if start == "elongation" and "prior" in ctx.products:
         defocus = np.array(ctx.products["prior"].arrays["defocus_nm"].value, float) - ncpa_nm.get(4, 0.0)
     return start_from_defocus(model, ramp.data, defocus)

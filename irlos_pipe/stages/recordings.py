@@ -24,10 +24,17 @@ PER_RECORDING = {
     "frame_counter": ("", "counter of the recorder"),
     "introduced_defocus_nm": ("nm", "introduced defocus, RMS"),
     "background_variance_e2": ("e-2", "variance per pixel beyond read noise and photons of the star"),
+    "dark_variance_e2": ("e-2", "variance per pixel of the dark image, the same in every frame"),
     "frames_missing": ("", "frames the recorder lost"),
     "start_unix_s": ("s", "time of the first frame since 1970"),
 }
-SCALARS = {"background_variance_e2": float, "frames_missing": int, "start_unix_s": float}
+LATER = ("dark_variance_e2",)  # products of ingest's first version have none
+SCALARS = {
+    "background_variance_e2": float,
+    "dark_variance_e2": float,
+    "frames_missing": int,
+    "start_unix_s": float,
+}
 
 
 def prefix_of(recording: Recording) -> str:
@@ -84,9 +91,11 @@ def _stored_keys(product: Product) -> Iterator[tuple[str, str]]:
 
 
 def _recording(product: Product, owner: str, name: str) -> Recording:
-    stored = {key: product.arrays[f"{ROOT}/{owner}/{name}/{key}"].value for key in PER_RECORDING}
-    stored |= {key: kind(stored[key]) for key, kind in SCALARS.items()}
-    text = str(product.arrays[f"{ROOT}/{owner}/{name}/acquisition"].value)
+    prefix = f"{ROOT}/{owner}/{name}"
+    kept = [key for key in PER_RECORDING if key not in LATER or f"{prefix}/{key}" in product.arrays]
+    stored = {key: product.arrays[f"{prefix}/{key}"].value for key in kept}
+    stored |= {key: kind(stored[key]) for key, kind in SCALARS.items() if key in stored}
+    text = str(product.arrays[f"{prefix}/acquisition"].value)
     return Recording(name=name, input=owner, acquisition=_acquisition(json.loads(text)), **stored)
 
 

@@ -1,0 +1,123 @@
+"""All cases of the suite, as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from zlib import crc32
+
+from .foreign import FOREIGN
+from .hidden import DRAWS, STAGE
+from .levels import LEVELS, MEDIUM
+from .settings import SETTINGS, Setting
+
+CLEAN, SINGLE, PAIR, OUTSIDE = "clean", "single", "pair", "outside"
+RAMP_CLEAN, RAMP_SINGLE, RAMP_OUTSIDE = "ramp_clean", "ramp_single", "ramp_outside"
+RAMPS = (RAMP_CLEAN, RAMP_SINGLE, RAMP_OUTSIDE)
+MIXED_UP = "frame_order"
+CLEAN_EACH, RAMPS_CLEAN_EACH, MIXED_UP_EACH = 12, 4, 3
+RAMP_SETTINGS = ("bench_narrow", "sky_broad")
+PAIRS = (
+    ("companion", "vibration"),
+    ("companion", "low_wind_effect"),
+    ("vibration", "phase_bump"),
+    ("tip_tilt_jitter", "companion"),
+    ("low_wind_effect", "background_gradient"),
+    ("phase_bump", "companion"),
+    ("pupil_misregistration", "vibration"),
+    ("detector_nonlinearity", "companion"),
+    ("interpixel_crosstalk", "low_wind_effect"),
+    ("bad_pixels", "companion"),
+    ("ncpa_drift", "vibration"),
+    ("amplitude_aberration", "companion"),
+)
+# What the recipe for the sky has in its model already: there the model goes without it.
+IN_SKY_MODEL = ("seeing_halo", "tip_tilt_jitter")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One recording, or one ramp with its calibration.
+
+    Attributes
+    ----------
+    kind : str
+        `CLEAN`, `SINGLE`, …
+    setting : Setting
+    effects : tuple of str
+        Hidden effects: of the catalogue, or one that it does not have.
+    level : str
+        Of all hidden effects; empty without.
+    number : int
+        Tells draws of the same case apart.
+    """
+
+    kind: str
+    setting: Setting
+    effects: tuple[str, ...] = ()
+    level: str = ""
+    number: int = 0
+
+    @property
+    def name(self) -> str:
+        """Of its files: ``single.bench_narrow.companion.weak``."""
+        last = self.level if self.kind in (SINGLE, RAMP_SINGLE) else f"{self.number:02d}"
+        return ".".join(part for part in (self.kind, self.setting.name, "+".join(self.effects), last) if part)
+
+    @property
+    def seed(self) -> int:
+        """The same in every run, its own in every case."""
+        return crc32(self.name.encode())
+
+    @property
+    def is_ramp(self) -> bool:
+        """Whether it is a ramp."""
+        return self.kind in RAMPS
+
+    @property
+    def model_effects(self) -> tuple[str, ...] | None:
+        """Of the model to begin with, where it is not the recipe's."""
+        hidden = set(self.effects) & set(IN_SKY_MODEL)
+        if self.is_ramp:
+            return None if self.setting.on_sky else ()
+        return tuple(n for n in IN_SKY_MODEL if n not in hidden) if self.setting.on_sky and hidden else None
+
+
+def all_cases() -> list[Case]:
+    """Every case: those of one kind together, settings in turn."""
+    return [*_clean(), *_singles(), *_pairs(), *_outside(), *_ramps()]
+
+
+def _clean() -> Iterator[Case]:
+    for number, setting in product(range(CLEAN_EACH), SETTINGS.values()):
+        yield Case(CLEAN, setting, number=number)
+
+
+def _singles() -> Iterator[Case]:
+    effects = [name for name in DRAWS if name not in STAGE]
+    for effect, level, setting in product(effects, LEVELS, SETTINGS.values()):
+        yield Case(SINGLE, setting, (effect,), level)
+
+
+def _pairs() -> Iterator[Case]:
+    """Every pair in two settings, on the bench and on sky."""
+    settings = list(SETTINGS.values())
+    for index, pair in enumerate(PAIRS):
+        for setting in (settings[index % 2], settings[3 - index % 2]):
+            yield Case(PAIR, setting, pair, MEDIUM)
+
+
+def _outside() -> Iterator[Case]:
+    for effect, setting in product(FOREIGN, SETTINGS.values()):
+        yield Case(OUTSIDE, setting, (effect,))
+
+
+def _ramps() -> Iterator[Case]:
+    settings = [SETTINGS[name] for name in RAMP_SETTINGS]
+    for number, setting in product(range(RAMPS_CLEAN_EACH), settings):
+        yield Case(RAMP_CLEAN, setting, number=number)
+    for effect, level, setting in product(STAGE, LEVELS, settings):
+        yield Case(RAMP_SINGLE, setting, (effect,), level)
+    for number, setting in product(range(MIXED_UP_EACH), settings):
+        yield Case(RAMP_OUTSIDE, setting, (MIXED_UP,), number=number)

@@ -1,0 +1,140 @@
+"""Effects that the catalogue does not have: what the suite itself does to pupil, light or pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+from scipy.signal import fftconvolve
+
+from irlos_pipe.geometry import Vane
+from irlos_pipe.simulate.aperture import centres
+
+Image = Callable[[np.ndarray], np.ndarray]
+
+
+def unchanged(image_e: np.ndarray) -> np.ndarray:
+    """The image as it is."""
+    return image_e
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """One such effect.
+
+    Attributes
+    ----------
+    truth : mapping
+        Its drawn numbers.
+    image : callable
+        Mean photo-electrons (rows, columns) with the effect, from those without.
+    patches : tuple of Vane
+        Opaque rectangles added to the pupil.
+    """
+
+    truth: Mapping[str, Any] = field(default_factory=dict)
+    image: Image = unchanged
+    patches: tuple[Vane, ...] = ()
+
+
+def opaque_spot(rng: np.random.Generator) -> Foreign:
+    """A square piece of the pupil is dark: dirt, a loose screw of a stop."""
+    edge, radius, angle = rng.uniform(0.2, 0.8), rng.uniform(1.4, 2.8), rng.uniform(0, 2 * np.pi)
+    x, y = float(radius * np.cos(angle)), float(radius * np.sin(angle))
+    patch = Vane((x - edge / 2, y), (x + edge / 2, y), float(edge))
+    return Foreign({"edge_m": float(edge), "x_m": x, "y_m": y}, patches=(patch,))
+
+
+def anamorphism(rng: np.random.Generator) -> Foreign:
+    """One direction is imaged larger than the other."""
+    excess, angle = float(rng.uniform(0.02, 0.05)), float(rng.uniform(0, np.pi))
+    along = np.array([np.sin(angle), np.cos(angle)])  # (y, x)
+    stretch = np.eye(2) + excess * (np.outer(along, along) - np.eye(2) / 2)
+    return Foreign({"fraction": excess, "angle_deg": np.rad2deg(angle)}, lambda image: warped(image, stretch))
+
+
+def sheared_readout(rng: np.random.Generator) -> Foreign:
+    """Rows are displaced along the columns, the more the later they are read."""
+    slope = float(rng.uniform(0.01, 0.03) * rng.choice([-1, 1]))
+    shear = np.array([[1.0, 0.0], [-slope, 1.0]])
+    return Foreign({"px_per_row": slope}, lambda image: warped(image, shear))
+
+
+def blurred_ghost(rng: np.random.Generator) -> Foreign:
+    """A reflection out of focus: a displaced, blurred, faint copy of the image."""
+    ratio, sigma_px = float(rng.uniform(0.02, 0.06)), float(rng.uniform(2.5, 4.0))
+    distance, angle = rng.uniform(8, 18), rng.uniform(0, 2 * np.pi)
+    shift = (float(distance * np.sin(angle)), float(distance * np.cos(angle)))
+
+    def image(image_e: np.ndarray) -> np.ndarray:
+        return image_e + ratio * ndimage.gaussian_filter(ndimage.shift(image_e, shift), sigma_px)
+
+    return Foreign({"flux_ratio": ratio, "sigma_px": sigma_px, "shift_px": list(shift)}, image)
+
+
+def scattered_light(rng: np.random.Generator) -> Foreign:
+    """Rough or dusty optics: a wide skirt without speckles, ``(1 + (r/a)²)^(-3/2)``."""
+    part, core_px = float(rng.uniform(0.04, 0.12)), float(rng.uniform(4, 10))
+    y, x = np.mgrid[-31:32, -31:32]
+    kernel = (1 + (x**2 + y**2) / core_px**2) ** -1.5
+    kernel *= part / kernel.sum()
+
+    def image(image_e: np.ndarray) -> np.ndarray:
+        return (1 - part) * image_e + fftconvolve(image_e, kernel, mode="same")
+
+    return Foreign({"fraction": part, "core_px": core_px}, image)
+
+
+def electronic_ghost_row(rng: np.random.Generator) -> Foreign:
+    """Every row is lifted or lowered by a part of the charge that is read with it."""
+    part = float(rng.uniform(0.02, 0.06) * rng.choice([-1, 1]))
+    return Foreign({"fraction": part}, lambda image: image + part * image.mean(axis=1, keepdims=True))
+
+
+def charge_trail(rng: np.random.Generator) -> Foreign:
+    """Slow pixels: a part of the charge is read with the next columns, less and less."""
+    part, length_px = float(rng.uniform(0.01, 0.04)), float(rng.uniform(1.0, 4.0))
+    tail = np.exp(-np.arange(1, 16) / length_px)
+    kernel = np.concatenate([np.zeros(15), [1 - part], part * tail / tail.sum()])
+    return Foreign(
+        {"fraction": part, "length_px": length_px},
+        lambda image: ndimage.convolve1d(image, kernel, axis=1, mode="nearest"),
+    )
+
+
+def flat_field_error(rng: np.random.Generator) -> Foreign:
+    """The gain of every pixel differs from the flat's."""
+    rms = float(rng.uniform(0.01, 0.03))
+    gain = 1 + rms * rng.standard_normal((64, 64))
+    return Foreign({"rms": rms}, lambda image: image * gain[: image.shape[0], : image.shape[1]])
+
+
+FOREIGN: dict[str, Callable[[np.random.Generator], Foreign]] = {
+    one.__name__: one
+    for one in (
+        opaque_spot,
+        anamorphism,
+        sheared_readout,
+        blurred_ghost,
+        scattered_light,
+        electronic_ghost_row,
+        charge_trail,
+        flat_field_error,
+    )
+}
+
+
+def warped(image_e: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """The image with every point r = (y, x) about the axis moved to ``matrix @ r``; light is conserved.
+
+    Pixels sample an image without frequencies above a third of a cycle per pixel, where splines of
+    the fifth order interpolate well.
+    """
+    back = np.linalg.inv(matrix)
+    middle = -centres(image_e.shape[0], 1.0)[0], -centres(image_e.shape[1], 1.0)[0]
+    offset = middle - back @ np.array(middle)
+    moved = ndimage.affine_transform(image_e, back, offset, order=5, mode="nearest")
+    return np.maximum(moved * abs(np.linalg.det(back)), 0.0)

@@ -1,0 +1,64 @@
+"""Outcomes sorted by what can be asked of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .cases import CLEAN, SINGLE
+from .judging import Outcome, is_untestable
+from .sizes import in_smallest
+
+CLEARLY_THERE = 3.0  # times the smallest detectable size
+
+
+@dataclass(frozen=True)
+class Singles:
+    """Recordings with one hidden effect, by what can be asked of them."""
+
+    testable: Sequence[Outcome]
+    small: Sequence[Outcome]
+    untestable: Sequence[Outcome]
+
+
+def of_kind(outcomes: Sequence[Outcome], kind: str) -> list[Outcome]:
+    """Outcomes of one kind of case."""
+    return [one for one in outcomes if one["truth"]["kind"] == kind]
+
+
+def smallest_sizes(outcomes: Sequence[Outcome], clean: str = CLEAN) -> dict[str, dict[str, Any]]:
+    """Smallest detectable sizes in every setting: those of the median of its clean recordings."""
+    tables: dict[str, list[Mapping]] = {}
+    for one in of_kind(outcomes, clean):
+        tables.setdefault(one["truth"]["setting"], []).append(one["told"]["mdb"])
+    return {setting: _median(several) for setting, several in tables.items()}
+
+
+def _median(tables: Sequence[Any]) -> Any:
+    """Median of equally built tables, number by number, over those that have it."""
+    present = [one for one in tables if one is not None]
+    if not present:
+        return None
+    if isinstance(present[0], Mapping):
+        keys = {key: None for one in present for key in one}
+        return {key: _median([one.get(key) for one in present]) for key in keys}
+    if isinstance(present[0], list):
+        return [_median(list(group)) for group in zip(*present, strict=True)]
+    return float(np.median(np.abs(present)))
+
+
+def sorted_singles(outcomes: Sequence[Outcome], kind: str = SINGLE, clean: str = CLEAN) -> Singles:
+    """Split the recordings with one effect.
+
+    An effect is untestable where the diagnosis says so, and small below `CLEARLY_THERE` times the
+    smallest detectable size of clean recordings; where that is not known it counts as large.
+    """
+    smallest, singles = smallest_sizes(outcomes, clean), of_kind(outcomes, kind)
+    untestable = [one for one in singles if is_untestable(one)]
+    rest = [one for one in singles if not is_untestable(one)]
+    sizes = [in_smallest(one, smallest.get(one["truth"]["setting"], {})) for one in rest]
+    small = [one for one, size in zip(rest, sizes, strict=True) if size < CLEARLY_THERE]
+    return Singles([one for one in rest if one not in small], small, untestable)

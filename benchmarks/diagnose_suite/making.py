@@ -1,0 +1,88 @@
+"""Makes the recordings of a case, and keeps what is true about it in another folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from irlos_pipe.atomic import write_bytes
+from irlos_pipe.campaign.files import layout_of
+from irlos_pipe.campaign.series import Planned
+from irlos_pipe.jsonable import json_text
+from irlos_pipe.simulate.detector import Readout
+from irlos_pipe.simulate.exposure import exposures, telescope_of
+
+from .cases import Case
+from .foreign import Image
+from .planning import plan_case
+
+DETECTOR_STREAM = 1  # child of a scene's seed; the wavefront has its own
+
+
+class ExactDark(Readout):
+    """A read-out whose dark image has no noise.
+
+    The mean of 120 frames is as precise as that of a dark: the noise of one of 64 frames alone makes a
+    χ²/ν of 1.15, a static pattern that belongs to no effect.
+    """
+
+    def dark_adu(self, rng: np.random.Generator) -> np.ndarray:
+        """See `Readout.dark_adu`."""
+        detector = self.pixels.detector
+        return (self.pedestal_adu + self.pixels.dark_e / detector.e_per_adu).astype(np.float32)
+
+
+def make_case(case: Case, data: Path, truth: Path) -> None:
+    """Simulate a case.
+
+    Parameters
+    ----------
+    data : Path
+        Folder for its recordings, which `diagnose` reads.
+    truth : Path
+        Folder for ``<case>.json`` and ``<case>.yaml``, the spec.
+    """
+    truth.mkdir(parents=True, exist_ok=True)
+    plan = plan_case(case, truth / f"{case.name}.yaml")
+    zernike_nm = {}
+    for planned in plan.recordings:
+        zernike_nm[planned.name] = _record(planned, data / planned.name, plan.foreign.image, case)
+    content = {
+        "kind": case.kind,
+        "setting": case.setting.name,
+        "level": case.level,
+        "effects": list(case.effects),
+        "sizes": {one.effect: one.truth for one in plan.hidden},
+        "outside": plan.foreign.truth,
+        "mean_zernike_nm": zernike_nm,
+    }
+    write_bytes(truth / f"{case.name}.json", json_text(content).encode())
+
+
+def _record(planned: Planned, folder: Path, hide: Image, case: Case) -> dict[int, float]:
+    """Write one recording; returns the modes of its mean wavefront, Noll: nm RMS.
+
+    They are fitted together with all modes that the model of the case has, as an estimate has them.
+    """
+    scene, opd_nm = planned.scene, 0.0
+    mean_e = np.empty((scene.frames, *scene.window))
+    for index, exposure in enumerate(exposures(scene)):
+        mean_e[index] = hide(exposure.mean_e)
+        opd_nm = opd_nm + exposure.opd_nm / scene.frames
+    _write(planned, folder, mean_e)
+    fitted = telescope_of(scene).fit_zernike_nm(opd_nm, case.setting.highest_noll)
+    return dict(enumerate(fitted.tolist(), start=2))
+
+
+def _write(planned: Planned, folder: Path, mean_e: np.ndarray) -> None:
+    rng = np.random.default_rng([*planned.scene.seed, DETECTOR_STREAM])
+    readout = ExactDark.of(planned.scene, mean_e.mean(axis=0))
+    folder.mkdir(parents=True)
+    layout_of(planned).write(folder, readout, _frames(readout, mean_e, rng), rng)
+
+
+def _frames(readout: Readout, mean_e: np.ndarray, rng: np.random.Generator) -> Iterator[Any]:
+    return (readout.frames_adu(frame, rng) for frame in mean_e)

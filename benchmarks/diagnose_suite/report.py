@@ -1,0 +1,126 @@
+"""What the suite tells: a table for people, `suite.json` and `confusion.png` for everything else."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from irlos_pipe.atomic import write_bytes
+from irlos_pipe.jsonable import json_text
+
+from .cases import RAMP_SINGLE, SINGLE
+from .confusion import Confusion, called, draw_confusion
+from .groups import smallest_sizes
+from .judging import Outcome, ambiguity_sets, is_right, is_untestable, named
+from .rates import Rate
+from .scoring import Row, score
+from .sizes import in_smallest, true_size_inside
+
+RESULTS, PICTURE = "suite.json", "confusion.png"
+
+
+def write_report(outcomes: Sequence[Outcome], failed: Mapping[str, str], folder: Path) -> str:
+    """Write both files into a folder; returns the table.
+
+    Parameters
+    ----------
+    failed : mapping of str to str
+        What stopped the cases that have no outcome, by name.
+    """
+    parts, confusion = score(outcomes), Confusion.of(outcomes)
+    smallest = smallest_sizes(outcomes)
+    content = {
+        "schema": "irlos-diagnose-suite",
+        "schema_version": 1,
+        "cases": len(outcomes),
+        "failed": dict(failed),
+        "numbers": {part: [_row_json(row) for row in rows] for part, rows in parts.items()},
+        "confusion": confusion.as_json(),
+        "smallest_detectable": smallest,
+        "outcomes": [_case_json(one, smallest) for one in outcomes],
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    write_bytes(folder / RESULTS, json_text(content).encode())
+    draw_confusion(confusion, folder / PICTURE)
+    told = (_table(parts), _untestable(outcomes), _not_right(outcomes), _broken(failed))
+    return "\n".join([*chain.from_iterable(told), "", str(folder / RESULTS)])
+
+
+# -- for people --------------------------------------------------------------------------------
+
+
+def _table(parts: Mapping[str, Sequence[Row]]) -> Iterator[str]:
+    width = max(len(row.what) for rows in parts.values() for row in rows)
+    for part, rows in parts.items():
+        yield f"\n{part}"
+        yield from (f"  {row.what:<{width}}  {row.aim:<8}  {row.text}".rstrip() for row in rows)
+
+
+def _untestable(outcomes: Sequence[Outcome]) -> Iterator[str]:
+    hidden = Counter(
+        (one["truth"]["effects"][0], one["truth"]["setting"])
+        for one in outcomes
+        if one["truth"]["kind"] in (SINGLE, RAMP_SINGLE) and is_untestable(one)
+    )
+    if hidden:
+        yield f"\nsaid to be untestable ({hidden.total()} cases)"
+    yield from (f"  {effect}, {setting}: {count}" for (effect, setting), count in sorted(hidden.items()))
+
+
+def _not_right(outcomes: Sequence[Outcome]) -> Iterator[str]:
+    wrong = [one for one in outcomes if not is_right(one)]
+    if wrong:
+        yield f"\nnot as hidden ({len(wrong)} cases)"
+    for one in wrong:
+        yield f"  {one['case']}: {verdict_text(one)}"
+
+
+def verdict_text(outcome: Outcome) -> str:
+    """The verdict in a line: names with what they were not told apart from, or the reason for none."""
+    told, sets = outcome["told"], ambiguity_sets(outcome)
+    if told["verdict"] != "effect":
+        nearest = (told.get("nearest") or {}).get("effect")
+        why = told.get("why_unknown", "")
+        return f"{told['verdict']}{f', nearest {nearest}' if nearest else ''}{f': {why}' if why else ''}"
+    names = [
+        name + (f" ({' or '.join(sorted(alike - {name}))})" if len(alike) > 1 else "")
+        for name, alike in zip(named(outcome), sets, strict=True)
+    ]
+    return ", ".join(names)
+
+
+def _broken(failed: Mapping[str, str]) -> Iterator[str]:
+    if failed:
+        yield f"\nstopped by an error ({len(failed)} cases)"
+    yield from (f"  {name}: {problem}" for name, problem in failed.items())
+
+
+# -- for scripts -------------------------------------------------------------------------------
+
+
+def _row_json(row: Row) -> dict[str, Any]:
+    value = row.value.as_json() if isinstance(row.value, Rate) else {"value": row.value}
+    return {"what": row.what.strip(), "aim": row.aim} | value
+
+
+def _case_json(outcome: Outcome, smallest: Mapping[str, Mapping]) -> dict[str, Any]:
+    truth, told = outcome["truth"], outcome["told"]
+    single = truth["kind"] == SINGLE
+    return {
+        "case": outcome["case"],
+        **truth,
+        "verdict": told["verdict"],
+        "called": called(outcome),
+        "named": named(outcome),
+        "ambiguity_sets": ambiguity_sets(outcome),
+        "right": is_right(outcome),
+        "untestable": is_untestable(outcome),
+        "over_smallest": in_smallest(outcome, smallest.get(truth["setting"], {})) if single else None,
+        "size_inside": true_size_inside(outcome) if single else None,
+        "shrink": told["gap"]["shrink"],
+        "ncpa_error_nm": outcome["ncpa_error_nm"],
+        "cpu_s": outcome["cpu_s"],
+    }

@@ -1,0 +1,190 @@
+"""The numbers of the suite, from the outcomes of its cases."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .cases import CLEAN, OUTSIDE, PAIR, RAMP_CLEAN, RAMP_OUTSIDE, RAMP_SINGLE
+from .groups import Singles, of_kind, sorted_singles
+from .judging import (
+    EFFECT,
+    NONE,
+    UNKNOWN,
+    Outcome,
+    all_named,
+    ambiguity_sets,
+    extra_names,
+    is_first,
+    is_in_set,
+    named,
+)
+from .rates import Rate
+from .sizes import true_size_inside
+
+BIASED_NM = 5.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number of the suite.
+
+    Attributes
+    ----------
+    what : str
+    aim : str
+        What it should be; empty for what is only told.
+    value : Rate or float
+    """
+
+    what: str
+    aim: str
+    value: Rate | float
+
+    @property
+    def text(self) -> str:
+        """The value, for tables."""
+        if isinstance(self.value, Rate):
+            return self.value.text
+        return "-" if np.isnan(self.value) else f"{self.value:.3g}"
+
+
+def score(outcomes: Sequence[Outcome]) -> dict[str, list[Row]]:
+    """Rows of the table, by part."""
+    singles = sorted_singles(outcomes)
+    found = [one for one in singles.testable if is_first(one)]
+    return {
+        "clean": _clean(outcomes),
+        "one effect": _singles(singles),
+        "other": _others(outcomes),
+        "model with what was found": _models(found, outcomes),
+        "ramps": _ramps(outcomes),
+        "cost": _cost(outcomes),
+    }
+
+
+def _clean(outcomes: Sequence[Outcome]) -> list[Row]:
+    clean = of_kind(outcomes, CLEAN)
+    alarms = Row("something called missing", "<= 2 %", Rate.of(map(_is_alarm, clean)))
+    settings = sorted({one["truth"]["setting"] for one in clean})
+    return [alarms] + [
+        Row(
+            f"  {setting}", "", Rate.of(_is_alarm(one) for one in clean if one["truth"]["setting"] == setting)
+        )
+        for setting in settings
+    ]
+
+
+def _is_alarm(outcome: Outcome) -> bool:
+    return outcome["told"]["verdict"] != NONE
+
+
+def _singles(singles: Singles) -> list[Row]:
+    testable, verdicts = singles.testable, [one for one in singles.testable if named(one)]
+    sizes = [len(ambiguity_sets(one)[0]) for one in verdicts]
+    return [
+        Row("named first, or in a set of <= 3", ">= 97 %", Rate.of(map(is_in_set, testable))),
+        Row("named first", ">= 92 %", Rate.of(map(is_first, testable))),
+        Row("with a further name that is not there", "", Rate.of(bool(extra_names(o)) for o in testable)),
+        Row("unknown", "", Rate.of(o["told"]["verdict"] == UNKNOWN for o in testable)),
+        Row("nothing", "", Rate.of(o["told"]["verdict"] == NONE for o in testable)),
+        Row("first set holds the truth", "", Rate.of(map(is_in_set, verdicts))),
+        Row("mean size of the first set", "", float(np.mean(sizes)) if sizes else float("nan")),
+        Row("below 3 MDB: named first", "", Rate.of(map(is_first, singles.small))),
+        Row("below 3 MDB: something else", "", Rate.of(bool(extra_names(o)) for o in singles.small)),
+        Row("said to be untestable", "", float(len(singles.untestable))),
+    ]
+
+
+def _others(outcomes: Sequence[Outcome]) -> list[Row]:
+    pairs, outside = of_kind(outcomes, PAIR), of_kind(outcomes, OUTSIDE)
+    return [
+        Row("pairs: both named", ">= 85 %", Rate.of(map(all_named, pairs))),
+        Row("pairs: a name that is not there", "", Rate.of(bool(extra_names(one)) for one in pairs)),
+        *_outside_rows("outside the catalogue", outside),
+    ]
+
+
+def _outside_rows(what: str, outside: Sequence[Outcome]) -> list[Row]:
+    return [
+        Row(f"{what}: unknown", ">= 85 %", Rate.of(o["told"]["verdict"] == UNKNOWN for o in outside)),
+        Row(f"{what}: a confident wrong name", "<= 10 %", Rate.of(map(_is_confident, outside))),
+        Row(f"{what}: nothing", "", Rate.of(o["told"]["verdict"] == NONE for o in outside)),
+    ]
+
+
+def _is_confident(outcome: Outcome) -> bool:
+    return outcome["told"]["verdict"] == EFFECT
+
+
+def _models(found: Sequence[Outcome], outcomes: Sequence[Outcome]) -> list[Row]:
+    shrinks = [one["told"]["gap"]["shrink"] for one in found]
+    inside = [verdict for verdict in map(true_size_inside, found) if verdict is not None]
+    halved, floored = bias_removed(found, outcomes)
+    return [
+        Row("held-out gap: median shrink", ">= 0.9", _median_of(shrinks)),
+        Row("  without one: the gap was no larger than its floor", "", float(shrinks.count(None))),
+        Row("true size in the 95 % interval", ">= 85 %", Rate.of(inside)),
+        Row("NCPA error halved where biased > 5 nm", "all", Rate.of(halved)),
+        Row("  the bias beyond clean recordings halved", "", Rate.of(floored)),
+    ]
+
+
+def _median_of(values: Sequence[float | None]) -> float:
+    known = [value for value in values if value is not None]
+    return float(np.median(known)) if known else float("nan")
+
+
+def bias_removed(found: Sequence[Outcome], outcomes: Sequence[Outcome]) -> tuple[list[bool], list[bool]]:
+    """Whether the error of the NCPAs is at most half of that without the name, where that was biased.
+
+    The bias is what the squared error has beyond that of the median clean recording of the setting.
+
+    Returns
+    -------
+    list of bool
+        For the whole error.
+    list of bool
+        For the bias alone.
+    """
+    floor = clean_error_nm(outcomes)
+    whole, alone = [], []
+    for one in found:
+        errors, least = one["ncpa_error_nm"], floor.get(one["truth"]["setting"], 0.0)
+        before, after = (_beyond(errors[when], least) for when in ("before", "after"))
+        if before > BIASED_NM:
+            whole.append(errors["after"] <= errors["before"] / 2)
+            alone.append(after <= before / 2)
+    return whole, alone
+
+
+def clean_error_nm(outcomes: Sequence[Outcome]) -> dict[str, float]:
+    """Median error of the NCPAs of clean recordings in every setting."""
+    errors: dict[str, list[float]] = {}
+    for one in of_kind(outcomes, CLEAN):
+        errors.setdefault(one["truth"]["setting"], []).append(one["ncpa_error_nm"]["before"])
+    return {setting: float(np.median(several)) for setting, several in errors.items()}
+
+
+def _beyond(error_nm: float, floor_nm: float) -> float:
+    return float(np.sqrt(max(error_nm**2 - floor_nm**2, 0.0)))
+
+
+def _ramps(outcomes: Sequence[Outcome]) -> list[Row]:
+    clean, singles = of_kind(outcomes, RAMP_CLEAN), sorted_singles(outcomes, RAMP_SINGLE, RAMP_CLEAN)
+    return [
+        Row("clean ramps: something called missing", "<= 2 %", Rate.of(map(_is_alarm, clean))),
+        *_singles(singles),
+        *_outside_rows("frames in another order", of_kind(outcomes, RAMP_OUTSIDE)),
+    ]
+
+
+def _cost(outcomes: Sequence[Outcome]) -> list[Row]:
+    stages = ("simulate", "diagnose")
+    rows = [Row(f"CPU s to {s}, median", "", _median_of([o["cpu_s"][s] for o in outcomes])) for s in stages]
+    return [
+        *rows,
+        Row("seconds per diagnosis, median", "", _median_of([o["told"]["seconds"] for o in outcomes])),
+    ]

@@ -1,0 +1,101 @@
+"""One case from beginning to end: simulate, diagnose as a user does, keep what came out."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from irlos_pipe.atomic import write_bytes
+from irlos_pipe.jsonable import json_text
+from irlos_pipe.pipeline import run_recipe
+from irlos_pipe.recipe import load_recipe
+
+from .cases import Case
+from .making import make_case
+from .planning import CALIBRATION, CUBE, RAMP
+
+RECIPES = Path(__file__).parents[2] / "recipes"
+NOT_KEPT = ("noise", "sentence", "model", "sigma_nm")
+NOLLS = range(2, 31)  # of which the error is reported
+
+
+@dataclass(frozen=True)
+class Folder:
+    """Where everything of the suite lies."""
+
+    path: Path
+
+    def data(self, case: Case) -> Path:
+        """Recordings: all that `diagnose` is given."""
+        return self.path / "data" / case.name
+
+    @property
+    def truth(self) -> Path:
+        """What is true, which `diagnose` never sees."""
+        return self.path / "truth"
+
+    def run(self, case: Case) -> Path:
+        """Of the diagnosis."""
+        return self.path / "runs" / case.name
+
+    def outcome(self, case: Case) -> Path:
+        """What came out; there when the case is finished."""
+        return self.path / "outcomes" / f"{case.name}.json"
+
+
+def work(case: Case, folder: Folder) -> dict[str, Any]:
+    """Outcome of a case, computed unless it is there."""
+    if not folder.outcome(case).is_file():
+        outcome = _worked(case, folder)
+        folder.outcome(case).parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(folder.outcome(case), json_text(outcome).encode())
+    return json.loads(folder.outcome(case).read_text())
+
+
+def _worked(case: Case, folder: Folder) -> dict[str, Any]:
+    for leftover in (folder.data(case), folder.run(case)):
+        shutil.rmtree(leftover, ignore_errors=True)
+    began = time.process_time()
+    make_case(case, folder.data(case), folder.truth)
+    made = time.process_time()
+    told = diagnosed(case, folder.data(case), folder.run(case))
+    ended = time.process_time()
+    truth = json.loads((folder.truth / f"{case.name}.json").read_text())
+    return {
+        "case": case.name,
+        "truth": {key: truth[key] for key in ("kind", "setting", "level", "effects", "sizes")},
+        "told": {key: value for key, value in told.items() if key not in NOT_KEPT},
+        "ncpa_error_nm": None if case.is_ramp else ncpa_errors_nm(told, truth),
+        "cpu_s": {"simulate": made - began, "diagnose": ended - made},
+    }
+
+
+def diagnosed(case: Case, data: Path, output: Path) -> dict[str, Any]:
+    """Run the recipe of the case on its recordings; returns what `results.json` says of `diagnose`."""
+    recipe = "diagnose_ramp" if case.is_ramp else case.setting.recipe
+    inputs = [f"{name}={data / name}" for name in ((RAMP, CALIBRATION) if case.is_ramp else (CUBE,))]
+    run_recipe(load_recipe(RECIPES / f"{recipe}.yaml", settings_of(case), inputs), output)
+    return json.loads((output / "results.json").read_text())["stages"]["diagnose"]
+
+
+def settings_of(case: Case) -> list[str]:
+    """What is set beside the recipe: the effects that the model has already."""
+    if case.model_effects is None:
+        return []
+    return [f"model.effects={yaml.safe_dump(list(case.model_effects), default_flow_style=True).strip()}"]
+
+
+def ncpa_errors_nm(told: dict[str, Any], truth: dict[str, Any]) -> dict[str, float]:
+    """RMS error of Noll 2 to 30 with the model as it was, and with what was found."""
+    true_nm = truth["mean_zernike_nm"][CUBE]
+    return {
+        when: float(np.linalg.norm([told["zernike_nm"][when][str(n)] - true_nm[str(n)] for n in NOLLS]))
+        for when in ("before", "after")
+    }

@@ -1,0 +1,115 @@
+"""One wavefront and one set of effects fitted to the mean images of several recordings.
+
+Tip, tilt, flux and background are those of each recording. The parameter vector is that of the first
+recording with the other recordings' own numbers between the effects and its flux and background.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch
+
+from ..estimate.image_fit import ImageFit
+from ..estimate.solve import CHI2_TOLERANCE
+
+OWN = 4  # tip, tilt, flux and background
+
+
+class JointFit:
+    """Least-squares problem for the solver, see `estimate.solve.Problem`; one member.
+
+    Parameters
+    ----------
+    parts : sequence of ImageFit
+        One per recording, with the same modes, Noll 2 and 3 first, and the same effect parameters.
+    """
+
+    def __init__(self, parts: Sequence[ImageFit]):
+        self.parts = tuple(parts)
+        self.model, self.layout = parts[0].model, parts[0].layout
+        shared, more = self.layout.size - 2, OWN * (len(parts) - 1)
+        self.size = shared + more + 2
+        self.columns = [[*range(shared), self.size - 2, self.size - 1]]
+        for begin in range(shared, shared + more, OWN):
+            tip, tilt, flux, background = range(begin, begin + OWN)
+            self.columns.append([tip, tilt, *range(2, shared), flux, background])
+        ends = torch.tensor([0, *(part.images.shape[-1] for part in parts)]).cumsum(0).tolist()
+        self.pixels = [slice(a, b) for a, b in pairwise(ends)]
+        good = sum(int((part.root_weight > 0).sum()) for part in parts)
+        self.freedom = max(1, good - self.size)
+        self.lower, self.upper = (self._spread(bound) for bound in ("lower", "upper"))
+        self.prior_mean, self.prior_precision = (
+            self._spread(name, 0)[None] for name in ("prior_mean", "prior_precision")
+        )
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """Rows and columns, the same in all recordings."""
+        return self.model.psf.settings.window
+
+    @property
+    def own(self) -> list[int]:
+        """Columns of what belongs to single recordings, four after the other for each."""
+        return [columns[i] for columns in self.columns for i in (0, 1, -2, -1)]
+
+    def part(self, x: torch.Tensor, number: int) -> torch.Tensor:
+        """Parameter vector of one recording, (1, its parameters)."""
+        return x[:, self.columns[number]]
+
+    # -- Problem -----------------------------------------------------------------------------
+
+    def negligible(self, value: torch.Tensor) -> torch.Tensor:
+        """See `ImageFit.negligible`."""
+        return CHI2_TOLERANCE * (2 * value / self.freedom).clamp_min(1.0)
+
+    def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
+        """Half of χ² plus that of the prior, (1,)."""
+        offset = x - self.prior_mean
+        return 0.5 * self.chi2(x)[None] + 0.5 * (self.prior_precision * offset**2).sum(1)
+
+    def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
+        """Objective, gradient and Gauss–Newton Hessian, see `solve.Problem`."""
+        offset = x - self.prior_mean
+        value = 0.5 * (self.prior_precision * offset**2).sum(1)
+        gradient, hessian = self.prior_precision * offset, torch.diag_embed(self.prior_precision)
+        for number, (part, columns) in enumerate(zip(self.parts, self.columns, strict=True)):
+            at = self.part(x, number)
+            own_value, own_gradient, own_hessian = part.normal_equations(at, which)
+            precision, miss = part.prior_precision, at - part.prior_mean
+            value = value + own_value - 0.5 * (precision * miss**2).sum(1)
+            gradient[:, columns] += own_gradient - precision * miss
+            rows = torch.tensor(columns)
+            hessian[:, rows[:, None], rows] += own_hessian - torch.diag_embed(precision)
+        return value, gradient, hessian
+
+    # -- images ------------------------------------------------------------------------------
+
+    def predict(self, x: torch.Tensor) -> torch.Tensor:
+        """Mean images of all recordings [e-], one after the other, (pixels,)."""
+        pairs = enumerate(self.parts)
+        return torch.cat([part.predict(self.part(x, number))[0].cpu() for number, part in pairs])
+
+    def predict_and_jacobian(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Mean images (pixels,) and derivatives (parameters, pixels)."""
+        images, jacobian = [], torch.zeros(self.size, self.pixels[-1].stop, dtype=torch.float64)
+        for number, (part, columns) in enumerate(zip(self.parts, self.columns, strict=True)):
+            image, own = part.predict_and_jacobian(self.part(x, number))
+            images.append(image[0].cpu())
+            jacobian[columns, self.pixels[number]] = own[0].cpu().double()
+        return torch.cat(images), jacobian
+
+    @torch.no_grad()
+    def chi2(self, x: torch.Tensor) -> torch.Tensor:
+        """Of all mean images together."""
+        left = (part.reduced_chi2(self.part(x, n))[0] * part.freedom for n, part in enumerate(self.parts))
+        return torch.stack(list(left)).sum()
+
+    def _spread(self, name: str, member: int | None = None) -> torch.Tensor:
+        """A number per parameter of the parts as one vector; what they share is that of the first."""
+        spread = torch.zeros(self.size, dtype=torch.float64)
+        for part, columns in reversed(list(zip(self.parts, self.columns, strict=True))):
+            own = getattr(part, name)
+            spread[columns] = own if member is None else own[member]
+        return spread

@@ -1,0 +1,1 @@
+"""A night of recordings, or an archive of nights: find, group, reduce, follow over time, report."""

@@ -1,0 +1,160 @@
+"""Find the recordings under some folders, and describe them."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+
+from irlos_pipe.errors import InputDataError, NothingToDo
+from irlos_pipe.instrument import Instrument
+from irlos_pipe.jsonable import canonical_json
+from irlos_pipe.night.catalogue import Catalogue
+from irlos_pipe.night.description import Description, common_depth, night_of
+from irlos_pipe.sparta import recorder
+from irlos_pipe.sparta.find import recording_files
+from irlos_pipe.sparta.sidecar import AcquisitionKeys, sidecar_path
+from irlos_pipe.stages.ingest_sources import Source, read_sources
+
+DATED = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?!\d)")
+# What the readers remark is told when the recording is reduced.
+SILENT = logging.Logger("describe", logging.CRITICAL + 1)
+
+
+@dataclass(frozen=True)
+class Unusable:
+    """A file or folder that cannot be used, the night it belongs to as far as can be told, and why."""
+
+    path: Path
+    night: str
+    problem: str
+
+
+@dataclass(frozen=True)
+class Discovered:
+    """What was found."""
+
+    recordings: list[Description] = field(default_factory=list)
+    unusable: list[Unusable] = field(default_factory=list)
+
+
+def discover(folders: Sequence[Path], keys: AcquisitionKeys, instrument: Instrument,
+             catalogue: Catalogue) -> Discovered:
+    """Describe every recording under the folders; one that cannot be read does not stop the others.
+
+    Parameters
+    ----------
+    keys : AcquisitionKeys
+        Side-car keys that win over the side-cars.
+
+    Raises
+    ------
+    InputDataError
+        When one of the folders does not exist.
+    """
+    recordings: list[Description] = []
+    problems: list[tuple[Path, str]] = []
+    files = _files(folders, problems)
+    alone = _alone(files)
+    for file in files:
+        try:
+            recordings.append(_describe(file, alone, keys, instrument, catalogue))
+        except InputDataError as error:
+            problems.append((file, str(error)))
+        except Exception as error:  # whatever a damaged file brings about, the others are read
+            problems.append((file, f"{file}: unexpected {type(error).__name__}: {error}"))
+    unusable = [Unusable(path, _night_of_unusable(path, recordings), problem) for path, problem in problems]
+    return Discovered(recordings, unusable)
+
+
+def dated(path: Path) -> str:
+    """Return the date that stands in the name of a folder or of one above it, ISO; nothing without one."""
+    for part in reversed(path.parts):
+        for year, month, day in DATED.findall(part):
+            try:
+                return date(int(year), int(month), int(day)).isoformat()
+            except ValueError:
+                continue
+    return ""
+
+
+def _files(folders: Sequence[Path], problems: list[tuple[Path, str]]) -> list[Path]:
+    def refused(error: InputDataError) -> None:
+        problems.append((Path(str(error).partition(": no permission")[0]), str(error)))
+
+    try:
+        return list(dict.fromkeys(recording_files([folder.absolute() for folder in folders], refused)))
+    except NothingToDo:
+        return []
+
+
+def _alone(files: Iterable[Path]) -> set[Path]:
+    """Folders that hold one recording and nothing else of that kind below."""
+    counts: dict[Path, int] = {}
+    for file in files:
+        for folder in file.parents:
+            counts[folder] = counts.get(folder, 0) + 1
+    return {folder for folder, count in counts.items() if count == 1}
+
+
+def _describe(file: Path, alone: set[Path], keys: AcquisitionKeys, instrument: Instrument,
+              catalogue: Catalogue) -> Description:
+    stamp = _stamp(file, keys, alone)
+    known = catalogue.known(file, stamp)
+    if known is not None:
+        return known
+    sources, failures = read_sources({"night": [file]}, lambda _: keys, instrument, SILENT)
+    if failures:
+        raise InputDataError(failures[0][1])
+    description = _described(file, sources[0], alone)
+    catalogue.remember(file, stamp, description)
+    return description
+
+
+def _described(file: Path, source: Source, alone: set[Path]) -> Description:
+    raw, acquisition = source.raw, source.resolved.acquisition
+    start = raw.start_unix_s if np.isfinite(raw.start_unix_s) else None
+    diversity = ", ".join(f"Noll {noll} {nm:+g} nm" for noll, nm in sorted(acquisition.diversity.items()))
+    scale = f"{acquisition.pixel_scale_mas:g} mas per pixel"
+    optics = (raw.mode, scale, acquisition.diversity_source, diversity)
+    return Description(
+        path=file.parent if raw.layout == recorder.LAYOUT and file.parent in alone else file,
+        name=raw.name if raw.subaperture is None else file.stem,
+        role=acquisition.role,
+        night=_night_of_file(file) if start is None else night_of(start),
+        start_unix_s=start,
+        mode=raw.mode,
+        configuration=", ".join(filter(None, optics)),
+        spectrum=", ".join(f"{wavelength:g} nm ({weight:g})" for wavelength, weight in acquisition.spectrum),
+        window=raw.window,
+        frames=raw.frames,
+        target=acquisition.target,
+        exposure_s=acquisition.exposure_s,
+        derotator_angle_deg=acquisition.derotator_angle_deg,
+        full_pupil=raw.subaperture is None,
+    )
+
+
+def _night_of_file(path: Path) -> str:
+    """The date in its name or a folder's, else the night when it was written."""
+    return dated(path) or night_of(path.stat().st_mtime)
+
+
+def _night_of_unusable(path: Path, recordings: Sequence[Description]) -> str:
+    """The date in its name or a folder's, else that of the recording that lies nearest, else of the file."""
+    nearest = max(recordings, key=lambda one: common_depth(one.path, path), default=None)
+    return dated(path) or (nearest.night if nearest else _night_of_file(path))
+
+
+def _stamp(file: Path, keys: AcquisitionKeys, alone: set[Path]) -> str:
+    """What the description depends on, in short."""
+    parts: list = [file.parent in alone, keys]
+    for path in (file, sidecar_path(file)):
+        status = path.stat() if path.is_file() else None
+        parts += [path, status and status.st_size, status and status.st_mtime_ns]
+    return canonical_json(parts)

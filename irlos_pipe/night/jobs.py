@@ -1,0 +1,65 @@
+"""From groups to tasks: which recipe on which recordings, and where its products go."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from irlos_pipe.errors import ConfigurationError
+from irlos_pipe.jsonable import jsonable
+from irlos_pipe.night.grouping import Group
+from irlos_pipe.night.reduce import Task
+from irlos_pipe.night.settings import NightSettings
+from irlos_pipe.yamlfile import load_yaml
+
+
+@dataclass(frozen=True)
+class Job:
+    """A task and the group it is for."""
+
+    group: Group
+    task: Task
+
+
+def jobs_of(groups: Iterable[Group], settings: NightSettings, tree: Path, device: str = "cpu") -> list[Job]:
+    """Return what there is to do, up to date or not; the products go to ``tree/<night>/<group>/<recipe>``.
+
+    Raises
+    ------
+    ConfigurationError
+        When a recipe is not valid, or wants an input that its kind of group does not have.
+    """
+    tree = tree.absolute()  # tasks may be worked on elsewhere
+    jobs = [Job(group, task) for group in groups for task in _tasks(group, settings, tree, device)]
+    for job in {job.task.recipe: job for job in jobs}.values():
+        job.task.load()
+    return jobs
+
+
+def _tasks(group: Group, settings: NightSettings, tree: Path, device: str) -> Iterator[Task]:
+    for recipe in settings.recipes_of(group.kind):
+        name = f"{group.night}/{group.name}/{recipe.stem}"
+        yield Task(name, tree / name, recipe, _settings(recipe, settings), _inputs(recipe, group), device)
+
+
+def _inputs(recipe: Path, group: Group) -> tuple[str, ...]:
+    """``NAME=PATH`` for every input of the recipe."""
+    declared = load_yaml(recipe)[0].get("inputs")
+    names = list(declared) if isinstance(declared, dict) else []
+    for name in names:
+        if name not in group.inputs:
+            offered = " and ".join(f"'{one}'" for one in group.inputs)
+            raise ConfigurationError(f"{recipe}: wants input '{name}'; a group of kind '{group.kind}' offers "
+                                     f"{offered}; choose another recipe with --recipe {group.kind}=PATH")
+    return tuple(f"{name}={recording.path}" for name in names for recording in group.inputs[name])
+
+
+def _settings(recipe: Path, settings: NightSettings) -> tuple[str, ...]:
+    """``stage.key=VALUE`` for everything that is changed in the recipe."""
+    changed = dict(settings.settings.get(recipe.stem, {}))
+    keys = settings.acquisition.model_dump(mode="json", exclude_none=True)
+    if keys:
+        changed["ingest.acquisition"] = keys
+    return tuple(f"{key}={json.dumps(jsonable(value))}" for key, value in changed.items())

@@ -1,0 +1,91 @@
+"""night_<date>.html: what came in, what became of it, how it fits the nights before."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from irlos_pipe.atomic import write_bytes
+from irlos_pipe.night.page_sections import (
+    left_out_section,
+    numbers_of_night,
+    recordings_section,
+    reductions_section,
+    trend_section,
+    verdicts_section,
+)
+from irlos_pipe.night.settings import BandKeys
+from irlos_pipe.night.state import Night
+from irlos_pipe.night.trend import Trend, make_trend
+from irlos_pipe.report.render import rendered
+from irlos_pipe.report.text import plural
+
+TEMPLATE = "night.html.j2"
+FINISHED = '<meta name="irlos-night" content="finished">'
+RUNNING = "not finished"
+
+
+def page_path(tree: Path, date: str) -> Path:
+    """Where the page of a night is."""
+    return tree / f"night_{date}.html"
+
+
+def begin_page(tree: Path, night: Night) -> None:
+    """Say that the night is in work, for those who look in, and in case this process is killed.
+
+    Raises
+    ------
+    IrlosError
+        When it cannot be written.
+    """
+    _write(tree, night, None, RUNNING)
+
+
+def write_page(tree: Path, night: Night, trend: Trend | None) -> None:
+    """Write the page of a night that is finished, empty, or was stopped.
+
+    Parameters
+    ----------
+    trend : Trend or None
+        As it stood after the night; None leaves the trends out.
+
+    Raises
+    ------
+    IrlosError
+        When it cannot be written.
+    """
+    _write(tree, night, trend, _status(night))
+
+
+def is_finished(tree: Path, date: str) -> bool:
+    """Whether the page of a night is there, and not left by a run that was killed or stopped."""
+    path = page_path(tree, date)
+    return path.is_file() and FINISHED in path.read_text(encoding="utf-8")
+
+
+def _status(night: Night) -> str:
+    if night.stopped:
+        return "stopped"
+    if night.nothing:
+        return "empty"
+    return "needs a look" if night.failures or night.doubts else "ok"
+
+
+def _write(tree: Path, night: Night, trend: Trend | None, status: str) -> None:
+    shown = trend or make_trend((), (), BandKeys())
+    sections = [reductions_section(night), verdicts_section(shown, night.date), trend_section(shown),
+                left_out_section(night), recordings_section(night)]
+    page = rendered(TEMPLATE, date=night.date, status=status, running=status == RUNNING, night=night,
+                    finished=FINISHED if status not in (RUNNING, "stopped") else "",
+                    written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", summary=_summary(night),
+                    key_numbers=numbers_of_night(night, shown), sections=list(filter(None, sections)))
+    write_bytes(page_path(tree, night.date), page.encode())
+
+
+def _summary(night: Night) -> str:
+    """What was done, in a few words."""
+    actions = [one.action for one in night.reduced.values()]
+    counts = {action: actions.count(action) for action in dict.fromkeys(actions)}
+    done = [f"{count} {action}" for action, count in counts.items()]
+    found = [plural(len(night.recordings), "recording"), plural(len(night.jobs), "reduction")]
+    return ", ".join([*found, *done])

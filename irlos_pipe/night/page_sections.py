@@ -1,0 +1,159 @@
+"""The parts of a night's page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from markupsafe import Markup
+
+from irlos_pipe.night.description import Description, clock
+from irlos_pipe.night.jobs import Job
+from irlos_pipe.night.reduce import UNCHANGED, Reduced
+from irlos_pipe.night.state import Night
+from irlos_pipe.night.trend import Series, Trend
+from irlos_pipe.night.trend_plots import series_drawing, structure_drawing
+from irlos_pipe.report.content import Figure, KeyNumber, Section, Stack, Table
+from irlos_pipe.report.text import MISSING, duration, number, plural, with_error
+from irlos_pipe.runfolder import RunFolder
+
+# (label, name of the number, pattern, unit)
+KEY_NUMBERS = (("NCPAs", "ncpa_nm", ".1f", "nm"), ("Defocus bias", "defocus_bias_nm", "+.1f", "nm"),
+               ("Ramp slope", "ramp_slope", ".3f", ""), ("Seeing", "seeing_arcsec", ".2f", "arcsec"),
+               ("AO residual", "ao_residual_nm", ".0f", "nm"), ("Image motion", "jitter_mas", ".1f", "mas"))
+DRAWN_MODES = tuple(f"noll_{noll}_nm" for noll in range(4, 12))
+DRAWN_OTHERS = ("ncpa_nm", "defocus_bias_nm", "ramp_slope", "seeing_arcsec", "jitter_mas", "gap_before",
+                "gap_after")
+MODES_CAPTION = ("Coefficients with errors; shaded: the band that the nights before allow; circled: outside "
+                 "it. Modes that left their band are shown beside Noll 4 to 11.")
+OTHERS_CAPTION = "The same for other numbers; those of the sky do not alarm."
+STRUCTURE_CAPTION = ("RMS change of the wavefront in Noll 4 and up between two calibrations, against the "
+                     "time between them: flat where the NCPAs are stable, 0 where noise explains the change.")
+VERDICT_NIGHTS = 30
+FEW_ROWS = 12
+RECORDING_COLUMNS = ("recording", "role", "begin (UTC)", "target", "frames", "window [px]", "exposure",
+                     "configuration")
+
+
+def numbers_of_night(night: Night, trend: Trend) -> list[KeyNumber]:
+    """The numbers to see first: the last of each in this night."""
+    found = [KeyNumber(*one) for one in _measured(night.date, trend)]
+    verdicts = [one for one in trend.verdicts if one.night == night.date]
+    if verdicts:
+        gaps = {one.name: one.points[-1].value for one in trend.series if one.points[-1].night == night.date}
+        gap = f"gap {number(gaps.get('gap_before'), '.3f')} → {number(gaps.get('gap_after'), '.3f')}"
+        named = ", ".join(verdicts[-1].effects) or verdicts[-1].verdict
+        found.append(KeyNumber("Missing in the model", named, gap))
+    return found
+
+
+def _measured(date: str, trend: Trend) -> Iterator[tuple[str, str, str]]:
+    for title, name, pattern, unit in KEY_NUMBERS:
+        series = main_series(trend, name)
+        last = series.points[-1] if series else None
+        if last is not None and last.night == date:
+            yield title, with_error(last.value, last.sigma, pattern, unit), last.run.split("/")[1]
+
+
+def reductions_section(night: Night) -> Section | None:
+    """One row per job: what was done, why, where its report is."""
+    if not night.jobs:
+        return None
+    rows = [_row(job, night.reduced.get(job.task.name)) for job in night.jobs]
+    marks = [_mark(night.reduced.get(job.task.name)) for job in night.jobs]
+    columns = ("group", "recipe", "target", "result", "what was done", "why", "report")
+    return Section("reductions", "Reductions", "", [Table(columns, rows, marks=marks)])
+
+
+def _row(job: Job, reduced: Reduced | None) -> tuple[str, ...]:
+    head = (job.group.name, job.task.recipe.stem, job.group.first.target or MISSING)
+    if reduced is None:
+        return (*head, "not finished", MISSING, "", "")
+    took = "" if reduced.action == UNCHANGED else f" in {duration(reduced.seconds)}"
+    return (*head, reduced.status.replace("_", " "), reduced.action + took,
+            _wrapped(reduced.problem or "; ".join(reduced.reasons)), _report_link(reduced))
+
+
+def _report_link(reduced: Reduced) -> str:
+    if not RunFolder(reduced.folder).report.is_file():
+        return MISSING
+    return Markup('<a href="{}/report.html">report</a>').format(reduced.name)
+
+
+def _wrapped(text: str) -> Markup:
+    """Long text that may go over several lines of a cell."""
+    return Markup('<span class="why">{}</span>').format(text)
+
+
+def _mark(reduced: Reduced | None) -> str:
+    if reduced is None:
+        return ""
+    return "good" if reduced.status == "ok" and not reduced.problem else "bad"
+
+
+def verdicts_section(trend: Trend, date: str) -> Section | None:
+    """What `diagnose` found missing, in this night and those before."""
+    latest = [one for one in trend.verdicts if one.night <= date][-VERDICT_NIGHTS:]
+    if not latest:
+        return None
+    gaps = {(point.run, one.name): point.value for one in trend.series for point in one.points}
+    rows = [(one.night, one.group, one.target or MISSING, one.verdict, ", ".join(one.effects) or MISSING,
+             *(number(gaps.get((one.run, f"gap_{when}")), ".4f") for when in ("before", "after", "floor")))
+            for one in reversed(latest)]
+    columns = ("night", "group", "target", "verdict", "effects", "gap before", "gap after", "floor")
+    lead = "Gap: Σ|measured − predicted| / Σ measured of frames that no fit has seen; the latest come first."
+    return Section("verdicts", "What the model lacks", lead, [Table(columns, rows)])
+
+
+def trend_section(trend: Trend) -> Section | None:
+    """Numbers against time, and how stable the NCPAs are."""
+    modes, others = drawn(trend, DRAWN_MODES), drawn(trend, DRAWN_OTHERS)
+    blocks, beside = [], []
+    if modes:
+        blocks.append(Figure(series_drawing("modes", modes), "NCPAs", MODES_CAPTION))
+    if others:
+        beside.append(Figure(series_drawing("others", others), "Ramp, sky and model", OTHERS_CAPTION))
+    if trend.structures:
+        drawing = structure_drawing("structure", trend)
+        beside.append(Figure(drawing, "Stability of the NCPAs", STRUCTURE_CAPTION))
+    blocks.extend([Stack(beside)] if beside else [])
+    return Section("trend", "Trend", "", blocks) if blocks else None
+
+
+def drawn(trend: Trend, names: tuple[str, ...]) -> list[Series]:
+    """The main series of the given numbers, then others of their kind that left their band."""
+    found = [main_series(trend, name) for name in names]
+    out = [one for one in trend.series if one.alarms and one.name not in names
+           and one.name.startswith("noll_") == names[0].startswith("noll_")]
+    return [one for one in (*found, *out) if one is not None]
+
+
+def main_series(trend: Trend, name: str) -> Series | None:
+    """Of a number that several recipes or configurations have, the series with most points."""
+    found = (one for one in trend.series if one.name == name)
+    return max(found, key=lambda one: len(one.points), default=None)
+
+
+def left_out_section(night: Night) -> Section | None:
+    """Recordings that nothing was made of."""
+    rows = [(one.recording.name, one.recording.role, _wrapped(one.reason)) for one in night.left_out]
+    rows += [(one.path.name, MISSING, _wrapped(one.problem)) for one in night.unusable]
+    marks = ["bad" if one.alarming else "" for one in night.left_out] + ["bad"] * len(night.unusable)
+    table = Table(("recording", "role", "why"), rows, marks=marks)
+    return Section("left-out", "Not reduced", "", [table]) if rows else None
+
+
+def recordings_section(night: Night) -> Section | None:
+    """What came in, in order of time."""
+    if not night.recordings:
+        return None
+    ordered = sorted(night.recordings, key=lambda one: (one.start_unix_s or 0.0, one.name))
+    rows = list(map(_recording_row, ordered))
+    title = plural(len(rows), "recording")
+    table = Table(RECORDING_COLUMNS, rows, title, folded=len(rows) > FEW_ROWS)
+    return Section("recordings", "Recordings", "", [table])
+
+
+def _recording_row(one: Description) -> tuple[str, ...]:
+    rows, columns = one.window
+    return (one.name, one.role, clock(one.start_unix_s) or MISSING, one.target or MISSING, str(one.frames),
+            f"{rows}x{columns}", number(one.exposure_s, "g", "s"), one.configuration)

@@ -1,0 +1,95 @@
+"""What a run of `irlos night` found and did, night by night."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from irlos_pipe.night.description import Description
+from irlos_pipe.night.discover import Unusable
+from irlos_pipe.night.grouping import LeftOut
+from irlos_pipe.night.jobs import Job
+from irlos_pipe.night.reduce import UNCHANGED, Reduced
+
+DOUBTS = {"qc_failed": "a QC limit failed", "partial": "some exposures failed"}
+DONE, BAD_DATA, QUALITY, PARTIAL = 0, 3, 4, 5
+
+
+@dataclass
+class Night:
+    """One night.
+
+    Attributes
+    ----------
+    date : str
+        Of its evening, ISO.
+    reduced : dict of str to Reduced
+        What became of the jobs, by the name of their task.
+    alarms : list of str
+        Numbers of this night that left their band, one line each.
+    nothing : str
+        Why there is nothing to do, if there is not.
+    stopped : str
+        What stopped the whole run before the night was finished, if anything did.
+    """
+
+    date: str
+    recordings: list[Description] = field(default_factory=list)
+    jobs: list[Job] = field(default_factory=list)
+    left_out: list[LeftOut] = field(default_factory=list)
+    unusable: list[Unusable] = field(default_factory=list)
+    reduced: dict[str, Reduced] = field(default_factory=dict)
+    alarms: list[str] = field(default_factory=list)
+    nothing: str = ""
+    stopped: str = ""
+
+    @property
+    def unfinished(self) -> list[Job]:
+        """Jobs that nothing is known of yet."""
+        return [job for job in self.jobs if job.task.name not in self.reduced]
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything was done, or anything is wrong: then the page is written anew."""
+        worked = any(one.action != UNCHANGED for one in self.reduced.values())
+        return worked or bool(self.failures or self.alarms or self.stopped or self.unfinished)
+
+    @property
+    def failures(self) -> list[str]:
+        """What could not be reduced, one line each."""
+        lost = [f"{one.name}: {one.problem}" for one in self.reduced.values() if one.problem]
+        alone = [f"{one.recording.name}: {one.reason}" for one in self.left_out if one.alarming]
+        return [*(one.problem for one in self.unusable), *lost, *alone]
+
+    @property
+    def doubts(self) -> list[str]:
+        """What was reduced but should be looked at, one line each."""
+        doubtful = [one for one in self.reduced.values() if one.status in DOUBTS]
+        return [*(": ".join([one.name, DOUBTS[one.status], *one.checks_failed]) for one in doubtful),
+                *self.alarms]
+
+    @property
+    def exit_code(self) -> int:
+        """By the contract: 5 when a part failed, 3 when all did, 4 when a limit or a band did."""
+        succeeded = any(not one.failed for one in self.reduced.values())
+        if self.failures:
+            return PARTIAL if succeeded else BAD_DATA
+        if any(one.status == "partial" for one in self.reduced.values()):
+            return PARTIAL
+        return QUALITY if self.doubts else DONE
+
+
+@dataclass
+class Ran:
+    """All nights of a run, by date."""
+
+    nights: dict[str, Night] = field(default_factory=dict)
+
+    def night(self, date: str) -> Night:
+        """Return a night, which is new when it was not met before."""
+        return self.nights.setdefault(date, Night(date))
+
+    @property
+    def exit_code(self) -> int:
+        """That of the night if there is one; of several, 5 as soon as one failed."""
+        codes = {night.exit_code for night in self.nights.values()}
+        return PARTIAL if len(codes) > 1 and codes & {BAD_DATA, PARTIAL} else max(codes, default=DONE)

@@ -1,0 +1,160 @@
+"""How the numbers went from night to night, which of them left their band, and how stable the NCPAs are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from irlos_pipe.complaints import suggestion
+from irlos_pipe.errors import ConfigurationError, NothingToDo
+from irlos_pipe.night.database import existing
+from irlos_pipe.night.settings import BandKeys
+from irlos_pipe.night.stability import Band, BandRule, Structure, bands, structure_function
+from irlos_pipe.night.trend_db import Point, Verdict, points, verdicts
+
+TIP_TILT = ("noll_2_nm", "noll_3_nm")  # where the star stood, nothing of the instrument
+# What tells of the sky is followed but does not alarm.
+OF_THE_SKY = ("seeing_arcsec", "ao_residual_nm", "jitter_mas", "ncpa_nm", "ramp_error_nm", *TIP_TILT)
+
+
+@dataclass(frozen=True)
+class Series:
+    """One number of one recipe and one configuration in time.
+
+    Attributes
+    ----------
+    bands : tuple of Band or None
+        Of every point, from the nights before it; None where these are too few.
+    """
+
+    name: str
+    recipe: str
+    configuration: str
+    points: tuple[Point, ...]
+    bands: tuple[Band | None, ...]
+
+    @property
+    def alarms(self) -> list[tuple[Point, Band]]:
+        """The points out of their bands."""
+        judged = [(point, band) for point, band in zip(self.points, self.bands, strict=True) if band]
+        return [] if self.name in OF_THE_SKY else [one for one in judged if not one[1].holds(one[0].value)]
+
+    def until(self, night: str) -> Series | None:
+        """Return what there was of it after a night; None when there was nothing."""
+        count = sum(point.night <= night for point in self.points)
+        return replace(self, points=self.points[:count], bands=self.bands[:count]) if count else None
+
+
+@dataclass(frozen=True)
+class Trend:
+    """All series, the structure function of the NCPAs by recipe and configuration, and the verdicts."""
+
+    series: tuple[Series, ...]
+    structures: dict[tuple[str, str], Structure]
+    verdicts: tuple[Verdict, ...]
+
+    def alarms(self, night: str = "") -> list[tuple[Point, Band]]:
+        """Return the points out of their bands, of one night or of all."""
+        found = [alarm for series in self.series for alarm in series.alarms]
+        return [alarm for alarm in found if not night or alarm[0].night == night]
+
+    def until(self, night: str) -> Trend:
+        """Return the trend as it stood after a night."""
+        series = tuple(filter(None, (one.until(night) for one in self.series)))
+        return Trend(series, _structures(series), tuple(one for one in self.verdicts if one.night <= night))
+
+    @property
+    def last_night(self) -> str:
+        """The latest night with a number; empty without one."""
+        return max((series.points[-1].night for series in self.series), default="")
+
+
+def read_trend(tree: Path, keys: BandKeys, names: Sequence[str] = (), until: str = "") -> Trend:
+    """Read the trend of a tree of nights.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Numbers to keep; all if empty.
+    until : str
+        Last night, ISO date; all if empty.
+
+    Raises
+    ------
+    InputDataError, NothingToDo
+        When it is no such tree, or holds no numbers.
+    ConfigurationError
+        When a name is unknown.
+    """
+    with existing(tree) as connection:
+        trend = make_trend(points(connection, until), verdicts(connection, until), keys)
+    if not trend.series:
+        raise NothingToDo(f"{tree}: no numbers yet" + (f" until {until}" if until else ""))
+    known = {one.name for one in trend.series}
+    for name in names:
+        if name not in known:
+            raise ConfigurationError(f"--of {name}: no such number{suggestion(name, known)}")
+    kept = tuple(one for one in trend.series if not names or one.name in names)
+    return replace(trend, series=kept)
+
+
+def make_trend(found: Sequence[Point], told: Sequence[Verdict], keys: BandKeys) -> Trend:
+    """Sort points, which come in order of time, into series, and judge them."""
+    parts = groupby(sorted(found, key=_owner), _owner)
+    series = tuple(_series(tuple(members), keys) for _, members in parts)
+    return Trend(series, _structures(series), tuple(told))
+
+
+def alarm_text(point: Point, band: Band) -> str:
+    """Say in one line what left its band."""
+    return (f"{point.run}: {point.name} = {point.value:.4g} outside {band.low:.4g} to {band.high:.4g} "
+            f"({band.nights} earlier nights)")
+
+
+def _series(members: tuple[Point, ...], keys: BandKeys) -> Series:
+    rule = BandRule(keys.false_alarm, keys.nights, keys.least_nights)
+    found = bands([one.night for one in members], [one.value for one in members],
+                  [one.sigma for one in members], rule)
+    first = members[0]
+    return Series(first.name, first.recipe, first.configuration, members, tuple(found))
+
+
+def _structures(series: Sequence[Series]) -> dict[tuple[str, str], Structure]:
+    owners = dict.fromkeys((one.recipe, one.configuration) for one in series if _noll(one.name))
+    return {who: found for who in owners if (found := _structure(series, *who)) is not None}
+
+
+def _structure(series: Sequence[Series], recipe: str, configuration: str) -> Structure | None:
+    """Structure function of the modes that every run of a recipe has, without tip and tilt."""
+    modes = {one.name: {point.run: point for point in one.points} for one in series
+             if (one.recipe, one.configuration) == (recipe, configuration) and _noll(one.name)
+             and one.name not in TIP_TILT}
+    if not modes:
+        return None
+    common = set.intersection(*(set(runs) for runs in modes.values()))
+    rows = [[runs[run] for runs in modes.values()] for run in common]
+    rows.sort(key=lambda row: row[0].unix_s)
+    if len(rows) < 2:
+        return None
+    value = np.array([[one.value for one in row] for row in rows])
+    sigma = np.array([[one.sigma or 0.0 for one in row] for row in rows])
+    return structure_function(np.array([row[0].unix_s for row in rows]), value, sigma)
+
+
+def _owner(one: Point) -> tuple[Any, ...]:
+    """What the points of a series have in common; sorts them by number."""
+    return (*_natural(one.name), one.recipe, one.configuration)
+
+
+def _noll(name: str) -> bool:
+    return name.startswith("noll_")
+
+
+def _natural(name: str) -> tuple[str, int]:
+    """Order of names: Noll modes first, by number."""
+    return ("", int(name.split("_")[1])) if _noll(name) else (name, 0)

@@ -1,0 +1,97 @@
+"""``PYTHONPATH=tests python -m faults --kills 100``: kill runs, fill their disks, and see what is left."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from faults.runs import End, Patches, make_night, no_file_above, run, signalled
+from faults.tree import broken, content, leftovers
+
+PAGES = "night_"  # a run that could not even look for recordings tells so on the page of the last night
+
+
+def main() -> int:
+    """Return 1 if anything was left that must not be."""
+    parser = argparse.ArgumentParser(prog="faults", description=__doc__)
+    parser.add_argument("--kills", type=int, default=100, help="kill -9 at so many random moments")
+    parser.add_argument("--disks", type=int, default=50, help="full disks, at so many random sizes")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="irlos-faults-") as place:
+        harness = Harness(Path(place))
+        rng = np.random.default_rng(options.seed)
+        moments = rng.uniform(0, harness.seconds, options.kills)
+        kills = harness.suffered("kill -9", [lambda tree, at=at: harness.killed(tree, at) for at in moments])
+        sizes = np.exp(rng.uniform(np.log(100), np.log(harness.largest), options.disks)).astype(int)
+        disks = harness.suffered("full disk", [lambda tree, n=n: harness.filled(tree, int(n)) for n in sizes])
+    return int(bool(kills + disks))
+
+
+class Harness:
+    """A night, what an undisturbed run makes of it, and the comparison of disturbed ones with that."""
+
+    def __init__(self, folder: Path, patches: object = Patches):
+        self.folder = folder
+        self.bench = make_night(folder / "night", patches)
+        whole = folder / "undisturbed"
+        start = time.perf_counter()
+        self.end = run(self.bench, whole)
+        self.seconds = time.perf_counter() - start
+        self.content = content(whole)
+        self.largest = max(path.stat().st_size for path in whole.rglob("*") if path.is_file())
+        print(f"undisturbed: exit {self.end.code}, {self.seconds:.2f} s, {len(self.content)} things compared")
+
+    def killed(self, tree: Path, after_s: float) -> End:
+        """Kill a run."""
+        return signalled(self.bench, tree, after_s)
+
+    def filled(self, tree: Path, size: int) -> End:
+        """Let a run have no file larger than so many bytes."""
+        return run(self.bench, tree, no_file_above(size))
+
+    def suffered(self, name: str, harms: list[Callable[[Path], End]]) -> list[str]:
+        """Return all that was wrong after harm, and after the next run."""
+        problems, ends = [], Counter()
+        for number, harm in enumerate(harms):
+            tree = self.folder / f"{name.split()[0]}-{number}"
+            end = harm(tree)
+            ends[end.code] += 1
+            found = [*after_harm(tree, end), *self.after_rerun(tree)]
+            problems += found
+            for problem in found:
+                print(f"{name} {number}: {problem}", flush=True)
+            shutil.rmtree(tree)
+        print(f"{name}: {len(harms)} times, ends {dict(ends)}, {len(problems)} problems", flush=True)
+        return problems
+
+    def after_rerun(self, tree: Path) -> list[str]:
+        """Return how the next run differs from an undisturbed one."""
+        end = run(self.bench, tree)
+        if end.code != self.end.code:
+            return [f"the next run ended with {end.code}: {end.told}"]
+        now = content(tree)
+        names = self.content.keys() | {name for name in now if not name.startswith(PAGES)}
+        different = [name for name in names if self.content.get(name) != now.get(name)]
+        return [f"different afterwards: {name}" for name in different] + \
+            [f"left over: {path}" for path in leftovers(tree)]
+
+
+def after_harm(tree: Path, end: End) -> list[str]:
+    """Return what nobody should come upon while the harm is not repaired."""
+    problems = broken(tree) if tree.exists() else []
+    if "Traceback" in end.told or "unexpected" in end.told:
+        problems.append(f"told: {end.told[-500:]}")
+    return problems
+
+
+if __name__ == "__main__":
+    sys.exit(main())

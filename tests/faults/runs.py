@@ -1,0 +1,122 @@
+"""A small night, and ``irlos night`` on it in a process that may come to harm."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import night_bench
+from markupsafe import Markup
+
+from irlos_pipe import cli_night
+from irlos_pipe.cli import cli
+from irlos_pipe.night import page_sections
+
+NOT_STARTED = 99
+MORNING = "2024-02-11T0{hour}:00:00"
+
+
+class Patches:
+    """Stands in for pytest's ``monkeypatch`` in a process that ends with its patches."""
+
+    @staticmethod
+    def setitem(mapping: dict, key: object, value: object) -> None:
+        mapping[key] = value
+
+
+@dataclass(frozen=True)
+class End:
+    """How a process ended: exit code (minus the signal that killed it), and what it wrote to stderr."""
+
+    code: int
+    told: str
+
+
+def make_night(folder: Path, patches: object = Patches) -> night_bench.NightBench:
+    """Write a night of a calibration, a ramp, a second calibration and a damaged file."""
+    folder.mkdir(exist_ok=True)
+    bench = night_bench.make(folder, patches)
+    bench.record(MORNING.format(hour=3))
+    bench.record(MORNING.format(hour=4), "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
+    bench.record(MORNING.format(hour=5), "later", numbers={"4": 20.0, "5": 3.0})
+    (bench.night("2024-02-11") / "damaged.fits").write_bytes(b"SIMPLE  = nothing more")
+    return bench
+
+
+@dataclass(frozen=True)
+class Running:
+    """A process that runs ``irlos night``, and the end of a pipe with its stderr."""
+
+    pid: int
+    stderr: int
+
+    def end(self) -> End:
+        """Wait for its end."""
+        with open(self.stderr) as stream:
+            told = stream.read()
+        return End(os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1]), told)
+
+
+def start(bench: night_bench.NightBench, tree: Path, harm: Callable[[], None] = lambda: None) -> Running:
+    """Run ``irlos night`` in a copy of this process, in which `harm` is called first."""
+    reading, writing = os.pipe()
+    pid = os.fork()
+    if not pid:
+        try:
+            _run_as_child(bench, tree, harm, writing)
+        finally:  # whatever happens: nothing of the parent's may be done a second time
+            os._exit(NOT_STARTED)
+    os.close(writing)
+    return Running(pid, reading)
+
+
+def run(bench: night_bench.NightBench, tree: Path, harm: Callable[[], None] = lambda: None) -> End:
+    """Run ``irlos night`` to its end."""
+    return start(bench, tree, harm).end()
+
+
+def signalled(bench: night_bench.NightBench, tree: Path, after_s: float, number: int = signal.SIGKILL) -> End:
+    """Run ``irlos night`` and send it a signal after a while."""
+    running = start(bench, tree)
+    time.sleep(after_s)
+    os.kill(running.pid, number)
+    return running.end()
+
+
+def no_file_above(size: int) -> Callable[[], None]:
+    """Harm: files cannot grow beyond a size [bytes]; writing more fails as on a full disk."""
+
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+    return limit
+
+
+def _run_as_child(bench: night_bench.NightBench, tree: Path, harm: Callable[[], None], stderr: int) -> None:
+    _become_a_run(stderr)
+    harm()
+    recipes = [word for recipe in bench.recipes for word in ("--recipe", recipe)]
+    try:
+        cli(["night", str(bench.archive), "--output", str(tree), *recipes], prog_name="irlos")
+    except SystemExit as end:
+        sys.stderr.flush()
+        os._exit(end.code or 0)
+
+
+def _become_a_run(stderr: int) -> None:
+    """Nothing of the parent's terminal, signals and drawing; tasks one after the other in this process."""
+    os.setsid()
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    os.dup2(stderr, 2)
+    sys.stderr = open(2, "w", closefd=False)  # noqa: SIM115 (ends with the process)
+    cli_night._runner = lambda *_: lambda work, tasks: map(work, tasks)
+    for name in ("series_drawing", "structure_drawing"):
+        setattr(page_sections, name, lambda *_: Markup("<svg></svg>"))

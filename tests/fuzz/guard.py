@@ -1,0 +1,83 @@
+"""Limits on time and memory, and a witness of every file that is opened for writing."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+GIB = 2**30
+PATIENCE = 20
+WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+CHANGING = {"os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.truncate", "shutil.rmtree"}
+_seen: list[str] | None = None
+_installed = False
+
+
+class Hang(BaseException):
+    """A case took too long; no ``except Exception`` of the code under test stops it."""
+
+
+@contextmanager
+def limited_time(seconds: float) -> Iterator[None]:
+    """Raise `Hang` in the block after so many seconds of the processor, or `PATIENCE` times that in all."""
+
+    def stop(*_: object) -> None:
+        raise Hang
+
+    timers = {
+        signal.ITIMER_PROF: (signal.SIGPROF, seconds),
+        signal.ITIMER_REAL: (signal.SIGALRM, PATIENCE * seconds),
+    }
+    before = {number: signal.signal(number, stop) for number, _ in timers.values()}
+    for timer, (_, limit) in timers.items():
+        signal.setitimer(timer, limit)
+    try:
+        yield
+    finally:
+        for timer in timers:
+            signal.setitimer(timer, 0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def limited_memory(size: int) -> Iterator[None]:
+    """Let the process take no more than `size` bytes of address space beyond what it has."""
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (taken + size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+@contextmanager
+def witnessed_writes() -> Iterator[list[str]]:
+    """Collect the paths of all that Python code creates, changes or removes in the block."""
+    global _seen, _installed
+    if not _installed:  # a hook cannot be taken out again
+        sys.addaudithook(_witness)
+    _seen, _installed = [], True
+    try:
+        yield _seen
+    finally:
+        _seen = None
+
+
+def _witness(event: str, arguments: tuple) -> None:
+    if _seen is None or not (_opens_for_writing(event, arguments) or event in CHANGING):
+        return
+    path = arguments[0]
+    # a name relative to an open folder belongs to shutil.rmtree, which is an event of its own
+    if isinstance(path, (str, bytes, os.PathLike)) and (event == "open" or os.path.isabs(path)):
+        _seen.append(os.path.abspath(os.fsdecode(path)))
+
+
+def _opens_for_writing(event: str, arguments: tuple) -> bool:
+    return event == "open" and isinstance(arguments[2], int) and bool(arguments[2] & WRITING)

@@ -1,0 +1,132 @@
+"""What no input may ever bring about."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from click.testing import CliRunner, Result
+
+from fuzz import pristine
+from fuzz.case import Case, draw
+from fuzz.guard import GIB, Hang, limited_memory, limited_time, witnessed_writes
+from irlos_pipe.cli import cli
+from irlos_pipe.errors import IrlosError
+
+DOCUMENTED = {0, 2, 3, 4, 5, 64}
+MEMORY = 2 * GIB
+TIME_S = 30.0  # of the processor, or twenty times that by the clock: the machine may be busy
+PRODUCT = "01_ingest.h5"
+TOLERATED = 0.02  # of the peak: what the noise of single pixels may hide
+FLAGS = ("warning", "rejected", "missing", "bad pixels")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a case ended.
+
+    Attributes
+    ----------
+    finding : str
+        What must not happen; empty if all is well.
+    compared : bool
+        The result was compared with that of the unspoiled input.
+    """
+
+    kind: str
+    seed: int
+    told: str
+    exit_code: int
+    finding: str
+    output: str = ""
+    compared: bool = False
+
+
+def judged(kind: str, seed: int) -> Verdict:
+    """Make a case, run it under limits, and judge what came of it."""
+    with tempfile.TemporaryDirectory(prefix="irlos-fuzz-") as place:
+        return _judged(kind, seed, Path(place))
+
+
+def _judged(kind: str, seed: int, folder: Path) -> Verdict:
+    case = draw(kind, seed, folder)
+    before = _listing(folder)
+    result, writes = _run(case)
+    finding = result if isinstance(result, str) else _finding(case, result, folder)
+    finding = finding or _strays(folder, before, writes)
+    code, output = (-1, "") if isinstance(result, str) else (result.exit_code, result.output)
+    compared = code == 0 and bool(case.reference) and (folder / "out" / PRODUCT).exists()
+    return Verdict(kind, seed, case.told, code, finding, output, compared)
+
+
+def _run(case: Case) -> tuple[Result | str, list[str]]:
+    """Run the command; returns its result, or what stopped it, and what it wrote."""
+    with witnessed_writes() as writes:
+        try:
+            with limited_memory(MEMORY), limited_time(TIME_S):
+                return CliRunner().invoke(cli, case.arguments), writes
+        except Hang:
+            return f"hang: more than {TIME_S:.0f} s of the processor", writes
+
+
+def _finding(case: Case, result: Result, folder: Path) -> str:
+    """Return what is wrong with the end of a command."""
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        return "traceback: " + "".join(traceback.format_exception(result.exception))[-600:]
+    if "Traceback" in result.output or "irlos: error: unexpected" in result.output:
+        return f"unexpected error: {result.output[-400:]}"
+    if result.exit_code not in DOCUMENTED:
+        return f"exit code {result.exit_code}: {result.output[-400:]}"
+    return _wrong_words(result) or _silently_wrong(case, result, folder)
+
+
+def _wrong_words(result: Result) -> str:
+    """Errors are told in lines of their own; bad data in exactly one."""
+    lines = [line for line in result.output.splitlines() if line.startswith("irlos: error: ")]
+    if result.exit_code in (3, 64) and len(lines) != 1:
+        return f"{len(lines)} error lines for one problem: {result.output[-400:]}"
+    if result.exit_code == 2 and not lines and "Error: " not in result.output:
+        return f"no reason told: {result.output[-400:]}"
+    return ""
+
+
+def _silently_wrong(case: Case, result: Result, folder: Path) -> str:
+    """Return how a result that nobody warns of differs from that of the unspoiled input."""
+    product = folder / "out" / PRODUCT
+    if not case.reference or result.exit_code != 0 or not product.exists() or case.plausible:
+        return ""
+    if any(flag in result.output for flag in FLAGS):
+        return ""
+    try:
+        ours, true = pristine.measured(product), pristine.reference(case.reference)
+    except IrlosError:
+        return ""  # whoever reads it is told
+    return _difference(ours, true)
+
+
+def _difference(ours: pristine.Measured, true: pristine.Measured) -> str:
+    if ours.mean_e.shape != true.mean_e.shape:
+        return f"silently another window: {ours.mean_e.shape}"
+    good = ours.mask & true.mask
+    worst = float(np.max(np.abs(ours.mean_e - true.mean_e)[good]) / true.mean_e.max())
+    return f"silently wrong by {worst:.1%} of the peak" if worst > TOLERATED else ""
+
+
+def _listing(folder: Path) -> dict[str, tuple[int, int]]:
+    """Size and time of every file of a case outside its output."""
+    files = [path for path in folder.rglob("*") if path.relative_to(folder).parts[0] != "out"]
+    return {str(path): (path.lstat().st_size, path.lstat().st_mtime_ns) for path in files}
+
+
+def _strays(folder: Path, before: dict, writes: list[str]) -> str:
+    """Return what was written or changed outside the output folder."""
+    changed = [path for path, state in _listing(folder).items() if before.get(path) != state]
+    lost = before.keys() - _listing(folder).keys()
+    allowed = (str(folder / "out"), os.devnull)
+    outside = [path for path in writes if not path.startswith(allowed) and not path.endswith(".log")]
+    found = [path for path in [*changed, *lost, *outside] if not Path(path).is_dir() or path in lost]
+    return f"written outside the output folder: {', '.join(found[:3])}" if found else ""

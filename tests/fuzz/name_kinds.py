@@ -1,0 +1,117 @@
+"""Names that lead elsewhere or cannot be shown: of files, inputs, recipes, recordings."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from fuzz import pristine
+from fuzz.case import Case, kind, pick
+
+ODD = (
+    "..", ".", "../../escape", "/tmp/irlos-escape", "a/b", "a//b", "~root", "$HOME", "-rf", "--help", "a b",
+    "a\nb", "a\tb", "a'b\"c", "%s%n", "{x}", "<script>alert(1)</script>", "\x1b[31mred", "\u202egnp", "ł€😀",
+    "n" * 250, "NUL", "COM1", "a=b", "results.json", "..\\..\\x", "arrays", "*", "a\0b", "\udcff\udcfe", "",
+)  # fmt: skip
+PRINTABLE = [name for name in ODD if "\0" not in name]
+
+
+@kind
+def file_name(folder: Path, rng: np.random.Generator) -> Case:
+    """Name a recorder folder and its file oddly."""
+    names = [
+        name for name in PRINTABLE if name.strip("./") and "/" not in name and len(os.fsencode(name)) < 240
+    ]
+    name = pick(rng, names)
+    path = pristine.write("recorder", folder / "in" / "sky")
+    path.rename(path.with_name(f"{name}.fits"))
+    (folder / "in" / "sky").rename(folder / "in" / name)
+    return Case(f"file {name!r}", _run(folder), "recorder")
+
+
+@kind
+def recipe_name(folder: Path, rng: np.random.Generator) -> Case:
+    """Name input, recipe or star oddly."""
+    pristine.write("recorder", folder / "in" / "sky")
+    name = pick(rng, list(ODD))
+    content = {"recipe": "fuzz", "inputs": {"cube": "in"}, "stages": ["ingest"]}
+    content |= pick(
+        rng,
+        [
+            {"inputs": {name: "in"}},
+            {"recipe": name, "title": name},
+            {"inputs": {"cube": name}},
+            {"instrument": name},
+            {"stages": [name]},
+            {"ingest": {"acquisition": {"target": name}}},
+        ],
+    )
+    (folder / "recipe.yaml").write_text(yaml.safe_dump(content))
+    return Case(f"{content}", _run(folder), "recorder")
+
+
+@kind
+def simulated_name(folder: Path, rng: np.random.Generator) -> Case:
+    """Name a recording of a simulation oddly: it becomes a folder."""
+    name = pick(rng, list(ODD))
+    content = {
+        "simulation": pick(rng, ["x", name]),
+        "diversity": {"source": "lens", "zernike": {6: -170.0}},
+        "recordings": {
+            name: {
+                "role": "ncpa_calibration",
+                "mag_j": 7.0,
+                "frames": 1,
+                "exposure_s": 0.01,
+                "frame_rate_hz": 10,
+                "window": [8, 8],
+                "bands": "narrow_h",
+            }
+        },
+    }
+    (folder / "spec.yaml").write_text(yaml.safe_dump(content))
+    return Case(
+        f"recording {name!r}",
+        ("simulate", str(folder / "spec.yaml"), "--output", str(folder / "out"), "--dry-run"),
+    )
+
+
+@kind
+def argument(folder: Path, rng: np.random.Generator) -> Case:
+    """Give odd paths where a command expects a file or a folder."""
+    place = pick(
+        rng,
+        [
+            "/dev/null",
+            "/dev/zero",
+            "/proc/self/mem",
+            "/",
+            str(folder),
+            str(folder / ("n" * 300)),
+            "",
+            str(folder / "no such"),
+            "\udcff",
+            *PRINTABLE,
+        ],
+    )
+    commands = [
+        ("show", place),
+        ("status", place),
+        ("report", place),
+        ("validate", place),
+        ("export", place),
+        ("score", place, "--truth", place),
+        ("simulate", place, "--output", str(folder / "out")),
+        ("run", place, "--output", str(folder / "out")),
+    ]
+    return Case(f"argument {place[:60]!r}", pick(rng, commands))
+
+
+def _run(folder: Path) -> tuple[str, ...]:
+    recipe = folder / "recipe.yaml"
+    if not recipe.exists():
+        pristine.write_recipe(folder)
+    return ("run", str(recipe), "--output", str(folder / "out"), "--jobs", "1", "--device", "cpu")

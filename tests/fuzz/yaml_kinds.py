@@ -1,0 +1,199 @@
+"""Side-cars, recipes, instrument profiles and simulation specs: slips of the pen, damage, bombs."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from fuzz import pristine
+from fuzz.case import Case, kind, pick
+from fuzz.damage import damaged
+
+ROOT = Path(__file__).parents[2]
+PROFILE = ROOT / "irlos_pipe" / "instruments" / "irlos.yaml"
+RECIPES = sorted((ROOT / "recipes").glob("*.yaml"))
+SPECS = sorted((ROOT / "recipes" / "simulations").glob("*.yaml"))
+WORD = re.compile(r"[\w.+-]+")
+ABSURD = (
+    "", "null", "~", "true", "-1", "0", "1e-3", "1e400", "-1e400", ".nan", ".inf", "9" * 30, "9" * 5000,
+    "0x7f", "0o17", "1:60:60", "2021-99-99", "2021-03-20", "12:30", "[]", "{}", "[1, [2, [3]]]",
+    "{a: {b: c}}", "yes", "'", '"', '"\\0"', '"\\ud800"', '"\\x1b[2J"', "\u202e", "ł€",
+    "!!python/object/apply:os.system [id]", "!x y", "!!binary aGVsbG8=", "!!int x", "&a 1", "*a", "<<",
+    "? [1, 2]", "- x", "%TAG", "---", "...", "@", "`", "|", "../../../../etc/passwd", "/dev/zero",
+    "/dev/stdin", "a" * 5000, "null: null", "#", "\t", "=",
+)  # fmt: skip
+
+
+@kind
+def sidecar(folder: Path, rng: np.random.Generator) -> Case:
+    """Spoil the side-car of a recording."""
+    pristine.write("recorder", folder / "in" / "sky")
+    told = _spoil(folder / "in" / "sky" / "acquisition.yaml", rng)
+    arguments = _run(pristine.write_recipe(folder), folder)
+    return Case(f"side-car: {told}", arguments, "recorder", plausible=True)
+
+
+@kind
+def recipe(folder: Path, rng: np.random.Generator) -> Case:
+    """Spoil one of the project's recipes, and check or plan it."""
+    source = pick(rng, RECIPES)
+    path = _copy(source, folder / "recipes")
+    for given in yaml.safe_load(source.read_text())["inputs"].values():
+        for place in given if isinstance(given, list) else [given]:
+            pristine.write("cube", folder / "recipes" / place)
+    told = _spoil(path, rng)
+    return Case(
+        f"{source.name}: {told}", pick(rng, [("validate", str(path)), _run(path, folder, "--dry-run")])
+    )
+
+
+@kind
+def setting(folder: Path, rng: np.random.Generator) -> Case:
+    """Give options of the command line odd keys and values."""
+    pristine.write("cube", folder / "in")
+    keys = [
+        "ingest.flux_sigma",
+        "ingest.acquisition",
+        "ingest.acquisition.spectrum",
+        "model.effects",
+        "seed",
+        "stages",
+        "ingest",
+        "",
+        ".",
+        "a.b.c",
+        "stages.0",
+        "inputs.cube",
+        "ingest.0.0",
+    ]
+    text = f"{pick(rng, keys)}{pick(rng, ['=', '=', '=', ''])}{pick(rng, list(ABSURD))}"
+    option = pick(rng, ["--set", "--set", "--input", "--from", "--seed"])
+    return Case(f"{option} {text[:60]}", _run(pristine.write_recipe(folder), folder, f"{option}={text}"))
+
+
+@kind
+def profile(folder: Path, rng: np.random.Generator) -> Case:
+    """Spoil an instrument profile."""
+    pristine.write("cube", folder / "in")
+    path = _copy(PROFILE, folder)
+    told = _spoil(path, rng)
+    recipe = pristine.write_recipe(folder)
+    recipe.write_text(f"{recipe.read_text()}instrument: ./irlos.yaml\n")
+    return Case(f"profile: {told}", _run(recipe, folder))
+
+
+@kind
+def spec(folder: Path, rng: np.random.Generator) -> Case:
+    """Spoil a simulation spec, and plan it."""
+    source = pick(rng, SPECS)
+    path = _copy(source, folder)
+    told = _spoil(path, rng)
+    return Case(
+        f"{source.name}: {told}", ("simulate", str(path), "--output", str(folder / "out"), "--dry-run")
+    )
+
+
+@kind
+def bomb(folder: Path, rng: np.random.Generator) -> Case:
+    """Let a small file stand for a huge one, for code, or for something that is no file."""
+    pristine.write("recorder", folder / "in" / "sky")
+    recipe = pristine.write_recipe(folder)
+    target = pick(rng, [recipe, folder / "in" / "sky" / "acquisition.yaml"])
+    name = pick(rng, list(BOMBS))
+    target.write_bytes(BOMBS[name]().encode("utf-8", "surrogatepass"))
+    return Case(f"{target.name}: {name}", _run(recipe, folder), "recorder")
+
+
+def _laughs() -> str:
+    lines = ["a0: &a0 [lol, lol, lol, lol, lol, lol, lol, lol, lol, lol]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
+    return "\n".join(lines)
+
+
+BOMBS = {
+    "billion laughs": _laughs,
+    "deep lists": lambda: "a: " + "[" * 20_000,
+    "deep mappings": lambda: "\n".join(" " * i + f"k{i}:" for i in range(1000)),
+    "many keys": lambda: "\n".join(f"key{i}: {i}" for i in range(300_000)),
+    "long list": lambda: "introduced_defocus_nm: [" + "1.0, " * 700_000 + "1.0]",
+    "long text": lambda: "target: " + "x" * 3_900_000,
+    "long number": lambda: "mag_j: " + "9" * 1_000_000,
+    "python object": lambda: "role: !!python/object/apply:os.system ['touch /tmp/irlos-was-here']",
+    "merge key": lambda: "base: &b {role: dark}\n<<: *b",
+    "merge without alias": lambda: "<<: {role: dark}",
+    "two documents": lambda: "role: dark\n---\nrole: psf\n",
+    "directive": lambda: "%YAML 9.9\n---\nrole: dark\n",
+    "null bytes": lambda: "role: dark\0\0\0",
+    "surrogates": lambda: 'target: "\\ud800\\udfff"\n',
+    "recursion": lambda: "a: &a [*a]",
+    "complex key": lambda: "? {a: b}\n: c\n",
+    "equals": lambda: "role: =\n=: 1\n",
+    "regular expression": lambda: "frame_rate_hz: " + "1_" * 50_000,
+    "binary": lambda: "target: !!binary " + "AAAA" * 100_000,
+    "only comments": lambda: "# nothing\n" * 100_000,
+    "empty": lambda: "",
+}
+
+
+def _copy(source: Path, folder: Path) -> Path:
+    folder.mkdir(exist_ok=True, parents=True)
+    path = folder / source.name
+    path.write_bytes(source.read_bytes())
+    return path
+
+
+def _run(recipe: Path, folder: Path, *options: str) -> tuple[str, ...]:
+    return ("run", str(recipe), "--output", str(folder / "out"), "--jobs", "1", "--device", "cpu", *options)
+
+
+def _spoil(path: Path, rng: np.random.Generator) -> str:
+    """Spoil a YAML file in one of several ways; returns what was done."""
+    if rng.random() < 0.3:
+        how, content = damaged(path.read_bytes(), rng)
+        path.write_bytes(content)
+        return how
+    how = pick(rng, [_other_words, _other_lines, _other_value])
+    told, text = how(path.read_text(), rng)
+    path.write_text(text, encoding="utf-8", errors="surrogateescape")
+    return told
+
+
+def _other_words(text: str, rng: np.random.Generator) -> tuple[str, str]:
+    """Put absurd words in the place of one to three others."""
+    told = []
+    for _ in range(rng.integers(1, 4)):
+        places = [found.span() for found in WORD.finditer(text)]
+        start, end = pick(rng, places)
+        value = pick(rng, list(ABSURD))
+        told.append(f"{text[start:end]} -> {value[:30]!r}")
+        text = text[:start] + value + text[end:]
+    return ", ".join(told), text
+
+
+def _other_lines(text: str, rng: np.random.Generator) -> tuple[str, str]:
+    """Drop, repeat, move or indent a line."""
+    lines = text.splitlines()
+    here, there = (int(place) for place in rng.integers(len(lines), size=2))
+    line = lines[here]
+    how = pick(rng, ["drop", "repeat", "move", "indent"])
+    if how in ("drop", "move"):
+        lines.pop(here)
+    if how in ("repeat", "move"):
+        lines.insert(there, line)
+    if how == "indent":
+        lines[here] = pick(rng, [" ", "  ", "\t"]) + line
+    return f"{how} line {here + 1}", "\n".join(lines) + "\n"
+
+
+def _other_value(text: str, rng: np.random.Generator) -> tuple[str, str]:
+    """Replace a value somewhere in the tree by one of another type."""
+    tree = yaml.safe_load(text)
+    node, key = tree, pick(rng, list(tree))
+    while isinstance(node[key], (dict, list)) and node[key] and rng.random() < 0.8:
+        node = node[key]
+        key = pick(rng, list(node if isinstance(node, dict) else range(len(node))))
+    node[key] = pick(rng, [None, True, -1, 0, 1e300, "x", [], {}, [[]], {"a": 1}, ["x"] * 50, "\0", 10**40])
+    return f"{key} = {node[key]!r}"[:60], yaml.safe_dump(tree, sort_keys=False, allow_unicode=True)

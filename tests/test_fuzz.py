@@ -1,0 +1,95 @@
+"""A sample of the damaged and hostile inputs of ``make fuzz``; and that their judge sees what it must see.
+
+Truth: the result of the same recording without damage, and the exit codes of the contract.
+"""
+
+import time
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+from fuzz import fits_kinds, judge, name_kinds, pristine, product_kinds, yaml_kinds  # noqa: F401
+from fuzz.case import KINDS, Case
+
+SEEDS = range(5)
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_no_spoiled_input_brings_about_more_than_a_line_that_says_what_is_wrong(kind):
+    verdicts = [judge.judged(kind, seed) for seed in SEEDS]
+    assert [(verdict.seed, verdict.told, verdict.finding) for verdict in verdicts if verdict.finding] == []
+
+
+def test_the_same_seed_makes_the_same_case(tmp_path):
+    def made(name: str) -> tuple[str, bytes]:
+        folder = tmp_path / name
+        folder.mkdir()
+        told = KINDS["recording_header"](folder, np.random.default_rng(3)).told
+        return told, b"".join(path.read_bytes() for path in sorted(folder.rglob("*.fits")))
+
+    assert made("a") == made("b")
+
+
+def crash(folder: Path) -> None:
+    raise ZeroDivisionError("a bug")
+
+
+def leave_with_an_unknown_code(folder: Path) -> None:
+    raise SystemExit(7)
+
+
+def write_elsewhere(folder: Path) -> None:
+    (folder / "elsewhere").write_text("x")
+
+
+def change_the_input(folder: Path) -> None:
+    (folder / "input").write_text("changed")
+
+
+def sleep(folder: Path) -> None:
+    time.sleep(30)
+
+
+def take_too_much(folder: Path) -> None:
+    np.empty(2 * judge.MEMORY, np.uint8)
+
+
+def find_bad_data_and_say_nothing(folder: Path) -> None:
+    raise SystemExit(3)
+
+
+DEEDS = {
+    crash: "traceback",
+    leave_with_an_unknown_code: "exit code 7",
+    write_elsewhere: "written outside",
+    change_the_input: "written outside",
+    sleep: "hang",
+    take_too_much: "MemoryError",
+    find_bad_data_and_say_nothing: "0 error lines",
+}
+
+
+@pytest.mark.parametrize("deed", DEEDS, ids=lambda deed: deed.__name__)
+def test_the_judge_sees_a_misdeed(deed, monkeypatch):
+    def maker(folder: Path, rng: np.random.Generator) -> Case:
+        (folder / "input").write_text("as it was")
+        return Case("", (str(folder),))
+
+    parameters = [click.Argument(["folder"])]
+    command = click.Command("x", params=parameters, callback=lambda folder: deed(Path(folder)))
+    monkeypatch.setitem(KINDS, "recipe", maker)
+    monkeypatch.setattr(judge, "cli", command)
+    monkeypatch.setattr(judge, "TIME_S", 0.2)
+    assert DEEDS[deed] in judge.judged("recipe", 0).finding
+
+
+@pytest.mark.parametrize(("factor", "seen"), [(1.0, False), (1.1, True)])
+def test_the_judge_sees_a_result_that_differs_without_a_word(factor, seen, monkeypatch):
+    def maker(folder: Path, rng: np.random.Generator) -> Case:
+        path = pristine.write("cube", folder / "in" / "sky")
+        fits_kinds.fits.writeto(path, pristine.adu() * np.float32(factor), overwrite=True)
+        return fits_kinds._ingested(folder, "", "cube")
+
+    monkeypatch.setitem(KINDS, "recipe", maker)
+    assert ("silently wrong" in judge.judged("recipe", 0).finding) is seen

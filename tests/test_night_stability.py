@@ -1,0 +1,124 @@
+"""Bands and structure functions.
+
+Truth: brute force over all pairs, the analytic structure functions of white noise (2 M s²) and of a random
+walk (M s² lag), and the rate of false alarms by Monte Carlo.
+"""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from irlos_pipe.night.stability import DAY_S, LAG_EDGES_S, BandRule, bands, structure_function
+
+RULE = BandRule(false_alarm=1e-2, most=60, least=5)
+
+
+def dates(count: int) -> list[str]:
+    return [f"2024-{1 + i // 28:02d}-{1 + i % 28:02d}" for i in range(count)]
+
+
+def band_of_last(values, sigma=None, rule=RULE):
+    return bands(dates(len(values)), values, [*[None] * (len(values) - 1), sigma], rule)[-1]
+
+
+# -- structure function ------------------------------------------------------------------------
+
+
+def test_every_pair_is_counted_once_in_the_bin_of_its_lag():
+    rng = np.random.default_rng(0)
+    times = np.sort(rng.uniform(0, 9 * DAY_S, 12))
+    modes, sigma = rng.normal(0, 5, (12, 3)), rng.uniform(0.1, 1, (12, 3))
+    found = structure_function(times, modes, sigma)
+    lags, changes, noises = [], [], []
+    for i, j in combinations(range(12), 2):
+        lags.append(times[j] - times[i])
+        noises.append(np.sum(sigma[i] ** 2 + sigma[j] ** 2))
+        changes.append(np.sum((modes[j] - modes[i]) ** 2) - noises[-1])
+    place = np.digitize(lags, LAG_EDGES_S)
+    for row, number in enumerate(np.unique(place)):
+        within = place == number
+        assert found.pairs[row] == within.sum()
+        for name, values in (("lag_s", lags), ("change_nm2", changes), ("noise_nm2", noises)):
+            assert getattr(found, name)[row] == pytest.approx(np.mean(np.array(values)[within]), rel=1e-12)
+
+
+def test_independent_changes_show_the_same_at_every_lag():
+    count, modes, s_nm = 800, 20, 3.0
+    values = np.random.default_rng(1).normal(0, s_nm, (count, modes))
+    found = structure_function(DAY_S * np.arange(count), values, np.zeros((count, modes)))
+    assert found.change_nm2 == pytest.approx(np.full(len(found.pairs), 2 * modes * s_nm**2), rel=0.05)
+
+
+def test_the_noise_of_measurement_is_taken_off():
+    count, modes, s_nm, noise_nm = 800, 20, 3.0, 6.0
+    rng = np.random.default_rng(2)
+    values = rng.normal(0, s_nm, (count, modes)) + rng.normal(0, noise_nm, (count, modes))
+    found = structure_function(DAY_S * np.arange(count), values, np.full((count, modes), noise_nm))
+    assert found.change_nm2 == pytest.approx(np.full(len(found.pairs), 2 * modes * s_nm**2), rel=0.15)
+    assert found.noise_nm2 == pytest.approx(np.full(len(found.pairs), 2 * modes * noise_nm**2))
+
+
+def test_a_random_walk_changes_in_proportion_to_the_lag():
+    """Up to lags of a fortieth of the series, where 100 modes make the mean of the pairs good to 5 %."""
+    count, modes, step_nm = 1200, 100, 0.5
+    values = np.cumsum(np.random.default_rng(3).normal(0, step_nm, (count, modes)), axis=0)
+    found = structure_function(DAY_S * np.arange(count), values, np.zeros((count, modes)))
+    short = found.lag_s < 30 * DAY_S
+    expected = modes * step_nm**2 * found.lag_s[short] / DAY_S
+    assert short.sum() >= 5 and found.change_nm2[short] == pytest.approx(expected, rel=0.1)
+
+
+def test_what_noise_explains_shows_as_no_change():
+    values = np.random.default_rng(4).normal(0, 1, (50, 5))
+    found = structure_function(DAY_S * np.arange(50), values, np.full((50, 5), 1.2))
+    assert np.all(found.change_nm2 < 0) and np.all(found.change_nm == 0)
+
+
+# -- bands -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("nights", [5, 10, 40])
+@pytest.mark.parametrize("probability", [0.05, 0.01])
+def test_false_alarms_are_no_more_frequent_than_asked_for(nights, probability):
+    rng, trials = np.random.default_rng(nights), 2000
+    rule = BandRule(probability, 60, nights)
+    draws = rng.normal(size=(trials, nights + 1))
+    alarms = sum(not band_of_last(values, rule=rule).holds(values[-1]) for values in draws)
+    allowed = trials * probability + 3 * np.sqrt(trials * probability)
+    assert alarms <= allowed and alarms >= 0.2 * trials * probability
+
+
+def test_a_jump_is_seen_against_forty_quiet_nights():
+    values = np.random.default_rng(5).normal(30, 1, 41)
+    values[-1] = 45.0
+    band = bands(dates(41), values, [0.5] * 41, BandRule(1e-4, 60, 5))[-1]
+    assert not band.holds(45.0) and band.holds(30.0) and band.nights == 40
+
+
+def test_nights_that_went_wrong_move_the_band_little():
+    values = np.random.default_rng(6).normal(0, 1, 41)
+    clean = band_of_last(values)
+    values[3:11] = 1000.0
+    spoilt = band_of_last(values)
+    assert abs(spoilt.centre - clean.centre) < 1 and spoilt.half_width < 3 * clean.half_width
+
+
+def test_several_recordings_of_a_night_count_once_and_are_not_judged_by_one_another():
+    nights = [*dates(6), *["2024-02-01"] * 3]
+    found = bands(nights, [0, 1, 2, 3, 4, 5, 100, 200, 300], [None] * 9, RULE)
+    assert [band.nights if band else None for band in found] == [None] * 5 + [5, 6, 6, 6]
+    assert found[6] == found[7] == found[8] and found[6].centre == 2.5
+
+
+def test_only_the_latest_nights_make_the_band_and_too_few_make_none():
+    values = [*[0.0] * 10, *np.arange(100.0, 120.0), 0.0]
+    rule = BandRule(1e-2, 20, 5)
+    assert band_of_last(values, rule=rule).centre == 109.5
+    assert band_of_last(values[:5]) is None
+
+
+def test_a_value_with_a_large_error_has_a_wide_band():
+    values = np.random.default_rng(7).normal(0, 1, 31)
+    narrow, wide = band_of_last(values), band_of_last(values, sigma=50.0)
+    assert narrow.half_width < 6 and wide.half_width > 100
