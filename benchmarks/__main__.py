@@ -19,7 +19,7 @@ from .docs import breakdown
 from .docs import write_docs as put_into_docs
 from .inputs import Inputs, prepare
 from .measure import in_own_process
-from .plan import CUBE, NCPA, OTHERS, Entry
+from .plan import CUBE, NCPA, NCPA_60, OTHERS, Entry
 from .table import render
 
 RESULTS = Path(__file__).parent / "results.json"
@@ -43,9 +43,11 @@ def measure_all(folder: Path, quick: bool) -> dict:
     """Prepare the inputs in `folder` and run every case."""
     drawn = max(entry.quick_frames if quick else entry.frames for entry in NCPA)
     prepare(folder, drawn, lambda frames: tqdm(frames, desc="drawing frames", disable=None))
-    bar = tqdm(total=len(NCPA) + len(OTHERS) + 1, disable=None)
-    ncpa, others = ([_measure(entry, folder, quick, bar) for entry in entries] for entries in (NCPA, OTHERS))
+    groups = (NCPA, NCPA_60, OTHERS)
+    bar = tqdm(total=sum(map(len, groups)) + 1, disable=None)
+    ncpa, more, others = ([_measure(entry, folder, quick, bar) for entry in group] for group in groups)
     common = _compare(ncpa, Inputs(folder))
+    _compare(more, Inputs(folder))
     bar.set_description("breakdown")
     shares = measure_breakdown(Inputs(folder), frames=8 if quick else 48)
     bar.close()
@@ -54,6 +56,7 @@ def measure_all(folder: Path, quick: bool) -> dict:
         "machine": _machine(),
         "common_frames": common,
         "ncpa": ncpa,
+        "ncpa_60": more,
         "others": others,
         "breakdown": shares,
     }

@@ -17,6 +17,7 @@ import torch
 
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.frame_settings import frame_settings
 from irlos_pipe.estimate.lift import LiftOptions, lift
 from irlos_pipe.estimate.ramp_fit import fit_ramp
 from irlos_pipe.image_model import ImageModel
@@ -39,17 +40,18 @@ from .frames import DIVERSITY_NM, NOLLS, PIXEL_SCALE_MAS, READ_NOISE_E, WAVELENG
 from .inputs import Inputs, true_zernike_nm
 from .measure import peak_mib, stopwatch
 
+MORE_NOLLS = tuple(range(2, 62))
 TWO_WAVELENGTHS = ((1215.0, 0.5), (1625.0, 0.5))
 
 
-def _calibrated(inputs: Inputs, count: int, method: str) -> dict:
+def _calibrated(inputs: Inputs, count: int, method: str, highest_noll: int = NOLLS[-1]) -> dict:
     """A method of `calibrate` on the drawn frames."""
-    options = CalibrationOptions(method, highest_noll=NOLLS[-1])
+    options = CalibrationOptions(method, highest_noll=highest_noll)
     calibrate(inputs.calibration_frames(2), inputs.settings, options)  # libraries start up
     with stopwatch() as watch:
         result = calibrate(inputs.calibration_frames(count), inputs.settings, options)
     return _timed(watch, count) | {
-        "estimates_nm": result.frames_nm.tolist(),
+        "estimates_nm": result.frames_nm[:, : len(NOLLS)].tolist(),
         "iterations": result.iterations.tolist(),
         "converged": result.frame_status.count("converged"),
     }
@@ -60,21 +62,32 @@ def dip_global(inputs: Inputs, count: int) -> dict:
     return _calibrated(inputs, count, "dip_global")
 
 
+def dip_global_60(inputs: Inputs, count: int) -> dict:
+    """The same with 60 modes, of which those are compared that have a truth."""
+    return _calibrated(inputs, count, "dip_global", MORE_NOLLS[-1])
+
+
 def lift_slices(inputs: Inputs, count: int) -> dict:
     """Noise-weighted fits of every frame: the estimator that `solvephase` has, too."""
     return _calibrated(inputs, count, "lift_slices")
 
 
-def fft_lbfgs(inputs: Inputs, count: int) -> dict:
+def fft_lbfgs(inputs: Inputs, count: int, nolls: tuple[int, ...] = NOLLS) -> dict:
     """Padded FFT, autograd, L-BFGS."""
     from .baseline_fft import FftModel, fit
 
-    model = FftModel(inputs.settings.geometry, NOLLS, DIVERSITY_NM, WAVELENGTH_NM, PIXEL_SCALE_MAS, WINDOW_PX)
+    model = FftModel(inputs.settings.geometry, nolls, DIVERSITY_NM, WAVELENGTH_NM, PIXEL_SCALE_MAS, WINDOW_PX)
     images_e = torch.as_tensor(inputs.frames.images_e[:count])
-    model.images(torch.zeros(1, len(NOLLS)))
+    model.images(torch.zeros(1, len(nolls)))
     with stopwatch() as watch:
         estimates_nm, evaluations = fit(model, images_e)
-    return _timed(watch, count) | {"estimates_nm": estimates_nm.tolist(), "evaluations": evaluations}
+    known_nm = estimates_nm[:, : len(NOLLS)].tolist()
+    return _timed(watch, count) | {"estimates_nm": known_nm, "evaluations": evaluations}
+
+
+def fft_lbfgs_60(inputs: Inputs, count: int) -> dict:
+    """The same with 60 modes."""
+    return fft_lbfgs(inputs, count, MORE_NOLLS)
 
 
 def solvephase_lm(inputs: Inputs, count: int) -> dict:
@@ -153,16 +166,14 @@ def lift_ramp_bare(inputs: Inputs, count: int) -> dict:
     return _lift_ramp(inputs, "off")
 
 
-def lift_solvephase(inputs: Inputs, count: int) -> dict:
-    """`solvephase`'s LIFT on frames spread over the ramp, same NCPAs; it knows no AO residual."""
-    from .baseline_solvephase import SolvephaseFit
-
+def _lift_one_by_one(inputs: Inputs, count: int, build: Callable[[PsfSettings, float], object]) -> dict:
+    """Another implementation on frames spread over the ramp, same NCPAs; none knows an AO residual."""
     context = inputs.context
     ramp = read_ramp(context, context.config.input)
     settings = psf_settings(
         context.instrument, context.model, ramp.recordings[0], calibrated_ncpa_nm(context)
     )
-    fitter = SolvephaseFit(settings, 3, ramp.acquisition.detector.read_noise_e, "poisson")
+    fitter = build(settings, ramp.acquisition.detector.read_noise_e)
     chosen = np.linspace(0, len(ramp.names) - 1, count).astype(int)
     fitter.fit_nm(ramp.data.images_e[0].numpy())
     with stopwatch() as watch:
@@ -170,12 +181,26 @@ def lift_solvephase(inputs: Inputs, count: int) -> dict:
     return _timed(watch, count) | {"error_nm": _rms(estimates_nm[:, 2] - ramp.data.introduced_nm[chosen])}
 
 
+def lift_solvephase(inputs: Inputs, count: int) -> dict:
+    """`solvephase`'s LIFT."""
+    from .baseline_solvephase import SolvephaseFit
+
+    return _lift_one_by_one(inputs, count, lambda case, noise: SolvephaseFit(case, 3, noise, "poisson"))
+
+
+def lift_numpy(inputs: Inputs, count: int) -> dict:
+    """Gauss-Newton with NumPy's FFT, as the paper's code."""
+    from .baseline_numpy_lift import NumpyLift
+
+    return _lift_one_by_one(inputs, count, lambda case, noise: NumpyLift(case, (2, 3, 4), noise))
+
+
 def lift_latency(inputs: Inputs, count: int) -> dict:
     """One frame at a time, three modes, two wavelengths, no AO residual."""
     settings = PsfSettings(
         inputs.settings.geometry, (WINDOW_PX, WINDOW_PX), PIXEL_SCALE_MAS, TWO_WAVELENGTHS, DIVERSITY_NM
     )
-    model = PsfModel(settings, (2, 3, 4))
+    model = PsfModel(frame_settings(settings), (2, 3, 4))
     frames = inputs.calibration_frames(1)
     truth_nm = torch.tensor([[20.0, -30.0, 100.0]])
     image_e = torch.poisson(
@@ -230,13 +255,16 @@ CASES: dict[str, Callable[[Inputs, int], dict]] = {
     case.__name__: case
     for case in (
         dip_global,
+        dip_global_60,
         lift_slices,
         fft_lbfgs,
+        fft_lbfgs_60,
         solvephase_lm,
         long_exposure,
         lift_ramp,
         lift_ramp_bare,
         lift_solvephase,
+        lift_numpy,
         lift_latency,
         model_images,
         model_jacobian,

@@ -33,9 +33,14 @@ NCPA = (
     Entry("dip_global", "irlos dip_global, L1", CUBE, 30, threads=2),
     Entry("lift_slices", "irlos lift_slices, weighted", 60, 30),
 )
+NCPA_60 = (
+    Entry("fft_lbfgs_60", "padded FFT, autograd, L-BFGS, L1", 12, 3),
+    Entry("dip_global_60", "irlos dip_global, L1", CUBE, 30),
+)
 OTHERS = (
     Entry("long_exposure", "irlos long_exposure, calibration-sky, 65 modes", 200, 200),
     Entry("lift_solvephase", "solvephase, LIFT, ramp, J+H at 6 wavelengths", 7, 3),
+    Entry("lift_numpy", "NumPy FFT, Gauss-Newton, ramp, J+H at 6 wavelengths", 7, 1),
     Entry("lift_ramp_bare", "irlos lift, ramp, J+H at 6 wavelengths", 42, 42),
     Entry("lift_ramp", "irlos lift, ramp, J+H at 6 wavelengths, halo", 42, 42),
     Entry("lift_latency", "irlos lift, single frames, 2 wavelengths", 50, 20),

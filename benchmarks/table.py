@@ -30,6 +30,8 @@ def render(results: dict) -> str:
         "",
     ]
     lines += _align([HEADER, *(_ncpa_row(entry) for entry in results["ncpa"])])
+    more = ("NCPAs, 60 modes", *HEADER[1:])
+    lines += ["", *_align([more, *(_ncpa_row(entry) for entry in results["ncpa_60"])])]
     lines += ["", *_align([OTHER_HEADER, *(_other_row(entry) for entry in results["others"])])]
     return "\n".join([*lines, "", *_notes(results)])
 

@@ -104,7 +104,8 @@ class PsfModel:
         wavelengths, weights = np.array(settings.spectrum, float).T
         self.wavelengths_m = wavelengths * NM
         self.weights = weights / weights.sum()
-        self.pupil_grid = PupilGrid.of(settings.geometry, settings.pupil_samples, self.wavelengths_m)
+        even = settings.pupil_samples + settings.pupil_samples % 2  # `MatrixDft` folds the grid
+        self.pupil_grid = PupilGrid.of(settings.geometry, even, self.wavelengths_m)
         self.grids = self._focal_grids(self.pupil_grid.u_m)
         self.grid = max(self.grids, key=lambda grid: grid.samples)
         self._set_pupil(self.pupil_grid)

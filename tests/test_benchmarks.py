@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from benchmarks.baseline_fft import FftModel, fit
+from benchmarks.baseline_numpy_lift import NumpyLift
 from irlos_pipe.instrument import load_instrument
 from irlos_pipe.psf import PsfModel, PsfSettings
 
@@ -61,3 +62,16 @@ def test_solvephase_finds_the_coefficients_of_the_models_image(settings):
     )
     found_nm = SolvephaseFit(settings, 6, read_noise_e=1.0, loss="gaussian").fit_nm(image_e.numpy())
     assert found_nm == pytest.approx([40.0, -60.0, 120.0, 30.0, 0.0, -50.0], abs=2.0)
+
+
+def test_the_numpy_lift_images_the_same_star_as_the_fft_baseline(settings):
+    image, _ = NumpyLift(settings, NOLLS, read_noise_e=1.0).images(ZERNIKE_NM[0].numpy())
+    theirs = fft_model(settings).images(ZERNIKE_NM)[0].numpy()
+    assert image == pytest.approx(theirs, abs=1e-5 * float(theirs.max()))
+
+
+def test_the_numpy_lift_finds_the_coefficients_of_its_own_image(settings):
+    fitter = NumpyLift(settings, (2, 3, 4), read_noise_e=1.0)
+    truth_nm = np.array([20.0, -30.0, 60.0])
+    found_nm = fitter.fit_nm(1e6 * fitter.images(truth_nm)[0])
+    assert np.abs(found_nm - truth_nm).max() < 0.5

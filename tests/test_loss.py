@@ -72,3 +72,18 @@ def test_an_outlier_pulls_the_robust_losses_least():
     pull = {name: abs(location(hit, loss) - location(data, loss)) for name, loss in LOSSES.items()}
     assert pull["gaussian"] > 40
     assert pull["huber"] < 0.1 and pull["l1"] < 0.1
+
+
+@each_loss
+def test_the_curvature_is_positive_and_finite(loss):
+    curvature = loss.curvature(RESIDUALS[None, None])
+    assert curvature.shape == (1, 1, len(RESIDUALS))
+    assert ((curvature > 0) & torch.isfinite(curvature)).all()
+
+
+@pytest.mark.parametrize("scatter", [1.0, 20.0])
+def test_the_curvature_of_l1_is_about_the_density_of_residuals_at_zero(scatter):
+    """Which is √(2/π) over the standard deviation for each normal residual; 1/|r| exceeds it three times."""
+    r = scatter * torch.as_tensor(np.random.default_rng(1).standard_normal((1, 1, 4000)))
+    curvature = LOSSES["l1"].curvature(r).mean().item()
+    assert 0.8 < curvature / (np.sqrt(2 / np.pi) / scatter) < 1.3

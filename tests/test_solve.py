@@ -145,3 +145,11 @@ def test_curvature_that_gauss_newton_neglects_does_not_keep_it_from_converging(b
     solution = solve(Bent(bend), torch.tensor([[0.2]]), max_iterations=40)
     assert solution.status == [CONVERGED]
     assert abs(float(solution.values)) < 0.05
+
+
+@pytest.mark.parametrize("bend", [-0.7, 0.9, 1.3])
+def test_the_neglected_curvature_is_learnt_from_the_gradients(bend):
+    """Plain Gauss–Newton steps shrink the distance to the minimum only by the factor |bend|."""
+    solution = solve(Bent(bend), torch.tensor([[0.2]]), max_iterations=40)
+    assert solution.status == [CONVERGED]
+    assert int(solution.iterations[0]) <= 6

@@ -15,6 +15,7 @@ from ..psf import PsfModel, PsfSettings
 from .centring import start_tilts_nm
 from .cube import Frames, mean_variance_e2
 from .drift import drifts, measured_drift
+from .frame_settings import frame_settings
 from .image_fit import ImageFit, masked_variance
 from .lbfgs import solve_lbfgs
 from .loss import LOSSES
@@ -28,7 +29,7 @@ from .solve import Solution, solve
 from .total_wavefront import effects_in_modes_nm
 from .twin import TwinCheck, check_twin
 
-FRAME_MARGIN_MAS = 100.0  # field beyond the window, for fits of single frames
+ROUGH_ITERATIONS = 8  # of the few frames whose median all others start from
 
 
 @dataclass(frozen=True)
@@ -171,7 +172,10 @@ class _Task:
     ) -> tuple[ImageFit, Solution]:
         """Fit with these effects, from scratch or from the modes of another fit."""
         problem = _problem(self.frames, ImageModel(self.psf, effects), self.method, self.options)
-        start = _start(self.frames, problem, self.psf.settings, self.start_nm)
+        if self.method.images == "frames" and self.start_nm is None:
+            start = _frames_start(self.frames, problem)
+        else:
+            start = _start(self.frames, problem, self.psf.settings, self.start_nm)
         if near is not None:
             start[:, problem.layout.modes] = near[1].values[:, near[0].layout.modes]
         solution = _solve(problem, start, self.options, self.report)
@@ -191,15 +195,10 @@ def _fit_steady(task: _Task, effects: Sequence[Effect | Pinned]) -> tuple[ImageF
 
 
 def _psf_model(settings: PsfSettings, method: Method, nolls: Sequence[int], device: str) -> PsfModel:
-    """PSF model: quick for single frames, whose noise hides the difference, exact for the mean.
-
-    With the field of single frames, χ²/ν of the mean of 60 noise-limited frames was 1.14 instead of
-    0.99, and the rounding of float32 kept its fit from converging.
-    """
+    """PSF model: quick for single frames, exact for the mean; rounding of float32 would stall its fit."""
     if method.images == "mean":
         return PsfModel(settings, nolls, device=device, dtype=torch.float64)
-    narrow = min(settings.margin_mas, FRAME_MARGIN_MAS)
-    return PsfModel(replace(settings, margin_mas=narrow), nolls, device=device)
+    return PsfModel(frame_settings(settings), nolls, device=device)
 
 
 # -- the problem -----------------------------------------------------------------------------
@@ -237,6 +236,20 @@ def _start(frames: Frames, problem: ImageFit, settings: PsfSettings, start_nm=No
     if start_nm is not None:
         common = min(len(start_nm), len(problem.layout.nolls))
         x[:, :common] = torch.as_tensor(start_nm[:common])
+    return x
+
+
+def _frames_start(frames: Frames, problem: ImageFit) -> torch.Tensor:
+    """What a few frames agree on, which is close for all; tip and tilt of every frame by itself."""
+    model = problem.model.psf
+    median_nm = median_of_frames_nm(
+        model, frames.images_e, frames.pixel_mask, frames.noise, ROUGH_ITERATIONS
+    )
+    x = _start(frames, problem, model.settings)
+    scale, diameter = model.settings.pixel_scale_mas, model.settings.geometry.diameter_m
+    modelled = start_tilts_nm(model.images(median_nm[None]).double().cpu(), scale, diameter)
+    x[:, :2] += median_nm[:2] - modelled
+    x[:, 2 : len(median_nm)] = median_nm[2:]
     return x
 
 

@@ -13,12 +13,12 @@ import torch
 
 from ..image_model import ImageModel
 from ..parallel import ordered_map
+from .linearised import Linearised
 from .loss import GAUSSIAN, Loss
 from .parameters import Layout
 from .solve import CHI2_TOLERANCE
 
 FRAMES_PER_CHUNK = 4
-LOOK_AHEAD = 2  # re-weightings of a robust loss per Jacobian
 
 
 class ImageFit:
@@ -47,7 +47,7 @@ class ImageFit:
         loss: Loss = GAUSSIAN,
     ):
         self.model, self.layout, self.loss = model, layout, loss
-        self.reweighted = not loss.quadratic
+        self.reweighted, self.tolerance = not loss.quadratic, CHI2_TOLERANCE
         self.images = images_e
         self.device = model.psf.device
         self.held = model.effects.starts
@@ -75,7 +75,7 @@ class ImageFit:
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
         """Fall of χ² that no longer matters: errors being scaled by √(χ²/ν), a part of χ²/ν."""
         scatter = (2 * value / self.freedom).clamp_min(1.0)
-        return torch.maximum(CHI2_TOLERANCE * scatter, self.loss.relative_tolerance * value)
+        return torch.maximum(self.tolerance * scatter, self.loss.relative_tolerance * value)
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         """Sum of the loss over pixels plus the prior's half χ², (b,)."""
@@ -83,14 +83,8 @@ class ImageFit:
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
         """Objective, gradient and Gauss–Newton Hessian, see `solve.Problem`."""
-        pieces = zip(*self._map(self._normal, x, which), strict=True)
-        value, gradient, hessian = (torch.cat(tensors) for tensors in pieces)
-        precision, offset = self.prior_precision[which], x - self.prior_mean[which]
-        return (
-            value + self._prior_value(x, which),
-            gradient + precision * offset,
-            hessian + torch.diag_embed(precision),
-        )
+        value, gradient, hessian = map(torch.cat, zip(*self._map(self._normal, x, which), strict=True))
+        return value + self._prior_value(x, which), gradient, hessian
 
     def _map(self, function, x, which):
         """`function` of pieces of a few members, small enough for the processor's cache."""
@@ -134,29 +128,11 @@ class ImageFit:
     def _normal(self, x, which):
         model_e, columns = self.predict_and_jacobian(x)
         residual, root = self._whitened(model_e, which)
-        robust = self._robust_weight(columns, residual, root)
-        force = (robust * residual * root).sum(1)
-        weight = (robust * root * root).sum(1)
-        gradient = -(columns.double() @ force[..., None])[..., 0]
-        hessian = _weighted_products(columns, weight)
-        return self.loss.value(residual).sum((1, 2)).cpu(), gradient.cpu(), hessian.double().cpu()
-
-    def _robust_weight(self, columns, residual, root):
-        """Weights ρ'(r)/r where the re-weighted linear problem leads, (b, repeats, pixels).
-
-        A few re-weightings of the linearised problem cost less than one Jacobian, and save
-        iterations that an L1 loss would need. At a minimum they change nothing.
-        """
-        robust = self.loss.weight(residual)
-        if self.loss.quadratic:
-            return robust
-        for _ in range(LOOK_AHEAD):
-            force = (robust * residual * root).sum(1).to(columns.dtype)
-            normal = _weighted_products(columns, (robust * root * root).sum(1))
-            normal = normal + torch.diag_embed(1e-6 * torch.diagonal(normal, dim1=1, dim2=2))
-            step = torch.linalg.solve(normal, columns @ force[..., None])
-            robust = self.loss.weight(residual - (columns.mT @ step)[..., 0].double()[:, None] * root)
-        return robust
+        precision, offset = self.prior_precision[which], x - self.prior_mean[which]
+        gradient, hessian = Linearised(
+            columns, residual, root, self.loss, precision, offset
+        ).normal_equations()
+        return self.loss.value(residual).sum((1, 2)).cpu(), gradient.cpu(), hessian.cpu()
 
     # -- quality -----------------------------------------------------------------------------
 
@@ -173,11 +149,6 @@ class ImageFit:
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:
         """Model images of the whole batch [e-], (batch, pixels), float64 on the CPU."""
         return torch.cat(self._map(lambda part, _: self.predict(part).cpu(), x, torch.arange(len(x))))
-
-
-def _weighted_products(columns: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-    """``J W Jᵀ`` in the precision of the propagation: it shapes steps and errors, not the minimum."""
-    return (columns * weight[:, None].to(columns.dtype)) @ columns.mT
 
 
 def masked_variance(variance_e2: torch.Tensor, pixel_mask: torch.Tensor) -> torch.Tensor:

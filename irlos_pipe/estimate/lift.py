@@ -22,6 +22,7 @@ from .parameters import Layout
 from .solve import Solution, solve
 
 NOISE_ROUNDS = {"data": 1, "model": 2, "iterative": 3}
+ROUGH_TOLERANCE = 0.1  # fall of χ² that does not matter while only the variances are still sought
 
 
 @dataclass(frozen=True)
@@ -108,8 +109,11 @@ def lift(
     flat = images_e.flatten(1)
     x = layout.start(flat * pixel_mask.flatten(), start_nm)
     signal = smooth(images_e)
-    for round_ in range(NOISE_ROUNDS[options.noise]):
+    last = NOISE_ROUNDS[options.noise] - 1
+    for round_ in range(last + 1):
         problem = image_problem(model, layout, images_e, noise.variance_e2(signal), pixel_mask)
+        if round_ < last:
+            problem.tolerance = ROUGH_TOLERANCE
         solution = solve(
             problem, x, max_iterations=options.max_iterations, report=report if round_ == 0 else None
         )

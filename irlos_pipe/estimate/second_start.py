@@ -29,7 +29,11 @@ def is_plausible(problem: ImageFit, solution: Solution) -> bool:
 
 
 def median_of_frames_nm(
-    model: PsfModel, images_e: torch.Tensor, pixel_mask: torch.Tensor, noise: NoiseModel
+    model: PsfModel,
+    images_e: torch.Tensor,
+    pixel_mask: torch.Tensor,
+    noise: NoiseModel,
+    max_iterations: int = MAX_ITERATIONS,
 ) -> torch.Tensor:
     """Median of the coefficients of a few frames spread over a cube, each fitted by itself.
 
@@ -49,7 +53,7 @@ def median_of_frames_nm(
     start = torch.zeros(len(some), len(model.nolls), dtype=torch.float64)
     scale, diameter = model.settings.pixel_scale_mas, model.settings.geometry.diameter_m
     start[:, :2] = start_tilts_nm((some * pixel_mask).double(), scale, diameter)
-    options = LiftOptions(noise="data", max_iterations=MAX_ITERATIONS)
+    options = LiftOptions(noise="data", max_iterations=max_iterations)
     result = lift(ImageModel(model), some, pixel_mask, noise, start, options)
     valid = torch.tensor([status != INVALID for status in result.solution.status])
     estimates = result.zernike_nm[valid]

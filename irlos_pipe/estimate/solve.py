@@ -5,6 +5,10 @@ Gauss–Newton Hessian for a batch of parameter vectors, in units where the obje
 a χ². "Converged" means that the step still available would lower χ² by a negligible amount g
 (`CHI2_TOLERANCE`, in units of χ²/ν where the model misfits); as g = δᵀHδ, no parameter would
 move by more than √g of its standard error, 3 %.
+
+Where a model misfits, the curvature that Gauss–Newton neglects is not small, and convergence becomes linear.
+What the gradients of successive iterations tell of it is added to the Hessian of the steps (Dennis, Gay &
+Welsch 1981, ACM TOMS 7, 348); whether a member has converged, and its covariance, are judged without.
 """
 
 from __future__ import annotations
@@ -120,6 +124,9 @@ class _State:
         self.value = torch.full((batch,), float("nan"), dtype=torch.float64)
         self.hessian = torch.eye(size, dtype=torch.float64).repeat(batch, 1, 1)
         self.gradient = torch.zeros(batch, size, dtype=torch.float64)
+        self.neglected = torch.zeros_like(self.hessian)
+        self.moved = torch.zeros(batch, size, dtype=torch.float64)
+        self.reweighted = getattr(problem, "reweighted", False)
 
     def active(self) -> torch.Tensor:
         """Members that still move."""
@@ -131,6 +138,9 @@ class _State:
         finite = torch.isfinite(value) & torch.isfinite(gradient).all(1) & torch.isfinite(hessian).all((1, 2))
         self._close(which[~finite], INVALID)
         which, value, gradient, hessian = (t[finite] for t in (which, value, gradient, hessian))
+        if not self.reweighted:
+            change = gradient - self.gradient[which]
+            self.neglected[which] = _secant(self.neglected[which], hessian, self.moved[which], change)
         self.value[which], self.gradient[which], self.hessian[which] = value, gradient, hessian
         self.iterations[which] += 1
         before = len(self.active())
@@ -151,12 +161,12 @@ class _State:
     def _step(self, which: torch.Tensor) -> None:
         """Try damped steps, raising the damping until the objective falls."""
         for _ in range(12):
-            step = self._free_step(which, self.damping[which])
+            step = self._descent(which)
             trial = (self.x[which] + step).clamp(self.problem.lower, self.problem.upper)
             taken = trial - self.x[which]
             value = self.problem.objective(trial, which)
             better = value <= self.value[which] * (1 + ROUNDING)  # False for NaN as well
-            self.x[which[better]] = trial[better]
+            self.x[which[better]], self.moved[which[better]] = trial[better], taken[better]
             self._adapt_damping(which[better], taken[better], value[better])
             which = which[~better]
             if len(which) == 0:
@@ -174,22 +184,36 @@ class _State:
 
     def _factor(self, which: torch.Tensor, step: torch.Tensor, value: torch.Tensor) -> torch.Tensor:
         """Factor on the damping after an accepted step."""
-        if getattr(self.problem, "reweighted", False):
+        if self.reweighted:
             return torch.full_like(value, 0.1)
-        curvature = (step[:, None] @ self.hessian[which] @ step[..., None])[:, 0, 0]
+        hessian = self.hessian[which] + self.neglected[which]
+        curvature = (step[:, None] @ hessian @ step[..., None])[:, 0, 0]
         predicted = -(self.gradient[which] * step).sum(1) - 0.5 * curvature
         fall = self.value[which] - value
         factor = torch.where(fall >= GOOD_STEP * predicted, 0.1, 1.0)
         factor[(fall < POOR_STEP * predicted) & (predicted > ROUNDING * value)] = 10.0
         return factor
 
-    def _free_step(self, which: torch.Tensor, damping: torch.Tensor) -> torch.Tensor:
+    def _descent(self, which: torch.Tensor) -> torch.Tensor:
+        """Damped step with the neglected curvature, without it where that would lead uphill."""
+        damping = self.damping[which]
+        plain = self._free_step(which, damping)
+        if self.reweighted:
+            return plain
+        step = self._free_step(which, damping, self.neglected[which])
+        downhill = (step * self.gradient[which]).sum(1) < 0  # False for NaN as well
+        return torch.where(downhill[:, None], step, plain)
+
+    def _free_step(
+        self, which: torch.Tensor, damping: torch.Tensor, neglected: torch.Tensor | float = 0.0
+    ) -> torch.Tensor:
         """Damped Gauss–Newton step, with parameters that push against a bound held fixed."""
         gradient, hessian = self.gradient[which], self.hessian[which]
         x = self.x[which]
         held = ((x <= self.problem.lower) & (gradient > 0)) | ((x >= self.problem.upper) & (gradient < 0))
-        hessian = hessian * (~held)[:, :, None] * (~held)[:, None, :] + torch.diag_embed(held.double())
-        return -_solve(hessian, gradient * ~held, damping)
+        free = (~held)[:, :, None] * (~held)[:, None, :]
+        hessian, neglected = hessian * free + torch.diag_embed(held.double()), neglected * free
+        return -_solve(hessian, gradient * ~held, damping, neglected)
 
     def _close(self, which: torch.Tensor, status: str) -> None:
         for member in which.tolist():
@@ -205,12 +229,35 @@ def _scale(hessian: torch.Tensor) -> torch.Tensor:
     return torch.diagonal(hessian, dim1=1, dim2=2).clamp_min(1e-300).sqrt()
 
 
-def _solve(hessian: torch.Tensor, gradient: torch.Tensor, damping: torch.Tensor) -> torch.Tensor:
-    """Solve (H + damping · diag H) s = g in scaled variables."""
+def _secant(
+    neglected: torch.Tensor, hessian: torch.Tensor, step: torch.Tensor, change: torch.Tensor
+) -> torch.Tensor:
+    """Estimate of the neglected curvature after a `step` that changed the gradient by `change`.
+
+    The symmetric matrix closest to the old one, in the measure of the curvature itself, that explains the
+    change; the old one is sized down first if it is too large along the step.
+    """
+    along = (step * change).sum(1)
+    unexplained = change - (hessian @ step[..., None])[..., 0]
+    known = (step[:, None] @ neglected @ step[..., None])[:, 0, 0]
+    size = ((step * unexplained).sum(1) / known).abs().nan_to_num(1.0).clamp_max(1.0)
+    sized = size[:, None, None] * neglected
+    missing = unexplained - (sized @ step[..., None])[..., 0]
+    direction = change / along[:, None]
+    cross = missing[:, :, None] * direction[:, None, :]
+    square = (missing * step).sum(1)[:, None, None] * direction[:, :, None] * direction[:, None, :]
+    usable = (along > 0) & (step != 0).any(1)
+    return torch.where(usable[:, None, None], sized + cross + cross.mT - square, neglected)
+
+
+def _solve(
+    hessian: torch.Tensor, gradient: torch.Tensor, damping: torch.Tensor, neglected: torch.Tensor | float
+) -> torch.Tensor:
+    """Solve (H + neglected + damping · diag H) s = g in scaled variables."""
     scale = _scale(hessian)
-    scaled = hessian / (scale[:, :, None] * scale[:, None, :])
+    scaled = (hessian + neglected) / (scale[:, :, None] * scale[:, None, :])
     scaled = scaled + torch.diag_embed((damping + 1e-12)[:, None].expand_as(scale))
-    return torch.linalg.solve(scaled, (gradient / scale)[..., None])[..., 0] / scale
+    return torch.linalg.solve_ex(scaled, (gradient / scale)[..., None])[0][..., 0] / scale
 
 
 def scaled_inverse(hessian: torch.Tensor) -> torch.Tensor:

@@ -63,6 +63,13 @@ def focal_samples_for(
     return samples + (-samples) % 4
 
 
+def pupil_samples_for(
+    window_px: int, pixel_scale_mas: float, wavelength_m: float, diameter_m: float
+) -> int:
+    """Fewest samples across the pupil with which `require_resolved` is content."""
+    return int(np.ceil(window_px * pixel_scale_mas * MAS * diameter_m / (CLEAN_BAND * wavelength_m)))
+
+
 def require_resolved(window_px: int, pixel_scale_mas: float, wavelength_m: float, step_m: float) -> None:
     """Refuse a window wider than what the sampled pupil's spectrum is good for.
 

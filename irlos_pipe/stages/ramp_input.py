@@ -9,6 +9,7 @@ import torch
 
 from irlos_pipe.effects import Effect, Pinned
 from irlos_pipe.errors import ConfigurationError
+from irlos_pipe.estimate.frame_settings import frame_settings
 from irlos_pipe.estimate.ramp_effects import ramp_effects
 from irlos_pipe.estimate.ramp_fit import RampData, start_from_defocus
 from irlos_pipe.estimate.start import scan_start_nm
@@ -80,9 +81,8 @@ def calibrated_ncpa_nm(ctx: StageContext) -> dict[int, float]:
 
 def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: dict[int, float]) -> PsfModel:
     """PSF model of the ramp, NCPAs added to the diversity."""
-    return PsfModel(
-        psf_settings(ctx.instrument, ctx.model, ramp.recordings[0], ncpa_nm), nolls, device=ctx.device
-    )
+    settings = psf_settings(ctx.instrument, ctx.model, ramp.recordings[0], ncpa_nm)
+    return PsfModel(frame_settings(settings), nolls, device=ctx.device)
 
 
 def effects_for_lift(

@@ -1,0 +1,29 @@
+"""Sampling of the PSF model for fits of single frames, whose noise hides what a coarser one leaves out.
+
+With 64 samples across the pupil, images err by 1e-4 of the peak at 142 nm RMS and by 4e-3 at 424 nm. The
+defocus of a ramp of ±300 nm beside 142 nm of NCPAs errs by less than 0.01 nm, where 10⁶ photons allow 0.2 nm.
+For a mean image this is not enough: χ²/ν of the mean of 60 noise-limited frames was 1.14 instead of 0.99.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ..optics.grids import NM
+from ..optics.propagate import pupil_samples_for
+from ..psf import PsfSettings
+
+MARGIN_MAS = 100.0
+PUPIL_SAMPLES = 64
+
+
+def frame_settings(settings: PsfSettings) -> PsfSettings:
+    """The same light path, sampled no finer than single frames need, and as the window needs."""
+    shortest_m = min(wavelength_nm for wavelength_nm, _ in settings.spectrum) * NM
+    window_px, diameter_m = max(settings.window), settings.geometry.diameter_m
+    needed = pupil_samples_for(window_px, settings.pixel_scale_mas, shortest_m, diameter_m)
+    return replace(
+        settings,
+        margin_mas=min(settings.margin_mas, MARGIN_MAS),
+        pupil_samples=min(settings.pupil_samples, max(PUPIL_SAMPLES, needed)),
+    )
