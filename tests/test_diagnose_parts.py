@@ -29,9 +29,18 @@ from irlos_pipe.diagnose.noise_check import judge_noise
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.refit import refits
 from irlos_pipe.diagnose.screened_pixels import Screened, screened_step
+from irlos_pipe.diagnose.sentence import phrase
 from irlos_pipe.diagnose.sizes import detectable, determined, public_sigma
 from irlos_pipe.diagnose.view import View
-from irlos_pipe.effects import CATALOGUE, Conditions, PlateScale, TipTiltJitter
+from irlos_pipe.effects import (
+    CATALOGUE,
+    AmplitudeAberration,
+    Conditions,
+    HighOrderNcpa,
+    LowWindEffect,
+    PlateScale,
+    TipTiltJitter,
+)
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.motion import Vibration
 from irlos_pipe.effects.pixels import BackgroundGradient
@@ -300,3 +309,16 @@ def test_a_name_is_fitted_from_zero_as_well_where_the_model_lies_in_a_false_mini
     assert found.fitted.modes_nm == pytest.approx(vector(TRUE_NM, NOLLS)[0].numpy(), abs=5.0)
     monkeypatch.setattr("irlos_pipe.diagnose.refit.FAR", np.inf)
     assert refits(fitter, lost, [score])[0].fitted.chi2 > 10 * found.fitted.chi2
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "words"),
+    [
+        (LowWindEffect(), [30, -30, 30, -30, 6, 6, 6, 6, 8, -8, 8, -8], "30 nm RMS in piston and 8 nm"),
+        (HighOrderNcpa((31, 32)), [3.0, -4.0], "5 nm RMS of modes"),
+        (AmplitudeAberration((4, 5)), [0.03, 0.04], "5.0% RMS"),
+    ],
+)
+def test_a_table_of_numbers_is_said_as_one_size_in_its_unit(effect, values, words):
+    public = effect.describe(np.array(values, float))
+    assert words in phrase(SimpleNamespace(name=effect.name, public=public))

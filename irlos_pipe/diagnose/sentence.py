@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
+from ..effects import LowWindEffect
 from .verdict import NONE, UNKNOWN, Diagnosis, Step
 
 PHRASES = {
@@ -22,6 +22,12 @@ PHRASES = {
     "background_gradient": "a background slope of {e_per_pixel:.2g} e⁻/px towards {angle_deg:.0f}°",
     "pupil_misregistration": "a stop {dx_m:.3f}, {dy_m:.3f} m off, vanes turned by {rotation_deg:.1f}°",
     "spectrum": "a spectrum about {wavelength_nm:.1f} nm, {width:.2f} times as wide",
+    "bad_pixels": "bad pixels at {pixels}",
+}
+TABLES = {
+    "high_order_ncpa": "{size:.0f} nm RMS of modes beyond those of the model",
+    "ncpa_drift": "a drift of the wavefront of {size:.0f} nm RMS from the first frame to the last",
+    "amplitude_aberration": "a pupil whose amplitude is uneven by {size:.1%} RMS",
 }
 
 
@@ -47,9 +53,23 @@ def phrase(step: Step) -> str:
         return f"an AO residual of {step.public['wfe_nm']:.0f} nm RMS"
     if step.name in PHRASES:
         return PHRASES[step.name].format(**step.public)
-    if step.name == "bad_pixels":
-        return f"bad pixels at {step.public['pixels']}"
-    return f"{step.name.replace('_', ' ')} of {_size(step.public):.3g} RMS over its parameters"
+    if step.name in TABLES:
+        return TABLES[step.name].format(size=_total(*step.public.values()))
+    if step.name == LowWindEffect.name:
+        return _petals(**step.public)
+    numbers = ", ".join(f"{key} {value:.3g}" for key, value in step.public.items())
+    return f"{step.name} with {numbers}"
+
+
+def _total(table: Mapping[int, float]) -> float:
+    """RMS of all Zernike modes together."""
+    return float(np.linalg.norm(list(table.values())))
+
+
+def _petals(piston_nm: Sequence[float], tip_nm: Sequence[float], tilt_nm: Sequence[float]) -> str:
+    """How much petals differ from each other; what they have in common is no low-wind effect."""
+    pistons_nm, slopes_nm = np.std(piston_nm), np.hypot(np.std(tip_nm), np.std(tilt_nm))
+    return f"petals that differ by {pistons_nm:.0f} nm RMS in piston and {slopes_nm:.0f} nm in tip and tilt"
 
 
 def _advised(diagnosis: Diagnosis) -> str:
@@ -77,9 +97,3 @@ def _limit(diagnosis: Diagnosis) -> str:
         words.append(f"a vibration of {limits[1]['sigma_mas']:.1f} mas")
     return f" above {' or '.join(words)}" if words else ""
 
-
-def _size(public: Mapping[str, Any]) -> float:
-    numbers = [
-        n for value in public.values() for n in (value.values() if isinstance(value, Mapping) else value)
-    ]
-    return float(np.sqrt(np.mean(np.square(numbers))))
