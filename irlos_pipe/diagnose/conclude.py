@@ -18,6 +18,7 @@ from .bad_pixel_check import smallest_excess_e
 from .cube import Cube
 from .decide import Accepted, Options, threshold
 from .detect import Score
+from .fine_structure import FineStructure, fine_structure
 from .fitting import Fitted
 from .held_out import Judge, gap_between
 from .motion_check import motion_ratio
@@ -44,7 +45,8 @@ def conclude(
     screened: Sequence[Screened] = (),
 ) -> Diagnosis:
     """The verdict with all its numbers."""
-    why = why_unknown(search, noise, options)
+    fine = fine_structure(search.final)
+    why = why_unknown(search, noise, fine, options)
     steps = [*_drift_steps(cube, search, options), *_steps(cube, search)]
     final = search.final if not why else search.null
     judges = [Judge(cube.held_out, optimum.fitted) for optimum in (search.null, final)]
@@ -61,13 +63,14 @@ def conclude(
         verdict=UNKNOWN if why else EFFECT if known else NONE,
         steps=known,
         nearest=steps[0] if why and steps else None,
-        unexplained=bool(why),
+        unexplained=bool(why) or fine.significance > options.sure,
         why_unknown=why,
         gap=gap,
         mdb={s.name: _smallest(s) for s in testable} | _elsewhere(search, options),
         untestable=[*(s.name for s in hidden), *search.meaningless],
         advice=_advice(hidden, seconds),
         noise=noise,
+        fine=fine,
         chi2_nu=(search.null.excess.chi2_nu, search.final.excess.chi2_nu),
         excess_sigma=(search.null.excess.significance, search.final.excess.significance),
         motion_ratio=motion_ratio(cube.training, search.final.fitted),
@@ -80,7 +83,7 @@ def conclude(
     )
 
 
-def why_unknown(search: Search, noise: NoiseVerdict, options: Options) -> str:
+def why_unknown(search: Search, noise: NoiseVerdict, fine: FineStructure, options: Options) -> str:
     """What speaks against the names found, or for something that has none; empty if nothing does."""
     null, final = search.null.excess, search.final.excess
     much = final.significance > options.sure and final.chi2_nu > LEFT_CHI2_NU
@@ -91,6 +94,8 @@ def why_unknown(search: Search, noise: NoiseVerdict, options: Options) -> str:
             return f"{one.name} would need {', '.join(one.refit.implausible)} beyond what is plausible"
         if one.name == SeeingHalo.name and noise.kind == PHOTONS:
             return "a halo without the speckles that an AO residual makes from frame to frame"
+    if fine.significance > options.sure and not search.accepted:
+        return f"the mean image has structure finer than the telescope can make, {fine.ratio:.1f} × its noise"
     return ""
 
 

@@ -44,7 +44,14 @@ def _found(diagnosis: Diagnosis) -> str:
         near = "" if nearest is None else f"; the nearest is {phrase(nearest)}"
         return f"Something is missing that nothing in the catalogue explains: {diagnosis.why_unknown}{near}."
     wanted = " and ".join(phrase(step) for step in diagnosis.steps)
-    return f"The images want {wanted}{_others(diagnosis.steps)}; nothing else is missing{_limit(diagnosis)}."
+    return f"The images want {wanted}{_others(diagnosis.steps)}; {_rest(diagnosis)}."
+
+
+def _rest(diagnosis: Diagnosis) -> str:
+    """What is missing besides the names."""
+    if diagnosis.unexplained:
+        return "besides, the pixels hold structure finer than the telescope can make, as of a wrong flat"
+    return f"nothing else is missing{_limit(diagnosis)}"
 
 
 def phrase(step: Step) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..effects import Pinned
 from .ambiguity import Alternative
+from .fine_structure import FineStructure
 from .held_out import Gap
 from .noise_check import NoiseVerdict
 from .second_recording import Advice
@@ -115,6 +116,8 @@ class Diagnosis:
         Effects that the free parameters absorb.
     advice : dict of str to Advice
         For those of them that a second recording beside this one would show.
+    fine : FineStructure
+        Left by the model with the names: whether pixels hold what no light can have made.
     chi2_nu : (float, float)
         Of the mean training image over its expectation, before and after.
     modes_nm : (ndarray, ndarray)
@@ -130,6 +133,7 @@ class Diagnosis:
     mdb: dict[str, dict]
     untestable: Sequence[str]
     noise: NoiseVerdict
+    fine: FineStructure
     chi2_nu: tuple[float, float]
     excess_sigma: tuple[float, float]
     motion_ratio: float

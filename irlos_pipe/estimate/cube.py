@@ -37,11 +37,11 @@ def mean_variance_e2(frames: Frames) -> torch.Tensor:
     """
     images = frames.images_e.double()
     photons = frames.noise.scatter_e2(images.mean(0))
-    ratio = _local_mean(images.var(0, correction=1) / photons, frames.pixel_mask.double())
+    ratio = local_mean(images.var(0, correction=1) / photons, frames.pixel_mask.double())
     return photons * ratio.clamp_min(1.0) / len(images) + frames.noise.shared_e2
 
 
-def _local_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+def local_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
     """Weighted running mean over `LOCAL_PX` × `LOCAL_PX` pixels, (rows, columns)."""
     kernel = torch.ones(1, 1, LOCAL_PX, LOCAL_PX, dtype=values.dtype)
     total, norm = (

@@ -19,6 +19,10 @@ from irlos_pipe.report.text import number, with_error
 
 STAGE = "diagnose"
 BRIGHTNESS_UNIT = "e⁻ (asinh scale)"
+FINE = (
+    "Finer than the telescope can make: {ratio} times what noise leaves there ({sigma} σ). More comes from "
+    "the pixels: flat, offsets, response."
+)
 PERCENTILE = 99.5  # of the residual before, for the common scale of the residuals
 STEP_COLUMNS = ("name", "parameter", "value", "significance", "explained", "not told apart from")
 
@@ -201,6 +205,10 @@ def _limits(results: Mapping[str, Any]) -> list[Table | Text]:
     untestable = Table(columns, hidden, "Untestable with these free parameters")
     noise = (results.get("noise") or {}).get("text")
     told = [Text(f"Noise: {noise}.")] if noise else []
+    fine = results.get("fine_structure")
+    if fine:
+        ratio, sigma = number(fine["ratio"], ".2f"), number(fine["significance"], ".1f")
+        told.append(Text(FINE.format(ratio=ratio, sigma=sigma)))
     return [*([table] if rows else []), *([untestable] if hidden else []), *told]
 
 

@@ -27,7 +27,7 @@ from irlos_pipe.stages.model_effects import conditions_of, good_pixels, image_ef
 from irlos_pipe.stages.ramp_diagnosis import run_on_ramp
 
 NAME = "diagnose"
-VERSION = 2
+VERSION = 3
 NEEDS = ("ingest",)
 READS = ("ingest", "calibrate", "lift")
 MODEL_FILE = "model.yaml"
@@ -107,6 +107,7 @@ def _results(result: Diagnosis) -> dict[str, Any]:
         "mdb": result.mdb,
         "model": MODEL_FILE,
         "noise": asdict(result.noise) | {"holds": result.noise.holds, "text": result.noise.text},
+        "fine_structure": asdict(result.fine),
         "chi2_nu": dict(zip(("before", "after"), result.chi2_nu, strict=True)),
         "excess_sigma": dict(zip(("before", "after"), result.excess_sigma, strict=True)),
         "motion_ratio": result.motion_ratio,
@@ -174,6 +175,8 @@ def _summary(result: Diagnosis) -> list[str]:
         f"χ²/ν {result.chi2_nu[0]:.2f} -> {result.chi2_nu[1]:.2f}, {result.seconds:.0f} s"
     )
     lines.append(f"  noise           {result.noise.text}")
+    fine = result.fine
+    lines.append(f"  finer than D/λ  {fine.ratio:.2f} × what noise leaves there, {fine.significance:.1f} σ")
     return lines
 
 
