@@ -26,21 +26,25 @@ def dark_variance_e2(images_e: np.ndarray, pixel_mask: np.ndarray, at_most_e2: f
     pixel_mask : ndarray of bool, (rows, columns)
         True for good pixels.
     at_most_e2 : float
-        Variance of the dark as judged from the dark itself, the detector's pattern included [e-²].
+        Variance of the dark as judged from the dark itself, the detector's pattern included [e-²]; infinite
+        if none was taken.
 
     Returns
     -------
     float
         Variance of the mean frame from pixel to pixel beyond the scatter between frames [e-²]; a star that
-        is sharper than the pixels can show raises it, up to `at_most_e2`.
+        is sharper than the pixels can show raises it, up to `at_most_e2`. Where frames cannot tell, that, or
+        0 if it is infinite.
     """
     if at_most_e2 == 0 or len(images_e) < 2 or min(pixel_mask.shape) < 2 * len(FINE):
-        return at_most_e2
+        return at_most_e2 if np.isfinite(at_most_e2) else 0.0
     mean_e = np.where(pixel_mask, images_e.mean(axis=0, dtype=np.float64), np.nan)
     scatter_e2 = images_e.var(axis=0, ddof=1, dtype=np.float64) / len(images_e)
     fine, by_scatter = _both_ways(mean_e, FINE) ** 2, _both_ways(scatter_e2, FINE**2)
     seen = np.isfinite(fine) & (mean_e <= np.nanquantile(mean_e, FAINT))
-    beyond = np.median(fine[seen]) / CHI2_MEDIAN - np.median(by_scatter[seen]) if seen.any() else np.inf
+    if not seen.any():
+        return at_most_e2 if np.isfinite(at_most_e2) else 0.0
+    beyond = np.median(fine[seen]) / CHI2_MEDIAN - np.median(by_scatter[seen])
     return float(np.clip(beyond / np.sum(FINE**2) ** 2, 0.0, at_most_e2))
 
 

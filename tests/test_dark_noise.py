@@ -51,3 +51,9 @@ def test_the_mean_of_many_frames_keeps_the_noise_of_the_dark():
     assert noise.variance_e2(10.0) == 14.25
     assert noise.mean_variance_e2(10.0, 100) == pytest.approx(0.14 + 0.25)
     assert noise.scatter_e2(10.0) == 14.0
+
+
+def test_without_a_dark_the_pattern_of_the_detector_counts():
+    """An unlimited estimate finds the 2 e- that were put in; a single frame cannot tell."""
+    assert dark_variance_e2(frames_e(2.0), ALL_GOOD, np.inf) == pytest.approx(4.0, rel=0.2)
+    assert dark_variance_e2(frames_e(2.0)[:1], ALL_GOOD, np.inf) == 0.0

@@ -145,6 +145,29 @@ def test_what_noise_leaves_of_chi2_is_expected_from_the_frames():
     assert 0.5 < np.std(deviates) < 1.6
 
 
+def test_the_noise_of_the_dark_is_no_excess_and_no_significance():
+    """Monte Carlo: a pattern as noisy as the mean of the frames, of which the noise model knows."""
+    dark_e2 = 4.0
+    found = []
+    for seed in range(6):
+        pattern_e = np.sqrt(dark_e2) * np.random.default_rng(seed).standard_normal(CASE.window)
+        exposed = frames(image() + pattern_e + 20.0, seed)
+        known = replace(exposed, noise=replace(READ_NOISE, shared_e2=dark_e2))
+        found.append([optimum(split(one).training) for one in (known, exposed)])
+    told, untold = np.array([[one.excess.significance for one in pair] for pair in found]).T
+    assert abs(told.mean()) < 1.5
+    assert abs(told).max() < 4
+    assert untold.min() > 5
+    shape = torch.zeros(CASE.window, dtype=torch.float64)
+    shape[3:9, 4:8] = 1.0
+    shape = shape.flatten()[:, None]
+    deviates = [
+        float(one.meeting(shape) / one.stack.covariance_of(one.project(shape))[0, 0] ** 0.5)
+        for one, _ in found
+    ]
+    assert np.abs(deviates).max() < 4
+
+
 def test_scores_of_clean_frames_stay_below_the_threshold_and_inflate_nothing():
     present, _ = families(CONDITIONS, ["pupil_misregistration", "phase_bump"])  # the slow ones left out
     found = scores(optimum(cube(image(), 5).training), present)

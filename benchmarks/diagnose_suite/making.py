@@ -22,19 +22,6 @@ from .planning import plan_case
 DETECTOR_STREAM = 1  # child of a scene's seed; the wavefront has its own
 
 
-class ExactDark(Readout):
-    """A read-out whose dark image has no noise.
-
-    The mean of 120 frames is as precise as that of a dark: the noise of one of 64 frames alone makes a
-    χ²/ν of 1.15, a static pattern that belongs to no effect.
-    """
-
-    def dark_adu(self, rng: np.random.Generator) -> np.ndarray:
-        """See `Readout.dark_adu`."""
-        detector = self.pixels.detector
-        return (self.pedestal_adu + self.pixels.dark_e / detector.e_per_adu).astype(np.float32)
-
-
 def make_case(case: Case, data: Path, truth: Path) -> None:
     """Simulate a case.
 
@@ -79,7 +66,7 @@ def _record(planned: Planned, folder: Path, hide: Image, case: Case) -> dict[int
 
 def _write(planned: Planned, folder: Path, mean_e: np.ndarray) -> None:
     rng = np.random.default_rng([*planned.scene.seed, DETECTOR_STREAM])
-    readout = ExactDark.of(planned.scene, mean_e.mean(axis=0))
+    readout = Readout.of(planned.scene, mean_e.mean(axis=0))
     folder.mkdir(parents=True)
     layout_of(planned).write(folder, readout, _frames(readout, mean_e, rng), rng)
 

@@ -27,9 +27,15 @@ class Means:
         """One over the standard errors of the mean images, 0 for bad pixels, (pixels,)."""
         return self.variance_e2**-0.5
 
-    def covariance_of_mean(self, series: torch.Tensor) -> torch.Tensor:
-        """Covariance of the mean of whitened numbers per frame (frames, m), (m, m)."""
-        return torch.atleast_2d(torch.cov(series.mT)) / self.independent
+    @property
+    def shared(self) -> torch.Tensor:
+        """Whitened variance that all frames of a recording have in common, (pixels,): their dark's."""
+        return torch.cat([part.frames.noise.shared_e2 * part.root**2 for part in self.parts])
+
+    def covariance_of(self, shapes: torch.Tensor) -> torch.Tensor:
+        """Covariance of the scalar products of the whitened mean with shapes (pixels, m), (m, m)."""
+        scatter = torch.atleast_2d(torch.cov((self.deviations @ shapes).mT)) / self.independent
+        return scatter + shapes.mT @ (self.shared[:, None] * shapes)
 
 
 @dataclass(frozen=True)

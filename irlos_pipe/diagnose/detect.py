@@ -177,7 +177,7 @@ def significance_of(optimum: Optimum, shapes, normal, meeting, trials: int) -> t
     axes = (vectors / values.sqrt())[:, measured]  # the shapes along them are orthonormal
     if not stack.photon_limited:
         axes = axes[:, -max(1, int(MOST_OF_FRAMES * stack.independent)) :]
-    along, covariance = axes.mT @ meeting, stack.covariance_of_mean(optimum.per_frame(shapes @ axes))
+    along, covariance = axes.mT @ meeting, stack.covariance_of(optimum.project(shapes @ axes))
     inflation = float(covariance.diagonal().mean())
     if stack.photon_limited:
         return 1.0, gaussian_sigma(float(along @ along), len(along), np.inf, trials)

@@ -3,7 +3,8 @@
 Everything is in units of the standard error of the mean image. At the optimum the residual is orthogonal
 to the derivatives B of the fitted parameters; of another shape D only the part ``D - B(BᵀB)⁻¹BᵀD`` counts.
 Priors are rows of B whose data are what the parameters miss of the prior's mean. How uncertain any
-projection is comes from its scatter between frames, so the same numbers hold for photons and for speckles.
+projection is comes from its scatter between frames and from the noise of the dark that they share, so the
+same numbers hold for photons and for speckles.
 """
 
 from __future__ import annotations
@@ -86,17 +87,15 @@ class Optimum:
         """Scalar products of the residual with what is left of shapes, (m,)."""
         return shapes.mT @ self.residual - (self.basis.mT @ shapes).mT @ self._unconverged
 
-    def per_frame(self, shapes: torch.Tensor) -> torch.Tensor:
-        """The same of the frames' deviations from their mean, (frames, m)."""
-        return self.deviations @ self.project(shapes)
-
     @cached_property
     def excess(self) -> Excess:
-        """χ² beyond noise, the latter from the scatter of the frames."""
+        """χ² beyond noise, the latter from the scatter of the frames and from what they share."""
         left = self.deviations - (self.deviations @ self.basis) @ self.basis.mT
         gram = left @ left.mT / (len(left) - 1)
-        frames = self.stack.independent
-        expected = float(gram.trace()) / frames
-        power = float((gram**2).sum() - gram.trace() ** 2 / (len(left) - 1)) / frames**2
+        frames, shared = self.stack.independent, self.stack.shared
+        expected = float(gram.trace() / frames + shared @ (1 - (self.basis**2).sum(1)))
+        power = ((gram**2).sum() - gram.trace() ** 2 / (len(left) - 1)) / frames**2
+        of_pixels = (left**2).sum(0) / (len(left) - 1) / frames
+        power = float(power + 2 * shared @ of_pixels + shared @ shared)
         chi2 = float(self.residual @ self.residual)
         return Excess(chi2 - expected, max(2 * power, 2 * expected) ** 0.5, expected)

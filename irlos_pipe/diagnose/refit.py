@@ -82,7 +82,7 @@ class Refit:
         if stack.photon_limited:
             return gaussian_sigma(max(self.gain, 0.0), self.parameters, np.inf, self.score.trials)
         change = ((self.fitted.image_e - origin.fitted.image_e) * origin.root)[:, None]
-        variance = stack.covariance_of_mean(origin.per_frame(change))[0, 0]
+        variance = stack.covariance_of(origin.project(change))[0, 0]
         hotelling = float(origin.meeting(change)[0] ** 2 / variance.clamp_min(1e-300))
         return gaussian_sigma(hotelling, self.parameters, stack.independent, self.score.trials)
 

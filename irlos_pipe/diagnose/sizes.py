@@ -27,7 +27,7 @@ def parameter_covariance(stack: Stack | Stacks, fitted: Fitted) -> np.ndarray:
         return fisher
     jacobian = fitted.problem.predict_and_jacobian(fitted.x)[1]
     gain = fitted.solution.covariance[0] @ (jacobian * stack.root)
-    scatter = stack.covariance_of_mean(stack.deviations @ gain.mT).numpy()
+    scatter = stack.covariance_of(gain.mT).numpy()
     ratio = np.sqrt(np.maximum(np.diag(fisher) / np.maximum(np.diag(scatter), 1e-300), 1.0))
     return scatter * np.outer(ratio, ratio)
 

@@ -24,7 +24,7 @@ from irlos_pipe.stages.ingest_sources import Source, read_sources, with_darks
 from irlos_pipe.stages.recordings import arrays_from_recording, prefix_of
 
 NAME = "ingest"
-VERSION = 2
+VERSION = 3
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})
 MAS_PER_RADIAN = np.degrees(1) * 3.6e6
@@ -186,9 +186,14 @@ def _background_variance(raw: RawRecording, acquisition: Acquisition, cleaned: C
 
 
 def _dark_variance(raw: RawRecording, acquisition: Acquisition, cleaned: Cleaned) -> float:
-    """Noise of the dark: not more than the dark itself says, nor than the mean of the frames shows."""
-    of_dark = raw.calibration.dark_variance_adu2 * acquisition.detector.e_per_adu**2
-    return dark_variance_e2(cleaned.images_e[cleaned.reasons == ""], cleaned.pixel_mask, of_dark)
+    """Noise of the dark: not more than the dark itself says, nor than the mean of the frames shows.
+
+    Where neither dark nor sky was taken, the detector's own pattern is in the frames and counts instead.
+    """
+    maps = raw.calibration
+    taken = maps.dark_adu is not None or maps.background_adu is not None
+    at_most_e2 = maps.dark_variance_adu2 * acquisition.detector.e_per_adu**2 if taken else np.inf
+    return dark_variance_e2(cleaned.images_e[cleaned.reasons == ""], cleaned.pixel_mask, at_most_e2)
 
 
 def _arrays(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[str, Quantity]:
