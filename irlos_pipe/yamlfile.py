@@ -18,7 +18,10 @@ MAX_BYTES = 1_000_000  # some seconds of parsing; one defocus per frame of 100 0
 MAX_DEPTH = 30
 
 
-class _Loader(yaml.SafeLoader):
+FastestLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's parser, seven times as fast
+
+
+class _Loader(FastestLoader):
     """Safe loader that also reads ``1e-3`` as a number (YAML 1.2), which PyYAML takes for text."""
 
     yaml_implicit_resolvers = {k: list(v) for k, v in yaml.SafeLoader.yaml_implicit_resolvers.items()}

@@ -175,7 +175,7 @@ def _ended(task: Task, run: RunFolder, action: str, **more: Any) -> Reduced:
         status = json.loads(run.results.read_text())["status"]
         checks = json.loads(run.quality.read_text())["checks"]
         failed = tuple(f"{check['stage']}: {check['message']}" for check in checks if not check["passed"])
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputDataError(f"{run.path}: cannot be read ({error}); remove it and run again") from error
     return Reduced(task.name, task.folder, action, status, failed, log=run.log, **more)
 
