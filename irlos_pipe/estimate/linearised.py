@@ -45,7 +45,8 @@ class Linearised:
         step = torch.zeros_like(self.offset)
         if self.loss.quadratic:
             return self._derivatives(self.residual, step)
-        residual = self.residual
+        residual = self.residual.to(self.columns.dtype)
+        self.root = self.root.to(self.columns.dtype)
         for _ in range(NEWTON_STEPS):
             gradient, hessian = self._derivatives(residual, step)
             ahead = -_solve(hessian, gradient)
@@ -55,15 +56,18 @@ class Linearised:
 
     def _searched(self, residual: torch.Tensor, ahead: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Best of a few `FRACTIONS` of a step, (b, 1), and the residuals it leaves."""
-        change = (ahead[:, None].to(self.columns.dtype) @ self.columns[:, : self.size]).double() * self.root
-        losses = [self.loss.value(residual - fraction * change).sum((1, 2)) for fraction in FRACTIONS]
-        best = torch.tensor(FRACTIONS, device=change.device).double()[torch.stack(losses).argmin(0)]
-        return best[:, None], residual - best[:, None, None] * change
+        change = (ahead[:, None].to(self.columns.dtype) @ self.columns[:, : self.size]) * self.root
+        losses = [self.loss.value(residual - fraction * change).sum((1, 2), dtype=torch.float64) for fraction in FRACTIONS]
+        best = torch.tensor(FRACTIONS, device=change.device, dtype=torch.float64)[torch.stack(losses).argmin(0)]
+        return best[:, None], residual - best[:, None, None].to(change.dtype) * change
 
     def _derivatives(self, residual: torch.Tensor, step: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Gradient, exact, and Hessian, in the precision of the images: it shapes steps, not the minimum."""
         force = (self.loss.weight(residual) * residual * self.root).sum(1)
-        gradient = (self.columns[:, : self.size].double() @ force[..., None])[..., 0]
+        if self.loss.quadratic:
+            gradient = (self.columns[:, : self.size].double() @ force[..., None])[..., 0]
+        else:
+            gradient = (self.columns[:, : self.size] @ force[..., None])[..., 0].double()
         weight = (self.loss.curvature(residual) * self.root**2).sum(1)
         products = (self.columns * weight[:, None].to(self.columns.dtype)) @ self.columns.mT
         hessian = products[:, : self.size, : self.size].double() + torch.diag_embed(self.precision)

@@ -70,6 +70,10 @@ class MatrixDft:
         """Focal amplitude ``F E Fᵀ``."""
         return self.along_y[0] @ (_packed(field) @ self.along_x[0])
 
+    def adjoint(self, amplitude: torch.Tensor) -> torch.Tensor:
+        """Transpose of `amplitude` as a real linear map: from changes of U to changes of E."""
+        return _unpacked(self.along_x[0] @ (amplitude @ self.along_y[0]))
+
     def products(self, field: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Transforms ``F[T_a(x) T_b(y) E]`` in the order of `products_up_to`: even sums, odd sums.
 
@@ -107,6 +111,16 @@ def _packed(field: torch.Tensor) -> torch.Tensor:
     upper, _ = _even_and_odd(torch.cat([even, turned_odd], dim=-1), -2)
     _, lower = _even_and_odd(torch.cat([turned_even, -odd], dim=-1), -2)
     return torch.cat([upper, lower], dim=-2)
+
+
+def _unpacked(packed: torch.Tensor) -> torch.Tensor:
+    """Transpose of `_packed` as a real linear map."""
+    upper, lower = packed.tensor_split(2, dim=-2)
+    even, turned_odd = torch.cat([upper, upper], dim=-2).tensor_split(2, dim=-1)
+    turned_even, odd = torch.cat([lower, -lower], dim=-2).tensor_split(2, dim=-1)
+    turned = torch.cat([turned_even + turned_odd, turned_even - turned_odd], dim=-1)
+    back = torch.stack([-turned[:, 1], turned[:, 0]], dim=1)
+    return back + torch.cat([even - odd, even + odd], dim=-1)
 
 
 def _even_and_odd(field: torch.Tensor, axis: int) -> tuple[torch.Tensor, torch.Tensor]:
