@@ -93,7 +93,7 @@ class ImageModel:
         return self._detected(image, columns.double(), values, None if held else modes)
 
     def predict_and_pullback(self, modes_nm: torch.Tensor, flux_e: torch.Tensor, background_e: torch.Tensor):
-        """Images without free effects, in the precision of the propagation, and the transpose of their Jacobian.
+        """Images without free effects in the precision of the propagation, and the transposed Jacobian.
 
         Returns
         -------

@@ -30,7 +30,7 @@ from .solve import Solution, solve
 from .total_wavefront import effects_in_modes_nm
 from .twin import TwinCheck, check_twin
 
-ROUGH_ITERATIONS = 8  # of the few frames whose median all others start from
+ROUGH_ITERATIONS = 6  # of the few frames whose median all others start from
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,11 @@ EVALUATIONS = 24  # about as many cost as much as another linearisation
 
 @torch.no_grad()
 def fit_frames(
-    problem: ImageFit, start: torch.Tensor, *, max_iterations: int, report: Callable[[int], None] | None = None
+    problem: ImageFit,
+    start: torch.Tensor,
+    *,
+    max_iterations: int,
+    report: Callable[[int], None] | None = None,
 ) -> Solution:
     """Minimise a batch of fits of single frames without bounds.
 
@@ -47,15 +51,24 @@ def fit_frames(
     found = polish(squares, _with_shared_curvature(squares, start), LEAST_SQUARES_EVALUATIONS)
     shared = _with_shared_curvature(problem, found.values)
     found = polish(problem, replace(shared, iterations=found.iterations), EVALUATIONS)
+    open_before = len(start)
     for _ in range(0, max_iterations, EVALUATIONS):
         left = _unfinished(found)
         if report is not None:
-            report(len(start) - len(left))
+            report(open_before - len(left))
         if len(left) == 0:
-            break
-        some = problem.members(left)
-        found = _joined(found, left, polish(some, solve(some, found.values[left], max_iterations=1), EVALUATIONS))
+            return found
+        found, open_before = _by_themselves(problem, found, left), len(left)
+    if report is not None:
+        report(open_before)
     return found
+
+
+def _by_themselves(problem: ImageFit, found: Solution, which: torch.Tensor) -> Solution:
+    """Some members continued, each from a linearisation of its own."""
+    some = problem.members(which)
+    near = solve(some, found.values[which], max_iterations=1)
+    return _joined(found, which, polish(some, near, EVALUATIONS))
 
 
 def _with_shared_curvature(problem: ImageFit, x: torch.Tensor) -> Solution:

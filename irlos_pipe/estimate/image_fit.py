@@ -8,7 +8,6 @@ methods), or many images by one vector (`dip_joint`).
 from __future__ import annotations
 
 import math
-from copy import copy
 
 import torch
 
@@ -74,16 +73,17 @@ class ImageFit:
 
     def with_loss(self, loss: Loss) -> ImageFit:
         """The same images and weights with another loss, whitened or not as the present one."""
-        other = copy(self)
-        other.loss, other.reweighted = loss, not loss.quadratic
-        return other
+        return self._with(loss=loss, reweighted=not loss.quadratic)
 
     def members(self, which: torch.Tensor) -> ImageFit:
         """The fits of some members only."""
-        some = copy(self)
-        some.images, some.root_weight = self.images[which], self.root_weight[which]
-        some.prior_mean, some.prior_precision = self.prior_mean[which], self.prior_precision[which]
-        return some
+        per_member = ("images", "root_weight", "prior_mean", "prior_precision")
+        return self._with(**{name: getattr(self, name)[which] for name in per_member})
+
+    def _with(self, **changes) -> ImageFit:
+        other = object.__new__(ImageFit)
+        vars(other).update(vars(self) | changes)
+        return other
 
     # -- Problem -----------------------------------------------------------------------------
 
@@ -102,10 +102,9 @@ class ImageFit:
         return value + self._prior_value(x, which), gradient, hessian
 
     def gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Objective (b,) and gradient (b, p), float64, at the cost of few images, for models without effects."""
-        value, gradient = map(
-            torch.cat, zip(*self._map(self._gradient, x, which, FRAMES_PER_GRADIENT), strict=True)
-        )
+        """Objective (b,) and gradient (b, p), float64, at the cost of two images, without free effects."""
+        pieces = self._map(self._gradient, x, which, FRAMES_PER_GRADIENT)
+        value, gradient = map(torch.cat, zip(*pieces, strict=True))
         offset = x - self.prior_mean[which]
         return value + self._prior_value(x, which), gradient + self.prior_precision[which] * offset
 

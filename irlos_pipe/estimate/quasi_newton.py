@@ -15,7 +15,7 @@ import torch
 from ..parallel import ordered_map
 from .solve import CONVERGED, INVALID, MAX_ITERATIONS, ROUNDING, STALLED, Solution
 
-FRAMES_PER_PIECE = 32
+FRAMES_PER_PIECE = 40
 ENOUGH = 1e-4  # part of the fall promised by the slope that a step must deliver (Armijo)
 SHORTEST = 1e-3  # part of a step below which a member is stuck
 SHORTER = (0.1, 0.5)  # factors on the length of a step that went too far
@@ -38,16 +38,14 @@ def polish(problem: Problem, found: Solution, max_evaluations: int) -> Solution:
     Returns
     -------
     Solution
-        With the covariance of the one given, and evaluations counted as iterations. `invalid` members are left
-        as they are; the others are `converged`, `stalled`, or out of evaluations (`max_iterations`).
+        With the covariance of the one given, and evaluations counted as iterations. Members that were
+        `invalid` are left as they are; others can be `stalled`, or out of evaluations (`max_iterations`).
     """
     members = torch.tensor([i for i, status in enumerate(found.status) if status != INVALID]).long()
     pieces = ordered_map(
         lambda which: _polished(problem, found, which, max_evaluations), members.split(FRAMES_PER_PIECE)
     )
-    values, objective, iterations = (
-        t.clone() for t in (found.values, found.objective, found.iterations)
-    )
+    values, objective, iterations = (t.clone() for t in (found.values, found.objective, found.iterations))
     status = list(found.status)
     for piece in pieces:
         values[piece.which], objective[piece.which] = piece.x, piece.value
@@ -101,10 +99,11 @@ class _Descent:
         value, gradient = self.problem.gradient(trial, self.which[moving])
         self.evaluations[moving] += 1
         slope, rise = (self.gradient[moving] * step).sum(1), value - self.value[moving]
-        self._learn(moving, step, gradient - self.gradient[moving])
         better = rise <= ENOUGH * slope  # False for NaN as well
         taken = moving[better]
-        self.x[taken], self.value[taken], self.gradient[taken] = trial[better], value[better], gradient[better]
+        self._learn(taken, step[better], (gradient - self.gradient[moving])[better])
+        self.x[taken], self.value[taken] = trial[better], value[better]
+        self.gradient[taken] = gradient[better]
         shorter = (-0.5 * slope / (rise - slope)).nan_to_num(0.0).clamp(*SHORTER)
         self.fraction[moving] = torch.where(better, 1.0, self.fraction[moving] * shorter)
 
