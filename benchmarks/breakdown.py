@@ -1,8 +1,8 @@
 """Where the time of a fit goes, and how far it is from the floor.
 
 Every operator that PyTorch dispatches is timed (processor time) and put into a group. The floor is the
-number of floating-point operations in the matrix DFTs over the rate at which this machine multiplies
-large complex matrices: what the same number of evaluations would cost if nothing but those were done.
+number of floating-point operations in products of single-precision matrices over the rate at which this
+machine multiplies large ones: what the same number of evaluations would cost if nothing but those were done.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ from .inputs import Inputs
 from .measure import stopwatch
 
 PRODUCTS = ("mm", "bmm", "addmm", "baddbmm")
-MATRIX_DFT, REAL_PRODUCTS, DOUBLE_PRODUCTS, FFT, SOLVES, REST = (
-    "complex products (matrix DFT)",
-    "float32 products (modes, pixels)",
+COMPLEX_PRODUCTS, REAL_PRODUCTS, DOUBLE_PRODUCTS, FFT, SOLVES, REST = (
+    "complex products (OTF to pixels)",
+    "float32 products (matrix DFT, modes, pixels)",
     "float64 products (normal equations)",
     "FFT (OTF factors)",
     "linear solves",
     "elementwise and copies",
 )
 PYTHON = "set-up of the model, Python, dispatch"
-RATE_SIZE, RATE_REPEATS = 768, 10
+FLOPS = {COMPLEX_PRODUCTS: 8.0, REAL_PRODUCTS: 2.0}  # per product of two elements and its sum
+RATE_SIZE, RATE_REPEATS = 1024, 10
 
 
 class OperatorTimes(TorchDispatchMode):
@@ -39,45 +40,45 @@ class OperatorTimes(TorchDispatchMode):
     Attributes
     ----------
     seconds : dict of str to float
-    complex_flops : float
-        Floating-point operations of all complex matrix products.
+    flops : float
+        Floating-point operations of all products of single-precision matrices.
     """
 
     def __init__(self):
         super().__init__()
         self.seconds: dict[str, float] = defaultdict(float)
-        self.complex_flops = 0.0
+        self.flops = 0.0
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         began = time.process_time()
         result = func(*args, **(kwargs or {}))
         group = _group(func.overloadpacket.__name__, args)
         self.seconds[group] += time.process_time() - began
-        if group == MATRIX_DFT:
-            self.complex_flops += 8.0 * result.numel() * args[-2].shape[-1]
+        if group in FLOPS:
+            self.flops += FLOPS[group] * result.numel() * args[-2].shape[-1]
         return result
 
 
 def measure_breakdown(inputs: Inputs, frames: int) -> dict:
     """Shares of the groups for `dip_global` and LIFT, and the floor of each."""
     set_workers(1)
-    rate = complex_rate_flops()
+    rate = product_rate_flops()
     return {
-        "complex_gflops": rate / 1e9,
+        "gflops": rate / 1e9,
         "dip_global": _profile(lambda: _dip_global(inputs, frames), rate),
         "lift": _profile(prepared_ramp(inputs, "calibrated"), rate),
     }
 
 
-def complex_rate_flops() -> float:
-    """Best rate of a large single-precision complex matrix product on one thread [operations/s]."""
-    left, right = torch.randn(2, RATE_SIZE, RATE_SIZE, dtype=torch.complex64)
+def product_rate_flops() -> float:
+    """Best rate of a large single-precision matrix product on one thread [operations/s]."""
+    left, right = torch.randn(2, RATE_SIZE, RATE_SIZE)
     times_s = []
     for _ in range(RATE_REPEATS):
         began = time.process_time()
         left @ right
         times_s.append(time.process_time() - began)
-    return 8.0 * RATE_SIZE**3 / min(times_s)
+    return FLOPS[REAL_PRODUCTS] * RATE_SIZE**3 / min(times_s)
 
 
 def _profile(fit, rate: float) -> dict:
@@ -90,7 +91,7 @@ def _profile(fit, rate: float) -> dict:
     total_s = undisturbed.cpu_s
     shares = {group: seconds / total_s for group, seconds in operators.seconds.items()}
     shares[PYTHON] = max(0.0, 1 - sum(shares.values()))
-    floor_s = operators.complex_flops / rate
+    floor_s = operators.flops / rate
     return {"seconds": total_s, "shares": shares, "floor_s": floor_s, "over_floor": total_s / floor_s}
 
 
@@ -110,5 +111,5 @@ def _group(name: str, args) -> str:
 
 def _product_group(factor: torch.Tensor) -> str:
     if factor.is_complex():
-        return MATRIX_DFT
+        return COMPLEX_PRODUCTS
     return DOUBLE_PRODUCTS if factor.dtype == torch.float64 else REAL_PRODUCTS

@@ -92,6 +92,34 @@ class ImageModel:
             return image, columns
         return self._detected(image, columns.double(), values, None if held else modes)
 
+    def predict_and_pullback(self, modes_nm: torch.Tensor, flux_e: torch.Tensor, background_e: torch.Tensor):
+        """Images without free effects in the precision of the propagation, and the transposed Jacobian.
+
+        Returns
+        -------
+        image : tensor, (images, rows, columns)
+        pullback : callable
+            From factors of all pixels, (images, rows, columns), to the derivatives of the images' sum with
+            these factors, (images, modes + 2), float64: modes, flux, background.
+
+        Raises
+        ------
+        ValueError
+            With effects of the detector or of time.
+        """
+        if self.effects.at("detector") or self.effects.at("time"):
+            raise ValueError("the pullback knows no effects of the detector or of time")
+        unit, to_modes = self.psf.images_and_pullback(modes_nm, self.optics)
+        flux, background = (v.to(unit)[:, None, None] for v in (flux_e, background_e))
+
+        def pullback(factors: torch.Tensor) -> torch.Tensor:
+            by_flux = (factors * unit).sum((1, 2), dtype=torch.float64)
+            by_background = factors.sum((1, 2), dtype=torch.float64)
+            by_modes = to_modes(factors).double() * flux[:, :, 0].double()
+            return torch.cat([by_modes, by_flux[:, None], by_background[:, None]], dim=1)
+
+        return flux * unit + background, pullback
+
     @property
     def optics(self) -> Optics:
         """What effects without free parameters make of the light path."""

@@ -197,7 +197,7 @@ class PsfModel:
             make = self._plain_matrices if transfer is None else self._filtered_matrices
             matrices = make(optics.sampling.pixel_scale_mas, wavelength_m, weight, self.grids[index])
         pupil = self.amplitude if optics.pupil is None else mirrored(self._complex(optics.pupil[index]))
-        return Colour(wavelength_m, pupil, transfer, *matrices, self.grid.padded)
+        return Colour(wavelength_m, pupil, transfer, *matrices, self.grid.padded, self.grids[index].samples)
 
     def _like_images(self, factor: torch.Tensor) -> torch.Tensor:
         return self._complex(factor) if factor.is_complex() else self._real(factor)
@@ -278,6 +278,39 @@ class PsfModel:
         intensity = _intensity(amplitude)
         columns += [colour.image(intensity, self._like_images(one[index]))[None] for one in tangents.transfer]
         return colour.image(intensity), columns[0] if len(columns) == 1 else torch.cat(columns)
+
+    @torch.no_grad()
+    def images_and_pullback(self, coefficients_nm: torch.Tensor, optics: Optics = AS_BUILT):
+        """Images and the transpose of their Jacobian, which costs as little as the images.
+
+        Returns
+        -------
+        images : tensor, (frames, rows, columns)
+        pullback : callable
+            From factors of all pixels, (frames, rows, columns), to the derivatives of the images' sum
+            with these factors, (frames, modes) [1/nm].
+        """
+        opd = self._opd_nm(coefficients_nm)
+        one_colour = partial(self._one_colour_with_pullback, opd, optics)
+        images, to_opd = zip(*ordered_map(one_colour, range(len(self.weights))), strict=True)
+
+        def pullback(factors: torch.Tensor) -> torch.Tensor:
+            return reduce(torch.add, [back(factors) for back in to_opd]) @ self.basis.mT
+
+        return reduce(torch.add, images), pullback
+
+    def _one_colour_with_pullback(self, opd: torch.Tensor, optics: Optics, index: int):
+        """Weighted images at one wavelength, and their pullback to the OPD, (frames, n · n)."""
+        colour, dft = self._colour(index, optics), self.dfts[index]
+        field = colour.field(opd)
+        amplitude = dft.amplitude(field)
+        scale = 4 * np.pi * NM / float(colour.wavelength_m)
+
+        def pullback(factors: torch.Tensor) -> torch.Tensor:
+            change = dft.adjoint(amplitude * (scale * colour.adjoint(factors))[:, None])
+            return (field[:, 0] * change[:, 1] - field[:, 1] * change[:, 0]).flatten(1)
+
+        return colour.image(_intensity(amplitude)), pullback
 
     def _amplitude_and_modal(self, dft: MatrixDft, field: torch.Tensor, wavelength_m: float):
         """Focal amplitude (frames, 2, m, m) and intensity derivatives (modes, frames, m, m)."""

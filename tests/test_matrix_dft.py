@@ -53,6 +53,14 @@ def test_the_amplitude_is_the_fourier_sum(case):
     assert ours == pytest.approx(truth, abs=1e-12 * abs(truth).max())
 
 
+def test_the_adjoint_is_the_transpose(case):
+    """``<A E, V> = <E, Aᵀ V>`` for any field and any amplitude."""
+    field = as_real(fields(len(case.u_m)))
+    amplitude = case.dft.amplitude(field)
+    other = torch.as_tensor(np.random.default_rng(2).standard_normal(amplitude.shape))
+    assert (case.dft.adjoint(other) * field).sum().item() == pytest.approx((amplitude * other).sum().item())
+
+
 def test_products_are_the_fourier_sums_of_the_field_times_polynomials(case):
     field = fields(len(case.u_m))
     found = np.concatenate([as_complex(part) for part in case.dft.products(as_real(field))])

@@ -61,6 +61,20 @@ def test_modal_derivatives_are_those_of_autograd(model, factor, wavefronts):
     assert jacobian[1].sum(1).T.numpy() == pytest.approx(automatic.numpy(), abs=1e-10 * scale)
 
 
+def test_the_pullback_is_the_transpose_of_finite_differences(model, factor, wavefronts):
+    images, pullback = model.images_and_pullback(wavefronts, factor)
+    assert images.numpy() == pytest.approx(model.images(wavefronts, factor).numpy(), abs=1e-15)
+    factors = torch.randn(images.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    found = pullback(factors)
+    for frame, x in enumerate(wavefronts):
+        numeric = central_difference(
+            lambda a, frame=frame: (model.images(a[None], factor)[0] * factors[frame]).sum(),
+            x,
+            torch.full_like(x, STEP_NM),
+        )
+        assert found[frame].numpy() == pytest.approx(numeric.numpy(), abs=1e-6 * float(numeric.abs().max()))
+
+
 def test_the_images_beside_the_derivatives_are_the_images(model, factor, wavefronts):
     beside, _ = model.images_and_jacobian(wavefronts, factor)
     plain = model.images(wavefronts, factor)

@@ -15,6 +15,7 @@ from ..psf import PsfModel, PsfSettings
 from .centring import start_tilts_nm
 from .cube import Frames, mean_variance_e2
 from .drift import drifts, measured_drift
+from .frame_fits import fit_frames
 from .frame_settings import frame_settings
 from .image_fit import ImageFit, masked_variance
 from .lbfgs import solve_lbfgs
@@ -29,7 +30,7 @@ from .solve import Solution, solve
 from .total_wavefront import effects_in_modes_nm
 from .twin import TwinCheck, check_twin
 
-ROUGH_ITERATIONS = 8  # of the few frames whose median all others start from
+ROUGH_ITERATIONS = 6  # of the few frames whose median all others start from
 
 
 @dataclass(frozen=True)
@@ -264,7 +265,8 @@ def _second_start(frames: Frames, problem: ImageFit, psf: PsfModel) -> torch.Ten
 def _solve(problem: ImageFit, start: torch.Tensor, options: CalibrationOptions, report=None) -> Solution:
     if options.optimiser == "lbfgs":
         return solve_lbfgs(problem, start, max_iterations=5 * options.max_iterations)
-    return solve(problem, start, max_iterations=options.max_iterations, report=report)
+    fit = fit_frames if METHODS[options.method].images == "frames" and problem.reweighted else solve
+    return fit(problem, start, max_iterations=options.max_iterations, report=report)
 
 
 # -- the result ------------------------------------------------------------------------------

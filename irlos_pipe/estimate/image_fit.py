@@ -19,6 +19,7 @@ from .parameters import Layout
 from .solve import CHI2_TOLERANCE
 
 FRAMES_PER_CHUNK = 4
+FRAMES_PER_GRADIENT = 8
 
 
 class ImageFit:
@@ -70,6 +71,20 @@ class ImageFit:
             root = torch.where(good, root[good].median(), 0.0)
         return root.expand(self.images.shape[0], -1, self.images.shape[2]).to(self.images.dtype)
 
+    def with_loss(self, loss: Loss) -> ImageFit:
+        """The same images and weights with another loss, whitened or not as the present one."""
+        return self._with(loss=loss, reweighted=not loss.quadratic)
+
+    def members(self, which: torch.Tensor) -> ImageFit:
+        """The fits of some members only."""
+        per_member = ("images", "root_weight", "prior_mean", "prior_precision")
+        return self._with(**{name: getattr(self, name)[which] for name in per_member})
+
+    def _with(self, **changes) -> ImageFit:
+        other = object.__new__(ImageFit)
+        vars(other).update(vars(self) | changes)
+        return other
+
     # -- Problem -----------------------------------------------------------------------------
 
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
@@ -86,9 +101,16 @@ class ImageFit:
         value, gradient, hessian = map(torch.cat, zip(*self._map(self._normal, x, which), strict=True))
         return value + self._prior_value(x, which), gradient, hessian
 
-    def _map(self, function, x, which):
+    def gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Objective (b,) and gradient (b, p), float64, at the cost of two images, without free effects."""
+        pieces = self._map(self._gradient, x, which, FRAMES_PER_GRADIENT)
+        value, gradient = map(torch.cat, zip(*pieces, strict=True))
+        offset = x - self.prior_mean[which]
+        return value + self._prior_value(x, which), gradient + self.prior_precision[which] * offset
+
+    def _map(self, function, x, which, size: int = FRAMES_PER_CHUNK):
         """`function` of pieces of a few members, small enough for the processor's cache."""
-        pieces = zip(x.split(FRAMES_PER_CHUNK), which.split(FRAMES_PER_CHUNK), strict=True)
+        pieces = zip(x.split(size), which.split(size), strict=True)
         return ordered_map(lambda piece: function(*piece), pieces)
 
     def _prior_value(self, x, which):
@@ -124,6 +146,18 @@ class ImageFit:
     def _objective(self, x, which):
         residual, _ = self._whitened(self.predict(x), which)
         return self.loss.value(residual).sum((1, 2)).cpu()
+
+    def _gradient(self, x, which):
+        """Without the prior; pixels in the precision of the images."""
+        image, pullback = self.model.predict_and_pullback(
+            x[:, self.layout.modes].to(self.device), x[:, -2], x[:, -1]
+        )
+        which = which.to(self.device)
+        root = self.root_weight[which]
+        residual = (self.images[which] - image.flatten(1)[:, None]) * root
+        force = (self.loss.weight(residual) * residual * root).sum(1)
+        value = self.loss.value(residual).sum((1, 2), dtype=torch.float64)
+        return value.cpu(), -pullback(force.view_as(image)).cpu()
 
     def _normal(self, x, which):
         model_e, columns = self.predict_and_jacobian(x)

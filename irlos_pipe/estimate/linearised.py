@@ -23,7 +23,7 @@ class Linearised:
     columns : tensor, (b, parameters, pixels)
         Derivatives of the images.
     residual : tensor, (b, repeats, pixels)
-        Whitened, float64.
+        Whitened, float64; for a robust loss rounded to the precision of the columns.
     root : tensor, (b, repeats or 1, pixels)
         Square roots of the weights, float64.
     loss : Loss
@@ -34,6 +34,8 @@ class Linearised:
     def __init__(self, columns, residual, root, loss: Loss, precision, offset):
         self.size = columns.shape[1]
         self.columns = torch.nn.functional.pad(columns, (0, 0, 0, -self.size % TILE))
+        if not loss.quadratic:  # the step is only to lead near the minimum
+            residual, root = residual.to(columns.dtype), root.to(columns.dtype)
         self.residual, self.root, self.loss = residual, root, loss
         self.precision, self.offset = precision.to(columns.device), offset.to(columns.device)
 
@@ -44,30 +46,36 @@ class Linearised:
         """
         step = torch.zeros_like(self.offset)
         if self.loss.quadratic:
-            return self._derivatives(self.residual, step)
+            return self._gradient(self.residual, step), self._hessian(self.residual)
         residual = self.residual
         for _ in range(NEWTON_STEPS):
-            gradient, hessian = self._derivatives(residual, step)
-            ahead = -_solve(hessian, gradient)
+            hessian = self._hessian(residual)
+            ahead = -_solve(hessian, self._gradient(residual, step))
             fraction, residual = self._searched(residual, ahead)
             step = step + fraction * ahead
         return -(hessian @ step[..., None])[..., 0], hessian
 
     def _searched(self, residual: torch.Tensor, ahead: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Best of a few `FRACTIONS` of a step, (b, 1), and the residuals it leaves."""
-        change = (ahead[:, None].to(self.columns.dtype) @ self.columns[:, : self.size]).double() * self.root
-        losses = [self.loss.value(residual - fraction * change).sum((1, 2)) for fraction in FRACTIONS]
-        best = torch.tensor(FRACTIONS, device=change.device).double()[torch.stack(losses).argmin(0)]
-        return best[:, None], residual - best[:, None, None] * change
+        change = (ahead[:, None].to(residual.dtype) @ self.columns[:, : self.size]) * self.root
+        losses = [self._loss(residual - fraction * change) for fraction in FRACTIONS]
+        best = torch.tensor(FRACTIONS).to(change)[torch.stack(losses).argmin(0)]
+        return best[:, None].double(), residual - best[:, None, None] * change
 
-    def _derivatives(self, residual: torch.Tensor, step: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Gradient, exact, and Hessian, in the precision of the images: it shapes steps, not the minimum."""
+    def _loss(self, residual: torch.Tensor) -> torch.Tensor:
+        return self.loss.value(residual).sum((1, 2), dtype=torch.float64)
+
+    def _gradient(self, residual: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
+        """Derivative of the loss and the prior after a step, in the precision of the residuals."""
         force = (self.loss.weight(residual) * residual * self.root).sum(1)
-        gradient = (self.columns[:, : self.size].double() @ force[..., None])[..., 0]
+        slope = (self.columns[:, : self.size].to(residual.dtype) @ force[..., None])[..., 0]
+        return self.precision * (self.offset + step) - slope.double()
+
+    def _hessian(self, residual: torch.Tensor) -> torch.Tensor:
+        """In the precision of the images: it shapes steps, not the minimum."""
         weight = (self.loss.curvature(residual) * self.root**2).sum(1)
         products = (self.columns * weight[:, None].to(self.columns.dtype)) @ self.columns.mT
-        hessian = products[:, : self.size, : self.size].double() + torch.diag_embed(self.precision)
-        return self.precision * (self.offset + step) - gradient, hessian
+        return products[:, : self.size, : self.size].double() + torch.diag_embed(self.precision)
 
 
 def _solve(hessian: torch.Tensor, gradient: torch.Tensor) -> torch.Tensor:

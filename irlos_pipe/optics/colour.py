@@ -22,8 +22,8 @@ class Colour(NamedTuple):
     to_rows, to_columns : tensor
         Pixel matrices, from the focal intensity without a `transfer`, from its real FFT with one.
         The photon weight of the wavelength is in the first.
-    padded : int
-        p, samples per axis of that FFT.
+    padded, samples : int
+        p, samples per axis of that FFT, and m of the focal grid.
     """
 
     wavelength_m: float | torch.Tensor
@@ -32,6 +32,7 @@ class Colour(NamedTuple):
     to_rows: torch.Tensor
     to_columns: torch.Tensor
     padded: int
+    samples: int
 
     def field(self, opd_nm: torch.Tensor, pupil: torch.Tensor | None = None) -> torch.Tensor:
         """Field ``P exp(2πi OPD/λ)``, real and imaginary part, (frames, 2, n, n); P may be given."""
@@ -50,3 +51,10 @@ class Colour(NamedTuple):
         factor = self.transfer if transfer is None else transfer
         partial = self.to_rows @ (torch.fft.rfft2(intensity, s=(self.padded,) * 2) * factor)
         return partial.real @ self.to_columns.real.mT - partial.imag @ self.to_columns.imag.mT
+
+    def adjoint(self, factors: torch.Tensor) -> torch.Tensor:
+        """Transpose of `image`: from pixels (..., rows, columns) to focal samples (..., m, m)."""
+        if self.transfer is None:
+            return self.to_rows.mT @ (factors @ self.to_columns)
+        waves = (self.to_rows.mT @ (factors.to(self.to_rows.dtype) @ self.to_columns)) * self.transfer
+        return torch.fft.fft2(waves, s=(self.padded,) * 2).real[..., : self.samples, : self.samples]

@@ -70,6 +70,10 @@ class MatrixDft:
         """Focal amplitude ``F E Fᵀ``."""
         return self.along_y[0] @ (_packed(field) @ self.along_x[0])
 
+    def adjoint(self, amplitude: torch.Tensor) -> torch.Tensor:
+        """Transpose of `amplitude` as a real linear map: from changes of U to changes of E."""
+        return _unpacked(self.along_x[0] @ (amplitude @ self.along_y[0]))
+
     def products(self, field: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Transforms ``F[T_a(x) T_b(y) E]`` in the order of `products_up_to`: even sums, odd sums.
 
@@ -102,14 +106,31 @@ def _packed(field: torch.Tensor) -> torch.Tensor:
 
     Even and odd along y by even and odd along x: ``[[Re, Im], [Im, -Re]]`` of E, and the same of -iE.
     """
-    turned = torch.stack([field[:, 1], -field[:, 0]], dim=1)
-    (even, odd), (turned_even, turned_odd) = _even_and_odd(field, -1), _even_and_odd(turned, -1)
-    upper, _ = _even_and_odd(torch.cat([even, turned_odd], dim=-1), -2)
-    _, lower = _even_and_odd(torch.cat([turned_even, -odd], dim=-1), -2)
-    return torch.cat([upper, lower], dim=-2)
+    (pp, pn), (np_, nn) = _quadrants(field)
+    same, opposite = pp + nn, pn + np_  # signs of the coordinates
+    across, along = pp - nn, pn - np_
+    odd_even, even_odd = _turned(across + along), _turned(across - along)
+    return _joined(same + opposite, even_odd, odd_even, opposite - same)
 
 
-def _even_and_odd(field: torch.Tensor, axis: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Twice the even and the odd part of a mirrored field on the positive half of an axis."""
-    positive, negative = field.tensor_split(2, dim=axis)
-    return positive + negative, positive - negative
+def _unpacked(packed: torch.Tensor) -> torch.Tensor:
+    """Transpose of `_packed` as a real linear map."""
+    (even_even, even_odd), (odd_even, odd_odd) = _quadrants(packed)
+    same, opposite = even_even - odd_odd, even_even + odd_odd
+    across, along = _turned(even_odd + odd_even), _turned(odd_even - even_odd)
+    return _joined(same - across, opposite - along, opposite + along, same + across)
+
+
+def _turned(field: torch.Tensor) -> torch.Tensor:
+    """The field times -i."""
+    return torch.stack([field[:, 1], -field[:, 0]], dim=1)
+
+
+def _quadrants(array: torch.Tensor) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    """Quarters of maps (..., n, n), by halves along y and along x."""
+    return [rows.tensor_split(2, dim=-1) for rows in array.tensor_split(2, dim=-2)]
+
+
+def _joined(pp: torch.Tensor, pn: torch.Tensor, np_: torch.Tensor, nn: torch.Tensor) -> torch.Tensor:
+    """Maps made of their `_quadrants`."""
+    return torch.cat([torch.cat([pp, pn], dim=-1), torch.cat([np_, nn], dim=-1)], dim=-2)
