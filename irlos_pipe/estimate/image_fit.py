@@ -58,6 +58,7 @@ class ImageFit:
             - layout.size,
         )
         self.lower, self.upper = layout.bounds
+        self.lower[layout.modes], self.upper[layout.modes] = model.psf.limits_nm
         self.prior_mean, self.prior_precision = layout.prior(len(images_e))
         if layout.effects and len(images_e) > 1:
             raise ValueError("free effect parameters belong to one image; fit a ramp's with estimate.shared")
@@ -139,11 +140,16 @@ class ImageFit:
     @torch.no_grad()
     def reduced_chi2(self, x: torch.Tensor) -> torch.Tensor:
         """χ² per degree of freedom of every member, (batch,), from the variances given."""
-        return torch.cat(self._map(self._squared_residual, x, torch.arange(len(x)))) / self.freedom
+        return self.reduced_chi2_of(self.predict_all(x))
 
-    def _squared_residual(self, x, which):
-        residual, _ = self._whitened(self.predict(x), which)
-        return (residual**2).sum((1, 2)).cpu()
+    @torch.no_grad()
+    def reduced_chi2_of(self, predicted_e: torch.Tensor) -> torch.Tensor:
+        """The same of images of the model, (batch, pixels)."""
+        return torch.cat(self._map(self._squared_residual, predicted_e, torch.arange(len(predicted_e))))
+
+    def _squared_residual(self, predicted_e, which):
+        residual, _ = self._whitened(predicted_e.to(self.device), which)
+        return (residual**2).sum((1, 2)).cpu() / self.freedom
 
     @torch.no_grad()
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:

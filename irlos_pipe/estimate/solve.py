@@ -79,6 +79,15 @@ class Solution:
         """Standard errors, (batch, parameters)."""
         return torch.diagonal(self.covariance, dim1=1, dim2=2).clamp_min(0).sqrt()
 
+    def updated(self, where: torch.Tensor, other: Solution, better: torch.Tensor) -> Solution:
+        """The batch with those members of `other` that are `better` at the positions `where`."""
+        status = list(self.status)
+        for member, new in zip(where.tolist(), torch.nonzero(better)[:, 0].tolist(), strict=True):
+            status[member] = other.status[new]
+        tensors = {name: value for name, value in vars(self).items() if isinstance(value, torch.Tensor)}
+        mixed = {name: value.index_copy(0, where, getattr(other, name)[better]) for name, value in tensors.items()}
+        return Solution(status=status, **mixed)
+
 
 @torch.no_grad()
 def solve(

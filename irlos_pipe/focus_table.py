@@ -1,0 +1,185 @@
+"""Images of wavefronts that differ by tip, tilt and one more mode, from a table.
+
+Tip and tilt of the wavefront shift the image at every wavelength alike. What is left of such a family of
+images is its course with the third mode, here called focus, with AO residual, image motion, dispersion and
+all colours in it. It is tabulated once, on pixels somewhat beyond the window::
+
+    I(y, x; d) = Σ_n T_n(d) C_n(y, x)                   Chebyshev series in the focus d
+    image      = S(y₀) I(d) S(x₀)ᵀ                      shifted by band-limited interpolation
+
+Derivatives are those of T_n and of S. An image costs one product with the table and two small matrix
+products, whatever the number of wavelengths.
+
+Focus changes the phase between two points of the pupil by up to ``β = 2π R P/λ``, R being half the range and
+P the mode's peak-to-valley. The coefficients of ``exp(iβx)`` are Bessel functions of the order n, which
+fall faster than exponentially beyond n = β (Jacobi–Anger): the series ends where they no longer matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.special import jv
+
+from .optics.grids import NM, Optics, Tangents
+from .optics.propagate import MAS
+from .optics.shift import WELL_SAMPLED, ShiftMatrices, kernel_half_length
+from .psf import AS_BUILT, NO_TANGENTS, PsfModel
+
+TRUNCATION = 1e-7  # the largest Bessel function left out
+FIELD_MARGIN_MAS = 50.0  # computed beyond the tabulated pixels
+NODES_AT_ONCE = 6  # images propagated together: few enough for the processor's cache
+OPEN_END = 1.001  # half range of the series over the half range offered: its slope is 0/0 at its very ends
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Wavefronts that a table holds [nm RMS]: least and largest focus, and tip and tilt either way."""
+
+    focus_nm: tuple[float, float]
+    tilt_nm: float
+
+
+class FocusTable:
+    """Stands in for a `PsfModel` with three modes: tip, tilt and one more, called focus.
+
+    Parameters
+    ----------
+    psf : PsfModel
+        Whose images are tabulated; see `can_tabulate`.
+    optics : Optics
+        What effects make of its light path. They are in the table then.
+    reach : Reach
+        Beyond it images mean nothing; solvers keep to `limits_nm`.
+    """
+
+    def __init__(self, psf: PsfModel, optics: Optics, reach: Reach):
+        self.settings, self.nolls, self.device, self.dtype = psf.settings, psf.nolls, psf.device, psf.dtype
+        self.stations, self.reach = psf.stations, reach
+        self.tilts = [self.nolls.index(2), self.nolls.index(3)]
+        (self.focus,) = {0, 1, 2} - {*self.tilts}
+        self.pixel_nm = _pixel_nm(psf, optics)
+        beyond, band = _pixels_beyond(psf, optics, reach), _band_per_px(psf, optics)
+        like = psf.amplitude
+        self.rows, self.columns = (ShiftMatrices(n, beyond, band, like) for n in self.settings.window)
+        self.middle_nm, self.half_nm = np.mean(reach.focus_nm), OPEN_END * np.ptp(reach.focus_nm) / 2
+        self._tabulate(psf.in_window(*_wider(psf, beyond)), optics)
+
+    def _tabulate(self, wide: PsfModel, optics: Optics) -> None:
+        """Chebyshev coefficients (terms, pixels), reversed along both axes as `ShiftMatrices` wants them."""
+        terms = self._terms(wide, optics)
+        angle = np.pi * (np.arange(terms) + 0.5) / terms
+        nodes_nm = torch.zeros(terms, len(self.nolls), dtype=torch.float64)
+        nodes_nm[:, self.focus] = torch.as_tensor(self.middle_nm + self.half_nm * np.cos(angle))
+        images = torch.cat([wide.images(part, optics) for part in nodes_nm.split(NODES_AT_ONCE)])
+        to_series = np.cos(np.outer(np.arange(terms), angle)) * np.where(np.arange(terms) > 0, 2, 1)[:, None]
+        series = torch.as_tensor(to_series / terms, device=self.device) @ images.flatten(1).double()
+        self.table, self.shape = series.flip(1).to(self.dtype), images.shape[1:]
+        self.orders = torch.arange(terms, device=self.device, dtype=torch.float64)
+
+    def _terms(self, psf: PsfModel, optics: Optics) -> int:
+        """Length of the series."""
+        grid = psf.pupil_grid
+        mode = grid.modes([self.nolls[self.focus]])[0][np.hypot(*grid.xy) <= 1]
+        phase = 2 * np.pi * NM / _shortest_m(psf, optics) * self.half_nm * np.ptp(mode)
+        orders = np.arange(int(2 * phase) + 40)
+        return int(orders[np.abs(jv(orders, phase)) > TRUNCATION].max()) + 1
+
+    # -- in place of a PsfModel --------------------------------------------------------------
+
+    @property
+    def limits_nm(self) -> torch.Tensor:
+        """Least and largest coefficients that the table holds, (2, modes)."""
+        limits = torch.full((2, len(self.nolls)), self.reach.tilt_nm, dtype=torch.float64)
+        limits[0] *= -1
+        limits[:, self.focus] = torch.tensor(self.reach.focus_nm, dtype=torch.float64)
+        return limits
+
+    def images(self, coefficients_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
+        """See `PsfModel.images`; `optics` are in the table already."""
+        x = coefficients_nm.to(self.device, torch.float64)
+        rows, columns = self._shifts(x)
+        images = ((self._angle(x) * self.orders).cos().to(self.dtype) @ self.table).unflatten(1, self.shape)
+        return rows[:, 0] @ images @ columns[:, 0].mT
+
+    @torch.no_grad()
+    def images_and_jacobian(
+        self,
+        coefficients_nm: torch.Tensor,
+        optics: Optics = AS_BUILT,
+        tangents: Tangents = NO_TANGENTS,
+        *,
+        modal: bool = True,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `PsfModel.images_and_jacobian`; there are no parameters but the modes."""
+        x = coefficients_nm.to(self.device, torch.float64)
+        rows, columns = self._shifts(x)
+        along_y, width = rows.flatten(1, 2), columns.shape[2]
+        images, slopes = self._series(x)
+        along_x = images @ columns.flatten(1, 2).mT  # shifted, and the derivative of that
+        shifted, moved_y = (along_y @ along_x[:, :, :width]).tensor_split(2, dim=1)
+        derivatives = [
+            rows[:, 0] @ along_x[:, :, width:] / self.pixel_nm,
+            moved_y / self.pixel_nm,
+            rows[:, 0] @ (slopes @ columns[:, 0].mT),
+        ]
+        order = np.argsort([*self.tilts, self.focus])
+        return shifted, torch.stack([derivatives[i] for i in order][: 3 * modal], dim=1)
+
+    def _angle(self, x: torch.Tensor) -> torch.Tensor:
+        """The focus as θ, ``T_n = cos nθ``, (images, 1)."""
+        return ((x[:, self.focus, None] - self.middle_nm) / self.half_nm).acos()
+
+    def _series(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Images before the shift, and their derivatives with respect to the focus."""
+        angle = self._angle(x)
+        multiples = angle * self.orders
+        slopes = self.orders * multiples.sin() / (angle.sin() * self.half_nm)
+        weights = torch.cat([multiples.cos(), slopes]).to(self.dtype)
+        return (weights @ self.table).unflatten(1, self.shape).tensor_split(2)
+
+    def _shifts(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Matrices along rows and columns with their derivatives, see `ShiftMatrices`."""
+        along_x, along_y = (x[:, tilt] / self.pixel_nm for tilt in self.tilts)
+        return self.rows(along_y), self.columns(along_x)
+
+
+def can_tabulate(psf: PsfModel, optics: Optics, reach: Reach) -> bool:
+    """Whether the images of `psf` can be tabulated: the right modes, well sampled, and room in the field."""
+    if not (len(psf.nolls) == 3 and {2, 3} < {*psf.nolls}) or _band_per_px(psf, optics) > WELL_SAMPLED:
+        return False
+    room_mas = psf.settings.halo_margin_mas - FIELD_MARGIN_MAS
+    return _pixels_beyond(psf, optics, reach) * psf.settings.pixel_scale_mas <= room_mas
+
+
+def _wider(psf: PsfModel, beyond: int) -> tuple[tuple[int, int], float, float]:
+    """Window with further pixels on each side, and margins that leave the period of the OTF factors."""
+    settings, more_mas = psf.settings, beyond * psf.settings.pixel_scale_mas
+    rows, columns = settings.window
+    margin_mas = max(settings.margin_mas - more_mas, FIELD_MARGIN_MAS)
+    return (rows + 2 * beyond, columns + 2 * beyond), margin_mas, settings.halo_margin_mas - more_mas
+
+
+def _pixels_beyond(psf: PsfModel, optics: Optics, reach: Reach) -> int:
+    """Pixels that are tabulated on each side of the window."""
+    return int(np.ceil(reach.tilt_nm / _pixel_nm(psf, optics))) + kernel_half_length(_band_per_px(psf, optics))
+
+
+def _pixel_nm(psf: PsfModel, optics: Optics) -> float:
+    """Tip or tilt that moves the image by a pixel [nm RMS]: an angle θ is a quarter of θ D."""
+    return _pixel_rad(psf, optics) * psf.settings.geometry.diameter_m / 4 / NM
+
+
+def _band_per_px(psf: PsfModel, optics: Optics) -> float:
+    """Highest frequency of the images, D/λ [cycles/px]."""
+    return _pixel_rad(psf, optics) * psf.settings.geometry.diameter_m / _shortest_m(psf, optics)
+
+
+def _pixel_rad(psf: PsfModel, optics: Optics) -> float:
+    return float((optics.sampling or psf.stations.sampling).pixel_scale_mas) * MAS
+
+
+def _shortest_m(psf: PsfModel, optics: Optics) -> float:
+    return float((optics.sampling or psf.stations.sampling).wavelengths_m.min())
