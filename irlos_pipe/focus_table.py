@@ -60,10 +60,9 @@ class FocusTable:
         self.stations, self.reach = psf.stations, reach
         self.tilts = [self.nolls.index(2), self.nolls.index(3)]
         (self.focus,) = {0, 1, 2} - {*self.tilts}
-        self.pixel_nm = _pixel_nm(psf, optics)
         beyond, band = _pixels_beyond(psf, optics, reach), _band_per_px(psf, optics)
-        like = psf.amplitude
-        self.rows, self.columns = (ShiftMatrices(n, beyond, band, like) for n in self.settings.window)
+        window, pixel_nm = self.settings.window, _pixel_nm(psf, optics)
+        self.shift = ShiftMatrices(window, beyond, band, pixel_nm, psf.amplitude)
         self.middle_nm, self.half_nm = np.mean(reach.focus_nm), OPEN_END * np.ptp(reach.focus_nm) / 2
         self._tabulate(psf.in_window(*_wider(psf, beyond)), optics)
 
@@ -99,10 +98,11 @@ class FocusTable:
 
     def images(self, coefficients_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
         """See `PsfModel.images`; `optics` are in the table already."""
-        x = coefficients_nm.to(self.device, torch.float64)
-        rows, columns = self._shifts(x)
-        images = ((self._angle(x) * self.orders).cos().to(self.dtype) @ self.table).unflatten(1, self.shape)
-        return rows[:, 0] @ images @ columns[:, 0].mT
+        x, (height, width) = coefficients_nm.to(self.device, torch.float64), self.settings.window
+        rows, columns = self.shift(x[:, self.tilts])
+        weights = (self._angle(x) * self.orders).cos().to(self.dtype)
+        images = (weights @ self.table).view(-1, *self.shape)
+        return torch.bmm(rows[:, :height], torch.bmm(images, columns[:, :width].mT))
 
     @torch.no_grad()
     def images_and_jacobian(
@@ -114,19 +114,16 @@ class FocusTable:
         modal: bool = True,
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """See `PsfModel.images_and_jacobian`; there are no parameters but the modes."""
-        x = coefficients_nm.to(self.device, torch.float64)
-        rows, columns = self._shifts(x)
-        along_y, width = rows.flatten(1, 2), columns.shape[2]
+        x, (height, width) = coefficients_nm.to(self.device, torch.float64), self.settings.window
+        rows, columns = self.shift(x[:, self.tilts])
         images, slopes = self._series(x)
-        along_x = images @ columns.flatten(1, 2).mT  # shifted, and the derivative of that
-        shifted, moved_y = (along_y @ along_x[:, :, :width]).tensor_split(2, dim=1)
-        derivatives = [
-            rows[:, 0] @ along_x[:, :, width:] / self.pixel_nm,
-            moved_y / self.pixel_nm,
-            rows[:, 0] @ (slopes @ columns[:, 0].mT),
-        ]
-        order = np.argsort([*self.tilts, self.focus])
-        return shifted, torch.stack([derivatives[i] for i in order][: 3 * modal], dim=1)
+        along_x = torch.bmm(images, columns.mT)  # shifted, and the derivative of that
+        both = torch.bmm(rows, along_x[:, :, :width])
+        jacobian = both.new_empty(len(x), 3, height, width)
+        jacobian[:, self.tilts[0]] = torch.bmm(rows[:, :height], along_x[:, :, width:])
+        jacobian[:, self.tilts[1]] = both[:, height:]
+        jacobian[:, self.focus] = torch.bmm(rows[:, :height], torch.bmm(slopes, columns[:, :width].mT))
+        return both[:, :height], jacobian[:, : 3 * modal]
 
     def _angle(self, x: torch.Tensor) -> torch.Tensor:
         """The focus as θ, ``T_n = cos nθ``, (images, 1)."""
@@ -138,12 +135,7 @@ class FocusTable:
         multiples = angle * self.orders
         slopes = self.orders * multiples.sin() / (angle.sin() * self.half_nm)
         weights = torch.cat([multiples.cos(), slopes]).to(self.dtype)
-        return (weights @ self.table).unflatten(1, self.shape).tensor_split(2)
-
-    def _shifts(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Matrices along rows and columns with their derivatives, see `ShiftMatrices`."""
-        along_x, along_y = (x[:, tilt] / self.pixel_nm for tilt in self.tilts)
-        return self.rows(along_y), self.columns(along_x)
+        return (weights @ self.table).view(2, -1, *self.shape).unbind()
 
 
 def can_tabulate(psf: PsfModel, optics: Optics, reach: Reach) -> bool:

@@ -13,12 +13,13 @@ import torch
 
 from ..image_model import ImageModel
 from ..parallel import ordered_map
+from .least_squares import normal_equations
 from .linearised import Linearised
 from .loss import GAUSSIAN, Loss
 from .parameters import Layout
 from .solve import CHI2_TOLERANCE
 
-FRAMES_PER_CHUNK = 4
+FRAMES_PER_CHUNK = 6
 
 
 class ImageFit:
@@ -60,6 +61,7 @@ class ImageFit:
         self.lower, self.upper = layout.bounds
         self.lower[layout.modes], self.upper[layout.modes] = model.psf.limits_nm
         self.prior_mean, self.prior_precision = layout.prior(len(images_e))
+        self.has_prior = bool(self.prior_precision.any())
         if layout.effects and len(images_e) > 1:
             raise ValueError("free effect parameters belong to one image; fit a ramp's with estimate.shared")
 
@@ -93,6 +95,8 @@ class ImageFit:
         return ordered_map(lambda piece: function(*piece), pieces)
 
     def _prior_value(self, x, which):
+        if not self.has_prior:
+            return 0.0
         return 0.5 * (self.prior_precision[which] * (x - self.prior_mean[which]) ** 2).sum(1)
 
     # -- images ------------------------------------------------------------------------------
@@ -130,9 +134,14 @@ class ImageFit:
         model_e, columns = self.predict_and_jacobian(x)
         residual, root = self._whitened(model_e, which)
         precision, offset = self.prior_precision[which], x - self.prior_mean[which]
-        gradient, hessian = Linearised(
-            columns, residual, root, self.loss, precision, offset
-        ).normal_equations()
+        if self.loss.quadratic:
+            gradient, hessian = normal_equations(columns, residual, root)
+            if self.has_prior:
+                gradient += (precision * offset).to(gradient.device)
+                hessian += torch.diag_embed(precision).to(hessian.device)
+        else:
+            linearised = Linearised(columns, residual, root, self.loss, precision, offset)
+            gradient, hessian = linearised.normal_equations()
         return self.loss.value(residual).sum((1, 2)).cpu(), gradient.cpu(), hessian.cpu()
 
     # -- quality -----------------------------------------------------------------------------

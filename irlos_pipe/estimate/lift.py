@@ -22,7 +22,7 @@ from .parameters import Layout
 from .solve import Solution, solve
 
 NOISE_ROUNDS = {"data": 1, "model": 2, "iterative": 3}
-ROUGH_TOLERANCE = 0.1  # fall of χ² that does not matter while only the variances are still sought
+ROUGH_TOLERANCE = 10.0  # fall of χ² that does not matter while only the variances are sought: three standard errors
 
 
 @dataclass(frozen=True)

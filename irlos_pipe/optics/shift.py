@@ -23,42 +23,55 @@ def kernel_half_length(band: float) -> int:
 
 
 class ShiftMatrices:
-    """Matrices from samples of an image, in reversed order, to pixels of the shifted image.
+    """Matrices from samples of an image, reversed along both axes, to rows and columns of the shifted window.
 
     Parameters
     ----------
-    pixels : int
-        In the window.
+    window : (int, int)
+        Rows and columns [px].
     beyond : int
-        Further samples on each side.
+        Further samples on each side of the window.
     band : float
         Highest frequency of the images [cycles/px].
+    per_px : float
+        Units of a shift that make a pixel.
     like : tensor
         Of the precision and on the device that the matrices are to have.
     """
 
-    def __init__(self, pixels: int, beyond: int, band: float, like: torch.Tensor):
-        self.samples = pixels + 2 * beyond
-        frequency = np.arange(int((1 - band) * self.samples) + 1) / self.samples
+    def __init__(self, window: tuple[int, int], beyond: int, band: float, per_px: float, like: torch.Tensor):
+        self.window, self.beyond = window, beyond
+        period = max(window) + 2 * beyond
+        frequency = np.arange(int((1 - band) * period) + 1) / period
         rate = 2 * np.pi * frequency
-        phase = np.outer(rate, np.arange(-(pixels + beyond - 1), pixels + beyond))
+        phase = np.outer(rate, np.arange(1 - max(window) - beyond, max(window) + beyond))
         cosine, sine = _spectrum(frequency, band)[:, None] * (np.cos(phase), np.sin(phase))
-        slopes = np.concatenate([rate[:, None] * sine, -rate[:, None] * cosine])
+        slopes = np.concatenate([rate[:, None] * sine, -rate[:, None] * cosine]) / per_px
         series = np.concatenate([np.concatenate([cosine, sine]), slopes], axis=1)
-        self.rate = torch.as_tensor(rate, device=like.device)
+        self.rate = torch.as_tensor(rate / per_px, device=like.device)
         self.series = torch.as_tensor(series).to(like)
 
-    def __call__(self, shift_px: torch.Tensor) -> torch.Tensor:
-        """Matrices and their derivatives with respect to the shift, (images, 2, pixels, samples).
+    def __call__(self, shifts: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Matrices for the rows and for the columns, each followed by its derivative.
 
         Parameters
         ----------
-        shift_px : tensor, (images,), float64
-            Positive towards larger indices.
+        shifts : tensor, (images, 2), float64
+            Along x and y, positive towards larger indices.
+
+        Returns
+        -------
+        rows, columns : tensor, (images, 2 pixels, samples)
         """
-        phase = shift_px[:, None] * self.rate
-        kernels = torch.cat([phase.cos(), phase.sin()], dim=1).to(self.series.dtype) @ self.series
-        return kernels.unflatten(1, (2, -1)).unfold(2, self.samples, 1)
+        phase = shifts[..., None] * self.rate
+        kernels = torch.cat([phase.cos(), phase.sin()], dim=2).to(self.series.dtype) @ self.series
+        along_x, along_y = kernels.unflatten(2, (2, -1)).unbind(1)
+        return self._matrices(along_y, self.window[0]), self._matrices(along_x, self.window[1])
+
+    def _matrices(self, kernels: torch.Tensor, pixels: int) -> torch.Tensor:
+        """Toeplitz matrices of kernels (images, 2, values) that reach over the longer side of the window."""
+        own = kernels[:, :, max(self.window) - pixels :]
+        return own.unfold(2, pixels + 2 * self.beyond, 1)[:, :, :pixels].flatten(1, 2)
 
 
 def _spectrum(frequency: np.ndarray, band: float) -> np.ndarray:
