@@ -25,10 +25,11 @@ from scipy.special import jv
 
 from .optics.grids import NM, Optics, Tangents
 from .optics.propagate import MAS
-from .optics.shift import WELL_SAMPLED, ShiftMatrices, kernel_half_length
+from .optics.shift import ShiftMatrices, kernel_half_length
 from .psf import AS_BUILT, NO_TANGENTS, PsfModel
 
 TRUNCATION = 1e-7  # the largest Bessel function left out
+WELL_SAMPLED = 0.4  # highest frequency of the images [cycles/px] that short kernels can shift
 FIELD_MARGIN_MAS = 50.0  # computed beyond the tabulated pixels
 NODES_AT_ONCE = 6  # images propagated together: few enough for the processor's cache
 OPEN_END = 1.001  # half range of the series over the half range offered: its slope is 0/0 at its very ends
@@ -48,7 +49,7 @@ class FocusTable:
     Parameters
     ----------
     psf : PsfModel
-        Whose images are tabulated; see `can_tabulate`.
+        Whose images are tabulated; see `is_family` and `can_tabulate`.
     optics : Optics
         What effects make of its light path. They are in the table then.
     reach : Reach
@@ -58,8 +59,7 @@ class FocusTable:
     def __init__(self, psf: PsfModel, optics: Optics, reach: Reach):
         self.settings, self.nolls, self.device, self.dtype = psf.settings, psf.nolls, psf.device, psf.dtype
         self.stations, self.reach = psf.stations, reach
-        self.tilts = [self.nolls.index(2), self.nolls.index(3)]
-        (self.focus,) = {0, 1, 2} - {*self.tilts}
+        self.tilts, self.focus = [self.nolls.index(2), self.nolls.index(3)], place_of_focus(self.nolls)
         beyond, band = _pixels_beyond(psf, optics, reach), _band_per_px(psf, optics)
         window, pixel_nm = self.settings.window, _pixel_nm(psf, optics)
         self.shift = ShiftMatrices(window, beyond, band, pixel_nm, psf.amplitude)
@@ -138,9 +138,20 @@ class FocusTable:
         return (weights @ self.table).view(2, -1, *self.shape).unbind()
 
 
+def is_family(nolls: tuple[int, ...]) -> bool:
+    """Whether modes are tip, tilt and one more."""
+    return len(nolls) == 3 and {2, 3} < {*nolls}
+
+
+def place_of_focus(nolls: tuple[int, ...]) -> int:
+    """Position of the mode that is neither tip nor tilt."""
+    (place,) = (place for place, noll in enumerate(nolls) if noll not in (2, 3))
+    return place
+
+
 def can_tabulate(psf: PsfModel, optics: Optics, reach: Reach) -> bool:
-    """Whether the images of `psf` can be tabulated: the right modes, well sampled, and room in the field."""
-    if not (len(psf.nolls) == 3 and {2, 3} < {*psf.nolls}) or _band_per_px(psf, optics) > WELL_SAMPLED:
+    """Whether images can be tabulated: they must be well sampled, and the shifts must fit into the field."""
+    if _band_per_px(psf, optics) > WELL_SAMPLED:
         return False
     room_mas = psf.settings.halo_margin_mas - FIELD_MARGIN_MAS
     return _pixels_beyond(psf, optics, reach) * psf.settings.pixel_scale_mas <= room_mas
@@ -156,7 +167,8 @@ def _wider(psf: PsfModel, beyond: int) -> tuple[tuple[int, int], float, float]:
 
 def _pixels_beyond(psf: PsfModel, optics: Optics, reach: Reach) -> int:
     """Pixels that are tabulated on each side of the window."""
-    return int(np.ceil(reach.tilt_nm / _pixel_nm(psf, optics))) + kernel_half_length(_band_per_px(psf, optics))
+    shifts = int(np.ceil(reach.tilt_nm / _pixel_nm(psf, optics)))
+    return shifts + kernel_half_length(_band_per_px(psf, optics))
 
 
 def _pixel_nm(psf: PsfModel, optics: Optics) -> float:

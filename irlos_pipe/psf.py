@@ -36,6 +36,7 @@ from .optics.propagate import (
     baseline_to_pixels,
     focal_samples_for,
     focal_to_pixels,
+    quick_fft_length,
     require_resolved,
 )
 from .optics.zernike import noll_to_nm, zernike_basis
@@ -144,7 +145,8 @@ class PsfModel:
             return focal_samples_for(window_px, scale_mas, margin_mas, wavelength_m, len(u) * step_m)
 
         needed = [samples(self.settings.margin_mas, lam) for lam in self.wavelengths_m]
-        padded = max(*needed, samples(self.settings.halo_margin_mas, self.wavelengths_m.min()))
+        period = samples(self.settings.halo_margin_mas, self.wavelengths_m.min())
+        padded = quick_fft_length(max(*needed, period))
         return [FocalGrid(count, len(u) * step_m, padded) for count in needed]
 
     def _set_pupil(self, grid: PupilGrid) -> None:

@@ -19,10 +19,11 @@ from ..image_model import ImageModel
 from ..noise import NoiseModel
 from .image_fit import ImageFit, masked_variance
 from .parameters import Layout
-from .solve import Solution, solve
+from .solution import Solution, mixed_tensors
+from .solve import solve
 
 NOISE_ROUNDS = {"data": 1, "model": 2, "iterative": 3}
-ROUGH_TOLERANCE = 10.0  # fall of χ² that does not matter while only the variances are sought: three standard errors
+ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,8 @@ class LiftResult:
     def updated(self, which: torch.Tensor, other: LiftResult, better: torch.Tensor) -> LiftResult:
         """The batch with some members (a mask of the batch) taken from `other` where that is `better`."""
         where = torch.nonzero(which)[better, 0]
-        tensors = {name: value for name, value in vars(self).items() if isinstance(value, torch.Tensor)}
-        mixed = {name: value.index_copy(0, where, getattr(other, name)[better]) for name, value in tensors.items()}
-        return replace(self, solution=self.solution.updated(where, other.solution, better), **mixed)
+        solution = self.solution.updated(where, other.solution, better)
+        return replace(self, solution=solution, **mixed_tensors(self, other, where, better))
 
 
 def lift(
@@ -130,7 +130,7 @@ def _at_limit(model: ImageModel, zernike_nm: torch.Tensor) -> torch.Tensor:
     return ((zernike_nm <= lower) | (zernike_nm >= upper)).any(1) & torch.isfinite(zernike_nm).all(1)
 
 
-def _lift(model: ImageModel, images_e, pixel_mask, noise: NoiseModel, start_nm, options, report) -> LiftResult:
+def _lift(model: ImageModel, images_e, pixel_mask, noise, start_nm, options, report) -> LiftResult:
     """Rounds of fits, each with the variances that the one before implies."""
     nolls = model.psf.nolls
     layout = Layout(nolls, prior_mean_nm=options.prior_mean_nm, prior_sigma_nm=options.prior_sigma_nm)

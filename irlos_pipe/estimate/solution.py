@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -42,10 +42,17 @@ class Solution:
         return torch.diagonal(self.covariance, dim1=1, dim2=2).clamp_min(0).sqrt()
 
     def updated(self, where: torch.Tensor, other: Solution, better: torch.Tensor) -> Solution:
-        """The batch with those members of `other` that are `better` at the positions `where`."""
+        """The batch with those members of `other` that are `better`, at the positions `where`."""
         status = list(self.status)
         for member, new in zip(where.tolist(), torch.nonzero(better)[:, 0].tolist(), strict=True):
             status[member] = other.status[new]
-        tensors = {name: value for name, value in vars(self).items() if isinstance(value, torch.Tensor)}
-        mixed = {name: value.index_copy(0, where, getattr(other, name)[better]) for name, value in tensors.items()}
-        return Solution(status=status, **mixed)
+        return replace(self, status=status, **mixed_tensors(self, other, where, better))
+
+
+def mixed_tensors(first, second, where: torch.Tensor, better: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Tensors of `first`, by name, with the `better` members of `second` at the positions `where`."""
+    return {
+        name: value.index_copy(0, where, getattr(second, name)[better])
+        for name, value in vars(first).items()
+        if isinstance(value, torch.Tensor)
+    }

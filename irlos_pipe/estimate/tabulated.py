@@ -1,17 +1,17 @@
-"""Image models with their images in a table: for many fits of tip, tilt and focus with the same light path."""
+"""Image models with their images in a table, for many fits of tip, tilt and focus with one light path."""
 
 from __future__ import annotations
 
 import torch
 
 from ..effects.effect_set import EffectSet
-from ..focus_table import FocusTable, Reach, can_tabulate
+from ..focus_table import FocusTable, Reach, can_tabulate, is_family, place_of_focus
 from ..image_model import ImageModel
 from ..psf import PsfModel
 from .start import SCAN_NM
 
-FOCUS_REACH_NM = 400.0  # beyond the starts; a fit seldom moves further
-TILT_REACH_NM = 400.0  # some 4 pixels
+FOCUS_REACH_NM = 400.0  # beyond the starts; few fits move further
+TILT_REACH_NM = 250.0  # between two and three pixels
 
 
 class TabulatedModel(ImageModel):
@@ -43,7 +43,7 @@ def tabulated(model: ImageModel, start_nm: torch.Tensor) -> ImageModel:
     """
     if not isinstance(model.psf, PsfModel) or model.effects.parameters or model.effects.at("time"):
         return model
-    if not (len(model.psf.nolls) == 3 and {2, 3} < {*model.psf.nolls}):
+    if not is_family(model.psf.nolls):
         return model
     reach = _reach(model.psf.nolls, start_nm)
     return TabulatedModel(model, reach) if can_tabulate(model.psf, model.optics, reach) else model
@@ -51,8 +51,8 @@ def tabulated(model: ImageModel, start_nm: torch.Tensor) -> ImageModel:
 
 def _reach(nolls: tuple[int, ...], start_nm: torch.Tensor) -> Reach:
     """Limits well beyond the starts, wide enough for the scan of `scan_start_nm` too."""
-    tilts = [nolls.index(2), nolls.index(3)]
-    (focus,) = {0, 1, 2} - {*tilts}
-    low, high = (float(start_nm[:, focus].min()), float(start_nm[:, focus].max()))
-    focus_nm = min(low - FOCUS_REACH_NM, SCAN_NM[0]), max(high + FOCUS_REACH_NM, SCAN_NM[-1])
-    return Reach(focus_nm, float(start_nm[:, tilts].abs().max()) + TILT_REACH_NM)
+    focus = start_nm[:, place_of_focus(nolls)]
+    low = min(float(focus.min()) - FOCUS_REACH_NM, SCAN_NM[0])
+    high = max(float(focus.max()) + FOCUS_REACH_NM, SCAN_NM[-1])
+    tilts = start_nm[:, [nolls.index(2), nolls.index(3)]]
+    return Reach((low, high), float(tilts.abs().max()) + TILT_REACH_NM)

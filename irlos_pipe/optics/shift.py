@@ -14,7 +14,6 @@ import numpy as np
 import torch
 
 ATTENUATION_DB = 100.0  # of what the kernel has left beyond its half length
-WELL_SAMPLED = 0.4  # highest frequency [cycles/px] of images that short kernels can shift
 
 
 def kernel_half_length(band: float) -> int:
