@@ -47,7 +47,7 @@ LAYERS = {
 }
 # Science knows no files, no HDF5, no YAML and no command line: this is all it may use.
 SCIENCE = ("frames", "geometry", "model", "simulate", "estimate", "experiments")
-SCIENCE_MAY_USE = {"__future__", "abc", "collections", "concurrent", "dataclasses", "difflib", "enum",
+SCIENCE_MAY_USE = {"__future__", "abc", "collections", "concurrent", "copy", "dataclasses", "difflib", "enum",
                    "functools", "itertools", "math", "threading", "time", "typing", "warnings", "numpy",
                    "scipy", "torch"}
 # The package's own __init__ comes first; it imports nothing.
