@@ -125,6 +125,11 @@ class ImageModel:
         """What effects without free parameters make of the light path."""
         return self._optics(NOTHING)
 
+    @property
+    def general(self) -> ImageModel:
+        """The model without limits that this one may be a quick version of; here itself."""
+        return self
+
     # -- parts -------------------------------------------------------------------------------
 
     def _optics(self, values: torch.Tensor) -> Optics:

@@ -17,9 +17,11 @@ are those of `optics.matrix_dft`, where fields are real arrays ``(frame, 2, y, x
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial, reduce
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property, partial, reduce
+from itertools import repeat
 
 import numpy as np
 import torch
@@ -34,6 +36,7 @@ from .optics.propagate import (
     baseline_to_pixels,
     focal_samples_for,
     focal_to_pixels,
+    quick_fft_length,
     require_resolved,
 )
 from .optics.zernike import noll_to_nm, zernike_basis
@@ -106,11 +109,9 @@ class PsfModel:
         self.weights = weights / weights.sum()
         even = settings.pupil_samples + settings.pupil_samples % 2  # `MatrixDft` folds the grid
         self.pupil_grid = PupilGrid.of(settings.geometry, even, self.wavelengths_m)
-        self.grids = self._focal_grids(self.pupil_grid.u_m)
-        self.grid = max(self.grids, key=lambda grid: grid.samples)
         self._set_pupil(self.pupil_grid)
         self._set_products(self.pupil_grid)
-        self._set_pixels()
+        self._set_focal_plane()
 
     @property
     def stations(self) -> Stations:
@@ -118,6 +119,20 @@ class PsfModel:
         numbers = self.wavelengths_m, self.weights, self.settings.pixel_scale_mas
         sampling = Sampling(*(torch.as_tensor(n, dtype=torch.float64) for n in numbers))
         return Stations(self.pupil_grid, self.grid, sampling, self.nolls)
+
+    def in_window(self, window: tuple[int, int], margin_mas: float, halo_margin_mas: float) -> PsfModel:
+        """The same light path to another window, see `PsfSettings`."""
+        other = copy(self)
+        margins = {"margin_mas": margin_mas, "halo_margin_mas": halo_margin_mas}
+        other.settings = replace(self.settings, window=window, **margins)
+        other._set_focal_plane()
+        return other
+
+    @property
+    def limits_nm(self) -> torch.Tensor:
+        """Least and largest coefficients that the model is good for: there are none, (2, modes)."""
+        infinite = torch.full((len(self.nolls),), float("inf"), dtype=torch.float64)
+        return torch.stack([-infinite, infinite])
 
     # -- construction ------------------------------------------------------------------------
 
@@ -130,7 +145,8 @@ class PsfModel:
             return focal_samples_for(window_px, scale_mas, margin_mas, wavelength_m, len(u) * step_m)
 
         needed = [samples(self.settings.margin_mas, lam) for lam in self.wavelengths_m]
-        padded = max(*needed, samples(self.settings.halo_margin_mas, self.wavelengths_m.min()))
+        period = samples(self.settings.halo_margin_mas, self.wavelengths_m.min())
+        padded = quick_fft_length(max(*needed, period))
         return [FocalGrid(count, len(u) * step_m, padded) for count in needed]
 
     def _set_pupil(self, grid: PupilGrid) -> None:
@@ -150,13 +166,30 @@ class PsfModel:
         modes = zernike_basis(self.nolls, *grid.xy)[:, grid.lit].T
         signs = [-1.0 if a % 2 and b % 2 else 1.0 for a, b in pairs]  # as `MatrixDft.products` returns them
         self.combine = self._real(np.linalg.lstsq(columns, modes, rcond=None)[0].T * signs)  # (K, pairs)
-        self.dfts = [MatrixDft(grid.u_m, focal, vander.T, self.amplitude) for focal in self.grids]
+        self.polynomials = vander.T
 
-    def _set_pixels(self) -> None:
-        colours = list(zip(self.wavelengths_m, self.weights, self.grids, strict=True))
-        scale = self.settings.pixel_scale_mas
-        self.plain = [self._plain_matrices(scale, *colour) for colour in colours]
-        self.filtered = [self._filtered_matrices(scale, *colour) for colour in colours]
+    def _set_focal_plane(self) -> None:
+        u = self.pupil_grid.u_m
+        self.grids = self._focal_grids(u)
+        self.grid = max(self.grids, key=lambda grid: grid.samples)
+        self.dfts = [MatrixDft(u, focal, self.polynomials, self.amplitude) for focal in self.grids]
+        for made_when_needed in ("plain", "filtered"):
+            self.__dict__.pop(made_when_needed, None)
+
+    @cached_property
+    def plain(self) -> list[list[torch.Tensor]]:
+        """Pixel matrices of every wavelength for focal intensities."""
+        return [self._plain_matrices(*colour) for colour in self._colours()]
+
+    @cached_property
+    def filtered(self) -> list[list[torch.Tensor]]:
+        """The same for the FFT of focal intensities."""
+        return [self._filtered_matrices(*colour) for colour in self._colours()]
+
+    def _colours(self) -> Iterator[tuple]:
+        """Pixel scale, wavelength, weight and focal grid of every wavelength."""
+        scales = repeat(self.settings.pixel_scale_mas)
+        return zip(scales, self.wavelengths_m, self.weights, self.grids, strict=False)
 
     def _plain_matrices(self, scale_mas, wavelength_m, weight, grid: FocalGrid) -> list[torch.Tensor]:
         """From focal intensity to rows, weighted, and to columns."""

@@ -16,7 +16,7 @@ LAYERS = {
                 "screening"},
                {"errors"}),
     "geometry": ({"geometry", "seeing"}, set()),
-    "model": ({"optics", "effects", "psf", "image_model", "parallel"}, {"errors", "geometry"}),
+    "model": ({"optics", "effects", "psf", "focus_table", "image_model", "parallel"}, {"errors", "geometry"}),
     # The simulator shares no line of optics with the model that is fitted to its images.
     "simulate": ({"simulate"}, {"errors", "geometry"}),
     "estimate": ({"estimate", "diagnose"}, {"errors", "frames", "geometry", "model"}),
@@ -47,7 +47,7 @@ LAYERS = {
 }
 # Science knows no files, no HDF5, no YAML and no command line: this is all it may use.
 SCIENCE = ("frames", "geometry", "model", "simulate", "estimate", "experiments")
-SCIENCE_MAY_USE = {"__future__", "abc", "collections", "concurrent", "dataclasses", "difflib", "enum",
+SCIENCE_MAY_USE = {"__future__", "abc", "collections", "concurrent", "copy", "dataclasses", "difflib", "enum",
                    "functools", "itertools", "math", "threading", "time", "typing", "warnings", "numpy",
                    "scipy", "torch"}
 # The package's own __init__ comes first; it imports nothing.

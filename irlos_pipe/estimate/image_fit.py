@@ -13,12 +13,13 @@ import torch
 
 from ..image_model import ImageModel
 from ..parallel import ordered_map
+from .least_squares import normal_equations
 from .linearised import Linearised
 from .loss import GAUSSIAN, Loss
 from .parameters import Layout
 from .solve import CHI2_TOLERANCE
 
-FRAMES_PER_CHUNK = 4
+FRAMES_PER_CHUNK = 6
 FRAMES_PER_GRADIENT = 8
 
 
@@ -59,7 +60,9 @@ class ImageFit:
             - layout.size,
         )
         self.lower, self.upper = layout.bounds
+        self.lower[layout.modes], self.upper[layout.modes] = model.psf.limits_nm
         self.prior_mean, self.prior_precision = layout.prior(len(images_e))
+        self.has_prior = bool(self.prior_precision.any())
         if layout.effects and len(images_e) > 1:
             raise ValueError("free effect parameters belong to one image; fit a ramp's with estimate.shared")
 
@@ -114,6 +117,8 @@ class ImageFit:
         return ordered_map(lambda piece: function(*piece), pieces)
 
     def _prior_value(self, x, which):
+        if not self.has_prior:
+            return 0.0
         return 0.5 * (self.prior_precision[which] * (x - self.prior_mean[which]) ** 2).sum(1)
 
     # -- images ------------------------------------------------------------------------------
@@ -163,9 +168,14 @@ class ImageFit:
         model_e, columns = self.predict_and_jacobian(x)
         residual, root = self._whitened(model_e, which)
         precision, offset = self.prior_precision[which], x - self.prior_mean[which]
-        gradient, hessian = Linearised(
-            columns, residual, root, self.loss, precision, offset
-        ).normal_equations()
+        if self.loss.quadratic:
+            gradient, hessian = normal_equations(columns, residual, root)
+            if self.has_prior:
+                gradient += (precision * offset).to(gradient.device)
+                hessian += torch.diag_embed(precision).to(hessian.device)
+        else:
+            linearised = Linearised(columns, residual, root, self.loss, precision, offset)
+            gradient, hessian = linearised.normal_equations()
         return self.loss.value(residual).sum((1, 2)).cpu(), gradient.cpu(), hessian.cpu()
 
     # -- quality -----------------------------------------------------------------------------
@@ -173,11 +183,16 @@ class ImageFit:
     @torch.no_grad()
     def reduced_chi2(self, x: torch.Tensor) -> torch.Tensor:
         """χ² per degree of freedom of every member, (batch,), from the variances given."""
-        return torch.cat(self._map(self._squared_residual, x, torch.arange(len(x)))) / self.freedom
+        return self.reduced_chi2_of(self.predict_all(x))
 
-    def _squared_residual(self, x, which):
-        residual, _ = self._whitened(self.predict(x), which)
-        return (residual**2).sum((1, 2)).cpu()
+    @torch.no_grad()
+    def reduced_chi2_of(self, predicted_e: torch.Tensor) -> torch.Tensor:
+        """The same of images of the model, (batch, pixels)."""
+        return torch.cat(self._map(self._squared_residual, predicted_e, torch.arange(len(predicted_e))))
+
+    def _squared_residual(self, predicted_e, which):
+        residual, _ = self._whitened(predicted_e.to(self.device), which)
+        return (residual**2).sum((1, 2)).cpu() / self.freedom
 
     @torch.no_grad()
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:

@@ -11,7 +11,7 @@ precision on the diagonal only and the ``-C⁻¹(a - ā)`` term that the publish
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -19,10 +19,11 @@ from ..image_model import ImageModel
 from ..noise import NoiseModel
 from .image_fit import ImageFit, masked_variance
 from .parameters import Layout
-from .solve import Solution, solve
+from .solution import Solution, mixed_tensors
+from .solve import solve
 
 NOISE_ROUNDS = {"data": 1, "model": 2, "iterative": 3}
-ROUGH_TOLERANCE = 0.1  # fall of χ² that does not matter while only the variances are still sought
+ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,11 @@ class LiftOptions:
     prior_mean_nm: torch.Tensor | None = None
     prior_sigma_nm: torch.Tensor | None = None
     max_iterations: int = 40
+
+    def of(self, which: torch.Tensor) -> LiftOptions:
+        """The same for some of the images."""
+        mean_nm = self.prior_mean_nm
+        return replace(self, prior_mean_nm=mean_nm if mean_nm is None else mean_nm[which])
 
 
 @dataclass(frozen=True)
@@ -78,6 +84,12 @@ class LiftResult:
         column = self.nolls.index(noll)
         return self.zernike_nm[:, column], self.sigma_nm[:, column]
 
+    def updated(self, which: torch.Tensor, other: LiftResult, better: torch.Tensor) -> LiftResult:
+        """The batch with some members (a mask of the batch) taken from `other` where that is `better`."""
+        where = torch.nonzero(which)[better, 0]
+        solution = self.solution.updated(where, other.solution, better)
+        return replace(self, solution=solution, **mixed_tensors(self, other, where, better))
+
 
 def lift(
     model: ImageModel,
@@ -104,6 +116,22 @@ def lift(
     -------
     LiftResult
     """
+    result = _lift(model, images_e, pixel_mask, noise, start_nm, options, report)
+    stuck = _at_limit(model, result.zernike_nm)
+    if not stuck.any():
+        return result
+    again = lift(model.general, images_e[stuck], pixel_mask, noise, start_nm[stuck], options.of(stuck))
+    return result.updated(stuck, again, torch.ones(len(again.zernike_nm), dtype=torch.bool))
+
+
+def _at_limit(model: ImageModel, zernike_nm: torch.Tensor) -> torch.Tensor:
+    """Images whose estimate has run into the end of a table, (images,)."""
+    lower, upper = model.psf.limits_nm
+    return ((zernike_nm <= lower) | (zernike_nm >= upper)).any(1) & torch.isfinite(zernike_nm).all(1)
+
+
+def _lift(model: ImageModel, images_e, pixel_mask, noise, start_nm, options, report) -> LiftResult:
+    """Rounds of fits, each with the variances that the one before implies."""
     nolls = model.psf.nolls
     layout = Layout(nolls, prior_mean_nm=options.prior_mean_nm, prior_sigma_nm=options.prior_sigma_nm)
     flat = images_e.flatten(1)
@@ -126,7 +154,7 @@ def lift(
         solution.covariance[:, modes, modes],
         solution,
         signal,
-        problem.reduced_chi2(x),
+        problem.reduced_chi2_of(signal.flatten(1)),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -17,10 +17,11 @@ from .centring import start_tilts_nm
 from .lift import LiftOptions, LiftResult, image_problem, lift, smooth
 from .parameters import Layout
 from .shared import SharedFit, fit_shared
-from .solve import Solution
 from .start import scan_start_nm
+from .tabulated import tabulated
 
 OUTLIER_CHI2 = 2.0  # a fit this much worse than the median of the ramp gets a second try
+FEWEST_FRAMES = 3  # whose fits take longer than making a table of images
 CONTRADICTION_NM = 100.0  # and so does one that the scan of defocus puts this far away
 
 
@@ -98,6 +99,8 @@ def fit_ramp(
     shared = _fit_effects(model, data, start_nm, free) if free.parameters else None
     held = free.held(shared.values if shared else NOTHING)
     complete = ImageModel(model, held)
+    if len(start_nm) >= FEWEST_FRAMES:
+        complete = tabulated(complete, start_nm)
     result = lift(complete, data.images_e, data.pixel_mask, data.noise, start_nm, options, report=report)
     result = second_try(complete, data, result, options)
     return RampFit(result, complete, held.describe(NOTHING), shared, start_nm)
@@ -123,15 +126,11 @@ def second_try(
     suspect = _suspect(result, start)
     if not suspect.any():
         return result
-    own = (
-        options
-        if options.prior_mean_nm is None
-        else replace(options, prior_mean_nm=options.prior_mean_nm[suspect])
-    )
-    again = lift(model, data.images_e[suspect], data.pixel_mask, data.noise, start[suspect], own)
+    images_e, own = data.images_e[suspect], options.of(suspect)
+    again = lift(model, images_e, data.pixel_mask, data.noise, start[suspect], own)
     better = again.solution.converged & ~(again.chi2_nu > result.chi2_nu[suspect] * 0.999)
     better |= again.solution.converged & ~result.solution.converged[suspect]
-    return _merge(result, again, torch.nonzero(suspect)[:, 0], better)
+    return result.updated(suspect, again, better)
 
 
 def _suspect(result: LiftResult, scan_nm: torch.Tensor) -> torch.Tensor:
@@ -141,33 +140,3 @@ def _suspect(result: LiftResult, scan_nm: torch.Tensor) -> torch.Tensor:
     focus = result.nolls.index(4)
     contradicted = (result.zernike_nm[:, focus] - scan_nm[:, focus]).abs() > CONTRADICTION_NM
     return ~result.solution.converged | ~(result.chi2_nu < OUTLIER_CHI2 * typical) | contradicted
-
-
-def _merge(first: LiftResult, second: LiftResult, where: torch.Tensor, better: torch.Tensor) -> LiftResult:
-    """`first` with the members `where[better]` taken from `second`."""
-    target = where[better]
-
-    def mix(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-        mixed = a.clone()
-        mixed[target] = b[better].to(a.dtype)
-        return mixed
-
-    status = list(first.solution.status)
-    for chosen in torch.nonzero(better)[:, 0].tolist():
-        status[int(where[chosen])] = second.solution.status[chosen]
-    a, b = first.solution, second.solution
-    solution = Solution(
-        mix(a.values, b.values),
-        mix(a.covariance, b.covariance),
-        status,
-        mix(a.iterations, b.iterations),
-        mix(a.objective, b.objective),
-    )
-    return LiftResult(
-        first.nolls,
-        mix(first.zernike_nm, second.zernike_nm),
-        mix(first.covariance_nm2, second.covariance_nm2),
-        solution,
-        mix(first.model_e, second.model_e),
-        mix(first.chi2_nu, second.chi2_nu),
-    )

@@ -14,17 +14,18 @@ Welsch 1981, ACM TOMS 7, 348); whether a member has converged, and its covarianc
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 import torch
+
+from .solution import CONVERGED, INVALID, MAX_ITERATIONS, STALLED, Solution
 
 CHI2_TOLERANCE = 1e-3
 ROUNDING = 1e-6  # relative rounding of an objective whose images are propagated in float32
 DAMPING_START, DAMPING_MIN = 1e-3, 1e-9
 GOOD_STEP, POOR_STEP = 0.75, 0.25  # parts of the predicted fall that lower, or raise, the damping
-
-CONVERGED, MAX_ITERATIONS, STALLED, INVALID = "converged", "max_iterations", "stalled", "invalid"
+TRIALS = 12  # of a step, with ten times the damping each
 
 
 class Problem(Protocol):
@@ -45,39 +46,6 @@ class Problem(Protocol):
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         """Objective (b,), comparable with that of the last `normal_equations` of the same members."""
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Outcome of a batch of fits.
-
-    Attributes
-    ----------
-    values : tensor, (batch, parameters), float64
-    covariance : tensor, (batch, parameters, parameters)
-        Inverse of the Hessian at the solution (Cramér–Rao bound plus prior).
-    status : list of str
-        `converged`, `max_iterations`, `stalled` or `invalid`, one per member.
-    iterations : tensor of int, (batch,)
-    objective : tensor, (batch,)
-        Half of χ² (prior included) at the solution.
-    """
-
-    values: torch.Tensor
-    covariance: torch.Tensor
-    status: list[str]
-    iterations: torch.Tensor
-    objective: torch.Tensor
-
-    @property
-    def converged(self) -> torch.Tensor:
-        """True where the fit converged, (batch,)."""
-        return torch.tensor([status == CONVERGED for status in self.status])
-
-    @property
-    def sigma(self) -> torch.Tensor:
-        """Standard errors, (batch, parameters)."""
-        return torch.diagonal(self.covariance, dim1=1, dim2=2).clamp_min(0).sqrt()
 
 
 @torch.no_grad()
@@ -112,152 +80,185 @@ def solve(
 
 
 class _State:
-    """The batch while it is being solved; converged members are no longer evaluated."""
+    """The batch while it is being solved; converged members are no longer evaluated.
+
+    Its matrices are few and tiny, and NumPy starts an operation several times as quickly as PyTorch.
+    """
 
     def __init__(self, problem: Problem, x: torch.Tensor):
         self.problem = problem
-        self.x = x.clamp(problem.lower, problem.upper)
+        self.lower, self.upper = problem.lower.numpy(), problem.upper.numpy()
+        self.x = x.numpy().clip(self.lower, self.upper)
         batch, size = x.shape
-        self.damping = torch.full((batch,), DAMPING_START, dtype=torch.float64)
-        self.status = [MAX_ITERATIONS] * batch
-        self.iterations = torch.zeros(batch, dtype=torch.int64)
-        self.value = torch.full((batch,), float("nan"), dtype=torch.float64)
-        self.hessian = torch.eye(size, dtype=torch.float64).repeat(batch, 1, 1)
-        self.gradient = torch.zeros(batch, size, dtype=torch.float64)
-        self.neglected = torch.zeros_like(self.hessian)
-        self.moved = torch.zeros(batch, size, dtype=torch.float64)
+        self.damping = np.full(batch, DAMPING_START)
+        self.status = np.full(batch, MAX_ITERATIONS, dtype=object)
+        self.iterations = np.zeros(batch, dtype=np.int64)
+        self.value, self.gradient = np.full(batch, np.nan), np.zeros((batch, size))
+        self.hessian = np.tile(np.eye(size), (batch, 1, 1))
+        self.neglected, self.moved = np.zeros_like(self.hessian), np.zeros_like(self.gradient)
         self.reweighted = getattr(problem, "reweighted", False)
+        self.ahead: tuple[np.ndarray, ...] | None = None
 
-    def active(self) -> torch.Tensor:
+    def active(self) -> np.ndarray:
         """Members that still move."""
-        return torch.tensor([i for i, s in enumerate(self.status) if s == MAX_ITERATIONS], dtype=torch.int64)
+        return np.flatnonzero(self.status == MAX_ITERATIONS)
 
-    def iterate(self, which: torch.Tensor) -> int:
+    def iterate(self, which: np.ndarray) -> int:
         """One linearisation and one accepted or refused step for every active member."""
-        value, gradient, hessian = self.problem.normal_equations(self.x[which], which)
-        finite = torch.isfinite(value) & torch.isfinite(gradient).all(1) & torch.isfinite(hessian).all((1, 2))
-        self._close(which[~finite], INVALID)
-        which, value, gradient, hessian = (t[finite] for t in (which, value, gradient, hessian))
-        if not self.reweighted:
-            change = gradient - self.gradient[which]
-            self.neglected[which] = _secant(self.neglected[which], hessian, self.moved[which], change)
+        value, gradient, hessian = self._equations(which)
+        finite = np.isfinite(value + gradient.sum(1) + hessian.sum((1, 2)))
+        if not finite.all():
+            self.status[which[~finite]] = INVALID
+            which, value, gradient, hessian = (a[finite] for a in (which, value, gradient, hessian))
+        self._learn(which, gradient, hessian)
         self.value[which], self.gradient[which], self.hessian[which] = value, gradient, hessian
         self.iterations[which] += 1
-        before = len(self.active())
         moving = self._check_convergence(which)
         if len(moving):
             self._step(moving)
-        return int((~finite).sum()) + before - len(self.active())
+        return len(finite) - len(self.active())
 
-    def _check_convergence(self, which: torch.Tensor) -> torch.Tensor:
+    def _equations(self, which: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Objective, gradient and Hessian where the members are now."""
+        if self.ahead is not None:
+            return tuple(array[which] for array in self.ahead)
+        return self._evaluated(self.x[which], which)
+
+    def _evaluated(self, x: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, ...]:
+        equations = self.problem.normal_equations(torch.from_numpy(x), torch.from_numpy(which))
+        return tuple(tensor.numpy() for tensor in equations)
+
+    def _learn(self, which: np.ndarray, gradient: np.ndarray, hessian: np.ndarray) -> None:
+        """Update the neglected curvature of members that have moved."""
+        moved = self.moved[which]
+        if not self.reweighted and moved.any():
+            change = gradient - self.gradient[which]
+            self.neglected[which] = _secant(self.neglected[which], hessian, moved, change)
+
+    def _check_convergence(self, which: np.ndarray) -> np.ndarray:
         """Close members whose undamped step is negligible; return those that should step."""
-        step = self._free_step(which, torch.zeros(len(which), dtype=torch.float64))
+        step = self._free_step(which, np.zeros(len(which)))
         gain = -(self.gradient[which] * step).sum(1)  # twice the predicted decrease of the objective
         value = self.value[which]
-        small = gain < torch.maximum(self.problem.negligible(value), ROUNDING * value)
-        self._close(which[small], CONVERGED)
+        negligible = self.problem.negligible(torch.from_numpy(value)).numpy()
+        small = gain < np.maximum(negligible, ROUNDING * value)
+        if small.any():
+            self._finish(which[small])
         return which[~small]
 
-    def _step(self, which: torch.Tensor) -> None:
+    def _finish(self, which: np.ndarray) -> None:
+        """Close members, with the step that is still available: it costs nothing."""
+        self.status[which] = CONVERGED
+        if not self.reweighted:
+            self.x[which] = (self.x[which] + self._descent(which)).clip(self.lower, self.upper)
+
+    def _step(self, which: np.ndarray) -> None:
         """Try damped steps, raising the damping until the objective falls."""
-        for _ in range(12):
-            step = self._descent(which)
-            trial = (self.x[which] + step).clamp(self.problem.lower, self.problem.upper)
-            taken = trial - self.x[which]
-            value = self.problem.objective(trial, which)
+        for _ in range(TRIALS):
+            trial = (self.x[which] + self._descent(which)).clip(self.lower, self.upper)
+            value = self._trial_value(trial, which)
             better = value <= self.value[which] * (1 + ROUNDING)  # False for NaN as well
-            self.x[which[better]], self.moved[which[better]] = trial[better], taken[better]
-            self._adapt_damping(which[better], taken[better], value[better])
+            taken, trial = which[better], trial[better]
+            self.moved[taken] = trial - self.x[taken]
+            self.x[taken] = trial
+            damping = self.damping[taken] * self._factor(taken, value[better])
+            self.damping[taken] = damping.clip(min=DAMPING_MIN)
             which = which[~better]
             if len(which) == 0:
                 return
             self.damping[which] *= 10
-        self._close(which, STALLED)
+        self.status[which] = STALLED
 
-    def _adapt_damping(self, which: torch.Tensor, step: torch.Tensor, value: torch.Tensor) -> None:
-        """Lower the damping where the quadratic model foretold the fall, raise it where it did not.
+    def _trial_value(self, x: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """Objective of trial steps.
 
-        In a noisy image the curvature that Gauss–Newton neglects can be as large as what it keeps. Full
-        steps then leap across the minimum and back, and the objective hardly falls.
+        Steps are seldom refused, and images cost a part of what their derivatives do: those are evaluated
+        with them, and kept for the next linearisation, except where equations are not those of the objective.
         """
-        self.damping[which] = (self.damping[which] * self._factor(which, step, value)).clamp_min(DAMPING_MIN)
-
-    def _factor(self, which: torch.Tensor, step: torch.Tensor, value: torch.Tensor) -> torch.Tensor:
-        """Factor on the damping after an accepted step."""
         if self.reweighted:
-            return torch.full_like(value, 0.1)
-        hessian = self.hessian[which] + self.neglected[which]
-        curvature = (step[:, None] @ hessian @ step[..., None])[:, 0, 0]
-        predicted = -(self.gradient[which] * step).sum(1) - 0.5 * curvature
-        fall = self.value[which] - value
-        factor = torch.where(fall >= GOOD_STEP * predicted, 0.1, 1.0)
-        factor[(fall < POOR_STEP * predicted) & (predicted > ROUNDING * value)] = 10.0
-        return factor
+            return self.problem.objective(torch.from_numpy(x), torch.from_numpy(which)).numpy()
+        equations = self._evaluated(x, which)
+        if self.ahead is None:
+            self.ahead = self.value.copy(), self.gradient.copy(), self.hessian.copy()
+        for array, new in zip(self.ahead, equations, strict=True):
+            array[which] = new
+        return equations[0]
 
-    def _descent(self, which: torch.Tensor) -> torch.Tensor:
+    def _factor(self, which: np.ndarray, value: np.ndarray) -> np.ndarray | float:
+        """Factor on the damping after an accepted step that led to `value`.
+
+        Lower where the quadratic model foretold the fall, raise where it did not: in a noisy image the
+        curvature that Gauss–Newton neglects can be as large as what it keeps. Full steps then leap across
+        the minimum and back, and the objective hardly falls.
+        """
+        if self.reweighted:
+            return 0.1
+        step = self.moved[which]
+        bent = ((self.hessian[which] + self.neglected[which]) @ step[..., None])[..., 0]
+        predicted = -((self.gradient[which] + 0.5 * bent) * step).sum(1)
+        fall = self.value[which] - value
+        poor = (fall < POOR_STEP * predicted) & (predicted > ROUNDING * value)
+        return np.where(poor, 10.0, np.where(fall >= GOOD_STEP * predicted, 0.1, 1.0))
+
+    def _descent(self, which: np.ndarray) -> np.ndarray:
         """Damped step with the neglected curvature, without it where that would lead uphill."""
         damping = self.damping[which]
-        plain = self._free_step(which, damping)
         if self.reweighted:
-            return plain
+            return self._free_step(which, damping)
         step = self._free_step(which, damping, self.neglected[which])
         downhill = (step * self.gradient[which]).sum(1) < 0  # False for NaN as well
-        return torch.where(downhill[:, None], step, plain)
+        if downhill.all():
+            return step
+        return np.where(downhill[:, None], step, self._free_step(which, damping))
 
     def _free_step(
-        self, which: torch.Tensor, damping: torch.Tensor, neglected: torch.Tensor | float = 0.0
-    ) -> torch.Tensor:
+        self, which: np.ndarray, damping: np.ndarray, neglected: np.ndarray | float = 0.0
+    ) -> np.ndarray:
         """Damped Gauss–Newton step, with parameters that push against a bound held fixed."""
-        gradient, hessian = self.gradient[which], self.hessian[which]
-        x = self.x[which]
-        held = ((x <= self.problem.lower) & (gradient > 0)) | ((x >= self.problem.upper) & (gradient < 0))
-        free = (~held)[:, :, None] * (~held)[:, None, :]
-        hessian, neglected = hessian * free + torch.diag_embed(held.double()), neglected * free
-        return -_solve(hessian, gradient * ~held, damping, neglected)
-
-    def _close(self, which: torch.Tensor, status: str) -> None:
-        for member in which.tolist():
-            self.status[member] = status
+        x, gradient, hessian = self.x[which], self.gradient[which], self.hessian[which]
+        held = ((x <= self.lower) & (gradient > 0)) | ((x >= self.upper) & (gradient < 0))
+        if held.any():
+            free = ~held[:, :, None] & ~held[:, None, :]
+            hessian = hessian * free + held[:, :, None] * np.eye(held.shape[1])
+            gradient, neglected = gradient * ~held, neglected * free
+        return -_solve(hessian, gradient, damping, neglected)
 
     def solution(self) -> Solution:
         """The batch as it stands."""
-        return Solution(self.x, scaled_inverse(self.hessian), self.status, self.iterations, self.value)
-
-
-def _scale(hessian: torch.Tensor) -> torch.Tensor:
-    """Square root of the diagonal: parameters in units of their own curvature."""
-    return torch.diagonal(hessian, dim1=1, dim2=2).clamp_min(1e-300).sqrt()
+        x, hessian, iterations, value = map(
+            torch.from_numpy, (self.x, self.hessian, self.iterations, self.value)
+        )
+        return Solution(x, scaled_inverse(hessian), self.status.tolist(), iterations, value)
 
 
 def _secant(
-    neglected: torch.Tensor, hessian: torch.Tensor, step: torch.Tensor, change: torch.Tensor
-) -> torch.Tensor:
+    neglected: np.ndarray, hessian: np.ndarray, step: np.ndarray, change: np.ndarray
+) -> np.ndarray:
     """Estimate of the neglected curvature after a `step` that changed the gradient by `change`.
 
     The symmetric matrix closest to the old one, in the measure of the curvature itself, that explains the
     change; the old one is sized down first if it is too large along the step.
     """
-    along = (step * change).sum(1)
-    unexplained = change - (hessian @ step[..., None])[..., 0]
-    known = (step[:, None] @ neglected @ step[..., None])[:, 0, 0]
-    size = ((step * unexplained).sum(1) / known).abs().nan_to_num(1.0).clamp_max(1.0)
-    sized = size[:, None, None] * neglected
-    missing = unexplained - (sized @ step[..., None])[..., 0]
-    direction = change / along[:, None]
-    cross = missing[:, :, None] * direction[:, None, :]
-    square = (missing * step).sum(1)[:, None, None] * direction[:, :, None] * direction[:, None, :]
-    usable = (along > 0) & (step != 0).any(1)
-    return torch.where(usable[:, None, None], sized + cross + cross.mT - square, neglected)
+    step, change = step[..., None], change[..., None]
+    unexplained, explained = change - hessian @ step, neglected @ step
+    along, known, wanted = ((step * v).sum((1, 2), keepdims=True) for v in (change, explained, unexplained))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size = np.nan_to_num(np.abs(wanted / known), nan=1.0).clip(max=1.0)
+        direction = change / along
+        cross = (unexplained - size * explained) * direction.swapaxes(1, 2)
+        square = (wanted - size * known) * direction * direction.swapaxes(1, 2)
+        found = size * neglected + cross + cross.swapaxes(1, 2) - square
+    return np.where(along > 0, found, neglected)
 
 
 def _solve(
-    hessian: torch.Tensor, gradient: torch.Tensor, damping: torch.Tensor, neglected: torch.Tensor | float
-) -> torch.Tensor:
+    hessian: np.ndarray, gradient: np.ndarray, damping: np.ndarray, neglected: np.ndarray | float
+) -> np.ndarray:
     """Solve (H + neglected + damping · diag H) s = g in scaled variables."""
-    scale = _scale(hessian)
+    scale = np.sqrt(np.diagonal(hessian, axis1=1, axis2=2).clip(min=1e-300))
     scaled = (hessian + neglected) / (scale[:, :, None] * scale[:, None, :])
-    scaled = scaled + torch.diag_embed((damping + 1e-12)[:, None].expand_as(scale))
-    return torch.linalg.solve_ex(scaled, (gradient / scale)[..., None])[0][..., 0] / scale
+    scaled += (damping + 1e-12)[:, None, None] * np.eye(scale.shape[1])
+    return np.linalg.solve(scaled, (gradient / scale)[..., None])[..., 0] / scale
 
 
 def scaled_inverse(hessian: torch.Tensor) -> torch.Tensor:
@@ -265,7 +266,7 @@ def scaled_inverse(hessian: torch.Tensor) -> torch.Tensor:
 
     Directions without information get a huge variance.
     """
-    scale = _scale(hessian)
+    scale = torch.diagonal(hessian, dim1=1, dim2=2).clamp_min(1e-300).sqrt()
     outer = scale[:, :, None] * scale[:, None, :]
     scaled = hessian / outer + 1e-14 * torch.eye(hessian.shape[-1], dtype=hessian.dtype)
     return torch.linalg.inv(scaled) / outer

@@ -15,7 +15,7 @@ from ..optics.propagate import MAS
 from ..psf import AS_BUILT, PsfModel
 from .centring import TILT_NM_PER_RAD
 
-SCAN_NM = np.linspace(-700.0, 700.0, 57)
+SCAN_NM = np.linspace(-700.0, 700.0, 29)
 
 
 def scan_start_nm(
@@ -36,35 +36,34 @@ def scan_start_nm(
     focus = model.nolls.index(4)
     coefficients = torch.zeros(len(SCAN_NM), len(model.nolls), dtype=torch.float64)
     coefficients[:, focus] = torch.as_tensor(SCAN_NM)
-    templates = model.images(coefficients, optics).cpu().double()
-    correlation, shift = _best_shift(_standardised(templates), _standardised(images_e.double() * pixel_mask))
-    best = correlation.argmax(1)
+    templates = model.images(coefficients, optics).cpu()
+    best, shift_px = _most_alike(_standardised(templates), _standardised(images_e * pixel_mask))
     start = torch.zeros(len(images_e), len(model.nolls), dtype=torch.float64)
     start[:, focus] = torch.as_tensor(SCAN_NM)[best]
     pixel_nm = model.settings.pixel_scale_mas * MAS * model.settings.geometry.diameter_m * TILT_NM_PER_RAD
-    chosen = shift[torch.arange(len(best)), best].double() * pixel_nm
     for axis, noll in ((1, 2), (0, 3)):
-        start[:, model.nolls.index(noll)] = chosen[:, axis]
+        start[:, model.nolls.index(noll)] = shift_px[:, axis] * pixel_nm
     return start
 
 
 def _standardised(images: torch.Tensor) -> torch.Tensor:
-    """Images without mean and of unit norm."""
-    centred = images - images.mean((1, 2), keepdim=True)
+    """Images without mean and of unit norm, float32: correlations are compared with each other only."""
+    centred = images.float() - images.float().mean((1, 2), keepdim=True)
     return centred / centred.square().sum((1, 2), keepdim=True).sqrt().clamp_min(1e-30)
 
 
-def _best_shift(templates: torch.Tensor, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Highest correlation (images, templates) and the shift (row, column) [px] that gives it."""
-    spectra = torch.fft.rfft2(templates).conj()
-    size = images.shape[1:]
-    peaks, shifts = [], []
+def _most_alike(templates: torch.Tensor, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Template of the highest correlation with each image (images,), and its shift (images, 2) [px]."""
+    spectra, (rows, columns) = torch.fft.rfft2(templates).conj(), images.shape[1:]
+    best, peaks = [], []
     for image in images:
-        surface = torch.fft.irfft2(torch.fft.rfft2(image) * spectra, s=size).flatten(1)
-        peak, index = surface.max(1)
-        row, column = index // size[1], index % size[1]
-        row = torch.where(row > size[0] // 2, row - size[0], row)
-        column = torch.where(column > size[1] // 2, column - size[1], column)
-        peaks.append(peak)
-        shifts.append(torch.stack([row, column], dim=1))
-    return torch.stack(peaks), torch.stack(shifts)
+        correlation = torch.fft.irfft2(torch.fft.rfft2(image) * spectra, s=(rows, columns)).flatten(1)
+        best.append(int(correlation.amax(1).argmax()))
+        peak = int(correlation[best[-1]].argmax())
+        peaks.append([_signed(peak // columns, rows), _signed(peak % columns, columns)])
+    return torch.tensor(best), torch.tensor(peaks, dtype=torch.float64)
+
+
+def _signed(index: int, size: int) -> int:
+    """Shift that an index of a circular correlation stands for."""
+    return index - size if index > size // 2 else index

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.fft import next_fast_len
 
 from .pupil import CLEAN_BAND, grid_centres
 
@@ -61,6 +62,14 @@ def focal_samples_for(
     field_rad = (window_px * pixel_scale_mas + 2 * margin_mas) * MAS
     samples = int(np.ceil(field_rad * 2 * width_m / wavelength_m))
     return samples + (-samples) % 4
+
+
+def quick_fft_length(samples: int) -> int:
+    """Next length of which an FFT is quick: a multiple of 8 without prime factors beyond 5."""
+    length = samples + (-samples) % 8
+    while next_fast_len(length, real=True) != length:
+        length += 8
+    return length
 
 
 def pupil_samples_for(

@@ -10,6 +10,7 @@ import torch
 from ...estimate.bound import cramer_rao_nm
 from ...estimate.lift import LiftOptions, lift
 from ...estimate.ramp_effects import ramp_effects
+from ...estimate.tabulated import tabulated
 from ...image_model import ImageModel
 from ...noise import NoiseModel
 from ...psf import PsfModel
@@ -60,4 +61,5 @@ def focus_sensor(scene: Scene, knowledge: Knowledge) -> FocusSensor:
     """The sensor for a scene, with what a calibration has told."""
     psf = PsfModel(frame_settings(scene, knowledge.ncpa_nm), TTF)
     effects = ramp_effects(model_effects_of(scene), knowledge.effects)
-    return FocusSensor(ImageModel(psf, effects), noise_of(scene))
+    model = tabulated(ImageModel(psf, effects), torch.zeros(1, len(TTF), dtype=torch.float64))
+    return FocusSensor(model, noise_of(scene))

@@ -1,0 +1,58 @@
+"""The outcome of a batch of fits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+
+CONVERGED, MAX_ITERATIONS, STALLED, INVALID = "converged", "max_iterations", "stalled", "invalid"
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Outcome of a batch of fits.
+
+    Attributes
+    ----------
+    values : tensor, (batch, parameters), float64
+    covariance : tensor, (batch, parameters, parameters)
+        Inverse of the Hessian at the solution (Cramér–Rao bound plus prior).
+    status : list of str
+        `converged`, `max_iterations`, `stalled` or `invalid`, one per member.
+    iterations : tensor of int, (batch,)
+    objective : tensor, (batch,)
+        Half of χ² (prior included) at the solution.
+    """
+
+    values: torch.Tensor
+    covariance: torch.Tensor
+    status: list[str]
+    iterations: torch.Tensor
+    objective: torch.Tensor
+
+    @property
+    def converged(self) -> torch.Tensor:
+        """True where the fit converged, (batch,)."""
+        return torch.tensor([status == CONVERGED for status in self.status])
+
+    @property
+    def sigma(self) -> torch.Tensor:
+        """Standard errors, (batch, parameters)."""
+        return torch.diagonal(self.covariance, dim1=1, dim2=2).clamp_min(0).sqrt()
+
+    def updated(self, where: torch.Tensor, other: Solution, better: torch.Tensor) -> Solution:
+        """The batch with those members of `other` that are `better`, at the positions `where`."""
+        status = list(self.status)
+        for member, new in zip(where.tolist(), torch.nonzero(better)[:, 0].tolist(), strict=True):
+            status[member] = other.status[new]
+        return replace(self, status=status, **mixed_tensors(self, other, where, better))
+
+
+def mixed_tensors(first, second, where: torch.Tensor, better: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Tensors of `first`, by name, with the `better` members of `second` at the positions `where`."""
+    return {
+        name: value.index_copy(0, where, getattr(second, name)[better])
+        for name, value in vars(first).items()
+        if isinstance(value, torch.Tensor)
+    }
