@@ -68,7 +68,7 @@ class ImageFit:
         if not self.loss.whitened:
             good = root > 0
             root = torch.where(good, root[good].median(), 0.0)
-        return root.expand(self.images.shape[0], -1, self.images.shape[2]).to(self.images.dtype)
+        return root.to(self.images.dtype).expand(self.images.shape[0], -1, self.images.shape[2])
 
     # -- Problem -----------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from irlos_pipe.blemishes import Thresholds
+from irlos_pipe.blocks import picked
 from irlos_pipe.cleaning import Cleaned, clean
 from irlos_pipe.dark_noise import dark_variance_e2
 from irlos_pipe.errors import InputDataError
@@ -188,7 +189,7 @@ def _background_variance(raw: RawRecording, acquisition: Acquisition, cleaned: C
 def _dark_variance(raw: RawRecording, acquisition: Acquisition, cleaned: Cleaned) -> float:
     """Noise of the dark: not more than the dark itself says, nor than the mean of the frames shows."""
     of_dark = raw.calibration.dark_variance_adu2 * acquisition.detector.e_per_adu**2
-    return dark_variance_e2(cleaned.images_e[cleaned.reasons == ""], cleaned.pixel_mask, of_dark)
+    return dark_variance_e2(picked(cleaned.images_e, cleaned.reasons == ""), cleaned.pixel_mask, of_dark)
 
 
 def _arrays(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[str, Quantity]:
