@@ -18,7 +18,7 @@ from ..psf import AS_BUILT, PsfModel
 from .solve import Solution, solve
 
 SPAN_NM = np.linspace(-400.0, 400.0, 33)  # defocus scanned for the calibration of A and B
-IMAGES_AT_ONCE = 64  # their derivatives stay in the processor's cache
+IMAGES_AT_ONCE = 16  # their derivatives, 3 MiB, stay in the cache, and the allocator keeps such pieces
 TOLERANCE_NM = 60.0  # the validity range ends where the linear law errs by more
 
 

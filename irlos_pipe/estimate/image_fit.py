@@ -12,7 +12,7 @@ import math
 import torch
 
 from ..image_model import ImageModel
-from ..parallel import ordered_map
+from ..parallel import joined_map
 from .linearised import Linearised
 from .loss import GAUSSIAN, Loss
 from .parameters import Layout
@@ -79,17 +79,17 @@ class ImageFit:
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         """Sum of the loss over pixels plus the prior's half χ², (b,)."""
-        return torch.cat(self._map(self._objective, x, which)) + self._prior_value(x, which)
+        return self._map(self._objective, x, which)[0] + self._prior_value(x, which)
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
         """Objective, gradient and Gauss–Newton Hessian, see `solve.Problem`."""
-        value, gradient, hessian = map(torch.cat, zip(*self._map(self._normal, x, which), strict=True))
+        value, gradient, hessian = self._map(self._normal, x, which)
         return value + self._prior_value(x, which), gradient, hessian
 
     def _map(self, function, x, which):
-        """`function` of pieces of a few members, small enough for the processor's cache."""
+        """What `function` makes of pieces of a few members, small enough for the processor's cache."""
         pieces = zip(x.split(FRAMES_PER_CHUNK), which.split(FRAMES_PER_CHUNK), strict=True)
-        return ordered_map(lambda piece: function(*piece), pieces)
+        return joined_map(lambda piece: function(*piece), pieces, len(x))
 
     def _prior_value(self, x, which):
         return 0.5 * (self.prior_precision[which] * (x - self.prior_mean[which]) ** 2).sum(1)
@@ -123,7 +123,7 @@ class ImageFit:
 
     def _objective(self, x, which):
         residual, _ = self._whitened(self.predict(x), which)
-        return self.loss.value(residual).sum((1, 2)).cpu()
+        return (self.loss.value(residual).sum((1, 2)).cpu(),)
 
     def _normal(self, x, which):
         model_e, columns = self.predict_and_jacobian(x)
@@ -139,16 +139,16 @@ class ImageFit:
     @torch.no_grad()
     def reduced_chi2(self, x: torch.Tensor) -> torch.Tensor:
         """χ² per degree of freedom of every member, (batch,), from the variances given."""
-        return torch.cat(self._map(self._squared_residual, x, torch.arange(len(x)))) / self.freedom
+        return self._map(self._squared_residual, x, torch.arange(len(x)))[0] / self.freedom
 
     def _squared_residual(self, x, which):
         residual, _ = self._whitened(self.predict(x), which)
-        return (residual**2).sum((1, 2)).cpu()
+        return ((residual**2).sum((1, 2)).cpu(),)
 
     @torch.no_grad()
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:
         """Model images of the whole batch [e-], (batch, pixels), float64 on the CPU."""
-        return torch.cat(self._map(lambda part, _: self.predict(part).cpu(), x, torch.arange(len(x))))
+        return self._map(lambda part, _: (self.predict(part).cpu(),), x, torch.arange(len(x)))[0]
 
 
 def masked_variance(variance_e2: torch.Tensor, pixel_mask: torch.Tensor) -> torch.Tensor:

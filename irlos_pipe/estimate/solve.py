@@ -22,6 +22,7 @@ import torch
 CHI2_TOLERANCE = 1e-3
 ROUNDING = 1e-6  # relative rounding of an objective whose images are propagated in float32
 DAMPING_START, DAMPING_MIN = 1e-3, 1e-9
+MEMBERS_AT_ONCE = 256  # whose matrices are solved: some ten copies of each are made on the way
 GOOD_STEP, POOR_STEP = 0.75, 0.25  # parts of the predicted fall that lower, or raise, the damping
 
 CONVERGED, MAX_ITERATIONS, STALLED, INVALID = "converged", "max_iterations", "stalled", "invalid"
@@ -200,16 +201,23 @@ class _State:
         plain = self._free_step(which, damping)
         if self.reweighted:
             return plain
-        step = self._free_step(which, damping, self.neglected[which])
+        step = self._free_step(which, damping, curved=True)
         downhill = (step * self.gradient[which]).sum(1) < 0  # False for NaN as well
         return torch.where(downhill[:, None], step, plain)
 
     def _free_step(
-        self, which: torch.Tensor, damping: torch.Tensor, neglected: torch.Tensor | float = 0.0
+        self, which: torch.Tensor, damping: torch.Tensor, *, curved: bool = False
     ) -> torch.Tensor:
-        """Damped Gauss–Newton step, with parameters that push against a bound held fixed."""
-        gradient, hessian = self.gradient[which], self.hessian[which]
-        x = self.x[which]
+        """Damped Gauss–Newton step, with parameters that push against a bound held fixed.
+
+        With the neglected curvature if it is to be `curved`.
+        """
+        pieces = zip(which.split(MEMBERS_AT_ONCE), damping.split(MEMBERS_AT_ONCE), strict=True)
+        return torch.cat([self._free_step_of(*piece, curved) for piece in pieces])
+
+    def _free_step_of(self, which: torch.Tensor, damping: torch.Tensor, curved: bool) -> torch.Tensor:
+        gradient, hessian, x = self.gradient[which], self.hessian[which], self.x[which]
+        neglected = self.neglected[which] if curved else 0.0
         held = ((x <= self.problem.lower) & (gradient > 0)) | ((x >= self.problem.upper) & (gradient < 0))
         free = (~held)[:, :, None] * (~held)[:, None, :]
         hessian, neglected = hessian * free + torch.diag_embed(held.double()), neglected * free
@@ -265,6 +273,10 @@ def scaled_inverse(hessian: torch.Tensor) -> torch.Tensor:
 
     Directions without information get a huge variance.
     """
+    return torch.cat([_scaled_inverse(some) for some in hessian.split(MEMBERS_AT_ONCE)])
+
+
+def _scaled_inverse(hessian: torch.Tensor) -> torch.Tensor:
     scale = _scale(hessian)
     outer = scale[:, :, None] * scale[:, None, :]
     scaled = hessian / outer + 1e-14 * torch.eye(hessian.shape[-1], dtype=hessian.dtype)
