@@ -49,7 +49,7 @@ def joined_map(
     """Results of `function` for the pieces of a batch of so many members, put together along the first axis.
 
     As `ordered_map`, but every result is copied to its place as soon as it is there: kept until the end,
-    thousands of small ones would lie between pieces of freed memory, which the allocator then cannot use again.
+    thousands of small ones would lie between pieces of freed memory, which then stay unused.
     """
     results = _results(function, list(pieces))
     if torch.is_grad_enabled():
