@@ -1,5 +1,5 @@
-"""Memory hardly grows with the number of frames. Truth: the size of a frame as float32, 4 bytes per pixel; a step
-that holds a copy of all frames, or several in double precision, would show as one, or two each.
+"""Memory hardly grows with the number of frames. Truth: the size of a frame as float32, 4 bytes per pixel; a
+copy of all frames in a step shows as one of it per frame, a copy in double precision as two.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import pytest
 
 FEW, MANY = 500, 2000
 FRAME_BYTES = 64 * 64 * 4
-ALLOWED = {"ingest": 2.8, "prior": 0.2, "long_exposure": 0.2, "dip_global": 0.5}  # frames per further frame
+ALLOWED = {"ingest": 2.8, "prior": 0.6, "long_exposure": 0.2, "dip_global": 0.5}  # frames per further frame
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="peak memory needs Linux")
 
@@ -22,7 +22,8 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reas
 def rises(frames: int) -> dict[str, int]:
     case = Path(__file__).with_name("memory_case.py")
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    done = subprocess.run([sys.executable, str(case), str(frames)], env=environment, capture_output=True, text=True)
+    command = [sys.executable, str(case), str(frames)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
@@ -36,5 +37,5 @@ def growth() -> dict[str, float]:
 
 @pytest.mark.parametrize("step", ALLOWED)
 def test_a_further_frame_takes_little_more_memory_than_its_own_pixels(growth, step):
-    """Cleaning makes the images, one frame each, from the counts, and one more copy where cosmics are taken out."""
+    """Cleaning makes images from the counts, and another copy of them where cosmics are taken out."""
     assert growth[step] < ALLOWED[step]

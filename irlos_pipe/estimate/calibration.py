@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ..blocks import BLOCK_FRAMES
+from ..blocks import blocks
 from ..effects import Effect, Pinned
 from ..image_model import ImageModel
 from ..psf import PsfModel, PsfSettings
@@ -230,8 +230,9 @@ def _data(frames: Frames, method: Method) -> tuple[torch.Tensor, torch.Tensor]:
 
 def _start(frames: Frames, problem: ImageFit, settings: PsfSettings, start_nm=None) -> torch.Tensor:
     """Tip and tilt from the centroids and no aberrations, or the first modes of `start_nm`."""
-    blocks = problem.images.split(BLOCK_FRAMES)
-    x = torch.cat([_centred(block, frames.pixel_mask, problem.layout, settings) for block in blocks])
+    x = torch.empty(len(problem.images), problem.layout.size, dtype=torch.float64)
+    for block in blocks(len(x)):
+        x[block] = _centred(problem.images[block], frames.pixel_mask, problem.layout, settings)
     if start_nm is not None:
         common = min(len(start_nm), len(problem.layout.nolls))
         x[:, :common] = torch.as_tensor(start_nm[:common])
@@ -329,7 +330,9 @@ def _linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> 
     _, jacobian = problem.predict_and_jacobian(x)
     weight = problem.root_weight[0].double().mean(0) ** 2
     gain = read @ solution.covariance[0] @ (jacobian[0].double() * weight).cpu()
-    total, flux = x[0, layout.modes] + added, frames.flux_e[:, None]
-    blocks = zip(frames.images_e.flatten(1).split(BLOCK_FRAMES), flux.split(BLOCK_FRAMES), strict=True)
-    deviations = (block * (flux.mean() / own) - frames.mean_e.flatten() for block, own in blocks)
-    return total.numpy(), torch.cat([total + deviation @ gain.mT for deviation in deviations]).numpy()
+    images, mean, flux = frames.images_e.flatten(1), frames.mean_e.flatten(), frames.flux_e[:, None]
+    total = x[0, layout.modes] + added
+    per_frame = torch.empty(len(images), len(total), dtype=torch.float64)
+    for block in blocks(len(images)):
+        per_frame[block] = total + (images[block] * (flux.mean() / flux[block]) - mean) @ gain.mT
+    return total.numpy(), per_frame.numpy()

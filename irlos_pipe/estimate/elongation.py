@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from ..optics.grids import Optics
-from ..parallel import ordered_map
+from ..parallel import joined_map
 from ..psf import AS_BUILT, PsfModel
 from .solve import Solution, solve
 
@@ -147,13 +147,13 @@ def fit_gaussians(images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: f
 def axis_ratios(images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float) -> np.ndarray:
     """Ratio σ1/σ2 of every image (images, rows, columns), (images,); NaN where the fit failed."""
     blocks = images_e.split(IMAGES_AT_ONCE)
-    fits = ordered_map(lambda block: fit_gaussians(block, pixel_mask, angle_deg), blocks)
-    return np.concatenate([_ratios(fit) for fit in fits])
+    (ratio,) = joined_map(lambda block: (_ratios(block, pixel_mask, angle_deg),), blocks, len(images_e))
+    return ratio.numpy()
 
 
-def _ratios(fit: Solution) -> np.ndarray:
-    ratio = torch.exp(fit.values[:, 2] - fit.values[:, 3])
-    return torch.where(fit.converged, ratio, torch.nan).numpy()
+def _ratios(images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float) -> torch.Tensor:
+    fit = fit_gaussians(images_e, pixel_mask, angle_deg)
+    return torch.where(fit.converged, torch.exp(fit.values[:, 2] - fit.values[:, 3]), torch.nan)
 
 
 def calibrate_law(model: PsfModel, optics: Optics = AS_BUILT) -> ElongationLaw:
