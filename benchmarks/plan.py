@@ -46,4 +46,5 @@ OTHERS = (
     Entry("lift_latency", "irlos lift, single frames, 2 wavelengths", 50, 20),
     Entry("model_images", "irlos model, images, 1 wavelength", 480, 64),
     Entry("model_jacobian", "irlos model, images and 29 derivatives", 160, 32),
+    Entry("stream_10000", "irlos run, ingest to long_exposure, one cube", 10_000, 600),
 )
