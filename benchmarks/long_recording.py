@@ -39,7 +39,7 @@ def stream_10000(inputs: Inputs, count: int) -> dict:
 
 
 def write_cube(path: Path, images_e: np.ndarray, count: int) -> None:
-    """Repeat drawn frames with further read noise, as 16-bit counts in a plain FITS cube with its side-car."""
+    """Repeat drawn frames with further read noise as counts of a plain FITS cube, its side-car beside it."""
     rng = np.random.default_rng(SEED)
     adu = np.empty((count, *images_e.shape[1:]), np.uint16)
     for number in range(count):
