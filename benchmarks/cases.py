@@ -39,6 +39,7 @@ from irlos_pipe.stages.recordings import recordings_from_product
 
 from .frames import DIVERSITY_NM, NOLLS, PIXEL_SCALE_MAS, READ_NOISE_E, WAVELENGTH_NM, WINDOW_PX
 from .inputs import Inputs, true_zernike_nm
+from .long_recording import stream_10000
 from .measure import peak_mib, stopwatch
 
 MORE_NOLLS = tuple(range(2, 62))
@@ -281,6 +282,7 @@ CASES: dict[str, Callable[[Inputs, int], dict]] = {
         sensitivity_scan,
         model_images,
         model_jacobian,
+        stream_10000,
     )
 }
 

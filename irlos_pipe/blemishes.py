@@ -9,13 +9,13 @@ from scipy.ndimage import maximum_filter, median_filter
 from scipy.stats import chi2
 
 from irlos_pipe.bandlimit import Prediction, neighbour_prediction
+from irlos_pipe.blocks import blocks
 from irlos_pipe.detector import pixel_variance_e2
 from irlos_pipe.recording import Detector
 
 SAMPLE_FRAMES = 200  # frames that suffice for statistics over time
 MIN_FRAMES_FOR_NOISE = 10  # fewer tell little about the noise of a single pixel
 FALSE_ALARM = 1e-4  # chance that statistics alone make one good pixel of the window look stuck
-CHUNK_FRAMES = 256
 HOT_OVER_PATTERN = 20.0  # sigma of the dark's own pattern, which may be a bias without shot noise
 MAX_ROUNDS = 60
 
@@ -273,9 +273,10 @@ def _suspicious_frames(
     noise = np.sqrt(prediction.variance(pixel_variance_e2(mean, detector)))
     limit = np.maximum(thresholds.sigma * noise, thresholds.fraction * prediction.local_rms(mean))
     suspicious = []
-    for chunk in np.array_split(frames, max(1, len(frames) // CHUNK_FRAMES)):
-        excess = np.abs(images_e[chunk] - prediction.of(images_e[chunk]) - usual) > limit
-        suspicious.extend(chunk[(excess & good).any(axis=(1, 2))].tolist())
+    for block in blocks(len(frames)):
+        searched = images_e[frames[block]]
+        excess = np.abs(searched - prediction.of(searched) - usual) > limit
+        suspicious.extend(frames[block][(excess & good).any(axis=(1, 2))].tolist())
     return suspicious
 
 
@@ -291,8 +292,10 @@ def without_bad_pixels(images_e: np.ndarray, good: np.ndarray, sampling_px: floa
     rows = np.flatnonzero(~good.ravel())
     weights = neighbour_prediction(good, sampling_px).weights[rows]
     filled = images_e.reshape(len(images_e), -1).copy()
-    filled[:, rows] = 0.0
-    filled[:, rows] = (weights @ filled.T).T
+    for block in blocks(len(filled)):
+        images = filled[block]
+        images[:, rows] = 0.0
+        images[:, rows] = (weights @ images.T).T
     return filled.reshape(images_e.shape)
 
 

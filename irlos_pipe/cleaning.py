@@ -21,6 +21,7 @@ from irlos_pipe.blemishes import (
     without_bad_pixels,
     without_hits,
 )
+from irlos_pipe.blocks import mean_frame, picked
 from irlos_pipe.detector import estimate_pedestal, relative_flat, saturation_level, to_electrons
 from irlos_pipe.photon_transfer import MeasuredNoise, measure_noise
 from irlos_pipe.recording import Detector
@@ -105,7 +106,7 @@ def clean(
     reasons = recorder_faults(raw.adu, raw.frame_counter)
     if not np.any(reasons == ""):
         return _unusable(raw, reasons)
-    valid = raw.adu[reasons == ""]
+    valid = picked(raw.adu, reasons == "")
     level = saturation_level(valid, detector)
     good = ~_bad_in_counts(valid, raw.calibration.bad, detector, level, thresholds.stuck_ratio)
     reasons = also(reasons, saturated_frames(raw.adu, good, level, limits.saturated_px), SATURATED)
@@ -135,7 +136,7 @@ def find_background(valid_adu: np.ndarray, maps: CalibrationMaps, good: np.ndarr
     if given:
         total = np.sum(given, axis=0, dtype=np.float64)
         return Background(np.nan_to_num(total), flat, bad | ~np.isfinite(total))
-    mean = valid_adu.mean(axis=0, dtype=np.float64)
+    mean = mean_frame(valid_adu)
     level, error = estimate_pedestal(np.where(good & ~bad, mean, np.nan))
     return Background(np.full(window, level), flat, bad, level, error)
 
@@ -152,12 +153,10 @@ class _Search:
         self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the mask of good pixels and the images with the others filled in."""
-        images = self._filled(images, good)
-        used = images[reasons == ""]
-        if not self._well_sampled or len(used) == 0:
-            return good, images
-        good = good & ~deviant_pixels(used, good, *self._settings)
-        good = good & ~noisy_pixels(used, good, *self._settings)
+        sample = self._filled(_sample(images, reasons), good)
+        if self._well_sampled and len(sample):
+            good = good & ~deviant_pixels(sample, good, *self._settings)
+            good = good & ~noisy_pixels(sample, good, *self._settings)
         return good, self._filled(images, good)
 
     def hits(
@@ -179,7 +178,7 @@ class _Search:
         if not self._well_sampled:
             return MeasuredNoise()
         prediction = neighbour_prediction(good, self._sampling_px)
-        return measure_noise(images[reasons == ""], good, prediction, self._detector)
+        return measure_noise(_sample(images, reasons), good, prediction, self._detector)
 
     @property
     def _settings(self) -> tuple[float, Detector, Thresholds]:
@@ -218,9 +217,15 @@ def _finite(images: np.ndarray) -> np.ndarray:
     return np.nan_to_num(images, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
 
 
+def _sample(images: np.ndarray, reasons: np.ndarray) -> np.ndarray:
+    """Frames in use that suffice for statistics over time."""
+    used = np.flatnonzero(reasons == "")
+    return images[used[sample_frames(len(used))]]
+
+
 def _mean(images: np.ndarray, reasons: np.ndarray) -> np.ndarray:
     used = reasons == ""
-    return images[used if used.any() else slice(None)].mean(axis=0, dtype=np.float64)
+    return mean_frame(picked(images, used) if used.any() else images)
 
 
 def _unusable(raw: RawRecording, reasons: np.ndarray) -> Cleaned:

@@ -11,6 +11,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import convolve1d
 
+from irlos_pipe.blocks import frame_variance, mean_frame
+
 FINE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # along both axes: leaves what is finer than 3 pixels
 FAINT = 0.25  # part of the window, the faintest, where the star's own structure is least
 CHI2_MEDIAN = 0.4549  # of one degree of freedom
@@ -38,8 +40,9 @@ def dark_variance_e2(images_e: np.ndarray, pixel_mask: np.ndarray, at_most_e2: f
     """
     if at_most_e2 == 0 or len(images_e) < 2 or min(pixel_mask.shape) < 2 * len(FINE):
         return at_most_e2 if np.isfinite(at_most_e2) else 0.0
-    mean_e = np.where(pixel_mask, images_e.mean(axis=0, dtype=np.float64), np.nan)
-    scatter_e2 = images_e.var(axis=0, ddof=1, dtype=np.float64) / len(images_e)
+    mean_e = mean_frame(images_e)
+    scatter_e2 = frame_variance(images_e, mean_e) / len(images_e)
+    mean_e = np.where(pixel_mask, mean_e, np.nan)
     fine, by_scatter = _both_ways(mean_e, FINE) ** 2, _both_ways(scatter_e2, FINE**2)
     seen = np.isfinite(fine) & (mean_e <= np.nanquantile(mean_e, FAINT))
     if not seen.any():

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from irlos_pipe.blocks import picked
+
 
 @dataclass(frozen=True)
 class Detector:
@@ -127,9 +129,8 @@ class Recording:
 
     def accepted(self) -> Recording:
         """Return the recording with the used frames only."""
-        keep = self.used
-        picked = {
-            name: getattr(self, name)[keep]
+        kept = {
+            name: picked(getattr(self, name), self.used)
             for name in ("images_e", "used", "reason", "time_s", "frame_counter", "introduced_defocus_nm")
         }
-        return replace(self, **picked)
+        return replace(self, **kept)

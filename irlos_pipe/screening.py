@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from irlos_pipe.blemishes import CHUNK_FRAMES, Hits, sample_frames
+from irlos_pipe.blemishes import Hits, sample_frames
+from irlos_pipe.blocks import blocks, frame_flux
 
 REPEATED_COUNTER = "frame counter repeated"
 REPEATED_IMAGE = "image repeated"
@@ -112,8 +113,7 @@ class StarPeak:
 
 def star_peaks(images_e: np.ndarray) -> StarPeak:
     """Find the brightest place of each image (frames, rows, columns)."""
-    chunks = np.array_split(images_e, max(1, len(images_e) // CHUNK_FRAMES))
-    found = [_peaks(chunk) for chunk in chunks]
+    found = [_peaks(images_e[block]) for block in blocks(len(images_e))]
     return StarPeak(np.concatenate([snr for snr, _ in found]), np.concatenate([edge for _, edge in found]))
 
 
@@ -151,11 +151,6 @@ def star_faults(images_e: np.ndarray, reasons: np.ndarray, limits: Limits) -> np
         reasons = also(reasons, peaks.snr < limits.star_snr, NO_STAR)
         reasons = also(reasons, peaks.edge_px < limits.edge_px, AT_EDGE)
     return also(reasons, flux_outliers(frame_flux(images_e), reasons == "", limits), FLUX)
-
-
-def frame_flux(images_e: np.ndarray) -> np.ndarray:
-    """Signal of each frame, summed over the window [e-]."""
-    return images_e.sum(axis=(1, 2), dtype=np.float64)
 
 
 def flux_outliers(flux_e: np.ndarray, used: np.ndarray, limits: Limits) -> np.ndarray:

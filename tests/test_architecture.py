@@ -12,8 +12,8 @@ PACKAGE = Path(__file__).parents[1] / "irlos_pipe"
 # Layer: (its modules and packages, the other layers it may import).
 LAYERS = {
     "errors": ({"errors"}, set()),
-    "frames": ({"recording", "detector", "noise", "bandlimit", "blemishes", "dark_noise", "photon_transfer",
-                "screening"},
+    "frames": ({"blocks", "recording", "detector", "noise", "bandlimit", "blemishes", "dark_noise",
+                "photon_transfer", "screening"},
                {"errors"}),
     "geometry": ({"geometry", "seeing"}, set()),
     "model": ({"optics", "effects", "psf", "focus_table", "image_model", "parallel"}, {"errors", "geometry"}),

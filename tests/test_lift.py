@@ -123,7 +123,7 @@ def test_the_capture_range_exceeds_600_nm_either_way(model):
     true[:, 2] = torch.as_tensor(introduced)
     images = drawn(model, true, cases.photons(12), seed=11)
     law = calibrate_law(PsfModel(cases.settings(64, TWO_COLOURS), [4]))
-    ratio, _ = axis_ratios(images, cases.everything(images), law.angle_deg)
+    ratio = axis_ratios(images, cases.everything(images), law.angle_deg)
     data = RampData(images, cases.everything(images), NOISE, introduced)
     start = start_from_defocus(model, data, law.defocus_nm(ratio))
     result = fit_ramp(model, data, start, LiftOptions()).result

@@ -63,7 +63,7 @@ class Stack(Means):
     def of(cls, frames: Frames, when: np.ndarray) -> Stack:
         """Mean and variance of frames."""
         good = frames.pixel_mask.flatten()
-        mean = frames.images_e.double().mean(0)
+        mean = frames.mean_e
         variance = (mean_variance_e2(frames) * _steadied(mean, frames)).flatten()
         return cls(frames, when, mean.flatten(), torch.where(good, variance, torch.inf))
 

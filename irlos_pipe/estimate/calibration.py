@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from ..blocks import blocks
 from ..effects import Effect, Pinned
 from ..image_model import ImageModel
 from ..psf import PsfModel, PsfSettings
@@ -220,23 +221,31 @@ def _data(frames: Frames, method: Method) -> tuple[torch.Tensor, torch.Tensor]:
     """Images (batch, repeats, rows, columns) and their variance, as the method wants them."""
     images = frames.images_e
     if method.images == "mean":
-        return images.double().mean(0)[None, None], mean_variance_e2(frames)[None, None]
-    variance = frames.noise.variance_e2(images.double().mean(0))
+        return frames.mean_e[None, None], mean_variance_e2(frames)[None, None]
+    variance = frames.noise.variance_e2(frames.mean_e)
     if method.images == "frames":
         return images[:, None], variance[None, None]
-    flux = images.double().sum((1, 2))
+    flux = frames.flux_e
     return (images * (flux.mean() / flux)[:, None, None].to(images.dtype))[None], variance[None, None]
 
 
 def _start(frames: Frames, problem: ImageFit, settings: PsfSettings, start_nm=None) -> torch.Tensor:
     """Tip and tilt from the centroids and no aberrations, or the first modes of `start_nm`."""
-    first = problem.images.double().mean(1).cpu()
-    x = problem.layout.start(first)
-    masked = first.reshape(-1, *settings.window) * frames.pixel_mask
-    x[:, :2] = start_tilts_nm(masked, settings.pixel_scale_mas, settings.geometry.diameter_m)
+    x = torch.empty(len(problem.images), problem.layout.size, dtype=torch.float64)
+    for block in blocks(len(x)):
+        x[block] = _centred(problem.images[block], frames.pixel_mask, problem.layout, settings)
     if start_nm is not None:
         common = min(len(start_nm), len(problem.layout.nolls))
         x[:, :common] = torch.as_tensor(start_nm[:common])
+    return x
+
+
+def _centred(images, pixel_mask, layout: Layout, settings: PsfSettings) -> torch.Tensor:
+    """Start of members from images (b, repeats, pixels): flux, and tip and tilt of the centroid."""
+    first = images.double().mean(1).cpu()
+    x = layout.start(first)
+    masked = first.reshape(-1, *settings.window) * pixel_mask
+    x[:, :2] = start_tilts_nm(masked, settings.pixel_scale_mas, settings.geometry.diameter_m)
     return x
 
 
@@ -285,7 +294,7 @@ def _result(task: _Task, problem: ImageFit, solution: Solution, seconds: float) 
     else:
         values = solution.values[:1]
         total_nm, per_frame = _linear_estimates(frames, problem, solution)
-    mean, sigma = frames.images_e.double().mean(0), mean_variance_e2(frames).sqrt()
+    mean, sigma = frames.mean_e, mean_variance_e2(frames).sqrt()
     model_image = problem.predict(values)[0].reshape(mean.shape).cpu()
     pull = ((mean - model_image) / sigma)[frames.pixel_mask]
     effect_values = values[0, layout.effect_values]
@@ -323,8 +332,9 @@ def _linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> 
     _, jacobian = problem.predict_and_jacobian(x)
     weight = problem.root_weight[0].double().mean(0) ** 2
     gain = read @ solution.covariance[0] @ (jacobian[0].double() * weight).cpu()
-    images = frames.images_e.double().flatten(1)
-    flux = images.sum(1, keepdim=True)
-    deviation = images * (flux.mean() / flux) - images.mean(0)
+    images, mean, flux = frames.images_e.flatten(1), frames.mean_e.flatten(), frames.flux_e[:, None]
     total = x[0, layout.modes] + added
-    return total.numpy(), (total + deviation @ gain.mT).numpy()
+    per_frame = torch.empty(len(images), len(total), dtype=torch.float64)
+    for block in blocks(len(images)):
+        per_frame[block] = total + (images[block] * (flux.mean() / flux[block]) - mean) @ gain.mT
+    return total.numpy(), per_frame.numpy()

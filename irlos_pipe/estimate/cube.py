@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 
+from ..blocks import frame_flux, frame_variance, mean_frame
 from ..noise import NoiseModel
 
 LOCAL_PX = 5  # side of the square over which scatter is averaged
@@ -27,6 +29,21 @@ class Frames:
     pixel_mask: torch.Tensor
     noise: NoiseModel
 
+    @cached_property
+    def mean_e(self) -> torch.Tensor:
+        """Mean image, (rows, columns), float64."""
+        return torch.from_numpy(mean_frame(self.images_e.numpy()))
+
+    @cached_property
+    def scatter_e2(self) -> torch.Tensor:
+        """Sample variance between the images, (rows, columns), float64."""
+        return torch.from_numpy(frame_variance(self.images_e.numpy(), self.mean_e.numpy()))
+
+    @property
+    def flux_e(self) -> torch.Tensor:
+        """Signal of each image, (frames,), float64."""
+        return torch.from_numpy(frame_flux(self.images_e.numpy()))
+
 
 def mean_variance_e2(frames: Frames) -> torch.Tensor:
     """Variance of the mean image [e-²], (rows, columns): the scatter between frames, and what they share.
@@ -35,10 +52,9 @@ def mean_variance_e2(frames: Frames) -> torch.Tensor:
     above one: pixel by pixel, scatter from few frames is uncertain, and its excursions would raise
     the variance and lower χ².
     """
-    images = frames.images_e.double()
-    photons = frames.noise.scatter_e2(images.mean(0))
-    ratio = local_mean(images.var(0, correction=1) / photons, frames.pixel_mask.double())
-    return photons * ratio.clamp_min(1.0) / len(images) + frames.noise.shared_e2
+    photons = frames.noise.scatter_e2(frames.mean_e)
+    ratio = local_mean(frames.scatter_e2 / photons, frames.pixel_mask.double())
+    return photons * ratio.clamp_min(1.0) / len(frames.images_e) + frames.noise.shared_e2
 
 
 def local_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:

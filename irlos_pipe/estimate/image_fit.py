@@ -12,7 +12,7 @@ import math
 import torch
 
 from ..image_model import ImageModel
-from ..parallel import ordered_map
+from ..parallel import joined_map
 from .least_squares import normal_equations
 from .linearised import Linearised
 from .loss import GAUSSIAN, Loss
@@ -72,7 +72,7 @@ class ImageFit:
         if not self.loss.whitened:
             good = root > 0
             root = torch.where(good, root[good].median(), 0.0)
-        return root.expand(self.images.shape[0], -1, self.images.shape[2]).to(self.images.dtype)
+        return root.to(self.images.dtype).expand(self.images.shape[0], -1, self.images.shape[2])
 
     def with_loss(self, loss: Loss) -> ImageFit:
         """The same images and weights with another loss, whitened or not as the present one."""
@@ -97,24 +97,23 @@ class ImageFit:
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         """Sum of the loss over pixels plus the prior's half χ², (b,)."""
-        return torch.cat(self._map(self._objective, x, which)) + self._prior_value(x, which)
+        return self._map(self._objective, x, which)[0] + self._prior_value(x, which)
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
         """Objective, gradient and Gauss–Newton Hessian, see `solve.Problem`."""
-        value, gradient, hessian = map(torch.cat, zip(*self._map(self._normal, x, which), strict=True))
+        value, gradient, hessian = self._map(self._normal, x, which)
         return value + self._prior_value(x, which), gradient, hessian
 
     def gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Objective (b,) and gradient (b, p), float64, at the cost of two images, without free effects."""
-        pieces = self._map(self._gradient, x, which, FRAMES_PER_GRADIENT)
-        value, gradient = map(torch.cat, zip(*pieces, strict=True))
+        value, gradient = self._map(self._gradient, x, which, FRAMES_PER_GRADIENT)
         offset = x - self.prior_mean[which]
         return value + self._prior_value(x, which), gradient + self.prior_precision[which] * offset
 
     def _map(self, function, x, which, size: int = FRAMES_PER_CHUNK):
-        """`function` of pieces of a few members, small enough for the processor's cache."""
+        """What `function` makes of pieces of a few members, small enough for the processor's cache."""
         pieces = zip(x.split(size), which.split(size), strict=True)
-        return ordered_map(lambda piece: function(*piece), pieces)
+        return joined_map(lambda piece: function(*piece), pieces, len(x))
 
     def _prior_value(self, x, which):
         if not self.has_prior:
@@ -150,7 +149,7 @@ class ImageFit:
 
     def _objective(self, x, which):
         residual, _ = self._whitened(self.predict(x), which)
-        return self.loss.value(residual).sum((1, 2)).cpu()
+        return (self.loss.value(residual).sum((1, 2)).cpu(),)
 
     def _gradient(self, x, which):
         """Without the prior; pixels in the precision of the images."""
@@ -188,16 +187,16 @@ class ImageFit:
     @torch.no_grad()
     def reduced_chi2_of(self, predicted_e: torch.Tensor) -> torch.Tensor:
         """The same of images of the model, (batch, pixels)."""
-        return torch.cat(self._map(self._squared_residual, predicted_e, torch.arange(len(predicted_e))))
+        return self._map(self._squared_residual, predicted_e, torch.arange(len(predicted_e)))[0]
 
     def _squared_residual(self, predicted_e, which):
         residual, _ = self._whitened(predicted_e.to(self.device), which)
-        return (residual**2).sum((1, 2)).cpu() / self.freedom
+        return ((residual**2).sum((1, 2)).cpu() / self.freedom,)
 
     @torch.no_grad()
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:
         """Model images of the whole batch [e-], (batch, pixels), float64 on the CPU."""
-        return torch.cat(self._map(lambda part, _: self.predict(part).cpu(), x, torch.arange(len(x))))
+        return self._map(lambda part, _: (self.predict(part).cpu(),), x, torch.arange(len(x)))[0]
 
 
 def masked_variance(variance_e2: torch.Tensor, pixel_mask: torch.Tensor) -> torch.Tensor:

@@ -24,6 +24,7 @@ from .solution import CONVERGED, INVALID, MAX_ITERATIONS, STALLED, Solution
 CHI2_TOLERANCE = 1e-3
 ROUNDING = 1e-6  # relative rounding of an objective whose images are propagated in float32
 DAMPING_START, DAMPING_MIN = 1e-3, 1e-9
+MEMBERS_AT_ONCE = 256  # whose matrices are solved: some ten copies of each are made on the way
 GOOD_STEP, POOR_STEP = 0.75, 0.25  # parts of the predicted fall that lower, or raise, the damping
 TRIALS = 12  # of a step, with ten times the damping each
 
@@ -266,6 +267,10 @@ def scaled_inverse(hessian: torch.Tensor) -> torch.Tensor:
 
     Directions without information get a huge variance.
     """
+    return torch.cat([_scaled_inverse(some) for some in hessian.split(MEMBERS_AT_ONCE)])
+
+
+def _scaled_inverse(hessian: torch.Tensor) -> torch.Tensor:
     scale = torch.diagonal(hessian, dim1=1, dim2=2).clamp_min(1e-300).sqrt()
     outer = scale[:, :, None] * scale[:, None, :]
     scaled = hessian / outer + 1e-14 * torch.eye(hessian.shape[-1], dtype=hessian.dtype)

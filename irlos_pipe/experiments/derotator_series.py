@@ -114,7 +114,7 @@ def estimate(sample: AngleSample) -> dict[str, np.ndarray]:
     scene = scene_of(sample)
     exposed = expose(scene)
     cube = frames_of(scene, exposed)
-    numbers = {"mean_image_e": cube.images_e.double().mean(0).numpy()}
+    numbers = {"mean_image_e": cube.mean_e.numpy()}
     for method, count in sample.frames.items():
         own = replace(cube, images_e=cube.images_e[:count])
         result = VARIANTS[method].calibrate(own, settings_of(scene), model_effects_of(scene))

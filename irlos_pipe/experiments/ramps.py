@@ -87,7 +87,7 @@ def elongation_defocus_nm(scene: Scene, data: RampData) -> np.ndarray:
     """Defocus of every frame from the elongation of its image, (frames,), the law from the model."""
     model = PsfModel(settings_of(scene), [DEFOCUS])
     law = calibrate_law(model, fixed_optics(expected(model_effects_of(scene)), model))
-    return law.defocus_nm(axis_ratios(data.images_e, data.pixel_mask, law.angle_deg)[0])
+    return law.defocus_nm(axis_ratios(data.images_e, data.pixel_mask, law.angle_deg))
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from irlos_pipe.blocks import mean_frame, picked
 from irlos_pipe.recording import Recording
 from irlos_pipe.report.content import Section, Table, Text
 from irlos_pipe.report.images import thumbnail
@@ -48,8 +49,8 @@ def ingest_section(run: RunData) -> Section:
 
 
 def _picture(recording: Recording) -> Markup:
-    frames = recording.images_e[recording.used]
-    mean = np.mean(frames, axis=0, dtype=float) if len(frames) else np.zeros(recording.window)
+    frames = picked(recording.images_e, recording.used)
+    mean = mean_frame(frames) if len(frames) else np.zeros(recording.window)
     return thumbnail(np.where(recording.pixel_mask, mean, np.nan))
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from irlos_pipe.blocks import frame_variance, mean_frame
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.sparta.fitsfile import hdu_label, native, open_fits
 from irlos_pipe.sparta.raw import CalibrationMaps
@@ -61,7 +62,7 @@ def mean_variance(stack: np.ndarray) -> float:
     a true pattern of the detector counts as noise.
     """
     if stack.shape[0] > 1:
-        return float(np.median(stack.var(axis=0, ddof=1)) / stack.shape[0])
+        return float(np.median(frame_variance(stack, mean_frame(stack))) / stack.shape[0])
     differences = np.diff(stack[0].astype(np.float64), axis=1)
     scatter = 1.4826 * np.median(np.abs(differences - np.median(differences)))
     return float(scatter**2 / 2)

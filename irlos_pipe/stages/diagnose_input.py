@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from irlos_pipe.blocks import mean_frame, picked
 from irlos_pipe.diagnose.screened_pixels import Screened
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.product import Product
@@ -60,7 +61,7 @@ def screened_pixels(ingest: Product, recording: Recording) -> list[Screened]:
         for name in ("raw_adu", "background_adu", "flat")
     )
     used = ingest.arrays[f"{prefix_of(recording)}/used"].value
-    mean_adu = np.mean(raw_adu[np.asarray(used, bool)], axis=0, dtype=float)
+    mean_adu = mean_frame(picked(raw_adu, np.asarray(used, bool)))
     mean_e = (mean_adu - background_adu) / flat * recording.acquisition.detector.e_per_adu
     return [Screened(*pixel, float(mean_e[pixel])) for pixel in found if np.isfinite(mean_e[pixel])]
 

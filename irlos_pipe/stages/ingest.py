@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from irlos_pipe.blemishes import Thresholds
+from irlos_pipe.blocks import picked
 from irlos_pipe.cleaning import Cleaned, clean
 from irlos_pipe.dark_noise import dark_variance_e2
 from irlos_pipe.errors import InputDataError
@@ -193,7 +194,7 @@ def _dark_variance(raw: RawRecording, acquisition: Acquisition, cleaned: Cleaned
     maps = raw.calibration
     taken = maps.dark_adu is not None or maps.background_adu is not None
     at_most_e2 = maps.dark_variance_adu2 * acquisition.detector.e_per_adu**2 if taken else np.inf
-    return dark_variance_e2(cleaned.images_e[cleaned.reasons == ""], cleaned.pixel_mask, at_most_e2)
+    return dark_variance_e2(picked(cleaned.images_e, cleaned.reasons == ""), cleaned.pixel_mask, at_most_e2)
 
 
 def _arrays(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[str, Quantity]:

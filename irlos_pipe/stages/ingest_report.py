@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from irlos_pipe.blocks import frame_flux, mean_frame, picked
 from irlos_pipe.cleaning import Cleaned
 from irlos_pipe.detector import star_position
 from irlos_pipe.product import Check
 from irlos_pipe.recording import Recording
-from irlos_pipe.screening import SATURATED, frame_flux, tally
+from irlos_pipe.screening import SATURATED, tally
 from irlos_pipe.sparta.raw import RawRecording
 from irlos_pipe.stages.ingest_sources import Source
 
@@ -24,7 +25,7 @@ def row(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[str, 
     return _head(recording.name, recording.input, acquisition.role, raw) | {
         "frames_rejected": int(np.sum(~recording.used)),
         "frames_missing": recording.frames_missing,
-        "flux_e": float(np.median(frame_flux(recording.images_e[recording.used]))),
+        "flux_e": float(np.median(frame_flux(recording.images_e)[recording.used])),
         "mag_j": acquisition.mag_j,
         "reasons": tally(recording.reason),
         "saturated_frames": int(np.sum(recording.reason == SATURATED)),
@@ -73,7 +74,7 @@ def _head(name: str, owner: str, role: str, raw: RawRecording) -> dict[str, Any]
 
 def centre_offset_px(recording: Recording) -> tuple[float, float]:
     """Position (x, y) of the star in the mean image against the window's centre [px]."""
-    mean = recording.images_e[recording.used].mean(axis=0, dtype=np.float64)
+    mean = mean_frame(picked(recording.images_e, recording.used))
     row_px, column_px = star_position(mean)
     rows, columns = recording.window
     return column_px - (columns - 1) / 2, row_px - (rows - 1) / 2

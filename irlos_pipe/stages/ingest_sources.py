@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from irlos_pipe.blocks import mean_frame
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.instrument import Instrument
 from irlos_pipe.sparta.acquisition import Resolved, resolve
@@ -115,7 +116,7 @@ def _with_dark(source: Source, darks: Sequence[Source]) -> Source:
     frames = nearest.raw.adu
     maps = replace(
         source.raw.calibration,
-        dark_adu=frames.mean(axis=0, dtype=np.float64),
+        dark_adu=mean_frame(frames),
         dark_variance_adu2=mean_variance(frames),
     )
     return replace(source, raw=replace(source.raw, calibration=maps))

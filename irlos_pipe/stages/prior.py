@@ -53,7 +53,7 @@ def _law(ctx: StageContext, recording: Recording) -> ElongationLaw:
 
 
 def _ratios(recording: Recording, good: np.ndarray, law: ElongationLaw) -> np.ndarray:
-    return axis_ratios(torch.as_tensor(recording.images_e), torch.as_tensor(good), law.angle_deg)[0]
+    return axis_ratios(torch.as_tensor(recording.images_e), torch.as_tensor(good), law.angle_deg)
 
 
 def _output(

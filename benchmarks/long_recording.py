@@ -1,0 +1,49 @@
+"""A recording of thousands of frames through the pipeline: how much memory it takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from astropy.io import fits
+
+from irlos_pipe.pipeline import Selection, run_recipe
+from irlos_pipe.recipe import load_recipe
+from irlos_pipe.yamlfile import yaml_text
+
+from .frames import DIVERSITY_NM, PIXEL_SCALE_MAS, READ_NOISE_E, SAMPLES, SEED, WAVELENGTH_NM
+from .inputs import Inputs
+from .measure import stopwatch
+
+RECIPE = SAMPLES.parent / "recipes" / "ncpa_calibration.yaml"
+PEDESTAL_ADU = 200.0
+ACQUISITION = {
+    "role": "ncpa_calibration",
+    "exposure_s": 0.1,
+    "seeing_arcsec": 0.5,
+    "pixel_scale_mas": PIXEL_SCALE_MAS,
+    "spectrum": [{"wavelength_nm": WAVELENGTH_NM, "weight": 1.0}],
+    "diversity": {"source": "lens", "zernike": DIVERSITY_NM},
+    "detector": {"e_per_adu": 1.0, "read_noise_e": READ_NOISE_E},
+}
+
+
+def stream_10000(inputs: Inputs, count: int) -> dict:
+    """Ingest and the default calibration of a cube of so many frames, files included."""
+    cube = inputs.folder / "long.fits"
+    write_cube(cube, inputs.frames.images_e, count)
+    recipe = load_recipe(RECIPE, inputs=[f"calibration={cube}"])
+    with stopwatch() as watch:
+        run_recipe(recipe, inputs.folder / "long", Selection(last="calibrate"))
+    return {"frames": count, "wall_s": watch.wall_s, "cpu_s": watch.cpu_s}
+
+
+def write_cube(path: Path, images_e: np.ndarray, count: int) -> None:
+    """Repeat drawn frames with further read noise as counts of a plain FITS cube, its side-car beside it."""
+    rng = np.random.default_rng(SEED)
+    adu = np.empty((count, *images_e.shape[1:]), np.uint16)
+    for number in range(count):
+        noisy = images_e[number % len(images_e)] + rng.normal(PEDESTAL_ADU, READ_NOISE_E, images_e.shape[1:])
+        adu[number] = np.rint(noisy).clip(0, 65535)
+    fits.PrimaryHDU(adu).writeto(path, overwrite=True)
+    path.with_suffix(".yaml").write_text(yaml_text(ACQUISITION))

@@ -1,0 +1,41 @@
+"""Frames of a recording worked on in blocks: what is computed on the way does not grow with their number.
+
+Sums over frames are taken in float64 block by block; with more than `BLOCK_FRAMES` frames they may differ
+from a sum in one go by its rounding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+BLOCK_FRAMES = 256  # 8 MiB of float64 in a window of 64x64
+
+
+def blocks(frames: int) -> Iterator[slice]:
+    """Consecutive slices of at most `BLOCK_FRAMES` frames."""
+    return (slice(start, start + BLOCK_FRAMES) for start in range(0, frames, BLOCK_FRAMES))
+
+
+def picked(frames: np.ndarray, keep: np.ndarray) -> np.ndarray:
+    """``frames[keep]``, without a copy where all are kept."""
+    return frames if keep.all() else frames[keep]
+
+
+def mean_frame(images: np.ndarray) -> np.ndarray:
+    """Mean of images (frames, rows, columns), float64."""
+    total = sum(images[block].sum(axis=0, dtype=np.float64) for block in blocks(len(images)))
+    return total / len(images)
+
+
+def frame_variance(images: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Sample variance between two images or more (frames, rows, columns) about their `mean`, float64."""
+    with np.errstate(invalid="ignore"):  # of an infinite pixel: it is NaN
+        squares = sum(np.square(images[block] - mean).sum(axis=0) for block in blocks(len(images)))
+    return squares / (len(images) - 1)
+
+
+def frame_flux(images_e: np.ndarray) -> np.ndarray:
+    """Signal of each image (frames, rows, columns), summed over the window [e-]."""
+    return images_e.sum(axis=(1, 2), dtype=np.float64)

@@ -1,0 +1,144 @@
+"""A stand-in for a GPU where there is none: tensors on the CPU of which some count as being on ``cuda``.
+
+Inside a `StandInDevice` every tensor that is made on, moved to, or computed from tensors on the device is
+remembered. As on a real one, an operation that mixes it with tensors elsewhere is an error, and so is its
+conversion to NumPy; scalars, the source of a copy, and indices of what is on the device may be anywhere.
+"""
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from itertools import chain
+from unittest.mock import patch
+
+import torch
+from torch.overrides import TorchFunctionMode
+from torch.utils.weak import WeakIdKeyDictionary
+
+DEVICE = "cuda"
+TO_NUMPY = (torch.Tensor.numpy, torch.Tensor.__array__)
+ITEMS = (torch.Tensor.__getitem__, torch.Tensor.__setitem__)
+JVP, VMAP = torch.func.jvp, torch.func.vmap  # they replace tensors by others without telling
+INTO_FIRST = (*ITEMS, torch.Tensor.copy_)
+
+
+class MixedDevicesError(RuntimeError):
+    """Tensors of two devices in one operation."""
+
+
+class StandInDevice(TorchFunctionMode):
+    """While it is active, ``cuda`` exists; `operations` counts what was computed on it."""
+
+    def __init__(self):
+        super().__init__()
+        self.there, self.operations = WeakIdKeyDictionary(), 0
+        self.patches = ExitStack()
+
+    def __enter__(self):
+        self.patches.enter_context(patch.object(torch.func, "jvp", self._jvp))
+        self.patches.enter_context(patch.object(torch.func, "vmap", self._vmap))
+        return super().__enter__()
+
+    def __exit__(self, *error):
+        self.patches.close()
+        return super().__exit__(*error)
+
+    def _jvp(self, function, primals, tangents):
+        followed = _Followed(function, primals, self.there)
+        return followed.marked(JVP(followed, primals, tangents))
+
+    def _vmap(self, function, **axes):
+        def mapped(*given):
+            followed = _Followed(function, given, self.there)
+            return followed.marked(VMAP(followed, **axes)(*given))
+
+        return mapped
+
+    def __torch_function__(self, function, types, args=(), kwargs=None):
+        kwargs = kwargs or {}
+        if function == torch.Tensor.device.__get__:
+            return torch.device(DEVICE if args[0] in self.there else "cpu")
+        if function in TO_NUMPY and args[0] in self.there:
+            raise TypeError(f"can't convert a tensor on {DEVICE} to numpy; use Tensor.cpu() first")
+        target = self._target(function, args, kwargs)
+        if target is None and self._mixes(function, args, kwargs):
+            raise MixedDevicesError(f"{function.__name__} of tensors on {DEVICE} and on the CPU")
+        stays = target == DEVICE or (target is None and self._follows(function, args, kwargs))
+        result = function(*_without_device(args), **{k: v for k, v in kwargs.items() if k != "device"})
+        if target is not None and args and result is args[0] and stays != (result in self.there):
+            result = result.clone()  # moved, and so another tensor
+        if stays:
+            self.operations += 1
+            _remember(self.there, tensors(result))
+        return result
+
+    def _target(self, function, args, kwargs) -> str | None:
+        """Device that a call names."""
+        if function is torch.Tensor.cpu:
+            return "cpu"
+        if function is torch.Tensor.to and isinstance(args[1], torch.Tensor):
+            return DEVICE if args[1] in self.there else "cpu"
+        named = [a for a in (*args, kwargs.get("device")) if _is_device(a)]
+        return str(named[0]) if named else None
+
+    def _mixes(self, function, args, kwargs) -> bool:
+        if function is torch.Tensor.copy_:
+            return False
+        if function in ITEMS:
+            return self._mixes_items(*args)
+        return len({tensor in self.there for tensor in tensors((args, kwargs)) if tensor.ndim}) > 1
+
+    def _mixes_items(self, tensor, index, value=None) -> bool:
+        """Indices may be on the CPU; what is put in place of a slice may come from anywhere."""
+        indices = [one for one in tensors(index) if one.ndim]
+        put = [one for one in tensors(value) if one.ndim] if indices else []
+        here = tensor in self.there
+        foreign_index = any(one in self.there and not here for one in indices)
+        return foreign_index or any((one in self.there) != here for one in put)
+
+    def _follows(self, function, args, kwargs) -> bool:
+        """Whether what is computed from these is on the device."""
+        sources = args[:1] if function in INTO_FIRST else (args, kwargs)
+        return any(tensor in self.there for tensor in tensors(sources))
+
+
+class _Followed:
+    """A function called with stand-ins of the tensors that were given."""
+
+    def __init__(self, function, given, there):
+        self.function, self.given, self.there, self.stays = function, given, there, False
+
+    def __call__(self, *inside):
+        pairs = zip(inside, self.given, strict=True)
+        _remember(self.there, [one for one, own in pairs if own in self.there])
+        result = self.function(*inside)
+        self.stays = result in self.there
+        return result
+
+    def marked(self, results):
+        if self.stays:
+            _remember(self.there, tensors(results))
+        return results
+
+
+def _remember(there, found) -> None:
+    for tensor in found:
+        there[tensor] = True
+
+
+def _is_device(argument) -> bool:
+    return isinstance(argument, (str, torch.device)) and str(argument) in (DEVICE, "cpu")
+
+
+def _without_device(args: tuple) -> tuple:
+    return tuple(argument for argument in args if not _is_device(argument))
+
+
+def tensors(nested) -> Iterator[torch.Tensor]:
+    """All tensors in nested sequences and dictionaries."""
+    if isinstance(nested, torch.Tensor):
+        return iter([nested])
+    if isinstance(nested, dict):
+        nested = list(nested.values())
+    if isinstance(nested, (tuple, list)):
+        return chain.from_iterable(map(tensors, nested))
+    return iter(())
