@@ -21,6 +21,7 @@ from .optimum import Optimum
 ABSORBED = 0.003  # part of a derivative's power below which the fitted parameters imitate the effect
 NOTHING = 1e-9  # of the largest derivative: a parameter without meaning here, a colour of a single wavelength
 MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames
+FURTHER_STARTS, FAR_APART = 2, 0.2  # of a fit; part of the range of a place or direction
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ class Score:
         Candidates of the family.
     besides : tuple of Score
         Best candidates with other parameters of the same effect.
+    elsewhere : tuple of Score
+        Next best candidates far from this one, where a fit may begin as well.
     """
 
     candidate: Effect | Pinned
@@ -61,6 +64,7 @@ class Score:
     usable: tuple[str, ...] = ()
     trials: int = 1
     besides: tuple[Score, ...] = ()
+    elsewhere: tuple[Score, ...] = ()
 
     @property
     def name(self) -> str:
@@ -99,13 +103,30 @@ def score_family(optimum: Optimum, family: Family) -> Score:
     found = [_score(optimum, one, trials) for one in tried]
     kinds = {one.usable: _typical([o for o in found if o.usable == one.usable]) for one in found}
     best = max(kinds.values(), key=lambda one: one.gain)
-    return replace(best, besides=tuple(one for one in kinds.values() if one is not best and one.usable))
+    besides = tuple(one for one in kinds.values() if one is not best and one.usable)
+    return replace(best, besides=besides, elsewhere=_elsewhere(best, found))
 
 
 def _typical(alike: Sequence[Score]) -> Score:
     """The best of candidates with the same parameters, with sizes that are typical of them all."""
     smallest = np.median([one.smallest for one in alike], axis=0)
     return replace(max(alike, key=lambda one: one.gain), smallest=smallest)
+
+
+def _elsewhere(best: Score, found: Sequence[Score]) -> tuple[Score, ...]:
+    """The best candidates that differ from `best` and from each other by much of the range tried."""
+    alike = [one for one in found if one.usable == best.usable and isinstance(one.candidate, Pinned)]
+    if len(alike) < 2 or not isinstance(best.candidate, Pinned):
+        return ()
+    tried = np.array([one.candidate.values for one in alike])
+    unit = np.ptp(tried, axis=0)
+    places = (tried - best.candidate.values) / np.where(unit > 0, unit, 1.0)
+    chosen: list[int] = []
+    for index in np.argsort([-one.gain for one in alike]):
+        distances = np.abs(places[index] - [np.zeros(len(unit)), *places[chosen]]).max(axis=1)
+        if len(chosen) < FURTHER_STARTS and distances.min() > FAR_APART and alike[index].gain > 0:
+            chosen.append(int(index))
+    return tuple(alike[index] for index in chosen)
 
 
 def whitened_shapes(optimum: Optimum, candidate: Effect | Pinned) -> torch.Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -138,15 +138,27 @@ def refits(
 
 
 def _refit(fitter: Fitter, origin: Optimum, score: Score) -> Refit:
-    """The family fitted from where the model is, and from zero if that may be a false minimum.
+    """The family fitted from where the model is; if that leaves something, from elsewhere as well.
 
-    A model that misses something large can fit it with a wavefront far from the true one.
+    The best place or direction of a linear estimate may be a wrong one, and a model that misses something
+    large can fit it with a wavefront far from the true one.
     """
-    effects = [*origin.fitted.continued(), _start(score)]
-    near = Refit(score, origin, fitter.fit(effects, origin.fitted))
-    if origin.excess.chi2_nu < FAR or near.excess.significance < NOTHING_LEFT:
-        return near
-    return Refit(score, origin, most_plausible([near.fitted, fitter.fit(effects)]))
+    found: list[Fitted] = []
+    for start, near in _starts(origin, score):
+        found.append(fitter.fit([*origin.fitted.continued(), start], near))
+        best = Refit(score, origin, most_plausible(found))
+        if best.excess.significance < NOTHING_LEFT:
+            break
+    return best
+
+
+def _starts(origin: Optimum, score: Score) -> Iterator[tuple[Pinned, Fitted | None]]:
+    """Where fits begin: the effect, and the fit whose wavefront is taken, None for none."""
+    yield _start(score), origin.fitted
+    for other in score.elsewhere:
+        yield other.start(), origin.fitted
+    if origin.excess.chi2_nu > FAR:
+        yield _start(score), None
 
 
 def proposals(scores: Sequence[Score]) -> list[Score]:

@@ -36,8 +36,8 @@ class AtmosphericDispersion(OtfEffect):
     look_alike = "vibration, which is as long at every wavelength"
     reference = "Filippenko 1982, PASP 94, 715; Edlén 1966, Metrologia 2, 71"
     parameters = (
-        Parameter("x_mas_per_um", "mas/µm", 0.0, prior_sigma=300.0, plausible=(-600.0, 600.0)),
-        Parameter("y_mas_per_um", "mas/µm", 0.0, prior_sigma=300.0, plausible=(-600.0, 600.0)),
+        Parameter("x_mas_per_um", "mas/µm", 0.0, prior_sigma=300.0, plausible=(-1500.0, 1500.0)),
+        Parameter("y_mas_per_um", "mas/µm", 0.0, prior_sigma=300.0, plausible=(-1500.0, 1500.0)),
     )
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:

@@ -78,7 +78,7 @@ class FocusStageScale(RampEffect):
     public = (number("fraction", "", -0.9, 10.0),)
     look_alike = "wrong wavelength or pixel scale, which scale all modes alike"
     reference = "Straight line through a ramp's estimates"
-    parameters = (Parameter("fraction", "", 0.0, plausible=(-0.3, 0.3)),)
+    parameters = (Parameter("fraction", "", 0.0, plausible=(-0.4, 0.4)),)
 
     def apply(
         self, values: torch.Tensor, introduced_nm: torch.Tensor, commanded_nm: np.ndarray

@@ -51,7 +51,7 @@ class DetectorNonlinearity(DetectorEffect):
     public = (number("fraction_at_peak", "lost at the brightest pixel of the mean image", -0.4, 0.4),)
     look_alike = "tip_tilt_jitter, which conserves the light; a fainter star tells them apart"
     reference = "Plazas et al. 2017, JINST 12, C04009"
-    parameters = (Parameter("fraction_at_peak", "", 0.0, 0.0, 0.1, -0.4, 0.4, plausible=(-0.05, 0.25)),)
+    parameters = (Parameter("fraction_at_peak", "", 0.0, 0.0, 0.1, -0.4, 0.4, plausible=(-0.05, 0.35)),)
 
     def __init__(self, peak_e: float | None = None):
         self.peak_e = peak_e

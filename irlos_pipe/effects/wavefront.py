@@ -125,7 +125,7 @@ class PhaseBump(_Map):
         height, x, y, width = start
         inside = {"lower": -REACH_M, "upper": REACH_M, "null": None}
         self.parameters = (
-            Parameter("nm", "nm", height, 0.0, 300.0, plausible=(-600.0, 600.0)),
+            Parameter("nm", "nm", height, 0.0, 300.0, plausible=(-1000.0, 1000.0)),
             Parameter("x_m", "m", x, **inside),
             Parameter("y_m", "m", y, **inside),
             Parameter("width_m", "m", width, 0.6, 0.6, 0.1, 3.0, None, (0.15, 2.0)),
