@@ -21,7 +21,7 @@ from irlos_pipe.stages.ramp_input import (
 )
 
 NAME = "sensitivity"
-VERSION = 2
+VERSION = 3
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 
