@@ -44,7 +44,7 @@ OTHERS = (
     Entry("lift_ramp_bare", "irlos lift, ramp, J+H at 6 wavelengths", 42, 42),
     Entry("lift_ramp", "irlos lift, ramp, J+H at 6 wavelengths, halo", 42, 42),
     Entry("lift_latency", "irlos lift, single frames, 2 wavelengths", 50, 20),
-    Entry("sensitivity_scan", "irlos sensitivity scan, 3 and 9 modes, halo", 21 * 11 * 10 * 4, 88, threads=2),
+    Entry("sensitivity_scan", "irlos sensitivity scan, 3 and 9 modes, halo", 924, 88, threads=2),
     Entry("model_images", "irlos model, images, 1 wavelength", 480, 64),
     Entry("model_jacobian", "irlos model, images and 29 derivatives", 160, 32),
     Entry("stream_10000", "irlos run, ingest to long_exposure, one cube", 10_000, 600),
