@@ -153,3 +153,27 @@ def test_the_neglected_curvature_is_learnt_from_the_gradients(bend):
     solution = solve(Bent(bend), torch.tensor([[0.2]]), max_iterations=40)
     assert solution.status == [CONVERGED]
     assert int(solution.iterations[0]) <= 6
+
+
+def test_a_start_where_nothing_can_be_learnt_of_a_parameter_is_not_left_in_a_leap():
+    """Analysis: the slope of cos(x) vanishes at 0, and rounding of it must not send x anywhere."""
+
+    class Blind:
+        lower, upper = torch.full((2,), -torch.inf), torch.full((2,), torch.inf)
+        alike = slice(0, 2)
+
+        def negligible(self, value):
+            return torch.full_like(value, 1e-3)
+
+        def objective(self, x, which):
+            return 0.5 * ((x[:, 0] - 1.0) ** 2 + (torch.cos(x[:, 1]) - 0.9) ** 2)
+
+        def normal_equations(self, x, which):
+            slope = -torch.sin(x[:, 1]) + 1e-18
+            gradient = torch.stack([x[:, 0] - 1.0, (torch.cos(x[:, 1]) - 0.9) * slope], 1)
+            hessian = torch.diag_embed(torch.stack([torch.ones(len(x)).double(), slope**2], 1))
+            return self.objective(x, which), gradient, hessian
+
+    found = solve(Blind(), torch.tensor([[0.3, 0.0]], dtype=torch.float64))
+    assert float(found.values[0, 0]) == pytest.approx(1.0, abs=1e-3)
+    assert abs(float(found.values[0, 1])) < 10

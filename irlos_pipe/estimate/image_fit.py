@@ -49,7 +49,7 @@ class ImageFit:
         loss: Loss = GAUSSIAN,
     ):
         self.model, self.layout, self.loss = model, layout, loss
-        self.reweighted, self.tolerance = not loss.quadratic, CHI2_TOLERANCE
+        self.reweighted, self.tolerance, self.alike = not loss.quadratic, CHI2_TOLERANCE, layout.modes
         self.images = images_e
         self.device = model.psf.device
         self.held = model.effects.starts

@@ -26,6 +26,7 @@ ROUNDING = 1e-6  # relative rounding of an objective whose images are propagated
 DAMPING_START, DAMPING_MIN = 1e-3, 1e-9
 MEMBERS_AT_ONCE = 256  # whose matrices are solved: some ten copies of each are made on the way
 GOOD_STEP, POOR_STEP = 0.75, 0.25  # parts of the predicted fall that lower, or raise, the damping
+LEAST = 1e-3  # curvature along a parameter over the largest of those in the same unit
 TRIALS = 12  # of a step, with ten times the damping each
 
 
@@ -33,7 +34,8 @@ class Problem(Protocol):
     """A batch of least-squares problems; `which` selects members of the batch.
 
     A problem may have ``reweighted = True``: its equations are those of a re-weighted problem, whose
-    quadratic model does not foretell the fall of the objective.
+    quadratic model does not foretell the fall of the objective. It may say which parameters are ``alike``,
+    a slice: those have the same unit, and their curvatures compare.
     """
 
     lower: torch.Tensor
@@ -98,6 +100,7 @@ class _State:
         self.hessian = np.tile(np.eye(size), (batch, 1, 1))
         self.neglected, self.moved = np.zeros_like(self.hessian), np.zeros_like(self.gradient)
         self.reweighted = getattr(problem, "reweighted", False)
+        self.alike = getattr(problem, "alike", slice(0))
         self.ahead: tuple[np.ndarray, ...] | None = None
 
     def active(self) -> np.ndarray:
@@ -148,10 +151,16 @@ class _State:
         return which[~small]
 
     def _finish(self, which: np.ndarray) -> None:
-        """Close members, with the step that is still available: it costs nothing."""
+        """Close members, with the step that was found negligible: it costs nothing.
+
+        Nobody looks where it leads: it is no longer than the one before in any parameter, lest it leap along
+        a direction of which the data tell nothing.
+        """
         self.status[which] = CONVERGED
         if not self.reweighted:
-            self.x[which] = (self.x[which] + self._descent(which)).clip(self.lower, self.upper)
+            longest = np.abs(self.moved[which])
+            step = self._free_step(which, self.damping[which]).clip(-longest, longest)
+            self.x[which] = (self.x[which] + step).clip(self.lower, self.upper)
 
     def _step(self, which: np.ndarray) -> None:
         """Try damped steps, raising the damping until the objective falls."""
@@ -222,7 +231,7 @@ class _State:
             free = ~held[:, :, None] & ~held[:, None, :]
             hessian = hessian * free + held[:, :, None] * np.eye(held.shape[1])
             gradient, neglected = gradient * ~held, neglected * free
-        return -_solve(hessian, gradient, damping, neglected)
+        return -_solve(hessian, gradient, damping, neglected, self.alike)
 
     def solution(self) -> Solution:
         """The batch as it stands."""
@@ -253,10 +262,21 @@ def _secant(
 
 
 def _solve(
-    hessian: np.ndarray, gradient: np.ndarray, damping: np.ndarray, neglected: np.ndarray | float
+    hessian: np.ndarray,
+    gradient: np.ndarray,
+    damping: np.ndarray,
+    neglected: np.ndarray | float,
+    alike: slice,
 ) -> np.ndarray:
-    """Solve (H + neglected + damping · diag H) s = g in scaled variables."""
-    scale = np.sqrt(np.diagonal(hessian, axis1=1, axis2=2).clip(min=1e-300))
+    """Solve (H + neglected + damping · D) s = g in scaled variables; D is diag H, where that is no rounding.
+
+    Without a diversity an image in focus tells nothing of even modes: their slope vanishes, and rounding of
+    it would make steps of any length.
+    """
+    diagonal = np.diagonal(hessian, axis1=1, axis2=2).clip(min=1e-300)
+    same_unit = diagonal[:, alike]
+    diagonal[:, alike] = same_unit.clip(min=LEAST * same_unit.max(1, initial=0, keepdims=True))
+    scale = np.sqrt(diagonal)
     scaled = (hessian + neglected) / (scale[:, :, None] * scale[:, None, :])
     scaled += (damping + 1e-12)[:, None, None] * np.eye(scale.shape[1])
     return np.linalg.solve(scaled, (gradient / scale)[..., None])[..., 0] / scale
