@@ -153,13 +153,12 @@ class _State:
     def _finish(self, which: np.ndarray) -> None:
         """Close members, with the step that was found negligible: it costs nothing.
 
-        Nobody looks where it leads: it is no longer than the one before in any parameter, lest it leap along
-        a direction of which the data tell nothing.
+        Nobody looks where it leads: it is damped, lest it leap along a direction of which the data tell
+        nothing.
         """
         self.status[which] = CONVERGED
         if not self.reweighted:
-            longest = np.abs(self.moved[which])
-            step = self._free_step(which, self.damping[which]).clip(-longest, longest)
+            step = self._free_step(which, self.damping[which].clip(min=DAMPING_START))
             self.x[which] = (self.x[which] + step).clip(self.lower, self.upper)
 
     def _step(self, which: np.ndarray) -> None:
