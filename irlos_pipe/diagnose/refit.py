@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,6 +18,7 @@ PROPOSALS = 8
 HOPELESS = 0.1  # of the fall of χ² by a name that leaves nothing to explain: others need no fit
 NOTHING_LEFT = 5.0  # significance of the excess
 FAR = 10.0  # χ²/ν from which the model may be at a false minimum
+RETRIED = 2  # of the most promising families, if none leaves nothing
 PER_PARAMETER = 8.0  # of χ², that a parameter has to earn
 FULL_HALO = 0.1  # of the expected residual, from which the halo's shape is fitted as well
 
@@ -134,31 +135,31 @@ def refits(
         if any(one.explains_all and score.gain < HOPELESS * one.gain for one in found):
             continue
         found.append(_refit(fitter, origin, score))
+    if not any(one.excess.significance < NOTHING_LEFT for one in found):
+        movable = [one for one in found if one.score.elsewhere][:RETRIED]
+        found = [_from_elsewhere(fitter, one) if one in movable else one for one in found]
     return sorted(found, key=lambda one: -one.merit)
 
 
 def _refit(fitter: Fitter, origin: Optimum, score: Score) -> Refit:
-    """The family fitted from where the model is; if that leaves something, from elsewhere as well.
+    """The family fitted from where the model is, and from zero if that may be a false minimum.
 
-    The best place or direction of a linear estimate may be a wrong one, and a model that misses something
-    large can fit it with a wavefront far from the true one.
+    A model that misses something large can fit it with a wavefront far from the true one.
     """
-    found: list[Fitted] = []
-    for start, near in _starts(origin, score):
-        found.append(fitter.fit([*origin.fitted.continued(), start], near))
-        best = Refit(score, origin, most_plausible(found))
-        if best.excess.significance < NOTHING_LEFT:
-            break
-    return best
+    effects = [*origin.fitted.continued(), _start(score)]
+    near = Refit(score, origin, fitter.fit(effects, origin.fitted))
+    if origin.excess.chi2_nu < FAR or near.excess.significance < NOTHING_LEFT:
+        return near
+    return Refit(score, origin, most_plausible([near.fitted, fitter.fit(effects)]))
 
 
-def _starts(origin: Optimum, score: Score) -> Iterator[tuple[Pinned, Fitted | None]]:
-    """Where fits begin: the effect, and the fit whose wavefront is taken, None for none."""
-    yield _start(score), origin.fitted
-    for other in score.elsewhere:
-        yield other.start(), origin.fitted
-    if origin.excess.chi2_nu > FAR:
-        yield _start(score), None
+def _from_elsewhere(fitter: Fitter, one: Refit) -> Refit:
+    """The same from the next best places or directions: the best of a linear estimate may be a wrong one."""
+    found = [one.fitted]
+    for other in one.score.elsewhere:
+        effects = [*one.origin.fitted.continued(), other.start()]
+        found.append(fitter.fit(effects, one.origin.fitted))
+    return Refit(one.score, one.origin, most_plausible(found))
 
 
 def proposals(scores: Sequence[Score]) -> list[Score]:
