@@ -38,15 +38,16 @@ def dark_variance_e2(images_e: np.ndarray, pixel_mask: np.ndarray, at_most_e2: f
         is sharper than the pixels can show raises it, up to `at_most_e2`. Where frames cannot tell, that, or
         0 if it is infinite.
     """
+    unknown_e2 = at_most_e2 if np.isfinite(at_most_e2) else 0.0
     if at_most_e2 == 0 or len(images_e) < 2 or min(pixel_mask.shape) < 2 * len(FINE):
-        return at_most_e2 if np.isfinite(at_most_e2) else 0.0
+        return unknown_e2
     mean_e = mean_frame(images_e)
     scatter_e2 = frame_variance(images_e, mean_e) / len(images_e)
     mean_e = np.where(pixel_mask, mean_e, np.nan)
     fine, by_scatter = _both_ways(mean_e, FINE) ** 2, _both_ways(scatter_e2, FINE**2)
     seen = np.isfinite(fine) & (mean_e <= np.nanquantile(mean_e, FAINT))
     if not seen.any():
-        return at_most_e2 if np.isfinite(at_most_e2) else 0.0
+        return unknown_e2
     beyond = np.median(fine[seen]) / CHI2_MEDIAN - np.median(by_scatter[seen])
     return float(np.clip(beyond / np.sum(FINE**2) ** 2, 0.0, at_most_e2))
 

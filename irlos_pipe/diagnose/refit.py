@@ -23,7 +23,7 @@ PER_PARAMETER = 8.0  # of χ², that a parameter has to earn
 FULL_HALO = 0.1  # of the expected residual, from which the halo's shape is fitted as well
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Refit:
     """A family fitted beside the effects that the model has.
 

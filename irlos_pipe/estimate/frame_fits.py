@@ -68,7 +68,9 @@ def _by_themselves(problem: ImageFit, found: Solution, which: torch.Tensor) -> S
     """Some members continued, each from a linearisation of its own."""
     some = problem.members(which)
     near = solve(some, found.values[which], max_iterations=1)
-    return _joined(found, which, polish(some, near, EVALUATIONS))
+    better = polish(some, near, EVALUATIONS)
+    better = replace(better, iterations=found.iterations[which] + better.iterations)
+    return found.updated(which, better, torch.ones(len(which), dtype=torch.bool))
 
 
 def _with_shared_curvature(problem: ImageFit, x: torch.Tensor) -> Solution:
@@ -84,17 +86,3 @@ def _with_shared_curvature(problem: ImageFit, x: torch.Tensor) -> Solution:
 def _unfinished(found: Solution) -> torch.Tensor:
     """Members that can be improved, those that are stuck included."""
     return torch.tensor([i for i, s in enumerate(found.status) if s not in (CONVERGED, INVALID)]).long()
-
-
-def _joined(found: Solution, which: torch.Tensor, better: Solution) -> Solution:
-    """Some members replaced by those of another solution."""
-    status = list(found.status)
-    for member, name in zip(which.tolist(), better.status, strict=True):
-        status[member] = name
-    return Solution(
-        found.values.index_copy(0, which, better.values),
-        found.covariance.index_copy(0, which, better.covariance),
-        status,
-        found.iterations.index_add(0, which, better.iterations),
-        found.objective.index_copy(0, which, better.objective),
-    )

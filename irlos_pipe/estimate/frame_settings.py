@@ -2,8 +2,8 @@
 
 With 64 samples across the pupil, images err by 1e-4 of the peak at 142 nm RMS and by 4e-3 at 424 nm. The
 defocus of a ramp of ±300 nm beside 142 nm of NCPAs errs by less than 0.01 nm, where 10⁶ photons allow 0.2 nm.
-A blur wraps
-around 320 mas beyond the window instead of 500, which moves the defocus by less than 0.03 nm at 0.5″.
+A blur wraps around 320 mas beyond the window instead of 500, which moves the defocus by less than 0.03 nm
+at 0.5″.
 For a mean image this is not enough: χ²/ν of the mean of 60 noise-limited frames was 1.14 instead of 0.99.
 """
 

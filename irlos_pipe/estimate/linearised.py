@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import torch
 
+from .least_squares import TILE
 from .loss import Loss
 
 NEWTON_STEPS = 2
 FRACTIONS = (1.0, 0.5, 0.25)  # of a Newton step: where residuals are few it leaps too far
-TILE = 16  # rows in which matrix products are quick: with 31 of them a product takes twice as long as with 32
 
 
 class Linearised:

@@ -196,14 +196,8 @@ def _with_one_list_of_pixels(effects: list[Any]) -> list[Any]:
     if len(listed) < 2:
         return effects
     others = [e for e in effects if not (isinstance(e, dict) and "bad_pixels" in e)]
-    return [
-        *others,
-        {
-            "bad_pixels": {
-                "pixels": [list(p) for p in sorted({tuple(pixel) for part in listed for pixel in part})]
-            }
-        },
-    ]
+    pixels = sorted({tuple(pixel) for part in listed for pixel in part})
+    return [*others, {"bad_pixels": {"pixels": [list(pixel) for pixel in pixels]}}]
 
 
 def _entry(step: Step) -> dict[str, Any]:
