@@ -53,11 +53,8 @@ class SensitivityScan:
         mag_j = ramp.acquisition.mag_j
         curve = scan(
             bright.model,
-            data.images_e,
+            data,
             bright.result.model_e,
-            data.pixel_mask,
-            data.noise,
-            data.introduced_nm,
             mag_j,
             np.linspace(mag_j, FAINTEST_MAG_J, MAGNITUDES),
             self.realisations,

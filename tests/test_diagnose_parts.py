@@ -264,6 +264,14 @@ def test_a_drift_is_measured_with_its_sign():
     assert np.max(np.abs((drift.change_nm - expected) / drift.sigma_nm)) < 4.5
 
 
+def test_a_drift_beyond_the_range_of_one_linear_step_keeps_its_size():
+    course = np.linspace(-0.5, 0.5, FRAMES)
+    mean = np.array([image({n: TRUE_NM[n] + (60.0 * t if n == 5 else 0.0) for n in NOLLS}) for t in course])
+    stack = cube(30 * mean).training  # bright: the linear step alone is some 0.6 % short, ten times the noise
+    drift = measure_drift(stack, fitted(stack))
+    assert drift.change_nm[drift.nolls.index(5)] == pytest.approx(60.0, rel=2e-3)
+
+
 def test_a_steady_wavefront_shows_no_drift():
     stack = cube(image(), 8).training
     assert measure_drift(stack, fitted(stack)).significance < 4

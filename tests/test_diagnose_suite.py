@@ -19,6 +19,7 @@ from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, PAIR, RAMP_SINGLE, R
 from benchmarks.diagnose_suite.confusion import Confusion
 from benchmarks.diagnose_suite.foreign import FOREIGN, warped
 from benchmarks.diagnose_suite.groups import smallest_sizes, sorted_singles
+from benchmarks.diagnose_suite.hidden import drawn
 from benchmarks.diagnose_suite.judging import all_named, extra_names, is_first, is_in_set, is_right
 from benchmarks.diagnose_suite.levels import LEVELS, size_of
 from benchmarks.diagnose_suite.planning import plan_case, spec_of
@@ -63,6 +64,7 @@ def outcome(kind, hidden=(), verdict="none", names=(), *, sizes=None, found=None
             "seconds": 30.0,
         },
         "ncpa_error_nm": told.get("errors", {"before": 1.0, "after": 1.0}),
+        "ncpa_bias_nm": told.get("biases"),
         "cpu_s": {"simulate": 1.0, "diagnose": 20.0},
     }
 
@@ -341,12 +343,26 @@ def test_the_confusion_matrix_has_every_case_with_one_effect_in_its_cell():
     }
 
 
-def test_a_bias_counts_beyond_the_error_of_clean_recordings():
-    """6 nm of bias on a floor of 8 nm: 10 nm. Down to 8.5 nm halves the bias (2.9 nm), not the error."""
-    clean = outcome(CLEAN, errors={"before": 8.0, "after": 8.0})
-    better = single("companion", "companion", errors={"before": 10.0, "after": 8.5})
-    slight = single("companion", "companion", errors={"before": 9.0, "after": 9.0})
-    assert bias_removed([better, slight], [clean]) == ([False], [True])
+def test_a_bias_counts_beyond_what_the_true_model_errs_by():
+    better = found_with((10.0, 8.5), (6.0, 2.9))
+    halved = found_with((10.0, 4.9), (9.0, 3.0))
+    slight = found_with((9.0, 9.0), (4.0, 4.0))
+    assert bias_removed([better, halved, slight]) == ([False, True], [True, True])
+
+
+def found_with(errors, biases) -> dict:
+    before_after = [dict(zip(("before", "after"), pair, strict=True)) for pair in (errors, biases)]
+    return single("companion", "companion", errors=before_after[0], biases=before_after[1])
+
+
+def test_a_model_that_lacks_nothing_has_what_the_recipe_has_and_what_is_hidden():
+    sky = SETTINGS["sky_narrow"]
+    known = drawn("vibration", 20.0, sky, np.random.default_rng(1)).known
+    assert set(known) == {"sigma_mas", "angle_deg"}
+    case = Case(SINGLE, sky, ("vibration",), "weak")
+    assert case.true_model({"vibration": known}) == ["seeing_halo", "tip_tilt_jitter", {"vibration": known}]
+    usual = Case(SINGLE, sky, ("seeing_halo",), "weak")
+    assert usual.true_model({"seeing_halo": {"wfe_nm": 99.0}}) == ["seeing_halo", "tip_tilt_jitter"]
 
 
 # -- from beginning to end ---------------------------------------------------------------------
@@ -373,6 +389,8 @@ def test_a_companion_and_an_offset_of_the_focus_stage_are_found_with_their_sizes
     truth, (step,) = companion["truth"]["sizes"]["companion"], companion["told"]["steps"]
     assert step["parameters"]["flux_ratio"] == pytest.approx(truth["flux_ratio"], rel=0.03)
     assert companion["ncpa_error_nm"]["after"] < 0.5 * companion["ncpa_error_nm"]["before"]
+    if companion["ncpa_bias_nm"]:
+        assert companion["ncpa_bias_nm"]["after"] < 0.2 * companion["ncpa_bias_nm"]["before"]
 
 
 def test_the_truth_lies_outside_what_the_diagnosis_is_given(suite):

@@ -20,7 +20,7 @@ from optics_cases import (
 )
 
 from irlos_pipe.effects import EffectSet, Pinned, SeeingHalo, TipTiltJitter
-from irlos_pipe.optics.grids import Optics
+from irlos_pipe.optics.grids import Optics, OtfGrid
 from irlos_pipe.psf import PsfModel
 
 NOLLS = tuple(range(2, 16))
@@ -107,6 +107,36 @@ def test_the_residual_is_described_by_its_total_and_its_direction():
     assert (told["stretch"], told["stretch_angle_deg"]) == pytest.approx((0.8, 70))
     assert told["cross"] == pytest.approx(0.5)
     assert halo.describe(np.array(halo.values_of(wfe_nm=120.0)))["wfe_nm"] == pytest.approx(120)
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_a_residual_of_known_size_is_given_in_nm_or_as_a_part_of_what_is_expected(measured):
+    halo = SeeingHalo(BAND, 0.5, measured)
+    expected_nm = 104.27 * 0.5 + 58.6
+    for values in (halo.values_of(wfe_nm=0.9 * expected_nm), halo.values_of(scale=0.9)):
+        assert halo.describe(np.array(values))["wfe_nm"] == pytest.approx(0.9 * expected_nm)
+
+
+def test_without_a_measured_seeing_the_whole_halo_grows_with_the_residual(model):
+    grid = OtfGrid.of(model.stations.focal, model.stations.sampling)
+    exponents = {}
+    for measured in (True, False):
+        halo = SeeingHalo(BAND, 0.5, measured)
+        weak, strong = (
+            halo.exponent(torch.tensor([share * 80.0**2, 2, 0, 0, 0, 0]).double(), grid) for share in (1, 3)
+        )
+        exponents[measured] = weak.numpy(), strong.numpy()
+    assert exponents[False][1] == pytest.approx(3 * exponents[False][0])
+    unchanged = (3 * exponents[True][0] - exponents[True][1]) / 2
+    assert unchanged.max() > 0.1 * exponents[True][0].max()
+
+
+def test_a_halo_that_is_searched_for_is_told_by_its_total():
+    halo = SeeingHalo(BAND, 0.5, measured=False)
+    (searched,) = halo.candidates((64, 64), 9.7)
+    told = searched.describe([0.25])
+    assert told == {"wfe_nm": pytest.approx((104.27 * 0.5 + 58.6) / 2)}
+    assert halo.describe(np.array(halo.values_of(**told)))["wfe_nm"] == pytest.approx(told["wfe_nm"])
 
 
 @pytest.mark.parametrize(("seeing_arcsec", "wfe_nm"), [(0.35, 95.1), (1.0, 162.9)])

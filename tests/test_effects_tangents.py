@@ -52,6 +52,22 @@ def test_derivatives_at_a_strong_level_are_finite_differences(name):
         assert ours.numpy() == pytest.approx(theirs.numpy(), abs=2e-5 * float(theirs.abs().max()))
 
 
+def test_effects_in_the_pupil_are_differentiated_through_those_behind_them():
+    (stop, turned), (bump, place) = made("pupil_misregistration"), made("phase_bump")
+    (petals, steps), (amplitude, factors) = made("low_wind_effect"), made("amplitude_aberration")
+    effects = [petals, Pinned(stop, turned), Pinned(bump, place, free=("x_m", "width_m")), amplitude]
+    whole = ImageModel(psf(), effects)
+    starts = {petals.name: steps, stop.name: turned[:0], bump.name: place[[1, 3]], amplitude.name: factors}
+    values = torch.cat([starts[effect.name] for effect in whole.effects.effects])
+    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values)[1][:, len(NOLLS) : -2]
+    for index in range(0, len(values), 3):
+        move = torch.zeros_like(values)
+        move[index] = 1e-4 * max(0.1, abs(float(values[index])))
+        high, low = (whole.predict(WAVEFRONTS, FLUX, BACKGROUND, values + s * move) for s in (1, -1))
+        theirs = ((high - low) / (2 * move[index])).numpy()
+        assert jacobian[:, index].numpy() == pytest.approx(theirs, abs=2e-5 * np.abs(theirs).max())
+
+
 @pytest.mark.parametrize("name", SMOOTH)
 def test_modes_flux_and_background_are_differentiated_through_the_effect(name):
     effect, values = made(name)

@@ -5,6 +5,7 @@ import optics_cases as cases
 import pytest
 import torch
 
+from irlos_pipe.estimate.ramp_fit import RampData
 from irlos_pipe.estimate.sensitivity import (
     MEDIAN_OF_NORMAL,
     Criterion,
@@ -98,11 +99,8 @@ def test_a_scan_reaches_the_bound_where_frames_err_by_noise_alone():
     frames = torch.cat([cases.draw_frames(mean.numpy(), 1, seed) for seed, mean in enumerate(signal)])
     curve = scan(
         ImageModel(model),
-        frames,
+        RampData(frames, cases.everything(frames), cases.READ_NOISE, introduced),
         signal,
-        cases.everything(frames),
-        cases.READ_NOISE,
-        introduced,
         10.0,
         np.array([12.5, 15.0]),
         20,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 from zlib import crc32
 
 from .foreign import FOREIGN
@@ -82,6 +83,11 @@ class Case:
         if self.is_ramp:
             return None if self.setting.on_sky else ()
         return tuple(n for n in IN_SKY_MODEL if n not in hidden) if self.setting.on_sky and hidden else None
+
+    def true_model(self, known: Mapping[str, Mapping[str, Any]]) -> list[Any]:
+        """Effects of a model that lacks nothing: what a recipe has anyway, and what is hidden as it is."""
+        usual = IN_SKY_MODEL if self.setting.on_sky else ()
+        return [*usual, *({effect: dict(value)} for effect, value in known.items() if effect not in usual)]
 
 
 def all_cases() -> list[Case]:

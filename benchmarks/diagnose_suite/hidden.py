@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.simulate.shaking import JITTER_CORRELATION_S
 
 from .settings import EXPOSURE_S, Setting
@@ -34,6 +35,12 @@ class Hidden:
     effect: str
     parameters: Mapping[str, Any]
     truth: Mapping[str, Any]
+
+    @property
+    def known(self) -> dict[str, Any]:
+        """What a recipe's model would be told of it."""
+        public = {one.name for one in CATALOGUE[self.effect].public}
+        return {key: value for key, value in {**self.parameters, **self.truth}.items() if key in public}
 
 
 Draw = Callable[[np.random.Generator, float, Setting], Hidden]

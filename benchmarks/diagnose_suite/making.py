@@ -43,6 +43,7 @@ def make_case(case: Case, data: Path, truth: Path) -> None:
         "level": case.level,
         "effects": list(case.effects),
         "sizes": {one.effect: one.truth for one in plan.hidden},
+        "known": {one.effect: one.known for one in plan.hidden},
         "outside": plan.foreign.truth,
         "mean_zernike_nm": zernike_nm,
     }

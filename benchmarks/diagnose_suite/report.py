@@ -122,5 +122,6 @@ def _case_json(outcome: Outcome, smallest: Mapping[str, Mapping]) -> dict[str, A
         "size_inside": true_size_inside(outcome) if single else None,
         "shrink": told["gap"]["shrink"],
         "ncpa_error_nm": outcome["ncpa_error_nm"],
+        "ncpa_bias_nm": outcome["ncpa_bias_nm"],
         "cpu_s": outcome["cpu_s"],
     }

@@ -23,8 +23,7 @@ from .judging import (
 )
 from .rates import Rate
 from .sizes import true_size_inside
-
-BIASED_NM = 5.0
+from .working import BIASED_NM
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, list[Row]]:
         "clean": _clean(outcomes),
         "one effect": _singles(singles),
         "other": _others(outcomes),
-        "model with what was found": _models(found, outcomes),
+        "model with what was found": _models(found),
         "ramps": _ramps(outcomes),
         "cost": _cost(outcomes),
     }
@@ -119,16 +118,16 @@ def _is_confident(outcome: Outcome) -> bool:
     return outcome["told"]["verdict"] == EFFECT
 
 
-def _models(found: Sequence[Outcome], outcomes: Sequence[Outcome]) -> list[Row]:
+def _models(found: Sequence[Outcome]) -> list[Row]:
     shrinks = [one["told"]["gap"]["shrink"] for one in found]
     inside = [verdict for verdict in map(true_size_inside, found) if verdict is not None]
-    halved, floored = bias_removed(found, outcomes)
+    halved, alone = bias_removed(found)
     return [
         Row("held-out gap: median shrink", ">= 0.9", _median_of(shrinks)),
         Row("  without one: the gap was no larger than its floor", "", float(shrinks.count(None))),
         Row("true size in the 95 % interval", ">= 85 %", Rate.of(inside)),
         Row("NCPA error halved where biased > 5 nm", "all", Rate.of(halved)),
-        Row("  the bias beyond clean recordings halved", "", Rate.of(floored)),
+        Row("  the bias alone halved", "", Rate.of(alone)),
     ]
 
 
@@ -137,10 +136,10 @@ def _median_of(values: Sequence[float | None]) -> float:
     return float(np.median(known)) if known else float("nan")
 
 
-def bias_removed(found: Sequence[Outcome], outcomes: Sequence[Outcome]) -> tuple[list[bool], list[bool]]:
-    """Whether the error of the NCPAs is at most half of that without the name, where that was biased.
+def bias_removed(found: Sequence[Outcome]) -> tuple[list[bool], list[bool]]:
+    """Whether the error of the NCPAs is at most half of that without the name, where the effect biased them.
 
-    The bias is what the squared error has beyond that of the median clean recording of the setting.
+    The bias is the difference from a fit of the same frames with the true model.
 
     Returns
     -------
@@ -149,27 +148,9 @@ def bias_removed(found: Sequence[Outcome], outcomes: Sequence[Outcome]) -> tuple
     list of bool
         For the bias alone.
     """
-    floor = clean_error_nm(outcomes)
-    whole, alone = [], []
-    for one in found:
-        errors, least = one["ncpa_error_nm"], floor.get(one["truth"]["setting"], 0.0)
-        before, after = (_beyond(errors[when], least) for when in ("before", "after"))
-        if before > BIASED_NM:
-            whole.append(errors["after"] <= errors["before"] / 2)
-            alone.append(after <= before / 2)
-    return whole, alone
-
-
-def clean_error_nm(outcomes: Sequence[Outcome]) -> dict[str, float]:
-    """Median error of the NCPAs of clean recordings in every setting."""
-    errors: dict[str, list[float]] = {}
-    for one in of_kind(outcomes, CLEAN):
-        errors.setdefault(one["truth"]["setting"], []).append(one["ncpa_error_nm"]["before"])
-    return {setting: float(np.median(several)) for setting, several in errors.items()}
-
-
-def _beyond(error_nm: float, floor_nm: float) -> float:
-    return float(np.sqrt(max(error_nm**2 - floor_nm**2, 0.0)))
+    biased = [one for one in found if one["ncpa_bias_nm"] and one["ncpa_bias_nm"]["before"] > BIASED_NM]
+    kinds = ("ncpa_error_nm", "ncpa_bias_nm")
+    return tuple([one[kind]["after"] <= one[kind]["before"] / 2 for one in biased] for kind in kinds)
 
 
 def _ramps(outcomes: Sequence[Outcome]) -> list[Row]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,13 +18,14 @@ from irlos_pipe.jsonable import json_text
 from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.recipe import load_recipe
 
-from .cases import Case
+from .cases import SINGLE, Case
 from .making import make_case
 from .planning import CALIBRATION, CUBE, RAMP
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 NOT_KEPT = ("noise", "sentence", "model", "sigma_nm")
 NOLLS = range(2, 31)  # of which the error is reported
+BIASED_NM = 5.0  # from which an effect biases them
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,10 @@ class Folder:
         """Of the diagnosis."""
         return self.path / "runs" / case.name
 
+    def reference(self, case: Case) -> Path:
+        """Of a diagnosis with the true model."""
+        return self.path / "true_models" / case.name
+
     def outcome(self, case: Case) -> Path:
         """What came out; there when the case is finished."""
         return self.path / "outcomes" / f"{case.name}.json"
@@ -60,36 +66,44 @@ def work(case: Case, folder: Folder) -> dict[str, Any]:
 
 
 def _worked(case: Case, folder: Folder) -> dict[str, Any]:
-    for leftover in (folder.data(case), folder.run(case)):
+    for leftover in (folder.data(case), folder.run(case), folder.reference(case)):
         shutil.rmtree(leftover, ignore_errors=True)
     began = time.process_time()
     make_case(case, folder.data(case), folder.truth)
     made = time.process_time()
-    told = diagnosed(case, folder.data(case), folder.run(case))
+    told = diagnosed(case, folder.data(case), folder.run(case), case.model_effects)
     ended = time.process_time()
     truth = json.loads((folder.truth / f"{case.name}.json").read_text())
+    errors_nm = None if case.is_ramp else ncpa_errors_nm(told, truth)
     return {
         "case": case.name,
         "truth": {key: truth[key] for key in ("kind", "setting", "level", "effects", "sizes")},
         "told": {key: value for key, value in told.items() if key not in NOT_KEPT},
-        "ncpa_error_nm": None if case.is_ramp else ncpa_errors_nm(told, truth),
+        "ncpa_error_nm": errors_nm,
+        "ncpa_bias_nm": _biases_nm(case, folder, told, truth) if _may_be_biased(case, errors_nm) else None,
         "cpu_s": {"simulate": made - began, "diagnose": ended - made},
     }
 
 
-def diagnosed(case: Case, data: Path, output: Path) -> dict[str, Any]:
-    """Run the recipe of the case on its recordings; returns what `results.json` says of `diagnose`."""
+def diagnosed(case: Case, data: Path, output: Path, effects: Sequence[Any] | None) -> dict[str, Any]:
+    """Run the recipe of the case on its recordings; returns what `results.json` says of `diagnose`.
+
+    Parameters
+    ----------
+    effects : sequence or None
+        That the model has already, unless it is the recipe's.
+    """
     recipe = "diagnose_ramp" if case.is_ramp else case.setting.recipe
     inputs = [f"{name}={data / name}" for name in ((RAMP, CALIBRATION) if case.is_ramp else (CUBE,))]
-    run_recipe(load_recipe(RECIPES / f"{recipe}.yaml", settings_of(case), inputs), output)
+    run_recipe(load_recipe(RECIPES / f"{recipe}.yaml", _settings(effects), inputs), output)
     return json.loads((output / "results.json").read_text())["stages"]["diagnose"]
 
 
-def settings_of(case: Case) -> list[str]:
-    """What is set beside the recipe: the effects that the model has already."""
-    if case.model_effects is None:
+def _settings(effects: Sequence[Any] | None) -> list[str]:
+    """What is set beside the recipe."""
+    if effects is None:
         return []
-    return [f"model.effects={yaml.safe_dump(list(case.model_effects), default_flow_style=True).strip()}"]
+    return [f"model.effects={yaml.safe_dump(list(effects), default_flow_style=True, width=1000000).strip()}"]
 
 
 def ncpa_errors_nm(told: dict[str, Any], truth: dict[str, Any]) -> dict[str, float]:
@@ -97,5 +111,23 @@ def ncpa_errors_nm(told: dict[str, Any], truth: dict[str, Any]) -> dict[str, flo
     true_nm = truth["mean_zernike_nm"][CUBE]
     return {
         when: float(np.linalg.norm([told["zernike_nm"][when][str(n)] - true_nm[str(n)] for n in NOLLS]))
+        for when in ("before", "after")
+    }
+
+
+def _may_be_biased(case: Case, errors_nm: dict[str, float] | None) -> bool:
+    """Whether it is worth while to fit the true model."""
+    return case.kind == SINGLE and errors_nm is not None and errors_nm["before"] > BIASED_NM / 2
+
+
+def _biases_nm(case: Case, folder: Folder, told: dict[str, Any], truth: dict[str, Any]) -> dict[str, float]:
+    """RMS of what the model as it was, and that with what was found, add to the error of the true model.
+
+    The same frames are fitted, so the noise and speckles that they share are none of it.
+    """
+    effects = case.true_model(truth["known"])
+    best = diagnosed(case, folder.data(case), folder.reference(case), effects)["zernike_nm"]["before"]
+    return {
+        when: float(np.linalg.norm([told["zernike_nm"][when][str(n)] - best[str(n)] for n in NOLLS]))
         for when in ("before", "after")
     }

@@ -1,7 +1,8 @@
 """Whether the wavefront changed during the recording: estimates of single frames against time.
 
 The mean image hardly shows a drift. One linear step from the common solution gives every frame its
-coefficients; their slopes are judged by their own scatter about the straight line.
+coefficients; their slopes are judged by their own scatter about the straight line. A large drift leaves
+the range of one linear step: what the step makes of images that drift as measured tells by how much.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from ..effects import Pinned
 from ..effects.drift import NcpaDrift
 from ..estimate.image_fit import ImageFit
 from ..estimate.solve import scaled_inverse
+from ..image_model import ImageModel
 from .cube import Stack, Stacks
 from .detect import gaussian_sigma
 from .fitting import Fitted
@@ -52,38 +54,69 @@ class Drift:
         return Pinned(NcpaDrift(self.nolls), self.change_nm)
 
 
-def frame_modes_nm(stack: Stack, part: ImageFit, x: torch.Tensor) -> np.ndarray:
-    """Coefficients of every frame of a recording beyond those of its mean, (frames, modes).
-
-    By one linear step, for which the recording stands by itself.
-    """
-    hessian = part.normal_equations(x, torch.arange(1))[2]
-    jacobian = part.predict_and_jacobian(x)[1][0].cpu().double()
-    gain = scaled_inverse(hessian)[0] @ (jacobian * stack.root)
-    return (stack.deviations @ gain.mT)[:, part.layout.modes].numpy()
-
-
 def measure_drift(stack: Stack | Stacks, fitted: Fitted) -> Drift:
     """Slopes of the low modes, and how significant they are together, where they are most so."""
     problem = fitted.problem
-    found = [
-        _drift(one, part, problem.part(fitted.x, number), trials=len(problem.parts))
-        for number, (one, part) in enumerate(zip(stack.parts, problem.parts, strict=True))
-    ]
-    return max(found, key=lambda one: one.significance)
+    pairs = enumerate(zip(stack.parts, problem.parts, strict=True))
+    steps = [LinearStep(one, part, problem.part(fitted.x, number)) for number, (one, part) in pairs]
+    return max((_drift(step, trials=len(steps)) for step in steps), key=lambda one: one.significance)
 
 
-def _drift(stack: Stack, part: ImageFit, x: torch.Tensor, trials: int) -> Drift:
+class LinearStep:
+    """One linear step from the solution for the mean of a recording, which stands by itself.
+
+    Parameters
+    ----------
+    stack : Stack
+    part : ImageFit
+    x : tensor, (1, parameters)
+    """
+
+    def __init__(self, stack: Stack, part: ImageFit, x: torch.Tensor):
+        self.stack, self.part, self.x = stack, part, x
+        self.nolls = tuple(noll for noll in NOLLS if noll in part.layout.nolls)
+        rows = part.layout.modes.start + np.array([part.layout.nolls.index(noll) for noll in self.nolls])
+        hessian = part.normal_equations(x, torch.arange(1))[2]
+        jacobian = part.predict_and_jacobian(x)[1][0].cpu().double()
+        self._gain = (scaled_inverse(hessian)[0] @ (jacobian * stack.root))[rows]
+
+    def modes_nm(self, deviations: torch.Tensor) -> np.ndarray:
+        """Low modes of images beyond those of their mean, (images, modes).
+
+        Parameters
+        ----------
+        deviations : tensor, (images, pixels)
+            From the mean, whitened.
+        """
+        return (deviations @ self._gain.mT).numpy()
+
+    def of_a_drift(self, change_nm: np.ndarray) -> np.ndarray:
+        """The slopes that it finds in images of the model whose wavefront drifts, (modes,)."""
+        layout, count = self.part.layout, len(self.stack)
+        held = self.part.model.effects.held(self.x[0, layout.effect_values]).effects
+        model = ImageModel(self.part.model.psf, [*held, Pinned(NcpaDrift(self.nolls), change_nm)])
+        modes, flux, background = (self.x[:, at].expand(count, -1) for at in (layout.modes, [-2], [-1]))
+        when = torch.as_tensor(self.stack.when)
+        images = model.predict(modes, flux[:, 0], background[:, 0], when=when).cpu().flatten(1)
+        return slopes(self.modes_nm((images - images.mean(0)) * self.stack.root), self.stack.when)
+
+
+def slopes(series: np.ndarray, when: np.ndarray) -> np.ndarray:
+    """Of straight lines through columns, per unit of time, (columns,)."""
+    course = when - when.mean()
+    return course @ series / (course @ course)
+
+
+def _drift(step: LinearStep, trials: int) -> Drift:
     """Of one recording."""
-    nolls = tuple(noll for noll in NOLLS if noll in part.layout.nolls)
-    columns = [part.layout.nolls.index(noll) for noll in nolls]
-    series = frame_modes_nm(stack, part, x)[:, columns]
-    when = stack.when - stack.when.mean()
-    change = when @ series / (when @ when)
-    scatter = np.cov((series - np.outer(when, change)).T) * (len(when) - 1) / (len(when) - 2)
-    covariance = scatter / (when @ when) * len(when) / stack.independent
+    stack, nolls = step.stack, step.nolls
+    series, course = step.modes_nm(stack.deviations), stack.when - stack.when.mean()
+    change = slopes(series, stack.when)
+    scatter = np.cov((series - np.outer(course, change)).T) * (len(stack) - 1) / (len(stack) - 2)
+    covariance = scatter / (course @ course) * len(stack) / stack.independent
     tested = [i for i, noll in enumerate(nolls) if noll not in POINTING]
     own = covariance[np.ix_(tested, tested)]
     hotelling = float(change[tested] @ np.linalg.solve(own, change[tested]))
     significance = gaussian_sigma(hotelling, len(tested), stack.independent - 1, trials)
-    return Drift(nolls, change, np.sqrt(np.diag(covariance)), significance)
+    beyond_linear = change - step.of_a_drift(change)
+    return Drift(nolls, change + beyond_linear, np.sqrt(np.diag(covariance)), significance)

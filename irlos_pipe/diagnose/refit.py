@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -134,23 +134,31 @@ def refits(
         report(1)
         if any(one.explains_all and score.gain < HOPELESS * one.gain for one in found):
             continue
-        found.append(_refit(fitter, origin, score))
-    if not any(one.excess.significance < NOTHING_LEFT for one in found):
-        movable = [one for one in found if one.score.elsewhere][:RETRIED]
-        found = [_from_elsewhere(fitter, one) if one in movable else one for one in found]
+        effects = [*origin.fitted.continued(), _start(score)]
+        found.append(Refit(score, origin, fitter.fit(effects, origin.fitted)))
+    if origin.excess.chi2_nu > FAR:
+        found = _once_more(found, lambda one: True, partial(_from_zero, fitter))
+    found = _once_more(found, lambda one: bool(one.score.elsewhere), partial(_from_elsewhere, fitter))
     return sorted(found, key=lambda one: -one.merit)
 
 
-def _refit(fitter: Fitter, origin: Optimum, score: Score) -> Refit:
-    """The family fitted from where the model is, and from zero if that may be a false minimum.
+def _once_more(
+    found: Sequence[Refit], allowed: Callable[[Refit], bool], again: Callable[[Refit], Refit]
+) -> list[Refit]:
+    """The most promising of the `allowed` families fitted `again`, unless one leaves nothing to explain."""
+    if any(one.excess.significance < NOTHING_LEFT for one in found):
+        return list(found)
+    chosen = sorted(filter(allowed, found), key=lambda one: -one.merit)[:RETRIED]
+    return [again(one) if one in chosen else one for one in found]
+
+
+def _from_zero(fitter: Fitter, one: Refit) -> Refit:
+    """The same without the wavefront of the model before, which may be a false minimum.
 
     A model that misses something large can fit it with a wavefront far from the true one.
     """
-    effects = [*origin.fitted.continued(), _start(score)]
-    near = Refit(score, origin, fitter.fit(effects, origin.fitted))
-    if origin.excess.chi2_nu < FAR or near.excess.significance < NOTHING_LEFT:
-        return near
-    return Refit(score, origin, most_plausible([near.fitted, fitter.fit(effects)]))
+    cold = fitter.fit([*one.origin.fitted.continued(), _start(one.score)])
+    return Refit(one.score, one.origin, most_plausible([one.fitted, cold]))
 
 
 def _from_elsewhere(fitter: Fitter, one: Refit) -> Refit:

@@ -1,17 +1,19 @@
 """What a physical effect declares: its numbers, and its place on the light path.
 
 There is one base class per place. Each asks for one method, `apply`, which takes what arrives at the
-place and returns it as the effect leaves it; derivatives come from forward-mode differentiation of it.
+place and returns it as the effect leaves it; derivatives come from forward-mode differentiation of it,
+unless an effect knows a quicker way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 import torch
+from torch.autograd import forward_ad
 
 from ..optics.grids import OtfGrid, PupilGrid, Sampling
 from ..optics.structure import ResidualBand
@@ -90,6 +92,8 @@ class Conditions:
         Rows and columns [px].
     pixel_scale_mas : float
     spectrum : tuple of (wavelength_nm, weight)
+    seeing_measured : bool
+        Otherwise the seeing is a typical one.
     """
 
     band: ResidualBand
@@ -99,6 +103,7 @@ class Conditions:
     window: tuple[int, int] = (64, 64)
     pixel_scale_mas: float = 9.7
     spectrum: tuple[tuple[float, float], ...] = ((1600.0, 1.0),)
+    seeing_measured: bool = True
 
 
 class Effect:
@@ -196,8 +201,14 @@ class PupilEffect(Effect):
     order = 1  # after those that change where light passes, which add to the field
 
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """`field`, (wavelengths, n, n), with the effect."""
+        """`field`, (wavelengths, n, n), with the effect, which must be linear in it but for what it adds."""
         raise NotImplementedError
+
+    def slopes(
+        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """Derivatives of `apply` with respect to the `wanted` parameters, (wavelengths, n, n) each."""
+        return [along(lambda v: self.apply(v, field, grid), values, index) for index in wanted]
 
     def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor | None:
         """The effect's part of the wavefront, (n, n) [nm]; None if it is none."""
@@ -212,6 +223,17 @@ class OtfEffect(Effect):
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """`factor`, broadcastable to (wavelengths, p, p//2 + 1), times that of the effect."""
         raise NotImplementedError
+
+    def slopes(
+        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
+    ) -> Sequence[torch.Tensor]:
+        """Derivatives of `apply` with respect to the `wanted` parameters, of the shape of `factor` each."""
+        chosen = torch.as_tensor(list(wanted))
+
+        def changed(some: torch.Tensor) -> torch.Tensor:
+            return self.apply(values.index_copy(0, chosen, some), factor, grid)
+
+        return along_all(changed, values[chosen])
 
 
 class SamplingEffect(Effect):
@@ -261,3 +283,25 @@ class RampEffect(Effect):
 def number(name: str, unit: str, lower: float = -INFINITE, upper: float = INFINITE, **more) -> Public:
     """A public number."""
     return Public(name, unit, "number", lower, upper, **more)
+
+
+def along(function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor, index: int) -> torch.Tensor:
+    """Derivative of `function` with respect to one element of its argument."""
+    direction = torch.zeros_like(values)
+    direction[index] = 1
+    return torch.func.jvp(function, (values,), (direction,))[1]
+
+
+def along_all(function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor) -> torch.Tensor:
+    """Derivatives of a real or complex `function` with respect to all elements, elements first."""
+    if len(values) == 1:  # dual numbers cost much less than the vectorised transform
+        with forward_ad.dual_level():
+            dual = function(forward_ad.make_dual(values, torch.ones_like(values)))
+            return forward_ad.unpack_dual(dual).tangent[None]
+    is_complex = function(values).is_complex()
+
+    def parts(v: torch.Tensor) -> torch.Tensor:
+        return torch.view_as_real(function(v)) if is_complex else function(v)
+
+    slopes = torch.func.jacfwd(parts)(values).movedim(-1, 0).contiguous()
+    return torch.view_as_complex(slopes) if is_complex else slopes

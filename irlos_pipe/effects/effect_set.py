@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial, reduce
+from collections.abc import Sequence
+from functools import reduce
 from itertools import pairwise
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 import torch
-from torch.autograd import forward_ad
 
 from ..optics.grids import Optics, OtfGrid, Sampling, Stations, Tangents
 from .base import Effect, Parameter, Place
@@ -72,8 +71,7 @@ class EffectSet:
     def tangents(self, values: torch.Tensor) -> Tangents:
         """Derivatives of pupil and OTF factors with respect to the parameters at these places."""
         sampling = self._sampling(values)
-        pupil = [_along(lambda v: self._pupil(v, sampling), values, index) for index in self.free_at("pupil")]
-        return Tangents(pupil, self._transfer_derivatives(values, sampling))
+        return Tangents(self._pupil_slopes(values, sampling), self._transfer_derivatives(values, sampling))
 
     def modes_at(self, values: torch.Tensor, modes_nm: torch.Tensor, when: torch.Tensor) -> torch.Tensor:
         """Coefficients at the times `when` of the recording, see `TimeEffect.apply`."""
@@ -100,29 +98,39 @@ class EffectSet:
         clear = torch.as_tensor(grid.amplitude, dtype=torch.complex128).expand(len(sampling.weights), -1, -1)
         return reduce(lambda field, e: e[0].apply(values[e[1]], field, grid), self.at("pupil"), clear)
 
-    def _transfer(self, values: torch.Tensor, sampling: Sampling) -> torch.Tensor:
-        factors = (self._factor(*pair, values, sampling) for pair in self.at("otf"))
-        return reduce(torch.mul, factors)
+    def _pupil_slopes(self, values: torch.Tensor, sampling: Sampling) -> list[torch.Tensor]:
+        """Each effect's own derivatives, as the effects behind it leave them."""
+        if not self.free_at("pupil"):
+            return []
+        grid = self.stations.pupil.at(sampling.wavelengths_m)
+        dark = torch.zeros(len(sampling.weights), *grid.amplitude.shape, dtype=torch.complex128)
+        field, slopes = dark + torch.as_tensor(grid.amplitude), []
+        for effect, piece in self.at("pupil"):
+            own = values[piece]
+            if slopes:
+                added = effect.apply(own, dark, grid)
+                slopes = [effect.apply(own, slope, grid) - added for slope in slopes]
+            slopes += effect.slopes(own, field, grid, range(len(effect.parameters)))
+            field = effect.apply(own, field, grid)
+        return slopes
 
-    def _factor(self, effect, piece: slice, values: torch.Tensor, sampling: Sampling) -> torch.Tensor:
-        """OTF factor of one effect, (wavelengths, p, p//2 + 1)."""
+    def _transfer(self, values: torch.Tensor, sampling: Sampling) -> torch.Tensor:
         grid = OtfGrid.of(self.stations.focal, sampling)
-        ones = torch.ones(len(sampling.weights), *grid.length2_m2.shape, dtype=torch.float64)
-        return effect.apply(values[piece], ones, grid)
+        return reduce(lambda f, e: e[0].apply(values[e[1]], f, grid), self.at("otf"), _clear_factor(grid))
 
     def _transfer_derivatives(self, values: torch.Tensor, sampling: Sampling) -> list[torch.Tensor]:
         """Each factor's own derivatives times the factors of the others."""
         pairs = self.at("otf")
         if not self.free_at("otf"):
             return []
-        factors = [self._factor(*pair, values, sampling) for pair in pairs]
-        changes = []
+        grid, changes = OtfGrid.of(self.stations.focal, sampling), []
+        clear = _clear_factor(grid)
+        factors = [effect.apply(values[piece], clear, grid) for effect, piece in pairs]
         for number, (effect, piece) in enumerate(pairs):
-            if not effect.parameters:
-                continue
-            others = reduce(torch.mul, factors[:number] + factors[number + 1 :], torch.ones(()))
-            alone = partial(self._factor, effect, slice(None), sampling=sampling)
-            changes += [others * own for own in _derivatives(alone, values[piece])]
+            if effect.parameters:
+                others = reduce(torch.mul, factors[:number] + factors[number + 1 :], torch.ones(()))
+                own = effect.slopes(values[piece], clear, grid, range(len(effect.parameters)))
+                changes += [others * slope for slope in own]
         return changes
 
     # -- bookkeeping -------------------------------------------------------------------------
@@ -143,32 +151,13 @@ class EffectSet:
         return EffectSet([_held(effect, values[piece]) for effect, piece in pairs], self.stations)
 
 
+def _clear_factor(grid: OtfGrid) -> torch.Tensor:
+    """OTF factor of nothing, (wavelengths, p, p//2 + 1)."""
+    return torch.ones(len(grid.wavelengths_m), *grid.length2_m2.shape, dtype=torch.float64)
+
+
 def _held(effect: Effect | Pinned, values: torch.Tensor) -> Pinned:
     return Pinned(effect.bare, effect.all_values(values).numpy())
-
-
-def _derivatives(function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor) -> torch.Tensor:
-    """Derivatives of a real or complex `function` with respect to all elements, elements first."""
-    if len(values) == 1:  # dual numbers cost much less than the vectorised transform
-        with forward_ad.dual_level():
-            dual = function(forward_ad.make_dual(values, torch.ones_like(values)))
-            return forward_ad.unpack_dual(dual).tangent[None]
-    is_complex = function(values).is_complex()
-
-    def parts(v: torch.Tensor) -> torch.Tensor:
-        return torch.view_as_real(function(v)) if is_complex else function(v)
-
-    slopes = torch.func.jacfwd(parts)(values).movedim(-1, 0).contiguous()
-    return torch.view_as_complex(slopes) if is_complex else slopes
-
-
-def _along(
-    function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor, index: int
-) -> torch.Tensor:
-    """Derivative of `function` with respect to one element of its argument."""
-    direction = torch.zeros_like(values)
-    direction[index] = 1
-    return torch.func.jvp(function, (values,), (direction,))[1]
 
 
 def fixed_optics(effects: Sequence[Effect | Pinned], model: PsfModel) -> Optics:

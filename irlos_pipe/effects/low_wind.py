@@ -11,7 +11,7 @@ from ..optics.grids import PupilGrid
 from ..optics.petals import PETALS, petal_amplitudes, petal_index
 from .base import Parameter, Public, PupilEffect
 
-KINDS = ("piston_nm", "tip_nm", "tilt_nm")
+KINDS, KIND_NOLLS = ("piston_nm", "tip_nm", "tilt_nm"), (1, 2, 3)
 PETAL_SIGMA_NM = 300.0
 
 
@@ -41,11 +41,21 @@ class LowWindEffect(PupilEffect):
 
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         """See `PupilEffect.apply`."""
-        amplitudes = petal_amplitudes(grid.geometry, grid.samples)
-        for amplitude, opd in zip(amplitudes, self._petal_opds_nm(values, grid), strict=True):
-            lit = torch.as_tensor(np.where(grid.lit, amplitude, 0) * grid.light)
-            field = field + lit * (grid.phasor(opd) - 1)
+        for amplitude, opd in zip(self._petals(grid), self._petal_opds_nm(values, grid), strict=True):
+            field = field + torch.as_tensor(amplitude) * (grid.phasor(opd) - 1)
         return field
+
+    def slopes(
+        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `PupilEffect.slopes`."""
+        kinds = torch.tensor(grid.modes(KIND_NOLLS)) * 1j
+        opds = self._petal_opds_nm(values, grid)
+        turned = [
+            torch.as_tensor(amplitude) * grid.phase_per_nm * grid.phasor(opd)
+            for amplitude, opd in zip(self._petals(grid), opds, strict=True)
+        ]
+        return [turned[index % PETALS] * kinds[index // PETALS] for index in wanted]
 
     def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         """See `PupilEffect.opd_nm`."""
@@ -53,9 +63,13 @@ class LowWindEffect(PupilEffect):
         opds = self._petal_opds_nm(values, grid)
         return sum(torch.where(index == petal, opd, 0.0) for petal, opd in enumerate(opds))
 
+    def _petals(self, grid: PupilGrid) -> np.ndarray:
+        """Amplitude of each petal, (petals, n, n)."""
+        return np.where(grid.lit, petal_amplitudes(grid.geometry, grid.samples), 0) * grid.light
+
     def _petal_opds_nm(self, values: torch.Tensor, grid: PupilGrid) -> list[torch.Tensor]:
         """OPD that each petal has, on the whole grid."""
-        one, tip, tilt = torch.tensor(grid.modes((1, 2, 3)))
+        one, tip, tilt = torch.tensor(grid.modes(KIND_NOLLS))
         pistons, tips, tilts = values.reshape(len(KINDS), PETALS)
         return [pistons[i] * one + tips[i] * tip + tilts[i] * tilt for i in range(PETALS)]
 

@@ -53,6 +53,10 @@ class Pinned:
         """See the `apply` of the effect's place."""
         return self.effect.apply(self.all_values(values), *light)
 
+    def slopes(self, values: torch.Tensor, field, grid, wanted: Sequence[int]) -> list[torch.Tensor]:
+        """See `PupilEffect.slopes`."""
+        return self.effect.slopes(self.all_values(values), field, grid, [self.free[i] for i in wanted])
+
     def opd_nm(self, values: torch.Tensor, grid) -> torch.Tensor | None:
         """See `PupilEffect.opd_nm`."""
         return self.effect.opd_nm(self.all_values(values), grid)

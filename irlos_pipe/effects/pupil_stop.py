@@ -12,14 +12,13 @@ import torch
 from ..geometry import PupilGeometry, Vane
 from ..optics.grids import PupilGrid
 from ..optics.pupil import band_limited
+from ..optics.pupil_edges import PupilEdges
 from .base import Conditions, Effect, Parameter, Public, PupilEffect, number
 from .pinned import Pinned
 from .zernike_table import ZernikeTable
 
-CELL_M = 0.008  # of the drawing of which differences are taken
-STEP_M = 0.006  # largest displacement of an edge in a finite difference
+CELL_M = 0.008  # of the drawing
 DIRECTIONS = 8
-RIM_M_PER_DEG = 4.0 * np.pi / 180
 
 
 class PupilMisregistration(PupilEffect):
@@ -28,7 +27,7 @@ class PupilMisregistration(PupilEffect):
     The stop has the outline and the central hole of the pupil and no vanes; light passes where both do.
     Any shift darkens a crescent at the rim and one at the hole, whichever way it goes: the image is not
     differentiable in (dx, dy) at zero, but it is in (distance ≥ 0, direction). Edges are drawn on a grid
-    of a few mm and band-limited, and derivatives are finite differences over `STEP_M`.
+    of a few mm and band-limited.
 
     Parameters
     ----------
@@ -57,6 +56,13 @@ class PupilMisregistration(PupilEffect):
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         """See `PupilEffect.apply`."""
         return field + _Moved.apply(values, grid) * grid.light
+
+    def slopes(
+        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `PupilEffect.slopes`."""
+        every = torch.ones_like(grid.wavelengths_m, dtype=torch.complex128) * grid.light
+        return [every * _slope(grid, values, index) for index in wanted]
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """Displacement of the stop and rotation of the vanes."""
@@ -91,28 +97,24 @@ class _Moved(torch.autograd.Function):
 
     @staticmethod
     def jvp(ctx, along, _):
-        return _difference(ctx.grid, np.array(ctx.values.tolist()), np.array(along.tolist()))
+        return sum(rate * _slope(ctx.grid, ctx.values, i) for i, rate in enumerate(along.tolist()))
 
     @staticmethod
     def backward(ctx, upstream):
-        values, directions = np.array(ctx.values.tolist()), np.eye(3)
-        slopes = [(upstream * _difference(ctx.grid, values, one)).sum() for one in directions]
+        slopes = [(upstream * _slope(ctx.grid, ctx.values, i)).sum() for i in range(3)]
         return torch.stack(slopes), None
 
 
-def _difference(grid: PupilGrid, values: np.ndarray, along: np.ndarray) -> torch.Tensor:
-    """Derivative of the amplitude along a direction; forward where the distance would become negative."""
-    reach_m = abs(along[0]) + values[0] * abs(along[1]) + RIM_M_PER_DEG * abs(along[2])
-    if reach_m == 0:
-        return torch.zeros(len(grid.u_m), len(grid.u_m), dtype=torch.float64)
-    step = STEP_M / reach_m
-    ahead, behind = values + step * along, values - step * along
-    if min(ahead[0], behind[0]) < 0:
-        sign = 1 if ahead[0] > behind[0] else -1
-        ahead, behind = (values, values - step * along) if sign < 0 else (ahead, values)
-    width = np.linalg.norm(ahead - behind) / np.linalg.norm(along)
-    change = _change(grid.geometry, grid.samples, *ahead) - _change(grid.geometry, grid.samples, *behind)
-    return torch.tensor(change / width)
+def _slope(grid: PupilGrid, values: torch.Tensor, index: int) -> torch.Tensor:
+    """Derivative of the amplitude with respect to distance, direction or rotation, (n, n)."""
+    distance_m, direction_rad, rotation_deg = values.tolist()
+    towards = np.array([np.cos(direction_rad), np.sin(direction_rad)])
+    turned = with_vanes_turned(grid.geometry, rotation_deg)
+    edges = PupilEdges(turned, grid.samples, _subsamples(turned, grid.samples), tuple(distance_m * towards))
+    if index == 2:
+        return torch.as_tensor(edges.turned() * np.pi / 180)
+    velocity = towards if index == 0 else distance_m * np.array([-towards[1], towards[0]])
+    return torch.as_tensor(edges.moved(tuple(velocity)))
 
 
 @lru_cache(maxsize=16)

@@ -2,11 +2,13 @@
 
 The structure function D is that of the residual inside the correction band (free variance,
 slope, two-fold and four-fold anisotropy; the variance, because ∂μ/∂σ vanishes at σ = 0) plus that of the
-von Kármán turbulence beyond it, which the seeing fixes: its light falls mostly outside a window
-of 0.6", where it cannot be told from flux and background.
+von Kármán turbulence beyond it. Its light falls mostly outside a window of 0.6", where it cannot be told
+from flux and background: the seeing fixes it, and where that was not measured, the residual in the band.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -40,21 +42,25 @@ class SeeingHalo(OtfEffect):
     band : ResidualBand
     seeing_arcsec : float
         Sets the turbulence beyond the cut-off, and the in-band residual to start from.
+    measured : bool
+        Whether the seeing was; otherwise the turbulence beyond the cut-off grows and falls with the in-band
+        variance, in the proportion that the seeing gives.
     """
 
     name = "seeing_halo"
     usual = True
     public = (
         number("wfe_nm", "nm RMS in all", 0.0, 1000.0, required=False),
-        number("scale", "of the in-band variance expected at the seeing", 0.0, 100.0, required=False),
+        number("scale", "of the WFE expected at the seeing", 0.0, 10.0, required=False),
     )
     look_alike = "tip_tilt_jitter, which broadens the core instead of feeding a halo"
     reference = "Fétick et al. 2018, A&A 628, A99; Roddier 1981, Prog. Opt. 19, 281"
 
-    def __init__(self, band: ResidualBand, seeing_arcsec: float):
-        self.band, self.r0_m = band, seeing_to_r0_m(seeing_arcsec)
+    def __init__(self, band: ResidualBand, seeing_arcsec: float, measured: bool = True):
+        self.band, self.r0_m, self.measured = band, seeing_to_r0_m(seeing_arcsec), measured
         expected = in_band_wfe_nm(band, seeing_arcsec) ** 2
         self.fitting_nm2 = fitting_variance_nm2(band, self.r0_m)
+        self.expected_nm2 = expected + self.fitting_nm2
         self.parameters = (
             Parameter(
                 "variance_nm2", "nm²", expected, expected, 2 * expected, 0.0, 1e6, None, (0.0, 400.0**2)
@@ -70,23 +76,35 @@ class SeeingHalo(OtfEffect):
     @classmethod
     def under(cls, conditions: Conditions) -> SeeingHalo:
         """See `Effect.under`."""
-        return cls(conditions.band, conditions.seeing_arcsec)
+        return cls(conditions.band, conditions.seeing_arcsec, conditions.seeing_measured)
 
     def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """``½ (2π/λ)² D(b)``, D in nm²."""
         self._prepare(grid)
-        structure = self._in_band.structure_nm2(*values) + self._fitting
-        return 0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2 * structure
+        structure = self._in_band.structure_nm2(*values) + self._beyond(values[0]) * self._fitting
+        return 0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2 * structure[self._place]
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
         return factor * torch.exp(-self.exponent(values, grid))
 
+    def slopes(
+        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `OtfEffect.slopes`."""
+        self._prepare(grid)
+        structure, slopes = self._in_band.structure_and_slopes(*values)
+        slopes[0] += (self._beyond(values[0] + 1) - self._beyond(values[0])) * self._fitting
+        structure = structure + self._beyond(values[0]) * self._fitting
+        scale = -0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2
+        with_halo = scale * factor * torch.exp(scale * structure[self._place])
+        return [with_halo * slopes[index][self._place] for index in wanted]
+
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """In-band WFE, total WFE, PSD slope, strength and direction of the elongation, four-fold strength."""
         variance, slope, cos2, sin2, cos4, sin4 = (float(v) for v in values)
         return {
-            "wfe_nm": float(np.sqrt(variance + self.fitting_nm2)),
+            "wfe_nm": float(np.sqrt(variance + self._beyond(variance) * self.fitting_nm2)),
             "in_band_wfe_nm": float(np.sqrt(variance)),
             "slope": slope,
             "stretch": float(np.hypot(cos2, sin2)),
@@ -104,26 +122,35 @@ class SeeingHalo(OtfEffect):
         """
         if (wfe_nm is None) == (scale is None):
             raise ValueError("seeing_halo is fixed by either wfe_nm or scale")
-        expected = self.parameters[0].start
-        variance = scale * expected if wfe_nm is None else max(wfe_nm**2 - self.fitting_nm2, 0.0)
-        return [variance, *(p.start for p in self.parameters[1:])]
+        total_nm2 = scale**2 * self.expected_nm2 if wfe_nm is None else wfe_nm**2
+        in_band, *shape = (p.start for p in self.parameters)
+        if self.measured:
+            return [max(total_nm2 - self.fitting_nm2, 0.0), *shape]
+        return [total_nm2 * in_band / self.expected_nm2, *shape]
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
         """The whole halo scaled: the turbulence beyond the cut-off is not there without the effect."""
         return [ScaledHalo(self)]
+
+    def _beyond(self, variance_nm2):
+        """Turbulence beyond the cut-off, of what the seeing gives."""
+        return 1.0 if self.measured else variance_nm2 / self.parameters[0].start
 
     def _prepare(self, grid: OtfGrid) -> None:
         """Quadrature matrices for these baselines, made once."""
         if self._baselines == grid.focal:
             return
         bx, by = np.broadcast_arrays(grid.baseline_x_m[None, :], grid.baseline_y_m[:, None])
-        self._in_band = InBandResidual(bx, by, self.band)
-        self._fitting = torch.as_tensor(fitting_structure_nm2(np.hypot(bx, by), self.band, self.r0_m))
+        lengths = np.hypot(bx, by)
+        within = lengths <= grid.focal.width_m  # no two points of the pupil are further apart
+        self._in_band = InBandResidual(bx[within], by[within], self.band)
+        self._fitting = torch.as_tensor(fitting_structure_nm2(lengths[within], self.band, self.r0_m))
+        self._place = torch.as_tensor(np.where(within, np.cumsum(within).reshape(within.shape) - 1, 0))
         self._baselines = grid.focal
 
 
 class ScaledHalo(OtfEffect):
-    """The halo expected at the seeing times one factor, 0 without and 1 with it: for searches.
+    """The halo expected at the seeing with another variance, 0 without and 1 with it: for searches.
 
     Parameters
     ----------
@@ -132,7 +159,7 @@ class ScaledHalo(OtfEffect):
     """
 
     name = SeeingHalo.name
-    parameters = (Parameter("scale", "", 1.0, lower=0.0, upper=100.0, plausible=(0.0, 10.0)),)
+    parameters = (Parameter("share", "of the variance", 1.0, lower=0.0, upper=100.0, plausible=(0.0, 10.0)),)
 
     def __init__(self, halo: SeeingHalo):
         self.halo = halo
@@ -141,3 +168,7 @@ class ScaledHalo(OtfEffect):
         """See `OtfEffect.apply`."""
         expected = torch.tensor([p.start for p in self.halo.parameters], dtype=torch.float64)
         return factor * torch.exp(-values[0] * self.halo.exponent(expected, grid))
+
+    def describe(self, values: np.ndarray) -> dict[str, float]:
+        """Total WFE."""
+        return {"wfe_nm": float(np.sqrt(max(values[0], 0.0) * self.halo.expected_nm2))}

@@ -9,7 +9,7 @@ import torch
 
 from ..optics.grids import PupilGrid
 from ..optics.zernike import noll_to_nm
-from .base import Conditions, Effect, Parameter, Public, PupilEffect, number
+from .base import Conditions, Effect, Parameter, Public, PupilEffect, along, number
 from .pinned import Pinned
 from .zernike_table import ZernikeTable
 
@@ -25,6 +25,13 @@ class _Map(PupilEffect):
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         """See `PupilEffect.apply`."""
         return field * grid.phasor(self._map_nm(values, grid))
+
+    def slopes(
+        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `PupilEffect.slopes`."""
+        turned = grid.phase_per_nm * 1j * self.apply(values, field, grid)
+        return [turned * along(lambda v: self._map_nm(v, grid), values, index) for index in wanted]
 
     def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor | None:
         """See `PupilEffect.opd_nm`."""
@@ -135,7 +142,7 @@ class PhaseBump(_Map):
         height, x, y, width = values
         u, v = (torch.as_tensor(axis * grid.radius_m) for axis in grid.xy)
         bump = torch.exp(-((u - x) ** 2 + (v - y) ** 2) / (2 * width**2))
-        return height * bump * torch.as_tensor(grid.lit)
+        return height * bump * torch.tensor(grid.lit)
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
         """One per position on a grid and per width."""

@@ -11,6 +11,7 @@ from ..image_model import ImageModel
 from ..noise import NoiseModel
 from .bound import cramer_rao_nm
 from .lift import LiftOptions, lift
+from .ramp_fit import RampData
 
 MEDIAN_OF_NORMAL = 0.6745  # median |error| of a normal variable of unit variance
 
@@ -104,11 +105,8 @@ def dim(
 
 def scan(
     model: ImageModel,
-    images_e: torch.Tensor,
+    data: RampData,
     signal_e: torch.Tensor,
-    pixel_mask: torch.Tensor,
-    noise: NoiseModel,
-    introduced_nm: np.ndarray,
     mag_j: float,
     magnitudes: np.ndarray,
     realisations: int,
@@ -122,9 +120,10 @@ def scan(
 
     Parameters
     ----------
-    images_e, signal_e : tensor, (frames, rows, columns)
-        Measured frames at magnitude `mag_j`, and their noise-free models.
-    introduced_nm : ndarray, (frames,)
+    data : RampData
+        Measured frames, of a star of magnitude `mag_j`.
+    signal_e : tensor, (frames, rows, columns)
+        Their noise-free models.
     magnitudes : ndarray
         Not brighter than `mag_j`.
     start_nm : tensor, (frames, modes)
@@ -133,20 +132,22 @@ def scan(
     -------
     Curve
     """
-    introduced, focus = np.tile(introduced_nm, realisations), model.psf.nolls.index(4)
+    introduced, focus = np.tile(data.introduced_nm, realisations), model.psf.nolls.index(4)
     true = start_nm.clone()
-    true[:, focus] = torch.as_tensor(introduced_nm)
+    true[:, focus] = torch.as_tensor(data.introduced_nm)
     flux, errors, bounds = signal_e.double().sum((1, 2)), [], []
     for index, magnitude in enumerate(magnitudes):
         factor = min(1.0, 10 ** (-0.4 * (magnitude - mag_j)))
         generator = torch.Generator().manual_seed(seed + 7919 * index)
-        dimmed = torch.cat([dim(images_e, signal_e, factor, noise, generator) for _ in range(realisations)])
+        dimmed = torch.cat(
+            [dim(data.images_e, signal_e, factor, data.noise, generator) for _ in range(realisations)]
+        )
         start, options = start_nm.repeat(realisations, 1), LiftOptions(noise="model")
-        result = lift(model, dimmed, pixel_mask, noise, start, options)
+        result = lift(model, dimmed, data.pixel_mask, data.noise, start, options)
         error = np.abs(result.mode(4)[0].numpy() - introduced)
         failed = ~result.solution.converged.numpy() | ~(error < criterion.implausible_nm)
         errors.append(np.where(failed, np.nan, error))
-        bound = cramer_rao_nm(model, true, flux * factor, noise)
+        bound = cramer_rao_nm(model, true, flux * factor, data.noise)
         bounds.append(float(bound[:, focus].median()))
         if report is not None:
             report(1)

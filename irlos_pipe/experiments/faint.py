@@ -123,11 +123,8 @@ def _scan(
     way, data = WAYS[key], observed.data
     return scan(
         ImageModel(observed.model(way), observed.effects(way)),
-        data.images_e,
+        data,
         signal_e,
-        data.pixel_mask,
-        data.noise,
-        data.introduced_nm,
         sample.mag_j,
         magnitudes,
         sample.realisations,

@@ -87,9 +87,14 @@ class PupilGrid:
         """Zernike polynomials, (modes, n, n)."""
         return _modes(self.geometry, self.samples, tuple(nolls))
 
+    @property
+    def phase_per_nm(self) -> torch.Tensor:
+        """Phase of an OPD [rad/nm], (wavelengths, 1, 1)."""
+        return 2 * np.pi * NM / self.wavelengths_m
+
     def phasor(self, opd_nm: torch.Tensor) -> torch.Tensor:
         """``exp(2πi OPD/λ)``, (wavelengths, n, n), of an OPD (n, n) [nm]."""
-        return torch.exp(2j * np.pi * NM * opd_nm / self.wavelengths_m)
+        return torch.exp(1j * self.phase_per_nm * opd_nm)
 
 
 class Sampling(NamedTuple):

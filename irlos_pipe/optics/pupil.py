@@ -94,17 +94,21 @@ def band_limited_parts(
 
 def _filtered(geometry: PupilGeometry, samples: int, stop_m, subsamples: int, split) -> np.ndarray:
     """Low-passed maps that `split` makes of the clear fraction of each fine cell, (maps, n, n)."""
-    total = samples + 2 * PAD
-    fine = grid_centres(total * subsamples, geometry.diameter_m / samples / subsamples)
-    filtering = _filter_matrix(total, subsamples)
+    fine = fine_centres(geometry, samples, subsamples)
+    filtering = filter_matrix(samples + 2 * PAD, subsamples)
     return sum(
         filtering[:, rows] @ (split(clear, fine[None, :], fine[rows, None]) @ filtering.T)
         for rows, clear in _by_rows(geometry, fine, stop_m)
     )
 
 
+def fine_centres(geometry: PupilGeometry, samples: int, subsamples: int) -> np.ndarray:
+    """Coordinates of the fine grid along either axis [m]."""
+    return grid_centres((samples + 2 * PAD) * subsamples, geometry.diameter_m / samples / subsamples)
+
+
 @lru_cache(maxsize=8)
-def _filter_matrix(total: int, subsamples: int) -> np.ndarray:
+def filter_matrix(total: int, subsamples: int) -> np.ndarray:
     """Low-pass along one axis of the fine grid, and the picking of the coarse samples, (total, fine)."""
     size = total * subsamples
     response, half_cell = _low_pass(size, subsamples)
@@ -135,35 +139,54 @@ def _clear_fraction(
     geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float, stop_m: tuple[float, float]
 ) -> np.ndarray:
     """Fraction of sub-cells of size `step` that transmit, from the distance to each edge."""
-    outer, hole = _distances(geometry, np.hypot(x, y))
-    if stop_m != ON_AXIS:
-        of_stop = _distances(geometry, np.hypot(x - stop_m[0], y - stop_m[1]))
-        outer, hole = np.minimum(outer, of_stop[0]), np.minimum(hole, of_stop[1])
-    clear = _inside(outer / step)
-    if geometry.obscuration_m > 0:
-        clear = clear * _inside(hole / step)
+    clear = annulus_cover(geometry, x, y, step, stop_m)
     for vane in geometry.vanes:
-        clear = clear * (1 - _vane_cover(vane, x, y, step))
+        _cover(clear, vane, x, y, step)
     return clear
 
 
-def _distances(geometry: PupilGeometry, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far points lie inside the outline and outside the hole [m]."""
-    return geometry.diameter_m / 2 - radius, radius - geometry.obscuration_m / 2
+def annulus_cover(
+    geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float, stop_m: tuple[float, float]
+) -> np.ndarray:
+    """Fraction of each sub-cell inside the outlines and outside the holes of pupil and stop."""
+    largest = smallest = np.sqrt(x**2 + y**2)
+    if stop_m != ON_AXIS:
+        from_stop = np.sqrt((x - stop_m[0]) ** 2 + (y - stop_m[1]) ** 2)
+        largest, smallest = np.maximum(largest, from_stop), np.minimum(smallest, from_stop)
+    clear = inside((geometry.diameter_m / 2 - largest) / step)
+    if geometry.obscuration_m > 0:
+        clear *= inside((smallest - geometry.obscuration_m / 2) / step)
+    return clear
 
 
-def _inside(distance_cells: np.ndarray) -> np.ndarray:
+def inside(distance_cells: np.ndarray) -> np.ndarray:
     """Covered fraction of a cell whose centre lies `distance_cells` inside an edge."""
     return np.clip(distance_cells + 0.5, 0.0, 1.0)
 
 
-def _vane_cover(vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
+def _cover(clear: np.ndarray, vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> None:
+    """Take from every sub-cell the fraction that the vane covers; most lie far from it."""
+    rows, columns = np.nonzero(np.abs(across_m(vane, x, y)) < vane.width_m / 2 + step)
+    clear[rows, columns] *= 1 - vane_cover(vane, x[0, columns], y[rows, 0], step)
+
+
+def vane_cover(vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
     """Fraction of each sub-cell that the vane covers."""
+    start, length, direction = _axis(vane)
+    along = (x - start[0]) * direction[0] + (y - start[1]) * direction[1]
+    across, half = across_m(vane, x, y), vane.width_m / 2
+    width = inside((across + half) / step) + inside((half - across) / step) - 1
+    return np.clip(width, 0, 1) * inside(along / step) * inside((length - along) / step)
+
+
+def across_m(vane: Vane, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Distance to the left of a vane's axis."""
+    start, _, direction = _axis(vane)
+    return (y - start[1]) * direction[0] - (x - start[0]) * direction[1]
+
+
+def _axis(vane: Vane) -> tuple[np.ndarray, float, np.ndarray]:
+    """Where a vane starts, its length, and its direction."""
     start, end = np.array(vane.start_m), np.array(vane.end_m)
-    length = np.hypot(*(end - start))
-    along_x, along_y = (end - start) / length
-    along = (x - start[0]) * along_x + (y - start[1]) * along_y
-    across = -(x - start[0]) * along_y + (y - start[1]) * along_x
-    half = vane.width_m / 2
-    width = _inside((across + half) / step) + _inside((half - across) / step) - 1
-    return np.clip(width, 0, 1) * _inside(along / step) * _inside((length - along) / step)
+    length = float(np.hypot(*(end - start)))
+    return start, length, (end - start) / length

@@ -87,11 +87,8 @@ class InBandResidual:
         self.shape = bx_m.shape
         self.matrix = torch.as_tensor(2 * (1 - np.cos(phase)) * area)
         self.area = torch.as_tensor(area)
-        self.log_f = torch.as_tensor(np.log(ff))
-        self.cos2 = torch.as_tensor(np.cos(2 * aa))
-        self.sin2 = torch.as_tensor(np.sin(2 * aa))
-        self.cos4 = torch.as_tensor(np.cos(4 * aa))
-        self.sin4 = torch.as_tensor(np.sin(4 * aa))
+        harmonics = (np.cos(2 * aa), np.sin(2 * aa), np.cos(4 * aa), np.sin(4 * aa))
+        self.shapes = torch.as_tensor(np.array([-np.log(ff), *harmonics]))
 
     def structure_nm2(
         self, variance_nm2, slope, stretch_cos=0.0, stretch_sin=0.0, cross_cos=0.0, cross_sin=0.0
@@ -109,11 +106,29 @@ class InBandResidual:
         cross_cos, cross_sin : tensor or float
             The same with cos 4θ and sin 4θ.
         """
-        stretch = stretch_cos * self.cos2 + stretch_sin * self.sin2
-        cross = cross_cos * self.cos4 + cross_sin * self.sin4
-        shape = torch.exp(-slope * self.log_f + stretch + cross)
-        psd = variance_nm2 * shape / torch.sum(self.area * shape)
+        harmonics = (stretch_cos, stretch_sin, cross_cos, cross_sin)
+        psd = self._psd_nm2m2(variance_nm2, slope, harmonics)
         return (self.matrix @ psd).reshape(self.shape)
+
+    def structure_and_slopes(
+        self, variance_nm2, slope, stretch_cos=0.0, stretch_sin=0.0, cross_cos=0.0, cross_sin=0.0
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """The same with its derivatives, arguments first.
+
+        Automatic differentiation would read the quadrature matrix several times.
+        """
+        harmonics = (stretch_cos, stretch_sin, cross_cos, cross_sin)
+        unit = self._psd_nm2m2(1.0, slope, harmonics)
+        centred = self.shapes - (self.shapes @ (self.area * unit))[:, None]
+        columns = torch.cat([unit[None], variance_nm2 * unit * centred])
+        along_variance, *others = (columns @ self.matrix.mT).reshape(-1, *self.shape)
+        return variance_nm2 * along_variance, torch.stack([along_variance, *others])
+
+    def _psd_nm2m2(self, variance_nm2, slope, harmonics) -> torch.Tensor:
+        """PSD at the nodes of the quadrature, (nodes,)."""
+        pairs = zip((slope, *harmonics), self.shapes, strict=True)
+        shape = torch.exp(sum(factor * logarithm for factor, logarithm in pairs))
+        return variance_nm2 * shape / torch.sum(self.area * shape)
 
 
 def _log_grid(low: float, high: float, points: int) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ from irlos_pipe.stages.model_effects import calibrated_effects
 from irlos_pipe.stages.recordings import recordings_from_product
 
 NAME = "correct"
-VERSION = 2
+VERSION = 3
 NEEDS = ("ingest", "calibrate")
 READS = ("ingest", "calibrate")
 HIGHEST_NOLL = 30

@@ -28,7 +28,7 @@ from irlos_pipe.stages.ramp_input import (
 )
 
 NAME = "lift"
-VERSION = 3
+VERSION = 4
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 

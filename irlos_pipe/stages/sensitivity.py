@@ -21,7 +21,7 @@ from irlos_pipe.stages.ramp_input import (
 )
 
 NAME = "sensitivity"
-VERSION = 3
+VERSION = 4
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 
@@ -116,11 +116,8 @@ def _curve(
     criterion = Criterion(ctx.config.limit_nm, ctx.config.limit_failures)
     return scan(
         bright.model,
-        data.images_e,
+        data,
         bright.result.model_e,
-        data.pixel_mask,
-        data.noise,
-        data.introduced_nm,
         ramp.acquisition.mag_j,
         magnitudes,
         ctx.config.realisations,

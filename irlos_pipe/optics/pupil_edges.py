@@ -1,0 +1,104 @@
+"""How the drawn pupil changes when the internal stop moves or the vanes turn.
+
+Only what lies near an edge changes. Edges are taken `WIDTH` cells wide: one cell would show the staircase of
+the grid, four would miss what the low-pass lets through.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import sparse
+
+from ..geometry import PupilGeometry, Vane
+from .pupil import PAD, across_m, annulus_cover, filter_matrix, fine_centres, inside, vane_cover
+
+WIDTH = 1.5  # fine cells
+
+
+class PupilEdges:
+    """Edges of a pupil with an internal stop, as `pupil.band_limited` draws them.
+
+    Parameters
+    ----------
+    geometry : PupilGeometry
+    samples, subsamples : int
+        See `pupil.band_limited`.
+    stop_m : (float, float)
+        Position of the stop.
+    """
+
+    def __init__(self, geometry: PupilGeometry, samples: int, subsamples: int, stop_m: tuple[float, float]):
+        self.geometry, self.stop_m, self._subsamples = geometry, stop_m, subsamples
+        self._fine = fine_centres(geometry, samples, subsamples)
+        self._step = self._fine[1] - self._fine[0]
+        self._filter = filter_matrix(samples + 2 * PAD, subsamples)
+
+    def moved(self, along: tuple[float, float]) -> np.ndarray:
+        """Derivative of the amplitude while the stop moves with a velocity, (n, n).
+
+        Where stop and pupil coincide only the edges that darken count: the derivative is one-sided.
+        """
+        outer = self._rim(self.geometry.diameter_m / 2, along, sign=1)
+        if self.geometry.obscuration_m == 0:
+            return outer
+        return outer + self._rim(self.geometry.obscuration_m / 2, along, sign=-1)
+
+    def turned(self) -> np.ndarray:
+        """Derivative of the amplitude while the vanes turn anticlockwise about the axis, (n, n) [1/rad]."""
+        return sum(self._vane(vane) for vane in self.geometry.vanes)
+
+    def _rim(self, radius_m: float, along: tuple[float, float], sign: int) -> np.ndarray:
+        """Of the stop's outline (sign 1) or hole (-1), where it is the edge that limits the light."""
+        x0, y0 = self.stop_m
+        rows, columns, share = self._near(lambda x, y: np.hypot(x - x0, y - y0) - radius_m)
+        x, y = self._fine[columns], self._fine[rows]
+        from_stop = np.hypot(x - x0, y - y0)
+        rate = sign * ((x - x0) * along[0] + (y - y0) * along[1]) / from_stop
+        beyond = sign * (from_stop - np.hypot(x, y))
+        limits = (beyond > 0) | ((beyond == 0) & (rate < 0))
+        change = share * limits * rate * self._between(self.geometry.vanes, x, y)
+        return self._filtered(rows, columns, change)
+
+    def _vane(self, vane: Vane) -> np.ndarray:
+        """Of the two edges of one vane."""
+        rows, columns, share = self._near(lambda x, y: np.abs(across_m(vane, x, y)) - vane.width_m / 2)
+        x, y = self._fine[columns], self._fine[rows]
+        axis = np.subtract(vane.end_m, vane.start_m)
+        rate = -np.sign(across_m(vane, x, y)) * (x * axis[0] + y * axis[1]) / np.hypot(*axis)
+        others = self._between([one for one in self.geometry.vanes if one is not vane], x, y)
+        others *= annulus_cover(self.geometry, x, y, self._step, self.stop_m)
+        broad = replace(vane, width_m=vane.width_m + 4 * self._step)  # covers both edges between its ends
+        change = share * rate * others * vane_cover(broad, x, y, self._step)
+        return self._filtered(rows, columns, change)
+
+    def _near(
+        self, distance_m: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows and columns of the cells at an edge, and how much of its width lies in each [1/m].
+
+        They are looked for in coarse cells that the edge may cross.
+        """
+        coarse = self._fine.reshape(-1, self._subsamples).mean(1)
+        reach_m = (self._subsamples / np.sqrt(2) + WIDTH) * self._step
+        blocks = np.nonzero(np.abs(distance_m(coarse[None, :], coarse[:, None])) < reach_m)
+        within = np.indices((self._subsamples,) * 2).reshape(2, 1, -1)
+        rows, columns = (np.array(blocks)[:, :, None] * self._subsamples + within).reshape(2, -1)
+        cells = distance_m(self._fine[columns], self._fine[rows]) / self._step
+        share = (inside(cells + WIDTH / 2) - inside(cells - WIDTH / 2)) / (WIDTH * self._step)
+        some = share > 0
+        return rows[some], columns[some], share[some]
+
+    def _between(self, vanes: Sequence[Vane], x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Part of cells that vanes leave clear."""
+        clear = np.ones(len(x))
+        for vane in vanes:
+            clear *= 1 - vane_cover(vane, x, y, self._step)
+        return clear
+
+    def _filtered(self, rows: np.ndarray, columns: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Low-passed change of a few cells, (n, n)."""
+        size = len(self._fine)
+        return self._filter @ (sparse.csr_array((change, (rows, columns)), (size, size)) @ self._filter.T)
