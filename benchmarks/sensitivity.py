@@ -61,6 +61,7 @@ class SensitivityScan:
             start_nm,
             Criterion(),
             SEED,
+            near_nm=bright.result.zernike_nm,
         )
         return float(curve.median_abs_error_nm[0])
 

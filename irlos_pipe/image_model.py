@@ -105,10 +105,10 @@ class ImageModel:
         Raises
         ------
         ValueError
-            With effects of the detector or of time.
+            With free effects, or effects of the detector or of time.
         """
-        if self.effects.at("detector") or self.effects.at("time"):
-            raise ValueError("the pullback knows no effects of the detector or of time")
+        if not self.can_pull_back:
+            raise ValueError("the pullback knows no free effects, nor those of the detector or of time")
         unit, to_modes = self.psf.images_and_pullback(modes_nm, self.optics)
         flux, background = (v.to(unit)[:, None, None] for v in (flux_e, background_e))
 
@@ -119,6 +119,11 @@ class ImageModel:
             return torch.cat([by_modes, by_flux[:, None], by_background[:, None]], dim=1)
 
         return flux * unit + background, pullback
+
+    @property
+    def can_pull_back(self) -> bool:
+        """Whether `predict_and_pullback` knows all effects of the model."""
+        return not (self.effects.parameters or self.effects.at("detector") or self.effects.at("time"))
 
     @property
     def optics(self) -> Optics:

@@ -17,6 +17,7 @@ import torch
 
 from ..image_model import ImageModel
 from ..noise import NoiseModel
+from .alike import Alike, AlikeFit
 from .image_fit import ImageFit, masked_variance
 from .parameters import Layout
 from .solution import Solution, mixed_tensors
@@ -37,17 +38,24 @@ class LiftOptions:
         model once more.
     prior_mean_nm, prior_sigma_nm : tensor, (images, modes) and (modes,), optional
         Gaussian prior; with it the estimate is MAP, without it ML.
+    alike : Alike, optional
+        Where many images are realisations of a few frames: quicker, covariances are those of the frames.
     """
 
     noise: str = "iterative"
     prior_mean_nm: torch.Tensor | None = None
     prior_sigma_nm: torch.Tensor | None = None
     max_iterations: int = 40
+    alike: Alike | None = None
 
     def of(self, which: torch.Tensor) -> LiftOptions:
         """The same for some of the images."""
-        mean_nm = self.prior_mean_nm
-        return replace(self, prior_mean_nm=mean_nm if mean_nm is None else mean_nm[which])
+        mean_nm, alike = self.prior_mean_nm, self.alike
+        return replace(
+            self,
+            prior_mean_nm=mean_nm if mean_nm is None else mean_nm[which],
+            alike=alike if alike is None else alike.of(which),
+        )
 
 
 @dataclass(frozen=True)
@@ -139,7 +147,8 @@ def _lift(model: ImageModel, images_e, pixel_mask, noise, start_nm, options, rep
     signal = smooth(images_e)
     last = NOISE_ROUNDS[options.noise] - 1
     for round_ in range(last + 1):
-        problem = image_problem(model, layout, images_e, noise.variance_e2(signal), pixel_mask)
+        variance = noise.variance_e2(signal)
+        problem = image_problem(model, layout, images_e, variance, pixel_mask, options.alike)
         if round_ < last:
             problem.tolerance = ROUGH_TOLERANCE
         solution = solve(
@@ -164,11 +173,13 @@ def image_problem(
     images_e: torch.Tensor,
     variance_e2: torch.Tensor,
     pixel_mask: torch.Tensor,
+    alike: Alike | None = None,
 ) -> ImageFit:
     """One image, one parameter vector, for a whole batch."""
     variance = masked_variance(variance_e2, pixel_mask)[:, None].flatten(2)
     device = model.psf.device
-    return ImageFit(model, layout, images_e[:, None].flatten(2).to(device), variance.to(device))
+    arguments = model, layout, images_e[:, None].flatten(2).to(device), variance.to(device)
+    return ImageFit(*arguments) if alike is None else AlikeFit(*arguments, alike=alike)
 
 
 def smooth(images_e: torch.Tensor) -> torch.Tensor:

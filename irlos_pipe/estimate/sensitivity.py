@@ -9,6 +9,7 @@ import torch
 
 from ..image_model import ImageModel
 from ..noise import NoiseModel
+from .alike import alike
 from .bound import cramer_rao_nm
 from .lift import LiftOptions, lift
 from .ramp_fit import RampData
@@ -114,6 +115,7 @@ def scan(
     criterion: Criterion,
     seed: int,
     *,
+    near_nm: torch.Tensor | None = None,
     report=None,
 ) -> Curve:
     """Error of defocus over a range of magnitudes.
@@ -127,6 +129,9 @@ def scan(
     magnitudes : ndarray
         Not brighter than `mag_j`.
     start_nm : tensor, (frames, modes)
+    near_nm : tensor, (frames, modes), optional
+        Estimates from the frames as they are, which make the scan quicker. Estimates stay the same, except
+        that a fit for which several minima compete may end in another.
 
     Returns
     -------
@@ -135,6 +140,9 @@ def scan(
     introduced, focus = np.tile(data.introduced_nm, realisations), model.psf.nolls.index(4)
     true = start_nm.clone()
     true[:, focus] = torch.as_tensor(data.introduced_nm)
+    start = start_nm.repeat(realisations, 1)
+    frames = torch.arange(len(start_nm)).repeat(realisations)
+    options = LiftOptions(noise="model", alike=None if near_nm is None else alike(model, near_nm, frames))
     flux, errors, bounds = signal_e.double().sum((1, 2)), [], []
     for index, magnitude in enumerate(magnitudes):
         factor = min(1.0, 10 ** (-0.4 * (magnitude - mag_j)))
@@ -142,7 +150,6 @@ def scan(
         dimmed = torch.cat(
             [dim(data.images_e, signal_e, factor, data.noise, generator) for _ in range(realisations)]
         )
-        start, options = start_nm.repeat(realisations, 1), LiftOptions(noise="model")
         result = lift(model, dimmed, data.pixel_mask, data.noise, start, options)
         error = np.abs(result.mode(4)[0].numpy() - introduced)
         failed = ~result.solution.converged.numpy() | ~(error < criterion.implausible_nm)

@@ -124,6 +124,7 @@ def _curve(
         start,
         criterion,
         ctx.seed,
+        near_nm=bright.result.zernike_nm,
         report=report,
     )
 
