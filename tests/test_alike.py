@@ -1,4 +1,4 @@
-"""Fits of noise realisations with the curvature of their frames. Truth: fits with derivatives of their own."""
+"""Fits of noise realisations with the curvature of their frames. Truth: fits with own derivatives."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from irlos_pipe.image_model import ImageModel
 from irlos_pipe.psf import PsfModel
 
 NOLLS, REALISATIONS = (2, 3, 4, 5, 7, 8), 12
-FRAMES_NM = torch.tensor([[5.0, -8.0, 60.0, 20.0, -15.0, 10.0], [-3.0, 4.0, -90.0, -10.0, 20.0, 5.0]]).double()
+FRAMES_NM = torch.tensor([[5.0, -8, 60, 20, -15, 10], [-3.0, 4, -90, -10, 20, 5]]).double()
 FRAME = torch.arange(2).repeat(REALISATIONS)
 LIMIT = torch.tensor([20.0, 20.0, 40.0, 20.0, 20.0, 20.0]).double()
 

@@ -10,14 +10,14 @@ from ..effects import Conditions, Effect, Pinned
 from .bad_pixel_check import bad_pixel_family
 from .conclude import conclude
 from .cube import Cube, split
-from .decide import Accepted, Options, choose, no_longer_needed
+from .decide import Accepted, Options, choose, explained, no_longer_needed
 from .detect import Score, scores
 from .drift_check import Drift, measure_drift
 from .families import families, names_of
 from .fitting import Fitted, Fitter, most_plausible
 from .noise_check import PHOTONS, judge_all
 from .optimum import Optimum
-from .refit import refits
+from .refit import Refit, refits
 from .verdict import Diagnosis
 from .view import Exposures
 
@@ -111,6 +111,8 @@ class Task:
             if chosen is None or len(accepted) == self.options.most_names:
                 return Search(null, current, drift, accepted, found, meaningless)
             accepted.append(chosen)
+            if self._leads_nowhere(chosen.refit):
+                return Search(null, chosen.refit.optimum, drift, accepted, found, meaningless)
             current, accepted = self._adapted(accepted)
 
     # -- steps ---------------------------------------------------------------------------------
@@ -145,6 +147,11 @@ class Task:
             return None
         ranked = refits(self.fitter, current, found, self.report)
         return choose(ranked, self.cube, self.options, first=first)
+
+    def _leads_nowhere(self, refit: Refit) -> bool:
+        """Whether a name leaves much, and explains less than its share of as many names as are allowed."""
+        much = refit.excess.significance > self.options.sure
+        return much and explained(refit) < 1 / self.options.most_names
 
     def _adapted(self, accepted: list[Accepted]) -> tuple[Optimum, list[Accepted]]:
         """The model with the new name, without one that it makes superfluous."""
