@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import matplotlib
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from irlos_pipe.report.images import brightness_scale, image_panel, log_scale, t
 from irlos_pipe.report.modes import label, mode_name
 from irlos_pipe.report.radial import ring_means
 from irlos_pipe.report.ramp_plots import RampPoints, image_strip, ramp_plot, residual_limit
+from irlos_pipe.report.section_prior import prior_section
 from irlos_pipe.report.sensitivity_plot import limit_text
 from irlos_pipe.report.text import MISSING, number, plural, with_error
 
@@ -203,3 +206,12 @@ def test_the_residual_scale_is_relative_to_the_models_peak():
 def test_a_perfect_model_leaves_a_usable_residual_scale():
     model = np.full((2, 4, 4), 50.0)
     assert residual_limit(model, model) > 0
+
+
+def test_the_prior_of_ten_thousand_frames_takes_little_more_room_than_that_of_some_hundred():
+    def drawn(frames: int) -> int:
+        values = np.random.default_rng(1).standard_normal(frames)
+        run = SimpleNamespace(array=lambda stage, name: values, results=lambda stage: {})
+        return sum(len(block.svg) for block in prior_section(run).blocks)
+
+    assert drawn(10_000) < 2 * drawn(300)

@@ -55,7 +55,9 @@ STYLE = {
     "ytick.labelsize": 8,
     "figure.constrained_layout.use": True,
     "errorbar.capsize": 1.5,
+    "savefig.dpi": 200,  # of what is drawn as pixels
 }
+MANY = 2000  # marks, beyond which they are better drawn as pixels
 # What matplotlib writes and a page must not have: a header, rules for all its elements, a size in points.
 UNWANTED = re.compile(
     r'\A.*?(?=<svg)|<metadata>.*?</metadata>\s*|<style .*?</style>\s*| (?:width|height)="[\d.]+pt"', re.DOTALL

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from markupsafe import Markup
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.report.content import Figure, Section
-from irlos_pipe.report.drawing import BLUE, INK, ORANGE, svg
+from irlos_pipe.report.drawing import BLUE, INK, MANY, ORANGE, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number
 
@@ -63,7 +64,7 @@ def _ratio_plot(
 ) -> Markup:
     def draw(figure: Canvas) -> None:
         axes = figure.subplots()
-        axes.plot(introduced, ratio, "o", color=BLUE, markersize=3, label="frames")
+        _frames(axes, introduced, ratio)
         if law is not None:
             axes.plot(*law, color=ORANGE, label="law, over its range")
         axes.set(xlabel="introduced defocus [nm RMS]", ylabel="axis ratio σ₁/σ₂")
@@ -72,11 +73,15 @@ def _ratio_plot(
     return svg("prior-law", SIZE_IN, draw)
 
 
+def _frames(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
+    axes.plot(x, y, "o", color=BLUE, markersize=3, label="frames", rasterized=len(x) > MANY)
+
+
 def _prior_plot(prior_nm: np.ndarray, introduced_nm: np.ndarray) -> Markup:
     def draw(figure: Canvas) -> None:
         axes = figure.subplots()
         axes.plot(introduced_nm, introduced_nm, color=INK, linewidth=0.9, label="1:1")
-        axes.plot(introduced_nm, prior_nm, "o", color=BLUE, markersize=3, label="frames")
+        _frames(axes, introduced_nm, prior_nm)
         axes.set(xlabel="introduced defocus [nm RMS]", ylabel="prior of the defocus [nm RMS]")
         axes.legend()
 
