@@ -23,6 +23,7 @@ from .detect import gaussian_sigma
 from .fitting import Fitted
 
 NOLLS = range(2, 12)
+TIMES = 9  # of a recording, at which a drift is looked at
 POINTING = (2, 3)  # where the star is says nothing about the optics: no part of the test
 
 
@@ -92,13 +93,14 @@ class LinearStep:
 
     def of_a_drift(self, change_nm: np.ndarray) -> np.ndarray:
         """The slopes that it finds in images of the model whose wavefront drifts, (modes,)."""
-        layout, count = self.part.layout, len(self.stack)
+        layout, (first, last) = self.part.layout, (self.stack.when.min(), self.stack.when.max())
+        when = first + (np.arange(TIMES) + 0.5) / TIMES * (last - first)
         held = self.part.model.effects.held(self.x[0, layout.effect_values]).effects
         model = ImageModel(self.part.model.psf, [*held, Pinned(NcpaDrift(self.nolls), change_nm)])
-        modes, flux, background = (self.x[:, at].expand(count, -1) for at in (layout.modes, [-2], [-1]))
-        when = torch.as_tensor(self.stack.when)
-        images = model.predict(modes, flux[:, 0], background[:, 0], when=when).cpu().flatten(1)
-        return slopes(self.modes_nm((images - images.mean(0)) * self.stack.root), self.stack.when)
+        modes, flux, background = (self.x[:, at].expand(TIMES, -1) for at in (layout.modes, [-2], [-1]))
+        images = model.predict(modes, flux[:, 0], background[:, 0], when=torch.as_tensor(when))
+        images = images.cpu().flatten(1)
+        return slopes(self.modes_nm((images - images.mean(0)) * self.stack.root), when)
 
 
 def slopes(series: np.ndarray, when: np.ndarray) -> np.ndarray:

@@ -61,6 +61,8 @@ class SeeingHalo(OtfEffect):
         expected = in_band_wfe_nm(band, seeing_arcsec) ** 2
         self.fitting_nm2 = fitting_variance_nm2(band, self.r0_m)
         self.expected_nm2 = expected + self.fitting_nm2
+        # Turbulence beyond the cut-off, of what the seeing gives: fixed, or in proportion to the variance.
+        self._fixed, self._per_nm2 = (1.0, 0.0) if measured else (0.0, 1.0 / expected)
         self.parameters = (
             Parameter(
                 "variance_nm2", "nm²", expected, expected, 2 * expected, 0.0, 1e6, None, (0.0, 400.0**2)
@@ -94,7 +96,7 @@ class SeeingHalo(OtfEffect):
         """See `OtfEffect.slopes`."""
         self._prepare(grid)
         structure, slopes = self._in_band.structure_and_slopes(*values)
-        slopes[0] += (self._beyond(values[0] + 1) - self._beyond(values[0])) * self._fitting
+        slopes[0] += self._per_nm2 * self._fitting
         structure = structure + self._beyond(values[0]) * self._fitting
         scale = -0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2
         with_halo = scale * factor * torch.exp(scale * structure[self._place])
@@ -134,7 +136,7 @@ class SeeingHalo(OtfEffect):
 
     def _beyond(self, variance_nm2):
         """Turbulence beyond the cut-off, of what the seeing gives."""
-        return 1.0 if self.measured else variance_nm2 / self.parameters[0].start
+        return self._fixed + self._per_nm2 * variance_nm2
 
     def _prepare(self, grid: OtfGrid) -> None:
         """Quadrature matrices for these baselines, made once."""
