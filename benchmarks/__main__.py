@@ -12,6 +12,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+import torch
 from tqdm import tqdm
 
 from .breakdown import measure_breakdown
@@ -19,7 +20,7 @@ from .docs import breakdown
 from .docs import write_docs as put_into_docs
 from .inputs import Inputs, prepare
 from .measure import in_own_process
-from .plan import CUBE, NCPA, NCPA_60, OTHERS, Entry
+from .plan import CUBE, CUDA, CUDA_60, NCPA, NCPA_60, OTHERS, Entry
 from .table import render
 
 RESULTS = Path(__file__).parent / "results.json"
@@ -43,7 +44,8 @@ def measure_all(folder: Path, quick: bool) -> dict:
     """Prepare the inputs in `folder` and run every case."""
     drawn = max(entry.quick_frames if quick else entry.frames for entry in NCPA)
     prepare(folder, drawn, lambda frames: tqdm(frames, desc="drawing frames", disable=None))
-    groups = (NCPA, NCPA_60, OTHERS)
+    cuda = torch.cuda.is_available()
+    groups = (NCPA + CUDA * cuda, NCPA_60 + CUDA_60 * cuda, OTHERS)
     bar = tqdm(total=sum(map(len, groups)) + 1, disable=None)
     ncpa, more, others = ([_measure(entry, folder, quick, bar) for entry in group] for group in groups)
     common = _compare(ncpa, Inputs(folder))
@@ -55,6 +57,7 @@ def measure_all(folder: Path, quick: bool) -> dict:
         "date": datetime.now(UTC).strftime("%Y-%m-%d"),
         "machine": _machine(),
         "common_frames": common,
+        "cuda": torch.cuda.get_device_name() if cuda else None,
         "ncpa": ncpa,
         "ncpa_60": more,
         "others": others,
@@ -72,13 +75,13 @@ def _measure(entry: Entry, folder: Path, quick: bool, bar: tqdm) -> dict:
 def _compare(entries: list[dict], inputs: Inputs) -> int:
     """Add errors, the extrapolated time and the speed-up to every entry; returns the frames all share."""
     common = min(entry["frames"] for entry in entries)
-    baseline = entries[0]["cpu_s"] / entries[0]["frames"]
     for entry in entries:
         estimates_nm = np.array(entry.pop("estimates_nm"))
-        per_frame = entry["cpu_s"] / entry["frames"]
+        clock = entry.get("clock", "cpu_s")
+        baseline, per_frame = (one[clock] / one["frames"] for one in (entries[0], entry))
         entry["error_nm"] = inputs.frames.error_nm(estimates_nm)
         entry["common_error_nm"] = inputs.frames.error_nm(estimates_nm[:common])
-        entry["cube_cpu_s"], entry["speed_up"] = per_frame * CUBE, baseline / per_frame
+        entry["cube_s"], entry["speed_up"] = per_frame * CUBE, baseline / per_frame
     return common
 
 

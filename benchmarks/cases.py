@@ -46,12 +46,14 @@ MORE_NOLLS = tuple(range(2, 62))
 TWO_WAVELENGTHS = ((1215.0, 0.5), (1625.0, 0.5))
 
 
-def _calibrated(inputs: Inputs, count: int, method: str, highest_noll: int = NOLLS[-1]) -> dict:
+def _calibrated(
+    inputs: Inputs, count: int, method: str, highest_noll: int = NOLLS[-1], device: str = "cpu"
+) -> dict:
     """A method of `calibrate` on the drawn frames."""
     options = CalibrationOptions(method, highest_noll=highest_noll)
-    calibrate(inputs.calibration_frames(2), inputs.settings, options)  # libraries start up
+    calibrate(inputs.calibration_frames(2), inputs.settings, options, device=device)  # libraries start up
     with stopwatch() as watch:
-        result = calibrate(inputs.calibration_frames(count), inputs.settings, options)
+        result = calibrate(inputs.calibration_frames(count), inputs.settings, options, device=device)
     return _timed(watch, count) | {
         "estimates_nm": result.frames_nm[:, : len(NOLLS)].tolist(),
         "iterations": result.iterations.tolist(),
@@ -67,6 +69,16 @@ def dip_global(inputs: Inputs, count: int) -> dict:
 def dip_global_60(inputs: Inputs, count: int) -> dict:
     """The same with 60 modes, of which those are compared that have a truth."""
     return _calibrated(inputs, count, "dip_global", MORE_NOLLS[-1])
+
+
+def dip_global_cuda(inputs: Inputs, count: int) -> dict:
+    """`dip_global` on a GPU; how long it takes is for the wall clock to say."""
+    return _calibrated(inputs, count, "dip_global", device="cuda") | {"clock": "wall_s"}
+
+
+def dip_global_60_cuda(inputs: Inputs, count: int) -> dict:
+    """The same with 60 modes."""
+    return _calibrated(inputs, count, "dip_global", MORE_NOLLS[-1], "cuda") | {"clock": "wall_s"}
 
 
 def lift_slices(inputs: Inputs, count: int) -> dict:
@@ -269,6 +281,8 @@ CASES: dict[str, Callable[[Inputs, int], dict]] = {
     for case in (
         dip_global,
         dip_global_60,
+        dip_global_cuda,
+        dip_global_60_cuda,
         lift_slices,
         fft_lbfgs,
         fft_lbfgs_60,

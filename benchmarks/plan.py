@@ -37,6 +37,9 @@ NCPA_60 = (
     Entry("fft_lbfgs_60", "padded FFT, autograd, L-BFGS, L1", 12, 3),
     Entry("dip_global_60", "irlos dip_global, L1", CUBE, 30),
 )
+# Run where PyTorch finds a CUDA device.
+CUDA = (Entry("dip_global_cuda", "irlos dip_global, L1, CUDA", CUBE, 30),)
+CUDA_60 = (Entry("dip_global_60_cuda", "irlos dip_global, L1, CUDA", CUBE, 30),)
 OTHERS = (
     Entry("long_exposure", "irlos long_exposure, calibration-sky, 65 modes", 200, 200),
     Entry("lift_solvephase", "solvephase, LIFT, ramp, J+H at 6 wavelengths", 7, 3),

@@ -12,7 +12,7 @@ HEADER = (
     "frames",
     "wall s",
     "CPU s",
-    f"CPU s for {CUBE}",
+    f"s for {CUBE}",
     "speed-up",
     "peak MiB",
     "error nm",
@@ -44,7 +44,7 @@ def _ncpa_row(entry: dict) -> Sequence[str]:
         str(entry["frames"]),
         f"{entry['wall_s']:.2f}",
         f"{entry['cpu_s']:.2f}",
-        f"{extrapolated}{entry['cube_cpu_s']:.1f}",
+        f"{extrapolated}{entry['cube_s']:.1f}",
         f"{entry['speed_up']:.1f}",
         f"{entry['peak_mib']:.0f}",
         f"{entry['error_nm']:.1f}",
@@ -72,6 +72,7 @@ def _notes(results: dict) -> list[str]:
     return [
         f"~ extrapolated linearly to {CUBE} frames from those that were fitted.",
         "speed-up: processor time per frame of the first line over that of the line.",
+        f"CUDA: {results['cuda']}, by wall clock." if results["cuda"] else "CUDA: no device here, no line.",
         "error: total RMS of Noll 2-30 of the mean estimate against the truth, of all frames of the line and",
         f"of the first {common}, which all lines have fitted; LIFT: RMS of the defocus over the ramp.",
         f"single-frame LIFT: median {latency['median_ms']:.1f} ms, "

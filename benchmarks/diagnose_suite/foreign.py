@@ -89,8 +89,8 @@ def scattered_light(rng: np.random.Generator) -> Foreign:
 
 
 def electronic_ghost_row(rng: np.random.Generator) -> Foreign:
-    """Every row is lifted or lowered by a part of the charge that is read with it."""
-    part = float(rng.uniform(0.02, 0.06) * rng.choice([-1, 1]))
+    """Every row is lifted by a part of the charge that is read with it."""
+    part = float(rng.uniform(0.02, 0.06))
     return Foreign({"fraction": part}, lambda image: image + part * image.mean(axis=1, keepdims=True))
 
 

@@ -117,7 +117,7 @@ def ncpa_errors_nm(told: dict[str, Any], truth: dict[str, Any]) -> dict[str, flo
 
 def _may_be_biased(case: Case, errors_nm: dict[str, float] | None) -> bool:
     """Whether it is worth while to fit the true model."""
-    return case.kind == SINGLE and errors_nm is not None and errors_nm["before"] > BIASED_NM / 2
+    return case.kind == SINGLE and errors_nm is not None and errors_nm["before"] > BIASED_NM
 
 
 def _biases_nm(case: Case, folder: Folder, told: dict[str, Any], truth: dict[str, Any]) -> dict[str, float]:

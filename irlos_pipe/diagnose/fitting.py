@@ -21,7 +21,7 @@ from .joint_fit import OWN, JointFit
 from .view import View
 
 PRIOR_SCALE = 3.0  # over the law of the NCPAs
-MAX_ITERATIONS = 30
+MAX_ITERATIONS, PATIENCE = 30, 3  # how often that many
 
 
 @dataclass(frozen=True)
@@ -120,10 +120,23 @@ class Fitter:
     def __init__(self, views: Sequence[View], stack: Stack | Stacks):
         self.views, self.stack = views, stack
 
-    def fit(self, effects: Sequence[Effect | Pinned], near: Fitted | None = None) -> Fitted:
+    def fit(
+        self,
+        effects: Sequence[Effect | Pinned],
+        near: Fitted | None = None,
+        max_iterations: int = MAX_ITERATIONS,
+    ) -> Fitted:
         """Fit from zero wavefront, or from modes, flux and background of another fit."""
         problem = self._problem(effects)
-        return self._solved(problem, self._start(problem, near))
+        return self._solved(problem, self._start(problem, near), max_iterations)
+
+    def finished(self, fitted: Fitted) -> Fitted:
+        """The fit continued until it converges, if patience allows."""
+        for _ in range(PATIENCE):
+            if fitted.converged:
+                break
+            fitted = self.fit(fitted.continued(), fitted)
+        return fitted
 
     def twin(self, fitted: Fitted) -> Fitted:
         """The fit that starts from the twin of another one, (φ(u) → −φ(−u))."""
@@ -170,8 +183,10 @@ class Fitter:
             x[:, -behind:] = near.x[:, -behind:]
         return x
 
-    def _solved(self, problem: JointFit, start: torch.Tensor) -> Fitted:
-        solution = solve(problem, start, max_iterations=MAX_ITERATIONS)
+    def _solved(
+        self, problem: JointFit, start: torch.Tensor, max_iterations: int = MAX_ITERATIONS
+    ) -> Fitted:
+        solution = solve(problem, start, max_iterations=max_iterations)
         return Fitted(problem, solution, float(problem.chi2(solution.values)), self.views)
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property, partial
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -19,6 +19,7 @@ HOPELESS = 0.1  # of the fall of χ² by a name that leaves nothing to explain: 
 NOTHING_LEFT = 5.0  # significance of the excess
 FAR = 10.0  # χ²/ν from which the model may be at a false minimum
 RETRIED = 2  # of the most promising families, if none leaves nothing
+EXPLORING = 15  # iterations, after which only the best goes on
 PER_PARAMETER = 8.0  # of χ², that a parameter has to earn
 FULL_HALO = 0.1  # of the expected residual, from which the halo's shape is fitted as well
 
@@ -134,40 +135,53 @@ def refits(
         report(1)
         if any(one.explains_all and score.gain < HOPELESS * one.gain for one in found):
             continue
-        effects = [*origin.fitted.continued(), _start(score)]
-        found.append(Refit(score, origin, fitter.fit(effects, origin.fitted)))
+        near = _explored(fitter, origin, _start(score), origin.fitted)
+        found.append(_finished(fitter, Refit(score, origin, near), found))
     if origin.excess.chi2_nu > FAR:
-        found = _once_more(found, lambda one: True, partial(_from_zero, fitter))
-    found = _once_more(found, lambda one: bool(one.score.elsewhere), partial(_from_elsewhere, fitter))
+        found = _once_more(fitter, found, lambda one: True, _from_zero)
+    found = _once_more(fitter, found, lambda one: bool(one.score.elsewhere), _from_elsewhere)
     return sorted(found, key=lambda one: -one.merit)
 
 
+def _explored(fitter: Fitter, origin: Optimum, effect: Pinned, near: Fitted | None) -> Fitted:
+    """A fit that goes as far as tells whether it is promising."""
+    return fitter.fit([*origin.fitted.continued(), effect], near, EXPLORING)
+
+
+def _finished(fitter: Fitter, one: Refit, rivals: Sequence[Refit]) -> Refit:
+    """The same until it converges, if it is better than its rivals."""
+    if any(one.merit < other.merit for other in rivals):
+        return one
+    return replace(one, fitted=fitter.finished(one.fitted))
+
+
 def _once_more(
-    found: Sequence[Refit], allowed: Callable[[Refit], bool], again: Callable[[Refit], Refit]
+    fitter: Fitter,
+    found: Sequence[Refit],
+    allowed: Callable[[Refit], bool],
+    starts: Callable[[Fitter, Refit], list[Fitted]],
 ) -> list[Refit]:
-    """The most promising of the `allowed` families fitted `again`, unless one leaves nothing to explain."""
+    """The most promising of the `allowed` families begun again, unless one leaves nothing to explain."""
     if any(one.excess.significance < NOTHING_LEFT for one in found):
         return list(found)
-    chosen = sorted(filter(allowed, found), key=lambda one: -one.merit)[:RETRIED]
-    return [again(one) if one in chosen else one for one in found]
+    result = list(found)
+    for one in sorted(filter(allowed, found), key=lambda one: -one.merit)[:RETRIED]:
+        better = replace(one, fitted=most_plausible([one.fitted, *starts(fitter, one)]))
+        result[result.index(one)] = _finished(fitter, better, [other for other in result if other is not one])
+    return result
 
 
-def _from_zero(fitter: Fitter, one: Refit) -> Refit:
-    """The same without the wavefront of the model before, which may be a false minimum.
+def _from_zero(fitter: Fitter, one: Refit) -> list[Fitted]:
+    """Without the wavefront of the model before, which may be a false minimum.
 
     A model that misses something large can fit it with a wavefront far from the true one.
     """
-    cold = fitter.fit([*one.origin.fitted.continued(), _start(one.score)])
-    return Refit(one.score, one.origin, most_plausible([one.fitted, cold]))
+    return [_explored(fitter, one.origin, _start(one.score), None)]
 
 
-def _from_elsewhere(fitter: Fitter, one: Refit) -> Refit:
-    """The same from the next best places or directions: the best of a linear estimate may be a wrong one."""
-    found = [one.fitted]
-    for other in one.score.elsewhere:
-        effects = [*one.origin.fitted.continued(), other.start()]
-        found.append(fitter.fit(effects, one.origin.fitted))
-    return Refit(one.score, one.origin, most_plausible(found))
+def _from_elsewhere(fitter: Fitter, one: Refit) -> list[Fitted]:
+    """From the next best places or directions: the best of a linear estimate may be a wrong one."""
+    return [_explored(fitter, one.origin, other.start(), one.origin.fitted) for other in one.score.elsewhere]
 
 
 def proposals(scores: Sequence[Score]) -> list[Score]:
