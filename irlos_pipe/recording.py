@@ -12,6 +12,8 @@ import numpy as np
 
 from irlos_pipe.blocks import picked
 
+RECIPE, SIDECAR, HEADER, PROFILE = "recipe", "side-car", "header", "instrument profile"  # sources of values
+
 
 @dataclass(frozen=True)
 class Detector:
@@ -70,6 +72,11 @@ class Acquisition:
     mode: str = ""
     subaperture: int | None = None
     sources: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def seeing_measured(self) -> bool:
+        """Whether the seeing is that of the recording, and not a typical one."""
+        return self.seeing_arcsec is not None and self.sources.get("seeing_arcsec") != PROFILE
 
 
 @dataclass(frozen=True)

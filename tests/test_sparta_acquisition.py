@@ -62,6 +62,7 @@ def test_recipe_wins_over_side_car_over_header_over_profile(tmp_path):
     assert (found.mag_j, found.sources["mag_j"]) == (7.0, "recipe")
     assert (found.pixel_scale_mas, found.sources["pixel_scale_mas"]) == (9.7, "side-car")
     assert (found.seeing_arcsec, found.sources["seeing_arcsec"]) == (0.9, "header")
+    assert found.seeing_measured
     assert (found.exposure_s, found.sources["exposure_s"]) == (0.1, "instrument profile")
     assert (found.detector.read_noise_e, found.detector.e_per_adu) == (3.0, 0.5)
 
@@ -78,6 +79,7 @@ def test_header_values_out_of_range_are_not_taken(tmp_path):
     write_sidecar(tmp_path / "acquisition.yaml", "seeing_arcsec")
     found = resolve(recording(tmp_path, header={"seeing_arcsec": -1.0}), NOTHING, IRLOS).acquisition
     assert found.sources["seeing_arcsec"] == "instrument profile"
+    assert not found.seeing_measured
 
 
 @pytest.mark.parametrize("key", ["role", "spectrum", "diversity"])

@@ -12,12 +12,11 @@ from pydantic import ValidationError
 from irlos_pipe.complaints import suggestion
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.instrument import Instrument
-from irlos_pipe.recording import Acquisition, Detector
+from irlos_pipe.recording import HEADER, PROFILE, RECIPE, SIDECAR, Acquisition, Detector
 from irlos_pipe.seeing import SPARTA
 from irlos_pipe.sparta.raw import RawRecording
 from irlos_pipe.sparta.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
 
-RECIPE, SIDECAR, HEADER, PROFILE = "recipe", "side-car", "header", "instrument profile"
 REQUIRED = ("role", "spectrum", "diversity")  # no value is safe to assume
 REQUIRED_OF_DARK = ("role",)
 REQUIRED_OF_RAMP = (*REQUIRED, "introduced_defocus_nm")

@@ -34,7 +34,7 @@ def conditions_of(
         recording.window,
         acquisition.pixel_scale_mas,
         acquisition.spectrum,
-        seeing_measured=bool(acquisition.seeing_arcsec),
+        seeing_measured=acquisition.seeing_measured,
     )
 
 
