@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from .effects.base import Effect
+from .effects.base import Effect, along
 from .effects.effect_set import NOTHING, EffectSet
 from .effects.pinned import Pinned
 from .optics.grids import Optics
@@ -178,14 +178,12 @@ class ImageModel:
 
     def _whole_path(self, modes_nm, values: torch.Tensor, when, index: int) -> torch.Tensor:
         """Derivative of the unit-flux images along one effect parameter."""
-        direction = torch.zeros_like(values)
-        direction[index] = 1
 
         def images(v: torch.Tensor) -> torch.Tensor:
             return self._unit(modes_nm, self.effects(v), v, when)
 
         with torch.enable_grad():  # in this thread: the transforms do not follow into others
-            return torch.func.jvp(images, (values,), (direction,))[1].detach()
+            return along(images, values, index).detach()
 
     def _detected(self, image: torch.Tensor, columns: torch.Tensor, values: torch.Tensor, first: int | None):
         """Images and derivatives behind the detector; `first`: column of the first effect parameter."""
