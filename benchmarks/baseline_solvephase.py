@@ -16,7 +16,7 @@ import solvephase
 
 from irlos_pipe.optics.propagate import MAS
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
-from irlos_pipe.psf import PsfSettings
+from irlos_pipe.psf_settings import PsfSettings
 
 PUPIL_SAMPLES = 128
 TOLERANCE = 1e-4

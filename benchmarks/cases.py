@@ -24,7 +24,8 @@ from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.image_model import ImageModel
 from irlos_pipe.noise import NoiseModel
 from irlos_pipe.parallel import set_workers
-from irlos_pipe.psf import PsfModel, PsfSettings
+from irlos_pipe.psf import PsfModel
+from irlos_pipe.psf_settings import PsfSettings
 from irlos_pipe.stages.calibrate import Config as CalibrateConfig
 from irlos_pipe.stages.light_path import psf_settings
 from irlos_pipe.stages.model_effects import model_effects

@@ -18,7 +18,7 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.instrument import load_instrument
 from irlos_pipe.noise import NoiseModel
 from irlos_pipe.product import Product, read_product
-from irlos_pipe.psf import PsfSettings
+from irlos_pipe.psf_settings import PsfSettings
 from irlos_pipe.stages import lift
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.model import ModelConfig

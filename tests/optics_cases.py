@@ -9,7 +9,8 @@ from irlos_pipe.effects import EffectSet, SeeingHalo, TipTiltJitter
 from irlos_pipe.instrument import load_instrument
 from irlos_pipe.noise import NoiseModel
 from irlos_pipe.optics.structure import ResidualBand
-from irlos_pipe.psf import PsfModel, PsfSettings
+from irlos_pipe.psf import PsfModel
+from irlos_pipe.psf_settings import PsfSettings
 
 UT4 = load_instrument("irlos").pupil
 SCALE_MAS = 9.7

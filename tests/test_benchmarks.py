@@ -9,7 +9,8 @@ import torch
 from benchmarks.baseline_fft import FftModel, fit
 from benchmarks.baseline_numpy_lift import NumpyLift
 from irlos_pipe.instrument import load_instrument
-from irlos_pipe.psf import PsfModel, PsfSettings
+from irlos_pipe.psf import PsfModel
+from irlos_pipe.psf_settings import PsfSettings
 
 NOLLS = (2, 3, 4, 5, 7)
 ZERNIKE_NM = torch.tensor([[40.0, -60.0, 120.0, 30.0, -50.0]])

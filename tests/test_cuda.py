@@ -81,7 +81,7 @@ def diagnosed(device: str) -> np.ndarray:
     optimum = Optimum(parts.training, fitted)
     some = [one for one in families(CONDITIONS, [])[0] if one.name in ("plate_scale", "diversity_error")]
     gains = [score.gain for score in scores(optimum, some)]
-    drift = measure_drift(parts.training, fitted)
+    drift = measure_drift(parts.training, fitted, sure=5.0)
     companions = companion_gains(optimum, SMALL.window).max()
     gap = Judge(parts.held_out, fitted).gap
     return np.array([*fitted.modes_nm, *gains, companions, *drift.change_nm, gap])

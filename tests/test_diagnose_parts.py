@@ -258,7 +258,7 @@ def test_a_drift_is_measured_with_its_sign():
     course = np.linspace(-0.5, 0.5, FRAMES)
     mean = np.array([image({n: TRUE_NM[n] + true.get(n, 0.0) * t for n in NOLLS}) for t in course])
     stack = cube(mean).training
-    drift = measure_drift(stack, fitted(stack))
+    drift = measure_drift(stack, fitted(stack), sure=5.0)
     expected = np.array([true.get(noll, 0.0) for noll in drift.nolls])
     assert drift.significance > 5
     assert np.max(np.abs((drift.change_nm - expected) / drift.sigma_nm)) < 4.5
@@ -268,13 +268,13 @@ def test_a_drift_beyond_the_range_of_one_linear_step_keeps_its_size():
     course = np.linspace(-0.5, 0.5, FRAMES)
     mean = np.array([image({n: TRUE_NM[n] + (60.0 * t if n == 5 else 0.0) for n in NOLLS}) for t in course])
     stack = cube(30 * mean).training  # bright: the linear step alone is some 0.6 % short, ten times the noise
-    drift = measure_drift(stack, fitted(stack))
+    drift = measure_drift(stack, fitted(stack), sure=5.0)
     assert drift.change_nm[drift.nolls.index(5)] == pytest.approx(60.0, rel=2e-3)
 
 
 def test_a_steady_wavefront_shows_no_drift():
     stack = cube(image(), 8).training
-    assert measure_drift(stack, fitted(stack)).significance < 4
+    assert measure_drift(stack, fitted(stack), sure=5.0).significance < 4
 
 
 def test_images_that_move_from_frame_to_frame_are_told_from_those_that_do_not():

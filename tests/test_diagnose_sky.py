@@ -20,7 +20,7 @@ from irlos_pipe.diagnose.workflow import diagnose
 from irlos_pipe.effects import Conditions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.noise import NoiseModel
-from irlos_pipe.psf import PsfSettings
+from irlos_pipe.psf_settings import PsfSettings
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.exposure import expose
 

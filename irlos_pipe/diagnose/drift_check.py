@@ -7,7 +7,7 @@ the range of one linear step: what the step makes of images that drift as measur
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -55,12 +55,23 @@ class Drift:
         return Pinned(NcpaDrift(self.nolls), self.change_nm)
 
 
-def measure_drift(stack: Stack | Stacks, fitted: Fitted) -> Drift:
-    """Slopes of the low modes, and how significant they are together, where they are most so."""
+def measure_drift(stack: Stack | Stacks, fitted: Fitted, sure: float) -> Drift:
+    """Slopes of the low modes, and how significant they are together, where they are most so.
+
+    Parameters
+    ----------
+    sure : float
+        Significance from which a drift is worth more than one linear step.
+    """
     problem = fitted.problem
     pairs = enumerate(zip(stack.parts, problem.parts, strict=True))
     steps = [LinearStep(one, part, problem.part(fitted.x, number)) for number, (one, part) in pairs]
-    return max((_drift(step, trials=len(steps)) for step in steps), key=lambda one: one.significance)
+    drifts = [(step, _drift(step, trials=len(steps))) for step in steps]
+    step, drift = max(drifts, key=lambda one: one[1].significance)
+    if drift.significance < sure:
+        return drift
+    beyond_linear = drift.change_nm - step.of_a_drift(drift.change_nm)
+    return replace(drift, change_nm=drift.change_nm + beyond_linear)
 
 
 class LinearStep:
@@ -110,7 +121,7 @@ def slopes(series: np.ndarray, when: np.ndarray) -> np.ndarray:
 
 
 def _drift(step: LinearStep, trials: int) -> Drift:
-    """Of one recording."""
+    """Of one recording, as the linear step has it."""
     stack, nolls = step.stack, step.nolls
     series, course = step.modes_nm(stack.deviations), stack.when - stack.when.mean()
     change = slopes(series, stack.when)
@@ -120,5 +131,4 @@ def _drift(step: LinearStep, trials: int) -> Drift:
     own = covariance[np.ix_(tested, tested)]
     hotelling = float(change[tested] @ np.linalg.solve(own, change[tested]))
     significance = gaussian_sigma(hotelling, len(tested), stack.independent - 1, trials)
-    beyond_linear = change - step.of_a_drift(change)
-    return Drift(nolls, change + beyond_linear, np.sqrt(np.diag(covariance)), significance)
+    return Drift(nolls, change, np.sqrt(np.diag(covariance)), significance)

@@ -16,7 +16,7 @@ import torch
 from ..estimate.cube import local_mean
 from ..optics.grids import NM
 from ..optics.propagate import MAS
-from ..psf import PsfSettings
+from ..psf_settings import PsfSettings
 from .cube import Stack
 from .optimum import Optimum
 

@@ -14,7 +14,8 @@ import numpy as np
 import torch
 
 from ..effects import Conditions
-from ..psf import PsfModel, PsfSettings
+from ..psf import PsfModel
+from ..psf_settings import PsfSettings
 from .ambiguity import likeness
 from .cube import Stack, Stacks
 from .detect import ABSORBED, NOTHING, Score, whitened_shapes

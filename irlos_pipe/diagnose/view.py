@@ -18,7 +18,8 @@ from ..effects.colour import Spectrum
 from ..effects.seeing_halo import ScaledHalo, SeeingHalo
 from ..effects.wavefront import DiversityError
 from ..estimate.cube import Frames
-from ..psf import PsfModel, PsfSettings
+from ..psf import PsfModel
+from ..psf_settings import PsfSettings
 
 if TYPE_CHECKING:
     from .screened_pixels import Screened

@@ -128,7 +128,7 @@ class Task:
 
     def _with_drift(self, null: Optimum) -> tuple[Drift, Optimum]:
         """The drift of the frames, and the model with it if it is significant."""
-        drift = measure_drift(self.cube.training, null.fitted)
+        drift = measure_drift(self.cube.training, null.fitted, self.options.sure)
         if drift.significance < self.options.sure:
             return drift, null
         fitted = self.fitter.fit([*null.fitted.continued(), drift.effect()], null.fitted)

@@ -12,7 +12,8 @@ import torch
 from ..blocks import blocks
 from ..effects import Effect, Pinned
 from ..image_model import ImageModel
-from ..psf import PsfModel, PsfSettings
+from ..psf import PsfModel
+from ..psf_settings import PsfSettings
 from .centring import start_tilts_nm
 from .cube import Frames, mean_variance_e2
 from .drift import drifts, measured_drift

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 
 from ..optics.grids import Optics
-from ..psf import PsfModel, PsfSettings
+from ..psf import PsfModel
+from ..psf_settings import PsfSettings
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from ..optics.grids import NM
 from ..optics.propagate import pupil_samples_for
-from ..psf import PsfSettings
+from ..psf_settings import PsfSettings
 
 MARGIN_MAS = 100.0
 HALO_MARGIN_MAS = 320.0

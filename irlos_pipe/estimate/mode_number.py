@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from ..effects import Effect, Pinned
-from ..psf import PsfSettings
+from ..psf_settings import PsfSettings
 from .calibration import Calibration, CalibrationOptions, calibrate
 from .cube import Frames, mean_variance_e2
 

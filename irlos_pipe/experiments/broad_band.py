@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from ..geometry import PupilGeometry
-from ..psf import PsfSettings
+from ..psf_settings import PsfSettings
 from ..simulate.atmosphere import Sky
 from ..simulate.detector import DetectorModel
 from ..simulate.motion import Motion

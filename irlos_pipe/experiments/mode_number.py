@@ -10,7 +10,7 @@ import numpy as np
 from ..estimate.calibration import Calibration, CalibrationOptions, calibrate
 from ..estimate.cube import Frames
 from ..estimate.mode_number import choose, fit_mode_numbers, scan_mode_numbers
-from ..psf import PsfSettings
+from ..psf_settings import PsfSettings
 from ..simulate.exposure import Exposed, expose
 from ..simulate.scene import Scene
 from .methods import Sample, scene_of

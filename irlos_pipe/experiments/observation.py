@@ -18,7 +18,7 @@ from ..noise import NoiseModel
 from ..optics.pupil import grid_centres
 from ..optics.structure import ResidualBand
 from ..optics.zernike import zernike_basis
-from ..psf import PsfSettings
+from ..psf_settings import PsfSettings
 from ..simulate.detector import electrons
 from ..simulate.exposure import Exposed
 from ..simulate.scene import Scene

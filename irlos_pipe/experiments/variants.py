@@ -9,7 +9,7 @@ from functools import partial
 from ..effects import Effect, Pinned, SeeingHalo, expected
 from ..estimate.calibration import Calibration, CalibrationOptions, calibrate
 from ..estimate.cube import Frames
-from ..psf import PsfSettings
+from ..psf_settings import PsfSettings
 
 DEFAULT = "long_exposure"
 PUBLISHED = ("lift_avg", "dip_avg", "dip_joint", "lift_slices", "dip_global")

@@ -172,7 +172,7 @@ def _cover(clear: np.ndarray, vane: Vane, x: np.ndarray, y: np.ndarray, step: fl
 
 def vane_cover(vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
     """Fraction of each sub-cell that the vane covers."""
-    start, length, direction = _axis(vane)
+    start, length, direction = axis(vane)
     along = (x - start[0]) * direction[0] + (y - start[1]) * direction[1]
     across, half = across_m(vane, x, y), vane.width_m / 2
     width = inside((across + half) / step) + inside((half - across) / step) - 1
@@ -181,11 +181,11 @@ def vane_cover(vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> np.ndar
 
 def across_m(vane: Vane, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Distance to the left of a vane's axis."""
-    start, _, direction = _axis(vane)
+    start, _, direction = axis(vane)
     return (y - start[1]) * direction[0] - (x - start[0]) * direction[1]
 
 
-def _axis(vane: Vane) -> tuple[np.ndarray, float, np.ndarray]:
+def axis(vane: Vane) -> tuple[np.ndarray, float, np.ndarray]:
     """Where a vane starts, its length, and its direction."""
     start, end = np.array(vane.start_m), np.array(vane.end_m)
     length = float(np.hypot(*(end - start)))

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 
 from ..geometry import PupilGeometry, Vane
-from .pupil import PAD, across_m, annulus_cover, filter_matrix, fine_centres, inside, vane_cover
+from .pupil import PAD, across_m, annulus_cover, axis, filter_matrix, fine_centres, inside, vane_cover
 
 WIDTH = 1.5  # fine cells
 
@@ -66,8 +66,8 @@ class PupilEdges:
         """Of the two edges of one vane."""
         rows, columns, share = self._near(lambda x, y: np.abs(across_m(vane, x, y)) - vane.width_m / 2)
         x, y = self._fine[columns], self._fine[rows]
-        axis = np.subtract(vane.end_m, vane.start_m)
-        rate = -np.sign(across_m(vane, x, y)) * (x * axis[0] + y * axis[1]) / np.hypot(*axis)
+        _, _, direction = axis(vane)
+        rate = -np.sign(across_m(vane, x, y)) * (x * direction[0] + y * direction[1])
         others = self._between([one for one in self.geometry.vanes if one is not vane], x, y)
         others *= annulus_cover(self.geometry, x, y, self._step, self.stop_m)
         broad = replace(vane, width_m=vane.width_m + 4 * self._step)  # covers both edges between its ends

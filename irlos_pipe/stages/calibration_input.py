@@ -10,7 +10,7 @@ import torch
 from irlos_pipe.effects import Effect, Pinned
 from irlos_pipe.estimate.calibration import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.psf import PsfSettings
+from irlos_pipe.psf_settings import PsfSettings
 from irlos_pipe.recording import Recording
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.light_path import pooled_images, psf_settings

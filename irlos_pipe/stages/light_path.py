@@ -13,7 +13,7 @@ from irlos_pipe.noise import NoiseModel
 from irlos_pipe.optics.propagate import require_resolved
 from irlos_pipe.optics.structure import ResidualBand
 from irlos_pipe.product import Product
-from irlos_pipe.psf import PsfSettings
+from irlos_pipe.psf_settings import PsfSettings
 from irlos_pipe.recording import Acquisition, Recording
 from irlos_pipe.stages.model import ModelConfig
 from irlos_pipe.stages.recordings import recordings_from_product
