@@ -10,13 +10,15 @@ forward-mode differentiation of the whole path.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import torch
 
-from .effects.base import Effect, along
+from .effects.base import Effect
 from .effects.effect_set import NOTHING, EffectSet
 from .effects.pinned import Pinned
+from .forward_mode import along, pushed_all
 from .optics.grids import Optics
 from .psf import NO_TANGENTS, PsfModel
 
@@ -187,16 +189,9 @@ class ImageModel:
 
     def _detected(self, image: torch.Tensor, columns: torch.Tensor, values: torch.Tensor, first: int | None):
         """Images and derivatives behind the detector; `first`: column of the first effect parameter."""
-
-        def respond(column: torch.Tensor) -> torch.Tensor:
-            return torch.func.jvp(lambda e: self.effects.detect(values, e), (image,), (column,))[1]
-
-        columns = torch.func.vmap(respond, in_dims=1, out_dims=1)(columns)
+        columns = pushed_all(partial(self.effects.detect, values), image, columns)
         for index in [] if first is None else self.effects.free_at("detector"):
-            direction = torch.zeros_like(values)
-            direction[index] = 1
-            change = torch.func.jvp(lambda v: self.effects.detect(v, image), (values,), (direction,))[1]
-            columns[:, first + index] = change
+            columns[:, first + index] = along(lambda v: self.effects.detect(v, image), values, index)
         return self.effects.detect(values, image), columns
 
 

@@ -30,7 +30,8 @@ def set_workers(count: int) -> None:
     torch.set_num_threads(1)
     if _pool is not None:
         _pool.shutdown()
-    _pool = ThreadPoolExecutor(count, "irlos") if count > 1 else None
+    # The number of threads inside a product is one of each thread as well as of the process.
+    _pool = ThreadPoolExecutor(count, "irlos", torch.set_num_threads, (1,)) if count > 1 else None
 
 
 def ordered_map(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:

@@ -16,7 +16,9 @@ LAYERS = {
                 "photon_transfer", "screening"},
                {"errors"}),
     "geometry": ({"geometry", "seeing"}, set()),
-    "model": ({"optics", "effects", "psf", "psf_settings", "focus_table", "image_model", "parallel"}, {"errors", "geometry"}),
+    "model": ({"optics", "effects", "forward_mode", "psf", "psf_settings", "focus_table", "image_model",
+               "parallel"},
+              {"errors", "geometry"}),
     # The simulator shares no line of optics with the model that is fitted to its images.
     "simulate": ({"simulate"}, {"errors", "geometry"}),
     "estimate": ({"estimate", "diagnose"}, {"errors", "frames", "geometry", "model"}),

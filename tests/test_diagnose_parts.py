@@ -47,6 +47,7 @@ from irlos_pipe.effects.pixels import BackgroundGradient
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.image_model import ImageModel
 from irlos_pipe.noise import NoiseModel
+from irlos_pipe.parallel import set_workers
 from irlos_pipe.psf import PsfModel
 
 WINDOW, NOLLS, FRAMES, FLUX_E = 32, tuple(range(2, 12)), 40, 3e5
@@ -340,6 +341,25 @@ def test_a_name_is_fitted_from_zero_as_well_where_the_model_lies_in_a_false_mini
     assert found.fitted.modes_nm == pytest.approx(vector(TRUE_NM, NOLLS)[0].numpy(), abs=5.0)
     monkeypatch.setattr("irlos_pipe.diagnose.refit.FAR", np.inf)
     assert refits(fitter, lost, [score])[0].fitted.chi2 > 10 * found.fitted.chi2
+
+
+def test_fits_are_the_same_by_one_worker_and_by_two_and_the_best_ends_in_float64():
+    at_rest = optimum(cube(image() + 0.5 * np.arange(WINDOW)).training)
+    fitter = Fitter([View(model(), CONDITIONS)], at_rest.stack)
+    present, _ = families(CONDITIONS, ["companion", "phase_bump", "pupil_misregistration"])
+    both = []
+    try:
+        for workers in (1, 2):
+            set_workers(workers)
+            with torch.no_grad():
+                both.append(refits(fitter, at_rest, scores(at_rest, present)))
+    finally:
+        set_workers(1)
+    one, two = both
+    assert [r.name for r in one] == [r.name for r in two] and len(one) > 1
+    assert all(torch.equal(r.fitted.x, other.fitted.x) for r, other in zip(one, two, strict=True))
+    assert (one[0].name, one[0].fitted.converged) == ("background_gradient", True)
+    assert one[0].fitted.problem.model.psf.dtype == torch.float64
 
 
 @pytest.mark.parametrize(

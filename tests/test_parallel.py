@@ -32,7 +32,9 @@ def fitted(workers: int) -> torch.Tensor:
 
 
 def test_fits_are_the_same_to_the_bit_for_any_number_of_workers():
-    assert torch.equal(fitted(1), fitted(3))
+    """Repeated: a worker that uses two threads inside a product differs now and then only."""
+    alone = fitted(1)
+    assert all(torch.equal(alone, fitted(3)) for _ in range(20))
 
 
 @pytest.mark.parametrize("workers", [1, 2])

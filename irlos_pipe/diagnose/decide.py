@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..parallel import ordered_map
 from .ambiguity import Alternative, alternatives
 from .cube import Cube
 from .fitting import Fitted, Fitter
@@ -18,6 +19,7 @@ from .verdict import Ranked
 
 MOTIONS, BLURS = ("tip_tilt_jitter", "vibration"), ("interpixel_crosstalk",)
 MUST_EXPLAIN = 0.8  # of what is left, for a further name
+PLAINLY = 10.0  # times its price, by which χ² grows without a name that is needed
 PREFERRED = 3.0  # Vuong's statistic on held-out frames whose noise is known
 
 
@@ -86,7 +88,7 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool
     z = preference(judges[0], Judge(cube.held_out, before.fitted))
     if z < (PREFERRED if cube.training.photon_limited else 0.0):
         return None
-    ranking = [Ranked(r.name, r.gain, explained(r), r.significance) for r in ranked]
+    ranking = ordered_map(lambda r: Ranked(r.name, r.gain, explained(r), r.significance), ranked)
     others = alternatives(ranked, judges)
     rivals = [next(r for r in ranked if r.name == other.name) for other in others]
     return Accepted(best, z, others, ranking, rivals)
@@ -153,8 +155,10 @@ def no_longer_needed(
     """A name found earlier without which the model fits as well, and that fit; None if all are needed."""
     for one in accepted[:-1]:
         kept = [effect for effect in current.fitted.continued() if effect.name != one.name]
-        without = fitter.fit(kept, current.fitted)
         price = PER_PARAMETER * one.refit.parameters * one.refit.score.inflation
+        without = fitter.explored(kept, current.fitted)
+        if without.chi2 - current.fitted.chi2 < PLAINLY * price:
+            without = fitter.finished(without)
         if without.chi2 - current.fitted.chi2 < price:
             return one, without
     return None

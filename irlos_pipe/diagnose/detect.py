@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ from ..effects.companion import Companion
 from ..estimate.image_fit import ImageFit
 from ..estimate.search import frozen
 from ..image_model import ImageModel
+from ..parallel import ordered_map
 from .companion_search import around, brightest_companions
 from .families import Family
 from .optimum import Optimum
@@ -78,7 +80,14 @@ class Score:
 
     def start(self) -> Pinned:
         """The whole effect, free but for what these data do not determine, at the linear estimate."""
-        bare, values = self.candidate.bare, self.candidate.all_values(self.sizes).numpy()
+        return self._begun_at(self.sizes)
+
+    def anew(self) -> Pinned:
+        """The same without the estimate."""
+        return self._begun_at([p.start for p in self.candidate.parameters])
+
+    def _begun_at(self, sizes: Sequence[float]) -> Pinned:
+        bare, values = self.candidate.bare, self.candidate.all_values(sizes).numpy()
         unseen = {p.name for p in self.candidate.parameters} - {*self.usable}
         return Pinned(bare, values, [p.name for p in bare.parameters if p.name not in unseen])
 
@@ -100,7 +109,7 @@ def score_family(optimum: Optimum, family: Family) -> Score:
     trials = len(tried)
     if family.name == Companion.name:
         tried = [*brightest_companions(optimum, tried), *around(tried[0].bare)]
-    found = [_score(optimum, one, trials) for one in tried]
+    found = ordered_map(partial(_score, optimum, trials), tried)
     kinds = {one.usable: _typical([o for o in found if o.usable == one.usable]) for one in found}
     best = max(kinds.values(), key=lambda one: one.gain)
     besides = tuple(one for one in kinds.values() if one is not best and one.usable)
@@ -153,7 +162,7 @@ def _derivatives(part: ImageFit, x: torch.Tensor, candidate: Effect | Pinned) ->
     return columns[len(columns) - 2 - len(null) : -2]
 
 
-def _score(optimum: Optimum, candidate: Effect | Pinned, trials: int) -> Score:
+def _score(optimum: Optimum, trials: int, candidate: Effect | Pinned) -> Score:
     shapes = whitened_shapes(optimum, candidate)
     power, left = (shapes**2).sum(0), torch.diagonal(optimum.norm2(shapes))
     survival = left / power.clamp_min(1e-300)

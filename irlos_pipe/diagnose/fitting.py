@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
 
-from ..effects import Effect, Pinned
+from ..effects import Effect, Parameter, Pinned
 from ..estimate.centring import start_tilts_nm
 from ..estimate.image_fit import ImageFit
 from ..estimate.parameters import Layout
@@ -22,6 +23,7 @@ from .view import View
 
 PRIOR_SCALE = 3.0  # over the law of the NCPAs
 MAX_ITERATIONS, PATIENCE = 30, 3  # how often that many
+EXPLORING = 15  # iterations, which tell whether a fit is promising
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,11 @@ class Fitted:
     def continued(self) -> list[Effect | Pinned]:
         """The effects with the same freedom, to start from where they are now."""
         pieces = self.problem.model.effects.split(self.effect_values)
-        return [_from_here(effect, pieces[effect.name]) for effect in self.effects]
+        return [_begun_at(effect, pieces[effect.name]) for effect in self.effects]
+
+    def anew(self) -> list[Effect | Pinned]:
+        """The effects with the same freedom, to start from where nothing is known of them."""
+        return [_begun_at(effect, [p.start for p in _free(effect)]) for effect in self.effects]
 
 
 def most_plausible(found: Sequence[Fitted]) -> Fitted:
@@ -99,15 +105,24 @@ def most_plausible(found: Sequence[Fitted]) -> Fitted:
     return min(found, key=lambda one: one.chi2 / unit + one.penalty)
 
 
-def _from_here(effect: Effect | Pinned, values: np.ndarray) -> Effect | Pinned:
+def _begun_at(effect: Effect | Pinned, values: Sequence[float]) -> Effect | Pinned:
+    """With the same freedom."""
     if not effect.parameters:
         return effect
     free = [parameter.name for parameter in effect.parameters]
     return Pinned(effect.bare, effect.all_values(values).numpy(), free)
 
 
+def _free(effect: Effect | Pinned) -> list[Parameter]:
+    """Free parameters as the effect itself declares them."""
+    free = {parameter.name for parameter in effect.parameters}
+    return [parameter for parameter in effect.bare.parameters if parameter.name in free]
+
+
 class Fitter:
     """Fits the mean images of some recordings with any effects.
+
+    Most of the way is gone in float32, which costs two thirds of the time; the end is in float64.
 
     Parameters
     ----------
@@ -120,23 +135,36 @@ class Fitter:
     def __init__(self, views: Sequence[View], stack: Stack | Stacks):
         self.views, self.stack = views, stack
 
-    def fit(
+    @cached_property
+    def _quick(self) -> list[View]:
+        return [view.quick() for view in self.views]
+
+    def fit(self, effects: Sequence[Effect | Pinned], near: Fitted | None = None) -> Fitted:
+        """Fit from zero wavefront, or from modes, flux and background of another fit."""
+        return self._exact(self.explored(effects, near, MAX_ITERATIONS))
+
+    def explored(
         self,
         effects: Sequence[Effect | Pinned],
         near: Fitted | None = None,
-        max_iterations: int = MAX_ITERATIONS,
+        max_iterations: int = EXPLORING,
     ) -> Fitted:
-        """Fit from zero wavefront, or from modes, flux and background of another fit."""
-        problem = self._problem(effects)
+        """The same as far as tells whether it is promising."""
+        problem = self._problem(effects, self._quick)
         return self._solved(problem, self._start(problem, near), max_iterations)
 
     def finished(self, fitted: Fitted) -> Fitted:
-        """The fit continued until it converges, if patience allows."""
+        """What was explored, continued until it converges, if patience allows."""
+        fitted = self._exact(fitted)
         for _ in range(PATIENCE):
             if fitted.converged:
                 break
             fitted = self.fit(fitted.continued(), fitted)
         return fitted
+
+    def _exact(self, fitted: Fitted) -> Fitted:
+        """Converged in float64."""
+        return self._solved(self._problem(fitted.continued(), self.views), fitted.x)
 
     def twin(self, fitted: Fitted) -> Fitted:
         """The fit that starts from the twin of another one, (φ(u) → −φ(−u))."""
@@ -151,7 +179,7 @@ class Fitter:
 
         Further recordings point and shine like the first.
         """
-        problem = self._problem(fitted.continued())
+        problem = self._problem(fitted.continued(), self.views)
         x = torch.zeros(1, problem.size, dtype=torch.float64)
         known = [fitted.problem.part(fitted.x, n) for n in range(len(fitted.problem.parts))]
         for number, columns in reversed(list(enumerate(problem.columns))):
@@ -159,18 +187,9 @@ class Fitter:
         solution = replace(fitted.solution, values=x)
         return Fitted(problem, solution, float(problem.chi2(x)), self.views)
 
-    def _problem(self, effects: Sequence[Effect | Pinned]) -> JointFit:
-        pairs = zip(self.views, self.stack.parts, strict=True)
-        return JointFit([self._part(view, part, effects) for view, part in pairs])
-
-    def _part(self, view: View, stack: Stack, effects: Sequence[Effect | Pinned]) -> ImageFit:
-        """The problem of one recording by itself."""
-        psf = view.psf
-        model = ImageModel(psf, [view.seen(effect, self.views[0]) for effect in effects])
-        prior = ncpa_sigma_nm(psf.nolls, PRIOR_SCALE)
-        layout = Layout(psf.nolls, model.effects.parameters, prior_sigma_nm=prior)
-        data = (one[None, None].to(psf.device) for one in (stack.mean_e, stack.variance_e2))
-        return ImageFit(model, layout, *data)
+    def _problem(self, effects: Sequence[Effect | Pinned], views: Sequence[View]) -> JointFit:
+        pairs = zip(views, self.stack.parts, strict=True)
+        return JointFit([_part(stack, view, views[0], effects) for view, stack in pairs])
 
     def _start(self, problem: JointFit, near: Fitted | None) -> torch.Tensor:
         x = torch.zeros(1, problem.size, dtype=torch.float64)
@@ -188,6 +207,16 @@ class Fitter:
     ) -> Fitted:
         solution = solve(problem, start, max_iterations=max_iterations)
         return Fitted(problem, solution, float(problem.chi2(solution.values)), self.views)
+
+
+def _part(stack: Stack, view: View, first: View, effects: Sequence[Effect | Pinned]) -> ImageFit:
+    """The problem of one recording by itself, with effects as stated for the first."""
+    psf = view.psf
+    model = ImageModel(psf, [view.seen(effect, first) for effect in effects])
+    prior = ncpa_sigma_nm(psf.nolls, PRIOR_SCALE)
+    layout = Layout(psf.nolls, model.effects.parameters, prior_sigma_nm=prior)
+    data = (one[None, None].to(psf.device) for one in (stack.mean_e, stack.variance_e2))
+    return ImageFit(model, layout, *data)
 
 
 def _first_guess(view: View, stack: Stack, part: ImageFit) -> torch.Tensor:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from ..effects import Effect, Pinned
 from ..effects.seeing_halo import ScaledHalo
+from ..parallel import ordered_map
 from .detect import Score, gaussian_sigma
 from .fitting import Fitted, Fitter, most_plausible
 from .optimum import Excess, Optimum
@@ -18,8 +19,8 @@ PROPOSALS = 8
 HOPELESS = 0.1  # of the fall of χ² by a name that leaves nothing to explain: others need no fit
 NOTHING_LEFT = 5.0  # significance of the excess
 FAR = 10.0  # χ²/ν from which the model may be at a false minimum
-RETRIED = 2  # of the most promising families, if none leaves nothing
-EXPLORING = 15  # iterations, after which only the best goes on
+RETRIED = 2  # of the most promising families, if none leaves nothing; what a detector adds is fitted quickly
+SIDE_BY_SIDE = 2  # fits, after which it is asked whether others are hopeless
 PER_PARAMETER = 8.0  # of χ², that a parameter has to earn
 FULL_HALO = 0.1  # of the expected residual, from which the halo's shape is fitted as well
 
@@ -129,59 +130,84 @@ def refits(
     scores: Sequence[Score],
     report: Callable[[int], None] = lambda count: None,
 ) -> list[Refit]:
-    """The most promising families fitted in turn, the best first."""
+    """The most promising families fitted, the best first."""
     found: list[Refit] = []
-    for score in proposals(scores):
-        report(1)
-        if any(one.explains_all and score.gain < HOPELESS * one.gain for one in found):
-            continue
-        near = _explored(fitter, origin, _start(score), origin.fitted)
-        found.append(_finished(fitter, Refit(score, origin, near), found))
+    for some in _rounds(proposals(scores)):
+        hopeful = [score for score in some if not _hopeless(score, found)]
+        found = _joined(fitter, found, ordered_map(partial(_near, fitter, origin), hopeful))
+        report(len(some))
     if origin.excess.chi2_nu > FAR:
-        found = _once_more(fitter, found, lambda one: True, _from_zero)
-    found = _once_more(fitter, found, lambda one: bool(one.score.elsewhere), _from_elsewhere)
+        detectors = [one for one in found if one.bare.place == "detector"]
+        found = _once_more(fitter, found, [*detectors, *_leading(found, but=detectors)], _from_zero)
+    several = [one for one in found if one.score.elsewhere]
+    found = _once_more(fitter, found, _leading(several), _from_elsewhere)
     return sorted(found, key=lambda one: -one.merit)
 
 
-def _explored(fitter: Fitter, origin: Optimum, effect: Pinned, near: Fitted | None) -> Fitted:
-    """A fit that goes as far as tells whether it is promising."""
-    return fitter.fit([*origin.fitted.continued(), effect], near, EXPLORING)
+def _rounds(promising: Sequence[Score]) -> list[Sequence[Score]]:
+    """The most promising by itself, the others side by side."""
+    rest = promising[1:]
+    return [promising[:1], *(rest[i : i + SIDE_BY_SIDE] for i in range(0, len(rest), SIDE_BY_SIDE))]
 
 
-def _finished(fitter: Fitter, one: Refit, rivals: Sequence[Refit]) -> Refit:
-    """The same until it converges, if it is better than its rivals."""
-    if any(one.merit < other.merit for other in rivals):
-        return one
-    return replace(one, fitted=fitter.finished(one.fitted))
+def _hopeless(score: Score, found: Sequence[Refit]) -> bool:
+    """Whether the best leaves nothing to explain, and this one promises too little of its fall of χ²."""
+    best = max(found, key=lambda one: one.merit, default=None)
+    return best is not None and best.explains_all and score.gain < HOPELESS * best.gain
+
+
+def _leading(found: Sequence[Refit], but: Sequence[Refit] = ()) -> list[Refit]:
+    """The best that are worth further starts."""
+    return sorted((one for one in found if one not in but), key=lambda one: -one.merit)[:RETRIED]
+
+
+def _near(fitter: Fitter, origin: Optimum, score: Score) -> Refit:
+    """Fitted from the model before."""
+    return Refit(score, origin, _explored(fitter, origin, _start(score)))
+
+
+def _explored(fitter: Fitter, origin: Optimum, effect: Pinned) -> Fitted:
+    """A fit from the model before that goes as far as tells whether it is promising."""
+    return fitter.explored([*origin.fitted.continued(), effect], origin.fitted)
+
+
+def _joined(fitter: Fitter, found: Sequence[Refit], new: Sequence[Refit]) -> list[Refit]:
+    """Both; if the best of all is a new one, it goes on until it converges."""
+    joined = [*found, *new]
+    best = max(joined, key=lambda one: one.merit, default=None)
+    if best in new:
+        joined[joined.index(best)] = replace(best, fitted=fitter.finished(best.fitted))
+    return joined
 
 
 def _once_more(
     fitter: Fitter,
     found: Sequence[Refit],
-    allowed: Callable[[Refit], bool],
+    chosen: Sequence[Refit],
     starts: Callable[[Fitter, Refit], list[Fitted]],
 ) -> list[Refit]:
-    """The most promising of the `allowed` families begun again, unless one leaves nothing to explain."""
-    if any(one.excess.significance < NOTHING_LEFT for one in found):
+    """Some of the families begun again, unless the best leaves nothing to explain."""
+    if not found or max(found, key=lambda one: one.merit).excess.significance < NOTHING_LEFT:
         return list(found)
-    result = list(found)
-    for one in sorted(filter(allowed, found), key=lambda one: -one.merit)[:RETRIED]:
-        better = replace(one, fitted=most_plausible([one.fitted, *starts(fitter, one)]))
-        result[result.index(one)] = _finished(fitter, better, [other for other in result if other is not one])
-    return result
+
+    def again(one: Refit) -> Refit:
+        return replace(one, fitted=most_plausible([one.fitted, *starts(fitter, one)]))
+
+    return _joined(fitter, [one for one in found if one not in chosen], ordered_map(again, chosen))
 
 
 def _from_zero(fitter: Fitter, one: Refit) -> list[Fitted]:
-    """Without the wavefront of the model before, which may be a false minimum.
+    """Without anything of the model before, which may be at a false minimum.
 
-    A model that misses something large can fit it with a wavefront far from the true one.
+    A model that misses something large can fit it with a wavefront far from the true one, from where
+    little seems to help.
     """
-    return [_explored(fitter, one.origin, _start(one.score), None)]
+    return [fitter.explored([*one.origin.fitted.anew(), one.score.anew()])]
 
 
 def _from_elsewhere(fitter: Fitter, one: Refit) -> list[Fitted]:
     """From the next best places or directions: the best of a linear estimate may be a wrong one."""
-    return [_explored(fitter, one.origin, other.start(), one.origin.fitted) for other in one.score.elsewhere]
+    return [_explored(fitter, one.origin, other.start()) for other in one.score.elsewhere]
 
 
 def proposals(scores: Sequence[Score]) -> list[Score]:

@@ -57,6 +57,11 @@ class View:
     psf: PsfModel
     conditions: Conditions
 
+    def quick(self) -> View:
+        """The same in float32: good enough to find the way."""
+        psf = PsfModel(self.psf.settings, self.psf.nolls, device=self.psf.device, dtype=torch.float32)
+        return View(psf, self.conditions)
+
     def seen(self, effect: Effect | Pinned, first: View) -> Effect | Pinned:
         """An effect that is stated for the `first` recording as it acts in this one."""
         if first is self:

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import torch
+
 from ..effects import Conditions, Effect, Pinned
 from .bad_pixel_check import bad_pixel_family
 from .conclude import conclude
@@ -28,6 +30,7 @@ def silent(count: int) -> None:
     """Report nothing."""
 
 
+@torch.no_grad()
 def diagnose(
     recordings: Sequence[Exposures],
     effects: Sequence[Effect | Pinned],

@@ -7,14 +7,14 @@ unless an effect knows a quicker way.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 import torch
-from torch.autograd import forward_ad
 
+from ..forward_mode import along, along_all
 from ..optics.grids import OtfGrid, PupilGrid, Sampling
 from ..optics.structure import ResidualBand
 
@@ -283,25 +283,3 @@ class RampEffect(Effect):
 def number(name: str, unit: str, lower: float = -INFINITE, upper: float = INFINITE, **more) -> Public:
     """A public number."""
     return Public(name, unit, "number", lower, upper, **more)
-
-
-def along(function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor, index: int) -> torch.Tensor:
-    """Derivative of `function` with respect to one element of its argument."""
-    direction = torch.zeros_like(values)
-    direction[index] = 1
-    return torch.func.jvp(function, (values,), (direction,))[1]
-
-
-def along_all(function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor) -> torch.Tensor:
-    """Derivatives of a real or complex `function` with respect to all elements, elements first."""
-    if len(values) == 1:  # dual numbers cost much less than the vectorised transform
-        with forward_ad.dual_level():
-            dual = function(forward_ad.make_dual(values, torch.ones_like(values)))
-            return forward_ad.unpack_dual(dual).tangent[None]
-    is_complex = function(values).is_complex()
-
-    def parts(v: torch.Tensor) -> torch.Tensor:
-        return torch.view_as_real(function(v)) if is_complex else function(v)
-
-    slopes = torch.func.jacfwd(parts)(values).movedim(-1, 0).contiguous()
-    return torch.view_as_complex(slopes) if is_complex else slopes

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from ..forward_mode import along
 from ..optics.grids import PupilGrid
 from ..optics.zernike import noll_to_nm
-from .base import Conditions, Effect, Parameter, Public, PupilEffect, along, number
+from .base import Conditions, Effect, Parameter, Public, PupilEffect, number
 from .pinned import Pinned
 from .zernike_table import ZernikeTable
 

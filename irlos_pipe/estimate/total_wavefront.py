@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from ..effects import EffectSet
+from ..forward_mode import pushed
 from ..optics.grids import PupilGrid
 
 
@@ -34,7 +35,7 @@ def effects_in_modes_nm(
         return project @ effects.opd_nm(v).flatten()
 
     directions = torch.eye(len(values), dtype=torch.float64)
-    slopes = [torch.func.jvp(modes, (values,), (direction,))[1] for direction in directions]
+    slopes = [pushed(modes, values, direction) for direction in directions]
     return modes(values), torch.stack(slopes, dim=1) if slopes else torch.zeros(len(nolls), 0)
 
 
