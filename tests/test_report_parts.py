@@ -16,7 +16,7 @@ from irlos_pipe.report.radial import ring_means
 from irlos_pipe.report.ramp_plots import RampPoints, image_strip, ramp_plot, residual_limit
 from irlos_pipe.report.section_prior import prior_section
 from irlos_pipe.report.sensitivity_plot import limit_text
-from irlos_pipe.report.text import MISSING, number, plural, with_error
+from irlos_pipe.report.text import MISSING, number, plural, rounded_by_error, with_error
 
 NAN = float("nan")
 
@@ -43,6 +43,21 @@ def test_a_number_has_its_unit():
 )
 def test_an_error_is_shown_where_there_is_one(value, error, expected):
     assert with_error(value, error, "+.1f", "nm") == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "expected"),
+    [
+        (0.04, 2.17e-05, "0.040000 ± 0.000022"),
+        (-385.7013, 11.6092, "-386 ± 12"),
+        (12345.0, 678.0, "12340 ± 680"),
+        (0.0412345, None, "0.04123"),
+        (0.0412345, 0.0, "0.04123"),
+        (NAN, 1.0, MISSING),
+    ],
+)
+def test_a_measured_number_has_the_digits_that_its_error_allows(value, error, expected):
+    assert rounded_by_error(value, error) == expected
 
 
 def test_one_is_no_plural():

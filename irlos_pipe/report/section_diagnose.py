@@ -15,7 +15,7 @@ from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE
 from irlos_pipe.report.images import SIGNED, brightness_scale, image_panel, symmetric_scale
 from irlos_pipe.report.radial import profile_plot, ring_means
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.text import number, with_error
+from irlos_pipe.report.text import number, rounded_by_error, with_error
 
 STAGE = "diagnose"
 BRIGHTNESS_UNIT = "e⁻ (asinh scale)"
@@ -153,7 +153,7 @@ def _step_rows(step: Mapping[str, Any]) -> list[tuple[str, ...]]:
         (
             step["effect"] if first else "",
             name,
-            with_error(value, errors.get(name), ".4g") if isinstance(value, float) else str(value),
+            rounded_by_error(value, errors.get(name)) if isinstance(value, float) else str(value),
             *(head if first else ("", "")),
             others if first else "",
         )

@@ -22,6 +22,15 @@ def with_error(value: Any, error: Any, pattern: str = ".1f", unit: str = "") -> 
     return f"{value:{pattern}} ± {error:{pattern.lstrip('+')}}" + (f" {unit}" if unit else "")
 
 
+def rounded_by_error(value: float, error: float | None) -> str:
+    """Format ``value ± error`` to the second digit of the error; four digits without an error."""
+    if MISSING in (number(value), number(error)) or error <= 0:
+        return number(value, ".4g")
+    decimals = 1 - math.floor(math.log10(error))
+    value, error = (round(one, decimals) for one in (value, error))
+    return f"{value:.{max(decimals, 0)}f} ± {error:.{max(decimals, 0)}f}"
+
+
 def plural(count: int, noun: str) -> str:
     """Format a count with its noun: ``1 frame``, ``2 frames``."""
     return f"{count} {noun}" + ("" if count == 1 else "s")
