@@ -60,6 +60,7 @@ def run(recipe: Path, output: Path, first: str, last: str, force: bool, dry_run:
       irlos run recipes/ncpa_calibration.yaml --output night --set calibrate.method=dip_avg
       irlos run recipes/ncpa_calibration.yaml --output night --from correct --dry-run
       irlos run recipes/defocus_ramp.yaml --output ramp --set model.effects='[seeing_halo]'
+      irlos run recipes/defocus_ramp.yaml --output ramp --set model=diagnosis/model.yaml
 
     \b
     DIR will hold:

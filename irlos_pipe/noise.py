@@ -42,6 +42,30 @@ class NoiseModel:
         """Variance [e-²] of pixels with the mean signal `signal_e` [e-]; array or tensor alike."""
         return self.scatter_e2(signal_e) + self.shared_e2
 
+    def half_deviance(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
+        """What stands for ``(d - m)²/2V`` where V is that of the model: ``∫ (d - t)/V(t) dt`` from m to d.
+
+        Its slope with respect to the model is ``-(d - m)/V(m)``. For pure photon noise it is half the
+        deviance of Poisson's law.
+
+        Parameters
+        ----------
+        images_e, model_e : tensor
+            Data d and model m [e-].
+
+        References
+        ----------
+        Wedderburn 1974, Biometrika 61, 439.
+        """
+        return self._missed(images_e, model_e) - self._missed(images_e, images_e)
+
+    def _missed(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
+        """``∫ (t - d)/V(t) dt`` from 0 to m; V is constant below 0."""
+        factor, floor = self.excess_noise_factor, self.floor_e2 + self.shared_e2
+        above, below = model_e.clamp_min(0), model_e.clamp_max(0)
+        bright = above - (images_e + floor / factor) * torch.log1p(above * (factor / floor))
+        return bright / factor + (0.5 * below - images_e) * below / floor
+
     def mean_variance_e2(self, signal_e, frames: int):
         """Variance of the mean of so many frames [e-²]."""
         return self.scatter_e2(signal_e) / frames + self.shared_e2

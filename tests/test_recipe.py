@@ -11,6 +11,7 @@ from irlos_pipe.errors import ConfigurationError
 from irlos_pipe.overrides import overridden, parse_setting
 from irlos_pipe.recipe import load_recipe
 
+COMPANION = {"flux_ratio": 0.04, "sep_mas": 150.0, "pa_deg": 300.0}
 RECIPES = sorted((Path(__file__).parents[1] / "recipes").glob("*.yaml"))
 
 
@@ -147,6 +148,21 @@ def test_settings_are_yaml_and_the_last_one_counts(bench):
 def test_the_seed_option_replaces_the_seed_of_the_recipe(bench):
     bench.recipe.write_text(RECIPE + "seed: 1\n")
     assert load_recipe(bench.recipe, seed=7).seed == 7
+
+
+def test_a_section_can_be_taken_from_a_file(bench, monkeypatch):
+    section = {"effects": [{"companion": COMPANION}], "pupil_samples": 96}
+    (bench.data / "model.yaml").write_text(yaml.safe_dump(section))
+    monkeypatch.chdir(bench.data)
+    settings = ["model.pupil_samples=64", "model=model.yaml", "model.cutoff_per_m=3"]
+    model = load_recipe(bench.recipe, settings).model
+    assert (model.pupil_samples, model.cutoff_per_m) == (96, 3.0)
+    assert [(one.name, one.values) for one in model.entries()] == [("companion", COMPANION)]
+
+
+def test_a_file_for_a_section_that_is_not_there_is_told(bench):
+    (line,) = complaints(bench, settings=["model=nowhere/model.yaml"])
+    assert "nowhere/model.yaml" in line and "No such file" in line
 
 
 def test_a_setting_leaves_the_data_it_changes_alone():

@@ -112,6 +112,8 @@ class ImageFit:
 
     def _map(self, function, x, which, size: int = FRAMES_PER_CHUNK):
         """What `function` makes of pieces of a few members, small enough for the processor's cache."""
+        if len(x) <= size:
+            return function(x, which)
         pieces = zip(x.split(size), which.split(size), strict=True)
         return joined_map(lambda piece: function(*piece), pieces, len(x))
 
@@ -148,8 +150,13 @@ class ImageFit:
         return (self.images[which].double() - model_e[:, None]) * root, root
 
     def _objective(self, x, which):
-        residual, _ = self._whitened(self.predict(x), which)
-        return (self.loss.value(residual).sum((1, 2)).cpu(),)
+        model_e = self.predict(x)
+        residual, _ = self._whitened(model_e, which)
+        return (self._value(residual, model_e, which),)
+
+    def _value(self, residual: torch.Tensor, model_e: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
+        """Objective without the prior, (b,)."""
+        return self.loss.value(residual).sum((1, 2)).cpu()
 
     def _gradient(self, x, which):
         """Without the prior; pixels in the precision of the images."""
@@ -175,7 +182,7 @@ class ImageFit:
         else:
             linearised = Linearised(columns, residual, root, self.loss, precision, offset)
             gradient, hessian = linearised.normal_equations()
-        return self.loss.value(residual).sum((1, 2)).cpu(), gradient.cpu(), hessian.cpu()
+        return self._value(residual, model_e, which), gradient.cpu(), hessian.cpu()
 
     # -- quality -----------------------------------------------------------------------------
 

@@ -1,8 +1,8 @@
 """LIFT: tip, tilt, defocus (and more) of single images, by iterated maximum likelihood or MAP.
 
 Every image has its own flux and background. The noise covariance is diagonal; its variances
-come from the image itself, from the model of the first pass, or are updated from the model
-until they settle (`iterative`), which is what makes the estimate unbiased at low flux.
+come from the image itself, from the model of a first fit, or follow the model all the way
+(`iterative`), which is what makes the estimate unbiased at low flux.
 
 Reference: Meimon, Fusco & Mugnier 2010, Opt. Lett. 35, 3036; the MAP step here has the prior
 precision on the diagonal only and the ``-C⁻¹(a - ā)`` term that the published code lacks.
@@ -20,11 +20,12 @@ from ..noise import NoiseModel
 from .alike import Alike, AlikeFit
 from .image_fit import ImageFit, masked_variance
 from .parameters import Layout
+from .photon_fit import PhotonFit
 from .solution import Solution, mixed_tensors
 from .solve import solve
 
-NOISE_ROUNDS = {"data": 1, "model": 2, "iterative": 3}
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
+COARSE_TOLERANCE = 1000.0  # 30 σ: near enough to go on with variances that follow the model
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class LiftOptions:
     ----------
     noise : {"data", "model", "iterative"}
         Where the variances come from: the smoothed image; the model fitted with those; or the
-        model once more.
+        model of the very estimate.
     prior_mean_nm, prior_sigma_nm : tensor, (images, modes) and (modes,), optional
         Gaussian prior; with it the estimate is MAP, without it ML.
     alike : Alike, optional
@@ -139,32 +140,43 @@ def _at_limit(model: ImageModel, zernike_nm: torch.Tensor) -> torch.Tensor:
 
 
 def _lift(model: ImageModel, images_e, pixel_mask, noise, start_nm, options, report) -> LiftResult:
-    """Rounds of fits, each with the variances that the one before implies."""
+    """A fit with the variances of the images, and unless these are wanted another with those of the model."""
     nolls = model.psf.nolls
     layout = Layout(nolls, prior_mean_nm=options.prior_mean_nm, prior_sigma_nm=options.prior_sigma_nm)
-    flat = images_e.flatten(1)
-    x = layout.start(flat * pixel_mask.flatten(), start_nm)
-    signal = smooth(images_e)
-    last = NOISE_ROUNDS[options.noise] - 1
-    for round_ in range(last + 1):
-        variance = noise.variance_e2(signal)
-        problem = image_problem(model, layout, images_e, variance, pixel_mask, options.alike)
-        if round_ < last:
-            problem.tolerance = ROUGH_TOLERANCE
-        solution = solve(
-            problem, x, max_iterations=options.max_iterations, report=report if round_ == 0 else None
-        )
-        x = torch.where(torch.isfinite(solution.values), solution.values, x)
-        signal = problem.predict_all(x).reshape(images_e.shape)
+    x = layout.start(images_e.flatten(1) * pixel_mask.flatten(), start_nm)
+    variance = noise.variance_e2(smooth(images_e))
+    problem = image_problem(model, layout, images_e, variance, pixel_mask, options.alike)
+    if options.noise != "data":
+        problem.tolerance = COARSE_TOLERANCE if options.noise == "iterative" else ROUGH_TOLERANCE
+        x = _finite(solve(problem, x, max_iterations=options.max_iterations, report=report), x)
+        report = None
+        problem = _with_model_variance(problem, x, images_e, pixel_mask, noise, options)
+    solution = solve(problem, x, max_iterations=options.max_iterations, report=report)
+    model_e = problem.predict_all(_finite(solution, x))
     modes = layout.modes
     return LiftResult(
         nolls,
         solution.values[:, modes],
         solution.covariance[:, modes, modes],
         solution,
-        signal,
-        problem.reduced_chi2_of(signal.flatten(1)),
+        model_e.reshape(images_e.shape),
+        problem.reduced_chi2_of(model_e),
     )
+
+
+def _with_model_variance(rough: ImageFit, x, images_e, pixel_mask, noise, options: LiftOptions) -> ImageFit:
+    """The problem with the variances of the model at `x`, or of the model wherever it goes."""
+    model, layout = rough.model, rough.layout
+    if options.noise == "iterative":
+        flat = images_e[:, None].flatten(2).to(model.psf.device)
+        return PhotonFit(model, layout, flat, pixel_mask.flatten(), noise)
+    variance = noise.variance_e2(rough.predict_all(x)).reshape(images_e.shape)
+    return image_problem(model, layout, images_e, variance, pixel_mask, options.alike)
+
+
+def _finite(solution: Solution, before: torch.Tensor) -> torch.Tensor:
+    """Where the fits ended, or where they began if they failed."""
+    return torch.where(torch.isfinite(solution.values), solution.values, before)
 
 
 def image_problem(

@@ -47,10 +47,12 @@ class RecipeHead(BaseModel):
     seed: int = Field(0, ge=0, description="seed of every random draw")
 
 
+SECTIONS = ("model", *STAGES)
+
+
 def check_head(data: Mapping[str, Any], complaints: Complaints) -> RecipeHead:
     """Check the keys at the top level; wrong ones are replaced, so that the rest can be checked too."""
-    sections = ("model", *STAGES)
-    known = (*RecipeHead.model_fields, *sections)
+    known = (*RecipeHead.model_fields, *SECTIONS)
     for key in data:
         if key not in known:
             complaints.add((key,), f"unknown key '{key}'{suggestion(key, known)}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -71,7 +71,8 @@ def load_recipe(path: str | Path, settings: Iterable[str] = (), inputs: Iterable
     Parameters
     ----------
     settings : iterable of str
-        ``stage.key=VALUE``, applied in order; the value is YAML.
+        ``stage.key=VALUE``, applied in order; the value is YAML. ``section=PATH`` takes a whole section from
+        a file, as ``model=DIR/model.yaml``; the path counts from the current folder.
     inputs : iterable of str
         ``NAME=PATH``, relative to the current folder; a name given again makes a list.
     seed : int, optional
@@ -85,7 +86,7 @@ def load_recipe(path: str | Path, settings: Iterable[str] = (), inputs: Iterable
     path = Path(path)
     written, lines = load_yaml(path)
     rejected: list[ConfigurationError] = []
-    overrides = accepted(parse_setting, settings, rejected)
+    overrides = accepted(_parse_setting, settings, rejected)
     overrides += [] if seed is None else [Override(("seed",), seed, "--seed")]
     given = input_overrides(accepted(parse_input, inputs, rejected))
     overrides += given
@@ -94,6 +95,15 @@ def load_recipe(path: str | Path, settings: Iterable[str] = (), inputs: Iterable
     unknown = checks.undeclared_inputs(given, written.get("inputs"), complaints)
     usable = [override for override in overrides if override not in unknown]
     return _checked(path, reduce(overridden, usable, written), complaints)
+
+
+def _parse_setting(text: str) -> Override:
+    """A setting; a section given by name is read."""
+    override = parse_setting(text)
+    whole = len(override.key) == 1 and override.key[0] in checks.SECTIONS
+    if not whole or not isinstance(override.value, str):
+        return override
+    return replace(override, value=load_yaml(absolute(override.value))[0])
 
 
 def _checked(path: Path, data: dict[str, Any], complaints: Complaints) -> Recipe:
