@@ -143,9 +143,10 @@ class ImageModel:
         """What the effects make of the light path, kept for the next call with the same values."""
         if values.requires_grad:
             return self.effects(values)
-        if self._last is None or not torch.equal(self._last[0], values):
-            self._last = values.clone(), self.effects(values)
-        return self._last[1]
+        last = self._last
+        if last is None or not torch.equal(last[0], values):
+            self._last = last = values.clone(), self.effects(values)
+        return last[1]
 
     def _unit(self, modes_nm, optics: Optics, values: torch.Tensor, when) -> torch.Tensor:
         """Unit-flux images before the detector."""

@@ -5,86 +5,53 @@ Truth: scipy's distributions, Monte Carlo, finite differences, and what was put 
 
 from __future__ import annotations
 
-import functools
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
-from optics_cases import BAND, DIVERSITY, READ_NOISE, draw_frames, everything, ncpa_nm, settings, vector
+from diagnose_frames import (
+    CASE,
+    CONDITIONS,
+    FRAMES,
+    NOLLS,
+    TRUE_NM,
+    cube,
+    fitted,
+    frames,
+    image,
+    optimum,
+)
+from optics_cases import READ_NOISE
 from scipy import stats
 
 from irlos_pipe.diagnose.bad_pixel_check import outstanding_pixels
 from irlos_pipe.diagnose.companion_search import brightest_companions
-from irlos_pipe.diagnose.cube import Cube, Stack, split
-from irlos_pipe.diagnose.decide import by_plausibility
+from irlos_pipe.diagnose.cube import split
 from irlos_pipe.diagnose.detect import gaussian_sigma, score_family, scores
 from irlos_pipe.diagnose.drift_check import measure_drift
 from irlos_pipe.diagnose.families import Family, families
-from irlos_pipe.diagnose.fitting import Fitted, Fitter, most_plausible
+from irlos_pipe.diagnose.fitting import most_plausible
 from irlos_pipe.diagnose.held_out import Gap, Judge, noise_floor, preference
 from irlos_pipe.diagnose.motion_check import motion_ratio
 from irlos_pipe.diagnose.noise_check import judge_noise
-from irlos_pipe.diagnose.optimum import Optimum
-from irlos_pipe.diagnose.refit import refits
 from irlos_pipe.diagnose.screened_pixels import Screened, screened_step
 from irlos_pipe.diagnose.sentence import phrase
 from irlos_pipe.diagnose.sizes import detectable, determined, public_sigma
-from irlos_pipe.diagnose.view import View
 from irlos_pipe.effects import (
     CATALOGUE,
     AmplitudeAberration,
-    Conditions,
     HighOrderNcpa,
     LowWindEffect,
-    PlateScale,
     TipTiltJitter,
 )
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.motion import Vibration
-from irlos_pipe.effects.pixels import BackgroundGradient
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.image_model import ImageModel
 from irlos_pipe.noise import NoiseModel
-from irlos_pipe.parallel import set_workers
-from irlos_pipe.psf import PsfModel
 
-WINDOW, NOLLS, FRAMES, FLUX_E = 32, tuple(range(2, 12)), 40, 3e5
-CASE = settings(WINDOW, margin_mas=100.0, halo_margin_mas=250.0)
-CONDITIONS = Conditions(BAND, 0.5, DIVERSITY, NOLLS[-1], CASE.window, 9.7, CASE.spectrum)
-TRUE_NM = ncpa_nm(4, NOLLS[-1], 90.0)
 STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
-
-
-@functools.cache
-def model() -> PsfModel:
-    return PsfModel(CASE, NOLLS, dtype=torch.float64)
-
-
-def image(modes_nm: dict[int, float] = TRUE_NM, effect=None, values=()) -> np.ndarray:
-    """Mean image [e-] with one effect or none."""
-    whole = ImageModel(model(), [] if effect is None else [effect])
-    flux, none = torch.tensor([FLUX_E], dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
-    values = torch.tensor(values, dtype=torch.float64)
-    return whole.predict(vector(modes_nm, NOLLS), flux, none, values)[0].numpy()
-
-
-def frames(mean_e: np.ndarray, seed: int = 1, noise: NoiseModel = READ_NOISE) -> Frames:
-    images = draw_frames(mean_e, FRAMES, seed, noise)
-    return Frames(images, everything(images), READ_NOISE)
-
-
-def cube(mean_e: np.ndarray, seed: int = 1) -> Cube:
-    return split(frames(mean_e, seed)).limited_by(True)
-
-
-def optimum(stack: Stack, effects=()) -> Optimum:
-    return Optimum(stack, fitted(stack, effects))
-
-
-def fitted(stack: Stack, effects=()) -> Fitted:
-    return Fitter([View(model(), CONDITIONS)], stack).fit(effects)
 
 
 # -- frames ------------------------------------------------------------------------------------
@@ -220,20 +187,6 @@ def test_a_hot_pixel_stands_out_and_nothing_else():
     assert outstanding_pixels(optimum(cube(image()).training)) == []
 
 
-def test_of_names_that_fit_alike_one_that_is_plausible_comes_first():
-    """5 % more wavelength is 5 % less of a pixel in a narrow band, which no lens makes; filters do differ."""
-    stack = cube(image(effect=PlateScale(), values=[-0.045]))
-    at_rest = optimum(stack.training)
-    present, _ = families(CONDITIONS, [n for n in CATALOGUE if n not in ("plate_scale", "spectrum")])
-    fitter = Fitter([View(model(), CONDITIONS)], stack.training)
-    ranked = refits(fitter, at_rest, scores(at_rest, present))
-    ranked.sort(key=lambda one: one.name)  # plate_scale first
-    judges = [Judge(stack.held_out, one.fitted) for one in ranked]
-    first, second = by_plausibility(ranked, judges)[0]
-    assert (first.name, second.name) == ("spectrum", "plate_scale")
-    assert second.implausible and not first.implausible
-
-
 def test_a_stop_that_is_off_is_fitted_with_its_turn_although_either_is_searched_for_alone():
     score = score_family(optimum(cube(image()).training), Family("pupil_misregistration", (STOP,)))
     assert {p.name for p in score.start().parameters} == {"distance_m", "direction_rad", "rotation_deg"}
@@ -324,42 +277,6 @@ def test_errors_of_public_values_follow_from_those_of_the_solver():
     sigma = public_sigma(companion, values, covariance)
     for key in ("flux_ratio", "sep_mas", "pa_deg"):
         assert sigma[key] == pytest.approx(np.std([one[key] for one in public]), rel=0.03)
-
-
-def test_a_name_is_fitted_from_zero_as_well_where_the_model_lies_in_a_false_minimum(monkeypatch):
-    """The gradient is put on the image by hand; the wavefront of the model before is 600 nm off."""
-    stack = cube(image() + 6.0 * np.arange(WINDOW)).training
-    right = fitted(stack)
-    wrong = right.x.clone()
-    wrong[:, right.problem.layout.modes] += vector({5: 400.0, 9: -450.0}, NOLLS)
-    solution = replace(right.solution, values=wrong)
-    lost = Optimum(stack, replace(right, solution=solution, chi2=float(right.problem.chi2(wrong))))
-    score = score_family(lost, Family("background_gradient", (BackgroundGradient(),)))
-    fitter = Fitter([View(model(), CONDITIONS)], stack)
-    found = refits(fitter, lost, [score])[0]
-    assert found.public["e_per_pixel"] == pytest.approx(6.0, rel=0.01)
-    assert found.fitted.modes_nm == pytest.approx(vector(TRUE_NM, NOLLS)[0].numpy(), abs=5.0)
-    monkeypatch.setattr("irlos_pipe.diagnose.refit.FAR", np.inf)
-    assert refits(fitter, lost, [score])[0].fitted.chi2 > 10 * found.fitted.chi2
-
-
-def test_fits_are_the_same_by_one_worker_and_by_two_and_the_best_ends_in_float64():
-    at_rest = optimum(cube(image() + 0.5 * np.arange(WINDOW)).training)
-    fitter = Fitter([View(model(), CONDITIONS)], at_rest.stack)
-    present, _ = families(CONDITIONS, ["companion", "phase_bump", "pupil_misregistration"])
-    both = []
-    try:
-        for workers in (1, 2):
-            set_workers(workers)
-            with torch.no_grad():
-                both.append(refits(fitter, at_rest, scores(at_rest, present)))
-    finally:
-        set_workers(1)
-    one, two = both
-    assert [r.name for r in one] == [r.name for r in two] and len(one) > 1
-    assert all(torch.equal(r.fitted.x, other.fitted.x) for r, other in zip(one, two, strict=True))
-    assert (one[0].name, one[0].fitted.converged) == ("background_gradient", True)
-    assert one[0].fitted.problem.model.psf.dtype == torch.float64
 
 
 @pytest.mark.parametrize(

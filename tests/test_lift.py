@@ -8,8 +8,11 @@ import torch
 
 from irlos_pipe.estimate.bound import cramer_rao_nm
 from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
-from irlos_pipe.estimate.lift import LiftOptions, lift
+from irlos_pipe.estimate.lift import LiftOptions, image_problem, lift
+from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.photon_fit import PhotonFit
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
+from irlos_pipe.estimate.solve import solve
 from irlos_pipe.image_model import ImageModel
 from irlos_pipe.noise import NoiseModel
 from irlos_pipe.psf import PsfModel
@@ -150,3 +153,49 @@ def test_the_excess_noise_factor_widens_the_error_bars(model):
         cramer_rao_nm(ImageModel(model), true, flux, NoiseModel(factor, 0.01)) for factor in (1.0, 1.5)
     )
     assert torch.allclose(excess, poisson * np.sqrt(1.5), rtol=1e-3)
+
+
+def photon_fit(model, images, mask=None) -> PhotonFit:
+    mask = cases.everything(images) if mask is None else mask
+    layout = Layout(TTF, prior_sigma_nm=torch.tensor([300.0, 300.0, 200.0]))
+    return PhotonFit(ImageModel(model), layout, images[:, None].flatten(2), mask.flatten(), NOISE)
+
+
+def test_the_slope_with_variances_that_follow_is_that_of_the_objective():
+    """Truth: central differences, in float64."""
+    precise = PsfModel(cases.settings(64, TWO_COLOURS), TTF, dtype=torch.float64)
+    at = random_modes(1, seed=3)
+    problem = photon_fit(precise, drawn(precise, at, 2e4, seed=4).double())
+    x = torch.cat([at + 15.0, torch.tensor([[2.1e4, 0.3]])], dim=1).double()
+    which = torch.arange(1)
+    _, gradient, hessian = problem.normal_equations(x, which)
+    steps = 1e-3 * torch.diagonal(hessian, dim1=1, dim2=2)[0] ** -0.5
+    for i, step in enumerate(steps):
+        move = torch.zeros_like(x)
+        move[0, i] = step
+        rise = problem.objective(x + move, which) - problem.objective(x - move, which)
+        assert float(rise / (2 * step)) == pytest.approx(float(gradient[0, i]), rel=1e-4, abs=1e-6)
+
+
+def test_pixels_that_are_masked_count_for_nothing_where_variances_follow(model):
+    at = random_modes(1, seed=5)
+    clean = drawn(model, at, 2e4, seed=6)
+    spoilt, mask = clean.clone(), cases.everything(clean).clone()
+    spoilt[0, 30, 31], mask[30, 31] = 1e6, False
+    x = torch.cat([at, torch.tensor([[2e4, 0.0]])], dim=1).double()
+    fits = (photon_fit(model, data, mask) for data in (clean, spoilt))
+    one, other = (fit.normal_equations(x, torch.arange(1)) for fit in fits)
+    assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def test_variances_that_follow_lead_where_endless_re_weighting_does(model):
+    true = random_modes(20, seed=11)
+    data = drawn(model, true, 3e4, seed=12)
+    found = estimate(model, data, true[:, 2].numpy())
+    layout, x, complete = Layout(TTF), found.solution.values, ImageModel(model)
+    for _ in range(6):
+        signal = complete.predict(x[:, :3], x[:, 3], x[:, 4])
+        problem = image_problem(complete, layout, data, NOISE.variance_e2(signal), cases.everything(data))
+        problem.tolerance = 1e-6
+        x = solve(problem, x).values
+    assert ((x - found.solution.values)[:, :3].abs() < 0.02 * found.sigma_nm).all()

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy import integrate
 
 from irlos_pipe.noise import NoiseModel
 from irlos_pipe.recording import Acquisition, Detector, Recording
@@ -71,3 +72,22 @@ def test_the_noise_model_cannot_be_changed_by_accident():
     with pytest.raises(AttributeError):
         noise.floor_e2 = 2.0
     assert replace(noise, floor_e2=2.0).floor_e2 == 2.0
+
+
+@pytest.mark.parametrize("seen_e", [-7.0, 0.0, 3.0, 900.0])
+@pytest.mark.parametrize("model_e", [-4.0, 0.0, 5.0, 800.0])
+def test_the_deviance_is_the_integral_of_the_slope_of_least_squares(seen_e, model_e):
+    noise = NoiseModel(1.4, 5.0, 2.0)
+    expected, _ = integrate.quad(
+        lambda t: (seen_e - t) / float(noise.variance_e2(np.float64(t))), model_e, seen_e, points=[0.0]
+    )
+    found = noise.half_deviance(*(torch.tensor([one], dtype=torch.float64) for one in (seen_e, model_e)))
+    assert float(found) == pytest.approx(expected, rel=1e-8, abs=1e-9)
+
+
+def test_without_read_noise_the_deviance_is_that_of_poisson_s_law():
+    seen = torch.tensor([3.0, 40.0, 900.0], dtype=torch.float64)
+    model = torch.tensor([5.0, 38.0, 1000.0], dtype=torch.float64)
+    poisson = seen * (seen / model).log() - (seen - model)
+    found = NoiseModel(1.0, 1e-9).half_deviance(seen, model)
+    assert found.numpy() == pytest.approx(poisson.numpy(), rel=1e-6)

@@ -1,13 +1,14 @@
 """How large hidden effects are, from sizes that just show to sizes that nobody would overlook.
 
-`WEAK` is about four times the smallest detectable size that `diagnose` prints for clean recordings of the
+Weak is about four times the smallest detectable size that `diagnose` prints for clean recordings of the
 setting, medium and strong are what instruments are known to do. Where a size is no single number: RMS
 of the modes or petals, displacement of the stop.
 """
 
 from __future__ import annotations
 
-WEAK, MEDIUM, STRONG = LEVELS = ("weak", "medium", "strong")
+MEDIUM = "medium"
+LEVELS = ("weak", MEDIUM, "strong")
 
 # Effect: sizes in every setting; by setting where they differ.
 SIZES: dict[str, dict[str, tuple[float, float, float]]] = {

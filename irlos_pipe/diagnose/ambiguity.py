@@ -10,11 +10,9 @@ import torch
 from .fitting import Fitted
 from .held_out import Judge, preference
 from .optimum import Optimum
-from .refit import Refit
+from .refit import CLEARLY_LESS, EXPLAINS_AS_MUCH, Refit
 
 SURE = 3.0  # Vuong's statistic on the held-out frames
-EXPLAINS_AS_MUCH = 0.97
-CLEARLY_LESS = 25.0  # of calibrated χ²
 LIKENESS = 0.9
 LARGEST_SET = 3
 

@@ -32,9 +32,10 @@ def smallest_excess_e(optimum: Optimum) -> float:
 
 
 def bad_pixel_family(optimum: Optimum) -> list[Family]:
-    """The family of these pixels; none where there are none."""
+    """The family of these pixels together; none where there are none."""
     pixels = outstanding_pixels(optimum)
-    return [Family(BadPixels.name, (BadPixels(pixels),))] if pixels else []
+    looked_at = int((optimum.root > 0).sum())
+    return [Family(BadPixels.name, (BadPixels(pixels),), looked_at)] if pixels else []
 
 
 def _largest_neighbour(image: torch.Tensor) -> torch.Tensor:

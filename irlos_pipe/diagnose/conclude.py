@@ -57,7 +57,8 @@ def conclude(
     seconds = SecondRecordings(search.final)
     steps = [_with_separation(step, search, seconds) for step in steps]
     known = steps if not why else []
-    pixels = screened_step(screened, final, len(cube.training.parts[0]), gap)
+    frames = sum(len(stack.parts[0]) for stack in (cube.training, cube.held_out))
+    pixels = screened_step(screened, final, frames, gap)
     if pixels is not None:
         known, gap = [pixels, *known], replace(gap, before=pixels.gap.before)
     return Diagnosis(
@@ -75,7 +76,7 @@ def conclude(
         chi2_nu=(search.null.excess.chi2_nu, search.final.excess.chi2_nu),
         excess_sigma=(search.null.excess.significance, search.final.excess.significance),
         motion_ratio=motion_ratio(cube.training, search.final.fitted),
-        drift_significance=search.drift.significance,
+        drift_significance=search.drift.significance if search.drift else float("nan"),
         frames=(len(cube.training), len(cube.held_out)),
         nolls=search.null.fitted.problem.layout.nolls,
         modes_nm=tuple(total_modes_nm(optimum.fitted) for optimum in (search.null, final)),
@@ -126,7 +127,7 @@ def _smallest(score: Score) -> dict:
 def _elsewhere(search: Search, options: Options) -> dict[str, dict]:
     """The same of what is not found by a score: drift from the frames, pixels one by one."""
     limits = {}
-    if search.drift.significance < options.sure:
+    if search.drift and search.drift.significance < options.sure:
         limits[NcpaDrift.name] = search.drift.effect().effect.describe(
             search.drift.detectable_nm(options.sure)
         )
@@ -197,7 +198,7 @@ def _columns(fitted: Fitted, name: str) -> list[int]:
 
 def _drift_steps(cube: Cube, search: Search, options: Options) -> list[Step]:
     drift = search.drift
-    if drift.significance < options.sure:
+    if drift is None or drift.significance < options.sure:
         return []
     judge = Judge(cube.held_out, search.null.fitted)
     effect = drift.effect()

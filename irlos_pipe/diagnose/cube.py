@@ -14,7 +14,7 @@ from ..estimate.lift import smooth
 from ..estimate.scatter import autocorrelation_time
 
 BLOCKS = 20  # of a cube in time; every fourth is held out
-FEWEST = 8  # frames without which scatter means nothing
+FEWEST = 16  # frames without which scatter means nothing
 FAINT_SIGMA = 30.0  # signal of the mean over its noise below which a pixel's variance is taken from around it
 LEADING = 8  # principal components of a cube that show its autocorrelation
 
@@ -169,10 +169,10 @@ def split(frames: Frames, share: float = 0.25) -> Cube:
         If there are too few frames.
     """
     count = len(frames.images_e)
-    every = round(1 / share)
-    if count < FEWEST * every / (every - 1):
-        raise ValueError(f"{count} frames: a diagnosis needs at least {FEWEST * 2}")
+    if count < FEWEST:
+        raise ValueError(f"{count} frames: a diagnosis needs at least {FEWEST}")
     blocks = min(BLOCKS, count // 2)
+    every = min(round(1 / share), blocks)
     held = (np.arange(count) * blocks // count) % every == every // 2
     when = np.linspace(0, 1, count)
     parts = (

@@ -26,7 +26,7 @@ MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames
 FURTHER_STARTS, FAR_APART = 2, 0.2  # of a fit; part of the range of a place or direction
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Score:
     """What one candidate would do at the optimum without it.
 
@@ -106,7 +106,7 @@ def score_family(optimum: Optimum, family: Family) -> Score:
         for effect in family.variants
         for candidate in effect.candidates(settings.window, settings.pixel_scale_mas)
     ]
-    trials = len(tried)
+    trials = len(tried) * family.places
     if family.name == Companion.name:
         tried = [*brightest_companions(optimum, tried), *around(tried[0].bare)]
     found = ordered_map(partial(_score, optimum, trials), tried)
@@ -170,7 +170,7 @@ def _score(optimum: Optimum, trials: int, candidate: Effect | Pinned) -> Score:
     if not usable.any():
         nothing = np.full(len(power), np.inf)
         null = np.array(candidate.null_values, float)
-        return Score(candidate, null, 0.0, 1.0, float(survival.max()), 0.0, nothing)
+        return Score(candidate, null, 0.0, 1.0, float(survival.max()), 0.0, nothing, trials=trials)
     sizes, gain, inflation, significance = _test(optimum, candidate, shapes, usable, trials)
     smallest = torch.where(usable, (inflation / left.clamp_min(1e-300)).sqrt(), torch.inf).numpy()
     names = tuple(p.name for p, use in zip(candidate.parameters, usable.tolist(), strict=True) if use)
@@ -204,6 +204,8 @@ def significance_of(optimum: Optimum, shapes, normal, meeting, trials: int) -> t
     stack = optimum.stack
     values, vectors = torch.linalg.eigh(normal)
     measured = ((vectors.mT @ optimum.norm2(shapes)) * vectors.mT).sum(1) > 0.5 * values
+    if not measured.any():
+        return 1.0, 0.0
     axes = (vectors / values.sqrt())[:, measured]  # the shapes along them are orthonormal
     if not stack.photon_limited:
         axes = axes[:, -max(1, int(MOST_OF_FRAMES * stack.independent)) :]
@@ -226,8 +228,21 @@ def gaussian_sigma(hotelling: float, directions: int, frames: float, trials: int
         tail = tail if np.isfinite(tail) else -hotelling / 2 + (directions / 2 - 1) * np.log(hotelling / 2)
     else:
         freedom = max(frames - directions, 1.0)
-        tail = stats.f.logsf(hotelling * freedom / (directions * (frames - 1)), directions, freedom)
+        tail = _log_tail_of_f(hotelling * freedom / (directions * (frames - 1)), directions, freedom)
     return float(max(-special.ndtri_exp(min(tail + np.log(trials), np.log(0.5))), 0.0))
+
+
+def _log_tail_of_f(value: float, above: float, below: float) -> float:
+    """``ln P(F > value)`` for any number of degrees of freedom.
+
+    F is a ratio of which ``x = below / (below + above F)`` follows a beta law; far out its tail is the
+    leading term of the incomplete beta function.
+    """
+    tail = stats.f.logsf(value, above, below)
+    if np.isfinite(tail):
+        return float(tail)
+    x, (a, b) = below / (below + above * value), (below / 2, above / 2)
+    return float(a * np.log(x) + (b - 1) * np.log1p(-x) - np.log(a) - special.betaln(a, b))
 
 
 def _within(candidate: Effect | Pinned, values: torch.Tensor) -> torch.Tensor:

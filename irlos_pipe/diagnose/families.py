@@ -20,11 +20,14 @@ class Family:
     ----------
     name : str
     variants : tuple of Effect
-        Shapes of the same effect that are fitted in turn.
+        Shapes of the same effect that are tried.
+    places : int
+        Where the effect was looked for before, of which these are the best.
     """
 
     name: str
     variants: tuple[Effect, ...]
+    places: int = 1
 
 
 def families(conditions: Conditions, present: Iterable[str]) -> tuple[list[Family], list[str]]:

@@ -22,13 +22,13 @@ from .joint_fit import OWN, JointFit
 from .view import View
 
 PRIOR_SCALE = 3.0  # over the law of the NCPAs
-MAX_ITERATIONS, PATIENCE = 30, 3  # how often that many
+MAX_ITERATIONS, PATIENCE = 30, 4  # how often that many
 EXPLORING = 15  # iterations, which tell whether a fit is promising
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model at its optimum.
+    """A model as a fit left it.
 
     Attributes
     ----------
@@ -73,12 +73,18 @@ class Fitted:
     @property
     def penalty(self) -> float:
         """What the priors add to χ²."""
-        return 2 * float(self.solution.objective[0]) - self.chi2
+        offset = self.x - self.problem.prior_mean
+        return float((self.problem.prior_precision * offset**2).sum())
 
     @property
     def converged(self) -> bool:
         """Whether the solver says so."""
         return bool(self.solution.converged[0])
+
+    @property
+    def exact(self) -> bool:
+        """Whether it was fitted in float64."""
+        return self.problem.model.psf.dtype == torch.float64
 
     def values_of(self, name: str) -> np.ndarray:
         """Parameters of one effect."""
@@ -155,15 +161,14 @@ class Fitter:
 
     def finished(self, fitted: Fitted) -> Fitted:
         """What was explored, continued until it converges, if patience allows."""
-        fitted = self._exact(fitted)
         for _ in range(PATIENCE):
-            if fitted.converged:
+            if fitted.exact and fitted.converged:
                 break
-            fitted = self.fit(fitted.continued(), fitted)
+            fitted = self._exact(fitted)
         return fitted
 
     def _exact(self, fitted: Fitted) -> Fitted:
-        """Converged in float64."""
+        """The fit continued in float64."""
         return self._solved(self._problem(fitted.continued(), self.views), fitted.x)
 
     def twin(self, fitted: Fitted) -> Fitted:

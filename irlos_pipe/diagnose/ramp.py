@@ -17,6 +17,7 @@ from ..effects.base import RampEffect
 from ..effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
 from .detect import gaussian_sigma
 from .ramp_visits import Visits, candidates, course
+from .verdict import EFFECT, NONE, UNKNOWN
 
 PER_PARAMETER = 8.0  # of χ², that a size or an edge has to earn
 CLOSE = 6.0  # of χ², by which two names differ that are not told apart
@@ -172,7 +173,7 @@ def _all_fits(data: np.ndarray, shapes: Shapes, most: int) -> list[_Fit]:
     return sorted((fit for fit in fits if fit is not None), key=lambda fit: fit.price)
 
 
-def _significance(fit: _Fit, effect: RampEffect, data: np.ndarray, shapes: Shapes) -> float:
+def _significance(fit: _Fit, effect: RampEffect, shapes: Shapes) -> float:
     """Of one error beside the others, in Gaussian σ."""
     place = fit.effects.index(effect)
     fall = fit.sizes[place] ** 2 / fit.covariance[place, place]
@@ -195,7 +196,7 @@ def _named(effect: RampEffect, fit: _Fit, fits: Sequence[_Fit], data: np.ndarray
         effect,
         float(fit.sizes[place]),
         float(np.sqrt(scatter * fit.covariance[place, place])),
-        _significance(fit, effect, data, shapes),
+        _significance(fit, effect, shapes),
         float(min((rest.chi2 - fit.chi2) / max(excess, 1e-9), 1.0)),
         sorted(rivals - {effect.name}),
     )
@@ -217,7 +218,7 @@ def _verdict(data: np.ndarray, shapes: Shapes, fit: _Fit, names: list[RampName])
         if _edges(one) == 0 and one.name not in seen
         if (beside := _Fit.of(data, shapes, (*fit.effects, one))) is not None
     }
-    verdict = "unknown" if unexplained else "effect" if names else "none"
+    verdict = UNKNOWN if unexplained else EFFECT if names else NONE
     untestable = sorted(SEPARATION.keys() - seen - set(smallest))
     known, nearest = ([], names) if unexplained else (names, [])
     chi2_nu = (float(data @ data) / len(data), after)

@@ -22,6 +22,8 @@ FAR = 10.0  # χ²/ν from which the model may be at a false minimum
 RETRIED = 2  # of the most promising families, if none leaves nothing; what a detector adds is fitted quickly
 SIDE_BY_SIDE = 2  # fits, after which it is asked whether others are hopeless
 PER_PARAMETER = 8.0  # of χ², that a parameter has to earn
+EXPLAINS_AS_MUCH = 0.97  # part of the best's fall of χ²
+CLEARLY_LESS = 25.0  # of calibrated χ²
 FULL_HALO = 0.1  # of the expected residual, from which the halo's shape is fitted as well
 
 
@@ -111,7 +113,7 @@ class Refit:
 
     @property
     def implausible(self) -> list[str]:
-        """Free parameters at a bound or outside the plausible range."""
+        """Parameters at a bound or outside the plausible range."""
         pairs = zip(self.bare.parameters, self.values, strict=True)
         return [p.name for p, value in pairs if not _plausible(p, value)]
 
@@ -141,7 +143,7 @@ def refits(
         found = _once_more(fitter, found, [*detectors, *_leading(found, but=detectors)], _from_zero)
     several = [one for one in found if one.score.elsewhere]
     found = _once_more(fitter, found, _leading(several), _from_elsewhere)
-    return sorted(found, key=lambda one: -one.merit)
+    return sorted(_rivals_finished(fitter, found), key=lambda one: -one.merit)
 
 
 def _rounds(promising: Sequence[Score]) -> list[Sequence[Score]]:
@@ -152,8 +154,10 @@ def _rounds(promising: Sequence[Score]) -> list[Sequence[Score]]:
 
 def _hopeless(score: Score, found: Sequence[Refit]) -> bool:
     """Whether the best leaves nothing to explain, and this one promises too little of its fall of χ²."""
-    best = max(found, key=lambda one: one.merit, default=None)
-    return best is not None and best.explains_all and score.gain < HOPELESS * best.gain
+    if not found:
+        return False
+    best = _best(found)
+    return best.explains_all and score.gain < HOPELESS * best.gain
 
 
 def _leading(found: Sequence[Refit], but: Sequence[Refit] = ()) -> list[Refit]:
@@ -163,7 +167,7 @@ def _leading(found: Sequence[Refit], but: Sequence[Refit] = ()) -> list[Refit]:
 
 def _near(fitter: Fitter, origin: Optimum, score: Score) -> Refit:
     """Fitted from the model before."""
-    return Refit(score, origin, _explored(fitter, origin, _start(score)))
+    return Refit(score, origin, _explored(fitter, origin, _whole(score, score.start())))
 
 
 def _explored(fitter: Fitter, origin: Optimum, effect: Pinned) -> Fitted:
@@ -172,12 +176,33 @@ def _explored(fitter: Fitter, origin: Optimum, effect: Pinned) -> Fitted:
 
 
 def _joined(fitter: Fitter, found: Sequence[Refit], new: Sequence[Refit]) -> list[Refit]:
-    """Both; if the best of all is a new one, it goes on until it converges."""
-    joined = [*found, *new]
-    best = max(joined, key=lambda one: one.merit, default=None)
-    if best in new:
-        joined[joined.index(best)] = replace(best, fitted=fitter.finished(best.fitted))
+    """Both, but for fits that failed; whatever is the best of all goes on until it converges."""
+    joined = [one for one in (*found, *new) if np.isfinite(one.fitted.chi2)]
+    while joined and not (best := _best(joined)).fitted.exact:
+        joined[joined.index(best)] = _finished(fitter, best)
     return joined
+
+
+def _best(found: Sequence[Refit]) -> Refit:
+    return max(found, key=lambda one: one.merit)
+
+
+def _finished(fitter: Fitter, one: Refit) -> Refit:
+    """The same after convergence."""
+    return replace(one, fitted=fitter.finished(one.fitted))
+
+
+def _rivals_finished(fitter: Fitter, found: Sequence[Refit]) -> list[Refit]:
+    """The same with all converged that explain about as much as the best: any of them may be chosen."""
+    rivals = [one for one in found if not one.fitted.exact and is_rival(_best(found), one)]
+    finished = ordered_map(partial(_finished, fitter), rivals)
+    return _joined(fitter, [one for one in found if one not in rivals], finished)
+
+
+def is_rival(best: Refit, other: Refit) -> bool:
+    """Whether χ² falls about as far with `other`."""
+    deficit = (other.fitted.chi2 - best.fitted.chi2) / best.score.inflation
+    return deficit < CLEARLY_LESS or other.gain > EXPLAINS_AS_MUCH * best.gain
 
 
 def _once_more(
@@ -187,7 +212,7 @@ def _once_more(
     starts: Callable[[Fitter, Refit], list[Fitted]],
 ) -> list[Refit]:
     """Some of the families begun again, unless the best leaves nothing to explain."""
-    if not found or max(found, key=lambda one: one.merit).excess.significance < NOTHING_LEFT:
+    if not found or _best(found).excess.significance < NOTHING_LEFT:
         return list(found)
 
     def again(one: Refit) -> Refit:
@@ -202,7 +227,7 @@ def _from_zero(fitter: Fitter, one: Refit) -> list[Fitted]:
     A model that misses something large can fit it with a wavefront far from the true one, from where
     little seems to help.
     """
-    return [fitter.explored([*one.origin.fitted.anew(), one.score.anew()])]
+    return [fitter.explored([*one.origin.fitted.anew(), _whole(one.score, one.score.anew())])]
 
 
 def _from_elsewhere(fitter: Fitter, one: Refit) -> list[Fitted]:
@@ -216,9 +241,8 @@ def proposals(scores: Sequence[Score]) -> list[Score]:
     return sorted(promising, key=lambda one: -one.gain / one.inflation)[:PROPOSALS]
 
 
-def _start(score: Score) -> Pinned:
-    """The effect at its linear estimate; the halo with its shape free, if there is enough of it."""
-    start = score.start()
+def _whole(score: Score, start: Pinned) -> Pinned:
+    """The effect to be fitted: the halo with its shape free, if there is enough of it."""
     if not isinstance(start.effect, ScaledHalo) or score.sizes[0] < FULL_HALO:
         return start
     halo = start.effect.halo

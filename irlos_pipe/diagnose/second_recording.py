@@ -107,7 +107,8 @@ class SecondRecordings:
     def _beside(self, fitted: Fitted, words: str) -> Optimum:
         """A model with one recording more, which shows what it predicts."""
         first, view = self.present.parts[0], self.views[words]
-        image_e = Fitter([view], first).at(fitted).image_e
+        pair = Fitter([fitted.views[0], view], Stacks((first, first))).at(fitted)
+        image_e = pair.image_e[pair.problem.pixels[1]]
         stacks = Stacks((*self.present.parts, _expected(first, image_e)))
         return Optimum(stacks, Fitter([*fitted.views, view], stacks).at(fitted))
 

@@ -16,7 +16,8 @@ STEP = 1e-3  # of a standard error, in derivatives of public values
 FAR = 1e3  # standard errors, in place of a prior that there is none of
 UNDETERMINED = 0.5  # of the prior's variance that is left, from which the data tell nothing
 NOTHING = 1e-9
-DIRECTIONS = ("angle_deg", "pa_deg", "sep_mas", "stretch_angle_deg")
+ANGLES = ("angle_deg", "pa_deg", "stretch_angle_deg")
+DIRECTIONS = (*ANGLES, "sep_mas")
 COMPONENTS = ({"dx_m", "dy_m"},)
 
 
@@ -115,7 +116,9 @@ def _map(function: Callable, *values: Any) -> Any:
 
 
 def _difference(one: Mapping, other: Mapping) -> dict[str, Any]:
-    return _map(lambda a, b: float(a - b), one, other)
+    """Of public values that are close to each other; angles may lie on both sides of 0 or 180°."""
+    change = _map(lambda a, b: float(a - b), one, other)
+    return change | {key: (change[key] + 90.0) % 180.0 - 90.0 for key in ANGLES if key in change}
 
 
 def _combined(differences: Sequence[dict], covariance: np.ndarray, widths: np.ndarray) -> dict[str, Any]:

@@ -144,5 +144,4 @@ class Diagnosis:
     modes_sigma_nm: np.ndarray
     pictures: Pictures
     advice: dict[str, Advice] = field(default_factory=dict)
-    model: dict[str, dict] = field(default_factory=dict)
     seconds: float = 0.0

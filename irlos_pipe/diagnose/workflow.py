@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 import torch
 
 from ..effects import Conditions, Effect, Pinned
+from ..effects.drift import NcpaDrift
+from ..effects.pixels import BadPixels
 from .bad_pixel_check import bad_pixel_family
 from .conclude import conclude
 from .cube import Cube, split
@@ -76,18 +78,19 @@ class Search:
     ----------
     null, final : Optimum
         Before and after all names.
-    drift : Drift
+    drift : Drift or None
+        None where the model has one already.
     accepted : list of Accepted
         Names in the order found, the drift not among them.
     scores : list of Score
-        Of all families at the end.
+        Of all families, at the last model for which a name was looked for.
     meaningless : list of str
         Effects that mean nothing for this cube.
     """
 
     null: Optimum
     final: Optimum
-    drift: Drift
+    drift: Drift | None
     accepted: list[Accepted]
     scores: list[Score]
     meaningless: list[str]
@@ -108,15 +111,19 @@ class Task:
         null = self._optimum(self._null(effects))
         drift, current = self._with_drift(null)
         accepted: list[Accepted] = []
-        while True:
+        for _ in range(2 * self.options.most_names):  # names may be dropped again
             found, meaningless = self._scores(current)
+            if len(accepted) == self.options.most_names:
+                break
             chosen = self._next_name(current, found, first=not accepted)
-            if chosen is None or len(accepted) == self.options.most_names:
-                return Search(null, current, drift, accepted, found, meaningless)
+            if chosen is None:
+                break
             accepted.append(chosen)
             if self._leads_nowhere(chosen.refit):
-                return Search(null, chosen.refit.optimum, drift, accepted, found, meaningless)
+                current = chosen.refit.optimum
+                break
             current, accepted = self._adapted(accepted)
+        return Search(null, current, drift, accepted, found, meaningless)
 
     # -- steps ---------------------------------------------------------------------------------
 
@@ -129,8 +136,10 @@ class Task:
         self.report(2)
         return most_plausible(found)
 
-    def _with_drift(self, null: Optimum) -> tuple[Drift, Optimum]:
+    def _with_drift(self, null: Optimum) -> tuple[Drift | None, Optimum]:
         """The drift of the frames, and the model with it if it is significant."""
+        if NcpaDrift.name in names_of(null.fitted.effects):
+            return None, null
         drift = measure_drift(self.cube.training, null.fitted, self.options.sure)
         if drift.significance < self.options.sure:
             return drift, null
@@ -139,8 +148,10 @@ class Task:
 
     def _scores(self, current: Optimum) -> tuple[list[Score], list[str]]:
         """Scores of all families that the model lacks."""
-        missing, meaningless = families(self.conditions, names_of(current.fitted.effects))
-        return scores(current, [*missing, *bad_pixel_family(current)]), meaningless
+        present = names_of(current.fitted.effects)
+        missing, meaningless = families(self.conditions, present)
+        pixels = [] if BadPixels.name in present else bad_pixel_family(current)
+        return scores(current, [*missing, *pixels]), meaningless
 
     def _next_name(self, current: Optimum, found: list[Score], *, first: bool) -> Accepted | None:
         """The name to add next; None if nothing is missing or nothing explains it."""

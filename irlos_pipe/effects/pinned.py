@@ -22,7 +22,7 @@ class Pinned:
         self.effect = effect
         self.name, self.place, self.order = effect.name, effect.place, effect.order
         self.instrumental, self.aberration = effect.instrumental, effect.aberration
-        self.values = np.asarray(values, float)
+        self.values = np.array(values, float)
         self.free = [i for i, p in enumerate(effect.parameters) if p.name in free]
 
     @property

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from .base import Conditions, DetectorEffect, Effect, Parameter, Public, number
+from .base import Conditions, DetectorEffect, Parameter, Public, number
 from .polar import components, size_and_angle
 
 NEIGHBOURS = ((0, 1), (2, 1), (1, 0), (1, 2))  # offsets in an image padded by one pixel
@@ -103,7 +103,7 @@ class BadPixels(DetectorEffect):
     """Hot, dead or stuck pixels that the map of dead pixels does not list.
 
     What such a pixel shows is no function of the light, so each has an offset of its own: fitting it
-    is the same as masking the pixel, and its derivative is how a search snoops for one.
+    is the same as masking the pixel.
 
     Parameters
     ----------
@@ -159,8 +159,3 @@ class BadPixels(DetectorEffect):
     def values_of(self, pixels: Sequence[Sequence[int]]) -> list[float]:
         """Nothing in excess: the pixels are masked."""
         return [0.0] * len(self.pixels)
-
-    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
-        """One per pixel."""
-        rows, columns = window
-        return [BadPixels([(row, column)]) for row in range(rows) for column in range(columns)]

@@ -172,6 +172,7 @@ class _State:
             self.x[taken] = trial
             damping = self.damping[taken] * self._factor(taken, value[better])
             self.damping[taken] = damping.clip(min=DAMPING_MIN)
+            self.value[taken] = value[better]
             which = which[~better]
             if len(which) == 0:
                 return

@@ -28,7 +28,7 @@ from irlos_pipe.stages.ramp_input import (
 )
 
 NAME = "lift"
-VERSION = 4
+VERSION = 5
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 

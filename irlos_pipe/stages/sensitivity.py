@@ -21,7 +21,7 @@ from irlos_pipe.stages.ramp_input import (
 )
 
 NAME = "sensitivity"
-VERSION = 4
+VERSION = 5
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 
