@@ -52,10 +52,10 @@ def night(folders: tuple[Path, ...], output: Path, config: Path | None, recipes:
 
     \b
     Examples:
-      irlos night /data/irlos/2024-02-10 --output /data/irlos/reduced
-      irlos night /data/irlos --output /data/irlos/reduced --since 2024-01-01 --dry-run
+      irlos night /data/irlos/2024-02-10 --output /data/reduced
+      irlos night /data/irlos --output /data/reduced --since 2024-01-01 --dry-run
       irlos night 2024-02-10 --output reduced --recipe ramp=recipes/full_reduction.yaml -v
-      irlos night /data/irlos --output /data/irlos/reduced --engine dask --scheduler tcp://10.0.0.1:8786
+      irlos night /data/irlos --output /data/reduced --engine dask --scheduler tcp://10.0.0.1:8786
 
     \b
     TREE will hold:

@@ -1,6 +1,7 @@
 """Sampling of the PSF model for fits of single frames, whose noise hides what a coarser one leaves out.
 
-With 64 samples across the pupil, images err by 1e-4 of the peak at 142 nm RMS and by 4e-3 at 424 nm. The
+With 64 samples across the pupil, images at 1600 nm err by up to 1e-4 of the peak at 142 nm RMS and 1.3e-3 at
+424 nm, where 50 modes fall with their number; ten times as much where all are as strong. The
 defocus of a ramp of ±300 nm beside 142 nm of NCPAs errs by less than 0.01 nm, where 10⁶ photons allow 0.2 nm.
 A blur wraps around 320 mas beyond the window instead of 500, which moves the defocus by less than 0.03 nm
 at 0.5″.
