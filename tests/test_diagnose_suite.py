@@ -28,11 +28,12 @@ from benchmarks.diagnose_suite.report import write_report
 from benchmarks.diagnose_suite.scoring import bias_removed, score
 from benchmarks.diagnose_suite.settings import SETTINGS, Setting
 from benchmarks.diagnose_suite.sizes import in_smallest, true_size_inside
-from benchmarks.diagnose_suite.working import Folder
+from benchmarks.diagnose_suite.working import RECIPES, Folder, settings_of, with_noll_indices
 from irlos_pipe.campaign import load_spec
 from irlos_pipe.campaign.series import plan_recordings
 from irlos_pipe.campaign.told import side_car
 from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.recipe import load_recipe
 from irlos_pipe.simulate.catalogue import check_effects
 from irlos_pipe.yamlfile import yaml_text
 
@@ -363,6 +364,16 @@ def test_a_model_that_lacks_nothing_has_what_the_recipe_has_and_what_is_hidden()
     assert case.true_model({"vibration": known}) == ["seeing_halo", "tip_tilt_jitter", {"vibration": known}]
     usual = Case(SINGLE, sky, ("seeing_halo",), "weak")
     assert usual.true_model({"seeing_halo": {"wfe_nm": 99.0}}) == ["seeing_halo", "tip_tilt_jitter"]
+
+
+def test_the_true_model_of_an_effect_with_a_table_can_be_given_to_a_recipe():
+    """As it comes back from the file of the truth, whose keys are text."""
+    sky = SETTINGS["sky_narrow"]
+    known = {"amplitude_aberration": drawn("amplitude_aberration", 0.1, sky, np.random.default_rng(1)).known}
+    told = json.loads(json.dumps(known))
+    effects = Case(SINGLE, sky, ("amplitude_aberration",), "weak").true_model(with_noll_indices(told))
+    recipe = load_recipe(RECIPES / "diagnose.yaml", settings_of(effects))
+    assert recipe.model.entries()[-1].values == known["amplitude_aberration"]
 
 
 # -- from beginning to end ---------------------------------------------------------------------

@@ -95,11 +95,11 @@ def diagnosed(case: Case, data: Path, output: Path, effects: Sequence[Any] | Non
     """
     recipe = "diagnose_ramp" if case.is_ramp else case.setting.recipe
     inputs = [f"{name}={data / name}" for name in ((RAMP, CALIBRATION) if case.is_ramp else (CUBE,))]
-    run_recipe(load_recipe(RECIPES / f"{recipe}.yaml", _settings(effects), inputs), output)
+    run_recipe(load_recipe(RECIPES / f"{recipe}.yaml", settings_of(effects), inputs), output)
     return json.loads((output / "results.json").read_text())["stages"]["diagnose"]
 
 
-def _settings(effects: Sequence[Any] | None) -> list[str]:
+def settings_of(effects: Sequence[Any] | None) -> list[str]:
     """What is set beside the recipe."""
     if effects is None:
         return []
@@ -125,9 +125,16 @@ def _biases_nm(case: Case, folder: Folder, told: dict[str, Any], truth: dict[str
 
     The same frames are fitted, so the noise and speckles that they share are none of it.
     """
-    effects = case.true_model(truth["known"])
+    effects = case.true_model(with_noll_indices(truth["known"]))
     best = diagnosed(case, folder.data(case), folder.reference(case), effects)["zernike_nm"]["before"]
     return {
         when: float(np.linalg.norm([told["zernike_nm"][when][str(n)] - best[str(n)] for n in NOLLS]))
         for when in ("before", "after")
     }
+
+
+def with_noll_indices(known: Any) -> Any:
+    """Tables of modes with numbers for keys, which JSON makes text."""
+    if not isinstance(known, dict):
+        return known
+    return {int(k) if k.isdecimal() else k: with_noll_indices(value) for k, value in known.items()}

@@ -123,7 +123,7 @@ def diagnose_ramp(
     shapes = {one: visits.course(one) for one in candidates(visits)}
     fits = _all_fits(data, shapes, min(most, len(data) - 2))
     chosen = next(
-        fit for fit in fits if all(_significance(fit, one, data, shapes) > sure for one in fit.effects)
+        fit for fit in fits if all(_significance(fit, one, shapes) > sure for one in fit.effects)
     )
     return _verdict(data, shapes, chosen, [_named(one, chosen, fits, data, shapes) for one in chosen.effects])
 
