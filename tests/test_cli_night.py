@@ -135,6 +135,6 @@ def test_a_recipe_that_wants_what_its_group_does_not_have_is_refused(bench):
 
 def test_the_help_shows_how_to_begin():
     text = invoke("night", "--help").output
-    assert "irlos night /data/irlos/2024-02-10 --output /data/irlos/reduced" in text
+    assert "irlos night /data/irlos/2024-02-10 --output /data/reduced" in text
     assert "trend.sqlite" in text
     assert "irlos trend" in invoke("trend", "--help").output
