@@ -180,13 +180,15 @@ class ImageModel:
         return unit, torch.cat([jacobian, *whole], dim=1)
 
     def _whole_path(self, modes_nm, values: torch.Tensor, when, index: int) -> torch.Tensor:
-        """Derivative of the unit-flux images along one effect parameter."""
+        """Derivative of the unit-flux images along one effect parameter, the other effects held."""
+        effects, piece = self.effects.held_but(values, index)
+        alone = ImageModel(self.psf, effects)
 
         def images(v: torch.Tensor) -> torch.Tensor:
-            return self._unit(modes_nm, self.effects(v), v, when)
+            return alone._unit(modes_nm, effects(v), v, when)
 
         with torch.enable_grad():  # in this thread: the transforms do not follow into others
-            return along(images, values, index).detach()
+            return along(images, values[piece], index - piece.start).detach()
 
     def _detected(self, image: torch.Tensor, columns: torch.Tensor, values: torch.Tensor, first: int | None):
         """Images and derivatives behind the detector; `first`: column of the first effect parameter."""

@@ -32,7 +32,7 @@ from irlos_pipe.diagnose.cube import split
 from irlos_pipe.diagnose.detect import gaussian_sigma, score_family, scores
 from irlos_pipe.diagnose.drift_check import measure_drift
 from irlos_pipe.diagnose.families import Family, families
-from irlos_pipe.diagnose.fitting import most_plausible
+from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.held_out import Gap, Judge, noise_floor, preference
 from irlos_pipe.diagnose.motion_check import motion_ratio
 from irlos_pipe.diagnose.noise_check import judge_noise
@@ -149,7 +149,8 @@ def test_rounding_of_a_large_chi2_decides_nothing_between_twins_but_a_better_fit
         SimpleNamespace(chi2=chi2, penalty=penalty, problem=problem)
         for chi2, penalty in ((100_000.0, 2.0), (100_000.0 - lower_by, 12.0))
     )
-    assert most_plausible([small, large]) is (small, large)[chosen]
+    fitter = Fitter([], SimpleNamespace(photon_limited=True))
+    assert fitter.most_plausible([small, large]) is (small, large)[chosen]
 
 
 # -- single effects ----------------------------------------------------------------------------

@@ -12,10 +12,9 @@ from scipy import special, stats
 
 from ..effects import Effect, Pinned
 from ..effects.companion import Companion
-from ..estimate.image_fit import ImageFit
-from ..estimate.search import frozen
 from ..image_model import ImageModel
 from ..parallel import ordered_map
+from .bundle import Bundle
 from .companion_search import around, brightest_companions
 from .families import Family
 from .optimum import Optimum
@@ -23,6 +22,7 @@ from .optimum import Optimum
 ABSORBED = 0.003  # part of a derivative's power below which the fitted parameters imitate the effect
 NOTHING = 1e-9  # of the largest derivative: a parameter without meaning here, a colour of a single wavelength
 MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames
+BUNDLED = 16  # candidates in the pupil
 FURTHER_STARTS, FAR_APART = 2, 0.2  # of a fit; part of the range of a place or direction
 
 
@@ -109,7 +109,8 @@ def score_family(optimum: Optimum, family: Family) -> Score:
     trials = len(tried) * family.places
     if family.name == Companion.name:
         tried = [*brightest_companions(optimum, tried), *around(tried[0].bare)]
-    found = ordered_map(partial(_score, optimum, trials), tried)
+    pieces = ordered_map(partial(_scored, optimum, trials), _bundles(tried))
+    found = [score for piece in pieces for score in piece]
     kinds = {one.usable: _typical([o for o in found if o.usable == one.usable]) for one in found}
     best = max(kinds.values(), key=lambda one: one.gain)
     besides = tuple(one for one in kinds.values() if one is not best and one.usable)
@@ -138,22 +139,37 @@ def _elsewhere(best: Score, found: Sequence[Score]) -> tuple[Score, ...]:
     return tuple(alike[index] for index in chosen)
 
 
-def whitened_shapes(optimum: Optimum, candidate: Effect | Pinned) -> torch.Tensor:
-    """Derivatives of the mean images with respect to a candidate's parameters at null, (pixels, m)."""
-    problem, views = optimum.fitted.problem, optimum.fitted.views
+def whitened_shapes(optimum: Optimum, candidates: Sequence[Effect | Pinned]) -> list[torch.Tensor]:
+    """Derivatives of the mean images with respect to each candidate's parameters at null, (pixels, m) each.
+
+    Several candidates must be of the pupil.
+    """
+    views = optimum.fitted.views
     columns = [
-        _derivatives(part, problem.part(optimum.fitted.x, number), view.seen(candidate, views[0]))
-        for number, (part, view) in enumerate(zip(problem.parts, views, strict=True))
+        _derivatives(optimum, number, _together([view.seen(one, views[0]) for one in candidates]))
+        for number, view in enumerate(views)
     ]
-    return (torch.cat(columns, dim=1) * optimum.root).mT
+    shapes = (torch.cat(columns, dim=1) * optimum.root).mT
+    return list(shapes.split([len(one.parameters) for one in candidates], dim=1))
 
 
-def _derivatives(part: ImageFit, x: torch.Tensor, candidate: Effect | Pinned) -> torch.Tensor:
+def _together(candidates: Sequence[Effect | Pinned]) -> Effect | Pinned:
+    return candidates[0] if len(candidates) == 1 else Bundle(candidates)
+
+
+def _bundles(candidates: Sequence[Effect | Pinned]) -> list[Sequence[Effect | Pinned]]:
+    """Candidates of one family whose derivatives are computed together."""
+    size = BUNDLED if candidates[0].place == "pupil" else 1
+    return [candidates[i : i + size] for i in range(0, len(candidates), size)]
+
+
+def _derivatives(optimum: Optimum, number: int, candidate: Effect | Pinned) -> torch.Tensor:
     """Of the mean image of one recording with respect to a candidate's parameters at null, (m, pixels)."""
+    problem = optimum.fitted.problem
+    part, x = problem.parts[number], problem.part(optimum.fitted.x, number)
     model, layout = part.model, part.layout
-    values = x[0, layout.effect_values]
     sampling = candidate.place == "sampling"
-    own = model.effects.held(values).effects if sampling else frozen(model.effects, values)
+    own = model.effects.held(x[0, layout.effect_values]).effects if sampling else optimum.frozen[number]
     whole = ImageModel(model.psf, [*own, candidate])
     null = torch.tensor(candidate.null_values, dtype=torch.float64)
     modal = candidate.place not in ("pupil", "otf")  # with nothing else there is nothing to propagate
@@ -162,8 +178,12 @@ def _derivatives(part: ImageFit, x: torch.Tensor, candidate: Effect | Pinned) ->
     return columns[len(columns) - 2 - len(null) : -2]
 
 
-def _score(optimum: Optimum, trials: int, candidate: Effect | Pinned) -> Score:
-    shapes = whitened_shapes(optimum, candidate)
+def _scored(optimum: Optimum, trials: int, candidates: Sequence[Effect | Pinned]) -> list[Score]:
+    pairs = zip(candidates, whitened_shapes(optimum, candidates), strict=True)
+    return [_score(optimum, trials, candidate, shapes) for candidate, shapes in pairs]
+
+
+def _score(optimum: Optimum, trials: int, candidate: Effect | Pinned, shapes: torch.Tensor) -> Score:
     power, left = (shapes**2).sum(0), torch.diagonal(optimum.norm2(shapes))
     survival = left / power.clamp_min(1e-300)
     usable = (power > NOTHING * power.max()) & (survival > ABSORBED)

@@ -22,8 +22,9 @@ from .joint_fit import OWN, JointFit
 from .view import View
 
 PRIOR_SCALE = 3.0  # over the law of the NCPAs
-MAX_ITERATIONS, PATIENCE = 30, 4  # how often that many
-EXPLORING = 15  # iterations, which tell whether a fit is promising
+MAX_ITERATIONS, PATIENCE = 60, 4  # how often that many
+SAME_IMAGE = 1e-6  # χ² between two images that differ by rounding
+EXPLORING = 30  # iterations, which tell whether a fit is promising
 
 
 @dataclass(frozen=True)
@@ -100,17 +101,6 @@ class Fitted:
         return [_begun_at(effect, [p.start for p in _free(effect)]) for effect in self.effects]
 
 
-def most_plausible(found: Sequence[Fitted]) -> Fitted:
-    """The best of several fits of one model, whose priors count however bad it is.
-
-    Twins have the same image but for rounding, so the smaller aberration must win. While something is
-    missing in the model, χ² is large and rounding of it would outweigh any prior: it is counted in units
-    of its smallest value per degree of freedom.
-    """
-    unit = max(1.0, min(one.chi2 / one.problem.freedom for one in found))
-    return min(found, key=lambda one: one.chi2 / unit + one.penalty)
-
-
 def _begun_at(effect: Effect | Pinned, values: Sequence[float]) -> Effect | Pinned:
     """With the same freedom."""
     if not effect.parameters:
@@ -161,11 +151,17 @@ class Fitter:
 
     def finished(self, fitted: Fitted) -> Fitted:
         """What was explored, continued until it converges, if patience allows."""
+        if not fitted.exact:
+            fitted = self._exact(fitted if fitted.converged else self._continued(fitted))
         for _ in range(PATIENCE):
-            if fitted.exact and fitted.converged:
+            if fitted.converged:
                 break
             fitted = self._exact(fitted)
         return fitted
+
+    def _continued(self, fitted: Fitted) -> Fitted:
+        """The fit continued in float32."""
+        return self._solved(self._problem(fitted.continued(), self._quick), fitted.x)
 
     def _exact(self, fitted: Fitted) -> Fitted:
         """The fit continued in float64."""
@@ -178,6 +174,29 @@ class Fitter:
         psf = self.views[0].psf
         start[:, modes] = twin_of(start[:, modes], psf.nolls, psf.settings.diversity)
         return self._solved(problem, start)
+
+    def most_plausible(self, found: Sequence[Fitted]) -> Fitted:
+        """The best of several fits of one model, whose priors count however bad it is.
+
+        Twins have the same image but for rounding, so the smaller aberration must win. While something is
+        missing in the model, χ² is large and rounding of it would outweigh any prior: it is counted in
+        units of its smallest value per degree of freedom. So it is of the scatter of speckles.
+        """
+        unit = max(1.0, min(one.chi2 / one.problem.freedom for one in found))
+        best = found[0]
+        for one in found[1:]:
+            worth = unit * self._scatter_between(one, best)
+            if (one.chi2 - best.chi2) / worth + one.penalty - best.penalty < 0:
+                best = one
+        return best
+
+    def _scatter_between(self, one: Fitted, other: Fitted) -> float:
+        """Variance of the mean image along the difference of two models, in units of that of known noise."""
+        if self.stack.photon_limited:
+            return 1.0
+        change = ((one.image_e - other.image_e) * self.stack.root)[:, None]
+        power = float((change**2).sum())
+        return max(1.0, float(self.stack.covariance_of(change)[0, 0]) / power) if power > SAME_IMAGE else 1.0
 
     def at(self, fitted: Fitted) -> Fitted:
         """The model of another fit, whose first recordings are the same, as it is.
@@ -207,9 +226,7 @@ class Fitter:
             x[:, -behind:] = near.x[:, -behind:]
         return x
 
-    def _solved(
-        self, problem: JointFit, start: torch.Tensor, max_iterations: int = MAX_ITERATIONS
-    ) -> Fitted:
+    def _solved(self, problem: JointFit, start: torch.Tensor, max_iterations: int = MAX_ITERATIONS) -> Fitted:
         solution = solve(problem, start, max_iterations=max_iterations)
         return Fitted(problem, solution, float(problem.chi2(solution.values)), self.views)
 

@@ -66,19 +66,30 @@ class JointFit:
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         """Half of χ² plus that of the prior, (1,)."""
-        offset = x - self.prior_mean
-        return 0.5 * self.chi2(x)[None] + 0.5 * (self.prior_precision * offset**2).sum(1)
+        value = _half_chi2(x - self.prior_mean, self.prior_precision)
+        for number, part in enumerate(self.parts):
+            at = self.part(x, number)
+            own_prior = _half_chi2(at - part.prior_mean, part.prior_precision)
+            value = value + part.objective(at, which) - own_prior
+        return value
+
+    def cheap_gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Objective and its gradient by autograd, at a tenth of the cost of the normal equations."""
+        with torch.enable_grad():
+            x = x.detach().requires_grad_()
+            value = self.objective(x, which)
+            return value.detach(), torch.autograd.grad(value.sum(), x)[0]
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
         """Objective, gradient and Gauss–Newton Hessian, see `solve.Problem`."""
         offset = x - self.prior_mean
-        value = 0.5 * (self.prior_precision * offset**2).sum(1)
+        value = _half_chi2(offset, self.prior_precision)
         gradient, hessian = self.prior_precision * offset, torch.diag_embed(self.prior_precision)
         for number, (part, columns) in enumerate(zip(self.parts, self.columns, strict=True)):
             at = self.part(x, number)
             own_value, own_gradient, own_hessian = part.normal_equations(at, which)
             precision, miss = part.prior_precision, at - part.prior_mean
-            value = value + own_value - 0.5 * (precision * miss**2).sum(1)
+            value = value + own_value - _half_chi2(miss, precision)
             gradient[:, columns] += own_gradient - precision * miss
             rows = torch.tensor(columns)
             hessian[:, rows[:, None], rows] += own_hessian - torch.diag_embed(precision)
@@ -113,3 +124,8 @@ class JointFit:
             own = getattr(part, name)
             spread[columns] = own if member is None else own[member]
         return spread
+
+
+def _half_chi2(offset: torch.Tensor, precision: torch.Tensor) -> torch.Tensor:
+    """Half the χ² of parameters against their prior, (1,)."""
+    return 0.5 * (precision * offset**2).sum(1)

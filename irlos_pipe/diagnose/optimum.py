@@ -14,6 +14,8 @@ from functools import cached_property
 
 import torch
 
+from ..effects import Effect, Pinned
+from ..estimate.search import frozen
 from .cube import Stack, Stacks
 from .fitting import Fitted
 
@@ -68,6 +70,13 @@ class Optimum:
         self.basis = basis[: len(self.residual)]
         prior = -(x[0] - problem.prior_mean[0]) * precision
         self._unconverged = self.basis.mT @ self.residual + basis[len(self.residual) :].mT @ prior
+
+    @cached_property
+    def frozen(self) -> list[list[Effect | Pinned]]:
+        """The effects as fitted for each recording, to try others beside them."""
+        problem = self.fitted.problem
+        values = self.fitted.effect_values
+        return [frozen(part.model.effects, values) for part in problem.parts]
 
     @property
     def deviations(self) -> torch.Tensor:

@@ -12,7 +12,7 @@ from ..effects import Effect, Pinned
 from ..effects.seeing_halo import ScaledHalo
 from ..parallel import ordered_map
 from .detect import Score, gaussian_sigma
-from .fitting import Fitted, Fitter, most_plausible
+from .fitting import Fitted, Fitter
 from .optimum import Excess, Optimum
 
 PROPOSALS = 8
@@ -216,7 +216,7 @@ def _once_more(
         return list(found)
 
     def again(one: Refit) -> Refit:
-        return replace(one, fitted=most_plausible([one.fitted, *starts(fitter, one)]))
+        return replace(one, fitted=fitter.most_plausible([one.fitted, *starts(fitter, one)]))
 
     return _joined(fitter, [one for one in found if one not in chosen], ordered_map(again, chosen))
 

@@ -93,7 +93,7 @@ class SecondRecordings:
         return words, found[words]
 
     def _score(self, score: Score, optimum: Optimum) -> Score:
-        shapes = whitened_shapes(optimum, score.candidate)
+        shapes = whitened_shapes(optimum, [score.candidate])[0]
         power, left = (shapes**2).sum(0), torch.diagonal(optimum.norm2(shapes)).clamp_min(1e-300)
         survival = torch.where(power > NOTHING * power.max(), left / power.clamp_min(1e-300), 0.0)
         smallest = torch.where(survival > ABSORBED, left**-0.5, torch.inf).numpy()

@@ -18,7 +18,7 @@ from .decide import Accepted, Options, choose, explained, no_longer_needed
 from .detect import Score, scores
 from .drift_check import Drift, measure_drift
 from .families import families, names_of
-from .fitting import Fitted, Fitter, most_plausible
+from .fitting import Fitted, Fitter
 from .noise_check import PHOTONS, judge_all
 from .optimum import Optimum
 from .refit import Refit, refits
@@ -128,13 +128,18 @@ class Task:
     # -- steps ---------------------------------------------------------------------------------
 
     def _null(self, effects: Sequence[Effect | Pinned]) -> Fitted:
-        """The fit without anything new, of it and its twins the most plausible."""
-        found = [self.fitter.fit(effects)]
+        """The fit without anything new, of it and its twins the most plausible.
+
+        A changing wavefront has many false minima: the fit with it starts from that of a constant one.
+        """
+        constant = [effect for effect in effects if effect.place != "time"]
+        near = self._null(constant) if len(constant) < len(effects) else None
+        found = [self.fitter.fit(effects, near)]
         found.append(self.fitter.twin(found[0]))
         if found[1].chi2 < found[0].chi2:  # a deeper minimum, which has a twin of its own
             found.append(self.fitter.twin(found[1]))
         self.report(2)
-        return most_plausible(found)
+        return self.fitter.most_plausible(found)
 
     def _with_drift(self, null: Optimum) -> tuple[Drift | None, Optimum]:
         """The drift of the frames, and the model with it if it is significant."""

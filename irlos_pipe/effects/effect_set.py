@@ -150,6 +150,13 @@ class EffectSet:
         pairs = zip(self.effects, self._pieces, strict=True)
         return EffectSet([_held(effect, values[piece]) for effect, piece in pairs], self.stations)
 
+    def held_but(self, values: torch.Tensor, index: int) -> tuple[EffectSet, slice]:
+        """The same but for the effect with one parameter, and that effect's part of `values`."""
+        own = next(piece for piece in self._pieces if piece.start <= index < piece.stop)
+        pairs = zip(self.effects, self._pieces, strict=True)
+        held = [e if piece == own else _held(e, values[piece]) for e, piece in pairs]
+        return EffectSet(held, self.stations), own
+
 
 def _clear_factor(grid: OtfGrid) -> torch.Tensor:
     """OTF factor of nothing, (wavelengths, p, p//2 + 1)."""

@@ -32,7 +32,7 @@ class _Map(PupilEffect):
     ) -> list[torch.Tensor]:
         """See `PupilEffect.slopes`."""
         turned = grid.phase_per_nm * 1j * self.apply(values, field, grid)
-        return [turned * along(lambda v: self._map_nm(v, grid), values, index) for index in wanted]
+        return [turned * slope for slope in self._map_slopes(values, grid, wanted)]
 
     def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor | None:
         """See `PupilEffect.opd_nm`."""
@@ -40,6 +40,11 @@ class _Map(PupilEffect):
 
     def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         raise NotImplementedError
+
+    def _map_slopes(
+        self, values: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> Sequence[torch.Tensor]:
+        return [along(lambda v: self._map_nm(v, grid), values, index) for index in wanted]
 
 
 class DiversityError(_Map):
@@ -106,6 +111,11 @@ class HighOrderNcpa(ZernikeTable, _Map):
     def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         return torch.tensordot(values, torch.tensor(grid.modes(self.nolls)), 1)
 
+    def _map_slopes(
+        self, values: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> Sequence[torch.Tensor]:
+        return torch.tensor(grid.modes(self.nolls)[list(wanted)])
+
 
 class PhaseBump(_Map):
     """A Gaussian OPD somewhere in the pupil: a bad actuator, glue, dust on a mirror near the pupil.
@@ -140,10 +150,22 @@ class PhaseBump(_Map):
         )
 
     def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        height, x, y, width = values
+        return values[0] * self._unit(values, grid)[0]
+
+    def _map_slopes(
+        self, values: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> Sequence[torch.Tensor]:
+        bump, x, y = self._unit(values, grid)
+        per_m = values[0] / values[3] * bump
+        slopes = [bump, per_m * x, per_m * y, per_m * (x**2 + y**2)]
+        return [slopes[index] for index in wanted]
+
+    def _unit(self, values: torch.Tensor, grid: PupilGrid) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """The bump of height 1, and the places in the pupil from its centre, in widths."""
+        _, x, y, width = values
         u, v = (torch.as_tensor(axis * grid.radius_m) for axis in grid.xy)
-        bump = torch.exp(-((u - x) ** 2 + (v - y) ** 2) / (2 * width**2))
-        return height * bump * torch.tensor(grid.lit)
+        u, v = (u - x) / width, (v - y) / width
+        return torch.exp(-(u**2 + v**2) / 2) * torch.tensor(grid.lit), u, v
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
         """One per position on a grid and per width."""

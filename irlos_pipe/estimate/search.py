@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import torch
 
 from ..effects import Effect, EffectSet, Pinned
-from ..effects.base import OtfEffect
+from ..effects.base import OtfEffect, PupilEffect
+from ..effects.effect_set import NOTHING
 from ..image_model import ImageModel
-from ..optics.grids import OtfGrid
+from ..optics.grids import OtfGrid, PupilGrid
 from .image_fit import ImageFit
 
 RIDGE = 1e-12  # of the diagonal of the normal matrix
@@ -123,13 +124,33 @@ class _FrozenTransfer(OtfEffect):
         return factor * self.factor
 
 
+class _FrozenPupil(PupilEffect):
+    """An effect in the pupil that does not change, as what it multiplies the field by and what it adds."""
+
+    name = "frozen"
+    parameters = ()
+
+    def __init__(self, effect: Pinned, grid: PupilGrid):
+        dark = torch.zeros(len(grid.wavelengths_m), *grid.amplitude.shape, dtype=torch.complex128)
+        self.order = effect.order
+        self.added = effect.apply(NOTHING, dark, grid)
+        self.factor = effect.apply(NOTHING, dark + 1, grid) - self.added
+
+    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.apply`."""
+        return field * self.factor + self.added
+
+
 def frozen(effects: EffectSet, values: torch.Tensor) -> list[Effect | Pinned]:
-    """The effects held at `values`, those of the OTF as one; all as they are where wavelengths may move."""
+    """The effects held at `values`, computed once; all as they are where wavelengths may move."""
     held = effects.held(values)
-    if not held.at("otf") or held.at("sampling"):
+    if held.at("sampling"):
         return list(held.effects)
-    rest = [effect for effect in held.effects if effect.place != "otf"]
-    return [*rest, _FrozenTransfer(held().transfer)]
+    stations = held.stations
+    grid = stations.pupil.at(stations.sampling.wavelengths_m)
+    fixed = [effect for effect in held.effects if effect.place not in ("pupil", "otf")]
+    fixed += [_FrozenPupil(effect, grid) for effect, _ in held.at("pupil")]
+    return [*fixed, _FrozenTransfer(held().transfer)] if held.at("otf") else fixed
 
 
 def _within(candidate: Effect | Pinned, sizes: torch.Tensor) -> torch.Tensor:

@@ -28,6 +28,8 @@ MEMBERS_AT_ONCE = 256  # whose matrices are solved: some ten copies of each are 
 GOOD_STEP, POOR_STEP = 0.75, 0.25  # parts of the predicted fall that lower, or raise, the damping
 LEAST = 1e-3  # curvature along a parameter over the largest of those in the same unit
 TRIALS = 12  # of a step, with ten times the damping each
+STEPS_PER_HESSIAN = 12  # of a problem with cheap gradients
+SPENT = STEPS_PER_HESSIAN  # age of a Hessian that is to be renewed
 
 
 class Problem(Protocol):
@@ -35,7 +37,8 @@ class Problem(Protocol):
 
     A problem may have ``reweighted = True``: its equations are those of a re-weighted problem, whose
     quadratic model does not foretell the fall of the objective. It may say which parameters are ``alike``,
-    a slice: those have the same unit, and their curvatures compare.
+    a slice: those have the same unit, and their curvatures compare. And it may have a method
+    ``cheap_gradient(x, which)``, the first two of its normal equations at a part of their cost.
     """
 
     lower: torch.Tensor
@@ -101,6 +104,8 @@ class _State:
         self.neglected, self.moved = np.zeros_like(self.hessian), np.zeros_like(self.gradient)
         self.reweighted = getattr(problem, "reweighted", False)
         self.alike = getattr(problem, "alike", slice(0))
+        self.cheap_gradient = getattr(problem, "cheap_gradient", None)
+        self.age = np.zeros(batch, dtype=np.int64)  # steps since the Hessian was that of the place
         self.ahead: tuple[np.ndarray, ...] | None = None
 
     def active(self) -> np.ndarray:
@@ -124,13 +129,24 @@ class _State:
 
     def _equations(self, which: np.ndarray) -> tuple[np.ndarray, ...]:
         """Objective, gradient and Hessian where the members are now."""
-        if self.ahead is not None:
-            return tuple(array[which] for array in self.ahead)
-        return self._evaluated(self.x[which], which)
+        if self.reweighted:
+            return self._evaluated(self.x[which], which)
+        spent = which if self.ahead is None else which[self.age[which] >= SPENT]
+        if len(spent):
+            self._keep(spent, self._evaluated(self.x[spent], spent))
+            self.age[spent] = 0
+        return tuple(array[which] for array in self.ahead)
 
     def _evaluated(self, x: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, ...]:
         equations = self.problem.normal_equations(torch.from_numpy(x), torch.from_numpy(which))
         return tuple(tensor.numpy() for tensor in equations)
+
+    def _keep(self, which: np.ndarray, equations: tuple[np.ndarray, ...]) -> None:
+        """Equations of some members, for their next iteration."""
+        if self.ahead is None:
+            self.ahead = self.value.copy(), self.gradient.copy(), self.hessian.copy()
+        for array, new in zip(self.ahead, equations, strict=True):
+            array[which] = new
 
     def _learn(self, which: np.ndarray, gradient: np.ndarray, hessian: np.ndarray) -> None:
         """Update the neglected curvature of members that have moved."""
@@ -138,16 +154,22 @@ class _State:
         if not self.reweighted and moved.any():
             change = gradient - self.gradient[which]
             self.neglected[which] = _secant(self.neglected[which], hessian, moved, change)
+            self.moved[which] = 0.0
 
     def _check_convergence(self, which: np.ndarray) -> np.ndarray:
-        """Close members whose undamped step is negligible; return those that should step."""
+        """Close members whose undamped step is negligible; return those that should step.
+
+        Those whose Hessian is of another place are asked again with a new one.
+        """
         step = self._free_step(which, np.zeros(len(which)))
         gain = -(self.gradient[which] * step).sum(1)  # twice the predicted decrease of the objective
         value = self.value[which]
         negligible = self.problem.negligible(torch.from_numpy(value)).numpy()
         small = gain < np.maximum(negligible, ROUNDING * value)
-        if small.any():
-            self._finish(which[small])
+        aged = self.age[which] > 0
+        self.age[which[small & aged]] = SPENT
+        if (small & ~aged).any():
+            self._finish(which[small & ~aged])
         return which[~small]
 
     def _finish(self, which: np.ndarray) -> None:
@@ -170,31 +192,45 @@ class _State:
             taken, trial = which[better], trial[better]
             self.moved[taken] = trial - self.x[taken]
             self.x[taken] = trial
-            damping = self.damping[taken] * self._factor(taken, value[better])
-            self.damping[taken] = damping.clip(min=DAMPING_MIN)
+            factor = self._factor(taken, value[better])
+            self.damping[taken] = (self.damping[taken] * factor).clip(min=DAMPING_MIN)
             self.value[taken] = value[better]
-            which = which[~better]
+            self._grow_old(taken, factor > 1)
+            which = self._with_own_hessian(which[~better])
             if len(which) == 0:
                 return
             self.damping[which] *= 10
         self.status[which] = STALLED
 
+    def _grow_old(self, which: np.ndarray, poor: np.ndarray) -> None:
+        """Members that took a step with a Hessian that they keep, unless it was not the first and poor."""
+        if self.cheap_gradient is not None:
+            self.age[which] += 1
+            self.age[which[poor & (self.age[which] > 1)]] = SPENT
+
+    def _with_own_hessian(self, which: np.ndarray) -> np.ndarray:
+        """Those of the members that refuse a step although their Hessian is of the place; others renew it."""
+        aged = self.age[which] > 0
+        self.age[which[aged]] = SPENT
+        return which[~aged]
+
     def _trial_value(self, x: np.ndarray, which: np.ndarray) -> np.ndarray:
         """Objective of trial steps.
 
         Steps are seldom refused, and images cost a part of what their derivatives do: those are evaluated
-        with them, and kept for the next linearisation, except where equations are not those of the objective.
+        with them, and kept for the next iteration, except where equations are not those of the objective.
         """
         if self.reweighted:
             return self.problem.objective(torch.from_numpy(x), torch.from_numpy(which)).numpy()
-        equations = self._evaluated(x, which)
-        if self.ahead is None:
-            self.ahead = self.value.copy(), self.gradient.copy(), self.hessian.copy()
-        for array, new in zip(self.ahead, equations, strict=True):
-            array[which] = new
+        if self.cheap_gradient is None:
+            equations = self._evaluated(x, which)
+        else:
+            slope = self.cheap_gradient(torch.from_numpy(x), torch.from_numpy(which))
+            equations = *(tensor.numpy() for tensor in slope), self.hessian[which]
+        self._keep(which, equations)
         return equations[0]
 
-    def _factor(self, which: np.ndarray, value: np.ndarray) -> np.ndarray | float:
+    def _factor(self, which: np.ndarray, value: np.ndarray) -> np.ndarray:
         """Factor on the damping after an accepted step that led to `value`.
 
         Lower where the quadratic model foretold the fall, raise where it did not: in a noisy image the
@@ -202,7 +238,7 @@ class _State:
         the minimum and back, and the objective hardly falls.
         """
         if self.reweighted:
-            return 0.1
+            return np.full(len(which), 0.1)
         step = self.moved[which]
         bent = ((self.hessian[which] + self.neglected[which]) @ step[..., None])[..., 0]
         predicted = -((self.gradient[which] + 0.5 * bent) * step).sum(1)
@@ -224,9 +260,13 @@ class _State:
     def _free_step(
         self, which: np.ndarray, damping: np.ndarray, neglected: np.ndarray | float = 0.0
     ) -> np.ndarray:
-        """Damped Gauss–Newton step, with parameters that push against a bound held fixed."""
+        """Damped Gauss–Newton step; parameters that push against a bound, or have no curvature, are held.
+
+        A Hessian of another place may know nothing of a parameter that has got a slope since.
+        """
         x, gradient, hessian = self.x[which], self.gradient[which], self.hessian[which]
         held = ((x <= self.lower) & (gradient > 0)) | ((x >= self.upper) & (gradient < 0))
+        held |= np.diagonal(hessian, axis1=1, axis2=2) <= 0
         if held.any():
             free = ~held[:, :, None] & ~held[:, None, :]
             hessian = hessian * free + held[:, :, None] * np.eye(held.shape[1])
@@ -241,9 +281,7 @@ class _State:
         return Solution(x, scaled_inverse(hessian), self.status.tolist(), iterations, value)
 
 
-def _secant(
-    neglected: np.ndarray, hessian: np.ndarray, step: np.ndarray, change: np.ndarray
-) -> np.ndarray:
+def _secant(neglected: np.ndarray, hessian: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
     """Estimate of the neglected curvature after a `step` that changed the gradient by `change`.
 
     The symmetric matrix closest to the old one, in the measure of the curvature itself, that explains the

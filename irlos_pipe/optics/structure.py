@@ -1,8 +1,7 @@
 """Structure function of the AO residual from its power spectral density.
 
-``D(b) = 2 ∫∫ PSD(f) [1 - cos(2π f·b)] d²f``, evaluated on a polar grid of spatial
-frequencies. The quadrature is a fixed matrix, so `D` is linear in the PSD samples and
-its derivatives with respect to any PSD parameter cost one matrix product each.
+``D(b) = 2 ∫∫ PSD(f) [1 - cos(2π f·b)] d²f``, evaluated on rings of spatial frequencies and, around each
+ring, by harmonics.
 
 Outside the correction band the PSD is von Kármán's with the seeing's r0; inside it is
 a power law with free variance and slope, and with a two-fold and a four-fold anisotropy: servo lag
@@ -18,7 +17,8 @@ import numpy as np
 import torch
 from scipy.special import j0
 
-SPARE_NODES, SPARE_ANGLES = 8, 8  # beyond what the fringes of the longest baseline need
+SPARE_NODES, SPARE_ORDERS = 8, 40  # beyond what the fringes of the longest baseline need
+HARMONICS = 24  # of the angular part of the PSD; those beyond are below 1e-6 for any it can have
 VON_KARMAN = 0.0229  # rad² m^(-11/3) r0^(-5/3), e.g. Roddier 1981
 
 
@@ -70,30 +70,39 @@ def fitting_structure_nm2(baselines_m: np.ndarray, band: ResidualBand, r0_m: flo
 
 
 class InBandResidual:
-    """In-band structure function ``D = matrix @ exp(log PSD)`` on fixed baselines.
+    """In-band structure function on fixed baselines.
+
+    The PSD is a product ``f^(-slope) g(θ)``, so each harmonic ``a cos 2kθ`` of g gives the baselines of
+    one length b a common factor (Jacobi–Anger): ``D = 2σ² (1 - Σ_k a_k cos(2kφ) R_k(b))``, φ being the
+    direction of the baseline and R_k the mean of ``(-1)^k J_2k(2πfb)`` over the frequencies.
 
     Parameters
     ----------
-    bx_m, by_m : ndarray, any common shape
+    bx_m, by_m : ndarray, (baselines,)
         Baselines [m].
     band : ResidualBand
     """
 
     def __init__(self, bx_m: np.ndarray, by_m: np.ndarray, band: ResidualBand):
-        ff, aa, area = _polar_grid(band, max(np.abs(bx_m).max(), np.abs(by_m).max()))
-        phase = (
-            2 * np.pi * (np.outer(bx_m.ravel(), ff * np.cos(aa)) + np.outer(by_m.ravel(), ff * np.sin(aa)))
-        )
-        self.shape = bx_m.shape
-        self.matrix = torch.as_tensor(2 * (1 - np.cos(phase)) * area)
-        self.area = torch.as_tensor(area)
-        harmonics = (np.cos(2 * aa), np.sin(2 * aa), np.cos(4 * aa), np.sin(4 * aa))
-        self.shapes = torch.as_tensor(np.array([-np.log(ff), *harmonics]))
+        lengths, place = np.unique(np.round(np.hypot(bx_m, by_m), 9), return_inverse=True)
+        f, area = _radial_grid(band, lengths.max())
+        orders = 2 * np.arange(HARMONICS + 1)
+        along = np.arctan2(by_m, bx_m)[:, None] * orders
+        theta = (np.arange(4 * HARMONICS) + 0.5) * np.pi / (4 * HARMONICS)
+        shares = np.where(orders > 0, 2.0, 1.0) / len(theta)
+        self._waves = torch.as_tensor(_even_bessel(2 * np.pi * np.outer(lengths, f)))
+        self._place = torch.as_tensor(place)
+        self._log_area, self._log_f = torch.as_tensor(np.log(area)), torch.as_tensor(np.log(f))
+        self._directions = torch.as_tensor(np.stack([np.cos(along), np.sin(along)], axis=1))
+        around = theta[:, None] * orders
+        self._harmonics = torch.as_tensor(np.hstack([np.cos(around) * shares, np.sin(around) * shares]))
+        turns = (np.cos(2 * theta), np.sin(2 * theta), np.cos(4 * theta), np.sin(4 * theta))
+        self._turns = torch.as_tensor(np.array(turns))
 
     def structure_nm2(
         self, variance_nm2, slope, stretch_cos=0.0, stretch_sin=0.0, cross_cos=0.0, cross_sin=0.0
     ) -> torch.Tensor:
-        """Structure function [nm²], shape of the baselines; differentiable in every argument.
+        """Structure function [nm²], (baselines,); differentiable in every argument.
 
         Parameters
         ----------
@@ -106,29 +115,37 @@ class InBandResidual:
         cross_cos, cross_sin : tensor or float
             The same with cos 4θ and sin 4θ.
         """
-        harmonics = (stretch_cos, stretch_sin, cross_cos, cross_sin)
-        psd = self._psd_nm2m2(variance_nm2, slope, harmonics)
-        return (self.matrix @ psd).reshape(self.shape)
+        frequencies = self._frequencies(slope)
+        directions = self._angles((stretch_cos, stretch_sin, cross_cos, cross_sin))
+        return 2 * variance_nm2 * (1 - self._coherence(frequencies, directions[None])[0])
 
     def structure_and_slopes(
         self, variance_nm2, slope, stretch_cos=0.0, stretch_sin=0.0, cross_cos=0.0, cross_sin=0.0
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """The same with its derivatives, arguments first.
+        """The same with its derivatives, arguments first."""
+        w = self._frequencies(slope)
+        g = self._angles((stretch_cos, stretch_sin, cross_cos, cross_sin))
+        steeper = w * ((w * self._log_f).sum() - self._log_f)
+        turned = g * (self._turns - (self._turns @ g / len(g))[:, None])
+        coherence, *by_angles = self._coherence(w, torch.cat([g[None], turned]))
+        changes = torch.stack([*self._coherence(steeper, g[None]), *by_angles])
+        along_variance = 2 * (1 - coherence)
+        return variance_nm2 * along_variance, torch.cat([along_variance[None], -2 * variance_nm2 * changes])
 
-        Automatic differentiation would read the quadrature matrix several times.
-        """
-        harmonics = (stretch_cos, stretch_sin, cross_cos, cross_sin)
-        unit = self._psd_nm2m2(1.0, slope, harmonics)
-        centred = self.shapes - (self.shapes @ (self.area * unit))[:, None]
-        columns = torch.cat([unit[None], variance_nm2 * unit * centred])
-        along_variance, *others = (columns @ self.matrix.mT).reshape(-1, *self.shape)
-        return variance_nm2 * along_variance, torch.stack([along_variance, *others])
+    def _frequencies(self, slope) -> torch.Tensor:
+        """Share of each frequency in the variance, (frequencies,)."""
+        return torch.softmax(self._log_area - slope * self._log_f, 0)
 
-    def _psd_nm2m2(self, variance_nm2, slope, harmonics) -> torch.Tensor:
-        """PSD at the nodes of the quadrature, (nodes,)."""
-        pairs = zip((slope, *harmonics), self.shapes, strict=True)
-        shape = torch.exp(sum(factor * logarithm for factor, logarithm in pairs))
-        return variance_nm2 * shape / torch.sum(self.area * shape)
+    def _angles(self, harmonics) -> torch.Tensor:
+        """Angular part of the PSD, of mean 1, (angles,)."""
+        g = torch.exp(sum(factor * turn for factor, turn in zip(harmonics, self._turns, strict=True)))
+        return g / g.mean()
+
+    def _coherence(self, frequencies: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
+        """Mean of ``cos(2π f·b)`` over PSDs with these angular parts (m, angles), (m, baselines)."""
+        radial = torch.einsum("lkf,f->lk", self._waves, frequencies).index_select(0, self._place)
+        shapes = (self._directions * radial[:, None]).flatten(1)
+        return (shapes @ (angles @ self._harmonics).mT).mT
 
 
 def _log_grid(low: float, high: float, points: int) -> tuple[np.ndarray, np.ndarray]:
@@ -137,17 +154,25 @@ def _log_grid(low: float, high: float, points: int) -> tuple[np.ndarray, np.ndar
     return np.sqrt(edges[1:] * edges[:-1]), np.diff(edges)
 
 
-def _polar_grid(band: ResidualBand, longest_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frequency, angle and area of the quadrature points in the band, over half a turn: the PSD is even.
+def _radial_grid(band: ResidualBand, longest_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies and areas of rings in the band, as many as baselines up to `longest_m` need.
 
-    Gauss–Legendre in √f, and equal angles, for which the sum over a period converges
-    exponentially; both as many as the fringes ``cos(2π f·b)`` of baselines up to `longest_m` need.
+    Gauss–Legendre in √f.
     """
     cycles = longest_m * (band.cutoff_per_m - band.low_per_m)
     nodes, weights = np.polynomial.legendre.leggauss(SPARE_NODES + int(np.ceil(2 * cycles)))
     low, high = np.sqrt([band.low_per_m, band.cutoff_per_m])
     root = (low + high + (high - low) * nodes) / 2
-    f, width = root**2, root * (high - low) * weights
-    angles = np.ceil(np.pi * f * longest_m).astype(int) + SPARE_ANGLES
-    angle = np.concatenate([(np.arange(count) + 0.5) * np.pi / count for count in angles])
-    return np.repeat(f, angles), angle, np.repeat(2 * f * width * np.pi / angles, angles)
+    return root**2, 2 * root**2 * root * (high - low) * weights
+
+
+def _even_bessel(z: np.ndarray) -> np.ndarray:
+    """``(-1)^k J_2k(z)`` of z (m, n) for k up to `HARMONICS`, (m, harmonics + 1, n).
+
+    The mean of ``cos(z cos α) cos 2kα`` over a quarter turn (Bessel's integral); over equal angles it is
+    exact but for J of an order beyond z.
+    """
+    points = int(np.ceil((z.max() + 2 * HARMONICS + SPARE_ORDERS) / 4))
+    angles = (np.arange(points) + 0.5) * np.pi / 2 / points
+    table = np.cos(2 * np.arange(HARMONICS + 1)[:, None] * angles) / points
+    return np.ascontiguousarray(np.swapaxes(np.cos(z[..., None] * np.cos(angles)) @ table.T, 1, 2))

@@ -28,7 +28,7 @@ from irlos_pipe.stages.ramp_input import (
 )
 
 NAME = "lift"
-VERSION = 5
+VERSION = 6
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 

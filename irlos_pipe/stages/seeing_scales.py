@@ -23,7 +23,7 @@ from irlos_pipe.seeing import SPARTA, SeeingScale
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = "seeing_scales"
-VERSION = 1
+VERSION = 2
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 

@@ -21,7 +21,7 @@ from irlos_pipe.stages.ramp_input import (
 )
 
 NAME = "sensitivity"
-VERSION = 5
+VERSION = 6
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 
