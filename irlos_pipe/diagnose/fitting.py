@@ -14,7 +14,7 @@ from ..estimate.centring import start_tilts_nm
 from ..estimate.image_fit import ImageFit
 from ..estimate.parameters import Layout
 from ..estimate.priors import ncpa_sigma_nm
-from ..estimate.solve import Solution, solve
+from ..estimate.solve import CHI2_TOLERANCE, Solution, solve
 from ..estimate.twin import twin_of
 from ..image_model import ImageModel
 from .cube import Stack, Stacks
@@ -22,9 +22,12 @@ from .joint_fit import OWN, JointFit
 from .view import View
 
 PRIOR_SCALE = 3.0  # over the law of the NCPAs
-MAX_ITERATIONS, PATIENCE = 60, 4  # how often that many
+MAX_ITERATIONS = 60
+FINISHING, PATIENCE = 20, 8  # iterations in float64, how often
+SETTLED = 1.0  # fall of χ², in units of χ²/ν where the model misfits, that means nothing
 SAME_IMAGE = 1e-6  # χ² between two images that differ by rounding
 EXPLORING = 30  # iterations, which tell whether a fit is promising
+ROUGHLY = 0.1  # fall of χ² ahead, in the same units, at which that is known
 
 
 @dataclass(frozen=True)
@@ -137,26 +140,25 @@ class Fitter:
 
     def fit(self, effects: Sequence[Effect | Pinned], near: Fitted | None = None) -> Fitted:
         """Fit from zero wavefront, or from modes, flux and background of another fit."""
-        return self._exact(self.explored(effects, near, MAX_ITERATIONS))
-
-    def explored(
-        self,
-        effects: Sequence[Effect | Pinned],
-        near: Fitted | None = None,
-        max_iterations: int = EXPLORING,
-    ) -> Fitted:
-        """The same as far as tells whether it is promising."""
         problem = self._problem(effects, self._quick)
-        return self._solved(problem, self._start(problem, near), max_iterations)
+        return self._exact(self._solved(problem, self._start(problem, near)))
+
+    def explored(self, effects: Sequence[Effect | Pinned], near: Fitted | None = None) -> Fitted:
+        """The same as far as tells whether it is promising."""
+        problem = self._problem(effects, self._quick, ROUGHLY)
+        return self._solved(problem, self._start(problem, near), EXPLORING)
 
     def finished(self, fitted: Fitted) -> Fitted:
-        """What was explored, continued until it converges, if patience allows."""
+        """What was explored, continued until it converges or falls no further, if patience allows."""
         if not fitted.exact:
-            fitted = self._exact(fitted if fitted.converged else self._continued(fitted))
+            fitted = self._exact(self._continued(fitted))
         for _ in range(PATIENCE):
-            if fitted.converged:
+            before = fitted
+            if before.converged:
                 break
-            fitted = self._exact(fitted)
+            fitted = self._exact(before)
+            if before.chi2 - fitted.chi2 < SETTLED * max(1.0, fitted.chi2 / fitted.problem.freedom):
+                break
         return fitted
 
     def _continued(self, fitted: Fitted) -> Fitted:
@@ -165,7 +167,7 @@ class Fitter:
 
     def _exact(self, fitted: Fitted) -> Fitted:
         """The fit continued in float64."""
-        return self._solved(self._problem(fitted.continued(), self.views), fitted.x)
+        return self._solved(self._problem(fitted.continued(), self.views), fitted.x, FINISHING)
 
     def twin(self, fitted: Fitted) -> Fitted:
         """The fit that starts from the twin of another one, (φ(u) → −φ(−u))."""
@@ -211,9 +213,11 @@ class Fitter:
         solution = replace(fitted.solution, values=x)
         return Fitted(problem, solution, float(problem.chi2(x)), self.views)
 
-    def _problem(self, effects: Sequence[Effect | Pinned], views: Sequence[View]) -> JointFit:
+    def _problem(
+        self, effects: Sequence[Effect | Pinned], views: Sequence[View], tolerance: float = CHI2_TOLERANCE
+    ) -> JointFit:
         pairs = zip(views, self.stack.parts, strict=True)
-        return JointFit([_part(stack, view, views[0], effects) for view, stack in pairs])
+        return JointFit([_part(stack, view, views[0], effects) for view, stack in pairs], tolerance)
 
     def _start(self, problem: JointFit, near: Fitted | None) -> torch.Tensor:
         x = torch.zeros(1, problem.size, dtype=torch.float64)

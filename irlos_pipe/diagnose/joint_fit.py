@@ -24,10 +24,12 @@ class JointFit:
     ----------
     parts : sequence of ImageFit
         One per recording, with the same modes, Noll 2 and 3 first, and the same effect parameters.
+    tolerance : float
+        Fall of χ² still ahead at which the fit is done, in units of χ²/ν where the model misfits.
     """
 
-    def __init__(self, parts: Sequence[ImageFit]):
-        self.parts = tuple(parts)
+    def __init__(self, parts: Sequence[ImageFit], tolerance: float = CHI2_TOLERANCE):
+        self.parts, self.tolerance = tuple(parts), tolerance
         self.model, self.layout = parts[0].model, parts[0].layout
         shared, more = self.layout.size - 2, OWN * (len(parts) - 1)
         self.size = shared + more + 2
@@ -62,7 +64,7 @@ class JointFit:
 
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
         """See `ImageFit.negligible`."""
-        return CHI2_TOLERANCE * (2 * value / self.freedom).clamp_min(1.0)
+        return self.tolerance * (2 * value / self.freedom).clamp_min(1.0)
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         """Half of χ² plus that of the prior, (1,)."""
