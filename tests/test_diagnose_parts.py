@@ -29,7 +29,7 @@ from scipy import stats
 from irlos_pipe.diagnose.bad_pixel_check import outstanding_pixels
 from irlos_pipe.diagnose.companion_search import brightest_companions
 from irlos_pipe.diagnose.cube import split
-from irlos_pipe.diagnose.detect import gaussian_sigma, score_family, scores
+from irlos_pipe.diagnose.detect import gaussian_sigma, score_family, scores, whitened_shapes
 from irlos_pipe.diagnose.drift_check import measure_drift
 from irlos_pipe.diagnose.families import Family, families
 from irlos_pipe.diagnose.fitting import Fitter
@@ -48,7 +48,10 @@ from irlos_pipe.effects import (
 )
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.motion import Vibration
+from irlos_pipe.effects.pupil_stop import PupilMisregistration
+from irlos_pipe.effects.wavefront import PhaseBump
 from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.image_model import ImageModel
 from irlos_pipe.noise import NoiseModel
 
 STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
@@ -151,6 +154,31 @@ def test_rounding_of_a_large_chi2_decides_nothing_between_twins_but_a_better_fit
     )
     fitter = Fitter([], SimpleNamespace(photon_limited=True))
     assert fitter.most_plausible([small, large]) is (small, large)[chosen]
+
+
+def test_of_twins_whose_images_differ_less_than_the_speckles_scatter_the_smaller_aberration_wins():
+    """χ² of a mean image counts by the scatter of the frames along the difference of two models."""
+    problem, nothing = SimpleNamespace(freedom=100), torch.zeros(100, dtype=torch.float64)
+    small = SimpleNamespace(chi2=100.0, penalty=2.0, problem=problem, image_e=nothing)
+    large = SimpleNamespace(chi2=88.0, penalty=10.0, problem=problem, image_e=nothing + 1.0)
+    for scatter, chosen in ((1.0, large), (4.0, small)):  # in units of the noise
+        stack = SimpleNamespace(photon_limited=False, root=nothing + 1.0)
+        stack.covariance_of = lambda shapes, scatter=scatter: scatter * shapes.mT @ shapes
+        assert Fitter([], stack).most_plausible([small, large]) is chosen
+        assert Fitter([], stack).most_plausible([large, small]) is chosen
+
+
+def test_candidates_tried_together_beside_frozen_effects_have_the_derivatives_that_each_has_alone():
+    at_rest = optimum(cube(image()).training, [PupilMisregistration()])
+    part, x = at_rest.fitted.problem.parts[0], at_rest.fitted.x
+    held = part.model.effects.held(at_rest.fitted.effect_values).effects
+    bumps = PhaseBump().candidates(CASE.window, 9.7)[::29]
+    at = x[:, part.layout.modes], x[:, -2], x[:, -1]
+    for bump, shape in zip(bumps, whitened_shapes(at_rest, bumps), strict=True):
+        null = torch.tensor(bump.null_values, dtype=torch.float64)
+        columns = ImageModel(part.model.psf, [*held, bump]).predict_and_jacobian(*at, null)[1]
+        alone = columns[0, -3].flatten() * at_rest.root  # before flux and background
+        assert shape[:, 0].numpy() == pytest.approx(alone.numpy(), abs=1e-9 * float(alone.norm()))
 
 
 # -- single effects ----------------------------------------------------------------------------

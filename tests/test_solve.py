@@ -177,3 +177,48 @@ def test_a_start_where_nothing_can_be_learnt_of_a_parameter_is_not_left_in_a_lea
     found = solve(Blind(), torch.tensor([[0.3, 0.0]], dtype=torch.float64))
     assert float(found.values[0, 0]) == pytest.approx(1.0, abs=1e-3)
     assert abs(float(found.values[0, 1])) < 10
+
+
+# -- gradients between Hessians ----------------------------------------------------------------
+
+
+class Frugal(Decays):
+    """The same, which also says the gradient alone, and counts what it is asked for."""
+
+    def __init__(self, data):
+        super().__init__(data)
+        self.hessians, self.gradients = 0, 0
+
+    def normal_equations(self, p, which):
+        self.hessians += len(p)
+        return super().normal_equations(p, which)
+
+    def cheap_gradient(self, p, which):
+        self.gradients += len(p)
+        return super().normal_equations(p, which)[:2]
+
+
+def test_with_cheap_gradients_the_same_minimum_is_found_with_few_hessians():
+    data = curves(members=8)
+    problem = Frugal(data)
+    solution = solve(problem, start(len(data)))
+    expected = np.array([scipy_fit(curve).x for curve in data])
+    assert solution.status == [CONVERGED] * len(data)
+    assert np.abs(solution.values.numpy() - expected).max() < 2e-3 * solution.sigma.numpy().max()
+    assert problem.hessians < 0.5 * problem.gradients
+
+
+def test_the_covariance_is_that_of_the_place_where_it_converged():
+    data = curves(members=1)
+    solution = solve(Frugal(data), start(1))
+    jacobian = scipy_fit(data[0]).jac
+    assert np.allclose(solution.covariance[0], np.linalg.inv(jacobian.T @ jacobian), rtol=1e-3)
+
+
+def test_a_parameter_without_curvature_at_the_start_gets_its_due_later():
+    """The rate of a decay of amplitude zero has no slope until there is an amplitude."""
+    data = curves(members=1)
+    begin = torch.tensor([[0.0, 1.0, 0.0]], dtype=torch.float64)
+    solution = solve(Frugal(data), begin)
+    assert solution.status == [CONVERGED]
+    assert np.allclose(solution.values[0], scipy_fit(data[0]).x, rtol=1e-3)

@@ -51,7 +51,7 @@ def test_the_isotropic_residual_agrees_with_adaptive_quadrature(slope, angle_deg
 
 @pytest.mark.parametrize(
     ("cos2", "sin2", "cos4", "sin4"),
-    [(1.0, 0.5, 0.0, 0.0), (-2.0, 0.0, 0.0, 0.0), (0.0, 3.0, 0.0, 0.0), (0.8, -0.6, -0.5, 0.4), (3, -3, 2, 2)],
+    [(1, 0.5, 0, 0), (-2, 0, 0, 0), (0, 3, 0, 0), (0.8, -0.6, -0.5, 0.4), (3, -3, 2, 2)],
 )
 def test_a_stretched_residual_agrees_with_a_dense_sum(cos2, sin2, cos4, sin4):
     edges = np.geomspace(BAND.low_per_m, BAND.cutoff_per_m, 3001)
