@@ -23,6 +23,7 @@ ABSORBED = 0.003  # part of a derivative's power below which the fitted paramete
 NOTHING = 1e-9  # of the largest derivative: a parameter without meaning here, a colour of a single wavelength
 MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames
 BUNDLED = 16  # candidates in the pupil
+LINEAR = 0.5  # of the prior's σ: how far from nothing a fit begins at most
 FURTHER_STARTS, FAR_APART = 2, 0.2  # of a fit; part of the range of a place or direction
 
 
@@ -79,8 +80,13 @@ class Score:
         return self.survival > ABSORBED
 
     def start(self) -> Pinned:
-        """The whole effect, free but for what these data do not determine, at the linear estimate."""
-        return self._begun_at(self.sizes)
+        """The whole effect, free but for what these data do not determine, at the linear estimate.
+
+        A phase of a radian is no longer linear: whatever has a prior starts well within it.
+        """
+        null = np.array(self.candidate.null_values)
+        reach = LINEAR * np.array([p.prior_sigma for p in self.candidate.parameters])
+        return self._begun_at(np.clip(self.sizes, null - reach, null + reach))
 
     def anew(self) -> Pinned:
         """The same without the estimate."""
