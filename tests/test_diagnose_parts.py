@@ -29,7 +29,7 @@ from scipy import stats
 from irlos_pipe.diagnose.bad_pixel_check import outstanding_pixels
 from irlos_pipe.diagnose.companion_search import brightest_companions
 from irlos_pipe.diagnose.cube import split
-from irlos_pipe.diagnose.detect import gaussian_sigma, score_family, scores, whitened_shapes
+from irlos_pipe.diagnose.detect import Score, gaussian_sigma, score_family, scores, whitened_shapes
 from irlos_pipe.diagnose.drift_check import measure_drift
 from irlos_pipe.diagnose.families import Family, families
 from irlos_pipe.diagnose.fitting import Fitter
@@ -44,6 +44,7 @@ from irlos_pipe.effects import (
     AmplitudeAberration,
     HighOrderNcpa,
     LowWindEffect,
+    Pinned,
     TipTiltJitter,
 )
 from irlos_pipe.effects.companion import Companion
@@ -179,6 +180,18 @@ def test_candidates_tried_together_beside_frozen_effects_have_the_derivatives_th
         columns = ImageModel(part.model.psf, [*held, bump]).predict_and_jacobian(*at, null)[1]
         alone = columns[0, -3].flatten() * at_rest.root  # before flux and background
         assert shape[:, 0].numpy() == pytest.approx(alone.numpy(), abs=1e-9 * float(alone.norm()))
+
+
+@pytest.mark.parametrize(
+    ("effect", "at", "estimate", "begun"),
+    [(PhaseBump(), [0.0, 1.0, -1.0, 0.5], 950.0, 150.0), (Companion(), [0.0, 120.0, 40.0], 0.6, 0.6)],
+)
+def test_a_fit_begins_within_half_the_prior_if_there_is_one(effect, at, estimate, begun):
+    first = effect.parameters[0].name
+    candidate, nothing = Pinned(effect, at, free=[first]), np.zeros(1)
+    score = Score(candidate, np.array([estimate]), 1.0, 1.0, 1.0, 9.0, nothing, usable=(first,))
+    assert score.start().values == pytest.approx([begun, *at[1:]])
+    assert len(score.start().parameters) == len(at)
 
 
 # -- single effects ----------------------------------------------------------------------------
