@@ -28,8 +28,7 @@ MEMBERS_AT_ONCE = 256  # whose matrices are solved: some ten copies of each are 
 GOOD_STEP, POOR_STEP = 0.75, 0.25  # parts of the predicted fall that lower, or raise, the damping
 LEAST = 1e-3  # curvature along a parameter over the largest of those in the same unit
 TRIALS = 12  # of a step, with ten times the damping each
-STEPS_PER_HESSIAN = 12  # of a problem with cheap gradients
-SPENT = STEPS_PER_HESSIAN  # age of a Hessian that is to be renewed
+SPENT = 12  # steps of a problem with cheap gradients after which its Hessian is renewed
 
 
 class Problem(Protocol):
