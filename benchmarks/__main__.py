@@ -6,6 +6,7 @@ import json
 import os
 import platform
 import tempfile
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -20,7 +21,7 @@ from .docs import breakdown
 from .docs import write_docs as put_into_docs
 from .inputs import Inputs, prepare
 from .measure import in_own_process
-from .plan import CUBE, CUDA, CUDA_60, NCPA, NCPA_60, OTHERS, Entry
+from .plan import CUBE, CUDA, CUDA_60, LIFT, NCPA, NCPA_60, OTHERS, Entry
 from .table import render
 
 RESULTS = Path(__file__).parent / "results.json"
@@ -45,11 +46,12 @@ def measure_all(folder: Path, quick: bool) -> dict:
     drawn = max(entry.quick_frames if quick else entry.frames for entry in NCPA)
     prepare(folder, drawn, lambda frames: tqdm(frames, desc="drawing frames", disable=None))
     cuda = torch.cuda.is_available()
-    groups = (NCPA + CUDA * cuda, NCPA_60 + CUDA_60 * cuda, OTHERS)
+    groups = (NCPA + CUDA * cuda, NCPA_60 + CUDA_60 * cuda, LIFT, OTHERS)
     bar = tqdm(total=sum(map(len, groups)) + 1, disable=None)
-    ncpa, more, others = ([_measure(entry, folder, quick, bar) for entry in group] for group in groups)
+    ncpa, more, ramp, others = ([_measure(entry, folder, quick, bar) for entry in group] for group in groups)
     common = _compare(ncpa, Inputs(folder))
     _compare(more, Inputs(folder))
+    _compare_ramp(ramp)
     bar.set_description("breakdown")
     shares = measure_breakdown(Inputs(folder), frames=8 if quick else 48)
     bar.close()
@@ -60,6 +62,7 @@ def measure_all(folder: Path, quick: bool) -> dict:
         "cuda": torch.cuda.get_device_name() if cuda else None,
         "ncpa": ncpa,
         "ncpa_60": more,
+        "lift": ramp,
         "others": others,
         "breakdown": shares,
     }
@@ -77,12 +80,38 @@ def _compare(entries: list[dict], inputs: Inputs) -> int:
     common = min(entry["frames"] for entry in entries)
     for entry in entries:
         estimates_nm = np.array(entry.pop("estimates_nm"))
-        clock = entry.get("clock", "cpu_s")
-        baseline, per_frame = (one[clock] / one["frames"] for one in (entries[0], entry))
         entry["error_nm"] = inputs.frames.error_nm(estimates_nm)
         entry["common_error_nm"] = inputs.frames.error_nm(estimates_nm[:common])
-        entry["cube_s"], entry["speed_up"] = per_frame * CUBE, baseline / per_frame
+        entry["cube_s"] = _per_frame(entry, _clock(entry)) * CUBE
+        entry["speed_up"] = _speed_up(entries[0], entry)
     return common
+
+
+def _compare_ramp(entries: list[dict]) -> None:
+    """The same for fits of a ramp, whose errors are those of single images."""
+    errors_nm = [entry.pop("errors_nm") for entry in entries]
+    shared = set.intersection(*map(set, errors_nm))
+    for entry, of_images in zip(entries, errors_nm, strict=True):
+        entry["error_nm"] = _rms(of_images.values())
+        entry["common_error_nm"] = _rms(of_images[image] for image in shared)
+        entry["speed_up"] = _speed_up(entries[0], entry)
+
+
+def _speed_up(baseline: dict, entry: dict) -> float:
+    return _per_frame(baseline, _clock(entry)) / _per_frame(entry, _clock(entry))
+
+
+def _clock(entry: dict) -> str:
+    """The clock that counts for a case."""
+    return entry.get("clock", "cpu_s")
+
+
+def _per_frame(entry: dict, clock: str) -> float:
+    return entry[clock] / entry["frames"]
+
+
+def _rms(values: Iterable[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(list(values)))))
 
 
 def _machine() -> dict:

@@ -16,8 +16,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
 from irlos_pipe.parallel import set_workers
 
-from .cases import prepared_ramp
 from .inputs import Inputs
+from .lift_cases import prepared_lift
 from .measure import stopwatch
 
 PRODUCTS = ("mm", "bmm", "addmm", "baddbmm")
@@ -32,6 +32,7 @@ COMPLEX_PRODUCTS, REAL_PRODUCTS, DOUBLE_PRODUCTS, FFT, SOLVES, REST = (
 PYTHON = "set-up of the model, Python, dispatch"
 FLOPS = {COMPLEX_PRODUCTS: 8.0, REAL_PRODUCTS: 2.0}  # per product of two elements and its sum
 RATE_SIZE, RATE_REPEATS = 1024, 10
+RAMP_FRAMES = 42
 
 
 class OperatorTimes(TorchDispatchMode):
@@ -66,7 +67,7 @@ def measure_breakdown(inputs: Inputs, frames: int) -> dict:
     return {
         "gflops": rate / 1e9,
         "dip_global": _profile(lambda: _dip_global(inputs, frames), rate),
-        "lift": _profile(prepared_ramp(inputs, "calibrated"), rate),
+        "lift": _profile(prepared_lift(inputs, RAMP_FRAMES, with_halo=True), rate),
     }
 
 

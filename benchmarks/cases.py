@@ -17,34 +17,21 @@ import torch
 
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.frame_settings import frame_settings
-from irlos_pipe.estimate.lift import LiftOptions, lift
-from irlos_pipe.estimate.ramp_fit import fit_ramp
-from irlos_pipe.estimate.tabulated import tabulated
-from irlos_pipe.image_model import ImageModel
 from irlos_pipe.noise import NoiseModel
 from irlos_pipe.parallel import set_workers
 from irlos_pipe.psf import PsfModel
-from irlos_pipe.psf_settings import PsfSettings
 from irlos_pipe.stages.calibrate import Config as CalibrateConfig
 from irlos_pipe.stages.light_path import psf_settings
 from irlos_pipe.stages.model_effects import model_effects
-from irlos_pipe.stages.ramp_input import (
-    calibrated_ncpa_nm,
-    effects_for_lift,
-    ramp_model,
-    ramp_start,
-    read_ramp,
-)
 from irlos_pipe.stages.recordings import recordings_from_product
 
 from .frames import DIVERSITY_NM, NOLLS, PIXEL_SCALE_MAS, READ_NOISE_E, WAVELENGTH_NM, WINDOW_PX
 from .inputs import Inputs, true_zernike_nm
+from .lift_cases import lift_bare, lift_halo, lift_latency, lift_numpy, lift_solvephase
 from .long_recording import stream_10000
 from .measure import peak_mib, stopwatch
 
 MORE_NOLLS = tuple(range(2, 62))
-TWO_WAVELENGTHS = ((1215.0, 0.5), (1625.0, 0.5))
 
 
 def _calibrated(
@@ -55,7 +42,7 @@ def _calibrated(
     calibrate(inputs.calibration_frames(2), inputs.settings, options, device=device)  # libraries start up
     with stopwatch() as watch:
         result = calibrate(inputs.calibration_frames(count), inputs.settings, options, device=device)
-    return _timed(watch, count) | {
+    return watch.over(count) | {
         "estimates_nm": result.frames_nm[:, : len(NOLLS)].tolist(),
         "iterations": result.iterations.tolist(),
         "converged": result.frame_status.count("converged"),
@@ -97,7 +84,7 @@ def fft_lbfgs(inputs: Inputs, count: int, nolls: tuple[int, ...] = NOLLS) -> dic
     with stopwatch() as watch:
         estimates_nm, evaluations = fit(model, images_e)
     known_nm = estimates_nm[:, : len(NOLLS)].tolist()
-    return _timed(watch, count) | {"estimates_nm": known_nm, "evaluations": evaluations}
+    return watch.over(count) | {"estimates_nm": known_nm, "evaluations": evaluations}
 
 
 def fft_lbfgs_60(inputs: Inputs, count: int) -> dict:
@@ -113,7 +100,7 @@ def solvephase_lm(inputs: Inputs, count: int) -> dict:
     fitter.fit_nm(inputs.frames.images_e[0])
     with stopwatch() as watch:
         estimates_nm = fitter.fit_all_nm(inputs.frames.images_e[:count])
-    return _timed(watch, count) | {"estimates_nm": estimates_nm.tolist()}
+    return watch.over(count) | {"estimates_nm": estimates_nm.tolist()}
 
 
 def long_exposure(inputs: Inputs, count: int) -> dict:
@@ -135,106 +122,7 @@ def long_exposure(inputs: Inputs, count: int) -> dict:
     truth = true_zernike_nm("calibration-sky")
     found = dict(zip(result.nolls, result.zernike_nm, strict=True))
     error_nm = float(np.linalg.norm([found[noll] - truth[noll] for noll in NOLLS]))
-    return _timed(watch, len(frames.images_e)) | {"error_nm": error_nm}
-
-
-def prepared_ramp(inputs: Inputs, halo: str) -> Callable[[], tuple[float, int]]:
-    """LIFT of the ramp's frames in one batch: three modes, J+H, NCPAs as calibrated.
-
-    Parameters
-    ----------
-    halo : {"calibrated", "off"}
-        AO residual and jitter as calibrated, or neither.
-
-    Returns
-    -------
-    callable
-        Fits, and returns the RMS error of the defocus [nm] and the number of frames.
-    """
-    context, ncpa_nm = inputs.context, calibrated_ncpa_nm(inputs.context)
-    ramp = read_ramp(context, context.config.input)
-    model = ramp_model(context, ramp, context.config.modes, ncpa_nm)
-    effects = [] if halo == "off" else effects_for_lift(context, ramp.recordings[0], halo, "calibrated")
-    start_nm = ramp_start(context, model, ramp, ncpa_nm, context.config.start)
-
-    def fit() -> tuple[float, int]:
-        found = fit_ramp(model, ramp.data, start_nm, LiftOptions(), effects).result
-        return _rms(found.mode(4)[0].numpy() - ramp.data.introduced_nm), len(ramp.names)
-
-    return fit
-
-
-def _lift_ramp(inputs: Inputs, halo: str) -> dict:
-    fit = prepared_ramp(inputs, halo)
-    with stopwatch() as watch:
-        error_nm, frames = fit()
-    return _timed(watch, frames) | {"error_nm": error_nm}
-
-
-def lift_ramp(inputs: Inputs, count: int) -> dict:
-    """All frames of the ramp with the full model."""
-    return _lift_ramp(inputs, "calibrated")
-
-
-def lift_ramp_bare(inputs: Inputs, count: int) -> dict:
-    """The same without AO residual and jitter, which `solvephase` does not have."""
-    return _lift_ramp(inputs, "off")
-
-
-def _lift_one_by_one(inputs: Inputs, count: int, build: Callable[[PsfSettings, float], object]) -> dict:
-    """Another implementation on frames spread over the ramp, same NCPAs; none knows an AO residual."""
-    context = inputs.context
-    ramp = read_ramp(context, context.config.input)
-    settings = psf_settings(
-        context.instrument, context.model, ramp.recordings[0], calibrated_ncpa_nm(context)
-    )
-    fitter = build(settings, ramp.acquisition.detector.read_noise_e)
-    chosen = np.linspace(0, len(ramp.names) - 1, count).astype(int)
-    fitter.fit_nm(ramp.data.images_e[0].numpy())
-    with stopwatch() as watch:
-        estimates_nm = fitter.fit_all_nm(ramp.data.images_e[chosen].numpy())
-    return _timed(watch, count) | {"error_nm": _rms(estimates_nm[:, 2] - ramp.data.introduced_nm[chosen])}
-
-
-def lift_solvephase(inputs: Inputs, count: int) -> dict:
-    """`solvephase`'s LIFT."""
-    from .baseline_solvephase import SolvephaseFit
-
-    return _lift_one_by_one(inputs, count, lambda case, noise: SolvephaseFit(case, 3, noise, "poisson"))
-
-
-def lift_numpy(inputs: Inputs, count: int) -> dict:
-    """Gauss-Newton with NumPy's FFT, as the paper's code."""
-    from .baseline_numpy_lift import NumpyLift
-
-    return _lift_one_by_one(inputs, count, lambda case, noise: NumpyLift(case, (2, 3, 4), noise))
-
-
-def lift_latency(inputs: Inputs, count: int) -> dict:
-    """One frame at a time, three modes, two wavelengths, no AO residual."""
-    settings = PsfSettings(
-        inputs.settings.geometry, (WINDOW_PX, WINDOW_PX), PIXEL_SCALE_MAS, TWO_WAVELENGTHS, DIVERSITY_NM
-    )
-    model = PsfModel(frame_settings(settings), (2, 3, 4))
-    frames = inputs.calibration_frames(1)
-    truth_nm = torch.tensor([[20.0, -30.0, 100.0]])
-    image_e = torch.poisson(
-        model.images(truth_nm).clamp_min(0) * 1e5, generator=torch.Generator().manual_seed(1)
-    )
-    start_nm, times_s = torch.zeros_like(truth_nm), []
-    table = tabulated(ImageModel(model), start_nm)  # built once, before the loop is closed
-    for _ in range(count):
-        with stopwatch() as watch:
-            lift(table, image_e, frames.pixel_mask, frames.noise, start_nm)
-        times_s.append((watch.wall_s, watch.cpu_s))
-    wall_s, cpu_s = np.array(times_s).T
-    return {
-        "frames": count,
-        "wall_s": float(wall_s.sum()),
-        "cpu_s": float(cpu_s.sum()),
-        "median_ms": float(np.median(wall_s) * 1e3),
-        "p99_ms": float(np.percentile(wall_s, 99) * 1e3),
-    }
+    return watch.over(len(frames.images_e)) | {"error_nm": error_nm}
 
 
 def sensitivity_scan(inputs: Inputs, count: int) -> dict:
@@ -244,7 +132,7 @@ def sensitivity_scan(inputs: Inputs, count: int) -> dict:
     scan = SensitivityScan(inputs, count)
     with stopwatch() as watch:
         bright_nm = scan.curves()
-    return _timed(watch, scan.fits) | {"bright_nm": bright_nm}
+    return watch.over(scan.fits) | {"bright_nm": bright_nm}
 
 
 def _model_case(inputs: Inputs, count: int, jacobian: bool) -> dict:
@@ -256,7 +144,7 @@ def _model_case(inputs: Inputs, count: int, jacobian: bool) -> dict:
     with stopwatch() as watch:
         for _ in range(count // 16):
             evaluate(coefficients)
-    return _timed(watch, count // 16 * 16)
+    return watch.over(count // 16 * 16)
 
 
 def model_images(inputs: Inputs, count: int) -> dict:
@@ -267,14 +155,6 @@ def model_images(inputs: Inputs, count: int) -> dict:
 def model_jacobian(inputs: Inputs, count: int) -> dict:
     """Forward model with the derivatives of 29 modes."""
     return _model_case(inputs, count, jacobian=True)
-
-
-def _timed(watch, frames: int) -> dict:
-    return {"frames": frames, "wall_s": watch.wall_s, "cpu_s": watch.cpu_s}
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 CASES: dict[str, Callable[[Inputs, int], dict]] = {
@@ -289,8 +169,8 @@ CASES: dict[str, Callable[[Inputs, int], dict]] = {
         fft_lbfgs_60,
         solvephase_lm,
         long_exposure,
-        lift_ramp,
-        lift_ramp_bare,
+        lift_bare,
+        lift_halo,
         lift_solvephase,
         lift_numpy,
         lift_latency,

@@ -37,15 +37,18 @@ NCPA_60 = (
     Entry("fft_lbfgs_60", "padded FFT, autograd, L-BFGS, L1", 12, 3),
     Entry("dip_global_60", "irlos dip_global, L1", CUBE, 30),
 )
+LIFT = (
+    Entry("lift_numpy", "NumPy FFT, Gauss-Newton per frame", 7, 2),
+    Entry("lift_solvephase", "solvephase, per frame", 7, 3),
+    Entry("lift_bare", "irlos lift, the ramp once", 42, 42),
+    Entry("lift_bare", "irlos lift, ten realisations", 420, 84),
+    Entry("lift_halo", "irlos lift, ten realisations, halo", 420, 84),
+)
 # Run where PyTorch finds a CUDA device.
 CUDA = (Entry("dip_global_cuda", "irlos dip_global, L1, CUDA", CUBE, 30),)
 CUDA_60 = (Entry("dip_global_60_cuda", "irlos dip_global, L1, CUDA", CUBE, 30),)
 OTHERS = (
     Entry("long_exposure", "irlos long_exposure, calibration-sky, 65 modes", 200, 200),
-    Entry("lift_solvephase", "solvephase, LIFT, ramp, J+H at 6 wavelengths", 7, 3),
-    Entry("lift_numpy", "NumPy FFT, Gauss-Newton, ramp, J+H at 6 wavelengths", 7, 1),
-    Entry("lift_ramp_bare", "irlos lift, ramp, J+H at 6 wavelengths", 42, 42),
-    Entry("lift_ramp", "irlos lift, ramp, J+H at 6 wavelengths, halo", 42, 42),
     Entry("lift_latency", "irlos lift, single frames, 2 wavelengths", 50, 20),
     Entry("sensitivity_scan", "irlos sensitivity scan, 3 and 9 modes, halo", 924, 88, threads=2),
     Entry("model_images", "irlos model, images, 1 wavelength", 480, 64),

@@ -18,6 +18,12 @@ HEADER = (
     "error nm",
     "on common",
 )
+LIFT_HEADER = (
+    "LIFT, ramp, J+H at 6 wavelengths",
+    *HEADER[1:5],
+    "CPU ms/frame",
+    *HEADER[6:],
+)
 OTHER_HEADER = ("other", "threads", "frames", "wall s", "CPU s", "CPU ms/frame", "peak MiB", "error nm")
 
 
@@ -32,6 +38,7 @@ def render(results: dict) -> str:
     lines += _align([HEADER, *(_ncpa_row(entry) for entry in results["ncpa"])])
     more = ("NCPAs, 60 modes", *HEADER[1:])
     lines += ["", *_align([more, *(_ncpa_row(entry) for entry in results["ncpa_60"])])]
+    lines += ["", *_align([LIFT_HEADER, *(_lift_row(entry) for entry in results["lift"])])]
     lines += ["", *_align([OTHER_HEADER, *(_other_row(entry) for entry in results["others"])])]
     return "\n".join([*lines, "", *_notes(results)])
 
@@ -45,6 +52,16 @@ def _ncpa_row(entry: dict) -> Sequence[str]:
         f"{entry['wall_s']:.2f}",
         f"{entry['cpu_s']:.2f}",
         f"{extrapolated}{entry['cube_s']:.1f}",
+        f"{entry['speed_up']:.1f}",
+        f"{entry['peak_mib']:.0f}",
+        f"{entry['error_nm']:.1f}",
+        f"{entry['common_error_nm']:.1f}",
+    )
+
+
+def _lift_row(entry: dict) -> Sequence[str]:
+    return (
+        *_other_row(entry)[:6],
         f"{entry['speed_up']:.1f}",
         f"{entry['peak_mib']:.0f}",
         f"{entry['error_nm']:.1f}",
@@ -73,8 +90,9 @@ def _notes(results: dict) -> list[str]:
         f"~ extrapolated linearly to {CUBE} frames from those that were fitted.",
         "speed-up: processor time per frame of the first line over that of the line.",
         f"CUDA: {results['cuda']}, by wall clock." if results["cuda"] else "CUDA: no device here, no line.",
-        "error: total RMS of Noll 2-30 of the mean estimate against the truth, of all frames of the line and",
-        f"of the first {common}, which all lines have fitted; LIFT: RMS of the defocus over the ramp.",
+        "error: total RMS of Noll 2-30 of the mean estimate against the truth, over all frames of the line",
+        f"and over the first {common}, which all lines have fitted; LIFT: RMS of the defocus, over all images",
+        "and over those that all lines have fitted.",
         f"single-frame LIFT: median {latency['median_ms']:.1f} ms, "
         f"99th percentile {latency['p99_ms']:.1f} ms.",
     ]

@@ -85,8 +85,9 @@ class ImageModel:
         before = jacobian.shape[1]
         modes = len(self.psf.nolls) if modal else 0
         size = modes + (0 if held else len(values)) + 2
-        columns = torch.zeros(len(unit), size, *unit.shape[1:], dtype=unit.dtype, device=unit.device)
+        columns = unit.new_empty(len(unit), size, *unit.shape[1:])
         torch.mul(jacobian, flux[:, None].to(unit.dtype), out=columns[:, :before])
+        columns[:, before:-2] = 0
         columns[:, -2] = unit
         columns[:, -1] = 1.0
         image = flux * unit.double() + background

@@ -57,14 +57,21 @@ class NoiseModel:
         ----------
         Wedderburn 1974, Biometrika 61, 439.
         """
-        return self._missed(images_e, model_e) - self._missed(images_e, images_e)
+        return self.missed(images_e, model_e) - self.missed(images_e, images_e)
 
-    def _missed(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
-        """``∫ (t - d)/V(t) dt`` from 0 to m; V is constant below 0."""
+    def missed(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
+        """``∫ (t - d)/V(t) dt`` from 0 to m: `half_deviance` but for what the data alone determine.
+
+        V is constant below 0.
+        """
         factor, floor = self.excess_noise_factor, self.floor_e2 + self.shared_e2
-        above, below = model_e.clamp_min(0), model_e.clamp_max(0)
-        bright = above - (images_e + floor / factor) * torch.log1p(above * (factor / floor))
-        return bright / factor + (0.5 * below - images_e) * below / floor
+        above = model_e.clamp_min(0)
+        growth = torch.log1p(above * (factor / floor)).mul_(images_e + floor / factor)
+        bright = above.sub_(growth).div_(factor)
+        if model_e.min() >= 0:
+            return bright
+        below = model_e.clamp_max(0)
+        return bright + (0.5 * below - images_e) * below / floor
 
     def mean_variance_e2(self, signal_e, frames: int):
         """Variance of the mean of so many frames [e-²]."""

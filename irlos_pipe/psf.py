@@ -158,7 +158,9 @@ class PsfModel:
 
     def _plain_matrices(self, scale_mas, wavelength_m, weight, grid: FocalGrid) -> list[torch.Tensor]:
         """From focal intensity to rows, weighted, and to columns."""
-        rows, columns = (focal_to_pixels(px, scale_mas, wavelength_m, grid) for px in self.settings.window)
+        sides = {*self.settings.window}
+        made = {px: focal_to_pixels(px, scale_mas, wavelength_m, grid) for px in sides}
+        rows, columns = (made[px] for px in self.settings.window)
         return [self._real(weight * rows), self._real(columns)]
 
     def _filtered_matrices(self, scale_mas, wavelength_m, weight, grid: FocalGrid) -> list[torch.Tensor]:

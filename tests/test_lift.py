@@ -13,8 +13,10 @@ from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.photon_fit import PhotonFit
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.solve import solve
+from irlos_pipe.estimate.start import SCAN_NM, scan_start_nm
 from irlos_pipe.image_model import ImageModel
 from irlos_pipe.noise import NoiseModel
+from irlos_pipe.optics.propagate import MAS
 from irlos_pipe.psf import PsfModel
 
 TWO_COLOURS = ((1215.0, 1.0), (1625.0, 1.0))
@@ -199,3 +201,53 @@ def test_variances_that_follow_lead_where_endless_re_weighting_does(model):
         problem.tolerance = 1e-6
         x = solve(problem, x).values
     assert ((x - found.solution.values)[:, :3].abs() < 0.02 * found.sigma_nm).all()
+
+
+def test_images_that_are_fitted_in_pieces_find_what_they_find_together(model, monkeypatch):
+    true = random_modes(7, seed=21)
+    data = drawn(model, true, 3e4, seed=22)
+    prior = {"prior_mean_nm": true + 5.0, "prior_sigma_nm": torch.tensor([300.0, 300.0, 50.0])}
+    options = LiftOptions(**prior)
+    arguments = ImageModel(model), data, cases.everything(data), NOISE, 0.5 * true, options
+    together = lift(*arguments)
+    monkeypatch.setattr("irlos_pipe.estimate.lift.IMAGES_AT_ONCE", 3)
+    pieces = lift(*arguments)
+    assert pieces.solution.status == together.solution.status
+    assert torch.allclose(pieces.zernike_nm, together.zernike_nm, rtol=0, atol=1e-4)
+    assert torch.allclose(pieces.model_e, together.model_e, rtol=1e-5, atol=1e-3)
+    assert torch.allclose(pieces.chi2_nu, together.chi2_nu)
+
+
+def test_a_fit_in_inference_mode_is_the_same(model):
+    """As a loop in real time would run it."""
+    true = random_modes(2, seed=31)
+    data = drawn(model, true, 3e4, seed=32)
+    arguments = ImageModel(model), data, cases.everything(data), NOISE, 0.5 * true
+    usual = lift(*arguments)
+    with torch.inference_mode():
+        quick = lift(*arguments)
+    assert torch.equal(usual.zernike_nm, quick.zernike_nm)
+
+
+def test_some_members_of_a_fit_with_variances_that_follow_have_the_objectives_they_had():
+    precise = PsfModel(cases.settings(64, TWO_COLOURS), TTF, dtype=torch.float64)
+    true = random_modes(4, seed=41)
+    fit = photon_fit(precise, drawn(precise, true, 2e4, seed=42).double())
+    x = torch.cat([true, torch.tensor([[2e4, 0.0]]).expand(4, 2)], dim=1).double()
+    some = torch.tensor([3, 1])
+    found = fit.members(some).objective(x[some], torch.arange(2))
+    assert torch.allclose(found, fit.objective(x, torch.arange(4))[some], rtol=1e-9)
+
+
+def test_the_scan_finds_defocus_and_position_of_any_image():
+    """To little more than half a step of the scan and a pixel; a diversity tells the sign."""
+    case = cases.settings(64, TWO_COLOURS, diversity={6: -170.0})
+    model = PsfModel(case, TTF)
+    focus_nm = np.linspace(-640.0, 640.0, 33)
+    true = random_modes(len(focus_nm), seed=51)
+    true[:, 2] = torch.as_tensor(focus_nm)
+    images = drawn(model, true, 1e5, seed=52)
+    found = scan_start_nm(model, images, cases.everything(images))
+    pixel_nm = case.pixel_scale_mas * MAS * case.geometry.diameter_m / 4 * 1e9
+    assert ((found - true)[:, 2].abs() <= 0.6 * np.diff(SCAN_NM)[0]).all()
+    assert ((found - true)[:, :2].abs() <= pixel_nm).all()

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from ..optics.grids import NM, OtfGrid, Sampling
+from ..optics.phasor import phasor
 from ..optics.propagate import MAS
 from .base import Conditions, OtfEffect, Parameter, SamplingEffect, number
 from .polar import components, size_and_angle
@@ -44,7 +45,7 @@ class AtmosphericDispersion(OtfEffect):
         """See `OtfEffect.apply`."""
         distance_um = (grid.wavelengths_m - grid.mean_m) / UM
         path_m = grid.path_m(values[0] * MAS, values[1] * MAS) * distance_um
-        return factor * torch.exp(-2j * np.pi * path_m / grid.wavelengths_m)
+        return factor * phasor(-2 * np.pi * path_m / grid.wavelengths_m)
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """Size and direction."""

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from ..optics.grids import OtfGrid
+from ..optics.phasor import phasor
 from ..optics.propagate import MAS
 from .base import Conditions, Effect, OtfEffect, Parameter, number
 from .pinned import Pinned
@@ -55,7 +56,7 @@ class Companion(OtfEffect):
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
         flux, x, y = values
-        displaced = torch.exp(-2j * np.pi * grid.path_m(x * MAS, y * MAS) / grid.wavelengths_m)
+        displaced = phasor(-2 * np.pi * grid.path_m(x * MAS, y * MAS) / grid.wavelengths_m)
         return factor * (1 + flux * displaced) / (1 + flux)
 
     def describe(self, values: np.ndarray) -> dict[str, float]:

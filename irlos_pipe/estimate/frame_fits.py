@@ -19,7 +19,7 @@ from .solve import CONVERGED, INVALID, MAX_ITERATIONS, Solution, scaled_inverse,
 
 FEW = 10  # frames whose mean curvature stands for that of all
 LEAST_SQUARES_EVALUATIONS = 4
-EVALUATIONS = 24  # about as many cost as much as another linearisation
+EVALUATIONS = 50  # most frames are done by then; one in twenty gets another linearisation
 
 
 @torch.no_grad()

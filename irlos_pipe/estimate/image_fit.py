@@ -19,8 +19,8 @@ from .loss import GAUSSIAN, Loss
 from .parameters import Layout
 from .solve import CHI2_TOLERANCE
 
-FRAMES_PER_CHUNK = 6
-FRAMES_PER_GRADIENT = 8
+FRAMES_PER_CHUNK = 8
+FRAMES_PER_GRADIENT = 16
 
 
 class ImageFit:
@@ -84,7 +84,7 @@ class ImageFit:
         return self._with(**{name: getattr(self, name)[which] for name in per_member})
 
     def _with(self, **changes) -> ImageFit:
-        other = object.__new__(ImageFit)
+        other = object.__new__(type(self))
         vars(other).update(vars(self) | changes)
         return other
 
@@ -198,7 +198,7 @@ class ImageFit:
 
     def _squared_residual(self, predicted_e, which):
         residual, _ = self._whitened(predicted_e.to(self.device), which)
-        return ((residual**2).sum((1, 2)).cpu() / self.freedom,)
+        return (residual.square().sum((1, 2), dtype=torch.float64).cpu() / self.freedom,)
 
     @torch.no_grad()
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:

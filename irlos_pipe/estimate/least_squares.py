@@ -23,8 +23,22 @@ def normal_equations(
         Square roots of the weights, float64.
     """
     size = columns.shape[1]
-    gradient = torch.bmm(columns.double(), (residual * root).sum(1)[..., None])[..., 0]
+    if residual.shape[1] > 1:  # images that share derivatives, like one image with their mean residual
+        weight = (root * root).expand_as(residual).sum(1, keepdim=True)
+        residual = (residual * root).sum(1, keepdim=True) * weight.clamp_min(1e-300).rsqrt()
+        root = weight.sqrt()
+    columns = columns * root.to(columns.dtype)
+    gradient = _sums(columns, residual[:, 0])
     if size > FEW:
         columns = torch.nn.functional.pad(columns, (0, 0, 0, -size % TILE))
-    weight = (root * root).expand_as(residual).sum(1, keepdim=True).to(columns.dtype)
-    return -gradient, torch.bmm(columns * weight, columns.mT)[:, :size, :size].double()
+    return -gradient, torch.bmm(columns, columns.mT)[:, :size, :size].double()
+
+
+def _sums(columns: torch.Tensor, residual: torch.Tensor) -> torch.Tensor:
+    """Sums over pixels of weighted derivatives times residuals (b, pixels), (b, p), float64.
+
+    Products need no more digits than the derivatives have; a copy of these in float64 would take longer.
+    """
+    if columns.dtype == torch.float64:
+        return torch.bmm(columns, residual[..., None])[..., 0]
+    return (columns * residual.to(columns.dtype)[:, None]).sum(2, dtype=torch.float64)

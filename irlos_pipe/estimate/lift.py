@@ -10,7 +10,7 @@ precision on the diagonal only and the ``-C⁻¹(a - ā)`` term that the publish
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -21,10 +21,12 @@ from .alike import Alike, AlikeFit
 from .image_fit import ImageFit, masked_variance
 from .parameters import Layout
 from .photon_fit import PhotonFit
-from .solution import Solution, mixed_tensors
+from .solution import Solution, joined_tensors, mixed_tensors
 from .solve import solve
 
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
+FINE_TOLERANCE = 1e-2  # a tenth of σ: the last step is taken, what is left is below a fiftieth
+IMAGES_AT_ONCE = 96  # a dozen copies of them are made on the way
 COARSE_TOLERANCE = 1000.0  # 30 σ: near enough to go on with variances that follow the model
 
 
@@ -83,6 +85,12 @@ class LiftResult:
     model_e: torch.Tensor
     chi2_nu: torch.Tensor
 
+    @classmethod
+    def joined(cls, parts: Sequence[LiftResult]) -> LiftResult:
+        """One batch of several."""
+        solution = Solution.joined([part.solution for part in parts])
+        return replace(parts[0], solution=solution, **joined_tensors(parts))
+
     @property
     def sigma_nm(self) -> torch.Tensor:
         """Standard errors, (images, modes)."""
@@ -125,12 +133,24 @@ def lift(
     -------
     LiftResult
     """
-    result = _lift(model, images_e, pixel_mask, noise, start_nm, options, report)
+    result = _in_pieces(model, images_e, pixel_mask, noise, start_nm, options, report)
     stuck = _at_limit(model, result.zernike_nm)
     if not stuck.any():
         return result
     again = lift(model.general, images_e[stuck], pixel_mask, noise, start_nm[stuck], options.of(stuck))
     return result.updated(stuck, again, torch.ones(len(again.zernike_nm), dtype=torch.bool))
+
+
+def _in_pieces(model: ImageModel, images_e, pixel_mask, noise, start_nm, options, report) -> LiftResult:
+    """Fits of any number of images, of which few are worked on at a time."""
+    if len(images_e) <= IMAGES_AT_ONCE:
+        return _lift(model, images_e, pixel_mask, noise, start_nm, options, report)
+    return LiftResult.joined(
+        [
+            _lift(model, images_e[some], pixel_mask, noise, start_nm[some], options.of(some), report)
+            for some in torch.arange(len(images_e)).split(IMAGES_AT_ONCE)
+        ]
+    )
 
 
 def _at_limit(model: ImageModel, zernike_nm: torch.Tensor) -> torch.Tensor:
@@ -151,6 +171,7 @@ def _lift(model: ImageModel, images_e, pixel_mask, noise, start_nm, options, rep
         x = _finite(solve(problem, x, max_iterations=options.max_iterations, report=report), x)
         report = None
         problem = _with_model_variance(problem, x, images_e, pixel_mask, noise, options)
+    problem.tolerance = FINE_TOLERANCE
     solution = solve(problem, x, max_iterations=options.max_iterations, report=report)
     model_e = problem.predict_all(_finite(solution, x))
     modes = layout.modes
@@ -196,5 +217,6 @@ def image_problem(
 
 def smooth(images_e: torch.Tensor) -> torch.Tensor:
     """3×3 running mean of images: a first idea of the noise-free signal, for the variances only."""
-    padded = torch.nn.functional.pad(images_e[:, None].double(), (1, 1, 1, 1), mode="replicate")
-    return torch.nn.functional.avg_pool2d(padded, 3, stride=1)[:, 0]
+    padded = torch.nn.functional.pad(images_e[:, None], (1, 1, 1, 1), mode="replicate")[:, 0]
+    rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
+    return (rows[:, :, :-2] + rows[:, :, 1:-1] + rows[:, :, 2:]) / 9

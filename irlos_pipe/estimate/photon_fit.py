@@ -33,15 +33,25 @@ class PhotonFit(ImageFit):
     ):
         mask = pixel_mask.to(images_e.device)
         super().__init__(model, layout, images_e, torch.where(mask, 1.0, torch.inf)[None, None])
-        self._noise = noise
+        self._noise, self._mask = noise, mask.double()
+        self._least = self._missed(images_e, images_e)
+
+    def _missed(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
+        """`NoiseModel.missed` of images (b, 1, pixels), summed over pixels, (b,), float64."""
+        return (self._noise.missed(images_e.double(), model_e.double()) @ self._mask)[:, 0]
 
     def _whitened(self, model_e: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        residual, mask = super()._whitened(model_e, which)
-        root = mask * self._noise.variance_e2(model_e[:, None]) ** -0.5
-        return residual * root, root
+        data = self.images[which.to(self.images.device)]
+        model_e = model_e[:, None].to(data.dtype)
+        root = self._noise.variance_e2(model_e).rsqrt() * self._mask.to(data.dtype)
+        return (data - model_e) * root, root
 
     def _value(self, residual: torch.Tensor, model_e: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         which = which.to(self.images.device)
-        images_e = self.images[which].double()
-        pixels = self._noise.half_deviance(images_e, model_e[:, None])
-        return (pixels * (self.root_weight[which] > 0)).sum((1, 2)).cpu()
+        return (self._missed(self.images[which], model_e[:, None]) - self._least[which]).cpu()
+
+    def members(self, which: torch.Tensor) -> PhotonFit:
+        """See `ImageFit.members`."""
+        some = super().members(which)
+        some._least = self._least[which]
+        return some

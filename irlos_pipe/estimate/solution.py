@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -31,6 +32,11 @@ class Solution:
     iterations: torch.Tensor
     objective: torch.Tensor
 
+    @classmethod
+    def joined(cls, parts: Sequence[Solution]) -> Solution:
+        """One batch of several."""
+        return replace(parts[0], status=[s for part in parts for s in part.status], **joined_tensors(parts))
+
     @property
     def converged(self) -> torch.Tensor:
         """True where the fit converged, (batch,)."""
@@ -47,6 +53,15 @@ class Solution:
         for member, new in zip(where.tolist(), torch.nonzero(better)[:, 0].tolist(), strict=True):
             status[member] = other.status[new]
         return replace(self, status=status, **mixed_tensors(self, other, where, better))
+
+
+def joined_tensors(parts: Sequence) -> dict[str, torch.Tensor]:
+    """Tensors of objects of one kind, by name, one after the other."""
+    return {
+        name: torch.cat([getattr(part, name) for part in parts])
+        for name, value in vars(parts[0]).items()
+        if isinstance(value, torch.Tensor)
+    }
 
 
 def mixed_tensors(first, second, where: torch.Tensor, better: torch.Tensor) -> dict[str, torch.Tensor]:

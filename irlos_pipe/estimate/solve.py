@@ -324,11 +324,12 @@ def scaled_inverse(hessian: torch.Tensor) -> torch.Tensor:
 
     Directions without information get a huge variance.
     """
-    return torch.cat([_scaled_inverse(some) for some in hessian.split(MEMBERS_AT_ONCE)])
+    pieces = [torch.from_numpy(_scaled_inverse(some.numpy())) for some in hessian.split(MEMBERS_AT_ONCE)]
+    return pieces[0] if len(pieces) == 1 else torch.cat(pieces)
 
 
-def _scaled_inverse(hessian: torch.Tensor) -> torch.Tensor:
-    scale = torch.diagonal(hessian, dim1=1, dim2=2).clamp_min(1e-300).sqrt()
+def _scaled_inverse(hessian: np.ndarray) -> np.ndarray:
+    scale = np.sqrt(np.diagonal(hessian, axis1=1, axis2=2).clip(min=1e-300))
     outer = scale[:, :, None] * scale[:, None, :]
-    scaled = hessian / outer + 1e-14 * torch.eye(hessian.shape[-1], dtype=hessian.dtype)
-    return torch.linalg.inv(scaled) / outer
+    with np.errstate(over="ignore"):
+        return np.linalg.inv(hessian / outer + 1e-14 * np.eye(hessian.shape[-1])) / outer

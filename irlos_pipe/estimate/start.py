@@ -15,7 +15,7 @@ from ..optics.propagate import MAS
 from ..psf import AS_BUILT, PsfModel
 from .centring import TILT_NM_PER_RAD
 
-SCAN_NM = np.linspace(-700.0, 700.0, 29)
+SCAN_NM = np.linspace(-700.0, 700.0, 15)
 
 
 def scan_start_nm(
@@ -37,7 +37,7 @@ def scan_start_nm(
     coefficients = torch.zeros(len(SCAN_NM), len(model.nolls), dtype=torch.float64)
     coefficients[:, focus] = torch.as_tensor(SCAN_NM)
     templates = model.images(coefficients, optics).cpu()
-    best, shift_px = _most_alike(_standardised(templates), _standardised(images_e * pixel_mask))
+    best, shift_px = _most_alike(templates, images_e, pixel_mask)
     start = torch.zeros(len(images_e), len(model.nolls), dtype=torch.float64)
     start[:, focus] = torch.as_tensor(SCAN_NM)[best]
     pixel_nm = model.settings.pixel_scale_mas * MAS * model.settings.geometry.diameter_m * TILT_NM_PER_RAD
@@ -47,20 +47,24 @@ def scan_start_nm(
 
 
 def _standardised(images: torch.Tensor) -> torch.Tensor:
-    """Images without mean and of unit norm, float32: correlations are compared with each other only."""
-    centred = images.float() - images.float().mean((1, 2), keepdim=True)
-    return centred / centred.square().sum((1, 2), keepdim=True).sqrt().clamp_min(1e-30)
+    """Images (..., rows, columns) without mean and of unit norm, float32: their correlations are compared."""
+    centred = images.float() - images.float().mean((-2, -1), keepdim=True)
+    return centred / torch.linalg.vector_norm(centred, dim=(-2, -1), keepdim=True).clamp_min(1e-30)
 
 
-def _most_alike(templates: torch.Tensor, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _most_alike(
+    templates: torch.Tensor, images: torch.Tensor, pixel_mask: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Template of the highest correlation with each image (images,), and its shift (images, 2) [px]."""
-    spectra, (rows, columns) = torch.fft.rfft2(templates).conj(), images.shape[1:]
+    rows, columns = pixel_mask.shape
+    spectra = torch.fft.rfft2(_standardised(templates)).conj_physical()
     best, peaks = [], []
     for image in images:
-        correlation = torch.fft.irfft2(torch.fft.rfft2(image) * spectra, s=(rows, columns)).flatten(1)
+        spectrum = torch.fft.rfft2(_standardised(image * pixel_mask))
+        correlation = torch.fft.irfft2(spectrum * spectra, s=(rows, columns)).flatten(1)
         best.append(int(correlation.amax(1).argmax()))
-        peak = int(correlation[best[-1]].argmax())
-        peaks.append([_signed(peak // columns, rows), _signed(peak % columns, columns)])
+        row, column = divmod(int(correlation[best[-1]].argmax()), columns)
+        peaks.append([_signed(row, rows), _signed(column, columns)])
     return torch.tensor(best), torch.tensor(peaks, dtype=torch.float64)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from ..geometry import PupilGeometry
+from .phasor import phasor
 from .propagate import FocalGrid
 from .pupil import band_limited_pupil
 from .zernike import zernike_basis
@@ -94,7 +95,7 @@ class PupilGrid:
 
     def phasor(self, opd_nm: torch.Tensor) -> torch.Tensor:
         """``exp(2πi OPD/λ)``, (wavelengths, n, n), of an OPD (n, n) [nm]."""
-        return torch.exp(1j * self.phase_per_nm * opd_nm)
+        return phasor(self.phase_per_nm * opd_nm)
 
 
 class Sampling(NamedTuple):

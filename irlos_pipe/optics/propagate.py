@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from scipy.fft import next_fast_len
 
+from .phasor import phasor
 from .pupil import CLEAN_BAND, grid_centres
 
 MAS = np.pi / 180 / 3600e3  # one milliarcsecond [rad]
@@ -136,7 +137,7 @@ def baseline_to_pixels(
     weight = torch.sinc(baselines * pixel) * pixel * 2 * grid.width_m / grid.padded
     if half:
         weight = weight * torch.as_tensor(_half_plane_counts(len(baselines_m), grid.padded))
-    return torch.exp(2j * np.pi * offset * baselines) * weight
+    return phasor(2 * np.pi * offset * baselines) * weight
 
 
 def require_field(pixels: int, pixel_scale_mas: float, wavelength_m: float, grid: FocalGrid) -> None:

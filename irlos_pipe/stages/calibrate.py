@@ -17,7 +17,7 @@ from irlos_pipe.stages.light_path import require_one_setup
 from irlos_pipe.stages.recordings import recordings_from_product
 
 NAME = "calibrate"
-VERSION = 6
+VERSION = 7
 NEEDS = ("ingest",)
 READS = ("ingest",)
 LEAST_FRAMES = 2

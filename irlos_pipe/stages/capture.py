@@ -14,7 +14,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.ensemble import Arrays, run_samples
 
 NAME = "capture"
-VERSION = 4
+VERSION = 5
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 PAPER_NM = 410.0  # capture range that the paper states, started from zero

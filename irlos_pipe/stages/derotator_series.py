@@ -23,7 +23,7 @@ from irlos_pipe.stages.derotator_output import SplitOutput, map_of
 from irlos_pipe.stages.ensemble import Arrays, run_samples
 
 NAME = "derotator_series"
-VERSION = 1
+VERSION = 2
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "seed"})
 DEFAULT, PUBLISHED = "long_exposure", "dip_global"

@@ -27,7 +27,7 @@ from irlos_pipe.stages.model_effects import conditions_of, good_pixels, image_ef
 from irlos_pipe.stages.ramp_diagnosis import run_on_ramp
 
 NAME = "diagnose"
-VERSION = 7
+VERSION = 8
 NEEDS = ("ingest",)
 READS = ("ingest", "calibrate", "lift")
 MODEL_FILE = "model.yaml"

@@ -20,7 +20,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.ensemble import run_samples
 
 NAME = "faint"
-VERSION = 4
+VERSION = 5
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 MONITOR = "mass_dimm"  # the paper's scale of the seeing on sky

@@ -24,7 +24,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.ensemble import Arrays, run_samples
 
 NAME = "first_tests"
-VERSION = 3
+VERSION = 4
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 MONITOR = "mass_dimm"  # the paper's scale of the seeing on sky

@@ -14,7 +14,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.ensemble import Arrays, run_samples
 
 NAME = "focus_ramp"
-VERSION = 4
+VERSION = 5
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 NUMBERS = {  # unit and what it is

@@ -28,7 +28,7 @@ from irlos_pipe.stages.ramp_input import (
 )
 
 NAME = "lift"
-VERSION = 6
+VERSION = 7
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 

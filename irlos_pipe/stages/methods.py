@@ -15,7 +15,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.ensemble import Arrays, run_samples
 
 NAME = "methods"
-VERSION = 3
+VERSION = 4
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 MODEL_SHAPE = "power_law"  # what the model assumes, up to slope and direction

@@ -14,7 +14,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.ensemble import Arrays, run_samples
 
 NAME = "mode_number"
-VERSION = 2
+VERSION = 3
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "seed"})
 PUBLISHED, LIFT = "dip_global", "lift_avg"

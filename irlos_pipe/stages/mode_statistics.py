@@ -22,7 +22,7 @@ from irlos_pipe.stages.ensemble import Arrays, run_samples
 from irlos_pipe.stages.mode_laws import law_row
 
 NAME = "mode_statistics"
-VERSION = 1
+VERSION = 2
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "seed"})
 DEFAULT, PUBLISHED = "long_exposure", "dip_global"

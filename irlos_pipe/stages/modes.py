@@ -20,7 +20,7 @@ from irlos_pipe.stages.mode_laws import law_row
 from irlos_pipe.stages.recordings import recordings_from_product
 
 NAME = "modes"
-VERSION = 3
+VERSION = 4
 NEEDS = ("ingest", "calibrate")
 READS = ("ingest", "calibrate")
 POINTING = (2, 3)  # where the star lies in the window

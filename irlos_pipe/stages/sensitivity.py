@@ -21,7 +21,7 @@ from irlos_pipe.stages.ramp_input import (
 )
 
 NAME = "sensitivity"
-VERSION = 6
+VERSION = 7
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 

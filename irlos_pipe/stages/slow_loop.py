@@ -20,7 +20,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.ensemble import Arrays, run_samples
 
 NAME = "slow_loop"
-VERSION = 4
+VERSION = 5
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 FIELDS = ("residual_nm", "measured_nm", "true_nm", "due")

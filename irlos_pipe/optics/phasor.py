@@ -1,0 +1,10 @@
+"""Complex exponentials of real phases."""
+
+from __future__ import annotations
+
+import torch
+
+
+def phasor(phase: torch.Tensor) -> torch.Tensor:
+    """``exp(iφ)`` of phases φ [rad]; cosine and sine are computed by vector instructions, it is not."""
+    return torch.complex(phase.cos(), phase.sin())
