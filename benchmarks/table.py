@@ -91,8 +91,8 @@ def _notes(results: dict) -> list[str]:
         "speed-up: processor time per frame of the first line over that of the line.",
         f"CUDA: {results['cuda']}, by wall clock." if results["cuda"] else "CUDA: no device here, no line.",
         "error: total RMS of Noll 2-30 of the mean estimate against the truth, over all frames of the line",
-        f"and over the first {common}, which all lines have fitted; LIFT: RMS of the defocus, over all images",
-        "and over those that all lines have fitted.",
+        f"and over the first {common}, which all lines have fitted; LIFT: RMS of the defocus over all",
+        "images of the line and over those that all lines have fitted.",
         f"single-frame LIFT: median {latency['median_ms']:.1f} ms, "
         f"99th percentile {latency['p99_ms']:.1f} ms.",
     ]
