@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from .inputs import Inputs
 from .measure import stopwatch
 
 RECIPE = SAMPLES.parent / "recipes" / "ncpa_calibration.yaml"
-PEDESTAL_ADU = 200.0
+PEDESTAL_ADU, E_PER_ADU = 200.0, 4.0  # the brightest speckles do not saturate
 ACQUISITION = {
     "role": "ncpa_calibration",
     "exposure_s": 0.1,
@@ -24,7 +25,7 @@ ACQUISITION = {
     "pixel_scale_mas": PIXEL_SCALE_MAS,
     "spectrum": [{"wavelength_nm": WAVELENGTH_NM, "weight": 1.0}],
     "diversity": {"source": "lens", "zernike": DIVERSITY_NM},
-    "detector": {"e_per_adu": 1.0, "read_noise_e": READ_NOISE_E},
+    "detector": {"e_per_adu": E_PER_ADU, "read_noise_e": READ_NOISE_E},
 }
 
 
@@ -35,7 +36,16 @@ def stream_10000(inputs: Inputs, count: int) -> dict:
     recipe = load_recipe(RECIPE, inputs=[f"calibration={cube}"])
     with stopwatch() as watch:
         run_recipe(recipe, inputs.folder / "long", Selection(last="calibrate"))
-    return {"frames": count, "wall_s": watch.wall_s, "cpu_s": watch.cpu_s}
+    _require_all_used(inputs.folder / "long", count)
+    return watch.over(count)
+
+
+def _require_all_used(run: Path, count: int) -> None:
+    """Raise unless every frame was calibrated with: a frame that is rejected costs nothing."""
+    results = json.loads((run / "results.json").read_text())
+    (recording,) = results["stages"]["ingest"]["inputs"]
+    if recording["frames_rejected"]:
+        raise RuntimeError(f"{recording['frames_rejected']} of {count} frames were rejected")
 
 
 def write_cube(path: Path, images_e: np.ndarray, count: int) -> None:
@@ -43,7 +53,7 @@ def write_cube(path: Path, images_e: np.ndarray, count: int) -> None:
     rng = np.random.default_rng(SEED)
     adu = np.empty((count, *images_e.shape[1:]), np.uint16)
     for number in range(count):
-        noisy = images_e[number % len(images_e)] + rng.normal(PEDESTAL_ADU, READ_NOISE_E, images_e.shape[1:])
-        adu[number] = np.rint(noisy).clip(0, 65535)
+        noisy_e = images_e[number % len(images_e)] + rng.normal(0.0, READ_NOISE_E, images_e.shape[1:])
+        adu[number] = np.rint(noisy_e / E_PER_ADU + PEDESTAL_ADU).clip(0, 65535)
     fits.PrimaryHDU(adu).writeto(path, overwrite=True)
     path.with_suffix(".yaml").write_text(yaml_text(ACQUISITION))

@@ -24,6 +24,7 @@ from irlos_pipe.diagnose.held_out import Judge
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.effects import Conditions, TipTiltJitter
+from irlos_pipe.estimate.bound import cramer_rao_nm
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.elongation import calibrate_law
@@ -74,6 +75,13 @@ def estimated_by_lift(device: str) -> np.ndarray:
     return np.concatenate([fit.result.zernike_nm.numpy().ravel(), fit.result.sigma_nm.numpy().ravel()])
 
 
+def bounded(device: str) -> np.ndarray:
+    """Smallest standard errors of tip, tilt and defocus."""
+    model = ImageModel(PsfModel(SMALL, TTF, device=device))
+    modes_nm, flux_e = torch.zeros(2, 3, dtype=torch.float64), torch.tensor([1e4, 1e5])
+    return cramer_rao_nm(model, modes_nm, flux_e, cases.READ_NOISE).numpy().ravel()
+
+
 def diagnosed(device: str) -> np.ndarray:
     """A fit of the mean image, what two families, companions and a drift would add, and the gap held out."""
     parts, view = split(cube()), Exposures(cube(), SMALL, CONDITIONS).view(range(2, HIGHEST_NOLL + 1), device)
@@ -108,6 +116,7 @@ CALCULATIONS = {
     "dip_joint": lambda device: calibrated("dip_joint", device),
     "search": calibrated_beside_a_companion,
     "lift": estimated_by_lift,
+    "bound": bounded,
     "diagnose": diagnosed,
     "prior": law,
     **{name: lambda device, name=name: with_effect(name, device) for name in STRONG},

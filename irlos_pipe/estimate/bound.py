@@ -33,5 +33,5 @@ def cramer_rao_nm(
     image, columns = model.predict_and_jacobian(coefficients_nm, flux, torch.full_like(flux, background_e))
     image, columns = image.flatten(1), columns.double().flatten(2)
     fisher = (columns / noise.variance_e2(image)[:, None]) @ columns.mT
-    covariance = scaled_inverse(fisher)
-    return torch.diagonal(covariance, dim1=1, dim2=2).sqrt()[:, : len(model.psf.nolls)].cpu()
+    covariance = scaled_inverse(fisher.cpu())
+    return torch.diagonal(covariance, dim1=1, dim2=2).sqrt()[:, : len(model.psf.nolls)]
