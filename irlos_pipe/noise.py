@@ -42,11 +42,12 @@ class NoiseModel:
         """Variance [e-²] of pixels with the mean signal `signal_e` [e-]; array or tensor alike."""
         return self.scatter_e2(signal_e) + self.shared_e2
 
-    def half_deviance(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
-        """What stands for ``(d - m)²/2V`` where V is that of the model: ``∫ (d - t)/V(t) dt`` from m to d.
+    def minus_quasi_likelihood(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
+        """``∫ (t - d)/V(t) dt`` from 0 to m, per pixel; V is constant below 0.
 
-        Its slope with respect to the model is ``-(d - m)/V(m)``. For pure photon noise it is half the
-        deviance of Poisson's law.
+        Its slope with respect to the model is ``-(d - m)/V(m)``, that of ``(d - m)²/2V`` with the variance
+        of the model as it is. Beyond its value at m = d it stands for that half χ²; for pure photon noise
+        the difference is half the deviance of Poisson's law.
 
         Parameters
         ----------
@@ -57,18 +58,11 @@ class NoiseModel:
         ----------
         Wedderburn 1974, Biometrika 61, 439.
         """
-        return self.missed(images_e, model_e) - self.missed(images_e, images_e)
-
-    def missed(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
-        """``∫ (t - d)/V(t) dt`` from 0 to m: `half_deviance` but for what the data alone determine.
-
-        V is constant below 0.
-        """
         factor, floor = self.excess_noise_factor, self.floor_e2 + self.shared_e2
         above = model_e.clamp_min(0)
-        growth = torch.log1p(above * (factor / floor)).mul_(images_e + floor / factor)
-        bright = above.sub_(growth).div_(factor)
-        if model_e.min() >= 0:
+        growth = torch.log1p(above * (factor / floor)) * (images_e + floor / factor)
+        bright = (above - growth) / factor
+        if not (model_e < 0).any():
             return bright
         below = model_e.clamp_max(0)
         return bright + (0.5 * below - images_e) * below / floor

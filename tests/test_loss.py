@@ -67,6 +67,12 @@ def test_the_losses_lead_to_mean_and_median():
     assert location(data, LOSSES["l1"]) == pytest.approx(float(data.median()), abs=L1_ROUNDING)
 
 
+def test_where_residuals_scatter_by_ten_sigma_l1_leads_to_the_median_within_a_fiftieth_of_them():
+    """Frames whose AO residual the model lacks are misfitted by about as much."""
+    data = torch.as_tensor(np.random.default_rng(3).exponential(10.0, 4001))
+    assert location(data, LOSSES["l1"]) == pytest.approx(float(data.median()), abs=0.2)
+
+
 def test_an_outlier_pulls_the_robust_losses_least():
     data = torch.as_tensor(np.random.default_rng(4).standard_normal(200))
     hit = torch.cat([data, torch.tensor([1e4], dtype=torch.float64)])

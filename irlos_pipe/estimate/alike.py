@@ -61,6 +61,10 @@ class AlikeFit(ImageFit):
         super().__init__(*arguments)
         self._alike = alike
 
+    def members(self, which: torch.Tensor) -> AlikeFit:
+        """See `ImageFit.members`."""
+        return super().members(which)._with(_alike=self._alike.of(which))
+
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
         """Objective, exact gradient and approximate Hessian, see `solve.Problem`."""
         value, gradient = self.gradient(x, which)

@@ -19,7 +19,7 @@ from .solve import CONVERGED, INVALID, MAX_ITERATIONS, Solution, scaled_inverse,
 
 FEW = 10  # frames whose mean curvature stands for that of all
 LEAST_SQUARES_EVALUATIONS = 4
-EVALUATIONS = 50  # most frames are done by then; one in twenty gets another linearisation
+EVALUATIONS = 50  # most frames are done by then
 
 
 @torch.no_grad()
@@ -52,23 +52,24 @@ def fit_frames(
     shared = _with_shared_curvature(problem, found.values)
     found = polish(problem, replace(shared, iterations=found.iterations), EVALUATIONS)
     open_before = len(start)
-    for _ in range(0, max_iterations, EVALUATIONS):
+    for spent in range(0, max_iterations, EVALUATIONS):
         left = _unfinished(found)
         if report is not None:
             report(open_before - len(left))
         if len(left) == 0:
             return found
-        found, open_before = _by_themselves(problem, found, left), len(left)
+        more = min(EVALUATIONS, max_iterations - spent)
+        found, open_before = _by_themselves(problem, found, left, more), len(left)
     if report is not None:
         report(open_before)
     return found
 
 
-def _by_themselves(problem: ImageFit, found: Solution, which: torch.Tensor) -> Solution:
+def _by_themselves(problem: ImageFit, found: Solution, which: torch.Tensor, evaluations: int) -> Solution:
     """Some members continued, each from a linearisation of its own."""
     some = problem.members(which)
     near = solve(some, found.values[which], max_iterations=1)
-    better = polish(some, near, EVALUATIONS)
+    better = polish(some, near, evaluations)
     better = replace(better, iterations=found.iterations[which] + better.iterations)
     return found.updated(which, better, torch.ones(len(which), dtype=torch.bool))
 

@@ -39,6 +39,8 @@ class ImageFit:
     loss : Loss
     """
 
+    per_member: tuple[str, ...] = ("images", "root_weight", "prior_mean", "prior_precision")
+
     def __init__(
         self,
         model: ImageModel,
@@ -80,8 +82,7 @@ class ImageFit:
 
     def members(self, which: torch.Tensor) -> ImageFit:
         """The fits of some members only."""
-        per_member = ("images", "root_weight", "prior_mean", "prior_precision")
-        return self._with(**{name: getattr(self, name)[which] for name in per_member})
+        return self._with(**{name: getattr(self, name)[which] for name in self.per_member})
 
     def _with(self, **changes) -> ImageFit:
         other = object.__new__(type(self))

@@ -11,22 +11,24 @@ FEW = 12  # rows that are quick anyway
 def normal_equations(
     columns: torch.Tensor, residual: torch.Tensor, root: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Gradient (b, p), exact, and Hessian (b, p, p), in the precision of the images: it only shapes steps.
+    """Gradient (b, p), summed in float64, and Hessian (b, p, p), in the precision of the derivatives.
+
+    The Hessian only shapes steps.
 
     Parameters
     ----------
     columns : tensor, (b, p, pixels)
         Derivatives of the images.
     residual : tensor, (b, repeats, pixels)
-        Whitened, float64.
+        Whitened.
     root : tensor, (b, repeats or 1, pixels)
-        Square roots of the weights, float64.
+        Square roots of the weights.
     """
     size = columns.shape[1]
     if residual.shape[1] > 1:  # images that share derivatives, like one image with their mean residual
         weight = (root * root).expand_as(residual).sum(1, keepdim=True)
-        residual = (residual * root).sum(1, keepdim=True) * weight.clamp_min(1e-300).rsqrt()
-        root = weight.sqrt()
+        force, root = (residual * root).sum(1, keepdim=True), weight.sqrt()
+        residual = torch.where(weight > 0, force / root, 0.0)
     columns = columns * root.to(columns.dtype)
     gradient = _sums(columns, residual[:, 0])
     if size > FEW:
@@ -39,6 +41,7 @@ def _sums(columns: torch.Tensor, residual: torch.Tensor) -> torch.Tensor:
 
     Products need no more digits than the derivatives have; a copy of these in float64 would take longer.
     """
+    residual = residual.to(columns.dtype)
     if columns.dtype == torch.float64:
         return torch.bmm(columns, residual[..., None])[..., 0]
-    return (columns * residual.to(columns.dtype)[:, None]).sum(2, dtype=torch.float64)
+    return (columns * residual[:, None]).sum(2, dtype=torch.float64)

@@ -25,7 +25,6 @@ from .solution import Solution, joined_tensors, mixed_tensors
 from .solve import solve
 
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
-FINE_TOLERANCE = 1e-2  # a tenth of σ: the last step is taken, what is left is below a fiftieth
 IMAGES_AT_ONCE = 96  # a dozen copies of them are made on the way
 COARSE_TOLERANCE = 1000.0  # 30 σ: near enough to go on with variances that follow the model
 
@@ -133,6 +132,7 @@ def lift(
     -------
     LiftResult
     """
+    images_e = images_e if images_e.is_floating_point() else images_e.double()
     result = _in_pieces(model, images_e, pixel_mask, noise, start_nm, options, report)
     stuck = _at_limit(model, result.zernike_nm)
     if not stuck.any():
@@ -171,7 +171,6 @@ def _lift(model: ImageModel, images_e, pixel_mask, noise, start_nm, options, rep
         x = _finite(solve(problem, x, max_iterations=options.max_iterations, report=report), x)
         report = None
         problem = _with_model_variance(problem, x, images_e, pixel_mask, noise, options)
-    problem.tolerance = FINE_TOLERANCE
     solution = solve(problem, x, max_iterations=options.max_iterations, report=report)
     model_e = problem.predict_all(_finite(solution, x))
     modes = layout.modes

@@ -11,7 +11,7 @@ from .parameters import Layout
 
 
 class PhotonFit(ImageFit):
-    """`ImageFit` of single images by their quasi-likelihood, see `NoiseModel.half_deviance`.
+    """`ImageFit` of single images by their quasi-likelihood, see `NoiseModel`.
 
     Its slopes are those of least squares with the variances of the model as it is: the minimum is where
     endless re-weighting would end, but the objective is smooth and falls with every step.
@@ -22,6 +22,8 @@ class PhotonFit(ImageFit):
     pixel_mask : tensor of bool, (pixels,)
     noise : NoiseModel
     """
+
+    per_member = (*ImageFit.per_member, "_least")
 
     def __init__(
         self,
@@ -34,11 +36,12 @@ class PhotonFit(ImageFit):
         mask = pixel_mask.to(images_e.device)
         super().__init__(model, layout, images_e, torch.where(mask, 1.0, torch.inf)[None, None])
         self._noise, self._mask = noise, mask.double()
-        self._least = self._missed(images_e, images_e)
+        self._least = self._sum(images_e, images_e)
 
-    def _missed(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
-        """`NoiseModel.missed` of images (b, 1, pixels), summed over pixels, (b,), float64."""
-        return (self._noise.missed(images_e.double(), model_e.double()) @ self._mask)[:, 0]
+    def _sum(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
+        """Minus the quasi-likelihood of images (b, 1, pixels), (b,), float64."""
+        pixels = self._noise.minus_quasi_likelihood(images_e.double(), model_e.double())
+        return (pixels @ self._mask)[:, 0]
 
     def _whitened(self, model_e: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         data = self.images[which.to(self.images.device)]
@@ -48,10 +51,4 @@ class PhotonFit(ImageFit):
 
     def _value(self, residual: torch.Tensor, model_e: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
         which = which.to(self.images.device)
-        return (self._missed(self.images[which], model_e[:, None]) - self._least[which]).cpu()
-
-    def members(self, which: torch.Tensor) -> PhotonFit:
-        """See `ImageFit.members`."""
-        some = super().members(which)
-        some._least = self._least[which]
-        return some
+        return (self._sum(self.images[which], model_e[:, None]) - self._least[which]).cpu()

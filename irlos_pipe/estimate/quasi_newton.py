@@ -15,7 +15,7 @@ import torch
 from ..parallel import ordered_map
 from .solve import CONVERGED, INVALID, MAX_ITERATIONS, ROUNDING, STALLED, Solution
 
-FRAMES_PER_PIECE = 75
+FRAMES_PER_PIECE = 50
 ENOUGH = 1e-4  # part of the fall promised by the slope that a step must deliver (Armijo)
 SHORTEST = 1e-3  # part of a step below which a member is stuck
 SHORTER = (0.1, 0.5)  # factors on the length of a step that went too far
