@@ -73,9 +73,10 @@ def night(folders: tuple[Path, ...], output: Path, config: Path | None, recipes:
     runner = _runner(engine, scheduler, resources.jobs)
     order = Order(folders, output, load_settings(config, recipes), _date(since), resources.device)
     if dry_run:
-        click.echo(plan_text(plan_night(order), as_json))
+        with _nothing_told(verbose, as_json):
+            click.echo(plan_text(*plan_night(order), as_json))
         return
-    with _quiet_about_nothing(verbose), terminated_like_interrupted(), messages(verbose - 1):
+    with _nothing_told(verbose, as_json), terminated_like_interrupted(), messages(verbose - 1):
         ran = run_night(order, runner)
     if as_json or verbose:
         click.echo(ran_json(ran, output) if as_json else ran_text(ran, output))
@@ -87,7 +88,7 @@ def night(folders: tuple[Path, ...], output: Path, config: Path | None, recipes:
 @click.command(epilog=EXIT_CODES)
 @click.argument("tree", metavar="TREE", type=FOLDER)
 @click.option("--of", "names", metavar="NAME", multiple=True,
-              help="Number to show, for example noll_4_nm; may be repeated (default: all).")
+              help="Number to show, e.g. noll_4_nm; may be repeated (default: all, in a plot the first 16).")
 @CONFIG
 @click.option("--until", type=DATE, metavar="DATE", help="Last night to look at, YYYY-MM-DD.")
 @click.option("--json", "as_json", is_flag=True, help="Print all points, bands and alarms as JSON.")
@@ -135,11 +136,15 @@ def _runner(engine: str, scheduler: str | None, jobs: int) -> Runner:
 
 
 @contextmanager
-def _quiet_about_nothing(verbose: int) -> Iterator[None]:
+def _nothing_told(verbose: int, as_json: bool) -> Iterator[None]:
     """A night without recordings is no reason for cron to send a letter; the page and the code say so."""
     try:
         yield
     except NothingToDo as nothing:
+        if as_json:
+            from irlos_pipe.night.text import nothing_json
+
+            click.echo(nothing_json(str(nothing)))
         if verbose or sys.stderr.isatty():
             raise
         sys.exit(nothing.exit_code)

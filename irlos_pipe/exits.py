@@ -16,7 +16,7 @@ from irlos_pipe.errors import ConfigurationError, ExitCode, IrlosError
 EXIT_CODES = """\b
 Exit codes:
   0    done, or already up to date
-  1    unexpected error (the message says where the traceback is)
+  1    unexpected error (the message says where the traceback is), or no place to write
   2    usage or configuration
   3    bad input data
   4    a QC limit failed (products are written)

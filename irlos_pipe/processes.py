@@ -10,6 +10,8 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
 
+from tqdm import tqdm
+
 # What the numerical libraries look at when they are loaded.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -21,7 +23,7 @@ def in_processes(count: int, function: Callable, arguments: Iterable[tuple]) -> 
     The processes start from nothing ("spawn"), so that results do not depend on the state of this
     one, and leave Ctrl-C to it. They are killed when the block is left by an exception.
     """
-    pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=_begin)
     others = active_children()
     with _one_thread_each(), _unreached_by_interrupts():
         futures = [pool.submit(function, *one) for one in arguments]  # starts the processes
@@ -59,6 +61,12 @@ def _unreached_by_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin() -> None:
+    """What a worker does first."""
+    tqdm.set_lock(threading.RLock())  # its own, one between processes, is left behind by one that is killed
+    _end_with_parent()
 
 
 def _end_with_parent() -> None:

@@ -81,6 +81,24 @@ def test_a_dry_run_lists_stages_with_reasons_also_as_json(bench):
         ("ingest", "skip"), ("calibrate", "skip"), ("lift", "skip")]
 
 
+def test_a_dry_run_names_what_it_could_not_reduce(bench):
+    bench.record(MORNING)
+    damaged = bench.record("2024-02-11T04:00:00", "torn") / "torn.fits"
+    damaged.write_bytes(damaged.read_bytes()[:3000])
+    rows = json.loads(night(bench, "--dry-run", "--json").stdout)
+    assert [row["run"] for row in rows] == ["2024-02-10/030000_cube/cube", "left out"]
+    assert "torn.fits" in rows[-1]["reason"] and "torn.fits" in night(bench, "--dry-run").stdout
+
+
+def test_json_tells_of_an_empty_night_too(bench):
+    bench.archive.mkdir(exist_ok=True)
+    for options in ([], ["--dry-run"]):
+        result = night(bench, "--json", *options)
+        told = json.loads(result.stdout)
+        assert result.exit_code == told["exit_code"] == 64
+        assert told["nights"] == [] and "no recordings" in told["nothing"]
+
+
 def test_json_tells_every_reduction_and_the_code(bench):
     bench.record(MORNING)
     told = json.loads(night(bench, "--json").stdout)

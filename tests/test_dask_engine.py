@@ -162,6 +162,13 @@ def test_an_address_where_nobody_answers_is_told(tasks, monkeypatch):
         on_dask("tcp://127.0.0.1:9", told_stages, tasks)
 
 
+def test_an_address_without_a_port_is_told_before_a_client_is_made(tasks, monkeypatch):
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
+    monkeypatch.setattr(distributed, "Client", None)
+    with pytest.raises(ConfigurationError, match=r"--scheduler foo: .*missing port number"):
+        on_dask("foo", told_stages, tasks)
+
+
 def test_without_dask_the_engine_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     result = invoke("night", str(tmp_path), "--output", str(tmp_path / "tree"), "--engine", "dask",

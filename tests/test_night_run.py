@@ -125,9 +125,17 @@ def test_an_empty_night_is_64_and_has_a_page_of_its_own(bench):
 
 def test_recordings_that_no_recipe_serves_are_nothing_to_process_but_listed(bench):
     bench.record(MORNING, "science", role="psf")
-    with pytest.raises(NothingToDo, match="none of the 1 recordings"):
+    with pytest.raises(NothingToDo, match="nothing to reduce; science: no recipe serves"):
         bench.run()
     assert "science" in bench.page()
+
+
+def test_a_ramp_that_no_calibration_serves_needs_a_look_though_nothing_can_be_reduced(bench):
+    bench.record(MORNING, "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
+    ran = bench.run()
+    assert ran.exit_code == 3
+    assert "offset: no calibration cube of its configuration" in ran.nights["2024-02-10"].failures[0]
+    assert ">needs a look<" in bench.page()
 
 
 def test_a_folder_that_does_not_exist_is_told_on_the_page_too(bench):
@@ -216,11 +224,12 @@ def test_a_changed_recording_redoes_its_group_only(bench):
 
 def test_a_dry_run_lists_what_would_be_done_and_why_and_touches_nothing(bench, monkeypatch):
     bench.record(MORNING)
-    assert [steps for _, steps in plan_night(bench.order())] == [None] and not bench.tree.exists()
+    plan, failures = plan_night(bench.order())
+    assert [steps for _, steps in plan] == [None] and failures == [] and not bench.tree.exists()
     bench.run()
     before = contents(bench.run_folder())
     change_model(monkeypatch)
-    ((job, steps),) = plan_night(bench.order())
+    ((job, steps),), _ = plan_night(bench.order())
     assert job.task.name == "2024-02-10/030000_cube/cube"
     assert [(step.name, step.reason) for step in steps if not step.current] == [
         ("calibrate", "stage version 1 -> 2")]

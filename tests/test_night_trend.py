@@ -12,7 +12,9 @@ from irlos_pipe.night.database import NAME, opened
 from irlos_pipe.night.description import Description
 from irlos_pipe.night.grouping import Group
 from irlos_pipe.night.measures import Measured
+from irlos_pipe.night.page_sections import main_series, numbers_of_night
 from irlos_pipe.night.settings import BandKeys
+from irlos_pipe.night.state import Night
 from irlos_pipe.night.trend import make_trend, read_trend
 from irlos_pipe.night.trend_db import points, store, stored_key, verdicts
 
@@ -104,6 +106,24 @@ def test_two_recipes_make_two_series(tmp_path):
     for recipe in ("cube", "dip"):
         put(tmp_path, 0, measured(noll_4_nm=1.0), recipe=recipe)
     assert [one.recipe for one in read_trend(tmp_path, BandKeys()).series] == ["cube", "dip"]
+
+
+def test_the_page_tells_every_verdict_of_the_night_with_the_gap_of_its_own_recording(tmp_path):
+    for recipe, gap in (("cube", 0.02), ("muse", 0.05)):
+        put(tmp_path, 0, measured(verdict="effect", gap_before=gap, gap_after=gap / 2), recipe=recipe)
+    trend = read_trend(tmp_path, BandKeys())
+    notes = [one.note for one in numbers_of_night(Night(night(0)), trend) if one.label.startswith("Missing")]
+    assert [note.partition(": ")[2] for note in notes] == ["gap 0.020 → 0.010", "gap 0.050 → 0.025"]
+
+
+def test_of_several_series_the_longest_is_shown_then_the_more_precise(tmp_path):
+    put(tmp_path, 0, measured(noll_4_nm=1.0), recipe="one")
+    for recipe in ("many", "few"):
+        put(tmp_path, 1, measured(noll_4_nm=2.0), recipe=recipe)
+    put(tmp_path, 2, measured(noll_4_nm=2.0), recipe="many")
+    trend = read_trend(tmp_path, BandKeys())
+    assert main_series(trend, "noll_4_nm").recipe == "many"
+    assert main_series(trend.until(night(0)), "noll_4_nm").recipe == "one"
 
 
 # -- the command -------------------------------------------------------------------------------

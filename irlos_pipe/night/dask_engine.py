@@ -109,6 +109,7 @@ def _outcome(future: Future, task: Task) -> Reduced:
 def _connected(scheduler: str) -> Iterator[Client]:
     """A client of a cluster that has a worker, all with the software of this process."""
     try:
+        _require_port(scheduler)
         client = _distributed().Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:  # a timeout is an OSError
         raise ConfigurationError(f"--scheduler {scheduler}: no Dask scheduler answers there "
@@ -116,6 +117,13 @@ def _connected(scheduler: str) -> Iterator[Client]:
     with client:
         _require_workers(client, scheduler)
         yield client
+
+
+def _require_port(scheduler: str) -> None:
+    """Raise ValueError for an address without one; the client would, and once more when it is deleted."""
+    scheme, place = _distributed().comm.parse_address(scheduler)
+    if scheme in ("tcp", "tls"):
+        _distributed().comm.parse_host_port(place)
 
 
 def _require_workers(client: Client, scheduler: str) -> None:

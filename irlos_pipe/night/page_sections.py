@@ -11,6 +11,7 @@ from irlos_pipe.night.jobs import Job
 from irlos_pipe.night.reduce import UNCHANGED, Reduced
 from irlos_pipe.night.state import Night
 from irlos_pipe.night.trend import Series, Trend
+from irlos_pipe.night.trend_db import Verdict
 from irlos_pipe.night.trend_plots import series_drawing, structure_drawing
 from irlos_pipe.report.content import Figure, KeyNumber, Section, Stack, Table
 from irlos_pipe.report.text import MISSING, duration, number, plural, with_error
@@ -28,7 +29,7 @@ MODES_CAPTION = ("Coefficients with errors; shaded: the band that the nights bef
 OTHERS_CAPTION = "The same for other numbers; those of the sky do not alarm."
 STRUCTURE_CAPTION = ("RMS change of the wavefront in Noll 4 and up between two calibrations, against the "
                      "time between them: flat where the NCPAs are stable, 0 where noise explains the change.")
-VERDICT_NIGHTS = 30
+VERDICT_NIGHTS, MOST_VERDICTS = 30, 4  # rows of the table, and numbers at the top
 FEW_ROWS = 12
 RECORDING_COLUMNS = ("recording", "role", "begin (UTC)", "target", "frames", "window [px]", "exposure",
                      "configuration")
@@ -37,13 +38,20 @@ RECORDING_COLUMNS = ("recording", "role", "begin (UTC)", "target", "frames", "wi
 def numbers_of_night(night: Night, trend: Trend) -> list[KeyNumber]:
     """The numbers to see first: the last of each in this night."""
     found = [KeyNumber(*one) for one in _measured(night.date, trend)]
+    gaps = _gaps(trend)
     verdicts = [one for one in trend.verdicts if one.night == night.date]
-    if verdicts:
-        gaps = {one.name: one.points[-1].value for one in trend.series if one.points[-1].night == night.date}
-        gap = f"gap {number(gaps.get('gap_before'), '.3f')} → {number(gaps.get('gap_after'), '.3f')}"
-        named = ", ".join(verdicts[-1].effects) or verdicts[-1].verdict
-        found.append(KeyNumber("Missing in the model", named, gap))
-    return found
+    return found + [_verdict_number(one, gaps) for one in verdicts[-MOST_VERDICTS:]]
+
+
+def _verdict_number(verdict: Verdict, gaps: dict[tuple[str, str], float]) -> KeyNumber:
+    before, after = (number(gaps.get((verdict.run, f"gap_{when}")), ".3f") for when in ("before", "after"))
+    named = ", ".join(verdict.effects) or verdict.verdict
+    return KeyNumber("Missing in the model", named, f"{verdict.group}: gap {before} → {after}")
+
+
+def _gaps(trend: Trend) -> dict[tuple[str, str], float]:
+    """Numbers by run and name."""
+    return {(point.run, one.name): point.value for one in trend.series for point in one.points}
 
 
 def _measured(date: str, trend: Trend) -> Iterator[tuple[str, str, str]]:
@@ -95,7 +103,7 @@ def verdicts_section(trend: Trend, date: str) -> Section | None:
     latest = [one for one in trend.verdicts if one.night <= date][-VERDICT_NIGHTS:]
     if not latest:
         return None
-    gaps = {(point.run, one.name): point.value for one in trend.series for point in one.points}
+    gaps = _gaps(trend)
     rows = [(one.night, one.group, one.target or MISSING, one.verdict, ", ".join(one.effects) or MISSING,
              *(number(gaps.get((one.run, f"gap_{when}")), ".4f") for when in ("before", "after", "floor")))
             for one in reversed(latest)]
@@ -128,9 +136,12 @@ def drawn(trend: Trend, names: tuple[str, ...]) -> list[Series]:
 
 
 def main_series(trend: Trend, name: str) -> Series | None:
-    """Of a number that several recipes or configurations have, the series with most points."""
+    """Of a number that several recipes or configurations have, the series with most points.
+
+    Of as many, the one whose last point has the smaller error.
+    """
     found = (one for one in trend.series if one.name == name)
-    return max(found, key=lambda one: len(one.points), default=None)
+    return max(found, key=lambda one: (len(one.points), -(one.points[-1].sigma or 0.0)), default=None)
 
 
 def left_out_section(night: Night) -> Section | None:

@@ -21,6 +21,7 @@ from irlos_pipe.night.page import begin_page, is_finished, write_page
 from irlos_pipe.night.reduce import Reduced, Runner, Task, failure, planned, reduce_group, unchanged
 from irlos_pipe.night.settings import NightSettings
 from irlos_pipe.night.state import Night, Ran
+from irlos_pipe.night.text import and_more
 from irlos_pipe.night.trend import alarm_text, make_trend
 from irlos_pipe.night.trend_db import points, store, stored_key, verdicts
 from irlos_pipe.pipeline import Step
@@ -75,20 +76,27 @@ def run_night(order: Order, runner: Runner) -> Ran:
     return ran
 
 
-def plan_night(order: Order) -> list[tuple[Job, list[Step] | None]]:
+def plan_night(order: Order) -> tuple[list[tuple[Job, list[Step] | None]], list[str]]:
     """Return every job with what would be done about its stages (None: all of them); nothing is written.
+
+    Returns
+    -------
+    plan : list of (Job, list of Step or None)
+    failures : list of str
+        What could not be reduced, one line each.
 
     Raises
     ------
     NothingToDo, IrlosError
-        As in `run_night`; a recording that cannot be read is left out.
+        As in `run_night`.
     """
     require_outside_inputs(order.tree, {"NIGHT_DIR": order.folders})
     ran = Ran()
     with copied(order.tree) as connection:
         _find(order, ran, Catalogue(connection))
     jobs = [job for night in ran.nights.values() for job in night.jobs]
-    return [(job, planned(job.task, job.task.load())) for job in jobs]
+    plan = [(job, planned(job.task, job.task.load())) for job in jobs]
+    return plan, [failure for night in ran.nights.values() for failure in night.failures]
 
 
 def _find(order: Order, ran: Ran, catalogue: Catalogue) -> None:
@@ -100,10 +108,11 @@ def _find(order: Order, ran: Ran, catalogue: Catalogue) -> None:
         ran.night(one.night).recordings.append(one)
     for one in found.unusable:
         if one.night >= order.since:
+            RUN.info("left out: %s", one.problem)
             ran.night(one.night).unusable.append(one)
     rules = Rules(60 * settings.series_gap_min, settings.calibration_nights)
     _sort(order, ran, group_recordings(recordings, rules, catalogue.still_there()))
-    if not any(night.jobs or night.unusable for night in ran.nights.values()):
+    if not any(night.jobs or night.failures for night in ran.nights.values()):
         raise NothingToDo(_nothing(order, ran))
 
 
@@ -118,9 +127,10 @@ def _sort(order: Order, ran: Ran, grouping: Grouping) -> None:
 
 def _nothing(order: Order, ran: Ran) -> str:
     where = ", ".join(map(str, order.folders)) + (f" since {order.since}" if order.since else "")
-    count = sum(len(night.recordings) for night in ran.nights.values())
-    if count:
-        return f"{where}: none of the {count} recordings is of a kind that a recipe serves"
+    left_out = [one for night in ran.nights.values() for one in night.left_out]
+    if left_out:
+        first = left_out[0]
+        return f"{where}: nothing to reduce; {first.recording.name}: {first.reason}{and_more(left_out)}"
     return f"{where}: no recordings"
 
 

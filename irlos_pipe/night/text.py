@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from irlos_pipe.errors import ExitCode
 from irlos_pipe.jsonable import json_text
 from irlos_pipe.night.jobs import Job
 from irlos_pipe.night.page import page_path
@@ -31,7 +32,12 @@ def concern(ran: Ran, tree: Path) -> str:
 def _worst(night: Night) -> str:
     """The first thing that is wrong, and how many others there are."""
     wrong = [*night.failures, *night.doubts]
-    return wrong[0] + (f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else "")
+    return wrong[0] + and_more(wrong)
+
+
+def and_more(told: Sequence) -> str:
+    """What follows the first of several things when only that is told."""
+    return f" (and {len(told) - 1} more)" if len(told) > 1 else ""
 
 
 def ran_text(ran: Ran, tree: Path) -> str:
@@ -57,9 +63,16 @@ def _night(night: Night, tree: Path) -> dict[str, Any]:
             "failures": night.failures, "doubts": night.doubts}
 
 
-def plan_text(plan: Sequence[tuple[Job, list[Step] | None]], as_json: bool) -> str:
-    """Return what a run would do, one line per stage, and why."""
+def nothing_json(why: str) -> str:
+    """Return the same where there is nothing to do."""
+    return json_text({"schema": "irlos-night", "schema_version": 1, "exit_code": ExitCode.NOTHING_TO_DO,
+                      "nights": [], "nothing": why}).rstrip()
+
+
+def plan_text(plan: Sequence[tuple[Job, list[Step] | None]], failures: Sequence[str], as_json: bool) -> str:
+    """Return what a run would do, one line per stage, and why; and what it could not do."""
     rows = [(job.task.name, *row) for job, steps in plan for row in _steps(steps)]
+    rows += [("left out", "", "", failure) for failure in failures]
     if as_json:
         return json_text([dict(zip(("run", "stage", "action", "reason"), row, strict=True))
                           for row in rows]).rstrip()

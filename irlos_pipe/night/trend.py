@@ -80,7 +80,7 @@ def read_trend(tree: Path, keys: BandKeys, names: Sequence[str] = (), until: str
     Parameters
     ----------
     names : sequence of str
-        Numbers to keep; all if empty.
+        Numbers to keep, without verdicts then; all if empty.
     until : str
         Last night, ISO date; all if empty.
 
@@ -95,12 +95,13 @@ def read_trend(tree: Path, keys: BandKeys, names: Sequence[str] = (), until: str
         trend = make_trend(points(connection, until), verdicts(connection, until), keys)
     if not trend.series:
         raise NothingToDo(f"{tree}: no numbers yet" + (f" until {until}" if until else ""))
-    known = {one.name for one in trend.series}
+    known = sorted({one.name for one in trend.series}, key=_natural)
     for name in names:
         if name not in known:
             raise ConfigurationError(f"--of {name}: no such number{suggestion(name, known)}")
-    kept = tuple(one for one in trend.series if not names or one.name in names)
-    return replace(trend, series=kept)
+    if not names:
+        return trend
+    return replace(trend, series=tuple(one for one in trend.series if one.name in names), verdicts=())
 
 
 def make_trend(found: Sequence[Point], told: Sequence[Verdict], keys: BandKeys) -> Trend:

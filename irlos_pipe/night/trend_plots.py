@@ -50,14 +50,17 @@ def save_plot(trend: Trend, path: Path) -> None:
     if kind not in FORMATS:
         raise ConfigurationError(f"--plot {path}: give a name that ends in {', '.join(FORMATS)}")
     shown = trend.series[:MOST_PANELS]
-    heights = (0.6 + PANEL_IN * len(shown), 3.2)
+    heights = (0.6 + PANEL_IN * len(shown), 3.2 if trend.structures else 0.0)
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(STYLE | {"figure.facecolor": "white"})
         figure = Figure(figsize=(1.3 * WIDTH_IN, sum(heights)))
-        upper, lower = figure.subfigures(2, height_ratios=heights)
+        if trend.structures:
+            upper, lower = figure.subfigures(2, height_ratios=heights)
+            draw_structures(lower, trend)
+        else:
+            upper = figure
         draw_series(upper, shown)
-        draw_structures(lower, trend)
         with atomic_file(path) as stream:
             figure.savefig(stream, format=kind[1:], dpi=150)
 
@@ -65,8 +68,11 @@ def save_plot(trend: Trend, path: Path) -> None:
 def draw_series(figure: Figure | SubFigure, shown: Sequence[Series]) -> None:
     """Fill a figure with one panel per series, over a common time axis."""
     stack = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
+    names = [series.name for series in shown]
     for axes, series in zip(stack, shown, strict=True):
         _panel(axes, series)
+        owner = f"  ({series.recipe}, {series.configuration})" if names.count(series.name) > 1 else ""
+        axes.set_title(label(series.name) + owner, loc="left", pad=2)
     locator = AutoDateLocator(minticks=3, maxticks=8)
     stack[-1].xaxis.set_major_locator(locator)
     stack[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))
@@ -91,7 +97,6 @@ def _panel(axes: Axes, series: Series) -> None:
     places = [place for place, one in enumerate(series.points) if one.run in out]
     axes.plot(times[places], values[places], "o", color=ORANGE, markersize=8, fillstyle="none")
     _limit(axes, values, errors)
-    axes.set_title(label(series.name), loc="left", pad=2)
     axes.locator_params(axis="y", nbins=4)
 
 

@@ -7,19 +7,22 @@ from typing import Any
 
 from irlos_pipe.jsonable import json_text
 from irlos_pipe.night.stability import DAY_S, Band, Structure
+from irlos_pipe.night.text import and_more
 from irlos_pipe.night.trend import Series, Trend, alarm_text
 from irlos_pipe.night.trend_db import Point
 from irlos_pipe.report.text import number, plural
 from irlos_pipe.terminal import aligned
 
-SERIES_COLUMNS = ("number", "recipe", "night", "value", "±", "band", "nights", "")
+SERIES_COLUMNS = ("number", "recipe", "night", "value", "±", "band", "nights", "", "configuration")
 STRUCTURE_COLUMNS = ("lag [days]", "change [nm RMS]", "noise alone [nm RMS]", "pairs")
 VERDICT_COLUMNS = ("night", "group", "verdict", "effects")
 
 
 def trend_text(trend: Trend) -> str:
     """Return the last value of every number with its band, the stability of the NCPAs, and the verdicts."""
-    parts = [aligned([SERIES_COLUMNS, *map(_series_row, trend.series)])]
+    several = len({one.configuration for one in trend.series}) > 1
+    rows = [SERIES_COLUMNS, *map(_series_row, trend.series)]
+    parts = [aligned(rows if several else [row[:-1] for row in rows])]
     for (recipe, configuration), structure in trend.structures.items():
         title = f"Stability of the NCPAs, Noll 4 and up, {recipe} ({configuration}):"
         parts.append(f"{title}\n{aligned([STRUCTURE_COLUMNS, *_structure_rows(structure)])}")
@@ -46,7 +49,7 @@ def trend_json(trend: Trend) -> str:
 def alarms_line(trend: Trend) -> str:
     """Return one line on the alarms of the last night; nothing without one."""
     found = [alarm_text(*alarm) for alarm in trend.alarms(trend.last_night)]
-    return f"{plural(len(found), 'number')} out of band: {found[0]}" if found else ""
+    return f"{plural(len(found), 'number')} out of band: {found[0]}{and_more(found)}" if found else ""
 
 
 def _series_row(series: Series) -> tuple[str, ...]:
@@ -54,7 +57,7 @@ def _series_row(series: Series) -> tuple[str, ...]:
     out = any(point.run == last.run for point, _ in series.alarms)
     shown = f"{band.low:.4g} to {band.high:.4g}" if band else "too few nights"
     return (series.name, series.recipe, last.night, f"{last.value:.4g}", number(last.sigma, ".2g"), shown,
-            str(len({point.night for point in series.points})), "ALARM" if out else "")
+            str(len({point.night for point in series.points})), "ALARM" if out else "", series.configuration)
 
 
 def _structure_rows(structure: Structure) -> list[tuple[str, ...]]:
