@@ -28,10 +28,10 @@ class Entry:
 
 NCPA = (
     Entry("fft_lbfgs", "padded FFT, autograd, L-BFGS, L1", 12, 3),
-    Entry("solvephase_lm", "solvephase, LM per frame, weighted", 12, 3),
+    Entry("solvephase_lm", "solvephase, LM per frame, weighted", 60, 3),
     Entry("dip_global", "irlos dip_global, L1", CUBE, 30),
     Entry("dip_global", "irlos dip_global, L1", CUBE, 30, threads=2),
-    Entry("lift_slices", "irlos lift_slices, weighted", 60, 30),
+    Entry("lift_slices", "irlos lift_slices, weighted", CUBE, 30),
 )
 NCPA_60 = (
     Entry("fft_lbfgs_60", "padded FFT, autograd, L-BFGS, L1", 12, 3),

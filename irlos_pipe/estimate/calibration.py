@@ -275,7 +275,7 @@ def _second_start(frames: Frames, problem: ImageFit, psf: PsfModel) -> torch.Ten
 def _solve(problem: ImageFit, start: torch.Tensor, options: CalibrationOptions, report=None) -> Solution:
     if options.optimiser == "lbfgs":
         return solve_lbfgs(problem, start, max_iterations=5 * options.max_iterations)
-    fit = fit_frames if METHODS[options.method].images == "frames" and problem.reweighted else solve
+    fit = fit_frames if METHODS[options.method].images == "frames" else solve
     return fit(problem, start, max_iterations=options.max_iterations, report=report)
 
 

@@ -1,4 +1,4 @@
-"""Robust fits of all frames of a cube, which are much alike: what they share is computed once.
+"""Fits of all frames of a cube, which are much alike: what they share is computed once.
 
 The curvature at a few frames serves all others, and what it misses is learnt from the gradients along the way
 (`quasi_newton`). Plain least squares come first, as their curvature hardly changes. Only frames that are not
