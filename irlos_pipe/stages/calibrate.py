@@ -30,7 +30,9 @@ class Config(StageConfig):
     input: str = Field("calibration", description="recipe input that holds the cubes")
     each: bool = Field(False, description="every recording by itself, instead of one estimate from all")
     method: MethodName = Field("long_exposure", description="what is fitted to what")
-    loss: Literal["gaussian", "huber", "l1"] | None = Field(None, description="loss; none: the method's own")
+    loss: Literal["gaussian", "huber", "l1"] | None = Field(
+        None, description="loss (l1: kink rounded over 1 sigma; huber: 2); none: the method's own"
+    )
     optimiser: Literal["lm", "lbfgs"] = Field(
         "lm", description="Levenberg-Marquardt, or L-BFGS with autograd"
     )
