@@ -291,7 +291,7 @@ def without_bad_pixels(images_e: np.ndarray, good: np.ndarray, sampling_px: floa
         return images_e
     rows = np.flatnonzero(~good.ravel())
     weights = neighbour_prediction(good, sampling_px).weights[rows]
-    filled = images_e.reshape(len(images_e), -1).copy()
+    filled = images_e.reshape(len(images_e), good.size).copy()
     for block in blocks(len(filled)):
         images = filled[block]
         images[:, rows] = 0.0

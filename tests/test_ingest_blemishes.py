@@ -213,3 +213,10 @@ def test_only_the_hit_pixels_of_the_hit_frames_are_replaced():
     cleaned = without_hits(images, cosmic_hits(images, np.arange(len(images)), *SETTINGS), ALL, SAMPLING_PX)
     assert np.argwhere(cleaned != images).tolist() == [[3, 10, 10]]
     assert abs(cleaned[3, 10, 10] - IMAGE[10, 10]) < 20
+
+
+def test_bad_pixels_of_no_images_at_all_are_filled_too():
+    """As where every frame of a recording is saturated."""
+    good = np.ones((12, 10), dtype=bool)
+    good[3, 4] = False
+    assert without_bad_pixels(np.empty((0, 12, 10)), good, SAMPLING_PX).shape == (0, 12, 10)
