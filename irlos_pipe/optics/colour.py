@@ -56,5 +56,9 @@ class Colour(NamedTuple):
         """Transpose of `image`: from pixels (..., rows, columns) to focal samples (..., m, m)."""
         if self.transfer is None:
             return self.to_rows.mT @ (factors @ self.to_columns)
-        waves = (self.to_rows.mT @ (factors.to(self.to_rows.dtype) @ self.to_columns)) * self.transfer
-        return torch.fft.fft2(waves, s=(self.padded,) * 2).real[..., : self.samples, : self.samples]
+        half = torch.full((self.transfer.shape[-1],), 0.5, device=self.transfer.device)
+        half[[0, -1]] = 1.0  # the others stand for their conjugates, too; `padded` is even
+        waves = self.to_rows.mH @ (factors.to(self.to_rows.dtype) @ self.to_columns.conj())
+        waves = waves * (self.transfer.conj() * half)
+        spread = torch.fft.irfft2(waves, s=(self.padded,) * 2, norm="forward")
+        return spread[..., : self.samples, : self.samples]
