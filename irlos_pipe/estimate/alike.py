@@ -11,7 +11,9 @@ from dataclasses import dataclass, replace
 import torch
 
 from ..image_model import ImageModel
-from .image_fit import FRAMES_PER_GRADIENT, ImageFit
+from .image_fit import FRAMES_PER_CHUNK, FRAMES_PER_GRADIENT, ImageFit
+
+LEAST_FRAMES = 4  # in a piece
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,10 @@ class AlikeFit(ImageFit):
         value, gradient = self.gradient(x, which)
         (hessian,) = self._map(self._curvature, x, which, FRAMES_PER_GRADIENT)
         return value, gradient, hessian + torch.diag_embed(self.prior_precision[which])
+
+    def _map(self, function, x, which, size: int = FRAMES_PER_CHUNK):
+        """As in `ImageFit`, but two pieces of what is left when most members are done, lest workers idle."""
+        return super()._map(function, x, which, min(size, max(LEAST_FRAMES, -(-len(x) // 2))))
 
     def _curvature(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor]:
         columns = self._alike.columns[self._alike.frame[which]] * self.root_weight[which.to(self.device)]

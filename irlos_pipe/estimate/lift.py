@@ -25,7 +25,7 @@ from .solution import Solution, joined_tensors, mixed_tensors
 from .solve import solve
 
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
-IMAGES_AT_ONCE = 96  # a dozen copies of them are made on the way
+IMAGES_AT_ONCE = 128  # a dozen copies of them are made on the way
 COARSE_TOLERANCE = 1000.0  # 30 σ: near enough to go on with variances that follow the model
 
 
@@ -148,7 +148,7 @@ def _in_pieces(model: ImageModel, images_e, pixel_mask, noise, start_nm, options
     return LiftResult.joined(
         [
             _lift(model, images_e[some], pixel_mask, noise, start_nm[some], options.of(some), report)
-            for some in torch.arange(len(images_e)).split(IMAGES_AT_ONCE)
+            for some in torch.arange(len(images_e)).tensor_split(-(-len(images_e) // IMAGES_AT_ONCE))
         ]
     )
 
