@@ -37,6 +37,7 @@ from .inputs import Inputs
 from .measure import stopwatch
 
 REALISATIONS, FACTOR, SEED = 10, 0.5, 5
+REPEATS = 5  # of fits that take less than a second; the median counts
 FEW = 3  # frames with which libraries start up before the clock does
 TWO_WAVELENGTHS = ((1215.0, 0.5), (1625.0, 0.5))
 
@@ -111,10 +112,13 @@ def prepared_lift(inputs: Inputs, count: int, with_halo: bool) -> Callable[[], d
 
 
 def _lift(inputs: Inputs, count: int, with_halo: bool) -> dict:
-    fit = prepared_lift(inputs, count, with_halo)
-    with stopwatch() as watch:
-        errors_nm = fit()
-    return watch.over(count) | {"errors_nm": errors_nm}
+    fit, watches = prepared_lift(inputs, count, with_halo), []
+    for _ in range(REPEATS):
+        with stopwatch() as watch:
+            errors_nm = fit()
+        watches.append(watch)
+    median = sorted(watches, key=lambda one: one.cpu_s)[REPEATS // 2]
+    return median.over(count) | {"errors_nm": errors_nm}
 
 
 def lift_bare(inputs: Inputs, count: int) -> dict:
