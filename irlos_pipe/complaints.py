@@ -53,6 +53,11 @@ def suggestion(word: Any, known: Iterable[str]) -> str:
     return f"; known: {', '.join(known)}" if known else ""
 
 
+def and_more(told: Sequence) -> str:
+    """What follows the first of several things when only that is told."""
+    return f" (and {len(told) - 1} more)" if len(told) > 1 else ""
+
+
 class Complaints:
     """Collects complaints, so that all of them can be told at once."""
 

@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from irlos_pipe.complaints import and_more
 from irlos_pipe.errors import InputDataError, IrlosError, NothingToDo
 from irlos_pipe.instrument import load_instrument
 from irlos_pipe.night.catalogue import Catalogue
@@ -21,7 +22,6 @@ from irlos_pipe.night.page import begin_page, is_finished, write_page
 from irlos_pipe.night.reduce import Reduced, Runner, Task, failure, planned, reduce_group, unchanged
 from irlos_pipe.night.settings import NightSettings
 from irlos_pipe.night.state import Night, Ran
-from irlos_pipe.night.text import and_more
 from irlos_pipe.night.trend import alarm_text, make_trend
 from irlos_pipe.night.trend_db import points, store, stored_key, verdicts
 from irlos_pipe.pipeline import Step

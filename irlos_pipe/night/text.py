@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from irlos_pipe.complaints import and_more
 from irlos_pipe.errors import ExitCode
 from irlos_pipe.jsonable import json_text
 from irlos_pipe.night.jobs import Job
@@ -33,11 +34,6 @@ def _worst(night: Night) -> str:
     """The first thing that is wrong, and how many others there are."""
     wrong = [*night.failures, *night.doubts]
     return wrong[0] + and_more(wrong)
-
-
-def and_more(told: Sequence) -> str:
-    """What follows the first of several things when only that is told."""
-    return f" (and {len(told) - 1} more)" if len(told) > 1 else ""
 
 
 def ran_text(ran: Ran, tree: Path) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
+from irlos_pipe.complaints import and_more
 from irlos_pipe.jsonable import json_text
 from irlos_pipe.night.stability import DAY_S, Band, Structure
-from irlos_pipe.night.text import and_more
 from irlos_pipe.night.trend import Series, Trend, alarm_text
 from irlos_pipe.night.trend_db import Point
 from irlos_pipe.report.text import number, plural

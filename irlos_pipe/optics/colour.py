@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from .propagate import half_plane_counts
+
 NM = 1e-9
 
 
@@ -56,9 +58,8 @@ class Colour(NamedTuple):
         """Transpose of `image`: from pixels (..., rows, columns) to focal samples (..., m, m)."""
         if self.transfer is None:
             return self.to_rows.mT @ (factors @ self.to_columns)
-        half = torch.full((self.transfer.shape[-1],), 0.5, device=self.transfer.device)
-        half[[0, -1]] = 1.0  # the others stand for their conjugates, too; `padded` is even
+        counts = torch.as_tensor(half_plane_counts(self.transfer.shape[-1], self.padded)).to(self.transfer)
         waves = self.to_rows.mH @ (factors.to(self.to_rows.dtype) @ self.to_columns.conj())
-        waves = waves * (self.transfer.conj() * half)
+        waves = waves * (self.transfer.conj() / counts)  # the real FFT counts them itself
         spread = torch.fft.irfft2(waves, s=(self.padded,) * 2, norm="forward")
         return spread[..., : self.samples, : self.samples]

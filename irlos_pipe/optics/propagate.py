@@ -136,7 +136,7 @@ def baseline_to_pixels(
     baselines = torch.as_tensor(baselines_m)
     weight = torch.sinc(baselines * pixel) * pixel * 2 * grid.width_m / grid.padded
     if half:
-        weight = weight * torch.as_tensor(_half_plane_counts(len(baselines_m), grid.padded))
+        weight = weight * torch.as_tensor(half_plane_counts(len(baselines_m), grid.padded))
     return phasor(2 * np.pi * offset * baselines) * weight
 
 
@@ -150,7 +150,7 @@ def require_field(pixels: int, pixel_scale_mas: float, wavelength_m: float, grid
         )
 
 
-def _half_plane_counts(baselines: int, padded: int) -> np.ndarray:
+def half_plane_counts(baselines: int, padded: int) -> np.ndarray:
     """How often each coefficient of a real FFT of `padded` samples stands for itself or its conjugate."""
     counts = np.full(baselines, 2.0)
     counts[0] = 1

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from irlos_pipe.complaints import Complaints, Origins
+from irlos_pipe.complaints import Complaints, Origins, and_more
 from irlos_pipe.errors import ConfigurationError, InputDataError
 from irlos_pipe.sparta.fitsfile import stem
 from irlos_pipe.yamlfile import load_yaml
@@ -130,4 +130,4 @@ def _one_line(text: str) -> str:
     lines = text.splitlines()
     # a key that is misspelt is missing as well; the suggestion says more
     best = min(lines, key=lambda line: "did you mean" not in line)
-    return f"{best} (and {len(lines) - 1} more)" if len(lines) > 1 else best
+    return best + and_more(lines)

@@ -10,6 +10,7 @@ from pydantic import Field
 from irlos_pipe.blemishes import Thresholds
 from irlos_pipe.blocks import picked
 from irlos_pipe.cleaning import Cleaned, clean
+from irlos_pipe.complaints import and_more
 from irlos_pipe.dark_noise import dark_variance_e2
 from irlos_pipe.errors import InputDataError
 from irlos_pipe.instrument import Instrument
@@ -215,7 +216,6 @@ def _require_every_input(inputs: dict, rows: list[dict], failures: list[tuple[st
     for name in inputs:
         if not any(row["input"] == name for row in rows):
             reasons = [text for owner, text in failures if owner == name]
-            more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
             raise InputDataError(
-                reasons[0] + more if reasons else f"input '{name}': only darks, no star in it"
+                reasons[0] + and_more(reasons) if reasons else f"input '{name}': only darks, no star in it"
             )
