@@ -96,7 +96,7 @@ paper-quick: env ## the same with small samples, minutes
 
 paper-tables: env ## after make paper: its numbers to docs/paper_results.json, and from there into README.md
 	cp $(RUNS)/paper/paper_results.json docs/paper_results.json
-	$(BIN)/python -m irlos_pipe.paper.readme
+	$(BIN)/python -m irlos_pipe.paper.run.readme
 
 simulate: env ## recordings with a known truth (SPEC=recipes/simulations/on_sky.yaml, OUT=...)
 	$(BIN)/irlos simulate $(SPEC) --output $(OUT) $(ARGS)

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from irlos_pipe.optics.propagate import MAS
+from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.zernike import zernike_basis
-from irlos_pipe.psf_settings import PsfSettings
 
 PUPIL_SAMPLES = 127
 MAX_ITERATIONS, RELATIVE_FALL = 20, 1e-4  # stop when χ² falls by less than this

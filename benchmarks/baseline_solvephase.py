@@ -15,8 +15,8 @@ import numpy as np
 import solvephase
 
 from irlos_pipe.optics.propagate import MAS
+from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
-from irlos_pipe.psf_settings import PsfSettings
 
 PUPIL_SAMPLES = 128
 TOLERANCE = 1e-4

@@ -14,7 +14,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
-from irlos_pipe.parallel import set_workers
+from irlos_pipe.numerics.parallel import set_workers
 
 from .inputs import Inputs
 from .lift_cases import prepared_lift

@@ -17,13 +17,13 @@ import torch
 
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.noise import NoiseModel
-from irlos_pipe.parallel import set_workers
-from irlos_pipe.psf import PsfModel
-from irlos_pipe.stages.calibrate import Config as CalibrateConfig
-from irlos_pipe.stages.light_path import psf_settings
-from irlos_pipe.stages.model_effects import model_effects
-from irlos_pipe.stages.recordings import recordings_from_product
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.numerics.parallel import set_workers
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
+from irlos_pipe.stages.ingest.recordings import recordings_from_product
+from irlos_pipe.stages.model.effects import model_effects
+from irlos_pipe.stages.model.light_path import psf_settings
 
 from .frames import DIVERSITY_NM, NOLLS, PIXEL_SCALE_MAS, READ_NOISE_E, WAVELENGTH_NM, WINDOW_PX
 from .inputs import Inputs, true_zernike_nm

@@ -15,13 +15,13 @@ import torch
 from tqdm import tqdm
 
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.instrument import load_instrument
-from irlos_pipe.noise import NoiseModel
-from irlos_pipe.product import Product, read_product
-from irlos_pipe.psf_settings import PsfSettings
-from irlos_pipe.stages import lift
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.product.product import Product, read_product
 from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.model import ModelConfig
+from irlos_pipe.stages.lift import stage as lift
+from irlos_pipe.stages.model.section import ModelConfig
 
 from .frames import (
     DIVERSITY_NM,

@@ -14,16 +14,15 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.frame_settings import frame_settings
 from irlos_pipe.estimate.lift import LiftOptions, lift
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.estimate.sensitivity import dim
 from irlos_pipe.estimate.tabulated import tabulated
-from irlos_pipe.image_model import ImageModel
-from irlos_pipe.psf import PsfModel
-from irlos_pipe.psf_settings import PsfSettings
-from irlos_pipe.stages.light_path import psf_settings
-from irlos_pipe.stages.ramp_input import (
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.stages.lift.input import (
     Ramp,
     calibrated_ncpa_nm,
     effects_for_lift,
@@ -31,6 +30,7 @@ from irlos_pipe.stages.ramp_input import (
     ramp_start,
     read_ramp,
 )
+from irlos_pipe.stages.model.light_path import psf_settings
 
 from .frames import DIVERSITY_NM, PIXEL_SCALE_MAS, WINDOW_PX
 from .inputs import Inputs

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from astropy.io import fits
 
+from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.pipeline import Selection, run_recipe
 from irlos_pipe.recipe import load_recipe
-from irlos_pipe.yamlfile import yaml_text
 
 from .frames import DIVERSITY_NM, PIXEL_SCALE_MAS, READ_NOISE_E, SAMPLES, SEED, WAVELENGTH_NM
 from .inputs import Inputs

@@ -7,11 +7,11 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import fake_stages
 import pytest
 from click.testing import CliRunner, Result
+from helpers import fake_stages
 
-from irlos_pipe.cli import cli
+from irlos_pipe.commands.main import cli
 
 RECIPE = """\
 recipe: test

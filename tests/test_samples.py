@@ -44,8 +44,12 @@ def own(tmp_path_factory) -> dict:
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory) -> dict:
-    return reduce("defocus_ramp", tmp_path_factory.mktemp("shared"), calibration=SHARED / "calibration-sky",
-                  ramp=SHARED / "ramp-broad")
+    return reduce(
+        "defocus_ramp",
+        tmp_path_factory.mktemp("shared"),
+        calibration=SHARED / "calibration-sky",
+        ramp=SHARED / "ramp-broad",
+    )
 
 
 def test_the_ncpas_of_the_own_sample_are_found_within_the_quoted_scatter(own):

@@ -10,7 +10,7 @@ import click
 import numpy as np
 from tqdm import tqdm
 
-from irlos_pipe.processes import in_processes
+from irlos_pipe.files.processes import in_processes
 
 from .cases import Case, all_cases
 from .report import write_report
@@ -24,9 +24,7 @@ from .working import Folder, work
 @click.option("--sample", type=int, help="That many of them, evenly spread.")
 @click.option("--finished", is_flag=True, help="Those among them that are finished already; run none.")
 @click.option("--list", "listed", is_flag=True, help="Print the names of the cases and stop.")
-def main(
-    output: Path | None, jobs: int, only: str, sample: int | None, finished: bool, listed: bool
-) -> None:
+def main(output: Path | None, jobs: int, only: str, sample: int | None, finished: bool, listed: bool) -> None:
     """Hide effects in simulated recordings and see whether `diagnose` names them.
 
     A folder is gone on with where it stopped: finished cases are kept.

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.atomic import write_bytes
-from irlos_pipe.campaign.files import layout_of
-from irlos_pipe.campaign.series import Planned
-from irlos_pipe.jsonable import json_text
+from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.files.json import json_text
 from irlos_pipe.simulate.detector import Readout
 from irlos_pipe.simulate.exposure import exposures, telescope_of
+from irlos_pipe.simulate.recordings.files import layout_of
+from irlos_pipe.simulate.recordings.series import Planned
 
 from .cases import Case
 from .foreign import Image

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.campaign import load_spec
-from irlos_pipe.campaign.series import Planned, plan_recordings
+from irlos_pipe.files.yaml import yaml_text
+from irlos_pipe.simulate.recordings import load_spec
+from irlos_pipe.simulate.recordings.series import Planned, plan_recordings
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.yamlfile import yaml_text
 
 from .cases import IN_SKY_MODEL, MIXED_UP, Case
 from .foreign import FOREIGN, Foreign

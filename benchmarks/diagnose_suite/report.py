@@ -8,8 +8,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from irlos_pipe.atomic import write_bytes
-from irlos_pipe.jsonable import json_text
+from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.files.json import json_text
 
 from .cases import RAMP_SINGLE, SINGLE
 from .confusion import Confusion, called, draw_confusion

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from irlos_pipe.atomic import write_bytes
-from irlos_pipe.jsonable import json_text
+from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.files.json import json_text
 from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.recipe import load_recipe
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import torch
 
-from .fitting import Fitted
-from .held_out import Judge, preference
-from .optimum import Optimum
-from .refit import CLEARLY_LESS, EXPLAINS_AS_MUCH, Refit
+from irlos_pipe.diagnose.fitting import Fitted
+from irlos_pipe.diagnose.held_out import Judge, preference
+from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.refit import CLEARLY_LESS, EXPLAINS_AS_MUCH, Refit
 
 SURE = 3.0  # Vuong's statistic on the held-out frames
 LIKENESS = 0.9

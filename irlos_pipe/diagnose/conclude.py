@@ -9,28 +9,28 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from ..effects import Pinned
-from ..effects.drift import NcpaDrift
-from ..effects.pixels import BadPixels
-from ..effects.seeing_halo import SeeingHalo
-from ..estimate.total_wavefront import effects_in_modes_nm
-from .bad_pixel_check import smallest_excess_e
-from .cube import Cube
-from .decide import Accepted, Options, threshold
-from .detect import Score
-from .fine_structure import FineStructure, fine_structure
-from .fitting import Fitted
-from .held_out import Judge, gap_between
-from .motion_check import motion_ratio
-from .noise_check import PHOTONS, SPECKLES, NoiseVerdict
-from .optimum import Optimum
-from .screened_pixels import Screened, screened_step
-from .second_recording import Advice, SecondRecordings
-from .sizes import detectable, determined, parameter_covariance, public_sigma, within_reach
-from .verdict import EFFECT, NONE, UNKNOWN, Diagnosis, Pictures, Step
+from irlos_pipe.diagnose.checks.bad_pixels import smallest_excess_e
+from irlos_pipe.diagnose.checks.fine_structure import FineStructure, fine_structure
+from irlos_pipe.diagnose.checks.motion import motion_ratio
+from irlos_pipe.diagnose.checks.noise import PHOTONS, SPECKLES, NoiseVerdict
+from irlos_pipe.diagnose.checks.screened_pixels import Screened, screened_step
+from irlos_pipe.diagnose.cube import Cube
+from irlos_pipe.diagnose.decide import Accepted, Options, threshold
+from irlos_pipe.diagnose.fitting import Fitted
+from irlos_pipe.diagnose.held_out import Judge, gap_between
+from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.search.detect import Score
+from irlos_pipe.diagnose.second_recording import Advice, SecondRecordings
+from irlos_pipe.diagnose.sizes import detectable, determined, parameter_covariance, public_sigma, within_reach
+from irlos_pipe.diagnose.verdict import EFFECT, NONE, UNKNOWN, Diagnosis, Pictures, Step
+from irlos_pipe.effects import Pinned
+from irlos_pipe.effects.drift import NcpaDrift
+from irlos_pipe.effects.pixels import BadPixels
+from irlos_pipe.effects.seeing_halo import SeeingHalo
+from irlos_pipe.estimate.total_wavefront import effects_in_modes_nm
 
 if TYPE_CHECKING:
-    from .workflow import Search
+    from irlos_pipe.diagnose.workflow import Search
 
 # Part of the excess, and χ² over its expectation, from which much is left. With known noise a right name
 # leaves less than a thousandth; the residual of an AO system has more shapes than its model. Complete models

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..parallel import ordered_map
-from .ambiguity import Alternative, alternatives
-from .cube import Cube
-from .fitting import Fitted, Fitter
-from .held_out import Judge, preference
-from .motion_check import MOVING, motion_ratio
-from .optimum import Optimum
-from .refit import PER_PARAMETER, Refit
-from .verdict import Ranked
+from irlos_pipe.diagnose.ambiguity import Alternative, alternatives
+from irlos_pipe.diagnose.checks.motion import MOVING, motion_ratio
+from irlos_pipe.diagnose.cube import Cube
+from irlos_pipe.diagnose.fitting import Fitted, Fitter
+from irlos_pipe.diagnose.held_out import Judge, preference
+from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.refit import PER_PARAMETER, Refit
+from irlos_pipe.diagnose.verdict import Ranked
+from irlos_pipe.numerics.parallel import ordered_map
 
 MOTIONS, BLURS = ("tip_tilt_jitter", "vibration"), ("interpixel_crosstalk",)
 MUST_EXPLAIN = 0.8  # of what is left, for a further name

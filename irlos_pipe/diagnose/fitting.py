@@ -9,17 +9,17 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from ..effects import Effect, Parameter, Pinned
-from ..estimate.centring import start_tilts_nm
-from ..estimate.image_fit import ImageFit
-from ..estimate.parameters import Layout
-from ..estimate.priors import ncpa_sigma_nm
-from ..estimate.solve import CHI2_TOLERANCE, Solution, solve
-from ..estimate.twin import twin_of
-from ..image_model import ImageModel
-from .cube import Stack, Stacks
-from .joint_fit import OWN, JointFit
-from .view import View
+from irlos_pipe.diagnose.cube import Stack, Stacks
+from irlos_pipe.diagnose.joint_fit import OWN, JointFit
+from irlos_pipe.diagnose.view import View
+from irlos_pipe.effects import Effect, Parameter, Pinned
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.centring import start_tilts_nm
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.priors import ncpa_sigma_nm
+from irlos_pipe.estimate.twin import twin_of
+from irlos_pipe.numerics.levenberg_marquardt import CHI2_TOLERANCE, Solution, solve
 
 PRIOR_SCALE = 3.0  # over the law of the NCPAs
 MAX_ITERATIONS = 60

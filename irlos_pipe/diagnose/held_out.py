@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from .cube import Stack, Stacks
-from .fitting import Fitted
+from irlos_pipe.diagnose.cube import Stack, Stacks
+from irlos_pipe.diagnose.fitting import Fitted
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from itertools import pairwise
 
 import torch
 
-from ..estimate.image_fit import ImageFit
-from ..estimate.solve import CHI2_TOLERANCE
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.numerics.levenberg_marquardt import CHI2_TOLERANCE
 
 OWN = 4  # tip, tilt, flux and background
 

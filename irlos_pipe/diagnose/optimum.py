@@ -14,10 +14,10 @@ from functools import cached_property
 
 import torch
 
-from ..effects import Effect, Pinned
-from ..estimate.search import frozen
-from .cube import Stack, Stacks
-from .fitting import Fitted
+from irlos_pipe.diagnose.cube import Stack, Stacks
+from irlos_pipe.diagnose.fitting import Fitted
+from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.estimate.search import frozen
 
 
 @dataclass(frozen=True)

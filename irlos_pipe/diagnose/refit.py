@@ -8,12 +8,12 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from ..effects import Effect, Pinned
-from ..effects.seeing_halo import ScaledHalo
-from ..parallel import ordered_map
-from .detect import Score, gaussian_sigma
-from .fitting import Fitted, Fitter
-from .optimum import Excess, Optimum
+from irlos_pipe.diagnose.fitting import Fitted, Fitter
+from irlos_pipe.diagnose.optimum import Excess, Optimum
+from irlos_pipe.diagnose.search.detect import Score, gaussian_sigma
+from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects.seeing_halo import ScaledHalo
+from irlos_pipe.numerics.parallel import ordered_map
 
 PROPOSALS = 8
 HOPELESS = 0.1  # of the fall of χ² by a name that leaves nothing to explain: others need no fit

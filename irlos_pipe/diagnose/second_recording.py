@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..effects import Conditions
-from ..psf import PsfModel
-from ..psf_settings import PsfSettings
-from .ambiguity import likeness
-from .cube import Stack, Stacks
-from .detect import ABSORBED, NOTHING, Score, whitened_shapes
-from .fitting import Fitted, Fitter
-from .optimum import Optimum
-from .refit import Refit
-from .sizes import detectable, within_reach
-from .view import View
+from irlos_pipe.diagnose.ambiguity import likeness
+from irlos_pipe.diagnose.cube import Stack, Stacks
+from irlos_pipe.diagnose.fitting import Fitted, Fitter
+from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.refit import Refit
+from irlos_pipe.diagnose.search.detect import ABSORBED, NOTHING, Score, whitened_shapes
+from irlos_pipe.diagnose.sizes import detectable, within_reach
+from irlos_pipe.diagnose.view import View
+from irlos_pipe.effects import Conditions
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.psf_settings import PsfSettings
 
 OUT_OF_FOCUS_NM = 200.0
 BANDS_NM = {"J": (1157.0, 1273.0), "H": (1541.0, 1709.0)}

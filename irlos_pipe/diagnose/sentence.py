@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..effects import LowWindEffect
-from .verdict import NONE, UNKNOWN, Diagnosis, Step
+from irlos_pipe.diagnose.verdict import NONE, UNKNOWN, Diagnosis, Step
+from irlos_pipe.effects import LowWindEffect
 
 PHRASES = {
     "tip_tilt_jitter": "image motion of {sigma_mas:.1f} mas RMS per axis",
@@ -103,4 +103,3 @@ def _limit(diagnosis: Diagnosis) -> str:
     if limits[1]:
         words.append(f"a vibration of {limits[1]['sigma_mas']:.1f} mas")
     return f" above {' or '.join(words)}" if words else ""
-

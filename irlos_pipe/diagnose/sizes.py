@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ..effects import Effect, Pinned
-from .cube import Stack, Stacks
-from .detect import Score
-from .fitting import Fitted
+from irlos_pipe.diagnose.cube import Stack, Stacks
+from irlos_pipe.diagnose.fitting import Fitted
+from irlos_pipe.diagnose.search.detect import Score
+from irlos_pipe.effects import Effect, Pinned
 
 STEP = 1e-3  # of a standard error, in derivatives of public values
 FAR = 1e3  # standard errors, in place of a prior that there is none of

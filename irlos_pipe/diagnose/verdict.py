@@ -8,12 +8,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..effects import Pinned
-from .ambiguity import Alternative
-from .fine_structure import FineStructure
-from .held_out import Gap
-from .noise_check import NoiseVerdict
-from .second_recording import Advice
+from irlos_pipe.diagnose.ambiguity import Alternative
+from irlos_pipe.diagnose.checks.fine_structure import FineStructure
+from irlos_pipe.diagnose.checks.noise import NoiseVerdict
+from irlos_pipe.diagnose.held_out import Gap
+from irlos_pipe.diagnose.second_recording import Advice
+from irlos_pipe.effects import Pinned
 
 NONE, EFFECT, UNKNOWN = "none", "effect", "unknown"
 

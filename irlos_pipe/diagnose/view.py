@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from ..effects import Conditions, Effect, Pinned
-from ..effects.colour import Spectrum
-from ..effects.seeing_halo import ScaledHalo, SeeingHalo
-from ..effects.wavefront import DiversityError
-from ..estimate.cube import Frames
-from ..psf import PsfModel
-from ..psf_settings import PsfSettings
+from irlos_pipe.effects import Conditions, Effect, Pinned
+from irlos_pipe.effects.colour import Spectrum
+from irlos_pipe.effects.seeing_halo import ScaledHalo, SeeingHalo
+from irlos_pipe.effects.wavefront import DiversityError
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.psf_settings import PsfSettings
 
 if TYPE_CHECKING:
-    from .screened_pixels import Screened
+    from irlos_pipe.diagnose.checks.screened_pixels import Screened
 
 
 @dataclass(frozen=True)

@@ -8,22 +8,22 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from ..effects import Conditions, Effect, Pinned
-from ..effects.drift import NcpaDrift
-from ..effects.pixels import BadPixels
-from .bad_pixel_check import bad_pixel_family
-from .conclude import conclude
-from .cube import Cube, split
-from .decide import Accepted, Options, choose, explained, no_longer_needed
-from .detect import Score, scores
-from .drift_check import Drift, measure_drift
-from .families import families, names_of
-from .fitting import Fitted, Fitter
-from .noise_check import PHOTONS, judge_all
-from .optimum import Optimum
-from .refit import Refit, refits
-from .verdict import Diagnosis
-from .view import Exposures
+from irlos_pipe.diagnose.checks.bad_pixels import bad_pixel_family
+from irlos_pipe.diagnose.checks.drift import Drift, measure_drift
+from irlos_pipe.diagnose.checks.noise import PHOTONS, judge_all
+from irlos_pipe.diagnose.conclude import conclude
+from irlos_pipe.diagnose.cube import Cube, split
+from irlos_pipe.diagnose.decide import Accepted, Options, choose, explained, no_longer_needed
+from irlos_pipe.diagnose.fitting import Fitted, Fitter
+from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.refit import Refit, refits
+from irlos_pipe.diagnose.search.detect import Score, scores
+from irlos_pipe.diagnose.search.families import families, names_of
+from irlos_pipe.diagnose.verdict import Diagnosis
+from irlos_pipe.diagnose.view import Exposures
+from irlos_pipe.effects import Conditions, Effect, Pinned
+from irlos_pipe.effects.drift import NcpaDrift
+from irlos_pipe.effects.pixels import BadPixels
 
 Report = Callable[[int], None]
 

@@ -1,18 +1,18 @@
 """Physical effects beyond the static wavefront, each declaring where on the light path it acts."""
 
-from .base import Conditions, Effect, Parameter
-from .colour import AtmosphericDispersion, PlateScale, Spectrum
-from .companion import Companion
-from .drift import NcpaDrift
-from .effect_set import EffectSet, fixed_optics
-from .focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
-from .low_wind import LowWindEffect
-from .motion import TipTiltJitter, Vibration
-from .pinned import Pinned, expected
-from .pixels import BackgroundGradient, BadPixels, DetectorNonlinearity, InterpixelCrosstalk
-from .pupil_stop import AmplitudeAberration, PupilMisregistration
-from .seeing_halo import SeeingHalo
-from .wavefront import DiversityError, HighOrderNcpa, PhaseBump
+from irlos_pipe.effects.base import Conditions, Effect, Parameter
+from irlos_pipe.effects.colour import AtmosphericDispersion, PlateScale, Spectrum
+from irlos_pipe.effects.companion import Companion
+from irlos_pipe.effects.drift import NcpaDrift
+from irlos_pipe.effects.effect_set import EffectSet, fixed_optics
+from irlos_pipe.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
+from irlos_pipe.effects.low_wind import LowWindEffect
+from irlos_pipe.effects.motion import TipTiltJitter, Vibration
+from irlos_pipe.effects.pinned import Pinned, expected
+from irlos_pipe.effects.pixels import BackgroundGradient, BadPixels, DetectorNonlinearity, InterpixelCrosstalk
+from irlos_pipe.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
+from irlos_pipe.effects.seeing_halo import SeeingHalo
+from irlos_pipe.effects.wavefront import DiversityError, HighOrderNcpa, PhaseBump
 
 CATALOGUE: dict[str, type[Effect]] = {
     effect.name: effect

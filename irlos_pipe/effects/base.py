@@ -14,9 +14,9 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 import torch
 
-from ..forward_mode import along, along_all
-from ..optics.grids import OtfGrid, PupilGrid, Sampling
-from ..optics.structure import ResidualBand
+from irlos_pipe.numerics.forward_mode import along, along_all
+from irlos_pipe.optics.grids import OtfGrid, PupilGrid, Sampling
+from irlos_pipe.optics.structure import ResidualBand
 
 INFINITE = float("inf")
 Place = Literal["pupil", "otf", "sampling", "time", "detector", "ramp"]

@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from ..optics.grids import NM, OtfGrid, Sampling
-from ..optics.phasor import phasor
-from ..optics.propagate import MAS
-from .base import Conditions, OtfEffect, Parameter, SamplingEffect, number
-from .polar import components, size_and_angle
+from irlos_pipe.conventions.units import MAS, NM
+from irlos_pipe.effects.base import Conditions, OtfEffect, Parameter, SamplingEffect, number
+from irlos_pipe.effects.polar import components, size_and_angle
+from irlos_pipe.optics.grids import OtfGrid, Sampling
+from irlos_pipe.optics.phasor import phasor
 
 UM = 1e-6
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from ..optics.grids import OtfGrid
-from ..optics.phasor import phasor
-from ..optics.propagate import MAS
-from .base import Conditions, Effect, OtfEffect, Parameter, number
-from .pinned import Pinned
-from .polar import components, size_and_angle
+from irlos_pipe.conventions.units import MAS
+from irlos_pipe.effects.base import Conditions, Effect, OtfEffect, Parameter, number
+from irlos_pipe.effects.pinned import Pinned
+from irlos_pipe.effects.polar import components, size_and_angle
+from irlos_pipe.optics.grids import OtfGrid
+from irlos_pipe.optics.phasor import phasor
 
 STEP_MAS = 25.0  # of a search: less than the resolution at 1.2 µm
 INNER_MAS = 30.0  # closer than this the pair is unresolved

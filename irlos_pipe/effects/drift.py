@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import torch
 
-from .base import Conditions, Parameter, Public, TimeEffect
-from .zernike_table import ZernikeTable
+from irlos_pipe.effects.base import Conditions, Parameter, Public, TimeEffect
+from irlos_pipe.effects.zernike_table import ZernikeTable
 
 
 class NcpaDrift(ZernikeTable, TimeEffect):

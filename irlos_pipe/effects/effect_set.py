@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 import torch
 
-from ..optics.grids import Optics, OtfGrid, Sampling, Stations, Tangents
-from .base import Effect, Parameter, Place
-from .pinned import Pinned
+from irlos_pipe.effects.base import Effect, Parameter, Place
+from irlos_pipe.effects.pinned import Pinned
+from irlos_pipe.optics.grids import Optics, OtfGrid, Sampling, Stations, Tangents
 
 if TYPE_CHECKING:
-    from ..psf import PsfModel
+    from irlos_pipe.optics.psf import PsfModel
 
 PLACES = get_args(Place)
 NOTHING = torch.zeros(0, dtype=torch.float64)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from .base import Parameter, RampEffect, number
+from irlos_pipe.effects.base import Parameter, RampEffect, number
 
 
 def travel_direction(commanded_nm: np.ndarray) -> np.ndarray:

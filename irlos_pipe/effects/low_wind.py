@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from ..optics.grids import PupilGrid
-from ..optics.petals import PETALS, petal_amplitudes, petal_index
-from .base import Parameter, Public, PupilEffect
+from irlos_pipe.effects.base import Parameter, Public, PupilEffect
+from irlos_pipe.optics.grids import PupilGrid
+from irlos_pipe.optics.petals import PETALS, petal_amplitudes, petal_index
 
 KINDS, KIND_NOLLS = ("piston_nm", "tip_nm", "tilt_nm"), (1, 2, 3)
 PETAL_SIGMA_NM = 300.0

@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from ..optics.grids import OtfGrid
-from ..optics.propagate import MAS
-from .base import Effect, OtfEffect, Parameter, Public, number
-from .bessel import j0_of_twice_root
-from .pinned import Pinned
+from irlos_pipe.conventions.units import MAS
+from irlos_pipe.effects.base import Effect, OtfEffect, Parameter, Public, number
+from irlos_pipe.effects.bessel import j0_of_twice_root
+from irlos_pipe.effects.pinned import Pinned
+from irlos_pipe.optics.grids import OtfGrid
 
 LARGEST_MAS = 60.0
 PLAUSIBLE_MAS2 = (0.0, 40.0**2)

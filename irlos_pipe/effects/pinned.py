@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from .base import Effect, Parameter
+from irlos_pipe.effects.base import Effect, Parameter
 
 
 class Pinned:

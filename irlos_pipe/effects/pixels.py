@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from .base import Conditions, DetectorEffect, Parameter, Public, number
-from .polar import components, size_and_angle
+from irlos_pipe.effects.base import Conditions, DetectorEffect, Parameter, Public, number
+from irlos_pipe.effects.polar import components, size_and_angle
 
 NEIGHBOURS = ((0, 1), (2, 1), (1, 0), (1, 2))  # offsets in an image padded by one pixel
 

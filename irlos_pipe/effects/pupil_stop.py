@@ -9,13 +9,13 @@ from functools import lru_cache
 import numpy as np
 import torch
 
-from ..geometry import PupilGeometry, Vane
-from ..optics.grids import PupilGrid
-from ..optics.pupil import band_limited
-from ..optics.pupil_edges import PupilEdges
-from .base import Conditions, Effect, Parameter, Public, PupilEffect, number
-from .pinned import Pinned
-from .zernike_table import ZernikeTable
+from irlos_pipe.conventions.pupil import PupilGeometry, Vane
+from irlos_pipe.effects.base import Conditions, Effect, Parameter, Public, PupilEffect, number
+from irlos_pipe.effects.pinned import Pinned
+from irlos_pipe.effects.zernike_table import ZernikeTable
+from irlos_pipe.optics.grids import PupilGrid
+from irlos_pipe.optics.pupil import band_limited
+from irlos_pipe.optics.pupil_edges import PupilEdges
 
 CELL_M = 0.008  # of the drawing
 DIRECTIONS = 8

@@ -3,6 +3,7 @@
 The structure function D is that of the residual inside the correction band (free variance,
 slope, two-fold and four-fold anisotropy; the variance, because ∂μ/∂σ vanishes at σ = 0) plus that of the
 von Kármán turbulence beyond it. Its light falls mostly outside a window of 0.6", where it cannot be told
+from irlos_pipe.conventions.units import NM
 from flux and background: the seeing fixes it, and where that was not measured, the residual in the band.
 """
 
@@ -13,16 +14,16 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from ..optics.grids import NM, OtfGrid
-from ..optics.propagate import FocalGrid
-from ..optics.structure import (
+from irlos_pipe.effects.base import Conditions, Effect, OtfEffect, Parameter, number
+from irlos_pipe.optics.grids import OtfGrid
+from irlos_pipe.optics.propagate import FocalGrid
+from irlos_pipe.optics.structure import (
     InBandResidual,
     ResidualBand,
     fitting_structure_nm2,
     fitting_variance_nm2,
     seeing_to_r0_m,
 )
-from .base import Conditions, Effect, OtfEffect, Parameter, number
 
 WFE_PER_ARCSEC_NM, WFE_FLOOR_NM = 104.27, 58.6  # total residual against seeing, GALACSI test report 2019
 

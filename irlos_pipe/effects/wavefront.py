@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from ..forward_mode import along
-from ..optics.grids import PupilGrid
-from ..optics.zernike import noll_to_nm
-from .base import Conditions, Effect, Parameter, Public, PupilEffect, number
-from .pinned import Pinned
-from .zernike_table import ZernikeTable
+from irlos_pipe.effects.base import Conditions, Effect, Parameter, Public, PupilEffect, number
+from irlos_pipe.effects.pinned import Pinned
+from irlos_pipe.effects.zernike_table import ZernikeTable
+from irlos_pipe.numerics.forward_mode import along
+from irlos_pipe.optics.grids import PupilGrid
+from irlos_pipe.optics.zernike import noll_to_nm
 
 HIGH_ORDER_SIGMA_NM = 60.0
 EXTRA_ORDERS = 2  # radial orders beyond the estimated modes, by default

@@ -1,0 +1,1 @@
+"""Estimators: NCPA calibration, LIFT, elongation prior, bounds and sensitivity."""

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from ..image_model import ImageModel
-from .image_fit import FRAMES_PER_CHUNK, FRAMES_PER_GRADIENT, ImageFit
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.image_fit import FRAMES_PER_CHUNK, FRAMES_PER_GRADIENT, ImageFit
 
 LEAST_FRAMES = 4  # in a piece
 

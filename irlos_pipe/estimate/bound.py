@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import torch
 
-from ..image_model import ImageModel
-from ..noise import NoiseModel
-from .solve import scaled_inverse
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 
 
 def cramer_rao_nm(

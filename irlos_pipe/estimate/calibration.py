@@ -9,28 +9,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ..blocks import blocks
-from ..effects import Effect, Pinned
-from ..image_model import ImageModel
-from ..psf import PsfModel
-from ..psf_settings import PsfSettings
-from .centring import start_tilts_nm
-from .cube import Frames, mean_variance_e2
-from .drift import drifts, measured_drift
-from .frame_fits import fit_frames
-from .frame_settings import frame_settings
-from .image_fit import ImageFit, masked_variance
-from .lbfgs import solve_lbfgs
-from .loss import LOSSES
-from .methods import METHODS, Method
-from .parameters import Layout
-from .priors import ncpa_sigma_nm
-from .scatter import covariance_of_mean
-from .search import located, searched_for
-from .second_start import HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
-from .solve import Solution, solve
-from .total_wavefront import effects_in_modes_nm
-from .twin import TwinCheck, check_twin
+from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.centring import start_tilts_nm
+from irlos_pipe.estimate.cube import Frames, mean_variance_e2
+from irlos_pipe.estimate.drift import drifts, measured_drift
+from irlos_pipe.estimate.frame_fits import fit_frames
+from irlos_pipe.estimate.frame_settings import frame_settings
+from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
+from irlos_pipe.estimate.lbfgs import solve_lbfgs
+from irlos_pipe.estimate.methods import METHODS, Method
+from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.priors import ncpa_sigma_nm
+from irlos_pipe.estimate.scatter import covariance_of_mean
+from irlos_pipe.estimate.search import located, searched_for
+from irlos_pipe.estimate.second_start import HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
+from irlos_pipe.estimate.total_wavefront import effects_in_modes_nm
+from irlos_pipe.estimate.twin import TwinCheck, check_twin
+from irlos_pipe.frames.blocks import blocks
+from irlos_pipe.numerics.levenberg_marquardt import Solution, solve
+from irlos_pipe.numerics.loss import LOSSES
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.psf_settings import PsfSettings
 
 ROUGH_ITERATIONS = 6  # of the few frames whose median all others start from
 
@@ -253,9 +253,7 @@ def _centred(images, pixel_mask, layout: Layout, settings: PsfSettings) -> torch
 def _frames_start(frames: Frames, problem: ImageFit) -> torch.Tensor:
     """What a few frames agree on, which is close for all; tip and tilt of every frame by itself."""
     model = problem.model.psf
-    median_nm = median_of_frames_nm(
-        model, frames.images_e, frames.pixel_mask, frames.noise, ROUGH_ITERATIONS
-    )
+    median_nm = median_of_frames_nm(model, frames.images_e, frames.pixel_mask, frames.noise, ROUGH_ITERATIONS)
     x = _start(frames, problem, model.settings)
     scale, diameter = model.settings.pixel_scale_mas, model.settings.geometry.diameter_m
     modelled = start_tilts_nm(model.images(median_nm[None]).double().cpu(), scale, diameter)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from ..optics.propagate import MAS
+from irlos_pipe.conventions.units import MAS
 
 TILT_NM_PER_RAD = 1e9 / 4  # a tilt θ over the diameter D is θ D/4 RMS
 

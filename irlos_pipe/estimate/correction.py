@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ..optics.grids import Optics
-from ..psf import PsfModel
-from ..psf_settings import PsfSettings
+from irlos_pipe.optics.grids import Optics
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.psf_settings import PsfSettings
 
 
 @dataclass(frozen=True)

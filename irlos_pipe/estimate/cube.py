@@ -7,8 +7,8 @@ from functools import cached_property
 
 import torch
 
-from ..blocks import frame_flux, frame_variance, mean_frame
-from ..noise import NoiseModel
+from irlos_pipe.frames.blocks import frame_flux, frame_variance, mean_frame
+from irlos_pipe.frames.noise import NoiseModel
 
 LOCAL_PX = 5  # side of the square over which scatter is averaged
 

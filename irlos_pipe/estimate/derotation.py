@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..optics.rotation import partner, rotation_matrix
-from ..optics.zernike import noll_to_nm
+from irlos_pipe.optics.rotation import partner, rotation_matrix
+from irlos_pipe.optics.zernike import noll_to_nm
 
 POINTING = (2, 3)
 LEAST_SPREAD = 0.01  # 1 − |mean of exp(imα)|²; below it the parts' errors exceed tenfold that of the sum

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..effects import Effect, Pinned
+from irlos_pipe.effects import Effect, Pinned
 
 
 def drifts(effect: Effect | Pinned) -> bool:

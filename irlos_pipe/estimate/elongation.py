@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..optics.grids import Optics
-from ..parallel import joined_map
-from ..psf import AS_BUILT, PsfModel
-from .solve import Solution, solve
+from irlos_pipe.numerics.levenberg_marquardt import Solution, solve
+from irlos_pipe.numerics.parallel import joined_map
+from irlos_pipe.optics.grids import Optics
+from irlos_pipe.optics.psf import AS_BUILT, PsfModel
 
 SPAN_NM = np.linspace(-400.0, 400.0, 33)  # defocus scanned for the calibration of A and B
 IMAGES_AT_ONCE = 16  # their derivatives, 3 MiB, stay in the cache, and the allocator keeps such pieces

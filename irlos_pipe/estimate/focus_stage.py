@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..effects import Effect, Pinned
+from irlos_pipe.effects import Effect, Pinned
 
 LEAST_SURVIVAL = 1e-6  # of a column's power beside the others
 

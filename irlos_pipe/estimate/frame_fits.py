@@ -12,10 +12,17 @@ from dataclasses import replace
 
 import torch
 
-from .image_fit import ImageFit
-from .loss import GAUSSIAN
-from .quasi_newton import polish
-from .solve import CONVERGED, INVALID, MAX_ITERATIONS, Solution, scaled_inverse, solve
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.numerics.levenberg_marquardt import (
+    CONVERGED,
+    INVALID,
+    MAX_ITERATIONS,
+    Solution,
+    scaled_inverse,
+    solve,
+)
+from irlos_pipe.numerics.loss import GAUSSIAN
+from irlos_pipe.numerics.quasi_newton import polish
 
 FEW = 10  # frames whose mean curvature stands for that of all
 LEAST_SQUARES_EVALUATIONS = 4

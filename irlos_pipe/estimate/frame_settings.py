@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ..optics.grids import NM
-from ..optics.propagate import pupil_samples_for
-from ..psf_settings import PsfSettings
+from irlos_pipe.conventions.units import NM
+from irlos_pipe.optics.propagate import pupil_samples_for
+from irlos_pipe.optics.psf_settings import PsfSettings
 
 MARGIN_MAS = 100.0
 HALO_MARGIN_MAS = 320.0

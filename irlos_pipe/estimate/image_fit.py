@@ -11,13 +11,13 @@ import math
 
 import torch
 
-from ..image_model import ImageModel
-from ..parallel import joined_map
-from .least_squares import normal_equations
-from .linearised import Linearised
-from .loss import GAUSSIAN, Loss
-from .parameters import Layout
-from .solve import CHI2_TOLERANCE
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.numerics.least_squares import normal_equations
+from irlos_pipe.numerics.levenberg_marquardt import CHI2_TOLERANCE
+from irlos_pipe.numerics.linearised import Linearised
+from irlos_pipe.numerics.loss import GAUSSIAN, Loss
+from irlos_pipe.numerics.parallel import joined_map
 
 FRAMES_PER_CHUNK = 8
 FRAMES_PER_GRADIENT = 16

@@ -7,8 +7,14 @@ from __future__ import annotations
 
 import torch
 
-from .image_fit import ImageFit
-from .solve import CONVERGED, INVALID, MAX_ITERATIONS, Solution, scaled_inverse
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.numerics.levenberg_marquardt import (
+    CONVERGED,
+    INVALID,
+    MAX_ITERATIONS,
+    Solution,
+    scaled_inverse,
+)
 
 HISTORY = 20
 GRADIENT_TOLERANCE = 1e-2  # in units of one standard error

@@ -15,14 +15,14 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from ..image_model import ImageModel
-from ..noise import NoiseModel
-from .alike import Alike, AlikeFit
-from .image_fit import ImageFit, masked_variance
-from .parameters import Layout
-from .photon_fit import PhotonFit
-from .solution import Solution, joined_tensors, mixed_tensors
-from .solve import solve
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.alike import Alike, AlikeFit
+from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
+from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.photon_fit import PhotonFit
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.solution import Solution, joined_tensors, mixed_tensors
 
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
 IMAGES_AT_ONCE = 128  # a dozen copies of them are made on the way

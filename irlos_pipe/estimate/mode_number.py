@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from ..effects import Effect, Pinned
-from ..psf_settings import PsfSettings
-from .calibration import Calibration, CalibrationOptions, calibrate
-from .cube import Frames, mean_variance_e2
+from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
+from irlos_pipe.estimate.cube import Frames, mean_variance_e2
+from irlos_pipe.optics.psf_settings import PsfSettings
 
 BLOCKS_PER_HALF = 8
 LEAST_FRAMES = 4 * BLOCKS_PER_HALF

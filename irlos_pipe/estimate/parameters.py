@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import torch
 
-from ..effects.base import Parameter
+from irlos_pipe.effects.base import Parameter
 
 INFINITE = float("inf")
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import torch
 
-from ..image_model import ImageModel
-from ..noise import NoiseModel
-from .image_fit import ImageFit
-from .parameters import Layout
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.frames.noise import NoiseModel
 
 
 class PhotonFit(ImageFit):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ..effects import Effect, Pinned, SeeingHalo, TipTiltJitter, expected
+from irlos_pipe.effects import Effect, Pinned, SeeingHalo, TipTiltJitter, expected
 
 
 def ramp_effects(

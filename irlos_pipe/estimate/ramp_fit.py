@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..effects import Effect, EffectSet, Pinned
-from ..effects.effect_set import NOTHING
-from ..image_model import ImageModel
-from ..noise import NoiseModel
-from ..psf import PsfModel
-from .centring import start_tilts_nm
-from .lift import LiftOptions, LiftResult, image_problem, lift, smooth
-from .parameters import Layout
-from .shared import SharedFit, fit_shared
-from .start import scan_start_nm
-from .tabulated import tabulated
+from irlos_pipe.effects import Effect, EffectSet, Pinned
+from irlos_pipe.effects.effect_set import NOTHING
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.centring import start_tilts_nm
+from irlos_pipe.estimate.lift import LiftOptions, LiftResult, image_problem, lift, smooth
+from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.shared import SharedFit, fit_shared
+from irlos_pipe.estimate.start import scan_start_nm
+from irlos_pipe.estimate.tabulated import tabulated
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.optics.psf import PsfModel
 
 OUTLIER_CHI2 = 2.0  # a fit this much worse than the median of the ramp gets a second try
 FEWEST_FRAMES = 3  # whose fits take longer than making a table of images
@@ -113,9 +113,7 @@ def _fit_effects(model: PsfModel, data: RampData, start_nm: torch.Tensor, effect
     return fit_shared(problem, layout.start((data.images_e * data.pixel_mask).flatten(1), start_nm))
 
 
-def second_try(
-    model: ImageModel, data: RampData, result: LiftResult, options: LiftOptions
-) -> LiftResult:
+def second_try(model: ImageModel, data: RampData, result: LiftResult, options: LiftOptions) -> LiftResult:
     """Restart frames that failed, fit badly or contradict the defocus scan; keep whichever fits better.
 
     To stand out, a bad fit needs good ones beside it; the scan judges every frame by itself.

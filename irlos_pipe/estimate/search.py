@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import torch
 
-from ..effects import Effect, EffectSet, Pinned
-from ..effects.base import OtfEffect, PupilEffect
-from ..effects.effect_set import NOTHING
-from ..image_model import ImageModel
-from ..optics.grids import OtfGrid, PupilGrid
-from .image_fit import ImageFit
+from irlos_pipe.effects import Effect, EffectSet, Pinned
+from irlos_pipe.effects.base import OtfEffect, PupilEffect
+from irlos_pipe.effects.effect_set import NOTHING
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.optics.grids import OtfGrid, PupilGrid
 
 RIDGE = 1e-12  # of the diagonal of the normal matrix
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import torch
 
-from ..image_model import ImageModel
-from ..noise import NoiseModel
-from ..psf import PsfModel
-from .centring import start_tilts_nm
-from .image_fit import ImageFit
-from .lift import LiftOptions, lift
-from .solve import INVALID, Solution
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.centring import start_tilts_nm
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.lift import LiftOptions, lift
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.numerics.levenberg_marquardt import INVALID, Solution
+from irlos_pipe.optics.psf import PsfModel
 
 PLAUSIBLE_CHI2 = 4.0  # χ²/ν of right solutions stays below 3, that of wrong ones is 10 and more
 FRAMES = 10

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ..image_model import ImageModel
-from ..noise import NoiseModel
-from .alike import alike
-from .bound import cramer_rao_nm
-from .lift import LiftOptions, lift
-from .ramp_fit import RampData
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.alike import alike
+from irlos_pipe.estimate.bound import cramer_rao_nm
+from irlos_pipe.estimate.lift import LiftOptions, lift
+from irlos_pipe.estimate.ramp_fit import RampData
+from irlos_pipe.frames.noise import NoiseModel
 
 MEDIAN_OF_NORMAL = 0.6745  # median |error| of a normal variable of unit variance
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from ..optics.grids import Optics
-from ..optics.propagate import MAS
-from ..psf import AS_BUILT, PsfModel
-from .centring import TILT_NM_PER_RAD
+from irlos_pipe.conventions.units import MAS
+from irlos_pipe.estimate.centring import TILT_NM_PER_RAD
+from irlos_pipe.optics.grids import Optics
+from irlos_pipe.optics.psf import AS_BUILT, PsfModel
 
 SCAN_NM = np.linspace(-700.0, 700.0, 15)
 

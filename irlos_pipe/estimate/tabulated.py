@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import torch
 
-from ..effects.effect_set import EffectSet
-from ..focus_table import FocusTable, Reach, can_tabulate, is_family, place_of_focus
-from ..image_model import ImageModel
-from ..psf import PsfModel
-from .start import SCAN_NM
+from irlos_pipe.effects.effect_set import EffectSet
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.start import SCAN_NM
+from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate, is_family, place_of_focus
+from irlos_pipe.optics.psf import PsfModel
 
 FOCUS_REACH_NM = 400.0  # beyond the starts; few fits move further
 TILT_REACH_NM = 250.0  # between two and three pixels

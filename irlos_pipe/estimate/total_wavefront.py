@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from ..effects import EffectSet
-from ..forward_mode import pushed
-from ..optics.grids import PupilGrid
+from irlos_pipe.effects import EffectSet
+from irlos_pipe.numerics.forward_mode import pushed
+from irlos_pipe.optics.grids import PupilGrid
 
 
 def effects_in_modes_nm(

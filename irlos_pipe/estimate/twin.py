@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import torch
 
-from ..optics.zernike import noll_to_nm
-from .image_fit import ImageFit
-from .solve import solve
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.optics.zernike import noll_to_nm
 
 
 @dataclass(frozen=True)

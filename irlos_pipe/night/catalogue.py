@@ -7,7 +7,7 @@ import sqlite3
 from dataclasses import asdict
 from pathlib import Path
 
-from irlos_pipe.jsonable import json_text
+from irlos_pipe.files.json import json_text
 from irlos_pipe.night.description import Description
 
 
@@ -32,8 +32,10 @@ class Catalogue:
 
     def remember(self, file: Path, stamp: str, description: Description) -> None:
         """Keep a description, for good at once: reading an archive takes long and may be interrupted."""
-        self._connection.execute("INSERT OR REPLACE INTO recordings VALUES (?, ?, ?)",
-                                 (str(file), stamp, json_text(asdict(description), None)))
+        self._connection.execute(
+            "INSERT OR REPLACE INTO recordings VALUES (?, ?, ?)",
+            (str(file), stamp, json_text(asdict(description), None)),
+        )
         self._connection.commit()
 
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from irlos_pipe.errors import ConfigurationError, IrlosError
+from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
 from irlos_pipe.night.reduce import Reduced, Runner, Task, failure
 from irlos_pipe.pipeline.provenance import software_versions
 from irlos_pipe.pipeline.runlog import RUN
@@ -67,8 +67,9 @@ def _all_done(client: Client, work: Callable[..., Reduced], tasks: Sequence[Task
         yield _outcome(future, task)
 
 
-def _as_completed(client: Client, work: Callable[..., Reduced], tasks: Sequence[Task],
-                  in_flight: int) -> Iterator[tuple[Future, Task]]:
+def _as_completed(
+    client: Client, work: Callable[..., Reduced], tasks: Sequence[Task], in_flight: int
+) -> Iterator[tuple[Future, Task]]:
     """Yield the last stages of the tasks as they end, no more than so many tasks under way at a time."""
     waiting, owners = iter(tasks), {}
 
@@ -112,8 +113,10 @@ def _connected(scheduler: str) -> Iterator[Client]:
         _require_port(scheduler)
         client = _distributed().Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:  # a timeout is an OSError
-        raise ConfigurationError(f"--scheduler {scheduler}: no Dask scheduler answers there "
-                                 f"({next(iter(str(error).splitlines()), type(error).__name__)})") from error
+        raise ConfigurationError(
+            f"--scheduler {scheduler}: no Dask scheduler answers there "
+            f"({next(iter(str(error).splitlines()), type(error).__name__)})"
+        ) from error
     with client:
         _require_workers(client, scheduler)
         yield client
@@ -132,8 +135,10 @@ def _require_workers(client: Client, scheduler: str) -> None:
     try:
         client.wait_for_workers(1, timeout=WORKERS_S)
     except TimeoutError:
-        raise IrlosError(f"--scheduler {scheduler}: no worker within {WORKERS_S // 60} minutes; "
-                         f"start some with: dask worker {scheduler} --nthreads 1") from None
+        raise IrlosError(
+            f"--scheduler {scheduler}: no worker within {WORKERS_S // 60} minutes; "
+            f"start some with: dask worker {scheduler} --nthreads 1"
+        ) from None
     _require_same_software(client)
 
 
@@ -141,19 +146,25 @@ def _require_same_software(client: Client) -> None:
     own = software_versions()
     for address, versions in client.run(software_versions).items():
         if versions != own:
-            raise ConfigurationError(f"worker {address}: {_difference(versions, own)}; "
-                                     "results would not be the same: install the same versions")
+            raise ConfigurationError(
+                f"worker {address}: {_difference(versions, own)}; "
+                "results would not be the same: install the same versions"
+            )
 
 
 def _difference(theirs: dict[str, str], own: dict[str, str]) -> str:
-    return ", ".join(f"{name} {theirs.get(name, 'missing')} instead of {own.get(name, 'none')}"
-                     for name in own | theirs if theirs.get(name) != own.get(name))
+    return ", ".join(
+        f"{name} {theirs.get(name, 'missing')} instead of {own.get(name, 'none')}"
+        for name in own | theirs
+        if theirs.get(name) != own.get(name)
+    )
 
 
 def _distributed() -> Any:
     try:
         import distributed
     except ImportError:
-        raise ConfigurationError("--engine dask: Dask is not installed; "
-                                 "pip install 'irlos-pipe[dask]'") from None
+        raise ConfigurationError(
+            "--engine dask: Dask is not installed; pip install 'irlos-pipe[dask]'"
+        ) from None
     return distributed

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from irlos_pipe.errors import InputDataError, IrlosError
+from irlos_pipe.conventions.errors import InputDataError, IrlosError
 
 NAME = "trend.sqlite"
 SCHEMA_VERSION = 1
@@ -63,8 +63,10 @@ def opened(tree: Path) -> Iterator[sqlite3.Connection]:
         finally:
             connection.close()
     except sqlite3.Error as error:
-        raise IrlosError(f"{path}: {error}; the products hold all of it: move the file away and run irlos "
-                         "night again to have it made anew") from error
+        raise IrlosError(
+            f"{path}: {error}; the products hold all of it: move the file away and run irlos "
+            "night again to have it made anew"
+        ) from error
 
 
 @contextmanager
@@ -91,8 +93,10 @@ def existing(tree: Path) -> Iterator[sqlite3.Connection]:
         When there is none.
     """
     if not (tree / NAME).is_file():
-        raise InputDataError(f"{tree}: not the tree of irlos night (no {NAME}); make one with: "
-                             "irlos night NIGHT_DIR --output TREE")
+        raise InputDataError(
+            f"{tree}: not the tree of irlos night (no {NAME}); make one with: "
+            "irlos night NIGHT_DIR --output TREE"
+        )
     with opened(tree) as connection:
         yield connection
 

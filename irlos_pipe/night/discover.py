@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from irlos_pipe.errors import InputDataError, NothingToDo
-from irlos_pipe.instrument import Instrument
-from irlos_pipe.jsonable import canonical_json
+from irlos_pipe.conventions.errors import InputDataError, NothingToDo
+from irlos_pipe.files.json import canonical_json
+from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.night.catalogue import Catalogue
 from irlos_pipe.night.description import Description, common_depth, night_of
-from irlos_pipe.sparta import recorder
-from irlos_pipe.sparta.find import recording_files
-from irlos_pipe.sparta.sidecar import AcquisitionKeys, sidecar_path
-from irlos_pipe.stages.ingest_sources import Source, read_sources
+from irlos_pipe.readers import recorder
+from irlos_pipe.readers.find import recording_files
+from irlos_pipe.readers.sidecar import AcquisitionKeys, sidecar_path
+from irlos_pipe.stages.ingest.sources import Source, read_sources
 
 DATED = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?!\d)")
 # What the readers remark is told when the recording is reduced.
@@ -43,8 +43,9 @@ class Discovered:
     unusable: list[Unusable] = field(default_factory=list)
 
 
-def discover(folders: Sequence[Path], keys: AcquisitionKeys, instrument: Instrument,
-             catalogue: Catalogue) -> Discovered:
+def discover(
+    folders: Sequence[Path], keys: AcquisitionKeys, instrument: Instrument, catalogue: Catalogue
+) -> Discovered:
     """Describe every recording under the folders; one that cannot be read does not stop the others.
 
     Parameters
@@ -102,8 +103,9 @@ def _alone(files: Iterable[Path]) -> set[Path]:
     return {folder for folder, count in counts.items() if count == 1}
 
 
-def _describe(file: Path, alone: set[Path], keys: AcquisitionKeys, instrument: Instrument,
-              catalogue: Catalogue) -> Description:
+def _describe(
+    file: Path, alone: set[Path], keys: AcquisitionKeys, instrument: Instrument, catalogue: Catalogue
+) -> Description:
     stamp = _stamp(file, keys, alone)
     known = catalogue.known(file, stamp)
     if known is not None:

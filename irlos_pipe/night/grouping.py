@@ -75,8 +75,9 @@ class Rules:
     nights: int = 7
 
 
-def group_recordings(found: Iterable[Description], rules: Rules | None = None,
-                     others: Iterable[Description] = ()) -> Grouping:
+def group_recordings(
+    found: Iterable[Description], rules: Rules | None = None, others: Iterable[Description] = ()
+) -> Grouping:
     """Sort recordings into groups.
 
     A calibration cube is a group of its own. Recordings of a ramp are of one night, share configuration,
@@ -101,8 +102,9 @@ def group_recordings(found: Iterable[Description], rules: Rules | None = None,
     return grouping
 
 
-def _group_night(found: Sequence[Description], cubes: Sequence[Description], rules: Rules,
-                 grouping: Grouping) -> None:
+def _group_night(
+    found: Sequence[Description], cubes: Sequence[Description], rules: Rules, grouping: Grouping
+) -> None:
     """Group the recordings of one night; `cubes` are those of all nights."""
     grouping.left_out.extend(LeftOut(one, ONE_LENSLET) for one in found if not one.full_pupil)
     roles = _split((one for one in found if one.full_pupil), lambda one: one.role)
@@ -141,8 +143,11 @@ def _series(found: Sequence[Description], gap_s: float) -> Iterator[tuple[Descri
 def _serving(ramp: Description, cubes: Iterable[Description], nights: int) -> Description | None:
     """The calibration that serves a ramp. Earlier nights come before later ones, which are not known yet
     on the morning after: what is found then stays the choice."""
-    fitting = [cube for cube in cubes if cube.configuration == ramp.configuration
-               and abs(_nights_apart(cube, ramp)) <= nights]
+    fitting = [
+        cube
+        for cube in cubes
+        if cube.configuration == ramp.configuration and abs(_nights_apart(cube, ramp)) <= nights
+    ]
     return min(fitting, key=lambda cube: _preference(cube, ramp), default=None)
 
 
@@ -166,8 +171,10 @@ def _apart_s(one: Description, other: Description) -> float:
 
 def _with_darks(group: Group, darks: Sequence[Description]) -> Group:
     """Add to every input the darks that ingest may take for it."""
-    inputs = {name: (*members, *(dark for dark in darks if _fits(dark, members[0])))
-              for name, members in group.inputs.items()}
+    inputs = {
+        name: (*members, *(dark for dark in darks if _fits(dark, members[0])))
+        for name, members in group.inputs.items()
+    }
     return Group(group.kind, group.night, group.name, inputs)
 
 

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from irlos_pipe.errors import ConfigurationError
-from irlos_pipe.jsonable import jsonable
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.files.json import jsonable
+from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.night.grouping import Group
 from irlos_pipe.night.reduce import Task
 from irlos_pipe.night.settings import NightSettings
-from irlos_pipe.yamlfile import load_yaml
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,10 @@ def _inputs(recipe: Path, group: Group) -> tuple[str, ...]:
     for name in names:
         if name not in group.inputs:
             offered = " and ".join(f"'{one}'" for one in group.inputs)
-            raise ConfigurationError(f"{recipe}: wants input '{name}'; a group of kind '{group.kind}' offers "
-                                     f"{offered}; choose another recipe with --recipe {group.kind}=PATH")
+            raise ConfigurationError(
+                f"{recipe}: wants input '{name}'; a group of kind '{group.kind}' offers "
+                f"{offered}; choose another recipe with --recipe {group.kind}=PATH"
+            )
     return tuple(f"{name}={recording.path}" for name in names for recording in group.inputs[name])
 
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 
+from irlos_pipe.files.processes import in_processes
 from irlos_pipe.night.reduce import Reduced, Runner, Task, failure
-from irlos_pipe.processes import in_processes
 
 KILLED = "its process was killed, perhaps for want of memory; run again, with fewer --jobs"
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from irlos_pipe.errors import InputDataError
+from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.night.grouping import CALIBRATION, RAMP
-from irlos_pipe.product import read_product
-from irlos_pipe.runfolder import existing_run
+from irlos_pipe.product.product import read_product
+from irlos_pipe.product.runfolder import existing_run
 
 Numbers = Iterator[tuple[str, Any, Any]]
 

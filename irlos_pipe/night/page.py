@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from pathlib import Path
 
-from irlos_pipe.atomic import write_bytes
+from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.night.page_sections import (
     left_out_section,
     numbers_of_night,
@@ -73,12 +73,25 @@ def _status(night: Night) -> str:
 
 def _write(tree: Path, night: Night, trend: Trend | None, status: str) -> None:
     shown = trend or make_trend((), (), BandKeys())
-    sections = [reductions_section(night), verdicts_section(shown, night.date), trend_section(shown),
-                left_out_section(night), recordings_section(night)]
-    page = rendered(TEMPLATE, date=night.date, status=status, running=status == RUNNING, night=night,
-                    finished=FINISHED if status not in (RUNNING, "stopped") else "",
-                    written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", summary=_summary(night),
-                    key_numbers=numbers_of_night(night, shown), sections=list(filter(None, sections)))
+    sections = [
+        reductions_section(night),
+        verdicts_section(shown, night.date),
+        trend_section(shown),
+        left_out_section(night),
+        recordings_section(night),
+    ]
+    page = rendered(
+        TEMPLATE,
+        date=night.date,
+        status=status,
+        running=status == RUNNING,
+        night=night,
+        finished=FINISHED if status not in (RUNNING, "stopped") else "",
+        written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
+        summary=_summary(night),
+        key_numbers=numbers_of_night(night, shown),
+        sections=list(filter(None, sections)),
+    )
     write_bytes(page_path(tree, night.date), page.encode())
 
 

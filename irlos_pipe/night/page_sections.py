@@ -13,26 +13,50 @@ from irlos_pipe.night.state import Night
 from irlos_pipe.night.trend import Series, Trend
 from irlos_pipe.night.trend_db import Verdict
 from irlos_pipe.night.trend_plots import series_drawing, structure_drawing
+from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.content import Figure, KeyNumber, Section, Stack, Table
 from irlos_pipe.report.text import MISSING, duration, number, plural, with_error
-from irlos_pipe.runfolder import RunFolder
 
 # (label, name of the number, pattern, unit)
-KEY_NUMBERS = (("NCPAs", "ncpa_nm", ".1f", "nm"), ("Defocus bias", "defocus_bias_nm", "+.1f", "nm"),
-               ("Ramp slope", "ramp_slope", ".3f", ""), ("Seeing", "seeing_arcsec", ".2f", "arcsec"),
-               ("AO residual", "ao_residual_nm", ".0f", "nm"), ("Image motion", "jitter_mas", ".1f", "mas"))
+KEY_NUMBERS = (
+    ("NCPAs", "ncpa_nm", ".1f", "nm"),
+    ("Defocus bias", "defocus_bias_nm", "+.1f", "nm"),
+    ("Ramp slope", "ramp_slope", ".3f", ""),
+    ("Seeing", "seeing_arcsec", ".2f", "arcsec"),
+    ("AO residual", "ao_residual_nm", ".0f", "nm"),
+    ("Image motion", "jitter_mas", ".1f", "mas"),
+)
 DRAWN_MODES = tuple(f"noll_{noll}_nm" for noll in range(4, 12))
-DRAWN_OTHERS = ("ncpa_nm", "defocus_bias_nm", "ramp_slope", "seeing_arcsec", "jitter_mas", "gap_before",
-                "gap_after")
-MODES_CAPTION = ("Coefficients with errors; shaded: the band that the nights before allow; circled: outside "
-                 "it. Modes that left their band are shown beside Noll 4 to 11.")
+DRAWN_OTHERS = (
+    "ncpa_nm",
+    "defocus_bias_nm",
+    "ramp_slope",
+    "seeing_arcsec",
+    "jitter_mas",
+    "gap_before",
+    "gap_after",
+)
+MODES_CAPTION = (
+    "Coefficients with errors; shaded: the band that the nights before allow; circled: outside "
+    "it. Modes that left their band are shown beside Noll 4 to 11."
+)
 OTHERS_CAPTION = "The same for other numbers; those of the sky do not alarm."
-STRUCTURE_CAPTION = ("RMS change of the wavefront in Noll 4 and up between two calibrations, against the "
-                     "time between them: flat where the NCPAs are stable, 0 where noise explains the change.")
+STRUCTURE_CAPTION = (
+    "RMS change of the wavefront in Noll 4 and up between two calibrations, against the "
+    "time between them: flat where the NCPAs are stable, 0 where noise explains the change."
+)
 VERDICT_NIGHTS, MOST_VERDICTS = 30, 4  # rows of the table, and numbers at the top
 FEW_ROWS = 12
-RECORDING_COLUMNS = ("recording", "role", "begin (UTC)", "target", "frames", "window [px]", "exposure",
-                     "configuration")
+RECORDING_COLUMNS = (
+    "recording",
+    "role",
+    "begin (UTC)",
+    "target",
+    "frames",
+    "window [px]",
+    "exposure",
+    "configuration",
+)
 
 
 def numbers_of_night(night: Night, trend: Trend) -> list[KeyNumber]:
@@ -77,8 +101,13 @@ def _row(job: Job, reduced: Reduced | None) -> tuple[str, ...]:
     if reduced is None:
         return (*head, "not finished", MISSING, "", "")
     took = "" if reduced.action == UNCHANGED else f" in {duration(reduced.seconds)}"
-    return (*head, reduced.status.replace("_", " "), reduced.action + took,
-            _wrapped(reduced.problem or "; ".join(reduced.reasons)), _report_link(reduced))
+    return (
+        *head,
+        reduced.status.replace("_", " "),
+        reduced.action + took,
+        _wrapped(reduced.problem or "; ".join(reduced.reasons)),
+        _report_link(reduced),
+    )
 
 
 def _report_link(reduced: Reduced) -> str:
@@ -104,9 +133,17 @@ def verdicts_section(trend: Trend, date: str) -> Section | None:
     if not latest:
         return None
     gaps = _gaps(trend)
-    rows = [(one.night, one.group, one.target or MISSING, one.verdict, ", ".join(one.effects) or MISSING,
-             *(number(gaps.get((one.run, f"gap_{when}")), ".4f") for when in ("before", "after", "floor")))
-            for one in reversed(latest)]
+    rows = [
+        (
+            one.night,
+            one.group,
+            one.target or MISSING,
+            one.verdict,
+            ", ".join(one.effects) or MISSING,
+            *(number(gaps.get((one.run, f"gap_{when}")), ".4f") for when in ("before", "after", "floor")),
+        )
+        for one in reversed(latest)
+    ]
     columns = ("night", "group", "target", "verdict", "effects", "gap before", "gap after", "floor")
     lead = "Gap: Σ|measured − predicted| / Σ measured of frames that no fit has seen; the latest come first."
     return Section("verdicts", "What the model lacks", lead, [Table(columns, rows)])
@@ -130,8 +167,13 @@ def trend_section(trend: Trend) -> Section | None:
 def drawn(trend: Trend, names: tuple[str, ...]) -> list[Series]:
     """The main series of the given numbers, then others of their kind that left their band."""
     found = [main_series(trend, name) for name in names]
-    out = [one for one in trend.series if one.alarms and one.name not in names
-           and one.name.startswith("noll_") == names[0].startswith("noll_")]
+    out = [
+        one
+        for one in trend.series
+        if one.alarms
+        and one.name not in names
+        and one.name.startswith("noll_") == names[0].startswith("noll_")
+    ]
     return [one for one in (*found, *out) if one is not None]
 
 
@@ -166,5 +208,13 @@ def recordings_section(night: Night) -> Section | None:
 
 def _recording_row(one: Description) -> tuple[str, ...]:
     rows, columns = one.window
-    return (one.name, one.role, clock(one.start_unix_s) or MISSING, one.target or MISSING, str(one.frames),
-            f"{rows}x{columns}", number(one.exposure_s, "g", "s"), one.configuration)
+    return (
+        one.name,
+        one.role,
+        clock(one.start_unix_s) or MISSING,
+        one.target or MISSING,
+        str(one.frames),
+        f"{rows}x{columns}",
+        number(one.exposure_s, "g", "s"),
+        one.configuration,
+    )

@@ -11,8 +11,8 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from irlos_pipe.errors import IrlosError
-from irlos_pipe.runfolder import LOCK_NAME, RunFolder
+from irlos_pipe.conventions.errors import IrlosError
+from irlos_pipe.product.runfolder import LOCK_NAME, RunFolder
 
 SLOTS = ("a", "b")
 

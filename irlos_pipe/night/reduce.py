@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from irlos_pipe.errors import InputDataError, IrlosError
+from irlos_pipe.conventions.errors import InputDataError, IrlosError
 from irlos_pipe.night.place import Place
 from irlos_pipe.pipeline import Resources, Selection, Step, plan_run, run_recipe
+from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.recipe import Recipe, load_recipe
-from irlos_pipe.runfolder import RunFolder
 
 NEW, REDONE, UNCHANGED, FAILED = "new", "redone", "up to date", "failed"
 

@@ -8,9 +8,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from irlos_pipe.complaints import and_more
-from irlos_pipe.errors import InputDataError, IrlosError, NothingToDo
-from irlos_pipe.instrument import load_instrument
+from irlos_pipe.conventions.errors import InputDataError, IrlosError, NothingToDo
+from irlos_pipe.files.complaints import and_more
+from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.night.catalogue import Catalogue
 from irlos_pipe.night.database import copied, opened
 from irlos_pipe.night.description import night_of
@@ -26,7 +26,7 @@ from irlos_pipe.night.trend import alarm_text, make_trend
 from irlos_pipe.night.trend_db import points, store, stored_key, verdicts
 from irlos_pipe.pipeline import Step
 from irlos_pipe.pipeline.runlog import RUN, TRACE, written_to
-from irlos_pipe.runfolder import owned_folder, require_outside_inputs
+from irlos_pipe.product.runfolder import owned_folder, require_outside_inputs
 
 LOG_NAME = "night.log"
 NO_RECIPE = "no recipe serves groups of kind {0}; give one with --recipe {0}=PATH"

@@ -8,18 +8,20 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from irlos_pipe.complaints import Complaints, Origins, suggestion
-from irlos_pipe.errors import ConfigurationError
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.files.complaints import Complaints, Origins, suggestion
+from irlos_pipe.files.overrides import absolute
+from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.night.grouping import KINDS
-from irlos_pipe.overrides import absolute
-from irlos_pipe.sparta.sidecar import AcquisitionKeys
-from irlos_pipe.yamlfile import load_yaml
+from irlos_pipe.readers.sidecar import AcquisitionKeys
 
 Kind = Literal["calibration", "ramp", "derotator", "psf"]
-RECIPES = {"calibration": ["recipes/ncpa_calibration.yaml", "recipes/diagnose.yaml"],
-           "ramp": ["recipes/defocus_ramp.yaml"],
-           "derotator": ["recipes/derotator.yaml"],
-           "psf": []}
+RECIPES = {
+    "calibration": ["recipes/ncpa_calibration.yaml", "recipes/diagnose.yaml"],
+    "ramp": ["recipes/defocus_ramp.yaml"],
+    "derotator": ["recipes/derotator.yaml"],
+    "psf": [],
+}
 
 
 class _Section(BaseModel):
@@ -92,8 +94,9 @@ def _given(recipes: Iterable[str]) -> dict[str, list[Path]]:
     for text in recipes:
         kind, equals, path = text.partition("=")
         if not equals or not path:
-            raise ConfigurationError(f"--recipe {text}: expected KIND=PATH, for example "
-                                     "ramp=recipes/full_reduction.yaml")
+            raise ConfigurationError(
+                f"--recipe {text}: expected KIND=PATH, for example ramp=recipes/full_reduction.yaml"
+            )
         if kind not in KINDS:
             raise ConfigurationError(f"--recipe {text}: no such kind of group{suggestion(kind, KINDS)}")
         given.setdefault(kind, []).append(absolute(path))

@@ -57,8 +57,9 @@ class BandRule:
     least: int
 
 
-def bands(nights: Sequence[str], values: Sequence[float], sigmas: Sequence[float | None],
-          rule: BandRule) -> list[Band | None]:
+def bands(
+    nights: Sequence[str], values: Sequence[float], sigmas: Sequence[float | None], rule: BandRule
+) -> list[Band | None]:
     """Return the band of every value, from the nights before its own.
 
     Centre and scatter are median and scaled median absolute deviation of one value per night (its
@@ -77,8 +78,10 @@ def bands(nights: Sequence[str], values: Sequence[float], sigmas: Sequence[float
     for night, value in zip(nights, values, strict=True):
         by_night.setdefault(night, []).append(value)
     medians = np.array([np.median(one) for one in by_night.values()])
-    before = {night: _expected(medians[max(0, place - rule.most) : place], rule)
-              for place, night in enumerate(by_night)}
+    before = {
+        night: _expected(medians[max(0, place - rule.most) : place], rule)
+        for place, night in enumerate(by_night)
+    }
     return [_widened(before[night], sigma) for night, sigma in zip(nights, sigmas, strict=True)]
 
 
@@ -132,8 +135,9 @@ class Structure:
         return np.sqrt(np.maximum(self.change_nm2, 0.0))
 
 
-def structure_function(unix_s: np.ndarray, modes_nm: np.ndarray, sigma_nm: np.ndarray,
-                       edges_s: np.ndarray = LAG_EDGES_S) -> Structure:
+def structure_function(
+    unix_s: np.ndarray, modes_nm: np.ndarray, sigma_nm: np.ndarray, edges_s: np.ndarray = LAG_EDGES_S
+) -> Structure:
     """Return how much a wavefront changes within a lag.
 
     ``D(lag) = mean over pairs of sum over modes of (a(t + lag) - a(t))² - sigma²(t) - sigma²(t + lag)``:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from irlos_pipe.errors import ExitCode
+from irlos_pipe.conventions.errors import ExitCode
 from irlos_pipe.night.description import Description
 from irlos_pipe.night.discover import Unusable
 from irlos_pipe.night.grouping import LeftOut
@@ -64,8 +64,10 @@ class Night:
     def doubts(self) -> list[str]:
         """What was reduced but should be looked at, one line each."""
         doubtful = [one for one in self.reduced.values() if one.status in DOUBTS]
-        return [*(": ".join([one.name, DOUBTS[one.status], *one.checks_failed]) for one in doubtful),
-                *self.alarms]
+        return [
+            *(": ".join([one.name, DOUBTS[one.status], *one.checks_failed]) for one in doubtful),
+            *self.alarms,
+        ]
 
     @property
     def exit_code(self) -> int:

@@ -7,14 +7,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from irlos_pipe.complaints import and_more
-from irlos_pipe.errors import ExitCode
-from irlos_pipe.jsonable import json_text
+from irlos_pipe.conventions.errors import ExitCode
+from irlos_pipe.files.complaints import and_more
+from irlos_pipe.files.json import json_text
 from irlos_pipe.night.jobs import Job
 from irlos_pipe.night.page import page_path
 from irlos_pipe.night.state import Night, Ran
 from irlos_pipe.pipeline import Step
-from irlos_pipe.terminal import aligned
+from irlos_pipe.pipeline.terminal import aligned
 
 NEW_STEP = ("all stages", "run", "no products yet")
 
@@ -38,31 +38,57 @@ def _worst(night: Night) -> str:
 
 def ran_text(ran: Ran, tree: Path) -> str:
     """Return one line per job and the pages."""
-    rows = [(night.date, one.name.partition("/")[2], one.status.replace("_", " "), one.action,
-             "; ".join(one.reasons) or one.problem)
-            for night in ran.nights.values() for one in night.reduced.values()]
+    rows = [
+        (
+            night.date,
+            one.name.partition("/")[2],
+            one.status.replace("_", " "),
+            one.action,
+            "; ".join(one.reasons) or one.problem,
+        )
+        for night in ran.nights.values()
+        for one in night.reduced.values()
+    ]
     rows += [(night.date, "page", "", "", str(page_path(tree, night.date))) for night in ran.nights.values()]
     return aligned(sorted(rows, key=lambda row: row[0]))
 
 
 def ran_json(ran: Ran, tree: Path) -> str:
     """Return the same for scripts."""
-    return json_text({"schema": "irlos-night", "schema_version": 1, "exit_code": ran.exit_code,
-                      "nights": [_night(night, tree) for night in ran.nights.values()]}).rstrip()
+    return json_text(
+        {
+            "schema": "irlos-night",
+            "schema_version": 1,
+            "exit_code": ran.exit_code,
+            "nights": [_night(night, tree) for night in ran.nights.values()],
+        }
+    ).rstrip()
 
 
 def _night(night: Night, tree: Path) -> dict[str, Any]:
-    return {"night": night.date, "page": page_path(tree, night.date), "recordings": len(night.recordings),
-            "reductions": [asdict(one) for one in night.reduced.values()],
-            "left_out": [{"path": one.recording.path, "reason": one.reason} for one in night.left_out],
-            "unusable": [asdict(one) for one in night.unusable],
-            "failures": night.failures, "doubts": night.doubts}
+    return {
+        "night": night.date,
+        "page": page_path(tree, night.date),
+        "recordings": len(night.recordings),
+        "reductions": [asdict(one) for one in night.reduced.values()],
+        "left_out": [{"path": one.recording.path, "reason": one.reason} for one in night.left_out],
+        "unusable": [asdict(one) for one in night.unusable],
+        "failures": night.failures,
+        "doubts": night.doubts,
+    }
 
 
 def nothing_json(why: str) -> str:
     """Return the same where there is nothing to do."""
-    return json_text({"schema": "irlos-night", "schema_version": 1, "exit_code": ExitCode.NOTHING_TO_DO,
-                      "nights": [], "nothing": why}).rstrip()
+    return json_text(
+        {
+            "schema": "irlos-night",
+            "schema_version": 1,
+            "exit_code": ExitCode.NOTHING_TO_DO,
+            "nights": [],
+            "nothing": why,
+        }
+    ).rstrip()
 
 
 def plan_text(plan: Sequence[tuple[Job, list[Step] | None]], failures: Sequence[str], as_json: bool) -> str:
@@ -70,8 +96,9 @@ def plan_text(plan: Sequence[tuple[Job, list[Step] | None]], failures: Sequence[
     rows = [(job.task.name, *row) for job, steps in plan for row in _steps(steps)]
     rows += [("left out", "", "", failure) for failure in failures]
     if as_json:
-        return json_text([dict(zip(("run", "stage", "action", "reason"), row, strict=True))
-                          for row in rows]).rstrip()
+        return json_text(
+            [dict(zip(("run", "stage", "action", "reason"), row, strict=True)) for row in rows]
+        ).rstrip()
     return aligned(rows)
 
 

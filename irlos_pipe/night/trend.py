@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.complaints import suggestion
-from irlos_pipe.errors import ConfigurationError, NothingToDo
+from irlos_pipe.conventions.errors import ConfigurationError, NothingToDo
+from irlos_pipe.files.complaints import suggestion
 from irlos_pipe.night.database import existing
 from irlos_pipe.night.settings import BandKeys
 from irlos_pipe.night.stability import Band, BandRule, Structure, bands, structure_function
@@ -113,14 +113,17 @@ def make_trend(found: Sequence[Point], told: Sequence[Verdict], keys: BandKeys) 
 
 def alarm_text(point: Point, band: Band) -> str:
     """Say in one line what left its band."""
-    return (f"{point.run}: {point.name} = {point.value:.4g} outside {band.low:.4g} to {band.high:.4g} "
-            f"({band.nights} earlier nights)")
+    return (
+        f"{point.run}: {point.name} = {point.value:.4g} outside {band.low:.4g} to {band.high:.4g} "
+        f"({band.nights} earlier nights)"
+    )
 
 
 def _series(members: tuple[Point, ...], keys: BandKeys) -> Series:
     rule = BandRule(keys.false_alarm, keys.nights, keys.least_nights)
-    found = bands([one.night for one in members], [one.value for one in members],
-                  [one.sigma for one in members], rule)
+    found = bands(
+        [one.night for one in members], [one.value for one in members], [one.sigma for one in members], rule
+    )
     first = members[0]
     return Series(first.name, first.recipe, first.configuration, members, tuple(found))
 
@@ -132,9 +135,13 @@ def _structures(series: Sequence[Series]) -> dict[tuple[str, str], Structure]:
 
 def _structure(series: Sequence[Series], recipe: str, configuration: str) -> Structure | None:
     """Structure function of the modes that every run of a recipe has, without tip and tilt."""
-    modes = {one.name: {point.run: point for point in one.points} for one in series
-             if (one.recipe, one.configuration) == (recipe, configuration) and _noll(one.name)
-             and one.name not in TIP_TILT}
+    modes = {
+        one.name: {point.run: point for point in one.points}
+        for one in series
+        if (one.recipe, one.configuration) == (recipe, configuration)
+        and _noll(one.name)
+        and one.name not in TIP_TILT
+    }
     if not modes:
         return None
     common = set.intersection(*(set(runs) for runs in modes.values()))

@@ -63,9 +63,22 @@ def store(connection: sqlite3.Connection, run: str, group: Group, recipe: str, m
     connection.execute("DELETE FROM runs WHERE run = ?", (run,))  # its numbers go with it
     connection.execute(
         "INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-        (run, group.night, group.kind, recipe, first.start_unix_s, first.configuration, first.target,
-         measured.status, json.dumps(measured.checks_failed), measured.verdict,
-         json.dumps(measured.effects), measured.model, measured.key))
+        (
+            run,
+            group.night,
+            group.kind,
+            recipe,
+            first.start_unix_s,
+            first.configuration,
+            first.target,
+            measured.status,
+            json.dumps(measured.checks_failed),
+            measured.verdict,
+            json.dumps(measured.effects),
+            measured.model,
+            measured.key,
+        ),
+    )
     rows = [(run, name, value, sigma) for name, (value, sigma) in measured.numbers.items()]
     connection.executemany("INSERT INTO numbers VALUES (?, ?, ?, ?)", rows)
 
@@ -80,14 +93,19 @@ def points(connection: sqlite3.Connection, until: str = "") -> list[Point]:
     """
     rows = connection.execute(
         f"SELECT run, night, coalesce(start_unix_s, {MIDNIGHT}), name, recipe,"
-        " configuration, value, sigma FROM numbers JOIN runs USING (run) ORDER BY 3, run, name")
+        " configuration, value, sigma FROM numbers JOIN runs USING (run) ORDER BY 3, run, name"
+    )
     return [one for one in (Point(*row) for row in rows) if not until or one.night <= until]
 
 
 def verdicts(connection: sqlite3.Connection, until: str = "") -> list[Verdict]:
     """Return what `diagnose` said, in order of time."""
-    rows = connection.execute("SELECT run, night, target, verdict, effects FROM runs"
-                              " WHERE verdict IS NOT NULL ORDER BY night, start_unix_s, run")
-    found = (Verdict(run, night, target, verdict, tuple(json.loads(effects)))
-             for run, night, target, verdict, effects in rows)
+    rows = connection.execute(
+        "SELECT run, night, target, verdict, effects FROM runs"
+        " WHERE verdict IS NOT NULL ORDER BY night, start_unix_s, run"
+    )
+    found = (
+        Verdict(run, night, target, verdict, tuple(json.loads(effects)))
+        for run, night, target, verdict, effects in rows
+    )
     return [one for one in found if not until or one.night <= until]

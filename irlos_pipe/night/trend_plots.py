@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure, SubFigure
 
-from irlos_pipe.atomic import atomic_file
-from irlos_pipe.errors import ConfigurationError
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.files.atomic import atomic_file
 from irlos_pipe.night.stability import DAY_S, Structure
 from irlos_pipe.night.trend import Series, Trend
 from irlos_pipe.report.drawing import BLUE, CYCLE, ORANGE, SKY, STYLE, svg

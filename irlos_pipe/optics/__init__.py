@@ -1,0 +1,1 @@
+"""The optical model: pupil, wavefront and Fourier optics; pure functions and the PSF model."""

@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from .propagate import half_plane_counts
-
-NM = 1e-9
+from irlos_pipe.conventions.units import NM
+from irlos_pipe.optics.propagate import half_plane_counts
 
 
 class Colour(NamedTuple):

@@ -14,13 +14,13 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from ..geometry import PupilGeometry
-from .phasor import phasor
-from .propagate import FocalGrid
-from .pupil import band_limited_pupil
-from .zernike import zernike_basis
+from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.units import NM
+from irlos_pipe.optics.phasor import phasor
+from irlos_pipe.optics.propagate import FocalGrid
+from irlos_pipe.optics.pupil import band_limited_pupil
+from irlos_pipe.optics.zernike import zernike_basis
 
-NM = 1e-9
 DARK_BEYOND = 12  # samples outside the rim: the filter's ringing has died out, polynomials would grow
 
 

@@ -6,8 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..geometry import PupilGeometry, Vane
-from .pupil import band_limited_parts
+from irlos_pipe.conventions.pupil import PupilGeometry, Vane
+from irlos_pipe.optics.pupil import band_limited_parts
 
 PETALS = 4
 FIRST_PETAL_RAD = np.pi / 4  # the first petal lies on this diagonal

@@ -15,10 +15,9 @@ import numpy as np
 import torch
 from scipy.fft import next_fast_len
 
-from .phasor import phasor
-from .pupil import CLEAN_BAND, grid_centres
-
-MAS = np.pi / 180 / 3600e3  # one milliarcsecond [rad]
+from irlos_pipe.conventions.units import MAS
+from irlos_pipe.optics.phasor import phasor
+from irlos_pipe.optics.pupil import CLEAN_BAND, grid_centres
 
 
 @dataclass(frozen=True)
@@ -73,9 +72,7 @@ def quick_fft_length(samples: int) -> int:
     return length
 
 
-def pupil_samples_for(
-    window_px: int, pixel_scale_mas: float, wavelength_m: float, diameter_m: float
-) -> int:
+def pupil_samples_for(window_px: int, pixel_scale_mas: float, wavelength_m: float, diameter_m: float) -> int:
     """Fewest samples across the pupil with which `require_resolved` is content."""
     return int(np.ceil(window_px * pixel_scale_mas * MAS * diameter_m / (CLEAN_BAND * wavelength_m)))
 

@@ -12,8 +12,17 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from ..geometry import PupilGeometry, Vane
-from .pupil import PAD, across_m, annulus_cover, axis, filter_matrix, fine_centres, inside, vane_cover
+from irlos_pipe.conventions.pupil import PupilGeometry, Vane
+from irlos_pipe.optics.pupil import (
+    PAD,
+    across_m,
+    annulus_cover,
+    axis,
+    filter_matrix,
+    fine_centres,
+    inside,
+    vane_cover,
+)
 
 WIDTH = 1.5  # fine cells
 

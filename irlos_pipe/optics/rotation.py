@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .zernike import noll_to_nm
+from irlos_pipe.optics.zernike import noll_to_nm
 
 
 def partner(noll: int) -> int:

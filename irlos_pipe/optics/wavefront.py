@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..geometry import PupilGeometry
-from .pupil import grid_centres
-from .zernike import zernike_basis
+from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.optics.pupil import grid_centres
+from irlos_pipe.optics.zernike import zernike_basis
 
 
 def disc_maps_nm(

@@ -1,1 +1,1 @@
-"""Every experiment of the paper: run the recipes, put their reports and numbers together."""
+"""The paper's experiments, one folder each, and the run of all of them."""

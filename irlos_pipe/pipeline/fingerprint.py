@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from irlos_pipe.jsonable import canonical_json, jsonable
+from irlos_pipe.files.json import canonical_json, jsonable
 from irlos_pipe.pipeline.inputs import InputFile
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages.base import Stage, depends_on
@@ -15,8 +15,9 @@ from irlos_pipe.stages.base import Stage, depends_on
 MAX_REASONS = 3
 
 
-def key_parts(stage: Stage, recipe: Recipe, files: Iterable[InputFile],
-              upstream: Mapping[str, str]) -> dict[str, Any]:
+def key_parts(
+    stage: Stage, recipe: Recipe, files: Iterable[InputFile], upstream: Mapping[str, str]
+) -> dict[str, Any]:
     """Return all that the product of `stage` depends on, in JSON types.
 
     Parameters
@@ -24,10 +25,18 @@ def key_parts(stage: Stage, recipe: Recipe, files: Iterable[InputFile],
     upstream : mapping of str to str
         Keys of the products that the stage reads.
     """
-    parts = {"model": recipe.model, "instrument": recipe.instrument, "seed": recipe.seed,
-             "inputs": {file.label: file.sha256 for file in files}}
-    own = {"stage": stage.NAME, "version": stage.VERSION, "config": recipe.configs[stage.NAME],
-           "upstream": dict(upstream)}
+    parts = {
+        "model": recipe.model,
+        "instrument": recipe.instrument,
+        "seed": recipe.seed,
+        "inputs": {file.label: file.sha256 for file in files},
+    }
+    own = {
+        "stage": stage.NAME,
+        "version": stage.VERSION,
+        "config": recipe.configs[stage.NAME],
+        "upstream": dict(upstream),
+    }
     return jsonable(own | {name: parts[name] for name in sorted(depends_on(stage))})
 
 

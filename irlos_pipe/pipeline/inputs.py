@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from irlos_pipe.atomic import write_if_changed
-from irlos_pipe.errors import InputDataError, NothingToDo
-from irlos_pipe.jsonable import json_text
+from irlos_pipe.conventions.errors import InputDataError, NothingToDo
+from irlos_pipe.files.atomic import write_if_changed
+from irlos_pipe.files.json import json_text
 
 FITS_SUFFIX = re.compile(r"\.(fits?|fts)(\.gz|\.fz)?$", re.IGNORECASE)
 CACHE_NAME = ".input_checksums.json"

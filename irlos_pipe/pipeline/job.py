@@ -8,16 +8,16 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
-from irlos_pipe.atomic import write_bytes
-from irlos_pipe.jsonable import jsonable
+from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.files.json import jsonable
 from irlos_pipe.pipeline import provenance
 from irlos_pipe.pipeline.inputs import InputFile
 from irlos_pipe.pipeline.plan import Action, Step
 from irlos_pipe.pipeline.resources import Resources, limit_threads, one_blas_thread
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
-from irlos_pipe.product import Product, read_product, write_product
+from irlos_pipe.product.product import Product, read_product, write_product
+from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.recipe import Recipe
-from irlos_pipe.runfolder import RunFolder
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageContext, StageOutput, reads
 
@@ -53,8 +53,11 @@ class Job:
 
     def summaries(self) -> dict[str, Product]:
         """Return the finished products by stage name, without their arrays."""
-        return {step.name: read_product(step.path, arrays=False)
-                for step in self.steps if step.name in self.finished}
+        return {
+            step.name: read_product(step.path, arrays=False)
+            for step in self.steps
+            if step.name in self.finished
+        }
 
     def _run(self, step: Step) -> None:
         log = stage_logger(step.name)
@@ -63,8 +66,11 @@ class Job:
         context = self._context(step, log)
         with collected(log) as lines, one_blas_thread():
             output = STAGES[step.name].run(context)
-        times = {"started": started, "finished": provenance.now(),
-                 "seconds": round(time.perf_counter() - clock, 3)}
+        times = {
+            "started": started,
+            "finished": provenance.now(),
+            "seconds": round(time.perf_counter() - clock, 3),
+        }
         self._write(step, output, times, lines)
         RUN.info("%s: done in %.1f s", step.name, times["seconds"])
 
@@ -72,10 +78,19 @@ class Job:
         name = step.name
         earlier = self.recipe.stages[: self.recipe.stages.index(name)]
         products = {other: self._product(other) for other in reads(STAGES[name], earlier)}
-        return StageContext(self.recipe.configs[name], self.recipe.model, self.recipe.instrument,
-                            self.recipe.inputs, products, self.resources.device, self.recipe.seed,
-                            self.resources.jobs, self.resources.progress, log,
-                            RunFolder(self.folder).scratch(name, step.key))
+        return StageContext(
+            self.recipe.configs[name],
+            self.recipe.model,
+            self.recipe.instrument,
+            self.recipe.inputs,
+            products,
+            self.resources.device,
+            self.recipe.seed,
+            self.resources.jobs,
+            self.resources.progress,
+            log,
+            RunFolder(self.folder).scratch(name, step.key),
+        )
 
     def _product(self, name: str) -> Product:
         if name not in self._loaded:
@@ -87,17 +102,31 @@ class Job:
         """Write the further files first: the product says that the stage is complete."""
         for name, content in output.files.items():
             write_bytes(self.folder / PurePath(name).name, content)
-        product = Product(step.name, output.arrays, output.results, list(output.checks),
-                          jsonable(self.recipe.configs[step.name]),
-                          self._provenance(step, output) | times, log)
+        product = Product(
+            step.name,
+            output.arrays,
+            output.results,
+            list(output.checks),
+            jsonable(self.recipe.configs[step.name]),
+            self._provenance(step, output) | times,
+            log,
+        )
         write_product(product, step.path)
         RunFolder(self.folder).remove_scratch(step.name)
 
     def _provenance(self, step: Step, output: StageOutput) -> dict[str, Any]:
-        return {"key": step.key, "parts": step.parts, "recipe": self.recipe.name,
-                "summary": list(output.summary), "failures": list(output.failures),
-                "files": sorted(PurePath(name).name for name in output.files),
-                "inputs": self.files, "seed": self.recipe.seed,
-                "device": self.resources.device, "jobs": self.resources.jobs,
-                "software": provenance.software_versions(), "machine": provenance.machine(),
-                "command": provenance.command_line()}
+        return {
+            "key": step.key,
+            "parts": step.parts,
+            "recipe": self.recipe.name,
+            "summary": list(output.summary),
+            "failures": list(output.failures),
+            "files": sorted(PurePath(name).name for name in output.files),
+            "inputs": self.files,
+            "seed": self.recipe.seed,
+            "device": self.resources.device,
+            "jobs": self.resources.jobs,
+            "software": provenance.software_versions(),
+            "machine": provenance.machine(),
+            "command": provenance.command_line(),
+        }

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from irlos_pipe.errors import ExitCode
-from irlos_pipe.product import Product
+from irlos_pipe.conventions.errors import ExitCode
+from irlos_pipe.product.product import Product
 
 EXIT_CODES = {
     "ok": ExitCode.DONE,
@@ -62,8 +62,13 @@ def assess(recipe_name: str, products: Mapping[str, Product], error: str = "") -
         What stopped the run, if anything did.
     """
     status = "failed" if error else _status(products)
-    results = {"schema": "irlos-results", "schema_version": 1, "recipe": recipe_name, "status": status,
-               "stages": {name: product.results for name, product in products.items()}}
+    results = {
+        "schema": "irlos-results",
+        "schema_version": 1,
+        "recipe": recipe_name,
+        "status": status,
+        "stages": {name: product.results for name, product in products.items()},
+    }
     if error:
         results["error"] = error
     summary = {name: product.provenance["summary"] for name, product in products.items()}
@@ -80,7 +85,13 @@ def _status(products: Mapping[str, Product]) -> str:
 
 
 def _quality(recipe_name: str, products: Mapping[str, Product]) -> dict[str, Any]:
-    checks = [{"stage": name, **check.as_dict()}
-              for name, product in products.items() for check in product.checks]
-    return {"schema": "irlos-qc", "schema_version": 1, "recipe": recipe_name,
-            "passed": all(check["passed"] for check in checks), "checks": checks}
+    checks = [
+        {"stage": name, **check.as_dict()} for name, product in products.items() for check in product.checks
+    ]
+    return {
+        "schema": "irlos-qc",
+        "schema_version": 1,
+        "recipe": recipe_name,
+        "passed": all(check["passed"] for check in checks),
+        "checks": checks,
+    }

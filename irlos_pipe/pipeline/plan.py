@@ -8,13 +8,13 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from irlos_pipe.complaints import suggestion
-from irlos_pipe.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.files.complaints import suggestion
 from irlos_pipe.pipeline.fingerprint import changes, key_of, key_parts
 from irlos_pipe.pipeline.inputs import InputFile
-from irlos_pipe.product import read_product
+from irlos_pipe.product.product import read_product
+from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.recipe import Recipe
-from irlos_pipe.runfolder import RunFolder
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import reads
 
@@ -114,8 +114,9 @@ def _index(recipe: Recipe, name: str | None, option: str, default: int) -> int:
     if name is None:
         return default
     if name not in recipe.stages:
-        raise ConfigurationError(f"{option} {name}: no stage of recipe '{recipe.name}'"
-                                 f"{suggestion(name, recipe.stages)}")
+        raise ConfigurationError(
+            f"{option} {name}: no stage of recipe '{recipe.name}'{suggestion(name, recipe.stages)}"
+        )
     return recipe.stages.index(name)
 
 
@@ -124,8 +125,10 @@ def _used_step(name: str, path: Path, parts: dict[str, Any], first: str) -> Step
     try:
         stored = _stored(name, path)
     except InputDataError as error:
-        raise ConfigurationError(f"--from {first}: the product of '{name}' cannot be used ({error}); "
-                                 f"run with --from {name}, or without --from") from error
+        raise ConfigurationError(
+            f"--from {first}: the product of '{name}' cannot be used ({error}); "
+            f"run with --from {name}, or without --from"
+        ) from error
     outdated = changes(stored["parts"], parts)
     reason = f"used as it is, though {outdated}" if outdated else UP_TO_DATE
     return Step(name, path, stored["key"], stored["parts"], Action.USE, reason, True)

@@ -11,7 +11,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
-from irlos_pipe.errors import ConfigurationError
+from irlos_pipe.conventions.errors import ConfigurationError
 
 
 def silent_progress(iterable: Iterable | None = None, total: int | None = None, desc: str = "") -> tqdm:
@@ -63,8 +63,10 @@ def resolve_device(wanted: str) -> str:
     if torch.cuda.is_available():
         return "cuda"
     if wanted == "cuda":
-        raise ConfigurationError("--device cuda: PyTorch finds no CUDA device; use --device cpu, "
-                                 "or install a CUDA build of PyTorch (make env TORCH_INDEX=...)")
+        raise ConfigurationError(
+            "--device cuda: PyTorch finds no CUDA device; use --device cpu, "
+            "or install a CUDA build of PyTorch (make env TORCH_INDEX=...)"
+        )
     return "cpu"
 
 
@@ -75,6 +77,6 @@ def one_blas_thread() -> AbstractContextManager:
 
 def limit_threads(jobs: int) -> None:
     """Let the run use `jobs` threads; results do not depend on their number."""
-    from irlos_pipe.parallel import set_workers
+    from irlos_pipe.numerics.parallel import set_workers
 
     set_workers(jobs)

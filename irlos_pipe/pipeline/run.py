@@ -8,9 +8,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
-from irlos_pipe.atomic import write_if_changed
-from irlos_pipe.errors import InputDataError, IrlosError
-from irlos_pipe.jsonable import json_text
+from irlos_pipe.conventions.errors import InputDataError, IrlosError
+from irlos_pipe.files.atomic import write_if_changed
+from irlos_pipe.files.json import json_text
 from irlos_pipe.pipeline.inputs import InputFile, input_files, remember
 from irlos_pipe.pipeline.job import Job
 from irlos_pipe.pipeline.outcome import Outcome, assess
@@ -18,8 +18,8 @@ from irlos_pipe.pipeline.plan import Action, Selection, Step, make_plan
 from irlos_pipe.pipeline.provenance import command_line
 from irlos_pipe.pipeline.resources import Resources
 from irlos_pipe.pipeline.runlog import TRACE, written_to
+from irlos_pipe.product.runfolder import RunFolder, owned_folder, require_outside_inputs
 from irlos_pipe.recipe import Recipe
-from irlos_pipe.runfolder import RunFolder, owned_folder, require_outside_inputs
 
 
 def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[InputFile], list[Step]]:
@@ -37,8 +37,9 @@ def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[I
     return files, make_plan(recipe, folder, files, selection)
 
 
-def run_recipe(recipe: Recipe, folder: Path, selection: Selection | None = None,
-               resources: Resources | None = None) -> Outcome:
+def run_recipe(
+    recipe: Recipe, folder: Path, selection: Selection | None = None, resources: Resources | None = None
+) -> Outcome:
     """Bring the products of a recipe up to date.
 
     Parameters
@@ -85,8 +86,10 @@ def _concluded(job: Job, run: RunFolder) -> Outcome:
 
 def _write_outcome(outcome: Outcome, run: RunFolder) -> bool:
     """Write the files for scripts; True when their content changed."""
-    written = [write_if_changed(run.results, json_text(outcome.results).encode()),
-               write_if_changed(run.quality, json_text(outcome.quality).encode())]
+    written = [
+        write_if_changed(run.results, json_text(outcome.results).encode()),
+        write_if_changed(run.quality, json_text(outcome.quality).encode()),
+    ]
     return any(written)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from irlos_pipe.errors import IrlosError
+from irlos_pipe.conventions.errors import IrlosError
 
 ROOT = logging.getLogger("irlos_pipe")
 RUN = ROOT.getChild("run")

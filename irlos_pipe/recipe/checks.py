@@ -10,10 +10,10 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from irlos_pipe.complaints import Complaints, suggestion
-from irlos_pipe.errors import ConfigurationError
-from irlos_pipe.instrument import Instrument, load_instrument
-from irlos_pipe.overrides import Override, absolute
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.files.complaints import Complaints, suggestion
+from irlos_pipe.files.overrides import Override, absolute
+from irlos_pipe.instrument.instrument import Instrument, load_instrument
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageConfig, needs
 
@@ -39,10 +39,13 @@ class RecipeHead(BaseModel):
     recipe: str = Field(min_length=1, description="name of the recipe")
     title: str = Field("", description="one line for people")
     instrument: str = Field("irlos", description="instrument profile: a name, or the path of a YAML file")
-    inputs: Annotated[dict[str, Annotated[list[str], BeforeValidator(_as_list)]],
-                      BeforeValidator(_none_as_empty)] = Field(
-        {}, description="input name: a path or a list of paths, relative to the recipe; none where the "
-                        "stages make their own data")
+    inputs: Annotated[
+        dict[str, Annotated[list[str], BeforeValidator(_as_list)]], BeforeValidator(_none_as_empty)
+    ] = Field(
+        {},
+        description="input name: a path or a list of paths, relative to the recipe; none where the "
+        "stages make their own data",
+    )
     stages: list[str] = Field(min_length=1, description="stages in the order of the light path")
     seed: int = Field(0, ge=0, description="seed of every random draw")
 
@@ -66,8 +69,9 @@ def check_head(data: Mapping[str, Any], complaints: Complaints) -> RecipeHead:
     return RecipeHead.model_validate(substitutes | {key: own[key] for key in own.keys() - wrong})
 
 
-def check_section(data: Mapping[str, Any], name: str, model: type[Section],
-                  complaints: Complaints) -> Section | None:
+def check_section(
+    data: Mapping[str, Any], name: str, model: type[Section], complaints: Complaints
+) -> Section | None:
     """Check one section; a section that is absent or empty takes all defaults."""
     content = {} if data.get(name) is None else data[name]
     return _validated(content, model, (name,), complaints)
@@ -102,21 +106,28 @@ def undeclared_inputs(given: Iterable[Override], declared: Any, complaints: Comp
     return unknown
 
 
-def check_inputs(inputs: Mapping[str, Sequence[str]], folder: Path,
-                 complaints: Complaints) -> dict[str, tuple[Path, ...]]:
+def check_inputs(
+    inputs: Mapping[str, Sequence[str]], folder: Path, complaints: Complaints
+) -> dict[str, tuple[Path, ...]]:
     """Check that all inputs exist; returns absolute paths, counted from the recipe's `folder`."""
     for name, paths in inputs.items():
         if not INPUT_NAME.fullmatch(name):
-            complaints.add(("inputs", name), f"input {name!r}: a name is made of letters, digits and . _ + - "
-                                             "and begins with a letter or digit")
+            complaints.add(
+                ("inputs", name),
+                f"input {name!r}: a name is made of letters, digits and . _ + - "
+                "and begins with a letter or digit",
+            )
         if not paths:
             complaints.add(("inputs", name), f"input '{name}' is not given; add --input {name}=PATH")
     found = {name: tuple(absolute(path, folder) for path in paths) for name, paths in inputs.items()}
     for name, paths in found.items():
         for path in paths:
             if not os.path.exists(path):  # also of a name that no file can have
-                complaints.add(("inputs", name), f"input '{name}': no such file or folder: {path}; "
-                                                 f"correct it, or give --input {name}=PATH")
+                complaints.add(
+                    ("inputs", name),
+                    f"input '{name}': no such file or folder: {path}; "
+                    f"correct it, or give --input {name}=PATH",
+                )
     return found
 
 
@@ -148,7 +159,7 @@ def _stage_problem(name: str, earlier: Sequence[str]) -> str:
         return f"unknown stage '{name}'{suggestion(name, order)}"
     if name in earlier:
         return f"stage '{name}' is listed twice"
-    late = [other for other in earlier if other in order[order.index(name):]]
+    late = [other for other in earlier if other in order[order.index(name) :]]
     if late:
         return f"stage '{name}' must come before '{late[0]}'; the order is {', '.join(order)}"
     lacking = [needed for needed in needs(STAGES[name]) if needed not in earlier]

@@ -10,10 +10,9 @@ from typing import Any
 
 import yaml
 
-from irlos_pipe.complaints import Complaints, Origins
-from irlos_pipe.errors import ConfigurationError
-from irlos_pipe.instrument import Instrument
-from irlos_pipe.overrides import (
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.files.complaints import Complaints, Origins
+from irlos_pipe.files.overrides import (
     Override,
     absolute,
     accepted,
@@ -22,10 +21,11 @@ from irlos_pipe.overrides import (
     parse_input,
     parse_setting,
 )
+from irlos_pipe.files.yaml import load_yaml
+from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.recipe import checks
 from irlos_pipe.stages.base import StageConfig
-from irlos_pipe.stages.model import ModelConfig
-from irlos_pipe.yamlfile import load_yaml
+from irlos_pipe.stages.model.section import ModelConfig
 
 
 @dataclass(frozen=True)
@@ -57,15 +57,22 @@ class Recipe:
 
     def resolved_yaml(self) -> str:
         """Return the recipe with every default explicit and absolute paths; it can be run again."""
-        head = {"recipe": self.name, "title": self.title, "instrument": self.instrument_name,
-                "inputs": {name: [str(path) for path in paths] for name, paths in self.inputs.items()},
-                "stages": list(self.stages), "seed": self.seed, "model": self.model.model_dump(mode="json")}
+        head = {
+            "recipe": self.name,
+            "title": self.title,
+            "instrument": self.instrument_name,
+            "inputs": {name: [str(path) for path in paths] for name, paths in self.inputs.items()},
+            "stages": list(self.stages),
+            "seed": self.seed,
+            "model": self.model.model_dump(mode="json"),
+        }
         sections = {name: config.model_dump(mode="json") for name, config in self.configs.items()}
         return yaml.safe_dump(head | sections, sort_keys=False, allow_unicode=True, width=110)
 
 
-def load_recipe(path: str | Path, settings: Iterable[str] = (), inputs: Iterable[str] = (),
-                seed: int | None = None) -> Recipe:
+def load_recipe(
+    path: str | Path, settings: Iterable[str] = (), inputs: Iterable[str] = (), seed: int | None = None
+) -> Recipe:
     """Read and check a recipe.
 
     Parameters
@@ -114,5 +121,15 @@ def _checked(path: Path, data: dict[str, Any], complaints: Complaints) -> Recipe
     inputs = checks.check_inputs(head.inputs, absolute(path).parent, complaints)
     instrument_name, instrument = checks.check_instrument(head.instrument, absolute(path).parent, complaints)
     complaints.raise_if_any()
-    return Recipe(absolute(path), head.recipe, head.title, instrument_name, instrument, inputs,
-                  tuple(head.stages), model, {name: configs[name] for name in head.stages}, head.seed)
+    return Recipe(
+        absolute(path),
+        head.recipe,
+        head.title,
+        instrument_name,
+        instrument,
+        inputs,
+        tuple(head.stages),
+        model,
+        {name: configs[name] for name in head.stages},
+        head.seed,
+    )

@@ -1,0 +1,1 @@
+"""report.html: one section per stage, drawn from the products of a run."""

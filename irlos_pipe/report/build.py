@@ -4,38 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import UTC, datetime
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
-from irlos_pipe.atomic import write_bytes
+from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.content import Section, Text
 from irlos_pipe.report.key_numbers import key_numbers
 from irlos_pipe.report.render import rendered
 from irlos_pipe.report.run_data import RunData, read_run
 from irlos_pipe.report.section_calibrate import calibrate_section
-from irlos_pipe.report.section_capture import capture_section
 from irlos_pipe.report.section_correct import correct_section
-from irlos_pipe.report.section_correction_gain import correction_gain_section
 from irlos_pipe.report.section_derotator import derotator_section
-from irlos_pipe.report.section_derotator_series import derotator_series_section
 from irlos_pipe.report.section_diagnose import diagnose_section
-from irlos_pipe.report.section_faint import faint_section
-from irlos_pipe.report.section_first_tests import first_tests_section
-from irlos_pipe.report.section_focus_ramp import focus_ramp_section
 from irlos_pipe.report.section_ingest import ingest_section
 from irlos_pipe.report.section_lift import lift_section
-from irlos_pipe.report.section_methods import methods_section
-from irlos_pipe.report.section_mode_number import mode_number_section
-from irlos_pipe.report.section_mode_statistics import mode_statistics_section
 from irlos_pipe.report.section_modes import modes_section
 from irlos_pipe.report.section_origin import finished, origin_section, warnings
 from irlos_pipe.report.section_prior import prior_section
 from irlos_pipe.report.section_quality import quality_section
-from irlos_pipe.report.section_seeing_scales import seeing_scales_section
 from irlos_pipe.report.section_sensitivity import sensitivity_section
-from irlos_pipe.report.section_slow_loop import slow_loop_section
-from irlos_pipe.runfolder import RunFolder
+from irlos_pipe.stages import EXPERIMENTS
 
 # Results first, in the order in which they build on one another; what went in comes behind.
 SECTIONS: dict[str, Callable[[RunData], Section]] = {
@@ -48,17 +39,6 @@ SECTIONS: dict[str, Callable[[RunData], Section]] = {
     "derotator": derotator_section,
     "modes": modes_section,
     "ingest": ingest_section,
-    "first_tests": first_tests_section,
-    "methods": methods_section,
-    "correction_gain": correction_gain_section,
-    "focus_ramp": focus_ramp_section,
-    "faint": faint_section,
-    "capture": capture_section,
-    "slow_loop": slow_loop_section,
-    "derotator_series": derotator_series_section,
-    "mode_statistics": mode_statistics_section,
-    "mode_number": mode_number_section,
-    "seeing_scales": seeing_scales_section,
 }
 TEMPLATE = "report.html.j2"
 
@@ -91,8 +71,17 @@ def write_report(run_folder: Path) -> Path:
 
 def stage_sections(run: RunData) -> dict[str, Section]:
     """Return the section of every stage that has a product, results first."""
-    known = {stage: build(run) for stage, build in SECTIONS.items() if stage in run.products}
-    return known | {stage: _plain_section(stage, run) for stage in run.products if stage not in SECTIONS}
+    order = [*SECTIONS, *(stage for stage in run.products if stage not in SECTIONS)]
+    return {stage: _section(stage, run) for stage in order if stage in run.products}
+
+
+def _section(stage: str, run: RunData) -> Section:
+    """Build the section of a stage; an experiment of the paper brings its own."""
+    if stage in SECTIONS:
+        return SECTIONS[stage](run)
+    if stage in EXPERIMENTS:
+        return import_module(f"irlos_pipe.paper.{stage}.section").section(run)
+    return _plain_section(stage, run)
 
 
 def _render(run: RunData) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from irlos_pipe.atomic import write_bytes
+from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.report.chapter import Chapter
 from irlos_pipe.report.content import Section, Table
 from irlos_pipe.report.render import rendered
@@ -30,15 +30,22 @@ def write_collection(path: Path, title: str, note: str, chapters: Sequence[Chapt
     IrlosError
         When it cannot be written.
     """
-    page = rendered(TEMPLATE, title=title, note=note, chapters=chapters, contents=_contents(chapters),
-                    origin=_origin(chapters))
+    page = rendered(
+        TEMPLATE,
+        title=title,
+        note=note,
+        chapters=chapters,
+        contents=_contents(chapters),
+        origin=_origin(chapters),
+    )
     write_bytes(path, page.encode())
     return path
 
 
 def _contents(chapters: Sequence[Chapter]) -> Table:
-    rows = [(_link(one), one.status.replace("_", " "), one.sizes, _text(one.seed), one.time)
-            for one in chapters]
+    rows = [
+        (_link(one), one.status.replace("_", " "), one.sizes, _text(one.seed), one.time) for one in chapters
+    ]
     marks = ["" if one.status == "ok" else "bad" for one in chapters]
     return Table(("experiment", "status", "sizes", "seed", "time"), rows, marks=marks)
 
@@ -54,9 +61,10 @@ def _text(value: Any) -> str:
 def _origin(chapters: Sequence[Chapter]) -> Section:
     """Where and with what each experiment was run."""
     made = [one for one in chapters if one.made]
-    table = Table(("experiment", "finished", "time", "processes", "machine"),
-                  [(one.name, one.finished, one.time, _text(one.made.get("jobs")), _machine(one.made))
-                   for one in made])
+    table = Table(
+        ("experiment", "finished", "time", "processes", "machine"),
+        [(one.name, one.finished, one.time, _text(one.made.get("jobs")), _machine(one.made)) for one in made],
+    )
     software = dict.fromkeys(_software(one.made) for one in made)
     return Section("origin", "Machine and software", "; ".join(software), [table] if made else [])
 

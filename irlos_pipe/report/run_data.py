@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.errors import InputDataError
-from irlos_pipe.product import Product, read_product
-from irlos_pipe.recording import Recording
-from irlos_pipe.runfolder import existing_run
-from irlos_pipe.stages.recordings import recordings_from_product
-from irlos_pipe.yamlfile import load_yaml
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.files.yaml import load_yaml
+from irlos_pipe.frames.recording import Recording
+from irlos_pipe.product.product import Product, read_product
+from irlos_pipe.product.runfolder import existing_run
+from irlos_pipe.stages.ingest.recordings import recordings_from_product
 
 
 @dataclass(frozen=True)

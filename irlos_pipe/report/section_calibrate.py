@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.detector import star_position
 from irlos_pipe.effects.telling import rows_of
+from irlos_pipe.frames.detector import star_position
 from irlos_pipe.report.content import Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE
 from irlos_pipe.report.images import SIGMA_LIMIT, SIGNED, brightness_scale, image_panel, symmetric_scale

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from irlos_pipe.blocks import mean_frame, picked
-from irlos_pipe.recording import Recording
+from irlos_pipe.frames.blocks import mean_frame, picked
+from irlos_pipe.frames.recording import Recording
 from irlos_pipe.report.content import Section, Table, Text
 from irlos_pipe.report.images import thumbnail
 from irlos_pipe.report.run_data import RunData

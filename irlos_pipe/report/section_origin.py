@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from irlos_pipe.product import Product
+from irlos_pipe.product.product import Product
 from irlos_pipe.report.content import Section, Table, Text
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number

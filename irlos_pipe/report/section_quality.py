@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from irlos_pipe.product import Check
+from irlos_pipe.product.product import Check
 from irlos_pipe.report.content import Section, Table
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number

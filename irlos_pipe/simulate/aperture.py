@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..geometry import PupilGeometry, Vane
+from irlos_pipe.conventions.pupil import PupilGeometry, Vane
 
 FINEST_CELL_M = 0.002  # of the brute-force drawing: a twentieth of a vane
 

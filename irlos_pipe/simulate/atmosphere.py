@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .checks import SceneError, require_known
+from irlos_pipe.simulate.checks import SceneError, require_known
 
 VON_KARMAN = 0.0229  # rad² m^(-11/3) r0^(-5/3)
 SEEING_NM = 500.0

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 
-from .imaging import Imager, PixelGrid
-from .pupil import Pupil, amplitude, nominal_area_m2
-from .rays import rays_of, true_pixel_scale_mas
-from .scene import Scene
-from .shaking import Shake
+from irlos_pipe.simulate.imaging import Imager, PixelGrid
+from irlos_pipe.simulate.pupil import Pupil, amplitude, nominal_area_m2
+from irlos_pipe.simulate.rays import rays_of, true_pixel_scale_mas
+from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.shaking import Shake
 
 STATIC_NODES = 4  # per pixel and axis
 FINEST_CYCLES_PER_PX = 0.4  # that the image of a pixel may hold; above, pixels are computed in parts

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from .checks import SceneError, require_known
+from irlos_pipe.simulate.checks import SceneError, require_known
 
 # Effect: (parameters it needs, parameters it may have). Names and units are those of models and reports;
 # what a parameter means is told where the effect happens.

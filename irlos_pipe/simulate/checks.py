@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-from ..errors import ConfigurationError
+from irlos_pipe.conventions.errors import ConfigurationError
 
 
 class SceneError(ConfigurationError, ValueError):

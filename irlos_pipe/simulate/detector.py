@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import ConfigurationError
-from .late_defects import marked
-from .pixels import Pixels, pedestal_map_adu
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.simulate.late_defects import marked
+from irlos_pipe.simulate.pixels import Pixels, pedestal_map_adu
 
 if TYPE_CHECKING:
-    from .scene import Scene
+    from irlos_pipe.simulate.scene import Scene
 
 ADC_TOP_ADU = 65535.0
 DARK_FRAMES = 64  # averaged to the dark image

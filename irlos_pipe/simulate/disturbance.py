@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .motion import SHORTEST_STEP_S, MotionSeries
-from .scene import Scene
-from .screens import ResidualScreens
-from .telescope import Telescope
+from irlos_pipe.simulate.motion import SHORTEST_STEP_S, MotionSeries
+from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.screens import ResidualScreens
+from irlos_pipe.simulate.telescope import Telescope
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .atmosphere import Sky
-from .camera import Camera
-from .disturbance import Disturbances
-from .pupil import petals_nm, pupil_of
-from .scene import Scene
-from .shaking import Shaking
-from .telescope import Telescope
-from .wavefront import StaticWavefront
+from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.simulate.camera import Camera
+from irlos_pipe.simulate.disturbance import Disturbances
+from irlos_pipe.simulate.pupil import petals_nm, pupil_of
+from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.shaking import Shaking
+from irlos_pipe.simulate.telescope import Telescope
+from irlos_pipe.simulate.wavefront import StaticWavefront
 
 LAST_NOLL = 31  # of the coefficients kept per frame
 BENCH_SEEING_ARCSEC = 0.5  # shapes the halo that `seeing_halo` adds on the bench

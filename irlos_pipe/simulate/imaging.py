@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .aperture import centres
-from .rays import Ray
+from irlos_pipe.conventions.units import MAS, NM
+from irlos_pipe.simulate.aperture import centres
+from irlos_pipe.simulate.rays import Ray
 
-MAS = np.deg2rad(1 / 3.6e6)  # [rad]
-NM = 1e-9
 BATCH = 10  # wavefronts imaged together
 
 

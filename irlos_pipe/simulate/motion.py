@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from .checks import SceneError
+from irlos_pipe.simulate.checks import SceneError
 
 # Lines of UT4: frequency [Hz] and share of the variance along x (tip) and y (tilt). Integrals of the
 # peaks over the local median in the ERIS telemetry PSD of 5-100 Hz that TIPTOP distributes, in parts

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..geometry import PupilGeometry, Vane
-from .checks import SceneError
+from irlos_pipe.conventions.pupil import PupilGeometry, Vane
+from irlos_pipe.simulate.checks import SceneError
 
 FIRST_PETAL_DEG = 45.0
 

@@ -25,11 +25,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import convolve
 
-from .late_defects import LateDefects, marked
+from irlos_pipe.simulate.late_defects import LateDefects, marked
 
 if TYPE_CHECKING:
-    from .detector import DetectorModel
-    from .scene import Scene
+    from irlos_pipe.simulate.detector import DetectorModel
+    from irlos_pipe.simulate.scene import Scene
 
 NEIGHBOURS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
 PEDESTAL_STREAM, RESPONSE_STREAM = 0, 1  # of a detector's `pattern_seed`

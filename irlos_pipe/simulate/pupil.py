@@ -8,11 +8,11 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.signal import firwin
 
-from ..geometry import PupilGeometry
-from .aperture import centres, clear_fraction, with_vanes_turned
-from .petals import petal_opd_nm
-from .scene import Scene
-from .telescope import Telescope
+from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.simulate.aperture import centres, clear_fraction, with_vanes_turned
+from irlos_pipe.simulate.petals import petal_opd_nm
+from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.telescope import Telescope
 
 FINE = 4  # drawn cells per sample and axis
 PAD = 4  # samples beyond the diameter on each side, where the low-pass rings

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .checks import SceneError
-from .scene import Scene
+from irlos_pipe.simulate.checks import SceneError
+from irlos_pipe.simulate.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..geometry import PupilGeometry
-from .atmosphere import Sky
-from .catalogue import check_effects
-from .checks import SceneError
-from .detector import DetectorModel
-from .motion import Motion
+from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.simulate.catalogue import check_effects
+from irlos_pipe.simulate.checks import SceneError
+from irlos_pipe.simulate.detector import DetectorModel
+from irlos_pipe.simulate.motion import Motion
 
 PHOTONS_PER_S_AT_M15 = 150_000.0  # per UT4 aperture, whole sensor band
 STATIC_PUPIL_SAMPLES, MOVING_PUPIL_SAMPLES = 256, 128

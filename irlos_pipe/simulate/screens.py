@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 
-from .atmosphere import Sky, residual_psd
-from .checks import SceneError
-from .telescope import Telescope
+from irlos_pipe.simulate.atmosphere import Sky, residual_psd
+from irlos_pipe.simulate.checks import SceneError
+from irlos_pipe.simulate.telescope import Telescope
 
 SCREEN_OVER_PUPIL = 1.6  # edge of the periodic screen over the pupil's
 IN_BAND_LIFETIME_S = 0.010  # the loop renews its residual within a few of its steps

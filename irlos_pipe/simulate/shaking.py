@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import j0
 
-from .checks import require_known
-from .scene import Scene
+from irlos_pipe.simulate.checks import require_known
+from irlos_pipe.simulate.scene import Scene
 
 JITTER_CORRELATION_S = 0.010
 VIBRATION_HZ = 48.3  # the strongest line of UT4 above 20 Hz

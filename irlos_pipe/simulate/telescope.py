@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ..geometry import PupilGeometry
-from .zernikes import zernike
+from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.simulate.zernikes import zernike
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .checks import SceneError
-from .focus_stage import reached_nm
-from .scene import Scene
-from .telescope import Telescope
-from .zernikes import rotated_nm
+from irlos_pipe.simulate.checks import SceneError
+from irlos_pipe.simulate.focus_stage import reached_nm
+from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.telescope import Telescope
+from irlos_pipe.simulate.zernikes import rotated_nm
 
 DEFOCUS = 4  # Noll
 

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from irlos_pipe.stages.base import Stage
 
-LIGHT_PATH = (
-    "ingest",
-    "prior",
-    "calibrate",
-    "lift",
-    "sensitivity",
-    "correct",
-    "derotator",
-    "modes",
-    "diagnose",
-)
+LIGHT_PATH = {
+    "ingest": "irlos_pipe.stages.ingest.stage",
+    "prior": "irlos_pipe.stages.prior",
+    "calibrate": "irlos_pipe.stages.calibrate.stage",
+    "lift": "irlos_pipe.stages.lift.stage",
+    "sensitivity": "irlos_pipe.stages.sensitivity",
+    "correct": "irlos_pipe.stages.correct",
+    "derotator": "irlos_pipe.stages.derotator.stage",
+    "modes": "irlos_pipe.stages.modes",
+    "diagnose": "irlos_pipe.stages.diagnose.stage",
+}
 # Experiments of the paper on simulated data, each a stage of its own recipe, in the order of the paper.
 EXPERIMENTS = (
     "first_tests",
@@ -42,19 +42,19 @@ EXPERIMENTS = (
 class StageRegistry(Mapping[str, "Stage"]):
     """Stage modules by name, iterated in the order of the light path."""
 
-    def __init__(self, names: tuple[str, ...]) -> None:
-        self._names = names
+    def __init__(self, modules: Mapping[str, str]) -> None:
+        self._modules = dict(modules)
 
     def __getitem__(self, name: str) -> Stage:
-        if name not in self._names:
-            raise KeyError(name)
-        return import_module(f"irlos_pipe.stages.{name}")
+        return import_module(self._modules[name])
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
+        return iter(self._modules)
 
     def __len__(self) -> int:
-        return len(self._names)
+        return len(self._modules)
 
 
-STAGES: Mapping[str, Stage] = StageRegistry((*LIGHT_PATH, *EXPERIMENTS))
+STAGES: Mapping[str, Stage] = StageRegistry(
+    LIGHT_PATH | {name: f"irlos_pipe.paper.{name}.stage" for name in EXPERIMENTS}
+)

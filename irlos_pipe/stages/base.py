@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from pydantic import BaseModel, ConfigDict
 
-from irlos_pipe.product import Check, Product, Quantity
+from irlos_pipe.product.product import Check, Product, Quantity
 
 if TYPE_CHECKING:
-    from irlos_pipe.instrument import Instrument
-    from irlos_pipe.stages.model import ModelConfig
+    from irlos_pipe.instrument.instrument import Instrument
+    from irlos_pipe.stages.model.section import ModelConfig
 
 KEY_PARTS = frozenset({"model", "instrument", "seed", "inputs"})
 

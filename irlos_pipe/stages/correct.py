@@ -13,11 +13,11 @@ from irlos_pipe.effects import fixed_optics
 from irlos_pipe.estimate.correction import Prediction, predict_correction
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.zernike import zernike_basis
-from irlos_pipe.product import Quantity
+from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.light_path import psf_settings, seeing_arcsec
-from irlos_pipe.stages.model_effects import calibrated_effects
-from irlos_pipe.stages.recordings import recordings_from_product
+from irlos_pipe.stages.ingest.recordings import recordings_from_product
+from irlos_pipe.stages.model.effects import calibrated_effects
+from irlos_pipe.stages.model.light_path import psf_settings, seeing_arcsec
 
 NAME = "correct"
 VERSION = 3

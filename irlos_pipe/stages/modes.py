@@ -7,17 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 from pydantic import Field, field_validator
 
-from irlos_pipe.errors import ConfigurationError
+from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter, fit_mode_law, mode_scatter
 from irlos_pipe.estimate.mode_number import LEAST_FRAMES, Choice, ModeScan, choose, scan_mode_numbers
-from irlos_pipe.product import Quantity
-from irlos_pipe.recording import Recording
+from irlos_pipe.frames.recording import Recording
+from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.calibrate import Config as CalibrateConfig
-from irlos_pipe.stages.calibrate_each import CubeEstimate, cube_estimates
-from irlos_pipe.stages.calibration_input import cube_input
+from irlos_pipe.stages.calibrate.each import CubeEstimate, cube_estimates
+from irlos_pipe.stages.calibrate.input import cube_input
+from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
+from irlos_pipe.stages.ingest.recordings import recordings_from_product
 from irlos_pipe.stages.mode_laws import law_row
-from irlos_pipe.stages.recordings import recordings_from_product
 
 NAME = "modes"
 VERSION = 4

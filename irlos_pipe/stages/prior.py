@@ -6,15 +6,15 @@ import numpy as np
 import torch
 from pydantic import Field
 
+from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.effects import expected, fixed_optics
-from irlos_pipe.errors import InputDataError
 from irlos_pipe.estimate.elongation import ElongationLaw, axis_ratios, calibrate_law
-from irlos_pipe.product import Check, Quantity
-from irlos_pipe.psf import PsfModel
-from irlos_pipe.recording import Recording
+from irlos_pipe.frames.recording import Recording
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.light_path import psf_settings, used_in_time_order
-from irlos_pipe.stages.model_effects import good_pixels, model_effects
+from irlos_pipe.stages.model.effects import good_pixels, model_effects
+from irlos_pipe.stages.model.light_path import psf_settings, used_in_time_order
 
 NAME = "prior"
 VERSION = 2

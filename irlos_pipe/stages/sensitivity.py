@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field, field_validator
 
-from irlos_pipe.errors import InputDataError
+from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.estimate.lift import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, Curve, scan
-from irlos_pipe.product import Quantity
+from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.ramp_input import (
+from irlos_pipe.stages.lift.input import (
     Ramp,
     calibrated_ncpa_nm,
     effects_for_lift,

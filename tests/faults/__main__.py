@@ -81,8 +81,9 @@ class Harness:
         now = content(tree)
         names = self.content.keys() | {name for name in now if not name.startswith(PAGES)}
         different = [name for name in names if self.content.get(name) != now.get(name)]
-        return [f"different afterwards: {name}" for name in different] + \
-            [f"left over: {path}" for path in leftovers(tree)]
+        return [f"different afterwards: {name}" for name in different] + [
+            f"left over: {path}" for path in leftovers(tree)
+        ]
 
 
 def after_harm(tree: Path, end: End) -> list[str]:

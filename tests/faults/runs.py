@@ -11,11 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import night_bench
+from helpers import night_bench
 from markupsafe import Markup
 
-from irlos_pipe import cli_night
-from irlos_pipe.cli import cli
+from irlos_pipe.commands import night as cli_night
+from irlos_pipe.commands.main import cli
 from irlos_pipe.night import page_sections
 
 NOT_STARTED = 99

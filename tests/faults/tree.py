@@ -9,9 +9,9 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from irlos_pipe.errors import InputDataError
-from irlos_pipe.product import read_product
-from irlos_pipe.runfolder import LOCK_NAME
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.product.product import read_product
+from irlos_pipe.product.runfolder import LOCK_NAME
 
 DATABASE = "trend.sqlite"
 TABLES = ("recordings", "runs", "numbers")
@@ -65,8 +65,10 @@ def _content_of(path: Path) -> Any:
     if path.suffix != ".h5":
         return path.read_bytes()
     product = read_product(path)
-    arrays = {name: (one.value.tobytes(), one.unit, None if one.error is None else one.error.tobytes())
-              for name, one in product.arrays.items()}
+    arrays = {
+        name: (one.value.tobytes(), one.unit, None if one.error is None else one.error.tobytes())
+        for name, one in product.arrays.items()
+    }
     return arrays, product.results, product.checks, product.config, product.provenance["key"]
 
 

@@ -14,8 +14,8 @@ from click.testing import CliRunner, Result
 from fuzz import pristine
 from fuzz.case import Case, draw
 from fuzz.guard import GIB, Hang, limited_memory, limited_time, witnessed_writes
-from irlos_pipe.cli import cli
-from irlos_pipe.errors import IrlosError
+from irlos_pipe.commands.main import cli
+from irlos_pipe.conventions.errors import IrlosError
 
 DOCUMENTED = {0, 2, 3, 4, 5, 64}
 MEMORY = 2 * GIB

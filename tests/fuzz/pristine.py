@@ -10,13 +10,13 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import sparta_files
 from astropy.io import fits
+from helpers import sparta_files
 
 from irlos_pipe.pipeline import run_recipe
-from irlos_pipe.product import read_product
+from irlos_pipe.product.product import read_product
 from irlos_pipe.recipe import load_recipe
-from irlos_pipe.stages.recordings import recordings_from_product
+from irlos_pipe.stages.ingest.recordings import recordings_from_product
 
 ROWS, COLUMNS, FRAMES = 24, 20, 8
 RECIPE = "recipe: fuzz\ninputs:\n  cube: {path}\nstages: [ingest]\n"

@@ -1,0 +1,182 @@
+"""The commands for nights: parse, call, exit code. Nothing else."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from irlos_pipe.commands.exits import EXIT_CODES, tell, terminated_like_interrupted
+from irlos_pipe.commands.options import FOLDER, resources_of
+from irlos_pipe.conventions.errors import ExitCode, NothingToDo
+
+if TYPE_CHECKING:
+    from irlos_pipe.night.reduce import Runner
+
+DATE = click.DateTime(["%Y-%m-%d"])
+CONFIG = click.option(
+    "--config", type=FOLDER, metavar="FILE", help="YAML with recipes, settings and bands (docs/night.md)."
+)
+
+
+@click.command(epilog=EXIT_CODES)
+@click.argument("folders", metavar="NIGHT_DIR...", type=FOLDER, nargs=-1, required=True)
+@click.option("--output", type=FOLDER, required=True, metavar="TREE", help="Folder of all nights.")
+@CONFIG
+@click.option(
+    "--recipe",
+    "recipes",
+    metavar="KIND=PATH",
+    multiple=True,
+    help="Recipe for calibration, ramp, derotator or psf; a KIND given again makes a list.",
+)
+@click.option("--since", type=DATE, metavar="DATE", help="First night to look at, YYYY-MM-DD.")
+@click.option("--dry-run", is_flag=True, help="Say what would be done and why; touch nothing.")
+@click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes (default: all processors).")
+@click.option("--device", type=click.Choice(["cpu", "cuda", "auto"]), default="cpu", show_default=True)
+@click.option(
+    "--engine",
+    type=click.Choice(["local", "dask"]),
+    default="local",
+    show_default=True,
+    help="Processes of this machine, or a Dask cluster (docs/scale_out.md).",
+)
+@click.option("--scheduler", metavar="ADDRESS", help="Scheduler of the cluster, e.g. tcp://10.0.0.1:8786.")
+@click.option("-v", "--verbose", count=True, help="Tell what is done; -vv all that is told.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was done (or the plan) as JSON.")
+def night(
+    folders: tuple[Path, ...],
+    output: Path,
+    config: Path | None,
+    recipes: tuple[str, ...],
+    since: object,
+    dry_run: bool,
+    jobs: int | None,
+    device: str,
+    engine: str,
+    scheduler: str | None,
+    verbose: int,
+    as_json: bool,
+) -> None:
+    """Reduce every recording under NIGHT_DIR that is new, or whose products are out of date.
+
+    NIGHT_DIR is a night, or an archive of many. Recordings are grouped by role, time and
+    configuration: a calibration cube by itself, a ramp with the calibration that serves it, a
+    series of derotator angles. A recording that cannot be reduced is named and does not stop the
+    others. What is up to date is left alone; after a change of model, recipe or settings exactly
+    what depends on it is redone, and the old products stay until all the new ones are there.
+
+    Nothing is printed when all is well, one line when somebody should have a look.
+
+    \b
+    Examples:
+      irlos night /data/irlos/2024-02-10 --output /data/reduced
+      irlos night /data/irlos --output /data/reduced --since 2024-01-01 --dry-run
+      irlos night 2024-02-10 --output reduced --recipe ramp=recipes/full_reduction.yaml -v
+      irlos night /data/irlos --output /data/reduced --engine dask --scheduler tcp://10.0.0.1:8786
+
+    \b
+    TREE will hold:
+      night_<date>.html          what came in, what became of it, the trends
+      <date>/<group>/<recipe>/   the run of each: report.html, results.json, products (irlos show)
+      trend.sqlite               the numbers of all nights (irlos trend TREE)
+      night.log                  what happened
+    """
+    from irlos_pipe.night.run import Order, plan_night, run_night
+    from irlos_pipe.night.settings import load_settings
+    from irlos_pipe.night.text import concern, plan_text, ran_json, ran_text
+    from irlos_pipe.pipeline.terminal import messages
+
+    resources = resources_of(device, jobs, quiet=True)
+    runner = _runner(engine, scheduler, resources.jobs)
+    order = Order(folders, output, load_settings(config, recipes), _date(since), resources.device)
+    if dry_run:
+        with _nothing_told(verbose, as_json):
+            click.echo(plan_text(*plan_night(order), as_json))
+        return
+    with _nothing_told(verbose, as_json), terminated_like_interrupted(), messages(verbose - 1):
+        ran = run_night(order, runner)
+    if as_json or verbose:
+        click.echo(ran_json(ran, output) if as_json else ran_text(ran, output))
+    if concern(ran, output):
+        tell(concern(ran, output))
+    sys.exit(ran.exit_code)
+
+
+@click.command(epilog=EXIT_CODES)
+@click.argument("tree", metavar="TREE", type=FOLDER)
+@click.option(
+    "--of",
+    "names",
+    metavar="NAME",
+    multiple=True,
+    help="Number to show, e.g. noll_4_nm; may be repeated (default: all, in a plot the first 16).",
+)
+@CONFIG
+@click.option("--until", type=DATE, metavar="DATE", help="Last night to look at, YYYY-MM-DD.")
+@click.option("--json", "as_json", is_flag=True, help="Print all points, bands and alarms as JSON.")
+@click.option("--plot", type=FOLDER, metavar="FILE", help="Draw to FILE, a .svg, .png or .pdf.")
+def trend(
+    tree: Path, names: tuple[str, ...], config: Path | None, until: object, as_json: bool, plot: Path | None
+) -> None:
+    """Show how NCPAs, defocus bias, seeing and the verdicts of diagnose went from night to night.
+
+    Every number is compared with the band of the nights before it; a number of the last night
+    outside its band is told and makes the exit code 4. The stability of the NCPAs is their
+    structure function: the RMS change of the wavefront against the time between two calibrations.
+
+    \b
+    Examples:
+      irlos trend /data/irlos/reduced
+      irlos trend /data/irlos/reduced --of noll_4_nm --of noll_6_nm --plot focus.png
+      irlos trend /data/irlos/reduced --json > trend.json
+    """
+    from irlos_pipe.night.settings import load_settings
+    from irlos_pipe.night.trend import read_trend
+    from irlos_pipe.night.trend_text import alarms_line, trend_json, trend_text
+
+    found = read_trend(tree, load_settings(config).band, names, _date(until))
+    if plot is not None:
+        from irlos_pipe.night.trend_plots import save_plot
+
+        save_plot(found, plot)
+    click.echo(trend_json(found) if as_json else trend_text(found))
+    if alarms_line(found):
+        tell(alarms_line(found))
+        sys.exit(ExitCode.QUALITY)
+
+
+def _runner(engine: str, scheduler: str | None, jobs: int) -> Runner:
+    """What works on the tasks."""
+    if engine == "dask" and scheduler:
+        from irlos_pipe.night.dask_engine import dask_runner
+
+        return dask_runner(scheduler)
+    if engine == "dask" or scheduler:
+        raise click.UsageError("--engine dask and --scheduler ADDRESS need each other")
+    from irlos_pipe.night.local import local_runner
+
+    return local_runner(jobs)
+
+
+@contextmanager
+def _nothing_told(verbose: int, as_json: bool) -> Iterator[None]:
+    """A night without recordings is no reason for cron to send a letter; the page and the code say so."""
+    try:
+        yield
+    except NothingToDo as nothing:
+        if as_json:
+            from irlos_pipe.night.text import nothing_json
+
+            click.echo(nothing_json(str(nothing)))
+        if verbose or sys.stderr.isatty():
+            raise
+        sys.exit(nothing.exit_code)
+
+
+def _date(moment: object) -> str:
+    return "" if moment is None else f"{moment:%Y-%m-%d}"

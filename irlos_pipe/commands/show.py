@@ -1,0 +1,102 @@
+"""Products and run folders as text for people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import yaml
+
+from irlos_pipe.conventions.errors import InputDataError, IrlosError
+from irlos_pipe.pipeline.plan import Selection
+from irlos_pipe.pipeline.run import plan_run
+from irlos_pipe.pipeline.terminal import aligned
+from irlos_pipe.product.product import Check, Product, Quantity, read_product
+from irlos_pipe.product.runfolder import RunFolder, existing_run
+from irlos_pipe.recipe import load_recipe
+
+
+def product_text(path: Path) -> str:
+    """Return what a product holds: provenance, arrays, results, configuration, QC and log."""
+    product = read_product(path)
+    arrays = [_array_row(name, quantity) for name, quantity in product.arrays.items()]
+    parts = {
+        "": _origin(path, product),
+        "arrays": aligned(arrays) if arrays else "none",
+        "results": _yaml(product.results),
+        "configuration": _yaml(product.config),
+        "checks": "\n".join(map(_check_line, product.checks)) or "none",
+        "log": "\n".join(product.log) or "empty",
+    }
+    return "\n\n".join(_titled(title, text) for title, text in parts.items())
+
+
+def status_text(folder: Path) -> str:
+    """Return one line per stage of a run: whether it is up to date, its QC and when it was made.
+
+    Raises
+    ------
+    InputDataError
+        When `folder` holds no run.
+    """
+    run = existing_run(folder)
+    states = _states(run)
+    rows = [("product", "state", "QC", "finished")]
+    for path in sorted(run.path.glob("[0-9][0-9]_*.h5")):
+        rows.append((path.name, states.pop(path.name, "not of this recipe"), *_quality_and_time(path)))
+    rows += [(name, state, "-", "-") for name, state in states.items()]
+    return aligned(rows)
+
+
+def _states(run: RunFolder) -> dict[str, str]:
+    """State of each product of the run's recipe by file name."""
+    try:
+        _, steps = plan_run(load_recipe(run.recipe), run.path, Selection())
+    except IrlosError as error:
+        reason = str(error).splitlines()[0]
+        return {path.name: f"cannot be checked: {reason}" for path in run.path.glob("[0-9][0-9]_*.h5")}
+    return {step.path.name: step.reason if step.current else f"outdated: {step.reason}" for step in steps}
+
+
+def _quality_and_time(path: Path) -> tuple[str, str]:
+    try:
+        product = read_product(path, arrays=False)
+    except InputDataError:
+        return "-", "-"
+    passed = sum(check.passed for check in product.checks)
+    return f"{passed}/{len(product.checks)}", str(product.provenance.get("finished", "-"))
+
+
+def _origin(path: Path, product: Product) -> str:
+    origin = product.provenance
+    software = ", ".join(f"{name} {version}" for name, version in origin.get("software", {}).items())
+    rows = [
+        ("product", f"{path.name}, stage '{product.stage}'"),
+        ("made", str(origin.get("finished"))),
+        ("took", f"{origin.get('seconds')} s on {origin.get('machine', {}).get('host')}"),
+        ("command", str(origin.get("command"))),
+        ("software", software),
+        ("inputs", f"{len(origin.get('inputs', []))} files"),
+        ("seed", str(origin.get("seed"))),
+    ]
+    return aligned(rows)
+
+
+def _array_row(name: str, quantity: Quantity) -> tuple[str, ...]:
+    shape = "x".join(map(str, quantity.value.shape)) or "scalar"
+    error = "with error" if quantity.error is not None else ""
+    return name, shape, str(quantity.value.dtype), quantity.unit or "-", error, quantity.description
+
+
+def _check_line(check: Check) -> str:
+    low = "-inf" if check.low is None else f"{check.low:g}"
+    high = "inf" if check.high is None else f"{check.high:g}"
+    verdict = "passed" if check.passed else "FAILED"
+    return f"{verdict}  {check.name} = {check.value:g} {check.unit} [{low} ... {high}]  {check.message}"
+
+
+def _yaml(content: dict) -> str:
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None).rstrip()
+
+
+def _titled(title: str, text: str) -> str:
+    return f"{title}:\n" + "\n".join(f"  {line}" for line in text.splitlines()) if title else text

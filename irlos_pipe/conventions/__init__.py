@@ -1,0 +1,1 @@
+"""Facts and conventions that both the model and the simulator may know."""

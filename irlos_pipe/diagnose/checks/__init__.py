@@ -1,0 +1,1 @@
+"""Checks made besides score tests: noise, motion, drift, single pixels."""

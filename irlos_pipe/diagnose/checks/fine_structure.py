@@ -1,0 +1,112 @@
+"""Structure of the mean image that is finer than a telescope can make.
+
+Whatever the wavefront, light ends at the cut-off D/λ of spatial frequency (Goodman 2005, Introduction to
+Fourier Optics, section 6.3); motion and pixels only weaken what is below. What a mean image has beyond, and
+noise does not explain, was made behind the optics: by an error of the flat, by single pixels, by a response
+that is not linear. Speckles do not reach there, so it shows down to photon noise on sky as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from irlos_pipe.conventions.units import MAS, NM
+from irlos_pipe.diagnose.cube import Stack
+from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.estimate.cube import local_mean
+from irlos_pipe.optics.psf_settings import PsfSettings
+
+MAIN_LOBE = 2  # half width of a Hann window's, in frequencies of the window: what leaks past it is nothing
+FADED = 0.1  # of its middle, below which the window is left out
+FEWEST = 0.1  # of all frequencies; with less beyond the cut-off, pixels are too coarse to show any
+
+
+@dataclass(frozen=True)
+class FineStructure:
+    """Power beyond the cut-off.
+
+    Attributes
+    ----------
+    ratio : float
+        Measured over what noise leaves there; 1 where the pixels are too coarse to tell.
+    significance : float
+        In standard deviations of single frames from their mean.
+    """
+
+    ratio: float = 1.0
+    significance: float = 0.0
+
+
+def fine_structure(optimum: Optimum) -> FineStructure:
+    """Of the residual of a fitted model, the most significant of its recordings."""
+    fitted = optimum.fitted
+    residual_e = optimum.stack.mean_e - fitted.image_e
+    found = [
+        _of_recording(part, residual_e[pixels], view.psf.settings)
+        for part, pixels, view in zip(optimum.stack.parts, fitted.problem.pixels, fitted.views, strict=True)
+    ]
+    return max(found, key=lambda one: one.significance)
+
+
+def _of_recording(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings) -> FineStructure:
+    beyond = Beyond(stack.frames.pixel_mask, cut_off_per_px(settings))
+    if beyond.share < FEWEST:
+        return FineStructure()
+    deviations_e = torch.where(stack.root > 0, stack.deviations / stack.root, 0.0)
+    frames = beyond(deviations_e.reshape(-1, *settings.window)) ** 2
+    scatter = local_mean(frames.sum(0) / (len(frames) - 1), beyond.weight)
+    shared = beyond.share * beyond.fade**2 * stack.frames.noise.shared_e2
+    mean = beyond(residual_e.reshape(1, *settings.window))[0] ** 2
+    noise = (frames / scatter)[:, beyond.inside].mean(1) * len(frames) / (len(frames) - 1)
+    ratio = float((mean / (scatter / len(frames) + shared))[beyond.inside].mean() / noise.mean())
+    return FineStructure(ratio, (ratio - 1) * float(noise.mean() / noise.std()))
+
+
+def cut_off_per_px(settings: PsfSettings) -> float:
+    """Highest spatial frequency of an image, D/λ of the shortest wavelength [cycles/px]."""
+    shortest_m = min(wavelength_nm for wavelength_nm, _ in settings.spectrum) * NM
+    return settings.geometry.diameter_m / shortest_m * settings.pixel_scale_mas * MAS
+
+
+class Beyond:
+    """Filter for what lies beyond a spatial frequency, in a window that fades out towards its border (Hann).
+
+    Parameters
+    ----------
+    pixel_mask : tensor of bool, (rows, columns)
+        True for good pixels; others are filled from around them.
+    frequency_per_px : float
+        [cycles/px]
+    """
+
+    def __init__(self, pixel_mask: torch.Tensor, frequency_per_px: float):
+        self.weight = pixel_mask.double()
+        rows, columns = (torch.fft.fftfreq(size, dtype=torch.float64) for size in pixel_mask.shape)
+        least = frequency_per_px + MAIN_LOBE / min(pixel_mask.shape)
+        self.band = torch.hypot(rows[:, None], columns) > least
+        self.fade = torch.outer(*(_hann(size) for size in pixel_mask.shape))
+
+    def __call__(self, images: torch.Tensor) -> torch.Tensor:
+        """The filtered images (images, rows, columns)."""
+        filled = torch.stack([self._filled(image) for image in images])
+        return torch.fft.ifft2(torch.fft.fft2(filled * self.fade) * self.band).real
+
+    @property
+    def share(self) -> float:
+        """Part of all frequencies that passes."""
+        return float(self.band.double().mean())
+
+    @property
+    def inside(self) -> torch.Tensor:
+        """Good pixels where the window has not faded."""
+        return (self.weight > 0) & (self.fade > FADED)
+
+    def _filled(self, image: torch.Tensor) -> torch.Tensor:
+        return torch.where(self.weight > 0, image, local_mean(image, self.weight))
+
+
+def _hann(size: int) -> torch.Tensor:
+    return torch.sin(np.pi * (torch.arange(size, dtype=torch.float64) + 0.5) / size) ** 2

@@ -1,0 +1,1 @@
+"""Diagnosis of a defocus ramp: what the focus stage really introduced."""

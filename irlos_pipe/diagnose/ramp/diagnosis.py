@@ -1,0 +1,223 @@
+"""What a focus stage does wrong, from the defocus of a ramp's frames against what it was told.
+
+Every error of the stage adds a known course to the introduced defocus, times its size, so that all choices
+of a few errors are fitted linearly to the means of the visits and compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain, combinations
+
+import numpy as np
+
+from irlos_pipe.diagnose.ramp.visits import Visits, candidates, course
+from irlos_pipe.diagnose.search.detect import gaussian_sigma
+from irlos_pipe.diagnose.verdict import EFFECT, NONE, UNKNOWN
+from irlos_pipe.effects import Pinned
+from irlos_pipe.effects.base import RampEffect
+from irlos_pipe.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
+
+PER_PARAMETER = 8.0  # of χ², that a size or an edge has to earn
+CLOSE = 6.0  # of χ², by which two names differ that are not told apart
+WORST_CONDITION = 1e3
+SEEN_SIGMA = 5.2  # from which an error counts as seen
+LEFT, LEFT_CHI2_NU = 0.1, 3.0  # part of χ², and χ²/ν, from which something is left
+FAR_OFF_CHI2_NU = 10.0  # visits then miss by three times their errors, whatever part of χ² it is
+SEPARATION = {
+    FocusStageHysteresis.name: "every offset reached from both sides",
+    FocusStageOffset.name: "the same offsets in another order, and a calibration at one of them",
+    FocusStageScale.name: "larger offsets on both sides; a known lens",
+}
+
+
+Shapes = dict[RampEffect, np.ndarray]  # course of every error over the visits, whitened
+
+
+@dataclass(frozen=True)
+class RampName:
+    """One error of the stage.
+
+    Attributes
+    ----------
+    effect : RampEffect
+    size, sigma : float
+    significance : float
+        In Gaussian σ, trials counted.
+    explained : float
+        Part of the excess over noise.
+    alternatives : sequence of str
+        Names whose courses are the same on this ramp.
+    """
+
+    effect: RampEffect
+    size: float
+    sigma: float
+    significance: float
+    explained: float
+    alternatives: Sequence[str]
+
+    @property
+    def name(self) -> str:
+        """Of the effect."""
+        return self.effect.name
+
+    @property
+    def plausible(self) -> bool:
+        """Whether a stage could err by so much."""
+        low, high = self.effect.parameters[0].plausible
+        return low <= self.size <= high
+
+    @property
+    def pinned(self) -> Pinned:
+        """The effect at its size."""
+        return Pinned(self.effect, [self.size])
+
+
+@dataclass(frozen=True)
+class RampDiagnosis:
+    """Errors of the stage in the order found.
+
+    Attributes
+    ----------
+    verdict : {"none", "effect", "unknown"}
+    names : sequence of RampName
+    nearest : sequence of RampName
+        What comes nearest, where the verdict is unknown.
+    chi2_nu : (float, float)
+        Of the visits, before and after.
+    smallest : dict of str to float
+        Size of each error not found at which it would have been.
+    untestable : sequence of str
+    """
+
+    verdict: str
+    names: Sequence[RampName]
+    nearest: Sequence[RampName]
+    chi2_nu: tuple[float, float]
+    smallest: dict[str, float]
+    untestable: Sequence[str]
+
+    def introduced_nm(self, commanded_nm: np.ndarray) -> np.ndarray:
+        """What the stage really introduced."""
+        return commanded_nm + sum(
+            (one.size * course(one.effect, commanded_nm) for one in self.names), np.zeros(len(commanded_nm))
+        )
+
+
+def diagnose_ramp(
+    commanded_nm: np.ndarray, estimated_nm: np.ndarray, used: np.ndarray, sure: float = 5.0, most: int = 3
+) -> RampDiagnosis:
+    """Name the errors of the stage, one after the other.
+
+    Parameters
+    ----------
+    commanded_nm, estimated_nm : ndarray, (frames,)
+        In order of recording; failed estimates are NaN.
+    used : ndarray of bool, (frames,)
+        Frames that the fit may see.
+    """
+    visits = Visits.of(commanded_nm, estimated_nm, used)
+    data = (visits.mean_nm - visits.commanded_nm) / visits.sigma_nm
+    shapes = {one: visits.course(one) for one in candidates(visits)}
+    fits = _all_fits(data, shapes, min(most, len(data) - 2))
+    chosen = next(fit for fit in fits if all(_significance(fit, one, shapes) > sure for one in fit.effects))
+    return _verdict(data, shapes, chosen, [_named(one, chosen, fits, data, shapes) for one in chosen.effects])
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Linear fit of some errors to the visits.
+
+    Attributes
+    ----------
+    effects : tuple of RampEffect
+    sizes : ndarray, (effects,)
+    covariance : ndarray, (effects, effects)
+    chi2 : float
+    """
+
+    effects: tuple[RampEffect, ...]
+    sizes: np.ndarray
+    covariance: np.ndarray
+    chi2: float
+
+    @classmethod
+    def of(cls, data: np.ndarray, shapes: Shapes, effects: tuple[RampEffect, ...]) -> _Fit | None:
+        """The fit; None where the ramp does not determine it."""
+        design = np.array([shapes[one] for one in effects]).reshape(len(effects), len(data)).T
+        scale = np.linalg.norm(design, axis=0)
+        if effects and (scale.min() == 0 or np.linalg.cond(design / scale) > WORST_CONDITION):
+            return None
+        covariance = np.linalg.inv(design.T @ design)
+        sizes = covariance @ design.T @ data
+        return cls(effects, sizes, covariance, float(np.sum((data - design @ sizes) ** 2)))
+
+    @property
+    def price(self) -> float:
+        """χ² after a price per size and per edge of a part of the ramp."""
+        return self.chi2 + PER_PARAMETER * (len(self.effects) + sum(map(_edges, self.effects)))
+
+
+def _all_fits(data: np.ndarray, shapes: Shapes, most: int) -> list[_Fit]:
+    """Every choice of up to `most` errors of different kinds, the best first.
+
+    Biases of several parts of a ramp could follow any curve, and would explain everything.
+    """
+    choices = chain.from_iterable(combinations(shapes, count) for count in range(most + 1))
+    different = (choice for choice in choices if len({one.name for one in choice}) == len(choice))
+    fits = (_Fit.of(data, shapes, choice) for choice in different)
+    return sorted((fit for fit in fits if fit is not None), key=lambda fit: fit.price)
+
+
+def _significance(fit: _Fit, effect: RampEffect, shapes: Shapes) -> float:
+    """Of one error beside the others, in Gaussian σ."""
+    place = fit.effects.index(effect)
+    fall = fit.sizes[place] ** 2 / fit.covariance[place, place]
+    return gaussian_sigma(float(fall), 1, np.inf, len(shapes))
+
+
+def _named(effect: RampEffect, fit: _Fit, fits: Sequence[_Fit], data: np.ndarray, shapes: Shapes) -> RampName:
+    """One of the chosen errors with its numbers."""
+    place, excess = fit.effects.index(effect), float(data @ data) - len(data)
+    rest = _Fit.of(data, shapes, tuple(one for one in fit.effects if one is not effect))
+    others = {one.name for one in rest.effects}
+    rivals = {
+        next(iter(names))
+        for other in fits
+        if len(other.effects) == len(fit.effects) and other.price - fit.price < CLOSE
+        if len(names := {one.name for one in other.effects} - others) == 1
+    }
+    scatter = max(fit.chi2 / max(len(data) - len(fit.effects), 1), 1.0)
+    return RampName(
+        effect,
+        float(fit.sizes[place]),
+        float(np.sqrt(scatter * fit.covariance[place, place])),
+        _significance(fit, effect, shapes),
+        float(min((rest.chi2 - fit.chi2) / max(excess, 1e-9), 1.0)),
+        sorted(rivals - {effect.name}),
+    )
+
+
+def _edges(effect: RampEffect) -> int:
+    """Number of edges that a bias of a part of the ramp chooses."""
+    return int(np.isfinite([getattr(effect, "above_nm", np.inf), getattr(effect, "below_nm", np.inf)]).sum())
+
+
+def _verdict(data: np.ndarray, shapes: Shapes, fit: _Fit, names: list[RampName]) -> RampDiagnosis:
+    after = fit.chi2 / max(len(data) - len(fit.effects), 1)
+    unexplained = after > FAR_OFF_CHI2_NU or (after > LEFT_CHI2_NU and fit.chi2 > LEFT * float(data @ data))
+    unexplained = unexplained or not all(one.plausible for one in names)
+    seen = {one.name for one in names}
+    smallest = {
+        one.name: float(SEEN_SIGMA * np.sqrt(beside.covariance[-1, -1]))
+        for one in shapes
+        if _edges(one) == 0 and one.name not in seen
+        if (beside := _Fit.of(data, shapes, (*fit.effects, one))) is not None
+    }
+    verdict = UNKNOWN if unexplained else EFFECT if names else NONE
+    untestable = sorted(SEPARATION.keys() - seen - set(smallest))
+    known, nearest = ([], names) if unexplained else (names, [])
+    chi2_nu = (float(data @ data) / len(data), after)
+    return RampDiagnosis(verdict, known, nearest, chi2_nu, smallest, untestable)

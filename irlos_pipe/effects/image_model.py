@@ -1,0 +1,205 @@
+"""Electrons in every pixel: ``flux · PSF(modes, effects) + background``, as the detector shows them.
+
+This is where the light path ends and estimation begins: a fit, a bound or a search sees images as
+a function of Zernike modes, effect parameters, flux and background, and their derivatives, whatever the
+place at which an effect acts. Parameters in the pupil and of the OTF are differentiated by the chain
+rule at their place, those that change colours, pixel scale or the wavefront's course in time by
+forward-mode differentiation of the whole path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+import torch
+
+from irlos_pipe.effects.base import Effect
+from irlos_pipe.effects.effect_set import NOTHING, EffectSet
+from irlos_pipe.effects.pinned import Pinned
+from irlos_pipe.numerics.forward_mode import along, pushed_all
+from irlos_pipe.optics.grids import Optics
+from irlos_pipe.optics.psf import NO_TANGENTS, PsfModel
+
+TIMES = 3  # nodes of the average over a recording: exact for images of 5th order in time
+
+
+class ImageModel:
+    """Images of a star of known brightness.
+
+    Parameters
+    ----------
+    psf : PsfModel
+    effects : sequence of Effect or Pinned, or EffectSet
+    """
+
+    def __init__(self, psf: PsfModel, effects: Sequence[Effect | Pinned] | EffectSet = ()):
+        self.psf = psf
+        self.effects = effects if isinstance(effects, EffectSet) else EffectSet(effects, psf.stations)
+        self._last: tuple[torch.Tensor, Optics] | None = None
+
+    def predict(
+        self,
+        modes_nm: torch.Tensor,
+        flux_e: torch.Tensor,
+        background_e: torch.Tensor,
+        values: torch.Tensor = NOTHING,
+        when: torch.Tensor | None = None,
+    ) -> torch.Tensor:
+        """Images [e-], (images, rows, columns), float64 on the device of the PSF model.
+
+        Parameters
+        ----------
+        modes_nm : tensor, (images, modes)
+        flux_e, background_e : tensor, (images,)
+            Electrons through the clear pupil, and in every pixel.
+        values : tensor, (effect parameters,)
+        when : tensor, (images,), optional
+            Time of every image, 0 at the first frame and 1 at the last; by default each image is the
+            average over the whole recording. Matters only to effects that change with time.
+        """
+        unit = self._unit(modes_nm, self._optics(values), values, when).double()
+        image = flux_e[:, None, None].to(unit.device) * unit + background_e[:, None, None].to(unit.device)
+        return self.effects.detect(values, image)
+
+    def predict_and_jacobian(
+        self,
+        modes_nm: torch.Tensor,
+        flux_e: torch.Tensor,
+        background_e: torch.Tensor,
+        values: torch.Tensor = NOTHING,
+        when: torch.Tensor | None = None,
+        *,
+        held: bool = False,
+        modal: bool = True,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Images as `predict`, and derivatives (images, modes + effect parameters + 2, rows, columns).
+
+        The last two are with respect to flux and background. Derivatives have the precision of the
+        propagation unless the model has detector effects. Those with respect to effect parameters are
+        left out where the effects are `held`, those with respect to modes unless they are `modal`.
+        """
+        unit, jacobian = self._unit_and_jacobian(modes_nm, values, when, held, modal)
+        flux, background = (v[:, None, None].to(unit.device) for v in (flux_e, background_e))
+        before = jacobian.shape[1]
+        modes = len(self.psf.nolls) if modal else 0
+        size = modes + (0 if held else len(values)) + 2
+        columns = unit.new_empty(len(unit), size, *unit.shape[1:])
+        torch.mul(jacobian, flux[:, None].to(unit.dtype), out=columns[:, :before])
+        columns[:, before:-2] = 0
+        columns[:, -2] = unit
+        columns[:, -1] = 1.0
+        image = flux * unit.double() + background
+        if not self.effects.at("detector"):
+            return image, columns
+        return self._detected(image, columns.double(), values, None if held else modes)
+
+    def predict_and_pullback(self, modes_nm: torch.Tensor, flux_e: torch.Tensor, background_e: torch.Tensor):
+        """Images without free effects in the precision of the propagation, and the transposed Jacobian.
+
+        Returns
+        -------
+        image : tensor, (images, rows, columns)
+        pullback : callable
+            From factors of all pixels, (images, rows, columns), to the derivatives of the images' sum with
+            these factors, (images, modes + 2), float64: modes, flux, background.
+
+        Raises
+        ------
+        ValueError
+            With free effects, or effects of the detector or of time.
+        """
+        if not self.can_pull_back:
+            raise ValueError("the pullback knows no free effects, nor those of the detector or of time")
+        unit, to_modes = self.psf.images_and_pullback(modes_nm, self.optics)
+        flux, background = (v.to(unit)[:, None, None] for v in (flux_e, background_e))
+
+        def pullback(factors: torch.Tensor) -> torch.Tensor:
+            by_flux = (factors * unit).sum((1, 2), dtype=torch.float64)
+            by_background = factors.sum((1, 2), dtype=torch.float64)
+            by_modes = to_modes(factors).double() * flux[:, :, 0].double()
+            return torch.cat([by_modes, by_flux[:, None], by_background[:, None]], dim=1)
+
+        return flux * unit + background, pullback
+
+    @property
+    def can_pull_back(self) -> bool:
+        """Whether `predict_and_pullback` knows all effects of the model."""
+        return not (self.effects.parameters or self.effects.at("detector") or self.effects.at("time"))
+
+    @property
+    def optics(self) -> Optics:
+        """What effects without free parameters make of the light path."""
+        return self._optics(NOTHING)
+
+    @property
+    def general(self) -> ImageModel:
+        """The model without limits that this one may be a quick version of; here itself."""
+        return self
+
+    # -- parts -------------------------------------------------------------------------------
+
+    def _optics(self, values: torch.Tensor) -> Optics:
+        """What the effects make of the light path, kept for the next call with the same values."""
+        if values.requires_grad:
+            return self.effects(values)
+        last = self._last
+        if last is None or not torch.equal(last[0], values):
+            self._last = last = values.clone(), self.effects(values)
+        return last[1]
+
+    def _unit(self, modes_nm, optics: Optics, values: torch.Tensor, when) -> torch.Tensor:
+        """Unit-flux images before the detector."""
+        if not self.effects.at("time"):
+            return self.psf.images(modes_nm, optics)
+        modes, weights = self._in_time(modes_nm, values, when)
+        return _mean(self.psf.images(modes, optics), weights)
+
+    def _in_time(self, modes_nm: torch.Tensor, values: torch.Tensor, when):
+        """Wavefronts at the nodes of the average over the recording, or at the time of each image."""
+        if when is not None:
+            return self.effects.modes_at(values, modes_nm, when), torch.ones(1, dtype=torch.float64)
+        nodes, weights = np.polynomial.legendre.leggauss(TIMES)
+        times = torch.as_tensor((nodes + 1) / 2).repeat(len(modes_nm))
+        repeated = modes_nm.repeat_interleave(TIMES, dim=0)
+        return self.effects.modes_at(values, repeated, times), torch.as_tensor(weights / 2)
+
+    def _unit_and_jacobian(self, modes_nm, values: torch.Tensor, when, held: bool, modal: bool):
+        """Unit-flux images and derivatives with respect to modes and effects before the detector."""
+        tangents = NO_TANGENTS if held else self.effects.tangents(values)
+        modes, weights = modes_nm, torch.ones(1)
+        if self.effects.at("time"):
+            modes, weights = self._in_time(modes_nm, values, when)
+        unit, jacobian = self.psf.images_and_jacobian(modes, self._optics(values), tangents, modal=modal)
+        if len(weights) > 1:
+            unit, jacobian = _mean(unit, weights), _mean(jacobian, weights)
+        if held:
+            return unit, jacobian
+        rest = [*self.effects.free_at("sampling"), *self.effects.free_at("time")]
+        whole = [self._whole_path(modes_nm, values, when, index)[:, None].to(unit.dtype) for index in rest]
+        return unit, torch.cat([jacobian, *whole], dim=1)
+
+    def _whole_path(self, modes_nm, values: torch.Tensor, when, index: int) -> torch.Tensor:
+        """Derivative of the unit-flux images along one effect parameter, the other effects held."""
+        effects, piece = self.effects.held_but(values, index)
+        alone = ImageModel(self.psf, effects)
+
+        def images(v: torch.Tensor) -> torch.Tensor:
+            return alone._unit(modes_nm, effects(v), v, when)
+
+        with torch.enable_grad():  # in this thread: the transforms do not follow into others
+            return along(images, values[piece], index - piece.start).detach()
+
+    def _detected(self, image: torch.Tensor, columns: torch.Tensor, values: torch.Tensor, first: int | None):
+        """Images and derivatives behind the detector; `first`: column of the first effect parameter."""
+        columns = pushed_all(partial(self.effects.detect, values), image, columns)
+        for index in [] if first is None else self.effects.free_at("detector"):
+            columns[:, first + index] = along(lambda v: self.effects.detect(v, image), values, index)
+        return self.effects.detect(values, image), columns
+
+
+def _mean(per_time: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+    """Weighted mean over the times of each image, from (images · times, ...) to (images, ...)."""
+    parts = per_time.reshape(-1, len(weights), *per_time.shape[1:])
+    return torch.tensordot(weights.to(parts), parts.movedim(1, 0), 1)

@@ -1,0 +1,1 @@
+"""Reading and writing files safely: atomic writes, JSON, YAML with line numbers, worker processes."""

@@ -1,0 +1,152 @@
+"""Turn everything that is wrong with a settings file into lines ``file:line: message`` with suggestions."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.files.yaml import line_of
+
+KeyPath = tuple[str | int, ...]
+MAX_SHOWN = 60  # characters of a section or list in a message
+
+
+@dataclass(frozen=True)
+class Origins:
+    """Knows where each value of a recipe was given: in the file or on the command line.
+
+    Attributes
+    ----------
+    lines : dict of tuple to int
+        Line of every key path in the file.
+    overrides : sequence of (key path, str)
+        What the command line replaced, and the option that did.
+    """
+
+    path: Path
+    lines: dict[KeyPath, int]
+    overrides: Sequence[tuple[KeyPath, str]] = ()
+
+    def where(self, key: KeyPath) -> str:
+        """Return ``file:line``, or the option that set the value."""
+        for replaced, option in reversed(self.overrides):
+            within = key[: len(replaced)] == replaced
+            made_by_it = key not in self.lines and replaced[: len(key)] == key
+            if within or made_by_it:
+                return option
+        return f"{self.path}:{line_of(self.lines, key)}"
+
+
+def suggestion(word: Any, known: Iterable[str]) -> str:
+    """Return ``; did you mean 'x'?``, or the list of what is known when nothing is close."""
+    known = [str(name) for name in known]
+    close = difflib.get_close_matches(str(word), known, n=1, cutoff=0.5)
+    if close:
+        return f"; did you mean '{close[0]}'?"
+    return f"; known: {', '.join(known)}" if known else ""
+
+
+def and_more(told: Sequence) -> str:
+    """What follows the first of several things when only that is told."""
+    return f" (and {len(told) - 1} more)" if len(told) > 1 else ""
+
+
+class Complaints:
+    """Collects complaints, so that all of them can be told at once."""
+
+    def __init__(self, origins: Origins, rejected: Iterable[ConfigurationError] = ()) -> None:
+        self._origins = origins
+        # Errors about options that could not be parsed say themselves where they belong.
+        self._found = [tuple(str(error).split(": ", 1)) for error in rejected]
+
+    def add(self, key: KeyPath, message: str) -> None:
+        """Note a complaint about the value at `key`."""
+        entry = (self._origins.where(key), message)
+        if entry not in self._found:
+            self._found.append(entry)
+
+    def add_invalid(self, error: ValidationError, model: type[BaseModel], section: KeyPath = ()) -> None:
+        """Note all that pydantic found wrong with a section of the recipe."""
+        for problem in error.errors():
+            key = (*section, *problem["loc"])
+            self.add(key, _explain(problem, model, section))
+
+    def raise_if_any(self) -> None:
+        """Raise all complaints as one error, in the order of the file.
+
+        Raises
+        ------
+        ConfigurationError
+            One line per complaint.
+        """
+        if self._found:
+            ordered = sorted(self._found, key=lambda entry: _natural(entry[0]))
+            raise ConfigurationError("\n".join(f"{where}: {message}" for where, message in ordered))
+
+
+def _natural(where: str) -> tuple[str, int]:
+    name, _, line = where.rpartition(":")
+    return (name, int(line)) if line.isdecimal() else (where, 0)
+
+
+def _explain(problem: dict, model: type[BaseModel], section: KeyPath) -> str:
+    loc = problem["loc"]
+    dotted = ".".join(map(str, (*section, *loc)))
+    parent = _model_at(model, loc[:-1])
+    if problem["type"] == "extra_forbidden":
+        return f"unknown key '{dotted}'{suggestion(loc[-1], _fields(parent))}"
+    if problem["type"] == "missing":
+        return f"key '{dotted}' is missing{_description(parent, loc)}"
+    text = _lower_first(problem["msg"].removeprefix("Input ").removeprefix("Value error, "))
+    return f"{dotted}{_shown(problem['input'])}: {text}{_hint(problem)}{_description(parent, loc)}"
+
+
+def _shown(value: Any) -> str:
+    """The value, unless it is a long section: its keys stand in the file."""
+    text = f" = {value!r}"
+    return "" if isinstance(value, (dict, list)) and len(text) > MAX_SHOWN else text
+
+
+def _hint(problem: dict) -> str:
+    if problem["type"] == "literal_error":
+        expected = re.findall(r"'([^']*)'", problem["ctx"]["expected"])
+        close = difflib.get_close_matches(str(problem["input"]), expected, n=1, cutoff=0.5)
+        return f"; did you mean '{close[0]}'?" if close else ""
+    if problem["type"] in ("float_parsing", "int_parsing"):
+        return "; give a plain number, its unit is in the name of the key"
+    return ""
+
+
+def _description(model: type[BaseModel] | None, loc: KeyPath) -> str:
+    field = model.model_fields.get(str(loc[-1])) if model and loc else None
+    return f" ({field.description})" if field is not None and field.description else ""
+
+
+def _fields(model: type[BaseModel] | None) -> list[str]:
+    return list(model.model_fields) if model else []
+
+
+def _model_at(model: type[BaseModel] | None, loc: KeyPath) -> type[BaseModel] | None:
+    """Return the pydantic model that holds the keys at `loc`."""
+    for part in loc:
+        field = model.model_fields.get(str(part)) if model else None
+        # List indices and tags of unions stay within the model found so far.
+        model = _model_in(field.annotation) if field is not None else model
+    return model
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next(filter(None, map(_model_in, get_args(annotation))), None)
+
+
+def _lower_first(text: str) -> str:
+    return text[:1].lower() + text[1:]

@@ -1,0 +1,176 @@
+"""Read a YAML file strictly, remembering on which line every value stands.
+
+Recipes, side-cars and instrument profiles are written by hand; what YAML forgives
+(a key given twice, ``1e-3`` read as text) is where mistakes hide, so it is not forgiven here.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
+
+MAX_BYTES = 1_000_000  # some seconds of parsing; one defocus per frame of 100 000 frames
+MAX_DEPTH = 30
+
+
+FastestLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's parser, seven times as fast
+
+
+class _Loader(FastestLoader):
+    """Safe loader that also reads ``1e-3`` as a number (YAML 1.2), which PyYAML takes for text."""
+
+    yaml_implicit_resolvers = {k: list(v) for k, v in yaml.SafeLoader.yaml_implicit_resolvers.items()}
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Safe dumper that writes out what occurs twice, as `load_yaml` refuses aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+class _Refused(Exception):
+    """A construct this project does not accept, with the line where it stands."""
+
+    def __init__(self, line: int, problem: str):
+        super().__init__(problem)
+        self.line = line
+
+
+def load_yaml(
+    path: str | Path, error: type[IrlosError] = ConfigurationError
+) -> tuple[dict, dict[tuple, int]]:
+    """Read a YAML file whose top level is a mapping.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, UTF-8.
+    error : subclass of IrlosError
+        Raised, with one line ``file:line: problem``, when the file cannot be used.
+
+    Returns
+    -------
+    data : dict
+        Plain Python values.
+    lines : dict of tuple to int
+        Line (from 1) of every key path, for example ``("diversity", "zernike", 6)``; list
+        items count from 0. The empty tuple is the top of the file.
+
+    Raises
+    ------
+    error
+        Unreadable file, bad syntax, duplicate key, alias, tag, or a top level that is no mapping.
+    """
+    path = Path(path)
+    return parse_yaml(_read_text(path, error), str(path), error)
+
+
+def parse_yaml(text: str, name: str, error: type[IrlosError] = ConfigurationError) -> tuple[dict, dict]:
+    """Do the same as `load_yaml` for text; `name` stands for the file in error messages."""
+    try:
+        _refuse_aliases_and_tags(text)
+        node = yaml.compose(text, Loader=_Loader)
+        lines: dict[tuple, int] = {(): 1}
+        data = _build(node, (), lines, _Loader(""))
+    except _Refused as exc:
+        raise error(f"{name}:{exc.line}: {exc}") from None
+    except (yaml.YAMLError, ValueError, OverflowError) as exc:
+        raise error(f"{name}:{_line_of_problem(exc)}: not valid YAML: {_problem(exc)}") from None
+    if not isinstance(data, dict):
+        raise error(
+            f"{name}:1: expected 'key: value' pairs, found {'nothing' if data is None else 'something else'}"
+        )
+    return data, lines
+
+
+def yaml_text(data: dict) -> str:
+    """Return plain values as YAML that `load_yaml` reads; the keys keep their order."""
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110)
+
+
+def line_of(lines: dict[tuple, int], key_path: tuple) -> int:
+    """Return the line of the longest part of `key_path` that stands in the file."""
+    for length in range(len(key_path), 0, -1):
+        if tuple(key_path[:length]) in lines:
+            return lines[tuple(key_path[:length])]
+    return lines.get((), 1)
+
+
+def _read_text(path: Path, error: type[IrlosError]) -> str:
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
+            raise error(f"{path}: larger than {MAX_BYTES // 1_000_000} MB; this is not a settings file")
+        return content.decode("utf-8-sig")
+    except OSError as exc:
+        raise error(f"{path}: cannot be read: {exc.strerror or exc}") from None
+    except UnicodeDecodeError:
+        raise error(f"{path}: not a UTF-8 text file") from None
+
+
+def _refuse_aliases_and_tags(text: str) -> None:
+    """Stop before anything is built: aliases can expand without bound, tags can ask for objects."""
+    depth = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        line = event.start_mark.line + 1
+        if isinstance(event, yaml.AliasEvent):
+            raise _Refused(line, f"alias '*{event.anchor}' is not accepted; write the value out")
+        if getattr(event, "tag", None):
+            raise _Refused(line, f"tag '{event.tag}' is not accepted; write a plain value")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > MAX_DEPTH:
+            raise _Refused(line, f"nested more than {MAX_DEPTH} deep")
+
+
+def _build(node: yaml.Node | None, key_path: tuple, lines: dict[tuple, int], loader: _Loader):
+    if isinstance(node, yaml.MappingNode):
+        return _build_mapping(node, key_path, lines, loader)
+    if isinstance(node, yaml.SequenceNode):
+        items = []
+        for index, child in enumerate(node.value):
+            lines[(*key_path, index)] = child.start_mark.line + 1
+            items.append(_build(child, (*key_path, index), lines, loader))
+        return items
+    return None if node is None else _scalar(node, loader)
+
+
+def _scalar(node: yaml.ScalarNode, loader: _Loader) -> Any:
+    value = loader.construct_object(node)
+    if isinstance(value, str) and any("\ud800" <= letter <= "\udfff" for letter in value):
+        raise _Refused(node.start_mark.line + 1, "half of a surrogate pair is no letter; write the letter")
+    return value
+
+
+def _build_mapping(node: yaml.MappingNode, key_path: tuple, lines: dict[tuple, int], loader: _Loader) -> dict:
+    data = {}
+    for key_node, value_node in node.value:
+        line = key_node.start_mark.line + 1
+        if not isinstance(key_node, yaml.ScalarNode):
+            raise _Refused(line, "a key must be a plain word or number")
+        key = _scalar(key_node, loader)
+        if key in data:
+            raise _Refused(line, f"key '{key}' is given twice (first on line {lines[(*key_path, key)]})")
+        lines[(*key_path, key)] = line
+        data[key] = _build(value_node, (*key_path, key), lines, loader)
+    return data
+
+
+def _line_of_problem(exc: Exception) -> int:
+    mark = getattr(exc, "problem_mark", None) or getattr(exc, "context_mark", None)
+    return mark.line + 1 if mark else 1
+
+
+def _problem(exc: Exception) -> str:
+    return " ".join(str(getattr(exc, "problem", None) or exc).split())

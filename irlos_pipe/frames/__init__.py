@@ -1,0 +1,1 @@
+"""Frames as arrays: recordings, their noise, the detector, bad pixels and cleaning."""

@@ -1,0 +1,242 @@
+"""From counts to clean frames in electrons: one pass in the order in which the detector spoils them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from irlos_pipe.frames.bad_pixels import (
+    Hits,
+    Thresholds,
+    cosmic_hits,
+    deviant_pixels,
+    flickering_pixels,
+    hot_in_dark,
+    noisy_pixels,
+    sample_frames,
+    stuck_pixels,
+    without_bad_pixels,
+    without_hits,
+)
+from irlos_pipe.frames.blocks import mean_frame, picked
+from irlos_pipe.frames.detector import estimate_pedestal, relative_flat, saturation_level, to_electrons
+from irlos_pipe.frames.neighbour_prediction import MIN_SAMPLING_PX, is_well_sampled, neighbour_prediction
+from irlos_pipe.frames.photon_transfer import MeasuredNoise, measure_noise
+from irlos_pipe.frames.raw import CalibrationMaps, RawRecording
+from irlos_pipe.frames.recording import Detector
+from irlos_pipe.frames.screening import (
+    COSMIC,
+    SATURATED,
+    Limits,
+    also,
+    hit_in_core,
+    recorder_faults,
+    saturated_frames,
+    star_faults,
+)
+
+NO_HITS = Hits(*np.empty((3, 0), dtype=int))
+
+
+@dataclass(frozen=True)
+class Background:
+    """What is subtracted from the counts.
+
+    Attributes
+    ----------
+    adu : ndarray, (rows, columns)
+        Dark, sky and pedestal together [ADU].
+    flat : ndarray, (rows, columns)
+        Relative response.
+    bad : ndarray of bool, (rows, columns)
+        Pixels that the calibration images rule out.
+    pedestal_adu, pedestal_error_adu : float
+        Level estimated from the frames; NaN if a dark or background was there [ADU].
+    """
+
+    adu: np.ndarray
+    flat: np.ndarray
+    bad: np.ndarray
+    pedestal_adu: float = float("nan")
+    pedestal_error_adu: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """Clean frames and what was found on the way.
+
+    Attributes
+    ----------
+    images_e : ndarray, (frames, rows, columns), float32
+        Finite everywhere [e-].
+    reasons : ndarray of str, (frames,)
+        Why a frame cannot be used; empty if it can.
+    pixel_mask : ndarray of bool, (rows, columns)
+        True for good pixels.
+    hits : Hits
+        Cosmic hits, already replaced in the images.
+    """
+
+    images_e: np.ndarray
+    reasons: np.ndarray
+    pixel_mask: np.ndarray
+    background: Background
+    hits: Hits
+    noise: MeasuredNoise
+    saturation_adu: float | None
+
+
+def clean(
+    raw: RawRecording,
+    detector: Detector,
+    sampling_px: float,
+    thresholds: Thresholds,
+    limits: Limits,
+) -> Cleaned:
+    """Calibrate a recording, find its bad pixels and cosmic hits, and judge its frames.
+
+    Parameters
+    ----------
+    sampling_px : float
+        Pixels per lambda/D at the shortest wavelength. Undersampled images (2x2 modes) are not
+        searched for hits and deviant pixels, since a star is as sharp as those.
+    """
+    reasons = recorder_faults(raw.adu, raw.frame_counter)
+    if not np.any(reasons == ""):
+        return _unusable(raw, reasons)
+    valid = picked(raw.adu, reasons == "")
+    level = saturation_level(valid, detector)
+    good = ~_bad_in_counts(valid, raw.calibration.bad, detector, level, thresholds.stuck_ratio)
+    reasons = also(reasons, saturated_frames(raw.adu, good, level, limits.saturated_px), SATURATED)
+    background = find_background(valid, raw.calibration, good)
+    good &= ~(background.bad | _hot(raw.calibration.dark_adu, detector, thresholds))
+    images = _finite(to_electrons(raw.adu, background.adu, background.flat, detector.e_per_adu))
+    search = _Search(sampling_px, detector, thresholds)
+    good, images = search.bad_pixels(images, good, reasons)
+    reasons = star_faults(images, reasons, limits)
+    good, images, hits = search.hits(images, good, reasons)
+    in_core = hit_in_core(hits, _mean(images, reasons), len(images), limits.core_fraction)
+    reasons = also(reasons, in_core, COSMIC)
+    return Cleaned(images, reasons, good, background, hits, search.noise(images, good, reasons), level)
+
+
+def find_background(valid_adu: np.ndarray, maps: CalibrationMaps, good: np.ndarray) -> Background:
+    """Add up dark and sky, or estimate a pedestal where there is neither.
+
+    Parameters
+    ----------
+    valid_adu : ndarray, (frames, rows, columns)
+        Counts of valid frames.
+    """
+    window = valid_adu.shape[1:]
+    flat, bad = relative_flat(maps.flat, window)
+    given = [level for level in (maps.dark_adu, maps.background_adu) if level is not None]
+    if given:
+        total = np.sum(given, axis=0, dtype=np.float64)
+        return Background(np.nan_to_num(total), flat, bad | ~np.isfinite(total))
+    mean = mean_frame(valid_adu)
+    level, error = estimate_pedestal(np.where(good & ~bad, mean, np.nan))
+    return Background(np.full(window, level), flat, bad, level, error)
+
+
+class _Search:
+    """The search for what spoils single pixels, with its settings."""
+
+    def __init__(self, sampling_px: float, detector: Detector, thresholds: Thresholds) -> None:
+        self._well_sampled = is_well_sampled(sampling_px)
+        self._sampling_px = max(sampling_px, MIN_SAMPLING_PX)
+        self._detector, self._thresholds = detector, thresholds
+
+    def bad_pixels(
+        self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mask of good pixels and the images with the others filled in."""
+        sample = self._filled(_sample(images, reasons), good)
+        if self._well_sampled and len(sample):
+            good = good & ~deviant_pixels(sample, good, *self._settings)
+            good = good & ~noisy_pixels(sample, good, *self._settings)
+        return good, self._filled(images, good)
+
+    def hits(
+        self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, Hits]:
+        """Return mask, images without hits, and the hits; pixels hit again and again are bad."""
+        used = np.flatnonzero(reasons == "")
+        if not self._well_sampled or len(used) < 2:
+            return good, images, NO_HITS
+        hits = cosmic_hits(images, used, good, *self._settings)
+        flicker = flickering_pixels(hits, len(used), good.shape, self._thresholds.flicker_fraction)
+        hits = hits.outside(flicker)
+        good = good & ~flicker
+        images = self._filled(images, good) if flicker.any() else images
+        return good, without_hits(images, hits, good, self._sampling_px), hits
+
+    def noise(self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray) -> MeasuredNoise:
+        """Measure the noise of the frames in use."""
+        if not self._well_sampled:
+            return MeasuredNoise()
+        prediction = neighbour_prediction(good, self._sampling_px)
+        return measure_noise(_sample(images, reasons), good, prediction, self._detector)
+
+    @property
+    def _settings(self) -> tuple[float, Detector, Thresholds]:
+        return self._sampling_px, self._detector, self._thresholds
+
+    def _filled(self, images: np.ndarray, good: np.ndarray) -> np.ndarray:
+        return without_bad_pixels(images, good, self._sampling_px)
+
+
+def _bad_in_counts(
+    valid_adu: np.ndarray,
+    declared: np.ndarray | None,
+    detector: Detector,
+    saturation_adu: float | None,
+    stuck_ratio: float,
+) -> np.ndarray:
+    """Pixels declared bad, never finite, or stuck; a saturated star stands still without being stuck."""
+    sample = valid_adu[sample_frames(len(valid_adu))]
+    bad = ~np.isfinite(sample).all(axis=0)
+    sample = np.where(bad, sample.dtype.type(0), sample)
+    stuck = stuck_pixels(sample, detector.read_noise_e / detector.e_per_adu, stuck_ratio)
+    if saturation_adu is not None:
+        level = sample.mean(axis=0, dtype=np.float64)
+        stuck &= ~((level >= saturation_adu) & (median_filter(level, size=3) >= saturation_adu / 2))
+    return bad | stuck | (False if declared is None else declared)
+
+
+def _hot(dark_adu: np.ndarray | None, detector: Detector, thresholds: Thresholds) -> np.ndarray | np.bool_:
+    if dark_adu is None:
+        return np.False_
+    return hot_in_dark(np.nan_to_num(dark_adu), detector, thresholds)
+
+
+def _finite(images: np.ndarray) -> np.ndarray:
+    """Return `images` with 0 for every value that is no number."""
+    return np.nan_to_num(images, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _sample(images: np.ndarray, reasons: np.ndarray) -> np.ndarray:
+    """Frames in use that suffice for statistics over time."""
+    used = np.flatnonzero(reasons == "")
+    return images[used[sample_frames(len(used))]]
+
+
+def _mean(images: np.ndarray, reasons: np.ndarray) -> np.ndarray:
+    used = reasons == ""
+    return mean_frame(picked(images, used) if used.any() else images)
+
+
+def _unusable(raw: RawRecording, reasons: np.ndarray) -> Cleaned:
+    zeros = np.zeros(raw.window)
+    background = Background(zeros, np.ones(raw.window), np.zeros(raw.window, dtype=bool))
+    return Cleaned(
+        np.zeros(raw.adu.shape, np.float32),
+        reasons,
+        np.ones(raw.window, dtype=bool),
+        background,
+        NO_HITS,
+        MeasuredNoise(),
+        None,
+    )

@@ -1,0 +1,144 @@
+"""Detector calibration: from counts to electrons above the background, and the levels it needs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from irlos_pipe.frames.recording import Detector
+
+WING_EXPONENT = 3.0  # the wings of a diffraction image fall like r^-3 on average
+WING_START = 0.4  # of the larger window side: beyond it the core no longer matters
+DARKEST_PERCENTILE = 1.0
+CLIP_BAND = 0.02  # of the range of values: clipped pixels pile up on its very end
+CLIP_EXCESS = 5
+CLIP_MIN_PIXELS = 3
+CLIP_MIN_LEVELS = 100.0  # ADU between darkest and brightest; fainter images repeat values by chance
+
+
+def to_electrons(
+    adu: np.ndarray, background_adu: np.ndarray, flat: np.ndarray, e_per_adu: float
+) -> np.ndarray:
+    """Convert counts to electrons above the background.
+
+    ``electrons = (adu - background) / flat * e_per_adu``
+
+    Parameters
+    ----------
+    adu : ndarray, (frames, rows, columns)
+        Counts as recorded.
+    background_adu : ndarray, (rows, columns)
+        Dark, sky and pedestal together [ADU].
+    flat : ndarray, (rows, columns)
+        Relative response; 1 on average.
+
+    Returns
+    -------
+    ndarray, (frames, rows, columns), float32
+        Signal [e-]; values that are not finite stay so.
+    """
+    electrons = adu.astype(np.float32)
+    electrons -= background_adu.astype(np.float32)
+    electrons *= (e_per_adu / flat).astype(np.float32)
+    return electrons
+
+
+def relative_flat(flat: np.ndarray | None, window: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Normalise a flat to a median of 1.
+
+    Returns
+    -------
+    flat : ndarray, (rows, columns)
+        1 where the flat is unusable.
+    bad : ndarray of bool, (rows, columns)
+        True where it is not a positive number.
+    """
+    if flat is None:
+        return np.ones(window), np.zeros(window, dtype=bool)
+    bad = ~(np.isfinite(flat) & (flat > 0))
+    if bad.all():
+        return np.ones(window), bad
+    return np.where(bad, 1.0, flat / np.median(flat[~bad])), bad
+
+
+def estimate_pedestal(mean_adu: np.ndarray) -> tuple[float, float]:
+    """Level on which a star stands, from the outer part of its mean image.
+
+    A robust straight-line fit of ``level + slope * r^-3`` beyond `WING_START` of the window, not
+    above the darkest pixels. The AO halo, flat over a small window, cannot be told from a
+    pedestal; the fits let the background of each frame free for that reason.
+
+    Parameters
+    ----------
+    mean_adu : ndarray, (rows, columns)
+        Mean image, NaN on bad pixels [ADU].
+
+    Returns
+    -------
+    level, error : float
+        Pedestal and the difference between the fit and the darkest pixels [ADU].
+    """
+    darkest = float(np.nanpercentile(mean_adu, DARKEST_PERCENTILE))
+    y0, x0 = star_position(np.nan_to_num(mean_adu, nan=darkest))
+    y, x = np.indices(mean_adu.shape)
+    radius = np.hypot(y - y0, x - x0)
+    outer = (radius > WING_START * max(mean_adu.shape)) & np.isfinite(mean_adu)
+    if outer.sum() < 10:
+        return darkest, 0.0
+    level = _robust_intercept(radius[outer] ** -WING_EXPONENT, mean_adu[outer])
+    return min(level, darkest), abs(darkest - level)
+
+
+def _robust_intercept(x: np.ndarray, y: np.ndarray) -> float:
+    """Intercept of a straight line fitted with Cauchy weights."""
+    columns = np.stack([np.ones_like(x), x / x.max()], axis=1)
+    weights = np.ones_like(y)
+    for _ in range(20):
+        root = np.sqrt(weights)
+        coefficients, *_ = np.linalg.lstsq(columns * root[:, None], y * root, rcond=None)
+        residual = y - columns @ coefficients
+        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
+        weights = 1 / (1 + (residual / scale) ** 2)
+    return float(coefficients[0])
+
+
+def star_position(image: np.ndarray) -> tuple[float, float]:
+    """Centroid (row, column) of what stands above a tenth of the peak [px]."""
+    above = image - np.median(image)
+    weights = np.where(above > 0.1 * above.max(), above, 0.0)
+    total = weights.sum()
+    if total <= 0:
+        return (image.shape[0] - 1) / 2, (image.shape[1] - 1) / 2
+    y, x = np.indices(image.shape)
+    return float((weights * y).sum() / total), float((weights * x).sum() / total)
+
+
+def saturation_level(adu: np.ndarray, detector: Detector) -> float | None:
+    """Raw level from which pixels count as saturated [ADU]; None if there is no sign of one.
+
+    The detector's own level if it is known; else the value on which far more pixels pile up
+    than come close to it, or the end of an integer type.
+
+    Parameters
+    ----------
+    adu : ndarray, (frames, rows, columns)
+        Counts as recorded.
+    """
+    if detector.saturation_adu is not None:
+        return detector.saturation_adu
+    integer = adu.dtype.kind in "iu"
+    top, bottom = float(np.nanmax(adu)), float(np.nanmin(adu))
+    if top - bottom > CLIP_MIN_LEVELS and _piles_up(adu, top, max(CLIP_BAND * (top - bottom), 5.0)):
+        return top
+    return float(np.iinfo(adu.dtype).max) if integer else None
+
+
+def _piles_up(adu: np.ndarray, top: float, band_adu: float) -> bool:
+    at_top = adu == top
+    below = int(np.sum(adu >= top - band_adu)) - int(at_top.sum())
+    # a single pixel that always reads the same is stuck, not saturated
+    return at_top.sum() > CLIP_EXCESS * (below + 1) and at_top.any(axis=0).sum() >= CLIP_MIN_PIXELS
+
+
+def pixel_variance_e2(signal_e: np.ndarray, detector: Detector) -> np.ndarray:
+    """Variance of each pixel of one frame [e-²]: read noise, and photons with their excess noise."""
+    return detector.read_noise_e**2 + detector.excess_noise_factor * np.maximum(signal_e, 0.0)

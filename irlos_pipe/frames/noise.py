@@ -1,0 +1,77 @@
+"""The noise of an image: variance per pixel as a function of the signal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from irlos_pipe.frames.recording import Recording
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """``V = F · signal + floor``: photon noise times the excess noise factor, plus a constant.
+
+    What the frames share, above all the noise of the dark image taken from every one of them, does not
+    average out with their number.
+
+    Attributes
+    ----------
+    excess_noise_factor : float
+        F, 1 for Poisson noise.
+    floor_e2 : float
+        Read noise squared plus the photon noise of background and dark [e-²].
+    shared_e2 : float
+        Variance of what is the same in all frames [e-²].
+    """
+
+    excess_noise_factor: float
+    floor_e2: float
+    shared_e2: float = 0.0
+
+    @classmethod
+    def of(cls, recording: Recording) -> NoiseModel:
+        """Noise model of one recording, from its detector constants and measured background."""
+        detector = recording.acquisition.detector
+        floor = detector.read_noise_e**2 + recording.background_variance_e2
+        return cls(detector.excess_noise_factor, floor, recording.dark_variance_e2)
+
+    def variance_e2(self, signal_e):
+        """Variance [e-²] of pixels with the mean signal `signal_e` [e-]; array or tensor alike."""
+        return self.scatter_e2(signal_e) + self.shared_e2
+
+    def minus_quasi_likelihood(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
+        """``∫ (t - d)/V(t) dt`` from 0 to m, per pixel; V is constant below 0.
+
+        Its slope with respect to the model is ``-(d - m)/V(m)``, that of ``(d - m)²/2V`` with the variance
+        of the model as it is. Beyond its value at m = d it stands for that half χ²; for pure photon noise
+        the difference is half the deviance of Poisson's law.
+
+        Parameters
+        ----------
+        images_e, model_e : tensor
+            Data d and model m [e-].
+
+        References
+        ----------
+        Wedderburn 1974, Biometrika 61, 439.
+        """
+        factor, floor = self.excess_noise_factor, self.floor_e2 + self.shared_e2
+        above = model_e.clamp_min(0)
+        growth = torch.log1p(above * (factor / floor)) * (images_e + floor / factor)
+        bright = (above - growth) / factor
+        if not (model_e < 0).any():
+            return bright
+        below = model_e.clamp_max(0)
+        return bright + (0.5 * below - images_e) * below / floor
+
+    def mean_variance_e2(self, signal_e, frames: int):
+        """Variance of the mean of so many frames [e-²]."""
+        return self.scatter_e2(signal_e) / frames + self.shared_e2
+
+    def scatter_e2(self, signal_e):
+        """The part of the variance by which frames differ from each other [e-²]."""
+        positive = signal_e.clamp_min(0) if isinstance(signal_e, torch.Tensor) else np.maximum(signal_e, 0)
+        return self.excess_noise_factor * positive + self.floor_e2

@@ -1,0 +1,143 @@
+"""One recording after cleaning: frames in electrons and what is known about them.
+
+This is the only form in which images reach the science code; the readers in
+``irlos_pipe.sparta`` make it from files, simulators may make it from nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from irlos_pipe.frames.blocks import picked
+
+RECIPE, SIDECAR, HEADER, PROFILE = "recipe", "side-car", "header", "instrument profile"  # sources of values
+
+
+@dataclass(frozen=True)
+class Detector:
+    """Detector constants.
+
+    Attributes
+    ----------
+    e_per_adu : float
+        Conversion gain [e-/ADU].
+    read_noise_e : float
+        Read noise per pixel and frame, RMS [e-].
+    excess_noise_factor : float
+        Variance of the photon signal over its Poisson variance (1 = Poisson).
+    saturation_adu : float or None
+        Raw level from which a pixel counts as saturated [ADU].
+    """
+
+    e_per_adu: float
+    read_noise_e: float
+    excess_noise_factor: float = 1.0
+    saturation_adu: float | None = None
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """How a recording was taken (side-car ``acquisition.yaml``, recipe, or instrument defaults).
+
+    Attributes
+    ----------
+    spectrum : tuple of (wavelength_nm, weight)
+        Photon weights, any positive scale.
+    diversity : dict of int to float
+        Introduced diversity, Noll index to nm RMS.
+    mode : str
+        Read-out mode string of the sensor; empty if the layout has none.
+    subaperture : int or None
+        Number of the lenslet, from 1, lower left to upper right; None for the full pupil.
+    sources : dict of str to str
+        For every key, where its value came from.
+    """
+
+    role: str
+    detector: Detector
+    spectrum: tuple[tuple[float, float], ...]
+    diversity: dict[int, float]
+    pixel_scale_mas: float
+    diversity_source: str = "lens"
+    target: str = ""
+    mag_j: float | None = None
+    exposure_s: float | None = None
+    frame_rate_hz: float | None = None
+    seeing_arcsec: float | None = None
+    derotator_angle_deg: float = 0.0
+    parallactic_angle_deg: float | None = None
+    altitude_deg: float | None = None
+    mode: str = ""
+    subaperture: int | None = None
+    sources: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def seeing_measured(self) -> bool:
+        """Whether the seeing is that of the recording, and not a typical one."""
+        return self.seeing_arcsec is not None and self.sources.get("seeing_arcsec") != PROFILE
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Cleaned frames of one recording.
+
+    Attributes
+    ----------
+    name : str
+        Name of the recording (folder or file stem).
+    input : str
+        Recipe input it belongs to, for example ``calibration`` or ``ramp``.
+    images_e : ndarray, (frames, rows, columns), float32
+        Signal above background [e-]; bad pixels hold finite values and are masked.
+    used : ndarray of bool, (frames,)
+        False for rejected frames.
+    reason : ndarray of str, (frames,)
+        Why a frame was rejected; empty for used frames.
+    pixel_mask : ndarray of bool, (rows, columns)
+        True for good pixels.
+    time_s, frame_counter, introduced_defocus_nm : ndarray, (frames,)
+        Time since the first frame, counter of the recorder, introduced defocus [nm RMS].
+    background_variance_e2 : float
+        Variance per pixel beyond read noise and source photons, e.g. of the background [e-²].
+    dark_variance_e2 : float
+        Variance per pixel of the dark image that was taken from every frame [e-²].
+    frames_missing : int
+        Frames the recorder lost (gaps of the counter).
+    start_unix_s : float
+        Time of the first frame since 1970 [s]; NaN if not known.
+    """
+
+    name: str
+    input: str
+    images_e: np.ndarray
+    used: np.ndarray
+    reason: np.ndarray
+    pixel_mask: np.ndarray
+    time_s: np.ndarray
+    frame_counter: np.ndarray
+    introduced_defocus_nm: np.ndarray
+    acquisition: Acquisition
+    background_variance_e2: float = 0.0
+    dark_variance_e2: float = 0.0
+    frames_missing: int = 0
+    start_unix_s: float = float("nan")
+
+    @property
+    def frames(self) -> int:
+        """Number of frames, rejected ones included."""
+        return self.images_e.shape[0]
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """Rows and columns of the window [px]."""
+        return self.images_e.shape[1:]
+
+    def accepted(self) -> Recording:
+        """Return the recording with the used frames only."""
+        kept = {
+            name: picked(getattr(self, name), self.used)
+            for name in ("images_e", "used", "reason", "time_s", "frame_counter", "introduced_defocus_nm")
+        }
+        return replace(self, **kept)

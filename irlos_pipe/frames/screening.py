@@ -1,0 +1,171 @@
+"""Which frames of a recording can be used, and why the others cannot."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from irlos_pipe.frames.bad_pixels import Hits, sample_frames
+from irlos_pipe.frames.blocks import blocks, frame_flux
+
+REPEATED_COUNTER = "frame counter repeated"
+REPEATED_IMAGE = "image repeated"
+NOT_FINITE = "values not finite"
+EMPTY = "empty frame"
+SATURATED = "saturated"
+NO_STAR = "no star above the noise"
+AT_EDGE = "star at the edge of the window"
+FLUX = "flux outlier"
+COSMIC = "cosmic hit in the core"
+REASON_TYPE = "<U40"
+MIN_FRAMES_FOR_FLUX = 5
+
+
+@dataclass(frozen=True)
+class Limits:
+    """From when on a frame is not used.
+
+    Attributes
+    ----------
+    saturated_px : int
+        Saturated pixels that are tolerated.
+    star_snr : float
+        Peak of the star over the noise, both after averaging over 3x3 pixels.
+    edge_px : float
+        Distance of the star from the edge of the window [px].
+    flux_sigma, flux_fraction : float
+        Deviation from the median flux over its robust scatter, and over the median; both must be exceeded.
+    core_fraction : float
+        Pixels brighter than this fraction of the peak are the core.
+    """
+
+    saturated_px: int = 0
+    star_snr: float = 8.0
+    edge_px: float = 2.0
+    flux_sigma: float = 8.0
+    flux_fraction: float = 0.3
+    core_fraction: float = 0.1
+
+
+def no_reasons(frames: int) -> np.ndarray:
+    """Reasons of a recording of which nothing is known to be wrong, (frames,)."""
+    return np.full(frames, "", dtype=REASON_TYPE)
+
+
+def also(reasons: np.ndarray, wrong: np.ndarray, reason: str) -> np.ndarray:
+    """Add a reason to the frames in `wrong` that have none yet."""
+    return np.where((reasons == "") & wrong, reason, reasons).astype(REASON_TYPE)
+
+
+def tally(reasons: np.ndarray) -> dict[str, int]:
+    """Number of frames per reason, the most frequent first."""
+    return dict(Counter(reasons[reasons != ""].tolist()).most_common())
+
+
+def recorder_faults(adu: np.ndarray, frame_counter: np.ndarray) -> np.ndarray:
+    """Frames the recorder delivered twice, empty or with values that are no numbers.
+
+    A pixel that is not finite in most frames is a bad pixel and does not count.
+    """
+    frames = adu.reshape(len(adu), -1)
+    finite = np.isfinite(frames)
+    often = finite.mean(axis=0) > 0.5
+    reasons = also(no_reasons(len(adu)), _seen_before(frame_counter), REPEATED_COUNTER)
+    reasons = also(reasons, ~finite[:, often].all(axis=1) | ~often.any(), NOT_FINITE)
+    reasons = also(reasons, frames.max(axis=1) == frames.min(axis=1), EMPTY)
+    return also(reasons, np.r_[False, (frames[1:] == frames[:-1]).all(axis=1)], REPEATED_IMAGE)
+
+
+def _seen_before(frame_counter: np.ndarray) -> np.ndarray:
+    _, first = np.unique(frame_counter, return_index=True)
+    seen = np.ones(len(frame_counter), dtype=bool)
+    seen[first] = False
+    return seen
+
+
+def saturated_frames(
+    adu: np.ndarray, good: np.ndarray, level_adu: float | None, tolerated_px: int
+) -> np.ndarray:
+    """Frames with more than `tolerated_px` good pixels at or above the saturation level, (frames,)."""
+    if level_adu is None:
+        return np.zeros(len(adu), dtype=bool)
+    return ((adu >= level_adu) & good).sum(axis=(1, 2)) > tolerated_px
+
+
+@dataclass(frozen=True)
+class StarPeak:
+    """Brightest place of each image after averaging over 3x3 pixels; arrays (frames,).
+
+    Attributes
+    ----------
+    snr : ndarray
+        Height above the median over the robust scatter of the image.
+    edge_px : ndarray
+        Distance from the nearest edge of the window [px].
+    """
+
+    snr: np.ndarray
+    edge_px: np.ndarray
+
+
+def star_peaks(images_e: np.ndarray) -> StarPeak:
+    """Find the brightest place of each image (frames, rows, columns)."""
+    found = [_peaks(images_e[block]) for block in blocks(len(images_e))]
+    return StarPeak(np.concatenate([snr for snr, _ in found]), np.concatenate([edge for _, edge in found]))
+
+
+def _peaks(images_e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    rows, columns = images_e.shape[1:]
+    smooth = uniform_filter(images_e, size=(0, 3, 3), mode="nearest").reshape(len(images_e), -1)
+    above = smooth - np.median(smooth, axis=1, keepdims=True)
+    scatter = 1.4826 * np.median(np.abs(above), axis=1)
+    y, x = np.unravel_index(smooth.argmax(axis=1), (rows, columns))
+    edge = np.minimum.reduce([y, rows - 1 - y, x, columns - 1 - x])
+    return above.max(axis=1) / np.maximum(scatter, 1e-9), edge
+
+
+def star_faults(images_e: np.ndarray, reasons: np.ndarray, limits: Limits) -> np.ndarray:
+    """Add frames without the star, with the star about to leave the window, or of odd flux.
+
+    If not even the median of the frames shows a star, none of them can be used. Single frames
+    are asked for a star only where the star is normally plain to see.
+
+    Parameters
+    ----------
+    images_e : ndarray, (frames, rows, columns)
+        Finite [e-].
+    reasons : ndarray of str, (frames,)
+        What is known so far.
+    """
+    used = np.flatnonzero(reasons == "")
+    if used.size == 0:
+        return reasons
+    typical = np.median(images_e[used[sample_frames(len(used))]], axis=0)
+    if star_peaks(typical[None]).snr[0] < limits.star_snr:
+        return also(reasons, np.ones(len(reasons), dtype=bool), NO_STAR)
+    peaks = star_peaks(images_e)
+    if np.median(peaks.snr[used]) > 2 * limits.star_snr:
+        reasons = also(reasons, peaks.snr < limits.star_snr, NO_STAR)
+        reasons = also(reasons, peaks.edge_px < limits.edge_px, AT_EDGE)
+    return also(reasons, flux_outliers(frame_flux(images_e), reasons == "", limits), FLUX)
+
+
+def flux_outliers(flux_e: np.ndarray, used: np.ndarray, limits: Limits) -> np.ndarray:
+    """Frames whose flux differs from the median by more than both limits, (frames,)."""
+    if used.sum() < MIN_FRAMES_FOR_FLUX:
+        return np.zeros(len(flux_e), dtype=bool)
+    median = np.median(flux_e[used])
+    deviation = np.abs(flux_e - median)
+    scatter = 1.4826 * np.median(deviation[used])
+    return (deviation > limits.flux_sigma * scatter) & (deviation > limits.flux_fraction * abs(median))
+
+
+def hit_in_core(hits: Hits, mean_e: np.ndarray, frames: int, core_fraction: float) -> np.ndarray:
+    """Frames with a hit on a pixel brighter than `core_fraction` of the peak of the mean image, (frames,)."""
+    in_core = mean_e[hits.row, hits.column] > core_fraction * mean_e.max()
+    wrong = np.zeros(frames, dtype=bool)
+    wrong[hits.frame[in_core]] = True
+    return wrong

@@ -1,0 +1,1 @@
+"""Instrument profiles: telescope, detector and AO system as data."""

@@ -1,0 +1,170 @@
+"""Instrument profiles: geometry, safe defaults and read-out modes, each value with its source."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from typing import Any
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.pupil import PupilGeometry, Vane
+from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
+from irlos_pipe.files.complaints import suggestion
+from irlos_pipe.files.yaml import load_yaml
+from irlos_pipe.instrument.profile import Fact, ModeEntry, Profile, Ratio, SeeingScaleEntry, parse_profile
+
+PROFILES = Path(__file__).parent
+PROFILE_SUFFIXES = (".yaml", ".yml")
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A read-out mode.
+
+    Attributes
+    ----------
+    lenslets : int
+        Lenslets per side of the pupil: 1 in full-pupil modes, 2 in 2x2 modes.
+    e_per_adu : float
+        Photo-electrons per ADU, the avalanche gain taken out.
+    """
+
+    name: str
+    lenslets: int
+    frame_rate_hz: float
+    pixel_scale_mas: float
+    e_per_adu: float
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """An instrument as it was on one day.
+
+    Attributes
+    ----------
+    defaults : dict of str to float
+        Side-car keys that may be left out (``detector.`` keys dotted), and what stands in for them.
+    photons_per_s_m15 : float
+        Photons per second through the pupil at m_J = 15 [1/s].
+    modes : dict of str to Mode
+        By the mode string of the header.
+    seeing_scales : dict of str to SeeingScale
+        By the seeing monitor; ``sparta`` is always among them.
+    profile : Profile
+        What the values were made from.
+    """
+
+    name: str
+    pupil: PupilGeometry
+    defaults: dict[str, float]
+    photons_per_s_m15: float
+    modes: dict[str, Mode]
+    seeing_scales: dict[str, SeeingScale]
+    profile: Profile
+
+    @property
+    def facts(self) -> dict[str, list[Fact]]:
+        """The raw table: every value with unit, source and status, dated where it changed."""
+        return self.profile.facts
+
+    def on(self, day: str) -> Instrument:
+        """Return the instrument as it was on an ISO date (``2021-03-20``)."""
+        return _instrument(self.profile, day)
+
+
+def load_instrument(name_or_path: str | Path) -> Instrument:
+    """Load an instrument profile, with the values of the present day.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        Name of a profile that comes with the package, or the path of a YAML file.
+
+    Raises
+    ------
+    ConfigurationError
+        Unknown name (with a suggestion), or a profile that cannot be used (``file:line: problem``).
+    """
+    path = _profile_path(str(name_or_path))
+    profile = parse_profile(*load_yaml(path), path)
+    try:
+        return _instrument(profile, None)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
+
+
+def _profile_path(name: str) -> Path:
+    if name.endswith(PROFILE_SUFFIXES) or "/" in name:
+        return Path(name)
+    known = sorted(path.stem for path in PROFILES.glob("*.yaml"))
+    if name not in known:
+        raise ConfigurationError(f"unknown instrument '{name}'{suggestion(name, known)}")
+    return PROFILES / f"{name}.yaml"
+
+
+def _instrument(profile: Profile, day: str | None) -> Instrument:
+    values = _Values(profile.facts, day)
+    return Instrument(
+        name=profile.name,
+        pupil=_pupil(values),
+        defaults={key: values.resolve(reference) for key, reference in profile.defaults.items()},
+        photons_per_s_m15=float(values["photons_per_s_m15"]),
+        modes={name: _mode(name, entry, values) for name, entry in profile.modes.items()},
+        seeing_scales={SPARTA: SeeingScale()}
+        | {name: _seeing_scale(name, entry, values) for name, entry in profile.seeing_scales.items()},
+        profile=profile,
+    )
+
+
+class _Values:
+    """The facts' values as they were on one day."""
+
+    def __init__(self, facts: dict[str, list[Fact]], day: str | None) -> None:
+        self._facts, self._day = facts, day
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._facts:
+            raise ConfigurationError(f"no fact '{name}'{suggestion(name, self._facts)}")
+        holding = [fact for fact in self._facts[name] if fact.holds_on(self._day)]
+        if len(holding) != 1:
+            raise ConfigurationError(
+                f"fact '{name}' has {len(holding)} values on {self._day or 'the present day'}; "
+                "exactly one must hold"
+            )
+        return holding[0].value
+
+    def resolve(self, reference: str | Ratio) -> float:
+        """Return the value of a fact, or the first one divided by the others."""
+        if isinstance(reference, str):
+            return self._number(reference)
+        first, *others = reference.divide
+        divisor = prod(self._number(name) for name in others)
+        if divisor == 0:
+            raise ConfigurationError(f"'{first}' cannot be divided by {', '.join(others)}, which make zero")
+        return self._number(first) / divisor
+
+    def _number(self, name: str) -> float:
+        value = self[name]
+        if not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise ConfigurationError(f"fact '{name}' = {value!r} should be a number")
+        return float(value)
+
+
+def _pupil(values: _Values) -> PupilGeometry:
+    width = float(values["pupil_vane_width_m"])
+    vanes = tuple(Vane(tuple(start), tuple(end), width) for start, end in values["pupil_vanes_m"])
+    return PupilGeometry(float(values["pupil_diameter_m"]), float(values["pupil_obscuration_m"]), vanes)
+
+
+def _seeing_scale(name: str, entry: SeeingScaleEntry, values: _Values) -> SeeingScale:
+    scale = SeeingScale(values.resolve(entry.ratio), values.resolve(entry.offset_arcsec))
+    if not scale.ratio > 0:
+        raise ConfigurationError(f"seeing scale '{name}': ratio {scale.ratio:g} should be positive")
+    return scale
+
+
+def _mode(name: str, entry: ModeEntry, values: _Values) -> Mode:
+    e_per_adu = values.resolve(Ratio(divide=["amplifier_e_per_adu", entry.apd_gain]))
+    return Mode(name, entry.lenslets, entry.frame_rate_hz, values.resolve(entry.pixel_scale), e_per_adu)

@@ -1,0 +1,1 @@
+"""Solvers, losses and derivatives; nothing here knows physics."""

@@ -1,0 +1,335 @@
+"""Batched Levenberg–Marquardt: many independent, equally shaped least-squares problems at once.
+
+The solver knows no physics. A problem gives the objective, its gradient and its
+Gauss–Newton Hessian for a batch of parameter vectors, in units where the objective is half
+a χ². "Converged" means that the step still available would lower χ² by a negligible amount g
+(`CHI2_TOLERANCE`, in units of χ²/ν where the model misfits); as g = δᵀHδ, no parameter would
+move by more than √g of its standard error, 3 %.
+
+Where a model misfits, the curvature that Gauss–Newton neglects is not small, and convergence becomes linear.
+What the gradients of successive iterations tell of it is added to the Hessian of the steps (Dennis, Gay &
+Welsch 1981, ACM TOMS 7, 348); whether a member has converged, and its covariance, are judged without.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+import torch
+
+from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, STALLED, Solution
+
+CHI2_TOLERANCE = 1e-3
+ROUNDING = 1e-6  # relative rounding of an objective whose images are propagated in float32
+DAMPING_START, DAMPING_MIN = 1e-3, 1e-9
+MEMBERS_AT_ONCE = 256  # whose matrices are solved: some ten copies of each are made on the way
+GOOD_STEP, POOR_STEP = 0.75, 0.25  # parts of the predicted fall that lower, or raise, the damping
+LEAST = 1e-3  # curvature along a parameter over the largest of those in the same unit
+TRIALS = 12  # of a step, with ten times the damping each
+SPENT = 12  # steps of a problem with cheap gradients after which its Hessian is renewed
+
+
+class Problem(Protocol):
+    """A batch of least-squares problems; `which` selects members of the batch.
+
+    A problem may have ``reweighted = True``: its equations are those of a re-weighted problem, whose
+    quadratic model does not foretell the fall of the objective. It may say which parameters are ``alike``,
+    a slice: those have the same unit, and their curvatures compare. And it may have a method
+    ``cheap_gradient(x, which)``, the first two of its normal equations at a part of their cost.
+    """
+
+    lower: torch.Tensor
+    upper: torch.Tensor
+
+    def negligible(self, value: torch.Tensor) -> torch.Tensor:
+        """Predicted fall of twice the objective at which a member with this objective is done, (b,)."""
+
+    def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
+        """Objective (b,), gradient (b, p) and Hessian (b, p, p), all float64."""
+
+    def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
+        """Objective (b,), comparable with that of the last `normal_equations` of the same members."""
+
+
+@torch.no_grad()
+def solve(
+    problem: Problem,
+    start: torch.Tensor,
+    *,
+    max_iterations: int = 50,
+    report: Callable[[int], None] | None = None,
+) -> Solution:
+    """Minimise a batch of problems from `start`, (batch, parameters).
+
+    Parameters
+    ----------
+    report : callable, optional
+        Called with the number of members that finished in each iteration (progress bars).
+
+    Returns
+    -------
+    Solution
+        Members that meet non-finite numbers are flagged `invalid`, never silently NaN.
+    """
+    state = _State(problem, start.double().clone())
+    for _ in range(max_iterations):
+        active = state.active()
+        if len(active) == 0:
+            break
+        finished = state.iterate(active)
+        if report is not None:
+            report(finished)
+    return state.solution()
+
+
+class _State:
+    """The batch while it is being solved; converged members are no longer evaluated.
+
+    Its matrices are few and tiny, and NumPy starts an operation several times as quickly as PyTorch.
+    """
+
+    def __init__(self, problem: Problem, x: torch.Tensor):
+        self.problem = problem
+        self.lower, self.upper = problem.lower.numpy(), problem.upper.numpy()
+        self.x = x.numpy().clip(self.lower, self.upper)
+        batch, size = x.shape
+        self.damping = np.full(batch, DAMPING_START)
+        self.status = np.full(batch, MAX_ITERATIONS, dtype=object)
+        self.iterations = np.zeros(batch, dtype=np.int64)
+        self.value, self.gradient = np.full(batch, np.nan), np.zeros((batch, size))
+        self.hessian = np.tile(np.eye(size), (batch, 1, 1))
+        self.neglected, self.moved = np.zeros_like(self.hessian), np.zeros_like(self.gradient)
+        self.reweighted = getattr(problem, "reweighted", False)
+        self.alike = getattr(problem, "alike", slice(0))
+        self.cheap_gradient = getattr(problem, "cheap_gradient", None)
+        self.age = np.zeros(batch, dtype=np.int64)  # steps since the Hessian was that of the place
+        self.ahead: tuple[np.ndarray, ...] | None = None
+
+    def active(self) -> np.ndarray:
+        """Members that still move."""
+        return np.flatnonzero(self.status == MAX_ITERATIONS)
+
+    def iterate(self, which: np.ndarray) -> int:
+        """One linearisation and one accepted or refused step for every active member."""
+        value, gradient, hessian = self._equations(which)
+        finite = np.isfinite(value + gradient.sum(1) + hessian.sum((1, 2)))
+        if not finite.all():
+            self.status[which[~finite]] = INVALID
+            which, value, gradient, hessian = (a[finite] for a in (which, value, gradient, hessian))
+        self._learn(which, gradient, hessian)
+        self.value[which], self.gradient[which], self.hessian[which] = value, gradient, hessian
+        self.iterations[which] += 1
+        moving = self._check_convergence(which)
+        if len(moving):
+            self._step(moving)
+        return len(finite) - len(self.active())
+
+    def _equations(self, which: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Objective, gradient and Hessian where the members are now."""
+        if self.reweighted:
+            return self._evaluated(self.x[which], which)
+        spent = which if self.ahead is None else which[self.age[which] >= SPENT]
+        if len(spent):
+            self._keep(spent, self._evaluated(self.x[spent], spent))
+            self.age[spent] = 0
+        return tuple(array[which] for array in self.ahead)
+
+    def _evaluated(self, x: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, ...]:
+        equations = self.problem.normal_equations(torch.from_numpy(x), torch.from_numpy(which))
+        return tuple(tensor.numpy() for tensor in equations)
+
+    def _keep(self, which: np.ndarray, equations: tuple[np.ndarray, ...]) -> None:
+        """Equations of some members, for their next iteration."""
+        if self.ahead is None:
+            self.ahead = self.value.copy(), self.gradient.copy(), self.hessian.copy()
+        for array, new in zip(self.ahead, equations, strict=True):
+            array[which] = new
+
+    def _learn(self, which: np.ndarray, gradient: np.ndarray, hessian: np.ndarray) -> None:
+        """Update the neglected curvature of members that have moved."""
+        moved = self.moved[which]
+        if not self.reweighted and moved.any():
+            change = gradient - self.gradient[which]
+            self.neglected[which] = _secant(self.neglected[which], hessian, moved, change)
+            self.moved[which] = 0.0
+
+    def _check_convergence(self, which: np.ndarray) -> np.ndarray:
+        """Close members whose undamped step is negligible; return those that should step.
+
+        Those whose Hessian is of another place are asked again with a new one.
+        """
+        step = self._free_step(which, np.zeros(len(which)))
+        gain = -(self.gradient[which] * step).sum(1)  # twice the predicted decrease of the objective
+        value = self.value[which]
+        negligible = self.problem.negligible(torch.from_numpy(value)).numpy()
+        small = gain < np.maximum(negligible, ROUNDING * value)
+        aged = self.age[which] > 0
+        self.age[which[small & aged]] = SPENT
+        if (small & ~aged).any():
+            self._finish(which[small & ~aged])
+        return which[~small]
+
+    def _finish(self, which: np.ndarray) -> None:
+        """Close members, with the step that was found negligible: it costs nothing.
+
+        Nobody looks where it leads: it is damped, lest it leap along a direction of which the data tell
+        nothing.
+        """
+        self.status[which] = CONVERGED
+        if not self.reweighted:
+            step = self._free_step(which, self.damping[which].clip(min=DAMPING_START))
+            self.x[which] = (self.x[which] + step).clip(self.lower, self.upper)
+
+    def _step(self, which: np.ndarray) -> None:
+        """Try damped steps, raising the damping until the objective falls."""
+        for _ in range(TRIALS):
+            trial = (self.x[which] + self._descent(which)).clip(self.lower, self.upper)
+            value = self._trial_value(trial, which)
+            better = value <= self.value[which] * (1 + ROUNDING)  # False for NaN as well
+            taken, trial = which[better], trial[better]
+            self.moved[taken] = trial - self.x[taken]
+            self.x[taken] = trial
+            factor = self._factor(taken, value[better])
+            self.damping[taken] = (self.damping[taken] * factor).clip(min=DAMPING_MIN)
+            self.value[taken] = value[better]
+            self._grow_old(taken, factor > 1)
+            which = self._with_own_hessian(which[~better])
+            if len(which) == 0:
+                return
+            self.damping[which] *= 10
+        self.status[which] = STALLED
+
+    def _grow_old(self, which: np.ndarray, poor: np.ndarray) -> None:
+        """Members that took a step with a Hessian that they keep, unless it was not the first and poor."""
+        if self.cheap_gradient is not None:
+            self.age[which] += 1
+            self.age[which[poor & (self.age[which] > 1)]] = SPENT
+
+    def _with_own_hessian(self, which: np.ndarray) -> np.ndarray:
+        """Those of the members that refuse a step although their Hessian is of the place; others renew it."""
+        aged = self.age[which] > 0
+        self.age[which[aged]] = SPENT
+        return which[~aged]
+
+    def _trial_value(self, x: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """Objective of trial steps.
+
+        Steps are seldom refused, and images cost a part of what their derivatives do: those are evaluated
+        with them, and kept for the next iteration, except where equations are not those of the objective.
+        """
+        if self.reweighted:
+            return self.problem.objective(torch.from_numpy(x), torch.from_numpy(which)).numpy()
+        if self.cheap_gradient is None:
+            equations = self._evaluated(x, which)
+        else:
+            slope = self.cheap_gradient(torch.from_numpy(x), torch.from_numpy(which))
+            equations = *(tensor.numpy() for tensor in slope), self.hessian[which]
+        self._keep(which, equations)
+        return equations[0]
+
+    def _factor(self, which: np.ndarray, value: np.ndarray) -> np.ndarray:
+        """Factor on the damping after an accepted step that led to `value`.
+
+        Lower where the quadratic model foretold the fall, raise where it did not: in a noisy image the
+        curvature that Gauss–Newton neglects can be as large as what it keeps. Full steps then leap across
+        the minimum and back, and the objective hardly falls.
+        """
+        if self.reweighted:
+            return np.full(len(which), 0.1)
+        step = self.moved[which]
+        bent = ((self.hessian[which] + self.neglected[which]) @ step[..., None])[..., 0]
+        predicted = -((self.gradient[which] + 0.5 * bent) * step).sum(1)
+        fall = self.value[which] - value
+        poor = (fall < POOR_STEP * predicted) & (predicted > ROUNDING * value)
+        return np.where(poor, 10.0, np.where(fall >= GOOD_STEP * predicted, 0.1, 1.0))
+
+    def _descent(self, which: np.ndarray) -> np.ndarray:
+        """Damped step with the neglected curvature, without it where that would lead uphill."""
+        damping = self.damping[which]
+        if self.reweighted:
+            return self._free_step(which, damping)
+        step = self._free_step(which, damping, self.neglected[which])
+        downhill = (step * self.gradient[which]).sum(1) < 0  # False for NaN as well
+        if downhill.all():
+            return step
+        return np.where(downhill[:, None], step, self._free_step(which, damping))
+
+    def _free_step(
+        self, which: np.ndarray, damping: np.ndarray, neglected: np.ndarray | float = 0.0
+    ) -> np.ndarray:
+        """Damped Gauss–Newton step; parameters that push against a bound, or have no curvature, are held.
+
+        A Hessian of another place may know nothing of a parameter that has got a slope since.
+        """
+        x, gradient, hessian = self.x[which], self.gradient[which], self.hessian[which]
+        held = ((x <= self.lower) & (gradient > 0)) | ((x >= self.upper) & (gradient < 0))
+        held |= np.diagonal(hessian, axis1=1, axis2=2) <= 0
+        if held.any():
+            free = ~held[:, :, None] & ~held[:, None, :]
+            hessian = hessian * free + held[:, :, None] * np.eye(held.shape[1])
+            gradient, neglected = gradient * ~held, neglected * free
+        return -_solve(hessian, gradient, damping, neglected, self.alike)
+
+    def solution(self) -> Solution:
+        """The batch as it stands."""
+        x, hessian, iterations, value = map(
+            torch.from_numpy, (self.x, self.hessian, self.iterations, self.value)
+        )
+        return Solution(x, scaled_inverse(hessian), self.status.tolist(), iterations, value)
+
+
+def _secant(neglected: np.ndarray, hessian: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Estimate of the neglected curvature after a `step` that changed the gradient by `change`.
+
+    The symmetric matrix closest to the old one, in the measure of the curvature itself, that explains the
+    change; the old one is sized down first if it is too large along the step.
+    """
+    step, change = step[..., None], change[..., None]
+    unexplained, explained = change - hessian @ step, neglected @ step
+    along, known, wanted = ((step * v).sum((1, 2), keepdims=True) for v in (change, explained, unexplained))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        size = np.nan_to_num(np.abs(wanted / known), nan=1.0).clip(max=1.0)
+        direction = change / along
+        cross = (unexplained - size * explained) * direction.swapaxes(1, 2)
+        square = (wanted - size * known) * direction * direction.swapaxes(1, 2)
+        found = size * neglected + cross + cross.swapaxes(1, 2) - square
+    return np.where(along > 0, found, neglected)
+
+
+def _solve(
+    hessian: np.ndarray,
+    gradient: np.ndarray,
+    damping: np.ndarray,
+    neglected: np.ndarray | float,
+    alike: slice,
+) -> np.ndarray:
+    """Solve (H + neglected + damping · D) s = g in scaled variables; D is diag H, where that is no rounding.
+
+    Without a diversity an image in focus tells nothing of even modes: their slope vanishes, and rounding of
+    it would make steps of any length.
+    """
+    diagonal = np.diagonal(hessian, axis1=1, axis2=2).clip(min=1e-300)
+    same_unit = diagonal[:, alike]
+    diagonal[:, alike] = same_unit.clip(min=LEAST * same_unit.max(1, initial=0, keepdims=True))
+    scale = np.sqrt(diagonal)
+    scaled = (hessian + neglected) / (scale[:, :, None] * scale[:, None, :])
+    scaled += (damping + 1e-12)[:, None, None] * np.eye(scale.shape[1])
+    return np.linalg.solve(scaled, (gradient / scale)[..., None])[..., 0] / scale
+
+
+def scaled_inverse(hessian: torch.Tensor) -> torch.Tensor:
+    """Inverse of a batch of Hessians, (batch, p, p), through variables scaled by their curvature.
+
+    Directions without information get a huge variance.
+    """
+    pieces = [torch.from_numpy(_scaled_inverse(some.numpy())) for some in hessian.split(MEMBERS_AT_ONCE)]
+    return pieces[0] if len(pieces) == 1 else torch.cat(pieces)
+
+
+def _scaled_inverse(hessian: np.ndarray) -> np.ndarray:
+    scale = np.sqrt(np.diagonal(hessian, axis1=1, axis2=2).clip(min=1e-300))
+    outer = scale[:, :, None] * scale[:, None, :]
+    with np.errstate(over="ignore"):
+        return np.linalg.inv(hessian / outer + 1e-14 * np.eye(hessian.shape[-1])) / outer

@@ -1,0 +1,86 @@
+"""A fit with its images replaced by their tangents: residuals ``r(δ) = r - √w J δ``.
+
+For a robust loss the minimum of this problem takes a few Newton steps, which cost much less than the next
+Jacobian would. The step that leads there is what the solver is given, in the guise of normal equations.
+"""
+
+from __future__ import annotations
+
+import torch
+
+from irlos_pipe.numerics.least_squares import TILE
+from irlos_pipe.numerics.loss import Loss
+
+NEWTON_STEPS = 2
+FRACTIONS = (1.0, 0.5, 0.25)  # of a Newton step: where residuals are few it leaps too far
+
+
+class Linearised:
+    """Tangents of a batch of fits, ``(b, parameters, pixels)``, and where they lead.
+
+    Parameters
+    ----------
+    columns : tensor, (b, parameters, pixels)
+        Derivatives of the images.
+    residual : tensor, (b, repeats, pixels)
+        Whitened, float64; for a robust loss rounded to the precision of the columns.
+    root : tensor, (b, repeats or 1, pixels)
+        Square roots of the weights, float64.
+    loss : Loss
+    precision, offset : tensor, (b, parameters)
+        Of the Gaussian prior, and how far the parameters are from its mean.
+    """
+
+    def __init__(self, columns, residual, root, loss: Loss, precision, offset):
+        self.size = columns.shape[1]
+        self.columns = torch.nn.functional.pad(columns, (0, 0, 0, -self.size % TILE))
+        if not loss.quadratic:  # the step is only to lead near the minimum
+            residual, root = residual.to(columns.dtype), root.to(columns.dtype)
+        self.residual, self.root, self.loss = residual, root, loss
+        self.precision, self.offset = precision.to(columns.device), offset.to(columns.device)
+
+    def normal_equations(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Gradient (b, p) and Hessian (b, p, p), float64; for a robust loss those of an equivalent problem.
+
+        Equivalent is a quadratic problem with its minimum where the linearised one has it.
+        """
+        step = torch.zeros_like(self.offset)
+        if self.loss.quadratic:
+            return self._gradient(self.residual, step), self._hessian(self.residual)
+        residual = self.residual
+        for _ in range(NEWTON_STEPS):
+            hessian = self._hessian(residual)
+            ahead = -_solve(hessian, self._gradient(residual, step))
+            fraction, residual = self._searched(residual, ahead)
+            step = step + fraction * ahead
+        return -(hessian @ step[..., None])[..., 0], hessian
+
+    def _searched(self, residual: torch.Tensor, ahead: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Best of a few `FRACTIONS` of a step, (b, 1), and the residuals it leaves."""
+        change = (ahead[:, None].to(residual.dtype) @ self.columns[:, : self.size]) * self.root
+        losses = [self._loss(residual - fraction * change) for fraction in FRACTIONS]
+        best = torch.tensor(FRACTIONS).to(change)[torch.stack(losses).argmin(0)]
+        return best[:, None].double(), residual - best[:, None, None] * change
+
+    def _loss(self, residual: torch.Tensor) -> torch.Tensor:
+        return self.loss.value(residual).sum((1, 2), dtype=torch.float64)
+
+    def _gradient(self, residual: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
+        """Derivative of the loss and the prior after a step, in the precision of the residuals."""
+        force = (self.loss.weight(residual) * residual * self.root).sum(1)
+        slope = (self.columns[:, : self.size].to(residual.dtype) @ force[..., None])[..., 0]
+        return self.precision * (self.offset + step) - slope.double()
+
+    def _hessian(self, residual: torch.Tensor) -> torch.Tensor:
+        """In the precision of the images: it shapes steps, not the minimum."""
+        weight = (self.loss.curvature(residual) * self.root**2).sum(1)
+        products = (self.columns * weight[:, None].to(self.columns.dtype)) @ self.columns.mT
+        return products[:, : self.size, : self.size].double() + torch.diag_embed(self.precision)
+
+
+def _solve(hessian: torch.Tensor, gradient: torch.Tensor) -> torch.Tensor:
+    """``H⁻¹ g`` of a Hessian that may lack information in some direction."""
+    scale = torch.diagonal(hessian, dim1=1, dim2=2).clamp_min(1e-300).rsqrt()
+    scaled = hessian * scale[:, :, None] * scale[:, None, :]
+    scaled = scaled + 1e-6 * torch.eye(hessian.shape[-1], dtype=hessian.dtype, device=hessian.device)
+    return scale * torch.linalg.solve_ex(scaled, (scale * gradient)[..., None])[0][..., 0]

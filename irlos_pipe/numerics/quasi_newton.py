@@ -1,0 +1,126 @@
+"""Many small minimisations by exact gradients and learnt curvature (BFGS).
+
+A gradient costs as much as two images, a Jacobian as much as ten gradients. Where some Hessian is known that
+roughly holds, steps by gradients alone are therefore cheaper (Nocedal & Wright 2006, Numerical Optimization,
+ch. 6). Members are independent of each other; parameters have no bounds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+import torch
+
+from irlos_pipe.numerics.levenberg_marquardt import (
+    CONVERGED,
+    INVALID,
+    MAX_ITERATIONS,
+    ROUNDING,
+    STALLED,
+    Solution,
+)
+from irlos_pipe.numerics.parallel import ordered_map
+
+FRAMES_PER_PIECE = 50
+ENOUGH = 1e-4  # part of the fall promised by the slope that a step must deliver (Armijo)
+SHORTEST = 1e-3  # part of a step below which a member is stuck
+SHORTER = (0.1, 0.5)  # factors on the length of a step that went too far
+
+
+class Problem(Protocol):
+    """A batch of minimisations; `which` selects members of the batch."""
+
+    def negligible(self, value: torch.Tensor) -> torch.Tensor:
+        """Predicted fall of the objective at which a member with this objective is done, (b,)."""
+
+    def gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Objective (b,) and gradient (b, p), float64."""
+
+
+@torch.no_grad()
+def polish(problem: Problem, found: Solution, max_evaluations: int) -> Solution:
+    """Continue from a solution, whose covariance is taken as the inverse Hessian to begin with.
+
+    Returns
+    -------
+    Solution
+        With the covariance of the one given, and evaluations counted as iterations. Members that were
+        `invalid` are left as they are; others can be `stalled`, or out of evaluations (`max_iterations`).
+    """
+    members = torch.tensor([i for i, status in enumerate(found.status) if status != INVALID]).long()
+    pieces = ordered_map(
+        lambda which: _polished(problem, found, which, max_evaluations), members.split(FRAMES_PER_PIECE)
+    )
+    values, objective, iterations = (t.clone() for t in (found.values, found.objective, found.iterations))
+    status = list(found.status)
+    for piece in pieces:
+        values[piece.which], objective[piece.which] = piece.x, piece.value
+        iterations[piece.which] += piece.evaluations
+        for member, name in zip(piece.which.tolist(), piece.status, strict=True):
+            status[member] = name
+    return replace(found, values=values, objective=objective, iterations=iterations, status=status)
+
+
+def _polished(problem: Problem, found: Solution, which: torch.Tensor, max_evaluations: int) -> _Descent:
+    descent = _Descent(problem, found.values[which], found.covariance[which], which)
+    moving = descent.moving()
+    for _ in range(1, max_evaluations):
+        if len(moving) == 0:
+            break
+        descent.step(moving)
+        moving = descent.moving()
+    return descent
+
+
+class _Descent:
+    """Some members while they are minimised."""
+
+    def __init__(self, problem: Problem, x: torch.Tensor, inverse: torch.Tensor, which: torch.Tensor):
+        self.problem, self.which, self.x, self.inverse = problem, which, x, inverse
+        self.value, self.gradient = problem.gradient(x, which)
+        self.evaluations = torch.ones(len(x), dtype=torch.int64)
+        self.fraction = torch.ones_like(self.value)
+        self.status = [MAX_ITERATIONS] * len(x)
+        self._close(~(torch.isfinite(self.value) & torch.isfinite(self.gradient).all(1)), INVALID)
+
+    def moving(self) -> torch.Tensor:
+        """Members that have some way to go; the others are closed."""
+        self.ahead = -(self.inverse @ self.gradient[..., None])[..., 0]
+        fall = -0.5 * (self.gradient * self.ahead).sum(1)
+        negligible = torch.maximum(self.problem.negligible(self.value), ROUNDING * self.value)
+        self._close(fall < negligible, CONVERGED)
+        self._close(self.fraction < SHORTEST, STALLED)
+        return torch.tensor([i for i, s in enumerate(self.status) if s == MAX_ITERATIONS]).long()
+
+    def _close(self, members: torch.Tensor, status: str) -> None:
+        """Give these members a final status, unless they have one."""
+        for member in members.nonzero()[:, 0].tolist():
+            if self.status[member] == MAX_ITERATIONS:
+                self.status[member] = status
+
+    def step(self, moving: torch.Tensor) -> None:
+        """Try a step of every moving member; take it where the objective falls, else shorten it."""
+        step = self.fraction[moving, None] * self.ahead[moving]
+        trial = self.x[moving] + step
+        value, gradient = self.problem.gradient(trial, self.which[moving])
+        self.evaluations[moving] += 1
+        slope, rise = (self.gradient[moving] * step).sum(1), value - self.value[moving]
+        better = rise <= ENOUGH * slope  # False for NaN as well
+        taken = moving[better]
+        self._learn(taken, step[better], (gradient - self.gradient[moving])[better])
+        self.x[taken], self.value[taken] = trial[better], value[better]
+        self.gradient[taken] = gradient[better]
+        shorter = (-0.5 * slope / (rise - slope)).nan_to_num(0.0).clamp(*SHORTER)
+        self.fraction[moving] = torch.where(better, 1.0, self.fraction[moving] * shorter)
+
+    def _learn(self, moving: torch.Tensor, step: torch.Tensor, change: torch.Tensor) -> None:
+        """Let the inverse Hessian explain what a step changed in the gradient, where it stays positive."""
+        along = (step * change).sum(1)
+        expected = (self.inverse[moving] @ change[..., None])[..., 0]
+        part = 0.5 * (1 + (change * expected).sum(1) / along)
+        other = (part[:, None] * step - expected) / along[:, None]
+        usable = (along > 0) & torch.isfinite(other).all(1)
+        step, other = (torch.where(usable[:, None], v, 0.0) for v in (step, other))
+        left, right = torch.stack([step, other], dim=2), torch.stack([other, step], dim=1)
+        self.inverse[moving] += left @ right

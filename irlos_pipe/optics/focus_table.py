@@ -1,0 +1,189 @@
+"""Images of wavefronts that differ by tip, tilt and one more mode, from a table.
+
+Tip and tilt of the wavefront shift the image at every wavelength alike. What is left of such a family of
+images is its course with the third mode, here called focus, with AO residual, image motion, dispersion and
+all colours in it. It is tabulated once, on pixels somewhat beyond the window::
+
+    I(y, x; d) = Σ_n T_n(d) C_n(y, x)                   Chebyshev series in the focus d
+    image      = S(y₀) I(d) S(x₀)ᵀ                      shifted by band-limited interpolation
+
+Derivatives are those of T_n and of S. An image costs one product with the table and two small matrix
+products, whatever the number of wavelengths.
+
+Focus changes the phase between two points of the pupil by up to ``β = 2π R P/λ``, R being half the range and
+P the mode's peak-to-valley. The coefficients of ``exp(iβx)`` are Bessel functions of the order n, which
+fall faster than exponentially beyond n = β (Jacobi–Anger): the series ends where they no longer matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.special import jv
+
+from irlos_pipe.conventions.units import MAS, NM
+from irlos_pipe.optics.grids import Optics, Tangents
+from irlos_pipe.optics.psf import AS_BUILT, NO_TANGENTS, PsfModel
+from irlos_pipe.optics.shift import ShiftMatrices, kernel_half_length
+
+TRUNCATION = 1e-7  # the largest Bessel function left out
+WELL_SAMPLED = 0.4  # highest frequency of the images [cycles/px] that short kernels can shift
+FIELD_MARGIN_MAS = 50.0  # computed beyond the tabulated pixels
+NODES_AT_ONCE = 6  # images propagated together: few enough for the processor's cache
+OPEN_END = 1.001  # half range of the series over the half range offered: its slope is 0/0 at its very ends
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Wavefronts that a table holds [nm RMS]: least and largest focus, and tip and tilt either way."""
+
+    focus_nm: tuple[float, float]
+    tilt_nm: float
+
+
+class FocusTable:
+    """Stands in for a `PsfModel` with three modes: tip, tilt and one more, called focus.
+
+    Parameters
+    ----------
+    psf : PsfModel
+        Whose images are tabulated; see `is_family` and `can_tabulate`.
+    optics : Optics
+        What effects make of its light path. They are in the table then.
+    reach : Reach
+        Beyond it images mean nothing; solvers keep to `limits_nm`.
+    """
+
+    def __init__(self, psf: PsfModel, optics: Optics, reach: Reach):
+        self.settings, self.nolls, self.device, self.dtype = psf.settings, psf.nolls, psf.device, psf.dtype
+        self.stations, self.reach = psf.stations, reach
+        self.tilts, self.focus = [self.nolls.index(2), self.nolls.index(3)], place_of_focus(self.nolls)
+        beyond, band = _pixels_beyond(psf, optics, reach), _band_per_px(psf, optics)
+        window, pixel_nm = self.settings.window, _pixel_nm(psf, optics)
+        self.shift = ShiftMatrices(window, beyond, band, pixel_nm, psf.amplitude)
+        self.middle_nm, self.half_nm = np.mean(reach.focus_nm), OPEN_END * np.ptp(reach.focus_nm) / 2
+        self._tabulate(psf.in_window(*_wider(psf, beyond)), optics)
+
+    def _tabulate(self, wide: PsfModel, optics: Optics) -> None:
+        """Chebyshev coefficients (terms, pixels), reversed along both axes as `ShiftMatrices` wants them."""
+        terms = self._terms(wide, optics)
+        angle = np.pi * (np.arange(terms) + 0.5) / terms
+        nodes_nm = torch.zeros(terms, len(self.nolls), dtype=torch.float64)
+        nodes_nm[:, self.focus] = torch.as_tensor(self.middle_nm + self.half_nm * np.cos(angle))
+        images = torch.cat([wide.images(part, optics) for part in nodes_nm.split(NODES_AT_ONCE)])
+        to_series = np.cos(np.outer(np.arange(terms), angle)) * np.where(np.arange(terms) > 0, 2, 1)[:, None]
+        series = torch.as_tensor(to_series / terms, device=self.device) @ images.flatten(1).double()
+        self.table, self.shape = series.flip(1).to(self.dtype), images.shape[1:]
+        self.orders = torch.arange(terms, device=self.device, dtype=torch.float64)
+
+    def _terms(self, psf: PsfModel, optics: Optics) -> int:
+        """Length of the series."""
+        grid = psf.pupil_grid
+        mode = grid.modes([self.nolls[self.focus]])[0][np.hypot(*grid.xy) <= 1]
+        phase = 2 * np.pi * NM / _shortest_m(psf, optics) * self.half_nm * np.ptp(mode)
+        orders = np.arange(int(2 * phase) + 40)
+        return int(orders[np.abs(jv(orders, phase)) > TRUNCATION].max()) + 1
+
+    # -- in place of a PsfModel --------------------------------------------------------------
+
+    @property
+    def limits_nm(self) -> torch.Tensor:
+        """Least and largest coefficients that the table holds, (2, modes)."""
+        limits = torch.full((2, len(self.nolls)), self.reach.tilt_nm, dtype=torch.float64)
+        limits[0] *= -1
+        limits[:, self.focus] = torch.tensor(self.reach.focus_nm, dtype=torch.float64)
+        return limits
+
+    def images(self, coefficients_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
+        """See `PsfModel.images`; `optics` are in the table already."""
+        x, (height, width) = coefficients_nm.to(self.device, torch.float64), self.settings.window
+        rows, columns = self.shift(x[:, self.tilts])
+        weights = (self._angle(x) * self.orders).cos().to(self.dtype)
+        images = (weights @ self.table).view(-1, *self.shape)
+        return torch.bmm(rows[:, :height], torch.bmm(images, columns[:, :width].mT))
+
+    @torch.no_grad()
+    def images_and_jacobian(
+        self,
+        coefficients_nm: torch.Tensor,
+        optics: Optics = AS_BUILT,
+        tangents: Tangents = NO_TANGENTS,
+        *,
+        modal: bool = True,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `PsfModel.images_and_jacobian`; there are no parameters but the modes."""
+        x, (height, width) = coefficients_nm.to(self.device, torch.float64), self.settings.window
+        rows, columns = self.shift(x[:, self.tilts])
+        images, slopes = self._series(x)
+        along_x = torch.bmm(images, columns.mT)  # shifted, and the derivative of that
+        both = torch.bmm(rows, along_x[:, :, :width])
+        jacobian = both.new_empty(len(x), 3, height, width)
+        jacobian[:, self.tilts[0]] = torch.bmm(rows[:, :height], along_x[:, :, width:])
+        jacobian[:, self.tilts[1]] = both[:, height:]
+        jacobian[:, self.focus] = torch.bmm(rows[:, :height], torch.bmm(slopes, columns[:, :width].mT))
+        return both[:, :height], jacobian[:, : 3 * modal]
+
+    def _angle(self, x: torch.Tensor) -> torch.Tensor:
+        """The focus as θ, ``T_n = cos nθ``, (images, 1)."""
+        return ((x[:, self.focus, None] - self.middle_nm) / self.half_nm).acos()
+
+    def _series(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Images before the shift, and their derivatives with respect to the focus."""
+        angle = self._angle(x)
+        multiples = angle * self.orders
+        slopes = self.orders * multiples.sin() / (angle.sin() * self.half_nm)
+        weights = torch.cat([multiples.cos(), slopes]).to(self.dtype)
+        return (weights @ self.table).view(2, -1, *self.shape).unbind()
+
+
+def is_family(nolls: tuple[int, ...]) -> bool:
+    """Whether modes are tip, tilt and one more."""
+    return len(nolls) == 3 and {2, 3} < {*nolls}
+
+
+def place_of_focus(nolls: tuple[int, ...]) -> int:
+    """Position of the mode that is neither tip nor tilt."""
+    (place,) = (place for place, noll in enumerate(nolls) if noll not in (2, 3))
+    return place
+
+
+def can_tabulate(psf: PsfModel, optics: Optics, reach: Reach) -> bool:
+    """Whether images can be tabulated: they must be well sampled, and the shifts must fit into the field."""
+    if _band_per_px(psf, optics) > WELL_SAMPLED:
+        return False
+    room_mas = psf.settings.halo_margin_mas - FIELD_MARGIN_MAS
+    return _pixels_beyond(psf, optics, reach) * psf.settings.pixel_scale_mas <= room_mas
+
+
+def _wider(psf: PsfModel, beyond: int) -> tuple[tuple[int, int], float, float]:
+    """Window with further pixels on each side, and margins that leave the period of the OTF factors."""
+    settings, more_mas = psf.settings, beyond * psf.settings.pixel_scale_mas
+    rows, columns = settings.window
+    margin_mas = max(settings.margin_mas - more_mas, FIELD_MARGIN_MAS)
+    return (rows + 2 * beyond, columns + 2 * beyond), margin_mas, settings.halo_margin_mas - more_mas
+
+
+def _pixels_beyond(psf: PsfModel, optics: Optics, reach: Reach) -> int:
+    """Pixels that are tabulated on each side of the window."""
+    shifts = int(np.ceil(reach.tilt_nm / _pixel_nm(psf, optics)))
+    return shifts + kernel_half_length(_band_per_px(psf, optics))
+
+
+def _pixel_nm(psf: PsfModel, optics: Optics) -> float:
+    """Tip or tilt that moves the image by a pixel [nm RMS]: an angle θ is a quarter of θ D."""
+    return _pixel_rad(psf, optics) * psf.settings.geometry.diameter_m / 4 / NM
+
+
+def _band_per_px(psf: PsfModel, optics: Optics) -> float:
+    """Highest frequency of the images, D/λ [cycles/px]."""
+    return _pixel_rad(psf, optics) * psf.settings.geometry.diameter_m / _shortest_m(psf, optics)
+
+
+def _pixel_rad(psf: PsfModel, optics: Optics) -> float:
+    return float((optics.sampling or psf.stations.sampling).pixel_scale_mas) * MAS
+
+
+def _shortest_m(psf: PsfModel, optics: Optics) -> float:
+    return float((optics.sampling or psf.stations.sampling).wavelengths_m.min())

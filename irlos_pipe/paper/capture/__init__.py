@@ -1,0 +1,1 @@
+"""Experiment `capture`: its science, its stage and its section of the report."""

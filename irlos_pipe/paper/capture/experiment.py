@@ -1,0 +1,168 @@
+"""From how far LIFT finds the defocus of a single frame, by where its iteration starts.
+
+A sample is a ramp: one set of NCPAs, known as well as a calibration knows them, and a number of frames of
+random defocus, pointing and AO residual. Every frame is estimated from every start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.units import MAS
+from irlos_pipe.effects import expected
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.centring import TILT_NM_PER_RAD
+from irlos_pipe.estimate.lift import LiftOptions, LiftResult, lift
+from irlos_pipe.estimate.methods import METHODS
+from irlos_pipe.estimate.ramp_fit import RampData, second_try, start_from_defocus
+from irlos_pipe.estimate.start import scan_start_nm
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.paper.common.broad_band import frame_settings, star_scene
+from irlos_pipe.paper.common.observation import images_of, model_effects_of, noise_of
+from irlos_pipe.paper.common.ramps import DEFOCUS, TTF, elongation_defocus_nm
+from irlos_pipe.paper.methods.experiment import NCPA_NM
+from irlos_pipe.simulate.exposure import expose
+from irlos_pipe.simulate.ncpa import draw_ncpa_nm
+from irlos_pipe.simulate.scene import Scene
+
+STARTS = ("zero", "elongation", "scan", "default")
+FOCUS = TTF.index(DEFOCUS)
+
+
+@dataclass(frozen=True)
+class CaptureSample:
+    """Frames that share their NCPAs.
+
+    Attributes
+    ----------
+    reach_nm : float
+        Defocus is uniform within ± this.
+    shift_px : float
+        The star lies within ± this of the window's centre, along x and y.
+    calibration_error_nm : float
+        Of the NCPAs, over all calibrated modes.
+    """
+
+    name: str
+    seed: tuple[int, ...]
+    geometry: PupilGeometry
+    frames: int
+    reach_nm: float
+    shift_px: float = 2.0
+    mag_j: float = 12.0
+    seeing_arcsec: float = 0.5
+    calibration_error_nm: float = 15.0
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """Frames and what an observer knows of them.
+
+    Attributes
+    ----------
+    scene : Scene
+        Of the first frame; what it says of NCPAs and defocus is not used.
+    data : RampData
+        Its introduced defocus is the truth: with that of the AO residual, without the NCPAs.
+    known_ncpa_nm : dict of int to float
+    """
+
+    scene: Scene
+    data: RampData
+    known_ncpa_nm: dict[int, float]
+
+
+def capture(sample: CaptureSample) -> dict[str, np.ndarray]:
+    """Estimate every frame from every start.
+
+    Returns
+    -------
+    dict of str to ndarray
+        ``true_nm`` (frames,), and for every start ``<start>/defocus_nm``, ``/start_nm``, ``/sigma_nm``,
+        ``/converged`` and ``/chi2_nu``, (frames,) each.
+    """
+    ramp = simulate_ramp(sample)
+    psf = PsfModel(frame_settings(ramp.scene, ramp.known_ncpa_nm), TTF)
+    model = ImageModel(psf, expected(model_effects_of(ramp.scene)))
+    found = {"true_nm": ramp.data.introduced_nm}
+    for name, start, result in _results(ramp, model):
+        found |= {f"{name}/{key}": value for key, value in _numbers(start, result).items()}
+    return found
+
+
+def _results(ramp: Ramp, model: ImageModel) -> Iterator[tuple[str, torch.Tensor, LiftResult]]:
+    """Name, start and estimates of every start."""
+    data, options = ramp.data, LiftOptions()
+    prior_nm = elongation_defocus_nm(ramp.scene, data) - ramp.known_ncpa_nm.get(DEFOCUS, 0.0)
+    starts = {
+        "zero": start_from_defocus(model.psf, data, np.zeros(len(prior_nm))),
+        "elongation": start_from_defocus(model.psf, data, prior_nm),
+        "scan": scan_start_nm(model.psf, data.images_e, data.pixel_mask, model.optics),
+    }
+    for name, start in starts.items():
+        result = lift(model, data.images_e, data.pixel_mask, data.noise, start, options)
+        yield name, start, result
+        if name == "elongation":
+            yield "default", start, second_try(model, data, result, options)
+
+
+def _numbers(start_nm: torch.Tensor, result: LiftResult) -> dict[str, np.ndarray]:
+    defocus, sigma = result.mode(DEFOCUS)
+    return {
+        "defocus_nm": defocus.numpy(),
+        "sigma_nm": sigma.numpy(),
+        "start_nm": start_nm[:, FOCUS].numpy(),
+        "converged": result.solution.converged.numpy(),
+        "chi2_nu": result.chi2_nu.numpy(),
+    }
+
+
+# -- simulation ------------------------------------------------------------------------------------
+
+
+def simulate_ramp(sample: CaptureSample) -> Ramp:
+    """Frames of a sample; every one has a sky of its own."""
+    rng = np.random.default_rng(sample.seed)
+    ncpa_nm = draw_ncpa_nm(rng, NCPA_NM)
+    introduced_nm = rng.uniform(-sample.reach_nm, sample.reach_nm, sample.frames)
+    shifts_px = rng.uniform(-sample.shift_px, sample.shift_px, (sample.frames, 2))
+    scenes = [
+        _frame_scene(sample, index, ncpa_nm, shift, float(defocus))
+        for index, (defocus, shift) in enumerate(zip(introduced_nm, shifts_px, strict=True))
+    ]
+    exposed = [expose(scene) for scene in scenes]
+    focus = [one.zernike_nm[0, DEFOCUS - 2] - ncpa_nm[DEFOCUS] for one in exposed]
+    images = torch.cat([images_of(scene, one) for scene, one in zip(scenes, exposed, strict=True)])
+    good = torch.ones(images.shape[1:], dtype=torch.bool)
+    data = RampData(images, good, noise_of(scenes[0]), introduced_nm + np.array(focus))
+    return Ramp(scenes[0], data, _known_ncpa_nm(rng, ncpa_nm, sample.calibration_error_nm))
+
+
+def _frame_scene(
+    sample: CaptureSample, index: int, ncpa_nm: dict[int, float], shift_px: np.ndarray, defocus_nm: float
+) -> Scene:
+    scene = star_scene(
+        f"{sample.name}, frame {index}",
+        sample.geometry,
+        (*sample.seed, index),
+        1,
+        sample.mag_j,
+        ncpa_nm,
+        defocus_nm,
+        seeing_arcsec=sample.seeing_arcsec,
+    )
+    pixel_nm = scene.pixel_scale_mas * MAS * sample.geometry.diameter_m * TILT_NM_PER_RAD
+    tilts_nm = {noll: ncpa_nm[noll] + float(px) * pixel_nm for noll, px in zip((2, 3), shift_px, strict=True)}
+    return replace(scene, ncpa_nm={**ncpa_nm, **tilts_nm})
+
+
+def _known_ncpa_nm(rng: np.random.Generator, ncpa_nm: dict[int, float], error_nm: float) -> dict[int, float]:
+    """NCPAs as calibrated: an error alike in all modes that the default calibration estimates."""
+    nolls = range(2, METHODS["long_exposure"].highest_noll + 1)
+    errors = error_nm / np.sqrt(len(nolls)) * rng.standard_normal(len(nolls))
+    return {noll: ncpa_nm.get(noll, 0.0) + float(error) for noll, error in zip(nolls, errors, strict=True)}

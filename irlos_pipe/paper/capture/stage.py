@@ -1,0 +1,129 @@
+"""Stage `capture`: from how far LIFT finds the defocus of a simulated frame, by where it starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from pydantic import Field
+
+from irlos_pipe.paper.capture.experiment import STARTS, CaptureSample, capture
+from irlos_pipe.paper.capture.outcome import WRONG_NM, Estimates, success_per_bin
+from irlos_pipe.paper.common.ensemble import Arrays, run_samples
+from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+
+NAME = "capture"
+VERSION = 5
+READS = ()
+DEPENDS_ON = ("instrument", "seed")
+PAPER_NM = 410.0  # capture range that the paper states, started from zero
+UNITS = {"defocus_nm": "nm", "start_nm": "nm", "sigma_nm": "nm", "converged": "", "chi2_nu": ""}
+
+
+class Config(StageConfig):
+    """Sizes and conditions of the experiment."""
+
+    ramps: int = Field(30, ge=1, le=10000, description="sets of NCPAs")
+    frames: int = Field(50, ge=1, le=1000, description="frames with each set of NCPAs")
+    reach_nm: float = Field(900.0, gt=0, le=1500, description="defocus is uniform within ± this [nm RMS]")
+    required_nm: float = Field(600.0, gt=0, description="capture range that is asked for [nm RMS]")
+    shift_px: float = Field(2.0, ge=0, le=10, description="star within ± this of the centre, each axis [px]")
+    mag_j: float = Field(12.0, ge=0, le=25)
+    seeing_arcsec: float = Field(0.5, gt=0, le=3)
+    calibration_error_nm: float = Field(15.0, ge=0, description="error of the NCPAs given to LIFT [nm RMS]")
+    bin_nm: float = Field(100.0, gt=0, description="width of the bins of the success curve [nm RMS]")
+
+
+def run(ctx: StageContext) -> StageOutput:
+    """Draw all frames and estimate them from every start."""
+    found = run_samples(capture, _samples(ctx), ctx, "ramps")
+    true_nm = np.concatenate([one["true_nm"] for one in found])
+    estimates = {
+        name: Estimates(true_nm, *(_all(found, name, key) for key in ("defocus_nm", "converged")))
+        for name in STARTS
+    }
+    config: Config = ctx.config
+    edges_nm = np.linspace(-config.reach_nm, config.reach_nm, round(2 * config.reach_nm / config.bin_nm) + 1)
+    rows = [_row(name, one, config, edges_nm) for name, one in estimates.items()]
+    results = {
+        "cases": len(true_nm),
+        "wrong_limit_nm": WRONG_NM,
+        "required_nm": config.required_nm,
+        "paper_nm": PAPER_NM,
+        "mag_j": config.mag_j,
+        "bin_edges_nm": edges_nm.tolist(),
+        "starts": rows,
+    }
+    return StageOutput(_arrays(true_nm, found), results, [_check(rows[-1])], summary=_summary(rows))
+
+
+def _samples(ctx: StageContext) -> list[CaptureSample]:
+    config: Config = ctx.config
+    return [
+        CaptureSample(
+            f"ramp {index}",
+            (ctx.seed, index),
+            ctx.instrument.pupil,
+            config.frames,
+            config.reach_nm,
+            config.shift_px,
+            config.mag_j,
+            config.seeing_arcsec,
+            config.calibration_error_nm,
+        )
+        for index in range(config.ramps)
+    ]
+
+
+def _all(found: Sequence[Arrays], start: str, key: str) -> np.ndarray:
+    return np.concatenate([one[f"{start}/{key}"] for one in found])
+
+
+def _row(name: str, estimates: Estimates, config: Config, edges_nm: np.ndarray) -> dict:
+    required = estimates.within(config.required_nm)
+    largest_right_nm, smallest_wrong_nm = estimates.gap_nm()
+    captured, cases = success_per_bin(estimates, edges_nm)
+    return {
+        "start": name,
+        "required": required.counts(),
+        "all": estimates.counts(),
+        "range_nm": estimates.range_nm(),
+        "rms_nm": required.rms_nm(),
+        "largest_right_nm": largest_right_nm,
+        "smallest_wrong_nm": smallest_wrong_nm,
+        "captured_per_bin": captured.tolist(),
+        "cases_per_bin": cases.tolist(),
+    }
+
+
+def _arrays(true_nm: np.ndarray, found: Sequence[Arrays]) -> dict[str, Quantity]:
+    arrays = {"true_nm": Quantity(true_nm, "nm", "true defocus beyond the NCPAs, frame by frame")}
+    for name in STARTS:
+        for key, unit in UNITS.items():
+            arrays[f"{name}/{key}"] = Quantity(_all(found, name, key), unit, f"{key} of LIFT, start: {name}")
+    return arrays
+
+
+def _check(default: dict) -> Check:
+    """The last start is what the pipeline does."""
+    missed = default["required"]["cases"] - default["required"]["captured"]
+    return Check(
+        "defocus not found within the required range",
+        missed,
+        "",
+        None,
+        0,
+        f"{missed} of {default['required']['cases']} cases were not found by the default",
+    )
+
+
+def _summary(rows: Sequence[dict]) -> list[str]:
+    lines = ["start           captured / cases, wrong within the required range; range without a miss"]
+    for row in rows:
+        inside = row["required"]
+        lines.append(
+            f"  {row['start']:13s} {inside['captured']} / {inside['cases']}, {inside['wrong']}; "
+            f"±{row['range_nm']:.0f} nm, error {row['rms_nm']:.1f} nm RMS"
+        )
+    return lines

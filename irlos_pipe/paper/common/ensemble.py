@@ -1,0 +1,124 @@
+"""Many samples of one function, in worker processes; finished ones outlive an interruption."""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from irlos_pipe.conventions.errors import IrlosError
+from irlos_pipe.files.atomic import atomic_file
+from irlos_pipe.files.json import canonical_json
+from irlos_pipe.files.processes import in_processes
+from irlos_pipe.stages.base import StageContext
+
+Arrays = dict[str, np.ndarray]
+LONGEST_NAME = 80
+
+
+def run_samples(
+    function: Callable[[Any], Mapping[str, Any]], samples: Sequence[Any], ctx: StageContext, desc: str
+) -> list[Arrays]:
+    """Return `function(sample)` for every sample, computed by `ctx.jobs` processes of one thread.
+
+    Every result is a file in `ctx.scratch` as soon as it is there, and is read from it when the
+    same stage runs again after an interruption. Results are the same to the bit for any
+    `ctx.jobs`, as long as `function` depends on nothing but the sample, its seed included.
+
+    Parameters
+    ----------
+    function : callable
+        Defined at the top level of a module; returns numbers, arrays or texts by name.
+    samples : sequence
+        Frozen dataclasses or dicts of what JSON can say, arrays included. An attribute or key
+        ``name`` stands for the sample in messages. Equal samples are computed once.
+    desc : str
+        What the samples are, for the progress bar and for messages.
+
+    Returns
+    -------
+    list of dict of str to ndarray
+        In the order of `samples`.
+
+    Raises
+    ------
+    IrlosError
+        As raised by `function`, with the sample's name put before it; or when a process died.
+        The samples finished by then stay.
+    """
+    ctx.scratch.mkdir(parents=True, exist_ok=True)
+    files = [ctx.scratch / f"{sample_key(function, sample)}.npz" for sample in samples]
+    missing = {
+        file: sample for file, sample in zip(files, samples, strict=True) if not zipfile.is_zipfile(file)
+    }
+    finished = len(set(files)) - len(missing)
+    if finished:
+        ctx.log.info("%s: %d of %d samples were finished before", desc, finished, finished + len(missing))
+    with ctx.progress(total=finished + len(missing), desc=desc) as bar:
+        bar.update(finished)
+        _compute(function, missing, ctx.jobs, desc, bar.update)
+    return [_read(file) for file in files]
+
+
+def sample_key(function: Callable, sample: Any) -> str:
+    """Return a checksum of the function's name and of the sample, the same in every process."""
+    identity = [function.__module__, function.__qualname__, type(sample).__qualname__, sample]
+    return hashlib.sha256(canonical_json(identity).encode()).hexdigest()[:32]
+
+
+def _compute(
+    function: Callable, missing: Mapping[Path, Any], jobs: int, desc: str, report: Callable[[int], Any]
+) -> None:
+    """Leave one file per missing sample."""
+    if not missing:
+        return
+    calls = [(function, sample, file) for file, sample in missing.items()]
+    with in_processes(min(jobs, len(calls)), _work, calls) as futures:
+        samples = dict(zip(futures, missing.values(), strict=True))
+        for done in as_completed(futures):
+            with _blamed_on(samples[done], desc):
+                done.result()
+            report(1)
+
+
+def _work(function: Callable[[Any], Mapping[str, Any]], sample: Any, file: Path) -> None:
+    arrays = {name: np.asarray(value) for name, value in function(sample).items()}
+    for name, array in arrays.items():
+        if array.dtype.hasobject:
+            raise TypeError(f"{function.__qualname__}: '{name}' is neither numbers nor text")
+    with atomic_file(file) as stream:
+        np.savez(stream, **arrays)
+
+
+def _read(file: Path) -> Arrays:
+    with np.load(file, allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
+@contextmanager
+def _blamed_on(sample: Any, desc: str) -> Iterator[None]:
+    """Say in every error which sample it was."""
+    try:
+        yield
+    except BrokenProcessPool as error:
+        raise IrlosError(
+            f"{desc}: a worker process was killed, perhaps for want of memory; finished samples "
+            "stay: run the same command to go on, with fewer --jobs"
+        ) from error
+    except IrlosError as error:
+        raise type(error)(f"{desc}: sample {_name(sample)}: {error}") from error
+    except Exception as error:
+        error.add_note(f"{desc}: sample {_name(sample)}")
+        raise
+
+
+def _name(sample: Any) -> str:
+    name = sample.get("name") if isinstance(sample, Mapping) else getattr(sample, "name", None)
+    return str(name or canonical_json(sample)[:LONGEST_NAME])

@@ -1,0 +1,192 @@
+"""The derotator test (paper, Sect. 6.1) with known truth: cubes at several angles of the derotator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.estimate.derotation import Series, Split
+from irlos_pipe.optics.rotation import partner, rotation_matrix
+from irlos_pipe.paper.common.observation import (
+    REPORTED,
+    frames_of,
+    model_effects_of,
+    modes_delta_nm,
+    settings_of,
+)
+from irlos_pipe.paper.common.phase_bump import phase_bump_nm
+from irlos_pipe.paper.common.variants import VARIANTS
+from irlos_pipe.paper.methods.experiment import NARROW_H, NARROW_THROUGHPUT
+from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.simulate.exposure import expose
+from irlos_pipe.simulate.motion import Motion
+from irlos_pipe.simulate.ncpa import draw_ncpa_nm
+from irlos_pipe.simulate.scene import Scene
+
+DIVERSITY_NM = {6: 170.0}  # by the deformable mirror: the lens cannot stand beside the narrow-band filter
+POINTING = (2, 3)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The static wavefront, Noll: nm RMS.
+
+    Attributes
+    ----------
+    rotating_nm : mapping of int to float
+        Before the derotator, at angle 0: random NCPAs and the phase bump.
+    fixed_nm : mapping of int to float
+        Behind it: random NCPAs.
+    """
+
+    rotating_nm: Mapping[int, float]
+    fixed_nm: Mapping[int, float]
+
+    def at(self, nolls: Sequence[int], angle_deg: float) -> np.ndarray:
+        """Coefficients at a derotator angle, (modes,) [nm RMS]."""
+        every = sorted({other for noll in (*nolls, *self.rotating_nm) for other in (noll, partner(noll))})
+        turned = rotation_matrix(every, angle_deg) @ _values(self.rotating_nm, every)
+        return _values(dict(zip(every, turned, strict=True)), nolls) + _values(self.fixed_nm, nolls)
+
+
+def draw_truth(seed: Sequence[int], rotating_nm: float, fixed_nm: float) -> Truth:
+    """Random NCPAs of given RMS on either side of the derotator, the phase bump before it."""
+    rng = np.random.default_rng(seed)
+    before, behind = draw_ncpa_nm(rng, rotating_nm), draw_ncpa_nm(rng, fixed_nm)
+    bump = phase_bump_nm()
+    together = {noll: before.get(noll, 0.0) + bump.get(noll, 0.0) for noll in sorted({*before, *bump})}
+    return Truth(together, behind)
+
+
+def rms_beyond_tilt_nm(zernike_nm: Mapping[int, float]) -> float:
+    """RMS over the disc without tip and tilt [nm]."""
+    return float(np.sqrt(sum(value**2 for noll, value in zernike_nm.items() if noll not in POINTING)))
+
+
+@dataclass(frozen=True)
+class AngleSample:
+    """The cube of one angle.
+
+    Attributes
+    ----------
+    frames : mapping of str to int
+        Frames that a method, a key of `VARIANTS`, is given; the largest number is simulated.
+    """
+
+    name: str
+    seed: tuple[int, ...]
+    geometry: PupilGeometry
+    truth: Truth
+    angle_deg: float
+    frames: Mapping[str, int]
+    seeing_arcsec: float = 1.2
+    mag_j: float = 8.0
+
+
+def scene_of(sample: AngleSample) -> Scene:
+    """The recording at one angle: narrow H band, 0.1 s at 10 Hz."""
+    return Scene(
+        sample.name,
+        sample.geometry,
+        NARROW_H,
+        sample.seed,
+        max(sample.frames.values()),
+        0.1,
+        role="derotator",
+        mag_j=sample.mag_j,
+        throughput=NARROW_THROUGHPUT,
+        ncpa_nm=sample.truth.fixed_nm,
+        rotating_nm=sample.truth.rotating_nm,
+        derotator_angle_deg=sample.angle_deg,
+        diversity_nm=DIVERSITY_NM,
+        diversity_source="mirror",
+        sky=Sky(sample.seeing_arcsec),
+        motion=Motion(),
+    )
+
+
+def estimate(sample: AngleSample) -> dict[str, np.ndarray]:
+    """Simulate one cube and calibrate it by every method.
+
+    Returns
+    -------
+    dict of str to ndarray
+        ``mean_image_e``, and for every method ``<method>/noll``, ``/zernike_nm``, ``/covariance_nm2``,
+        ``/chi2_nu`` and ``/delta_nm``, the Δ-WFE in Noll 2–30 against the mean wavefront of its frames.
+    """
+    scene = scene_of(sample)
+    exposed = expose(scene)
+    cube = frames_of(scene, exposed)
+    numbers = {"mean_image_e": cube.mean_e.numpy()}
+    for method, count in sample.frames.items():
+        own = replace(cube, images_e=cube.images_e[:count])
+        result = VARIANTS[method].calibrate(own, settings_of(scene), model_effects_of(scene))
+        numbers |= {
+            f"{method}/noll": np.array(result.nolls),
+            f"{method}/zernike_nm": result.zernike_nm,
+            f"{method}/covariance_nm2": result.covariance_nm2,
+            f"{method}/chi2_nu": np.array(result.chi2_nu),
+            f"{method}/delta_nm": np.array(modes_delta_nm(exposed, result.nolls, result.zernike_nm, count)),
+        }
+    return numbers
+
+
+@dataclass(frozen=True)
+class SplitErrors:
+    """How wrong a split is, RMS over the disc [nm].
+
+    Attributes
+    ----------
+    rotating_nm, fixed_nm, unsplit_nm : float
+        In Noll 4–30, among the modes of the part.
+    rotating_all_nm : float
+        Of the rotating part as a map: modes that were not estimated count in full.
+    single_nm, model_nm : float
+        Of the estimates at single angles, and of what the two parts predict for them, in Noll 4–30;
+        the static wavefront is the truth.
+    """
+
+    rotating_nm: float
+    fixed_nm: float
+    unsplit_nm: float
+    rotating_all_nm: float
+    single_nm: float
+    model_nm: float
+
+
+def split_errors(series: Series, split: Split, truth: Truth) -> SplitErrors:
+    """Compare a split with what was simulated."""
+    reported = np.isin(split.nolls, REPORTED)
+    apart, sums = reported & split.separable, reported & ~split.separable
+    rotating, fixed = (_values(part, split.nolls) for part in (truth.rotating_nm, truth.fixed_nm))
+    static = np.array([truth.at(split.nolls, angle) for angle in series.angles_deg])
+    wrong = {
+        "rotating_nm": (split.rotating.zernike_nm - rotating)[apart],
+        "fixed_nm": (split.fixed.zernike_nm - fixed)[apart],
+        "unsplit_nm": (split.unsplit.zernike_nm - rotating - fixed)[sums],
+        "rotating_all_nm": _whole(split, truth),
+    }
+    return SplitErrors(
+        **{name: float(np.linalg.norm(values)) for name, values in wrong.items()},
+        single_nm=_mean_norm((series.zernike_nm - static)[:, reported]),
+        model_nm=_mean_norm((split.predicted_nm - static)[:, reported]),
+    )
+
+
+def _whole(split: Split, truth: Truth) -> np.ndarray:
+    """Error of the rotating part in all modes that turn."""
+    found = dict(zip(split.nolls, split.rotating.zernike_nm, strict=True))
+    turning = [noll for noll in truth.rotating_nm if partner(noll) != noll and noll not in POINTING]
+    return _values(found, turning) - _values(truth.rotating_nm, turning)
+
+
+def _mean_norm(values: np.ndarray) -> float:
+    """RMS over the rows of their norms."""
+    return float(np.sqrt(np.mean(np.sum(values**2, axis=1))))
+
+
+def _values(given_nm: Mapping[int, float], nolls: Sequence[int]) -> np.ndarray:
+    return np.array([given_nm.get(noll, 0.0) for noll in nolls])

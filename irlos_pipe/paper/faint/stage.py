@@ -1,0 +1,134 @@
+"""Stage `faint`: how faint LIFT goes, by simulated frames dimmed as in the paper's test."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, Curve
+from irlos_pipe.paper.common.ensemble import run_samples
+from irlos_pipe.paper.faint.experiment import (
+    COMPARED,
+    Exposures,
+    FaintSample,
+    dim_and_estimate,
+    pooled,
+    residual_floor_nm,
+)
+from irlos_pipe.paper.focus_ramp.experiment import WAYS
+from irlos_pipe.product.product import Quantity
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+
+NAME = "faint"
+VERSION = 5
+READS = ()
+DEPENDS_ON = ("instrument", "seed")
+MONITOR = "mass_dimm"  # the paper's scale of the seeing on sky
+CURVE_KEYS = ("mag_j", "median_abs_error_nm", "p16_nm", "p84_nm", "crb_nm", "failures")
+
+
+class Config(StageConfig):
+    """Sizes of the experiment."""
+
+    samples: int = Field(2, ge=1, le=1000, description="sets of NCPAs, pooled in every curve")
+    reach_nm: float = Field(170.0, gt=0, le=600, description="the ramp goes from minus to plus this [nm RMS]")
+    offsets: int = Field(7, ge=2, le=200, description="positions of the ramp, one frame each")
+    realisations: int = Field(10, ge=1, le=1000, description="of the noise, per frame and magnitude")
+    exposures_s: tuple[float, ...] = Field((0.1, 1.0), min_length=1, description="lengths of an exposure")
+    faintest_mag_j: tuple[float, ...] = Field((19.0, 21.0), description="for each length of exposure")
+    magnitudes: int = Field(9, ge=1, le=50, description="of the scan, the faintest one included")
+    mag_step: float = Field(1.0, gt=0, le=5)
+    cube_frames: int = Field(300, ge=10, le=10000, description="frames of the calibration cube")
+    mag_j: float = Field(7.1, ge=0, le=20, description="of the frames that are dimmed")
+    seeing_arcsec: float = Field(0.5, gt=0, le=3, description="by MASS-DIMM")
+    limit_nm: float = Field(30.0, gt=0, description="limiting magnitude: largest median error [nm RMS]")
+    limit_failures: float = Field(0.1, ge=0, le=1, description="limiting magnitude: largest part of failures")
+
+    @model_validator(mode="after")
+    def _usable_magnitudes(self) -> Config:
+        if len(self.faintest_mag_j) != len(self.exposures_s):
+            raise ValueError("faintest_mag_j needs one value for each of exposures_s")
+        brightest = min(self.faintest_mag_j) - (self.magnitudes - 1) * self.mag_step
+        if brightest < self.mag_j:
+            raise ValueError(
+                f"the scan would begin at {brightest:g}, brighter than mag_j {self.mag_j:g}: frames can only "
+                "be dimmed; lower magnitudes or mag_step"
+            )
+        return self
+
+    def scans(self) -> tuple[Exposures, ...]:
+        """Lengths of exposure with their magnitudes, bright to faint."""
+        steps = np.arange(self.magnitudes)[::-1] * self.mag_step
+        return tuple(
+            Exposures(exposure_s, tuple((faintest - steps).tolist()))
+            for exposure_s, faintest in zip(self.exposures_s, self.faintest_mag_j, strict=True)
+        )
+
+
+def run(ctx: StageContext) -> StageOutput:
+    """Dim and estimate the ramps of all samples; one group of curves per length of exposure."""
+    samples = [_sample(ctx, index) for index in range(ctx.config.samples)]
+    found = run_samples(dim_and_estimate, samples, ctx, "samples")
+    criterion = Criterion(ctx.config.limit_nm, ctx.config.limit_failures)
+    groups = [_group(found, exposures, criterion) for exposures in ctx.config.scans()]
+    results = {
+        "samples": len(found),
+        "exposures": groups,
+        "criterion": {
+            "median_abs_error_nm": ctx.config.limit_nm,
+            "failures": ctx.config.limit_failures,
+            "implausible_nm": criterion.implausible_nm,
+        },
+        "crb_note": f"1 sigma; the median |error| of an efficient estimate is {MEDIAN_OF_NORMAL} of it",
+    }
+    return StageOutput(_arrays(groups), results, summary=[_line(group) for group in groups])
+
+
+def _sample(ctx: StageContext, index: int) -> FaintSample:
+    config: Config = ctx.config
+    offsets = np.linspace(-config.reach_nm, config.reach_nm, config.offsets)
+    return FaintSample(
+        f"sample {index}",
+        (ctx.seed, index),
+        ctx.instrument.pupil,
+        config.scans(),
+        tuple(offsets.tolist()),
+        config.realisations,
+        config.cube_frames,
+        float(ctx.instrument.seeing_scales[MONITOR].to_sparta(config.seeing_arcsec)),
+        config.mag_j,
+    )
+
+
+def _group(found: list, exposures: Exposures, criterion: Criterion) -> dict:
+    """Curves of all ways for one length of exposure."""
+    return {
+        "exposure_s": exposures.exposure_s,
+        "residual_floor_nm": residual_floor_nm(found, exposures),
+        "curves": [_row(way, pooled(found, exposures, way, criterion)) for way in COMPARED],
+    }
+
+
+def _row(key: str, curve: Curve) -> dict:
+    way = WAYS[key]
+    row = {"key": key, "label": way.name, "modes": list(way.modes), "calibrated": bool(way.ncpa)}
+    row |= {name: getattr(curve, name).tolist() for name in CURVE_KEYS}
+    return row | {"trials": curve.trials, "limit_mag": curve.limit_mag}
+
+
+def _arrays(groups: list[dict]) -> dict[str, Quantity]:
+    return {
+        f"{group['exposure_s']:g}/{row['key']}/{name}": Quantity(
+            np.array(row[name]),
+            "mag" if name == "mag_j" else "nm" if name.endswith("_nm") else "",
+            f"{row['label']}, {len(row['modes'])} modes, {group['exposure_s']:g} s",
+        )
+        for group in groups
+        for row in group["curves"]
+        for name in CURVE_KEYS
+    }
+
+
+def _line(group: dict) -> str:
+    limits = ", ".join(f"{row['key']} {row['limit_mag']:.1f}" for row in group["curves"])
+    return f"limiting m_J at {group['exposure_s']:g} s: {limits}"

@@ -1,0 +1,159 @@
+"""Stage `first_tests`: the paper's first test on sky, simulated, and what its lessons are worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from pydantic import Field
+
+from irlos_pipe.paper.common.ensemble import Arrays, run_samples
+from irlos_pipe.paper.first_tests.experiment import (
+    STARTED,
+    STARTS,
+    TARGETS,
+    WAYS,
+    Target,
+    TargetSample,
+    estimate,
+    stage_error,
+    target_errors,
+    ways_of,
+)
+from irlos_pipe.product.product import Quantity
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+
+NAME = "first_tests"
+VERSION = 4
+READS = ()
+DEPENDS_ON = ("instrument", "seed")
+MONITOR = "mass_dimm"  # the paper's scale of the seeing on sky
+NUMBERS = ("slope", "rms_nm", "line_rms_nm", "converged")
+
+
+class Config(StageConfig):
+    """Sizes of the experiment."""
+
+    samples: int = Field(3, ge=1, le=1000, description="sets of NCPAs per target; the first is drawn")
+    offsets: tuple[int, int] = Field((10, 8), description="positions of the ramps of the two targets")
+    frames_per_offset: tuple[int, int] = Field((10, 20), description="of the first ramp of each target")
+    frames_of_others: int = Field(2, ge=1, le=1000, description="frames per offset of the other ramps")
+    cube_frames: int = Field(300, ge=10, le=10000, description="frames of the calibration cube")
+    ncpa_nm: float = Field(170.0, ge=0, le=1000, description="NCPAs over 50 modes: strong ones [nm RMS]")
+
+
+def run(ctx: StageContext) -> StageOutput:
+    """Simulate and estimate both targets with every set of NCPAs."""
+    samples = [
+        _sample(ctx, place, index) for place in range(len(TARGETS)) for index in range(ctx.config.samples)
+    ]
+    numbers = run_samples(estimate, samples, ctx, "ramps")
+    by_target = {
+        key: [found for sample, found in zip(samples, numbers, strict=True) if sample.target == key]
+        for key in TARGETS
+    }
+    targets = [_target(ctx, key, of_it) for key, of_it in by_target.items()]
+    arrays = {
+        f"{key}/{name}": quantity
+        for key, of_it in by_target.items()
+        for name, quantity in _arrays(of_it[0]).items()
+    }
+    return StageOutput(arrays, {"targets": targets}, summary=[_line(target) for target in targets])
+
+
+def _sample(ctx: StageContext, place: int, index: int) -> TargetSample:
+    """The first ramp of a target has the paper's number of frames; the others tell the scatter over NCPAs."""
+    config: Config = ctx.config
+    key = list(TARGETS)[place]
+    return TargetSample(
+        f"{TARGETS[key].label}, ramp {index}",
+        (ctx.seed, place, index),
+        ctx.instrument.pupil,
+        key,
+        _seeing_arcsec(ctx, TARGETS[key]),
+        config.offsets[place],
+        config.frames_of_others if index else config.frames_per_offset[place],
+        config.cube_frames,
+        config.ncpa_nm,
+    )
+
+
+def _seeing_arcsec(ctx: StageContext, target: Target) -> float:
+    """On SPARTA's scale."""
+    return float(ctx.instrument.seeing_scales[MONITOR].to_sparta(target.seeing_arcsec))
+
+
+# -- results ---------------------------------------------------------------------------------------
+
+
+def _target(ctx: StageContext, key: str, found: Sequence[Arrays]) -> dict:
+    target = TARGETS[key]
+    return {
+        "key": key,
+        "label": target.label,
+        "mag_j": target.mag_j,
+        "seeing_arcsec": target.seeing_arcsec,
+        "sparta_seeing_arcsec": _seeing_arcsec(ctx, target),
+        "samples": len(found),
+        "frames": [len(one["introduced_nm"]) for one in found],
+        "stage_error": "saw_tooth" if target.hysteresis_nm else "second_run_bias",
+        "ways": [_way(target, way, found) for way in WAYS],
+        "starts": [_start(way, start, found) for way in STARTED for start in STARTS],
+    }
+
+
+def _way(target: Target, key: str, found: Sequence[Arrays]) -> dict:
+    """Numbers of the first ramp and of all of them."""
+    way = ways_of(target)[key]
+    errors = [target_errors(one, key) for one in found]
+    steps = [stage_error(one, key, target) for one in found]
+    return {
+        "key": key,
+        "label": way.name,
+        "modes": list(way.modes),
+        **{name: [getattr(one, name) for one in errors] for name in NUMBERS},
+        "kernel_mas": [float(one[f"{key}/kernel_mas"]) for one in found],
+        "stage_true_nm": steps[0].true_nm,
+        "stage_found_nm": [step.found_nm for step in steps],
+        "stage_sigma_nm": [step.sigma_nm for step in steps],
+    }
+
+
+def _start(way: str, start: str, found: Sequence[Arrays]) -> dict:
+    """Over the frames of all ramps."""
+    wrong, iterations = (
+        np.concatenate([one[f"{way}/{start}/{name}"] for one in found]) for name in ("wrong", "iterations")
+    )
+    return {
+        "way": way,
+        "start": start,
+        "frames": len(wrong),
+        "wrong": int(wrong.sum()),
+        "median_iterations": float(np.median(iterations)),
+    }
+
+
+def _arrays(first: Arrays) -> dict[str, Quantity]:
+    """The first ramp of a target, frame by frame in the order of recording."""
+    meanings = {
+        "introduced_nm": "defocus as told to the focus stage",
+        "reached_nm": "defocus as the stage introduced it",
+        "true_nm": "defocus of every frame's mean wavefront",
+        "ncpa_nm": "defocus among the NCPAs",
+    }
+    arrays = {name: Quantity(first[name], "nm", text) for name, text in meanings.items()}
+    for way in WAYS:
+        total_nm = first[f"{way}/defocus_nm"] + first[f"{way}/given_nm"]
+        arrays[f"{way}/total_nm"] = Quantity(total_nm, "nm", "estimated defocus, NCPAs given included")
+    return arrays
+
+
+def _line(target: dict) -> str:
+    ways = {way["key"]: way for way in target["ways"]}
+    hand, default = ways["hand_9"], ways["default_3"]
+    return (
+        f"{target['label']}: error {np.median(hand['rms_nm']):.1f} nm RMS with kernel by hand, nine modes, "
+        f"{np.median(default['rms_nm']):.1f} nm with NCPAs, AO residual and three modes; "
+        f"{target['stage_error'].replace('_', ' ')} {default['stage_found_nm'][0]:.1f} ± "
+        f"{default['stage_sigma_nm'][0]:.1f} nm (true {default['stage_true_nm']:.0f} nm)"
+    )

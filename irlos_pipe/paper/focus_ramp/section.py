@@ -1,0 +1,173 @@
+"""Section on simulated focus ramps, estimated with and without calibrated NCPAs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import LogLocator, NullLocator
+
+from irlos_pipe.report.content import Figure, Section, Table
+from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, YELLOW, svg
+from irlos_pipe.report.modes import label
+from irlos_pipe.report.run_data import RunData
+from irlos_pipe.report.text import number, plural
+
+STAGE = "focus_ramp"
+DRAWN = {  # the ramps drawn side by side, where they were run
+    "none_9": "no NCPAs in the model",
+    "published_9": "NCPAs by DIP global",
+    "default_9": "this pipeline",
+}
+COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW, INK)
+HIDDEN_MODES = (2, 3)  # tip and tilt: where the star lies says nothing about the optics
+KINDS = {"rms_nm": ("introduced", "o", ORANGE), "true_rms_nm": ("introduced + NCPA + AO residual", "s", BLUE)}
+MODES_CAPTION = (
+    "First ramp, nine modes, median per offset. Dashed: the true wavefront (introduced defocus, NCPAs, AO "
+    "residual of each frame). NCPAs given to LIFT count as estimated; tip and tilt are not drawn."
+)
+ERROR_CAPTION = (
+    "RMS of estimated minus introduced defocus of every ramp, and against the defocus there was (introduced, "
+    "NCPAs, mean AO residual of each frame; NCPAs given to LIFT count as estimated). Bars: medians."
+)
+COLUMNS = (
+    "estimate",
+    "modes",
+    "slope",
+    "offset [nm]",
+    "error [nm RMS]",
+    "about the line [nm RMS]",
+    "against what there was [nm RMS]",
+)
+
+
+def section(run: RunData) -> Section:
+    """Build the section."""
+    results = run.results(STAGE)
+    ways = results.get("ways", [])
+    errors = Figure(_errors(run, ways), "Error of every ramp", ERROR_CAPTION)
+    blocks = [*_modes_figure(run, ways), errors, _table(ways)]
+    return Section(STAGE, "Focus ramp with and without calibrated NCPAs", _lead(results), blocks)
+
+
+def _lead(results: dict[str, Any]) -> str:
+    best = {way["key"]: way for way in results.get("ways", [])}
+    told = [
+        f"{best[key]['rms_nm']['median']:.1f} nm {words}"
+        for key, words in (
+            ("none_9", "without NCPAs (nine modes)"),
+            ("published_3", "with those of DIP global (three modes)"),
+            ("default_3", "with this pipeline's (three modes)"),
+        )
+        if key in best
+    ]
+    return f"Median error over {plural(results.get('samples', 0), 'ramp')}: {', '.join(told)}."
+
+
+# -- one ramp, all modes -------------------------------------------------------------------------
+
+
+def _modes_figure(run: RunData, ways: list[dict[str, Any]]) -> list[Figure]:
+    shown = [way for way in ways if way["key"] in DRAWN]
+    if not shown:
+        return []
+    return [Figure(_modes(run, shown), "Estimated modes against introduced defocus", MODES_CAPTION, "full")]
+
+
+def _modes(run: RunData, shown: list[dict[str, Any]]) -> Markup:
+    introduced, true = run.array(STAGE, "introduced_nm"), run.array(STAGE, "true_nm")
+
+    def draw(figure: Canvas) -> None:
+        top, bottom = figure.subplots(
+            2, len(shown), sharex=True, sharey="row", squeeze=False, height_ratios=(3, 2)
+        )
+        for upper, lower, way in zip(top, bottom, shown, strict=True):
+            _draw_way(upper, lower, way, introduced, true, run.array(STAGE, f"{way['key']}/modes_nm"))
+            upper.set_title(DRAWN[way["key"]])
+            lower.set_xlabel("introduced defocus [nm RMS]")
+        top[0].set_ylabel("coefficient [nm RMS]")
+        bottom[0].set_ylabel("estimated − true\n[nm RMS]")
+        handles, labels = top[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=4)
+
+    return svg("focus-ramp-modes", (10.5, 6.2), draw)
+
+
+def _draw_way(
+    upper: Axes, lower: Axes, way: dict[str, Any], introduced: np.ndarray, true: np.ndarray, modes: np.ndarray
+) -> None:
+    """Estimated and true coefficients above, their difference below."""
+    drawn = [noll for noll in way["modes"] if noll not in HIDDEN_MODES]
+    lower.axhline(0, color=INK, linewidth=0.9)
+    for noll, colour in zip(drawn, COLOURS, strict=False):
+        estimated, there = modes[:, way["modes"].index(noll)], true[:, noll - 2]
+        offsets, median = _medians(introduced, estimated)
+        upper.plot(offsets, median, "o-", color=colour, markersize=3, label=label(noll))
+        upper.plot(offsets, _medians(introduced, there)[1], "--", color=colour, linewidth=0.9)
+        lower.plot(offsets, _medians(introduced, estimated - there)[1], "o-", color=colour, markersize=3)
+
+
+def _medians(introduced: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets and the median of their frames."""
+    offsets = np.unique(introduced)
+    return offsets, np.array([np.nanmedian(values[introduced == offset]) for offset in offsets])
+
+
+# -- all ramps -----------------------------------------------------------------------------------
+
+
+def _errors(run: RunData, ways: list[dict[str, Any]]) -> Markup:
+    def draw(figure: Canvas) -> None:
+        axes = figure.subplots()
+        for row, way in enumerate(ways[::-1]):
+            for shift, (key, look) in zip((0.17, -0.17), KINDS.items(), strict=True):
+                values = run.array(STAGE, f"{way['key']}/{key}")
+                _draw_samples(axes, values, row + shift, look, labelled=row == 0)
+        axes.set_yticks(range(len(ways)), [_name(way) for way in ways[::-1]])
+        axes.set(xlabel="error of the defocus [nm RMS]", xscale="log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_locator(NullLocator())
+        figure.legend(loc="outside upper center", ncols=2)
+
+    return svg("focus-ramp-errors", (5.4, 0.8 + 0.42 * len(ways)), draw)
+
+
+def _draw_samples(axes: Axes, values: np.ndarray, row: float, look: tuple, labelled: bool) -> None:
+    label, marker, colour = look
+    height = np.full(len(values), row)
+    label = label if labelled else None
+    axes.plot(values, height, marker, color=colour, markersize=3.5, alpha=0.7, label=label)
+    axes.vlines(np.median(values), row - 0.15, row + 0.15, color=INK, linewidth=1.4)
+
+
+def _name(way: dict[str, Any]) -> str:
+    """Label of a way on two lines."""
+    first, _, rest = way["label"].partition(", ")
+    return f"{first},\n{rest}, {len(way['modes'])} modes"
+
+
+def _table(ways: list[dict[str, Any]]) -> Table:
+    rows = [
+        (
+            way["label"],
+            str(len(way["modes"])),
+            _spread(way["slope"], ".3f"),
+            _spread(way["offset_nm"], "+.1f"),
+            _spread(way["rms_nm"]),
+            _spread(way["line_rms_nm"]),
+            _spread(way["true_rms_nm"]),
+        )
+        for way in ways
+    ]
+    marks = ["good" if way["key"].startswith("default") else "" for way in ways]
+    caption = "Medians over the ramps, 16th to 84th percentile in brackets."
+    return Table(COLUMNS, rows, "Ways of estimating the ramp", caption, marks)
+
+
+def _spread(found: dict[str, float], pattern: str = ".1f") -> str:
+    median, p16, p84 = (number(found[key], pattern) for key in ("median", "p16", "p84"))
+    return f"{median} ({p16}…{p84})"

@@ -1,0 +1,1 @@
+"""Experiment `mode_number`: its science, its stage and its section of the report."""

@@ -1,0 +1,1 @@
+"""The run of all experiments: recipes, common report, numbers, tables."""

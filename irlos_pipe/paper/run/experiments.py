@@ -1,0 +1,100 @@
+"""Which experiments there are: the recipes of a folder, in the order of the paper."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.files.complaints import suggestion
+from irlos_pipe.files.yaml import load_yaml
+from irlos_pipe.recipe import Recipe, load_recipe
+from irlos_pipe.stages import STAGES
+
+QUICK_NAME = "quick.yaml"
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A recipe and the name of its file, which is that of its folder too.
+
+    Attributes
+    ----------
+    wanted : bool
+        Whether it is to be run; others are shown when they are up to date.
+    """
+
+    name: str
+    recipe: Recipe
+    wanted: bool = True
+
+    @property
+    def title(self) -> str:
+        """One line for people."""
+        return self.recipe.title or self.name
+
+
+def find_experiments(
+    folder: Path, *, quick: bool = False, only: Collection[str] = (), seed: int | None = None
+) -> list[Experiment]:
+    """Load the recipes of a folder.
+
+    Parameters
+    ----------
+    quick : bool
+        Change them as ``quick.yaml`` beside them says: ``{recipe: {stage.key: value}}``.
+    only : collection of str
+        Names of those to run; all if empty. Others that are not valid are left out.
+    seed : int, optional
+        Replaces the seed of every recipe.
+
+    Returns
+    -------
+    list of Experiment
+        In the order in which the package lists their last stages.
+
+    Raises
+    ------
+    ConfigurationError
+        When there are no recipes, one of those to run is not valid, or a name is unknown.
+    """
+    paths = {path.stem: path for path in sorted(folder.glob("*.yaml")) if path.name != QUICK_NAME}
+    if not paths:
+        raise ConfigurationError(
+            f"--recipes {folder}: no recipes there; give the folder recipes/paper of the source tree"
+        )
+    for name in only:
+        if name not in paths:
+            raise ConfigurationError(f"--only {name}: no such experiment{suggestion(name, paths)}")
+    changes = _quick_changes(folder / QUICK_NAME, paths) if quick else {}
+    found = [
+        _experiment(path, changes.get(name, {}), seed, not only or name in only)
+        for name, path in paths.items()
+    ]
+    return sorted(filter(None, found), key=lambda one: list(STAGES).index(one.recipe.stages[-1]))
+
+
+def _quick_changes(path: Path, known: Collection[str]) -> Mapping[str, Mapping[str, Any]]:
+    changes, lines = load_yaml(path)
+    for name, settings in changes.items():
+        if name not in known:
+            raise ConfigurationError(f"{path}:{lines[name,]}: no recipe '{name}'{suggestion(name, known)}")
+        if not isinstance(settings, dict):
+            raise ConfigurationError(
+                f"{path}:{lines[name,]}: '{name}' should be a section of 'stage.key: value' lines"
+            )
+    return changes
+
+
+def _experiment(path: Path, changes: Mapping[str, Any], seed: int | None, wanted: bool) -> Experiment | None:
+    settings = [f"{key}={json.dumps(value)}" for key, value in changes.items()]
+    try:
+        return Experiment(path.stem, load_recipe(path, settings, seed=seed), wanted)
+    except ConfigurationError as error:
+        if not wanted:
+            return None
+        # Changes are told as options of the command line; this is where they really stand.
+        raise ConfigurationError(str(error).replace("--set ", f"{path.with_name(QUICK_NAME)}: ")) from error

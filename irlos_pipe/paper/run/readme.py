@@ -1,0 +1,89 @@
+"""The tables of README.md from docs/paper_results.json: ``python -m irlos_pipe.paper.run.readme``.
+
+A table named in docs/paper_tables.yaml stands between ``<!-- paper:NAME -->`` and ``<!-- /paper -->``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
+from irlos_pipe.files.atomic import write_if_changed
+from irlos_pipe.files.complaints import Complaints, Origins, suggestion
+from irlos_pipe.files.yaml import load_yaml
+from irlos_pipe.paper.run.tables import TableLayout, render_table
+
+TEXT, RESULTS, LAYOUT = Path("README.md"), Path("docs/paper_results.json"), Path("docs/paper_tables.yaml")
+BLOCK = re.compile(r"(<!-- paper:(\S+) -->\n).*?(<!-- /paper -->)", re.DOTALL)
+
+
+def with_tables(text: str, layouts: Mapping[str, TableLayout], experiments: Mapping[str, Any]) -> str:
+    """Return the text with every table made anew.
+
+    Raises
+    ------
+    ConfigurationError
+        When a table has no layout or no place in the text, or cannot be made.
+    """
+    named = {found[2] for found in BLOCK.finditer(text)}
+    for name in named - layouts.keys():
+        raise ConfigurationError(f"<!-- paper:{name} -->: no such table{suggestion(name, layouts)}")
+    for name in layouts.keys() - named:
+        raise ConfigurationError(f"table '{name}': no <!-- paper:{name} --> in the text to put it behind")
+    return BLOCK.sub(lambda found: f"{found[1]}{_table(found[2], layouts, experiments)}\n{found[3]}", text)
+
+
+def _table(name: str, layouts: Mapping[str, TableLayout], experiments: Mapping[str, Any]) -> str:
+    try:
+        return render_table(layouts[name], experiments)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"table '{name}': {error}") from None
+
+
+def read_layouts(path: Path) -> dict[str, TableLayout]:
+    """Read the layouts of all tables, by name.
+
+    Raises
+    ------
+    ConfigurationError
+        With one line ``file:line: problem`` for everything that is wrong.
+    """
+    written, lines = load_yaml(path)
+    complaints, layouts = Complaints(Origins(path, lines)), {}
+    for name, content in written.items():
+        try:
+            layouts[name] = TableLayout.model_validate(content)
+        except ValidationError as error:
+            complaints.add_invalid(error, TableLayout, (name,))
+    complaints.raise_if_any()
+    return layouts
+
+
+def renewed(root: Path) -> str:
+    """Return README.md of a source tree with its tables made from the results there."""
+    results = json.loads((root / RESULTS).read_text(encoding="utf-8"))
+    text = (root / TEXT).read_text(encoding="utf-8")
+    return with_tables(text, read_layouts(root / LAYOUT), results["experiments"])
+
+
+def main() -> None:
+    """Renew the tables of a source tree's README.md."""
+    parser = argparse.ArgumentParser(prog="python -m irlos_pipe.paper.run.readme", description=main.__doc__)
+    parser.add_argument("root", nargs="?", default=".", type=Path, help="the source tree (default: here)")
+    root = parser.parse_args().root
+    try:
+        changed = write_if_changed(root / TEXT, renewed(root).encode())
+    except (IrlosError, OSError) as error:
+        raise SystemExit(f"irlos: error: {error}") from None
+    print(f"{root / TEXT}: {'renewed' if changed else 'unchanged'}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""Run the experiments one after the other; one that fails does not stop the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from irlos_pipe.conventions.errors import ExitCode, IrlosError
+from irlos_pipe.paper.run.collect import collect_numbers, collect_reports, require_size
+from irlos_pipe.paper.run.experiments import Experiment
+from irlos_pipe.pipeline import Outcome, Resources, run_recipe
+from irlos_pipe.pipeline.runlog import RUN
+from irlos_pipe.product.runfolder import owned_folder
+
+
+@dataclass
+class Ran:
+    """What became of the experiments.
+
+    Attributes
+    ----------
+    outcomes : dict of str to Outcome
+        Of those that came to an end.
+    problems : dict of str to str
+        What stopped the others.
+    report, results : Path or None
+        The report and the numbers of all experiments.
+    """
+
+    outcomes: dict[str, Outcome] = field(default_factory=dict)
+    problems: dict[str, str] = field(default_factory=dict)
+    report: Path | None = None
+    results: Path | None = None
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 5 when an experiment failed or lost a part, or 4 when a QC limit did."""
+        codes = {outcome.exit_code for outcome in self.outcomes.values()}
+        if self.problems or codes - {ExitCode.DONE, ExitCode.QUALITY}:
+            return ExitCode.PARTIAL
+        return max(codes, default=ExitCode.DONE)
+
+
+def run_paper(known: Sequence[Experiment], folder: Path, quick: bool, resources: Resources) -> Ran:
+    """Bring the wanted experiments up to date, each in a folder of its own, and sum up all of them.
+
+    Parameters
+    ----------
+    known : sequence of Experiment
+        In the order of the paper; those not wanted are summed up when they are up to date.
+    folder : Path
+        Made if it does not exist.
+    quick : bool
+        Whether their samples are small.
+
+    Raises
+    ------
+    ConfigurationError
+        When the folder holds experiments of the other size.
+    Locked, IrlosError
+        When the folder is in use, or cannot be written.
+    """
+    require_size(folder, quick)
+    with owned_folder(folder):
+        ran = Ran()
+        for experiment in _announced([one for one in known if one.wanted]):
+            _run(experiment, folder / experiment.name, resources, ran)
+            # After each: whoever looks in after an hour finds the numbers so far.
+            ran.results = collect_numbers(known, folder, quick)
+        ran.report = collect_reports(known, folder, quick, ran.problems)
+    return ran
+
+
+def _announced(wanted: Sequence[Experiment]) -> Iterator[Experiment]:
+    for number, experiment in enumerate(wanted, 1):
+        RUN.info("experiment %d of %d: %s", number, len(wanted), experiment.name)
+        yield experiment
+
+
+def _run(experiment: Experiment, folder: Path, resources: Resources, ran: Ran) -> None:
+    try:
+        outcome = run_recipe(experiment.recipe, folder, None, resources)
+    except IrlosError as error:
+        ran.problems[experiment.name] = str(error).splitlines()[0]
+        RUN.warning("%s: failed: %s", experiment.name, error)
+    else:
+        ran.outcomes[experiment.name] = outcome
+        if outcome.report_error:
+            RUN.warning("%s: %s", experiment.name, outcome.report_error)

@@ -1,0 +1,1 @@
+"""Experiment `slow_loop`: its science, its stage and its section of the report."""

@@ -1,0 +1,65 @@
+"""LIFT as the truth sensor of a closed loop: a measurement per image, or none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.bound import cramer_rao_nm
+from irlos_pipe.estimate.lift import LiftOptions, lift
+from irlos_pipe.estimate.ramp_effects import ramp_effects
+from irlos_pipe.estimate.tabulated import tabulated
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.paper.common.broad_band import frame_settings
+from irlos_pipe.paper.common.observation import model_effects_of, noise_of
+from irlos_pipe.paper.common.ramps import DEFOCUS, TTF, Knowledge
+from irlos_pipe.simulate.scene import Scene
+
+FOCUS = TTF.index(DEFOCUS)
+# What a loop does not believe: a measurement so uncertain, or so far from where a closed loop can be. Near
+# the faint limit LIFT ends now and then in a noise peak, far away and with a small formal error.
+LARGEST_SIGMA_NM, FARTHEST_NM = 100.0, 200.0
+
+
+@dataclass(frozen=True)
+class FocusSensor:
+    """LIFT with tip, tilt and defocus free, started from zero: the loops hold the image there.
+
+    Attributes
+    ----------
+    model : ImageModel
+        With AO residual and jitter.
+    noise : NoiseModel
+    """
+
+    model: ImageModel
+    noise: NoiseModel
+
+    def measure(self, images_e: np.ndarray) -> np.ndarray:
+        """Defocus of every image, (images,) [nm RMS]; NaN where none is to be used."""
+        images = torch.as_tensor(images_e)
+        good = torch.ones(images.shape[1:], dtype=torch.bool)
+        start = torch.zeros(len(images), len(TTF), dtype=torch.float64)
+        result = lift(self.model, images, good, self.noise, start, LiftOptions("model"))
+        defocus, sigma = result.mode(DEFOCUS)
+        credible = (sigma < LARGEST_SIGMA_NM) & (defocus.abs() < FARTHEST_NM)
+        return torch.where(result.solution.converged & credible, defocus, torch.nan).numpy()
+
+    def bound_nm(self, seen_e: float) -> float:
+        """Cramér–Rao bound at zero defocus, for electrons seen in the window [nm RMS]."""
+        zero = torch.zeros(1, len(TTF), dtype=torch.float64)
+        in_window = self.model.psf.images(zero, self.model.optics).double().sum().cpu()
+        flux = seen_e / in_window[None]
+        return float(cramer_rao_nm(self.model, zero, flux, self.noise)[0, FOCUS])
+
+
+def focus_sensor(scene: Scene, knowledge: Knowledge) -> FocusSensor:
+    """The sensor for a scene, with what a calibration has told."""
+    psf = PsfModel(frame_settings(scene, knowledge.ncpa_nm), TTF)
+    effects = ramp_effects(model_effects_of(scene), knowledge.effects)
+    model = tabulated(ImageModel(psf, effects), torch.zeros(1, len(TTF), dtype=torch.float64))
+    return FocusSensor(model, noise_of(scene))

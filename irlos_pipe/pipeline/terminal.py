@@ -1,0 +1,101 @@
+"""What people see: messages on stderr, the table at the end on stdout."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from tqdm import tqdm
+
+from irlos_pipe.files.json import json_text
+from irlos_pipe.pipeline import Outcome, Step
+from irlos_pipe.pipeline.runlog import ROOT, RUN, TRACE
+
+
+@contextmanager
+def messages(verbosity: int) -> Iterator[None]:
+    """Show log messages on stderr while the block lasts.
+
+    Parameters
+    ----------
+    verbosity : int
+        -1 nothing, 0 what the run does and warnings, 1 all that is told, 2 debugging as well.
+    """
+    handler = _TerminalHandler(verbosity)
+    level = ROOT.level
+    ROOT.setLevel(logging.DEBUG if verbosity > 1 else logging.INFO)
+    ROOT.addHandler(handler)
+    try:
+        yield
+    finally:
+        ROOT.removeHandler(handler)
+        ROOT.setLevel(level)
+
+
+def plan_text(steps: Sequence[Step], as_json: bool) -> str:
+    """Return what a run would do, one line per stage, or as JSON."""
+    if as_json:
+        entries = [{"stage": step.name, "action": step.action.value, "reason": step.reason} for step in steps]
+        return json_text(entries).rstrip()
+    return aligned([(step.name, step.action.value, step.reason) for step in steps])
+
+
+def outcome_text(outcome: Outcome, as_json: bool) -> str:
+    """Return the table at the end of a run, or results.json."""
+    if as_json:
+        return json_text(outcome.results).rstrip()
+    rows = [(stage, line) for stage, lines in outcome.summary.items() for line in lines]
+    rows.append(("QC", quality_line(outcome)))
+    rows += [("", _check_text(check)) for check in outcome.quality["checks"] if not check["passed"]]
+    if outcome.report is not None:
+        rows.append(("report", str(outcome.report)))
+    return aligned(rows)
+
+
+def quality_line(outcome: Outcome) -> str:
+    """Return how many checks passed."""
+    checks = outcome.quality["checks"]
+    return f"{sum(check['passed'] for check in checks)} of {len(checks)} checks passed"
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of text with columns of equal width; a repeated first entry is left blank."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines, previous = [], None
+    for first, *rest in rows:
+        cells = ["" if first == previous else first, *rest]
+        lines.append("  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)).rstrip())
+        previous = first
+    return "\n".join(lines)
+
+
+def _check_text(check: dict) -> str:
+    low, high = check["low"], check["high"]
+    limits = " and ".join(
+        text
+        for text in (f">= {low:g}" if low is not None else "", f"<= {high:g}" if high is not None else "")
+        if text
+    )
+    return (
+        f"{check['stage']}: {check['name']} = {check['value']:g} {check['unit']} "
+        f"should be {limits or 'a number'}; {check['message']}"
+    )
+
+
+class _TerminalHandler(logging.Handler):
+    """Writes around progress bars; below -v only what the run does, and warnings of the stages."""
+
+    def __init__(self, verbosity: int) -> None:
+        super().__init__(logging.DEBUG)
+        self._verbosity = verbosity
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if self._verbosity < 0 or record.name == TRACE.name:
+            return False
+        return self._verbosity > 0 or record.name == RUN.name or record.levelno >= logging.WARNING
+
+    def emit(self, record: logging.LogRecord) -> None:
+        prefix = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
+        tqdm.write(f"irlos: {prefix}{record.getMessage()}", file=sys.stderr)

@@ -1,0 +1,1 @@
+"""HDF5 products, the run folder, export and comparison with a known truth."""

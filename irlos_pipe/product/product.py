@@ -1,0 +1,280 @@
+"""The HDF5 product of a stage: arrays with units and errors, results, QC, configuration, provenance.
+
+Layout of the file::
+
+    /                attributes schema, schema_version, stage
+    /arrays/<name>   one dataset per quantity, attributes unit and description
+    /errors/<name>   1-sigma error of the quantity of the same name, where there is one
+    /results         JSON: the stage's section of results.json
+    /checks          JSON: list of QC checks
+    /config          JSON: the resolved configuration of the stage
+    /provenance      JSON: inputs, versions, host, times, key
+    /log             one line per message
+
+Nothing but ``provenance`` and ``log`` depends on when and where the file was made. A checksum of all
+stands in front (`irlos_pipe.seal`).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from pydantic import BaseModel
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.files.json import json_text
+from irlos_pipe.product.checksum import BLOCK_BYTES, require_self_contained, require_unchanged, seal
+
+SCHEMA = "irlos-product"
+SCHEMA_VERSION = 1
+COMPRESS_ABOVE_BYTES = 4096
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """An array with its unit.
+
+    Attributes
+    ----------
+    value : ndarray
+        Numbers, booleans or strings, of any shape (scalars included).
+    unit : str
+        Unit as text, for example ``nm``; empty for dimensionless values and strings.
+    error : ndarray or None
+        1-sigma error in the same unit and of the same shape.
+
+    Raises
+    ------
+    ValueError
+        When value and error differ in shape.
+    """
+
+    value: np.ndarray
+    unit: str
+    description: str = ""
+    error: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        if self.error is not None and np.shape(self.error) != np.shape(self.value):
+            raise ValueError(f"error has shape {np.shape(self.error)}, value {np.shape(self.value)}")
+
+
+@dataclass(frozen=True)
+class Check:
+    """One quality-control check: a value and the limits it must keep."""
+
+    name: str
+    value: float
+    unit: str
+    low: float | None
+    high: float | None
+    message: str
+
+    @property
+    def passed(self) -> bool:
+        """True inside the limits; a NaN never passes."""
+        above = self.low is None or self.value >= self.low
+        below = self.high is None or self.value <= self.high
+        return bool(above and below and not np.isnan(self.value))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the check as it stands in qc.json."""
+        return {
+            "name": self.name,
+            "passed": self.passed,
+            "value": self.value,
+            "unit": self.unit,
+            "low": self.low,
+            "high": self.high,
+            "message": self.message,
+        }
+
+
+@dataclass(frozen=True)
+class Product:
+    """What one stage leaves behind.
+
+    Attributes
+    ----------
+    arrays : dict of str to Quantity
+        Names may contain ``/``, which makes HDF5 groups.
+    results : dict
+        The stage's section of results.json.
+    """
+
+    stage: str
+    arrays: dict[str, Quantity]
+    results: dict[str, Any]
+    checks: list[Check] = field(default_factory=list)
+    config: dict[str, Any] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)
+    log: list[str] = field(default_factory=list)
+
+
+class _CheckEntry(BaseModel):
+    """A check as it stands in the file; NaN is null there."""
+
+    name: str
+    value: int | float | None
+    unit: str
+    low: int | float | None
+    high: int | float | None
+    message: str
+
+    def check(self) -> Check:
+        value = np.nan if self.value is None else self.value
+        return Check(self.name, value, self.unit, self.low, self.high, self.message)
+
+
+class _InputEntry(BaseModel):
+    """A file that a stage read; there may be more of it."""
+
+    label: str
+    sha256: str
+
+
+class _Provenance(BaseModel):
+    """What the pipeline reads of the provenance; there may be more."""
+
+    key: str = ""
+    parts: dict[str, Any] = {}
+    summary: list[str] = []
+    failures: list[str] = []
+    files: list[str] = []
+    inputs: list[_InputEntry] = []
+    software: dict[str, str] = {}
+    machine: dict[str, Any] = {}
+
+
+class _Sections(BaseModel):
+    """The JSON sections of the file."""
+
+    results: dict[str, Any]
+    checks: list[_CheckEntry]
+    config: dict[str, Any]
+    provenance: _Provenance
+    log: list[str]
+
+
+def write_product(product: Product, path: Path) -> None:
+    """Write a product atomically.
+
+    Raises
+    ------
+    IrlosError
+        When the file cannot be written; an earlier file of that name is then unchanged.
+    """
+    # HDF5 builds the file in memory: it cannot recover from a disk that fills up half way.
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", userblock_size=BLOCK_BYTES) as file:
+        file.attrs.update(schema=SCHEMA, schema_version=SCHEMA_VERSION, stage=product.stage)
+        for name, quantity in product.arrays.items():
+            _write_quantity(file, name, quantity)
+        for section, content in _sections(product).items():
+            file.create_dataset(section, data=json_text(content), track_times=False)
+    seal(buffer.getbuffer())
+    write_bytes(Path(path), buffer.getbuffer())
+
+
+def read_product(path: Path, *, arrays: bool = True) -> Product:
+    """Read a product; with ``arrays=False`` everything but the arrays, which is quick.
+
+    Strings come back as arrays of dtype ``str``.
+
+    Raises
+    ------
+    InputDataError
+        When the file is missing, truncated, damaged or not a product.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputDataError(f"{path}: no such product")
+    try:
+        require_unchanged(path)
+        with h5py.File(path, "r") as file:
+            _require_schema(file, path)
+            require_self_contained(file)
+            return _read_open_file(file, arrays)
+    except InputDataError:
+        raise
+    except Exception as error:  # a damaged file can raise nearly anything from inside HDF5
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        raise InputDataError(
+            f"{path}: not a readable product, truncated or damaged ({reason}); remove it and run again"
+        ) from error
+
+
+def _sections(product: Product) -> dict[str, Any]:
+    checks = [check.as_dict() for check in product.checks]
+    return {
+        "results": product.results,
+        "checks": checks,
+        "config": product.config,
+        "provenance": product.provenance,
+        "log": product.log,
+    }
+
+
+def _write_quantity(file: h5py.File, name: str, quantity: Quantity) -> None:
+    dataset = _write_array(file, f"arrays/{name}", np.asarray(quantity.value))
+    dataset.attrs.update(unit=quantity.unit, description=quantity.description)
+    if quantity.error is not None:
+        _write_array(file, f"errors/{name}", np.asarray(quantity.error)).attrs["unit"] = quantity.unit
+
+
+def _write_array(file: h5py.File, name: str, value: np.ndarray) -> h5py.Dataset:
+    if value.dtype.kind in "OU":
+        return file.create_dataset(
+            name, data=value.astype(object), dtype=h5py.string_dtype(), track_times=False
+        )
+    options = {}
+    if value.nbytes > COMPRESS_ABOVE_BYTES:
+        options = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
+    return file.create_dataset(name, data=value, track_times=False, **options)
+
+
+def _require_schema(file: h5py.File, path: Path) -> None:
+    if file.attrs.get("schema") != SCHEMA:
+        raise InputDataError(f"{path}: an HDF5 file, but not a product of irlos")
+    version = int(file.attrs["schema_version"])
+    if version > SCHEMA_VERSION:
+        raise InputDataError(
+            f"{path}: product format {version} is newer than this software "
+            f"({SCHEMA_VERSION}); update irlos_pipe or run again"
+        )
+
+
+def _read_open_file(file: h5py.File, arrays: bool) -> Product:
+    found = {name: json.loads(file[name].asstr()[()]) for name in _Sections.model_fields}
+    checks = [entry.check() for entry in _Sections.model_validate(found).checks]
+    return Product(
+        stage=str(file.attrs["stage"]),
+        arrays=_read_arrays(file) if arrays else {},
+        **found | {"checks": checks},
+    )
+
+
+def _read_arrays(file: h5py.File) -> dict[str, Quantity]:
+    found: dict[str, Quantity] = {}
+
+    def visit(name: str, item: h5py.HLObject) -> None:
+        if isinstance(item, h5py.Dataset):
+            error = _read_array(file[f"errors/{name}"]) if f"errors/{name}" in file else None
+            found[name] = Quantity(_read_array(item), item.attrs["unit"], item.attrs["description"], error)
+
+    if "arrays" in file:
+        file["arrays"].visititems(visit)
+    return found
+
+
+def _read_array(dataset: h5py.Dataset) -> np.ndarray:
+    if h5py.check_string_dtype(dataset.dtype) is not None:
+        return np.asarray(dataset.asstr()[()], dtype=str)
+    return np.asarray(dataset[()])

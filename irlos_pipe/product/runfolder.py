@@ -1,0 +1,148 @@
+"""The folder of a run: its file names, its lock, and its tidiness."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError, Locked
+from irlos_pipe.files.atomic import remove_leftovers
+from irlos_pipe.files.yaml import load_yaml
+
+LOCK_NAME = ".lock"
+PARTIAL = ".partial"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Names of the files in the folder of a run."""
+
+    path: Path
+
+    @property
+    def results(self) -> Path:
+        """Results of all stages, for scripts."""
+        return self.path / "results.json"
+
+    @property
+    def quality(self) -> Path:
+        """All QC checks, for scripts."""
+        return self.path / "qc.json"
+
+    @property
+    def report(self) -> Path:
+        """The report for people."""
+        return self.path / "report.html"
+
+    @property
+    def log(self) -> Path:
+        """What happened, run after run."""
+        return self.path / "run.log"
+
+    @property
+    def recipe(self) -> Path:
+        """The recipe with every default made explicit."""
+        return self.path / "recipe.resolved.yaml"
+
+    def product(self, position: int, stage: str) -> Path:
+        """Product of the stage at a position in the recipe, counted from 1."""
+        return self.path / f"{position:02d}_{stage}.h5"
+
+    def scratch(self, stage: str, key: str) -> Path:
+        """Where a stage keeps finished parts of the product of that key; not made here."""
+        return self.path / PARTIAL / f"{stage}-{key[:16]}"
+
+    def remove_scratch(self, stage: str) -> None:
+        """Remove the parts that a stage kept, those of other keys as well."""
+        for folder in (self.path / PARTIAL).glob(f"{stage}-*"):
+            shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError):  # absent, or another stage's parts are in it
+            (self.path / PARTIAL).rmdir()
+
+    def products(self) -> dict[str, Path]:
+        """Products behind results.json, by stage name; none from other recipes or earlier settings.
+
+        Raises
+        ------
+        InputDataError
+            When results.json cannot be read.
+        """
+        stages = load_yaml(self.recipe, InputDataError)[0]["stages"]
+        return {
+            stage: self.product(position, stage)
+            for position, stage in enumerate(stages, 1)
+            if stage in self._told_stages()
+        }
+
+    def _told_stages(self) -> set[str]:
+        try:
+            return set(json.loads(self.results.read_text())["stages"])
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            raise InputDataError(f"{self.results}: cannot be read ({error}); run the recipe again") from error
+
+
+def existing_run(folder: Path) -> RunFolder:
+    """Return the folder of an earlier run.
+
+    Raises
+    ------
+    InputDataError
+        When no run ever used this folder.
+    """
+    run = RunFolder(Path(folder))
+    if not run.recipe.is_file():
+        raise InputDataError(
+            f"{folder}: not the folder of a run (no {run.recipe.name}); "
+            "make one with: irlos run RECIPE.yaml --output DIR"
+        )
+    return run
+
+
+def require_outside_inputs(folder: Path, inputs: Mapping[str, Iterable[Path]]) -> None:
+    """Refuse an output folder inside an input: its products would count as input data.
+
+    Raises
+    ------
+    ConfigurationError
+        When it lies there, or is a file.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise ConfigurationError(f"--output {folder}: is a file; give a folder")
+    for name, roots in inputs.items():
+        for root in roots:
+            if folder.resolve().is_relative_to(root.resolve()):
+                raise ConfigurationError(
+                    f"--output {folder}: lies inside input '{name}' ({root}); choose a folder elsewhere"
+                )
+
+
+@contextmanager
+def owned_folder(path: Path) -> Iterator[RunFolder]:
+    """Make the folder if need be and own it until the block ends.
+
+    Raises
+    ------
+    Locked
+        When another run owns it.
+    IrlosError
+        When it cannot be made or written.
+    """
+    lock = FileLock(path / LOCK_NAME, timeout=0)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except Timeout:
+        raise Locked(f"{path}: in use by another run; wait for it or choose another --output") from None
+    except OSError as error:
+        raise IrlosError(f"{path}: cannot be written: {error.strerror or error}") from error
+    try:
+        remove_leftovers(path)
+        yield RunFolder(path)
+    finally:
+        lock.release()

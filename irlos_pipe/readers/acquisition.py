@@ -1,0 +1,203 @@
+"""Settle how a recording was taken: recipe over side-car over header over instrument profile."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.seeing import SPARTA
+from irlos_pipe.files.complaints import suggestion
+from irlos_pipe.frames.raw import RawRecording
+from irlos_pipe.frames.recording import HEADER, PROFILE, RECIPE, SIDECAR, Acquisition, Detector
+from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
+
+REQUIRED = ("role", "spectrum", "diversity")  # no value is safe to assume
+REQUIRED_OF_DARK = ("role",)
+REQUIRED_OF_RAMP = (*REQUIRED, "introduced_defocus_nm")
+HARMLESS = {"introduced_defocus_nm": 0.0, "derotator_angle_deg": 0.0, "target": ""}
+NOT_WORTH_A_WARNING = {*HARMLESS, "detector.excess_noise_factor", "parallactic_angle_deg", "altitude_deg"}
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """What is known about a recording.
+
+    Attributes
+    ----------
+    introduced_defocus_nm : ndarray, (frames,)
+        Introduced defocus [nm RMS].
+    warnings : tuple of str
+        What had to be taken from the header or the instrument profile.
+    """
+
+    acquisition: Acquisition
+    introduced_defocus_nm: np.ndarray
+    warnings: tuple[str, ...]
+
+
+def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) -> Resolved:
+    """Find the value of every key, and remember where it came from.
+
+    Parameters
+    ----------
+    recipe : AcquisitionKeys
+        What the recipe says; it wins over everything.
+
+    Raises
+    ------
+    InputDataError
+        A key without a safe default is missing, or there is not one defocus per frame.
+    """
+    path = sidecar_path(raw.path)
+    layers = {
+        RECIPE: recipe.flat(),
+        SIDECAR: read_sidecar(path).flat(),
+        HEADER: _plausible(raw.header),
+        PROFILE: instrument.defaults | HARMLESS,
+    }
+    values, sources = _settle(layers)
+    _require(values, sources, f"{path}:" if path.exists() else f"{raw.path}: no side-car {path.name};")
+    defocus = _per_frame(values["introduced_defocus_nm"], raw, sources["introduced_defocus_nm"])
+    warnings = _warnings(raw, values, sources)
+    monitor = _seeing_monitor(layers, sources)
+    if monitor != SPARTA:
+        values, line = _on_sparta_scale(raw, values, monitor, instrument)
+        warnings = (*warnings, line)
+    return Resolved(_acquisition(raw, values, sources), defocus, warnings)
+
+
+def _settle(layers: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any], dict[str, str]]:
+    values: dict[str, Any] = {}
+    sources: dict[str, str] = {}
+    for source, layer in layers.items():
+        for key, value in layer.items():
+            if key not in values:
+                values[key], sources[key] = value, source
+    return values, sources
+
+
+def _seeing_monitor(layers: Mapping[str, Mapping[str, Any]], sources: Mapping[str, str]) -> str:
+    """Whose scale the seeing is on: as the recipe says, else as is said where the seeing stands."""
+    source = sources.get("seeing_arcsec", PROFILE)
+    if source == PROFILE:
+        return SPARTA
+    return layers[RECIPE].get("seeing_scale") or layers[source].get("seeing_scale", SPARTA)
+
+
+def _on_sparta_scale(
+    raw: RawRecording, values: Mapping[str, Any], monitor: str, instrument: Instrument
+) -> tuple[dict[str, Any], str]:
+    """The values with the seeing translated, and a line that says so."""
+    scales = instrument.seeing_scales
+    if monitor not in scales:
+        raise InputDataError(
+            f"{raw.path}: seeing_scale = '{monitor}' is not known to the instrument profile"
+            f"{suggestion(monitor, scales)}"
+        )
+    given = values["seeing_arcsec"]
+    seeing = scales[monitor].to_sparta(given)
+    if seeing <= 0:
+        raise InputDataError(
+            f"{raw.path}: seeing_arcsec = {given:g} by {monitor} would be {seeing:.3g} by SPARTA; "
+            "correct it, or the scale in the instrument profile"
+        )
+    line = f"{raw.name}: seeing of {given:.2f} arcsec by {monitor} taken as {seeing:.2f} arcsec by SPARTA"
+    return {**values, "seeing_arcsec": seeing}, line
+
+
+def _plausible(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Drop header values out of the range of their key: ESO writes -1 where nothing was measured."""
+    return {key: value for key, value in header.items() if _is_valid(key, value)}
+
+
+def _is_valid(key: str, value: Any) -> bool:
+    section, _, inner = key.rpartition(".")
+    try:
+        AcquisitionKeys.model_validate({section: {inner: value}} if section else {key: value})
+    except ValidationError:
+        return False
+    return True
+
+
+def _require(values: Mapping[str, Any], sources: Mapping[str, str], where: str) -> None:
+    role = values.get("role")
+    needed = {"dark": REQUIRED_OF_DARK, "defocus_ramp": REQUIRED_OF_RAMP}.get(role, REQUIRED)
+    missing = [key for key in needed if sources.get(key, PROFILE) == PROFILE]
+    if missing:
+        keys = "key" if len(missing) == 1 else "keys"
+        raise InputDataError(
+            f"{where} {keys} {', '.join(map(repr, missing))} missing, and no default is safe; "
+            "add to the side-car, or to the recipe under ingest.acquisition"
+        )
+
+
+def _per_frame(defocus_nm: float | list[float], raw: RawRecording, source: str) -> np.ndarray:
+    values = np.atleast_1d(np.asarray(defocus_nm, dtype=np.float64))
+    if values.size not in (1, raw.frames):
+        where = sidecar_path(raw.path) if source == SIDECAR else f"{source}: {raw.path}"
+        raise InputDataError(
+            f"{where}: introduced_defocus_nm has {values.size} values for {raw.frames} frames; "
+            "give one, or one per frame"
+        )
+    return np.broadcast_to(values, (raw.frames,)).copy()
+
+
+def _acquisition(raw: RawRecording, values: Mapping[str, Any], sources: dict[str, str]) -> Acquisition:
+    diversity = values.get("diversity")
+    spectrum = values.get("spectrum", ())
+    optional = {
+        key: values.get(key)
+        for key in (
+            "mag_j",
+            "exposure_s",
+            "frame_rate_hz",
+            "seeing_arcsec",
+            "parallactic_angle_deg",
+            "altitude_deg",
+        )
+    }
+    return Acquisition(
+        role=values["role"],
+        detector=_detector(values),
+        spectrum=tuple((point.wavelength_nm, point.weight) for point in spectrum),
+        diversity=dict(diversity.zernike) if diversity else {},
+        diversity_source=diversity.source if diversity else "",
+        pixel_scale_mas=values["pixel_scale_mas"],
+        target=values["target"],
+        derotator_angle_deg=values["derotator_angle_deg"],
+        mode=raw.mode,
+        subaperture=raw.subaperture,
+        sources=sources,
+        **optional,
+    )
+
+
+def _detector(values: Mapping[str, Any]) -> Detector:
+    return Detector(
+        values["detector.e_per_adu"],
+        values["detector.read_noise_e"],
+        values.get("detector.excess_noise_factor", 1.0),
+        values.get("detector.saturation_adu"),
+    )
+
+
+def _warnings(raw: RawRecording, values: Mapping[str, Any], sources: Mapping[str, str]) -> tuple[str, ...]:
+    """One line per place from which values had to be taken, and one for what stays unknown."""
+    lines = []
+    for source in (HEADER, PROFILE):
+        taken = [
+            f"{key} = {values[key]:.6g}"
+            for key in sorted(values)
+            if sources[key] == source and key not in NOT_WORTH_A_WARNING and isinstance(values[key], float)
+        ]
+        if taken:
+            lines.append(f"{raw.name}: taken from the {source}: {', '.join(taken)}")
+    if "mag_j" not in values and values["role"] != "dark":
+        lines.append(f"{raw.name}: mag_j is not known; magnitudes can only come from the measured flux")
+    return tuple(lines)

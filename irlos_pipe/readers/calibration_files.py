@@ -1,0 +1,116 @@
+"""Calibration images beside a SPARTA recording: IRAcq.DET1.DARK.fits and its siblings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.frames.blocks import frame_variance, mean_frame
+from irlos_pipe.frames.raw import CalibrationMaps
+from irlos_pipe.readers.fitsfile import hdu_label, native, open_fits
+
+PREFIX = "IRAcq.DET1."
+KINDS = ("DARK", "BACKGROUND", "FLAT", "DEAD", "WEIGHT")
+MAX_BAD_FRACTION = 0.5  # a map that excludes more than this means something else
+
+
+def read_calibration_maps(
+    folders: Sequence[Path], window: tuple[int, int]
+) -> tuple[CalibrationMaps, tuple[str, ...]]:
+    """Read the calibration images of a recording.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Where to look; the first folder that has an image wins.
+    window : tuple of int
+        Rows and columns of the recording [px].
+
+    Returns
+    -------
+    maps : CalibrationMaps
+    notes : tuple of str
+        Remarks for the log.
+
+    Raises
+    ------
+    InputDataError
+        An image that cannot be read or does not fit the window.
+    """
+    found = {kind: path for kind in KINDS if (path := _find(folders, kind)) is not None}
+    images = {kind: _read_stack(path, window) for kind, path in found.items()}
+    means = {kind: stack.mean(axis=0) for kind, stack in images.items()}
+    maps = CalibrationMaps(
+        dark_adu=means.get("DARK"),
+        background_adu=means.get("BACKGROUND"),
+        flat=means.get("FLAT"),
+        bad=_dead(means.get("DEAD"), found.get("DEAD")),
+    )
+    if "DARK" in images:
+        maps = replace(maps, dark_variance_adu2=mean_variance(images["DARK"]))
+    return _with_weight(maps, means.get("WEIGHT"), found.get("WEIGHT"))
+
+
+def mean_variance(stack: np.ndarray) -> float:
+    """Variance per pixel of the mean of a stack (frames, rows, columns) of dark images.
+
+    From a single image it is judged by the differences of neighbouring pixels, an upper bound:
+    a true pattern of the detector counts as noise.
+    """
+    if stack.shape[0] > 1:
+        return float(np.median(frame_variance(stack, mean_frame(stack))) / stack.shape[0])
+    differences = np.diff(stack[0].astype(np.float64), axis=1)
+    scatter = 1.4826 * np.median(np.abs(differences - np.median(differences)))
+    return float(scatter**2 / 2)
+
+
+def _find(folders: Sequence[Path], kind: str) -> Path | None:
+    candidates = [folder / f"{PREFIX}{kind}.fits" for folder in folders]
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def _read_stack(path: Path, window: tuple[int, int]) -> np.ndarray:
+    """Read an image or a stack of images as float32 (images, rows, columns)."""
+    with open_fits(path) as hdus:
+        index, hdu = next(
+            ((i, h) for i, h in enumerate(hdus) if h.is_image and h.header.get("NAXIS", 0) > 0), (None, None)
+        )
+        if hdu is None:
+            raise InputDataError(f"{path}: no image in the file")
+        data = native(hdu.data).astype(np.float32)
+        where = hdu_label(path, index, hdu)
+    # SPARTA also stores maps as one long vector, x fastest
+    data = data.reshape(1, *window) if data.size == window[0] * window[1] else data
+    if data.ndim != 3 or data.shape[1:] != window:
+        raise InputDataError(
+            f"{where}: {'x'.join(map(str, data.shape))} (y, x) px do not fit the window of "
+            f"{window[0]}x{window[1]} px"
+        )
+    return data
+
+
+def _dead(dead: np.ndarray | None, path: Path | None) -> np.ndarray | None:
+    if dead is None:
+        return None
+    bad = ~(dead == 0)
+    if bad.mean() > MAX_BAD_FRACTION:
+        raise InputDataError(f"{path}: marks {bad.sum()} of {bad.size} pixels as dead; 0 means good, 1 dead")
+    return bad
+
+
+def _with_weight(
+    maps: CalibrationMaps, weight: np.ndarray | None, path: Path | None
+) -> tuple[CalibrationMaps, tuple[str, ...]]:
+    if weight is None:
+        return maps, ()
+    bad = ~(weight > 0)
+    if bad.mean() > MAX_BAD_FRACTION:
+        return maps, (
+            f"{path}: no weight on {bad.sum()} of {bad.size} pixels: taken for a centroiding window, "
+            "not for bad pixels",
+        )
+    return replace(maps, bad=bad if maps.bad is None else maps.bad | bad), ()

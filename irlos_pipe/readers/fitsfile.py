@@ -1,0 +1,217 @@
+"""Open FITS files so that whatever is wrong with one is told in a line that names file and HDU."""
+
+from __future__ import annotations
+
+import gzip
+import mmap
+import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy.io import fits
+
+from irlos_pipe.conventions.errors import InputDataError, IrlosError
+
+FITS_SUFFIXES = (".fits", ".fit", ".fts", ".fits.gz", ".fits.fz")
+FITS_BEGIN, GZIP_BEGIN = b"SIMPLE", b"\x1f\x8b"
+MAX_REST_BYTES = 2**20  # looked at behind the last HDU
+CARD_BYTES = 80
+COUNTS = re.compile(rb"(Z?NAXIS {2,3}|TFIELDS )= *([0-9]{4,})")
+MIN_WINDOW_PX = 5
+MAX_WINDOW_PX = 4096
+MAX_UNPACKED_BYTES = 2**29  # of an HDU in a compressed file: 30 000 frames of 64x64 px
+MAX_COMPRESSION = 1100  # deflate makes no more of less
+
+
+def has_fits_name(path: Path) -> bool:
+    """Tell whether a file is named like a FITS file."""
+    return path.name.lower().endswith(FITS_SUFFIXES)
+
+
+def stem(path: Path) -> str:
+    """Name of a FITS file without its suffix; other dots belong to the name."""
+    suffix = next(
+        (end for end in sorted(FITS_SUFFIXES, key=len, reverse=True) if path.name.lower().endswith(end)), ""
+    )
+    return path.name[: len(path.name) - len(suffix)]
+
+
+@contextmanager
+def open_fits(path: Path) -> Iterator[fits.HDUList]:
+    """Open a FITS file whose HDUs all fit into it.
+
+    Raises
+    ------
+    InputDataError
+        No access, empty, truncated, damaged by its own checksum, or not FITS; also for any error of
+        astropy inside the block.
+    """
+    try:
+        _require_content(path)
+        _require_countable(path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            # opened here, for astropy leaves its own stream open when a header is damaged
+            # and one HDU after the other, so that a size is checked before what follows is sought
+            with path.open("rb") as stream, fits.open(stream, memmap=False, lazy_load_hdus=True) as hdus:
+                _require_complete(hdus, path)
+                _require_end(hdus, path)
+                _require_sums(hdus, path)
+                yield hdus
+    except IrlosError:
+        raise
+    except PermissionError:
+        raise InputDataError(f"{path}: no permission to read it") from None
+    except Exception as error:  # a damaged file can raise nearly anything from inside astropy
+        raise InputDataError(
+            f"{path}: cannot be read as FITS, damaged or cut off: {_one_line(error)}"
+        ) from None
+
+
+def image_array(hdu: fits.hdu.base._BaseHDU, where: str) -> np.ndarray:
+    """Return the image of an HDU as an array (frames, rows, columns) of native byte order.
+
+    Raises
+    ------
+    InputDataError
+        Wrong number of axes, no frames, or a window of absurd size; `where` begins the message.
+    """
+    shape = tuple(hdu.header.get(f"NAXIS{axis}", 0) for axis in range(hdu.header.get("NAXIS", 0), 0, -1))
+    if len(shape) not in (2, 3):
+        raise InputDataError(f"{where}: axes {shape or 'none'}, expected (frames, y, x) or (y, x)")
+    if 0 in shape:
+        raise InputDataError(f"{where}: axes {shape}: no pixels in it")
+    data = native(hdu.data)
+    return require_cube(data if data.ndim == 3 else data[None], where)
+
+
+def require_cube(data: np.ndarray, where: str) -> np.ndarray:
+    """Return `data` (frames, rows, columns) if it can be a cube of images.
+
+    Raises
+    ------
+    InputDataError
+        Not numbers, no frames, or a window of absurd size; `where` begins the message.
+    """
+    if data.dtype.kind not in "iuf":
+        raise InputDataError(f"{where}: pixels of type {data.dtype}, expected real numbers")
+    if data.shape[0] == 0:
+        raise InputDataError(f"{where}: no frames")
+    if min(data.shape[1:]) < MIN_WINDOW_PX or max(data.shape[1:]) > MAX_WINDOW_PX:
+        raise InputDataError(
+            f"{where}: axes {data.shape} read as (frames, y, x) give a window of "
+            f"{data.shape[1]}x{data.shape[2]} px, expected "
+            f"{MIN_WINDOW_PX} to {MAX_WINDOW_PX} px a side"
+        )
+    return data
+
+
+def native(data: np.ndarray) -> np.ndarray:
+    """Return an array in the byte order of this machine, which torch and numba insist on."""
+    return np.ascontiguousarray(data.astype(data.dtype.newbyteorder("="), copy=False))
+
+
+def hdu_label(path: Path, index: int, hdu: fits.hdu.base._BaseHDU) -> str:
+    """Return ``file: HDU 1 (NAME)``."""
+    return f"{path}: HDU {index}" + (f" ({hdu.name})" if hdu.name else "")
+
+
+def header_number(header: fits.Header, key: str) -> float | None:
+    """Return a finite number of the header, or None."""
+    value: Any = header.get(key)
+    usable = isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value)
+    return float(value) if usable else None
+
+
+def _require_content(path: Path) -> None:
+    if path.stat().st_size == 0:
+        raise InputDataError(f"{path}: the file is empty (0 bytes)")
+    with path.open("rb") as stream:
+        begin = stream.read(len(FITS_BEGIN))
+    if begin != FITS_BEGIN and not begin.startswith(GZIP_BEGIN):
+        raise InputDataError(f"{path}: not a FITS file, for it does not begin with '{FITS_BEGIN.decode()}'")
+
+
+def _require_countable(path: Path) -> None:
+    """Refuse headers with more axes or columns than FITS allows: astropy would count up to any number."""
+    for found in COUNTS.finditer(_beginning(path)):
+        if found.start() % CARD_BYTES == 0:
+            key, number = (group.decode().strip() for group in found.groups())
+            raise InputDataError(f"{path}: {key} = {number} in a header, FITS allows 999: damaged")
+
+
+def _beginning(path: Path) -> bytes | mmap.mmap:
+    """All of a plain file, without reading it; of a compressed one what holds its first headers."""
+    with path.open("rb") as stream:
+        if stream.read(len(GZIP_BEGIN)) != GZIP_BEGIN:
+            return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+    with gzip.open(path) as stream:
+        return stream.read(MAX_REST_BYTES)
+
+
+def _require_complete(hdus: fits.HDUList, path: Path) -> None:
+    """Compare the sizes the headers announce with the file, before anything is allocated."""
+    file_bytes = path.stat().st_size
+    for index, hdu in enumerate(hdus):
+        info = hdu.fileinfo()
+        if info is None:
+            continue
+        stored = info["datSpan"] if _is_plain(path) else file_bytes
+        if _is_plain(path) and info["datLoc"] + min(hdu.size, stored) > file_bytes:
+            raise InputDataError(
+                f"{hdu_label(path, index, hdu)}: the header announces {hdu.size} bytes of data, the "
+                f"file holds {max(0, file_bytes - info['datLoc'])}: truncated, or a wrong header"
+            )
+        if hdu.size > stored:
+            _require_unpackable(hdu.size, stored, hdu_label(path, index, hdu))
+
+
+def _require_unpackable(size: int, stored: int, where: str) -> None:
+    """Refuse compressed data that announce more than they can hold, or than should be unpacked unseen."""
+    if size > MAX_COMPRESSION * stored:
+        raise InputDataError(
+            f"{where}: the header announces {size} bytes of data, more than {stored} compressed bytes can "
+            "hold: truncated, or a wrong header"
+        )
+    if size > MAX_UNPACKED_BYTES:
+        raise InputDataError(
+            f"{where}: {size} bytes when unpacked, more than {MAX_UNPACKED_BYTES} are not unpacked in "
+            "memory; unpack the file"
+        )
+
+
+def _require_end(hdus: fits.HDUList, path: Path) -> None:
+    """Astropy passes in silence over an extension whose header is damaged, and all that follows it."""
+    last = hdus[-1].fileinfo()
+    if not _is_plain(path) or last is None:
+        return
+    with path.open("rb") as stream:
+        stream.seek(last["datLoc"] + last["datSpan"])
+        if stream.read(MAX_REST_BYTES).strip(b"\0 "):
+            raise InputDataError(
+                f"{path}: HDU {len(hdus)}: its header is cut off or damaged: something follows HDU "
+                f"{len(hdus) - 1} that is no extension"
+            )
+
+
+def _require_sums(hdus: fits.HDUList, path: Path) -> None:
+    """Compare the data with their checksum where the file gives one."""
+    for index, hdu in enumerate(hdus):
+        if "DATASUM" in hdu.header and not hdu.verify_datasum():
+            raise InputDataError(
+                f"{hdu_label(path, index, hdu)}: the data do not fit their DATASUM: damaged, or changed "
+                "without a new one"
+            )
+
+
+def _is_plain(path: Path) -> bool:
+    """Tell whether positions in the file are those of its headers and data."""
+    return not path.name.lower().endswith((".gz", ".fz"))
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

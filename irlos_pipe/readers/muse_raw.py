@@ -1,0 +1,132 @@
+"""Raw file of MUSE's narrow-field mode: image extension SPARTA_TT_CUBE, side tables, header."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy.io import fits
+from astropy.time import Time
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.seeing import SPARTA
+from irlos_pipe.files.complaints import suggestion
+from irlos_pipe.frames.raw import RawRecording
+from irlos_pipe.instrument.instrument import Instrument, Mode
+from irlos_pipe.readers.fitsfile import hdu_label, header_number, image_array, open_fits, stem
+from irlos_pipe.readers.quadrants import split_quadrants
+from irlos_pipe.readers.times import unix_seconds
+
+LAYOUT = "muse_raw"
+CUBE = "SPARTA_TT_CUBE"
+ATMOSPHERE = "SPARTA_ATM_DATA"
+MODE_KEY = "ESO AOS MAIN MODES IRLOS"
+HEADER_KEYS = {
+    "mag_j": "ESO SEQ NGS MAG",
+    "seeing_arcsec": "ESO TEL AMBI FWHM START",
+    "parallactic_angle_deg": "ESO TEL PARANG START",
+    "altitude_deg": "ESO TEL ALT",
+    "derotator_angle_deg": "ESO INS DROT START",
+}
+MONITOR = "mass_dimm"  # whose seeing stands in the header
+SEEING_RANGE_ARCSEC = (0.05, 10.0)
+
+
+def recognises(hdus: fits.HDUList) -> bool:
+    """Tell whether a FITS file holds a cube of the low-order sensor."""
+    return any(hdu.name.upper() == CUBE for hdu in hdus)
+
+
+def read(path: Path, instrument: Instrument) -> list[RawRecording]:
+    """Read a raw file: one recording in full-pupil modes, four (one per lenslet) in 2x2 modes.
+
+    Raises
+    ------
+    InputDataError
+        Unknown or missing mode string, or a cube that does not fit the mode.
+    """
+    with open_fits(path) as hdus:
+        index = next(i for i, hdu in enumerate(hdus) if hdu.name.upper() == CUBE)
+        where = hdu_label(path, index, hdus[index])
+        adu = image_array(hdus[index], where)
+        header = hdus[0].header
+        mode = _mode(header, instrument, path)
+        start = _start(hdus, header)
+        known = _from_mode(mode) | _from_header(header) | _from_atmosphere(hdus)
+    common = {
+        "path": path,
+        "layout": LAYOUT,
+        "frame_counter": np.arange(len(adu)),
+        "header": known,
+        "mode": mode.name,
+        "start_unix_s": start,
+    }
+    if mode.lenslets == 1:
+        return [RawRecording(stem(path), adu=adu, **common)]
+    return [
+        RawRecording(f"{stem(path)}-q{number}", adu=images, subaperture=number, **common)
+        for number, images in enumerate(split_quadrants(adu, where), start=1)
+    ]
+
+
+def _mode(header: fits.Header, instrument: Instrument, path: Path) -> Mode:
+    name = str(header.get(MODE_KEY, "")).strip()
+    if not name:
+        raise InputDataError(
+            f"{path}: HDU 0: header key {MODE_KEY} is missing, so the read-out mode is not known"
+        )
+    day = str(header.get("DATE-OBS", ""))[:10]
+    modes = (instrument.on(day) if _is_date(day) else instrument).modes
+    if name not in modes:
+        raise InputDataError(
+            f"{path}: HDU 0: {MODE_KEY} = '{name}' is no mode of {instrument.name}"
+            f"{suggestion(name, modes)} (a new mode goes into the instrument profile)"
+        )
+    return modes[name]
+
+
+def _is_date(text: str) -> bool:
+    try:
+        Time(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _from_mode(mode: Mode) -> dict[str, Any]:
+    return {
+        "pixel_scale_mas": mode.pixel_scale_mas,
+        "frame_rate_hz": mode.frame_rate_hz,
+        "exposure_s": 1 / mode.frame_rate_hz,
+        "detector.e_per_adu": mode.e_per_adu,
+    }
+
+
+def _from_header(header: fits.Header) -> dict[str, Any]:
+    numbers = {key: header_number(header, name) for key, name in HEADER_KEYS.items()}
+    texts = {"target": str(header["OBJECT"])} if header.get("OBJECT") else {}
+    if numbers["seeing_arcsec"] is not None:
+        texts["seeing_scale"] = MONITOR
+    return {key: value for key, value in numbers.items() if value is not None} | texts
+
+
+def _from_atmosphere(hdus: fits.HDUList) -> dict[str, Any]:
+    """Median seeing of SPARTA's own estimate, which is the scale the AO residual's law is stated on."""
+    if ATMOSPHERE not in hdus or hdus[ATMOSPHERE].data is None:
+        return {}
+    table = hdus[ATMOSPHERE]
+    columns = [name for name in table.columns.names if name.upper().endswith("SEEING")]
+    values = np.concatenate([np.ravel(table.data[name]).astype(float) for name in columns] or [np.empty(0)])
+    low, high = SEEING_RANGE_ARCSEC
+    values = values[(values > low) & (values < high)]
+    return {"seeing_arcsec": float(np.median(values)), "seeing_scale": SPARTA} if values.size else {}
+
+
+def _start(hdus: fits.HDUList, header: fits.Header) -> float:
+    """Begin of the exposure [s since 1970]: DATE-OBS, else the first row of the atmosphere table."""
+    stamp = str(header.get("DATE-OBS", ""))
+    if _is_date(stamp):
+        return float(Time(stamp, scale="utc").unix)
+    times = unix_seconds(hdus[ATMOSPHERE]) if ATMOSPHERE in hdus else None
+    return float(times[0]) if times is not None and times.size else float("nan")

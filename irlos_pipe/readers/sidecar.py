@@ -1,0 +1,133 @@
+"""The side-car ``acquisition.yaml``: what the data themselves cannot say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.files.complaints import Complaints, Origins, and_more
+from irlos_pipe.files.yaml import load_yaml
+from irlos_pipe.readers.fitsfile import stem
+
+FOLDER_SIDECAR = "acquisition.yaml"
+Role = Literal["ncpa_calibration", "defocus_ramp", "derotator", "psf", "dark"]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, coerce_numbers_to_str=True)
+
+
+class SpectrumPoint(_Section):
+    """One wavelength with its photon weight."""
+
+    wavelength_nm: float = Field(ge=100, le=30000, description="wavelength in nm")
+    weight: float = Field(1.0, ge=0, description="photons, any scale")
+
+
+class DiversityKeys(_Section):
+    """The aberration put in on purpose."""
+
+    source: str = Field("lens", min_length=1, description="what introduces it, for example lens")
+    zernike: dict[int, float] = Field(description="Noll index: nm RMS")
+
+    @model_validator(mode="after")
+    def _sensible(self) -> DiversityKeys:
+        for noll, nm in self.zernike.items():
+            if not 2 <= noll <= 1000:
+                raise ValueError(f"zernike: {noll} is no Noll index from 2 to 1000")
+            if abs(nm) > 10000:
+                raise ValueError(f"zernike: {nm} nm RMS for Noll {noll} is beyond 10000 nm")
+        return self
+
+
+class DetectorKeys(_Section):
+    """Detector constants."""
+
+    e_per_adu: float | None = Field(None, gt=0, le=1e5, description="photo-electrons per ADU")
+    read_noise_e: float | None = Field(None, ge=0, le=1e5, description="RMS per pixel and frame in e-")
+    excess_noise_factor: float | None = Field(None, ge=1, le=10, description="photon variance over Poisson's")
+    saturation_adu: float | None = Field(None, gt=0, description="raw level that counts as saturated")
+
+
+class AcquisitionKeys(_Section):
+    """Every key of the side-car; all may be left out here, `acquisition.resolve` knows what must not."""
+
+    role: Role | None = Field(None, description="what the recording is for")
+    target: str | None = Field(None, description="name of the star")
+    mag_j: float | None = Field(None, ge=-5, le=30, description="J magnitude")
+    exposure_s: float | None = Field(None, gt=0, le=3600, description="exposure of a frame in seconds")
+    frame_rate_hz: float | None = Field(None, gt=0, le=1e5, description="recorded frames per second")
+    pixel_scale_mas: float | None = Field(None, gt=0, le=10000, description="mas per pixel")
+    seeing_arcsec: float | None = Field(None, gt=0, le=10, description="seeing, on SPARTA's scale or another")
+    seeing_scale: str | None = Field(None, min_length=1, description="who measured it, for example mass_dimm")
+    spectrum: list[SpectrumPoint] | None = Field(None, min_length=1, description="wavelengths with weights")
+    diversity: DiversityKeys | None = Field(None, description="aberration introduced on purpose")
+    introduced_defocus_nm: float | list[float] | None = Field(
+        None, description="nm RMS, one or one per frame"
+    )
+    derotator_angle_deg: float | None = Field(None, ge=-720, le=720, description="angle of the derotator")
+    parallactic_angle_deg: float | None = Field(None, ge=-360, le=360, description="parallactic angle")
+    altitude_deg: float | None = Field(None, ge=0, le=90, description="altitude of the telescope")
+    detector: DetectorKeys | None = Field(None, description="detector constants")
+
+    @model_validator(mode="after")
+    def _has_light(self) -> AcquisitionKeys:
+        if self.spectrum is not None and not any(point.weight > 0 for point in self.spectrum):
+            raise ValueError("spectrum: at least one weight must be positive")
+        return self
+
+    def updated(self, other: AcquisitionKeys) -> AcquisitionKeys:
+        """Return these keys with those that `other` gives replaced."""
+        own, new = (keys.model_dump(exclude_none=True) for keys in (self, other))
+        detector = own.get("detector", {}) | new.get("detector", {})
+        return AcquisitionKeys.model_validate(own | new | ({"detector": detector} if detector else {}))
+
+    def flat(self) -> dict[str, Any]:
+        """Return the keys that were given, those of the detector dotted (``detector.e_per_adu``)."""
+        given = {key: getattr(self, key) for key in self.model_fields_set if getattr(self, key) is not None}
+        detector = given.pop("detector", None)
+        inner = {} if detector is None else detector.model_dump(exclude_none=True)
+        return given | {f"detector.{key}": value for key, value in inner.items()}
+
+
+def sidecar_path(data_file: Path) -> Path:
+    """Where the side-car of a data file is, or ought to be.
+
+    ``<stem>.yaml`` beside the file if there is one, else ``acquisition.yaml`` in its folder.
+    """
+    own = data_file.with_name(f"{stem(data_file)}.yaml")
+    return own if own.is_file() else data_file.with_name(FOLDER_SIDECAR)
+
+
+def read_sidecar(path: Path) -> AcquisitionKeys:
+    """Read and check a side-car; one that does not exist has no keys.
+
+    Raises
+    ------
+    InputDataError
+        One line ``file:line: problem``, and how many more problems there are.
+    """
+    if not path.exists():
+        return AcquisitionKeys()
+    data, lines = load_yaml(path, InputDataError)
+    complaints = Complaints(Origins(path, lines))
+    try:
+        return AcquisitionKeys.model_validate(data)
+    except ValidationError as error:
+        complaints.add_invalid(error, AcquisitionKeys)
+    try:
+        complaints.raise_if_any()
+    except ConfigurationError as error:
+        raise InputDataError(_one_line(str(error))) from None
+    raise AssertionError(f"{path}: invalid, but nothing to complain about")
+
+
+def _one_line(text: str) -> str:
+    """Return the most helpful line, and how many others there are."""
+    lines = text.splitlines()
+    # a key that is misspelt is missing as well; the suggestion says more
+    best = min(lines, key=lambda line: "did you mean" not in line)
+    return best + and_more(lines)

@@ -1,0 +1,159 @@
+"""What a simulation spec says about one recording, or one series of them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from irlos_pipe.simulate.recordings.effect_keys import EffectKeys
+from irlos_pipe.simulate.recordings.keys import (
+    AberrationKeys,
+    BandKeys,
+    BandName,
+    Degrees,
+    DetectorKeys,
+    DiversityKeys,
+    MotionKeys,
+    Nanometres,
+    SamplingKeys,
+    Section,
+    SkyKeys,
+)
+
+
+def _kind(value: Any) -> str:
+    return "list" if isinstance(value, list) else "one"
+
+
+def _one_or(one: Any, many: Any) -> Any:
+    """One value or a list of them; a wrong one is told once, not for each possibility."""
+    return Annotated[Annotated[one, Tag("one")] | Annotated[many, Tag("list")], Discriminator(_kind)]
+
+
+Bands = _one_or(BandName, Annotated[list[BandKeys], Field(min_length=1)])
+Defocus = _one_or(Nanometres, list[Nanometres])
+Role = Literal["ncpa_calibration", "defocus_ramp", "derotator", "psf"]
+Side = Annotated[int, Field(ge=8, le=512)]
+FullPupilMode = Literal["64x64_FullPupil_200Hz_HighGain", "64x64_FullPupil_500Hz_HighGain"]
+
+
+class Shared(Section):
+    """Sections that hold for all recordings; a recording may change them for itself."""
+
+    ncpa: AberrationKeys | None = Field(None, description="static aberrations behind the derotator")
+    rotating: AberrationKeys | None = Field(None, description="those before it, as they are at angle 0")
+    diversity: DiversityKeys | None = Field(None, description="aberration put in on purpose")
+    sky: SkyKeys | None = Field(None, description="AO residual; left out on the bench")
+    motion: MotionKeys | None = Field(None, description="image motion; left out on the bench")
+    detector: DetectorKeys | None = Field(None, description="detector constants")
+    effects: EffectKeys | None = Field(None, description="effects that the side-car does not tell")
+    sampling: SamplingKeys | None = Field(None, description="how finely the light is computed")
+
+
+class RecordingKeys(Shared):
+    """One recording; `offsets_nm` or `angles_deg` make a series of them, one per value."""
+
+    role: Role = Field(description="what the recording is for")
+    layout: Literal["recorder", "muse_raw"] = Field("recorder", description="of the files")
+    mode: FullPupilMode = Field("64x64_FullPupil_200Hz_HighGain", description="mode string of a MUSE file")
+    target: str = Field("SIMULATED", min_length=1, max_length=60, description="name of the star")
+    mag_j: float = Field(ge=-5, le=25, description="J magnitude of the star")
+    throughput: float | None = Field(None, gt=0, le=10, description="part of the J+H photons in the bands")
+    bands: Bands = Field("narrow_h", description="narrow_h, j, h, j_h, or a list")
+    frames: int = Field(ge=1, le=1_000_000, description="number of frames, of each recording of a series")
+    exposure_s: float = Field(gt=0, le=600, description="exposure of a frame")
+    frame_rate_hz: float | None = Field(None, gt=0, le=1000, description="frames per second; 1/exposure_s")
+    window: tuple[Side, Side] = Field((64, 64), description="[rows, columns]")
+    pixel_scale_mas: float | None = Field(None, gt=1, le=200, description="of the instrument, if left out")
+    derotator_angle_deg: Degrees = Field(0.0, description="angle of the derotator")
+    introduced_nm: Defocus = Field(0.0, description="defocus, nm RMS; or per frame")
+    offsets_nm: list[Nanometres] | None = Field(None, min_length=1, max_length=1000, description="of a ramp")
+    order: Literal["as_given", "ping_pong"] = Field("as_given", description="in which the ramp is recorded")
+    angles_deg: list[Degrees] | None = Field(None, min_length=1, max_length=1000, description="of a series")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _mapping(cls, value: Any) -> Any:
+        if not isinstance(value, dict):
+            raise ValueError("should be a section of 'key: value' lines")
+        return value
+
+    @model_validator(mode="after")
+    def _consistent(self) -> RecordingKeys:
+        found = (
+            self._series_problem(),
+            self._time_problem(),
+            self._layout_problem(),
+            self._spectrum_problem(),
+            *self._pixels(),
+        )
+        if any(found):
+            raise ValueError(next(filter(None, found)))
+        return self
+
+    def _series_problem(self) -> str:
+        if self.offsets_nm and self.angles_deg:
+            return "give offsets_nm (a ramp) or angles_deg (a derotator series), not both"
+        if self.offsets_nm and self.role != "defocus_ramp":
+            return f"offsets_nm makes a ramp, but the role is {self.role}; set role: defocus_ramp"
+        if self.offsets_nm and self.introduced_nm != 0:
+            return "give offsets_nm or introduced_nm, not both"
+        per_frame = self.introduced_nm if isinstance(self.introduced_nm, list) else None
+        if per_frame is not None and len(per_frame) != self.frames:
+            return f"introduced_nm has {len(per_frame)} values for {self.frames} frames; give one per frame"
+        return ""
+
+    def _time_problem(self) -> str:
+        if self.frame_rate_hz and self.exposure_s * self.frame_rate_hz > 1 + 1e-9:
+            return (
+                f"exposure_s = {self.exposure_s:g} is longer than the {1 / self.frame_rate_hz:g} s that "
+                f"frame_rate_hz = {self.frame_rate_hz:g} leaves for a frame; lower one of them"
+            )
+        return ""
+
+    def _layout_problem(self) -> str:
+        if self.layout == "muse_raw" and (self.offsets_nm or self.angles_deg):
+            return "layout: muse_raw holds one cube; use layout: recorder for a series"
+        return ""
+
+    def _spectrum_problem(self) -> str:
+        effect = self.effects.spectrum if self.effects else None
+        bands = {"j_h": 2}.get(self.bands, 1) if isinstance(self.bands, str) else len(self.bands)
+        if effect is not None and effect.weights is not None and len(effect.weights) != bands:
+            return f"effects.spectrum.weights has {len(effect.weights)} factors; give one per band, {bands}"
+        return ""
+
+    def _pixels(self) -> list[str]:
+        """What is wrong with the pixels that this recording names."""
+        detector, effects = self.detector, self.effects
+        named = [("detector.dead", pixel) for pixel in (detector.dead if detector else ())]
+        named += [("detector.hot", hot.pixel) for hot in (detector.hot if detector else ())]
+        bad = effects.bad_pixels if effects else None
+        named += [("effects.bad_pixels", pixel) for pixel in (bad.pixels if bad else ())]
+        return [
+            f"{key}: pixel {list(pixel)} lies outside the window of {list(self.window)} (rows, columns)"
+            for key, pixel in named
+            if pixel[0] >= self.window[0] or pixel[1] >= self.window[1]
+        ]
+
+    def with_shared(self, shared: Shared) -> RecordingKeys:
+        """Return this recording with the shared sections filled in below its own."""
+        merged = {name: self._merged(name, shared) for name in Shared.model_fields}
+        own = {name: getattr(self, name) for name in self.model_fields_set}
+        return RecordingKeys.model_validate({**own, **{k: v for k, v in merged.items() if v is not None}})
+
+    def missing_section(self) -> str:
+        """What an effect needs and this recording does not have; asked when the shared sections are in."""
+        has_diversity = self.diversity is not None and any(self.diversity.zernike.values())
+        if self.effects and self.effects.diversity_error and not has_diversity:
+            return "effects.diversity_error needs a diversity; add the section 'diversity'"
+        return ""
+
+    def _merged(self, name: str, shared: Shared) -> Section | None:
+        """A section given here goes over the shared one; given as null, it switches that one off."""
+        own, below = getattr(self, name), getattr(shared, name)
+        if name not in self.model_fields_set:
+            return below
+        # aberrations are one thing: half of a draw and half of a list make no sense
+        return own if own is None or isinstance(own, AberrationKeys) else own.over(below)

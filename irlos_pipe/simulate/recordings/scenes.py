@@ -1,0 +1,141 @@
+"""From a section of a spec to a scene: bands, photometry, aberrations, sky, detector, effects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.simulate.detector import DetectorModel
+from irlos_pipe.simulate.motion import Motion
+from irlos_pipe.simulate.ncpa import draw_ncpa_nm
+from irlos_pipe.simulate.recordings.keys import AberrationKeys, BandKeys, DetectorKeys, MotionKeys, SkyKeys
+from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys
+from irlos_pipe.simulate.recordings.spec import Spec
+from irlos_pipe.simulate.scene import PHOTONS_PER_S_AT_M15, Band, Sampling, Scene
+
+# Three-point Gauss-Legendre nodes of J and H lie at 1170, 1215, 1260 and 1560, 1625, 1690 nm.
+J = Band(1215.0, 45 / 0.6**0.5, 0.5)
+H = Band(1625.0, 65 / 0.6**0.5, 0.5)
+BANDS = {
+    "narrow_h": (Band(1600.0, 20.0),),
+    "j": (replace(J, share=1.0),),
+    "h": (replace(H, share=1.0),),
+    "j_h": (J, H),
+}
+THROUGHPUT = {"narrow_h": 0.14, "j": 0.5, "h": 0.5, "j_h": 1.0}  # of the photons in J+H
+STAGE_EFFECTS = ("focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale")
+
+
+def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
+    """Scene of a section of the spec: what all its recordings have in common.
+
+    Raises
+    ------
+    ConfigurationError
+        When the window is wider than the images that the sampling of the pupil allows.
+    """
+    diversity = keys.diversity
+    scene = Scene(
+        name=name,
+        geometry=spec.instrument.pupil,
+        bands=_bands(keys.bands),
+        seed=(spec.seed,),
+        frames=keys.frames,
+        exposure_s=keys.exposure_s,
+        role=keys.role,
+        target=keys.target,
+        mag_j=keys.mag_j,
+        throughput=_throughput(keys, spec.instrument),
+        frame_rate_hz=keys.frame_rate_hz or 1 / keys.exposure_s,
+        window=keys.window,
+        pixel_scale_mas=keys.pixel_scale_mas or spec.instrument.defaults["pixel_scale_mas"],
+        ncpa_nm=_aberrations(keys.ncpa, spec.seed, "ncpa"),
+        rotating_nm=_aberrations(keys.rotating, spec.seed, "rotating"),
+        diversity_nm=dict(diversity.zernike) if diversity else {},
+        diversity_source=diversity.source if diversity else "none",
+        sky=_sky(keys.sky),
+        motion=_motion(keys.motion),
+        effects=_within_scene(keys),
+        detector=_detector(keys.detector),
+        sampling=Sampling(**dict(keys.sampling)) if keys.sampling else Sampling(),
+    )
+    _require_unfolded(scene)
+    return scene
+
+
+def _require_unfolded(scene: Scene) -> None:
+    """Refuse a window in which the image of a sampled pupil would repeat itself."""
+    shortest_m = min(nm for nm, _ in scene.spectrum()) * 1e-9
+    per_sample_mas = np.rad2deg(shortest_m / scene.geometry.diameter_m) * 3.6e6
+    needed = math.ceil(max(scene.window) * scene.pixel_scale_mas / per_sample_mas)
+    if needed > scene.pupil_samples:
+        raise ConfigurationError(
+            f"recordings.{scene.name}: a window of {max(scene.window)} px of {scene.pixel_scale_mas:g} mas "
+            f"needs {needed} samples across the pupil; give sampling.pupil_samples >= {needed}, "
+            "or a smaller window"
+        )
+
+
+def _within_scene(keys: RecordingKeys) -> dict[str, Mapping[str, Any]]:
+    """Effects that act in the scene; those of the focus stage act on what it introduces."""
+    given = keys.effects.given() if keys.effects else {}
+    return {name: parameters for name, parameters in given.items() if name not in STAGE_EFFECTS}
+
+
+def _aberrations(keys: AberrationKeys | None, seed: int, what: str) -> dict[int, float]:
+    """Coefficients; the draw is the same for all recordings of a spec."""
+    if keys is None:
+        return {}
+    if keys.zernike_nm is not None:
+        return dict(keys.zernike_nm)
+    return draw_ncpa_nm(np.random.default_rng([seed, number(what)]), keys.total_nm, keys.modes)
+
+
+def _bands(bands: str | list[BandKeys]) -> tuple[Band, ...]:
+    if isinstance(bands, str):
+        return BANDS[bands]
+    total = sum(band.share for band in bands)
+    return tuple(Band(band.centre_nm, band.half_width_nm, band.share / total) for band in bands)
+
+
+def _throughput(keys: RecordingKeys, instrument: Instrument) -> float:
+    """Part of the scene's photometric zero point that the bands pass, with this instrument's zero point."""
+    default = THROUGHPUT[keys.bands] if isinstance(keys.bands, str) else 1.0
+    own = default if keys.throughput is None else keys.throughput
+    return own * instrument.photons_per_s_m15 / PHOTONS_PER_S_AT_M15
+
+
+def _sky(keys: SkyKeys | None) -> Sky | None:
+    return None if keys is None else Sky(**dict(keys))
+
+
+def _motion(keys: MotionKeys | None) -> Motion | None:
+    if keys is None:
+        return None
+    given = dict(keys)
+    lines = given.pop("lines")
+    if lines is not None:
+        given["lines"] = tuple((line.hz, line.share_x, line.share_y) for line in lines)
+    return Motion(**given)
+
+
+def _detector(keys: DetectorKeys | None) -> DetectorModel:
+    if keys is None:
+        return DetectorModel()
+    given = dict(keys)
+    hot = tuple((one.pixel, one.e_per_s) for one in given.pop("hot"))
+    full_well_e = given.pop("full_well_e") or float("inf")
+    return DetectorModel(**given | {"dead": tuple(keys.dead), "hot_e_per_s": hot, "full_well_e": full_well_e})
+
+
+def number(name: str) -> int:
+    """The same number for the same name in every run, for seeds."""
+    return crc32(name.encode())

@@ -1,0 +1,129 @@
+"""The recordings of a spec: names, places in time, and what the observer is told of each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from irlos_pipe.simulate.focus_stage import reached_nm
+from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys
+from irlos_pipe.simulate.recordings.scenes import base_scene, number
+from irlos_pipe.simulate.recordings.spec import Spec
+from irlos_pipe.simulate.recordings.visiting_order import visiting_order
+from irlos_pipe.simulate.scene import Scene
+
+FIRST_START_UNIX_S = 1_707_618_000
+SLOT_S = 86_400  # between the starts of two sections of a spec, so that changing one moves no other
+MOVE_S = 24  # of focus stage or derotator, between the recordings of a series
+LOOP_HZ = 200
+FIRST_COUNTER, COUNTER_WRAP = 1000, 2**30
+
+Defocus = float | tuple[float, ...]  # of all frames, or of every frame [nm RMS]
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A recording to be made.
+
+    Attributes
+    ----------
+    name : str
+        ``calibration``, or ``ramp/offset_03`` in a series.
+    scene : Scene
+        What happens; the defocus is what the focus stage reaches.
+    told_nm : float or tuple of float
+        Introduced defocus as the side-car tells it [nm RMS].
+    hidden : mapping
+        Effects that the side-car does not tell, those of the focus stage included.
+    layout, mode : str
+        Of the files; mode string of a MUSE file.
+    """
+
+    name: str
+    scene: Scene
+    told_nm: Defocus
+    hidden: Mapping[str, Mapping[str, Any]]
+    layout: str
+    mode: str
+
+
+@dataclass(frozen=True)
+class _Member:
+    """What sets one recording of a series apart; `position` is its place in time."""
+
+    name: str
+    position: int
+    told_nm: Defocus
+    reached_nm: Defocus
+    angle_deg: float
+
+
+def plan_recordings(spec: Spec) -> list[Planned]:
+    """Recordings of a spec, those of a series in the order of their list."""
+    sections = enumerate(spec.recordings.items())
+    return [planned for slot, (name, keys) in sections for planned in _section(spec, slot, name, keys)]
+
+
+def _section(spec: Spec, slot: int, name: str, keys: RecordingKeys) -> Iterator[Planned]:
+    """Recordings of one section of the spec."""
+    scene = base_scene(spec, name, keys)
+    hidden = keys.effects.given() if keys.effects else {}
+    rng = np.random.default_rng([spec.seed, number(name), number("focus stage")])
+    duration_s = MOVE_S + int(np.ceil(scene.frames * scene.period_s))
+    for member in _members(name, keys, hidden, rng):
+        after_s = member.position * duration_s
+        own = replace(
+            scene,
+            name=member.name,
+            seed=(spec.seed, number(member.name)),
+            introduced_nm=member.reached_nm,
+            derotator_angle_deg=member.angle_deg,
+            start_unix_s=FIRST_START_UNIX_S + slot * SLOT_S + after_s,
+            first_counter=FIRST_COUNTER + after_s * LOOP_HZ % COUNTER_WRAP,
+        )
+        yield Planned(member.name, own, member.told_nm, hidden, keys.layout, keys.mode)
+
+
+def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> list[_Member]:
+    if keys.offsets_nm:
+        return _ramp(name, keys, hidden, rng)
+    told_nm, true_nm = _introduced(keys, hidden, rng)
+    if keys.angles_deg:
+        names = numbered(name, "angle", keys.angles_deg)
+        turns = enumerate(zip(names, keys.angles_deg, strict=True))
+        return [_Member(own, index, told_nm, true_nm, angle) for index, (own, angle) in turns]
+    return [_Member(name, 0, told_nm, true_nm, keys.derotator_angle_deg)]
+
+
+def _introduced(keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> tuple[Defocus, Defocus]:
+    """Defocus commanded and reached in one recording."""
+    reached = reached_nm(np.broadcast_to(keys.introduced_nm, (keys.frames,)), hidden, rng)
+    if isinstance(keys.introduced_nm, list):
+        return tuple(keys.introduced_nm), tuple(reached.tolist())
+    return keys.introduced_nm, float(reached[0])
+
+
+def _ramp(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> list[_Member]:
+    """One recording per focus offset."""
+    offsets_nm = keys.offsets_nm
+    names, order = numbered(name, "offset", offsets_nm), visiting_order(offsets_nm, keys.order)
+    reached = reached_nm([offsets_nm[index] for index in order], hidden, rng)
+    return [
+        _Member(
+            names[index],
+            order.index(index),
+            told_nm,
+            float(reached[order.index(index)]),
+            keys.derotator_angle_deg,
+        )
+        for index, told_nm in enumerate(offsets_nm)
+    ]
+
+
+def numbered(name: str, what: str, values: Sequence[float]) -> list[str]:
+    """Names of the recordings of a series."""
+    digits = max(2, len(str(len(values) - 1)))
+    return [f"{name}/{what}_{index:0{digits}d}" for index in range(len(values))]

@@ -1,0 +1,140 @@
+"""A simulation spec: what is recorded under which conditions, checked before anything is computed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.files.complaints import Complaints, Origins
+from irlos_pipe.files.overrides import Override, absolute, accepted, overridden, parse_setting
+from irlos_pipe.files.yaml import load_yaml, yaml_text
+from irlos_pipe.instrument.instrument import PROFILE_SUFFIXES, Instrument, load_instrument
+from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys, Shared
+
+SETTING_EXAMPLE = "KEY=VALUE, for example recordings.calibration.frames=20"
+NAME = r"^[A-Za-z0-9][A-Za-z0-9._+:-]*$"  # becomes the name of a folder
+DOUBLE = "__"  # stands for '/' in the names of truth files
+
+
+class SpecKeys(Shared):
+    """The whole file."""
+
+    simulation: str = Field(min_length=1, description="name of the simulation")
+    title: str = Field("", description="one line for people")
+    instrument: str = Field("irlos", description="instrument profile: a name, or the path of a YAML file")
+    seed: int = Field(0, ge=0, lt=2**63, description="seed of everything random")
+    recordings: dict[str, RecordingKeys] = Field(min_length=1, description="name: section of each recording")
+
+
+@dataclass(frozen=True)
+class Spec:
+    """A valid spec.
+
+    Attributes
+    ----------
+    instrument_name : str
+        Name of the profile, or the absolute path of its file.
+    recordings : dict of str to RecordingKeys
+        By name, the shared sections filled in.
+    """
+
+    name: str
+    title: str
+    seed: int
+    instrument_name: str
+    instrument: Instrument
+    recordings: dict[str, RecordingKeys]
+
+    def resolved_yaml(self) -> str:
+        """Return the spec with every default explicit; it makes the same recordings again."""
+        head = {
+            "simulation": self.name,
+            "title": self.title,
+            "instrument": self.instrument_name,
+            "seed": self.seed,
+        }
+        recordings = {
+            name: keys.model_dump(mode="json", exclude_none=True) for name, keys in self.recordings.items()
+        }
+        return yaml_text(head | {"recordings": recordings})
+
+
+def load_spec(path: str | Path, settings: Iterable[str] = (), seed: int | None = None) -> Spec:
+    """Read and check a spec.
+
+    Parameters
+    ----------
+    settings : iterable of str
+        ``key.key=VALUE``, applied in order; the value is YAML.
+    seed : int, optional
+        Replaces the spec's seed.
+
+    Raises
+    ------
+    ConfigurationError
+        With one line ``where: message`` for everything that is wrong.
+    """
+    path = Path(path)
+    written, lines = load_yaml(path)
+    rejected: list[ConfigurationError] = []
+    overrides = accepted(lambda text: parse_setting(text, SETTING_EXAMPLE), settings, rejected)
+    overrides += [] if seed is None else [Override(("seed",), seed, "--seed")]
+    origins = Origins(path, lines, [(override.key, override.where) for override in overrides])
+    return _checked(reduce(overridden, overrides, written), path, Complaints(origins, rejected))
+
+
+def _checked(data: Mapping[str, Any], path: Path, complaints: Complaints) -> Spec:
+    keys = _validated(data, complaints)
+    complaints.raise_if_any()
+    for name in keys.recordings:
+        _check_name(name, complaints)
+    recordings = {name: _filled_in(name, keys, complaints) for name in keys.recordings}
+    instrument_name, instrument = _instrument(keys.instrument, absolute(path).parent, complaints)
+    complaints.raise_if_any()
+    return Spec(keys.simulation, keys.title, keys.seed, instrument_name, instrument, recordings)
+
+
+def _validated(data: Mapping[str, Any], complaints: Complaints) -> SpecKeys | None:
+    try:
+        return SpecKeys.model_validate(data)
+    except ValidationError as error:
+        complaints.add_invalid(error, SpecKeys)
+        return None
+
+
+def _check_name(name: str, complaints: Complaints) -> None:
+    if not re.match(NAME, name) or DOUBLE in name:
+        complaints.add(
+            ("recordings", name),
+            f"recordings.{name}: becomes the name of a folder; use letters, digits and . _ + : - "
+            f"(no '{DOUBLE}'), beginning with a letter or digit",
+        )
+
+
+def _filled_in(name: str, keys: SpecKeys, complaints: Complaints) -> RecordingKeys | None:
+    try:
+        complete = keys.recordings[name].with_shared(keys)
+    except ValidationError as error:
+        complaints.add_invalid(error, RecordingKeys, ("recordings", name))
+        return None
+    if complete.missing_section():
+        complaints.add(("recordings", name), f"recordings.{name}: {complete.missing_section()}")
+    return complete
+
+
+def _instrument(name: str, folder: Path, complaints: Complaints) -> tuple[str, Instrument | None]:
+    """Load the instrument profile; returns its name, or its absolute path, and the profile."""
+    if "/" in name or name.endswith(PROFILE_SUFFIXES):
+        name = str(absolute(name, folder))
+    try:
+        return name, load_instrument(name)
+    except ConfigurationError as error:
+        complaints.add(("instrument",), str(error))
+        return name, None

@@ -1,0 +1,104 @@
+"""The truth of a simulated recording: what an estimate is compared with, kept apart from the data."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy.io import fits
+
+from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.files.json import json_text, jsonable
+from irlos_pipe.simulate.exposure import LAST_NOLL, Exposure, telescope_of
+from irlos_pipe.simulate.recordings.series import Planned
+from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.zernikes import rotated_nm
+
+DEFOCUS = 4  # Noll
+VERSION = 1  # of the simulator; raised when the same spec and seed give other data
+
+
+class WavefrontTruth:
+    """Gathers the wavefront of a recording while it is exposed, diversity excluded.
+
+    Parameters
+    ----------
+    scene : Scene
+    """
+
+    def __init__(self, scene: Scene):
+        self._scene = scene
+        self._telescope = telescope_of(scene)
+        self._sum_nm = np.zeros_like(self._telescope.transmission)
+        self._zernike_nm: list[np.ndarray] = []
+
+    def add(self, exposure: Exposure) -> None:
+        """Take one more frame."""
+        introduced_nm = self._scene.introduced_per_frame_nm[len(self._zernike_nm)]
+        opd_nm = exposure.opd_nm + introduced_nm * self._telescope.mode(DEFOCUS)
+        self._sum_nm += opd_nm
+        self._zernike_nm.append(self._telescope.fit_zernike_nm(opd_nm, LAST_NOLL))
+
+    @property
+    def mean_opd_nm(self) -> np.ndarray:
+        """Average over the frames, introduced defocus included, (n, n) [nm]."""
+        return self._sum_nm / len(self._zernike_nm)
+
+    def mean_zernike_nm(self) -> dict[int, float]:
+        """Least-squares coefficients of the average, Noll 2..31: nm RMS."""
+        values = self._telescope.fit_zernike_nm(self.mean_opd_nm, LAST_NOLL)
+        return dict(enumerate(values.tolist(), start=2))
+
+    def fits_bytes(self) -> bytes:
+        """FITS file: mean OPD (NaN outside the pupil), transmission, coefficients per frame."""
+        lit = self._telescope.transmission > 0
+        opd = fits.PrimaryHDU(np.where(lit, self.mean_opd_nm, np.nan).astype(np.float32))
+        opd.header["BUNIT"] = ("nm", "mean OPD without the diversity")
+        opd.header["STEP"] = (self._telescope.step_m, "[m] between samples; the axis is at the centre")
+        pupil = fits.ImageHDU(self._telescope.transmission.astype(np.float32), name="TRANSMISSION")
+        modes = fits.ImageHDU(np.array(self._zernike_nm), name="ZERNIKE")
+        modes.header["BUNIT"] = ("nm", "RMS; frames x Noll 2..31")
+        stream = BytesIO()
+        fits.HDUList([opd, pupil, modes]).writeto(stream)
+        return stream.getvalue()
+
+
+def truth_content(planned: Planned, wavefront: WavefrontTruth) -> dict[str, Any]:
+    """Content of the truth file.
+
+    ``ncpa_nm`` is what was static, ``mean_zernike_nm`` what an estimate is compared with: the
+    time-averaged wavefront, introduced defocus included as the stage reached it, diversity excluded.
+    """
+    scene = planned.scene
+    return {
+        "hidden": planned.hidden,
+        "ncpa_nm": static_nm(scene),
+        "introduced_defocus_nm": planned.told_nm,
+        "reached_defocus_nm": scene.introduced_nm,
+        "mean_zernike_nm": wavefront.mean_zernike_nm(),
+        "photons_per_frame": scene.photons,
+        "residual_wfe_nm": scene.sky.total_nm if scene.sky else 0.0,
+        "simulation": made_from(planned),
+    }
+
+
+def made_from(planned: Planned) -> dict[str, Any]:
+    """All that a recording depends on, in JSON types; the same again makes the same recording."""
+    return jsonable({"version": VERSION, "recording": planned})
+
+
+def static_nm(scene: Scene) -> dict[int, float]:
+    """NCPAs at the recording's derotator angle, Noll: nm RMS."""
+    total = dict(scene.ncpa_nm)
+    for noll, value_nm in rotated_nm(scene.rotating_nm, scene.derotator_angle_deg).items():
+        total[noll] = total.get(noll, 0.0) + value_nm
+    return dict(sorted(total.items()))
+
+
+def write_truth(path: Path, content: dict[str, Any], wavefront_fits: bytes) -> None:
+    """Write ``<path>.json`` and ``<path>_wavefront.fits``; the JSON last, as the mark that all is there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(path.with_name(f"{path.name}_wavefront.fits"), wavefront_fits)
+    write_bytes(path.with_name(f"{path.name}.json"), json_text(content).encode())

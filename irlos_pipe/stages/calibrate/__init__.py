@@ -1,0 +1,1 @@
+"""Stage `calibrate`: NCPAs from a cube of frames."""

@@ -1,0 +1,162 @@
+"""What stage `calibrate` tells when every recording is reduced by itself.
+
+The keys of a joint estimate hold the mean over the cubes; those of every cube stand in
+``cubes``, its arrays under ``cubes/<name>/``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from irlos_pipe.effects.telling import mean_of
+from irlos_pipe.estimate.calibration import Calibration
+from irlos_pipe.frames.recording import Acquisition
+from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.stages.base import StageOutput
+from irlos_pipe.stages.calibrate.output import (
+    Limits,
+    arrays_of,
+    by_noll,
+    checks_of,
+    counts,
+    effect_lines,
+    exported,
+    results_of,
+    wfe_nm,
+)
+from irlos_pipe.stages.model.effects import effect_arrays
+from irlos_pipe.stages.model.light_path import seeing_arcsec
+
+ROOT = "cubes"
+
+
+@dataclass(frozen=True)
+class Cube:
+    """One recording and what was estimated from it."""
+
+    name: str
+    acquisition: Acquisition
+    result: Calibration
+
+
+@dataclass(frozen=True)
+class CubeEstimate:
+    """Estimate of one cube, as read from a product.
+
+    Attributes
+    ----------
+    nolls : tuple of int
+    zernike_nm, sigma_nm : ndarray, (modes,)
+    covariance_nm2 : ndarray, (modes, modes)
+    frames_nm : ndarray, (frames, modes)
+    mean_image_e : ndarray, (rows, columns)
+    """
+
+    name: str
+    derotator_angle_deg: float
+    nolls: tuple[int, ...]
+    zernike_nm: np.ndarray
+    sigma_nm: np.ndarray
+    covariance_nm2: np.ndarray
+    frames_nm: np.ndarray
+    mean_image_e: np.ndarray
+
+
+def each_output(limits: Limits, cubes: Sequence[Cube], failures: Sequence[str]) -> StageOutput:
+    """Output of one estimate per recording."""
+    mean = _Mean(cubes)
+    arrays = mean.arrays()
+    for cube in cubes:
+        own = arrays_of(cube.result) | effect_arrays(cube.result.effect_values)
+        arrays |= {f"{ROOT}/{cube.name}/{name}": quantity for name, quantity in own.items()}
+    results = mean.results() | {"cubes": [_row(cube) for cube in cubes]}
+    checks = [check for cube in cubes for check in checks_of(limits, cube.result, f"{cube.name}: ")]
+    return StageOutput(arrays, results, checks, summary=_summary(mean, cubes), failures=failures)
+
+
+def cube_estimates(product: Product) -> list[CubeEstimate]:
+    """Estimates of a `calibrate` product made with ``each: true``, in the order of the recordings."""
+    return [_estimate(product, row) for row in product.results.get("cubes", [])]
+
+
+def _estimate(product: Product, row: dict) -> CubeEstimate:
+    def own(name: str) -> Quantity:
+        return product.arrays[f"{ROOT}/{row['name']}/{name}"]
+
+    return CubeEstimate(
+        row["name"],
+        row["derotator_angle_deg"],
+        tuple(int(noll) for noll in own("noll").value),
+        own("zernike_nm").value,
+        own("zernike_nm").error,
+        own("covariance_nm2").value,
+        own("frames_nm").value,
+        own("mean_image_e").value,
+    )
+
+
+def _row(cube: Cube) -> dict:
+    angle = {"name": cube.name, "derotator_angle_deg": cube.acquisition.derotator_angle_deg}
+    return angle | results_of(cube.result) | {"effects": cube.result.effects}
+
+
+class _Mean:
+    """Plain mean over the cubes, which count alike however bright they are."""
+
+    def __init__(self, cubes: Sequence[Cube]) -> None:
+        self.all = [cube.result for cube in cubes]
+        self.first = self.all[0]
+        self.nolls = self.first.nolls
+        self.zernike_nm = np.mean([one.zernike_nm for one in self.all], axis=0)
+        self.modes_nm = np.mean([one.modes_nm for one in self.all], axis=0)
+        self.covariance_nm2 = np.sum([one.covariance_nm2 for one in self.all], axis=0) / len(self.all) ** 2
+        self.sigma_nm = np.sqrt(np.diag(self.covariance_nm2))
+        self.seeing_arcsec = float(np.mean([seeing_arcsec(cube.acquisition) for cube in cubes]))
+        self.effects = mean_of([one.effects for one in self.all])
+
+    def arrays(self) -> dict[str, Quantity]:
+        text = "mean over the cubes: static wavefront without the diversity"
+        effect_values = {
+            name: np.mean([one.effect_values[name] for one in self.all], axis=0)
+            for name in self.first.effect_values
+        }
+        return {
+            "noll": Quantity(np.array(self.nolls), "", "Noll index of every estimated mode"),
+            "zernike_nm": Quantity(self.zernike_nm, "nm", text, self.sigma_nm),
+            "modes_nm": Quantity(self.modes_nm, "nm", "the same without what effects in the pupil add"),
+            "covariance_nm2": Quantity(self.covariance_nm2, "nm2", "from the scatter over frames"),
+        } | effect_arrays(effect_values)
+
+    def results(self) -> dict:
+        return results_of(self.first) | {
+            "zernike_nm": by_noll(self.nolls, self.zernike_nm),
+            "sigma_nm": by_noll(self.nolls, self.sigma_nm),
+            "wfe_nm": wfe_nm(self.nolls, self.zernike_nm),
+            "wfe_sigma_nm": wfe_nm(self.nolls, self.sigma_nm),
+            "frames": sum(len(one.frames_nm) for one in self.all),
+            "seconds": round(sum(one.seconds for one in self.all), 3),
+            "chi2_nu": float(np.mean([one.chi2_nu for one in self.all])),
+            "status": counts([status for one in self.all for status in one.frame_status]),
+            "effects": self.effects,
+            "seeing_arcsec": self.seeing_arcsec,
+            "twin": None,
+            "compare": [],
+        }
+
+
+def _summary(mean: _Mean, cubes: Sequence[Cube]) -> list[str]:
+    last = mean.nolls[exported(mean.nolls)][-1]
+    return [
+        f"NCPA            {wfe_nm(mean.nolls, mean.zernike_nm):.1f} ± "
+        f"{wfe_nm(mean.nolls, mean.sigma_nm):.1f} nm RMS in Noll 2–{last}: mean of {len(cubes)} "
+        f"{'cube' if len(cubes) == 1 else 'cubes'} ({mean.first.options.method})",
+        *effect_lines(mean.effects),
+        *(
+            f"  {cube.name}: {wfe_nm(mean.nolls, cube.result.zernike_nm):.1f} nm RMS, derotator "
+            f"{cube.acquisition.derotator_angle_deg:g}°, χ²/ν {cube.result.chi2_nu:.2f}"
+            for cube in cubes
+        ),
+    ]

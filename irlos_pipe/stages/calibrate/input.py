@@ -1,0 +1,44 @@
+"""From recordings and the recipe's model to what a calibration is given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.estimate.calibration import CalibrationOptions
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.frames.recording import Recording
+from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.stages.base import StageContext
+from irlos_pipe.stages.model.effects import good_pixels, image_effects, model_effects
+from irlos_pipe.stages.model.light_path import pooled_images, psf_settings
+
+
+@dataclass(frozen=True)
+class CubeInput:
+    """Frames of recordings taken alike, and their model.
+
+    Attributes
+    ----------
+    frames : Frames
+        Bad pixels that the model lists masked.
+    settings : PsfSettings
+    effects : list of Effect or Pinned
+    """
+
+    frames: Frames
+    settings: PsfSettings
+    effects: list[Effect | Pinned]
+
+
+def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: CalibrationOptions) -> CubeInput:
+    """All frames of the recordings and the model for the first."""
+    first, highest_noll = recordings[0], options.resolved()[1].highest_noll
+    effects = model_effects(ctx.instrument, ctx.model, first, highest_noll)
+    images_e, pixel_mask, noise = pooled_images(recordings)
+    good = pixel_mask & torch.as_tensor(good_pixels(effects, first.window))
+    settings = psf_settings(ctx.instrument, ctx.model, first)
+    return CubeInput(Frames(images_e, good, noise), settings, image_effects(effects))

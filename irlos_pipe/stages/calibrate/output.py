@@ -1,0 +1,160 @@
+"""What stage `calibrate` tells of its estimates: arrays, results, checks, summary."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Protocol
+
+import numpy as np
+
+from irlos_pipe.effects.telling import rows_of
+from irlos_pipe.estimate.calibration import Calibration
+from irlos_pipe.frames.recording import Recording
+from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.stages.base import StageOutput
+from irlos_pipe.stages.model.effects import effect_arrays
+from irlos_pipe.stages.model.light_path import seeing_arcsec
+
+EXPORTED = 30  # highest Noll mode reported: SPARTA takes 29 modal offsets
+
+
+class Limits(Protocol):
+    """Limits of the quality control."""
+
+    min_converged: float
+    max_chi2_nu: float
+
+
+def joint_output(
+    limits: Limits, result: Calibration, others: Sequence[Calibration], recordings: Sequence[Recording]
+) -> StageOutput:
+    """Output of one estimate from all recordings."""
+    results = results_of(result) | {
+        "effects": result.effects,
+        "seeing_arcsec": seeing_arcsec(recordings[0].acquisition),
+        "twin": None if result.twin is None else asdict(result.twin) | {"preferred": result.twin.preferred},
+        "compare": [results_of(other) for other in others],
+    }
+    arrays = arrays_of(result) | effect_arrays(result.effect_values)
+    return StageOutput(arrays, results, checks_of(limits, result), summary=_summary(result, others))
+
+
+def exported(nolls: Sequence[int]) -> slice:
+    """Places of the modes that are reported."""
+    return slice(0, sum(noll <= EXPORTED for noll in nolls))
+
+
+def wfe_nm(nolls: Sequence[int], zernike_nm: np.ndarray) -> float:
+    """RMS of the reported modes [nm]; of standard errors: the expected total error."""
+    return float(np.sqrt(np.sum(zernike_nm[exported(nolls)] ** 2)))
+
+
+def by_noll(nolls: Sequence[int], values: np.ndarray) -> dict[str, float]:
+    """Values of the reported modes by their index as text."""
+    own = exported(nolls)
+    return {str(noll): float(value) for noll, value in zip(nolls[own], values[own], strict=True)}
+
+
+def results_of(result: Calibration) -> dict:
+    """The part of the results that every estimate has."""
+    return {
+        "method": result.options.method,
+        "zernike_nm": by_noll(result.nolls, result.zernike_nm),
+        "sigma_nm": by_noll(result.nolls, result.sigma_nm),
+        "wfe_nm": wfe_nm(result.nolls, result.zernike_nm),
+        "wfe_sigma_nm": wfe_nm(result.nolls, result.sigma_nm),
+        "frames": len(result.frames_nm),
+        "seconds": round(result.seconds, 3),
+        "chi2_nu": result.chi2_nu,
+        "loss": result.options.loss,
+        "optimiser": result.options.optimiser,
+        "modes_estimated": len(result.nolls),
+        "status": counts(result.frame_status),
+    }
+
+
+def counts(status: Sequence[str]) -> dict[str, int]:
+    """How often every status occurs."""
+    return {name: list(status).count(name) for name in sorted(set(status))}
+
+
+def arrays_of(result: Calibration) -> dict[str, Quantity]:
+    """Arrays of one estimate."""
+    return {
+        "noll": Quantity(np.array(result.nolls), "", "Noll index of every estimated mode"),
+        "zernike_nm": Quantity(
+            result.zernike_nm, "nm", "static wavefront without the diversity", result.sigma_nm
+        ),
+        "modes_nm": Quantity(result.modes_nm, "nm", "the same without what effects in the pupil add"),
+        "covariance_nm2": Quantity(result.covariance_nm2, "nm2", "from the scatter over frames"),
+        "frames_nm": Quantity(result.frames_nm, "nm", "coefficients of every frame (frame, mode)"),
+        "frame_status": Quantity(np.array(result.frame_status, dtype=object), "", "outcome of every fit"),
+        "iterations": Quantity(result.iterations, "", "of every fit"),
+        "mean_image_e": Quantity(result.mean_image_e, "e-", "mean of the used frames", result.sigma_image_e),
+        "model_image_e": Quantity(result.model_image_e, "e-", "its model"),
+    }
+
+
+def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Check]:
+    """Checks of one estimate; `prefix` begins their names."""
+    converged = result.frame_status.count("converged") / len(result.frame_status)
+    checks = [
+        Check(
+            f"{prefix}converged fits",
+            converged,
+            "",
+            limits.min_converged,
+            None,
+            f"{converged:.0%} of the fits converged",
+        ),
+        Check(
+            f"{prefix}chi2 of the mean image",
+            result.chi2_nu,
+            "",
+            None,
+            limits.max_chi2_nu,
+            f"χ²/ν = {result.chi2_nu:.2f}; a large one says that the model lacks something",
+        ),
+    ]
+    return checks + _twin_check(result, prefix)
+
+
+def _twin_check(result: Calibration, prefix: str) -> list[Check]:
+    if result.twin is None:
+        return []
+    return [
+        Check(
+            f"{prefix}twin solution",
+            float(result.twin.preferred == "solution"),
+            "",
+            1.0,
+            None,
+            f"sign of the even modes: the {result.twin.preferred} is preferred "
+            f"(Δχ² {result.twin.delta_chi2:+.1f}, {result.twin.rms_nm:.0f} against "
+            f"{result.twin.twin_rms_nm:.0f} nm RMS)",
+        )
+    ]
+
+
+def effect_lines(effects: dict[str, dict]) -> list[str]:
+    """One line per effect."""
+    return [
+        f"  {name:22s}" + ", ".join(f"{key} {value:.3g}" for key, value in rows_of(values))
+        for name, values in effects.items()
+    ]
+
+
+def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
+    wfe, sigma = wfe_nm(result.nolls, result.zernike_nm), wfe_nm(result.nolls, result.sigma_nm)
+    last = result.nolls[exported(result.nolls)][-1]
+    return [
+        f"NCPA            {wfe:.1f} ± {sigma:.1f} nm RMS in Noll 2–{last} "
+        f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f})",
+        *effect_lines(result.effects),
+        *(
+            f"  beside: {wfe_nm(other.nolls, other.zernike_nm):.1f} nm RMS ({other.options.method}, "
+            f"{other.seconds:.1f} s, χ²/ν {other.chi2_nu:.2f})"
+            for other in others
+        ),
+    ]

@@ -1,0 +1,118 @@
+"""Stage `calibrate`: static aberrations (NCPAs) from cubes of short narrow-band exposures."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
+from irlos_pipe.frames.recording import Recording
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.calibrate.each import Cube, each_output
+from irlos_pipe.stages.calibrate.input import cube_input
+from irlos_pipe.stages.calibrate.output import joint_output, wfe_nm
+from irlos_pipe.stages.ingest.recordings import recordings_from_product
+from irlos_pipe.stages.model.light_path import require_one_setup
+
+NAME = "calibrate"
+VERSION = 7
+NEEDS = ("ingest",)
+READS = ("ingest",)
+LEAST_FRAMES = 2
+MethodName = Literal["long_exposure", "dip_global", "dip_avg", "dip_joint", "lift_avg", "lift_slices"]
+
+
+class Config(StageConfig):
+    """Settings of the calibration."""
+
+    input: str = Field("calibration", description="recipe input that holds the cubes")
+    each: bool = Field(False, description="every recording by itself, instead of one estimate from all")
+    method: MethodName = Field("long_exposure", description="what is fitted to what")
+    loss: Literal["gaussian", "huber", "l1"] | None = Field(
+        None, description="loss (l1: kink rounded over 1 sigma; huber: 2); none: the method's own"
+    )
+    optimiser: Literal["lm", "lbfgs"] = Field(
+        "lm", description="Levenberg-Marquardt, or L-BFGS with autograd"
+    )
+    highest_noll: int | None = Field(
+        None, ge=4, le=231, description="modes 2 to this are estimated; none: the method's own"
+    )
+    prior_scale: float | None = Field(
+        3.0, gt=0, le=1000, description="prior width over the NCPA law; none: no prior"
+    )
+    max_iterations: int = Field(60, ge=1, le=10000, description="per fit")
+    compare: tuple[MethodName, ...] = Field((), description="methods to run beside, for the report only")
+    max_chi2_nu: float = Field(5.0, gt=0, description="QC limit on the reduced chi-square of the mean image")
+    min_converged: float = Field(0.9, ge=0, le=1, description="QC limit on the part of fits that converge")
+
+    @model_validator(mode="after")
+    def _compared_on_all(self) -> Config:
+        if self.each and self.compare:
+            raise ValueError("'compare' works on all recordings together; leave it out with 'each: true'")
+        return self
+
+    def options(self, method: str | None = None) -> CalibrationOptions:
+        """Options of the configured method, or of another as published: own loss, own modes, no prior."""
+        if method is not None:
+            return CalibrationOptions(method, prior_scale=None, max_iterations=self.max_iterations)
+        return CalibrationOptions(
+            self.method,
+            self.loss,
+            self.optimiser,
+            self.highest_noll,
+            self.prior_scale,
+            self.max_iterations,
+        )
+
+
+def run(ctx: StageContext) -> StageOutput:
+    """Calibrate with the chosen method, and with those to compare."""
+    recordings = [r.accepted() for r in recordings_from_product(ctx.products["ingest"], ctx.config.input)]
+    return _each(ctx, recordings) if ctx.config.each else _together(ctx, recordings)
+
+
+def _together(ctx: StageContext, recordings: list[Recording]) -> StageOutput:
+    require_one_setup(recordings)
+    if sum(r.frames for r in recordings) < LEAST_FRAMES:
+        raise InputDataError(_too_few(recordings[0]))
+    result = _calibrate(ctx, recordings, ctx.config.options())
+    others = [
+        _calibrate(ctx, recordings, ctx.config.options(method))
+        for method in ctx.config.compare
+        if method != ctx.config.method
+    ]
+    return joint_output(ctx.config, result, others, recordings)
+
+
+def _each(ctx: StageContext, recordings: list[Recording]) -> StageOutput:
+    usable = [r for r in recordings if r.frames >= LEAST_FRAMES]
+    failures = [_too_few(r) for r in recordings if r.frames < LEAST_FRAMES]
+    if not usable:
+        raise InputDataError(failures[0])
+    cubes = [Cube(r.name, r.acquisition, _calibrate(ctx, [r], ctx.config.options())) for r in usable]
+    return each_output(ctx.config, cubes, failures)
+
+
+def _too_few(recording: Recording) -> str:
+    return f"{recording.name}: a calibration needs at least two used frames"
+
+
+def _calibrate(ctx: StageContext, recordings: list[Recording], options: CalibrationOptions) -> Calibration:
+    """One method on all frames of the recordings."""
+    first, cube = recordings[0], cube_input(ctx, recordings, options)
+    total = len(cube.frames.images_e) if options.resolved()[0].images == "frames" else 1
+    with ctx.progress(total=total, desc=f"calibrate {options.method}") as bar:
+        result = calibrate(
+            cube.frames, cube.settings, options, cube.effects, device=ctx.device, report=bar.update
+        )
+    ctx.log.info(
+        "%s, %s: %.1f nm RMS, chi2/nu %.2f, %.1f s",
+        first.name,
+        options.method,
+        wfe_nm(result.nolls, result.zernike_nm),
+        result.chi2_nu,
+        result.seconds,
+    )
+    return result

@@ -1,0 +1,1 @@
+"""Stage `derotator`: NCPAs before and after the derotator."""

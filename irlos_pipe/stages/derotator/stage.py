@@ -1,0 +1,81 @@
+"""Stage `derotator`: the part of the NCPAs that turns with the derotator, and the part that does not."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.estimate.derotation import Series, split_series, try_both_senses, usable_modes
+from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.calibrate.each import CubeEstimate, cube_estimates
+from irlos_pipe.stages.derotator.output import SplitOutput, rms_nm, series_arrays
+
+NAME = "derotator"
+VERSION = 1
+NEEDS = ("calibrate",)
+READS = ("calibrate",)
+DEPENDS_ON = frozenset({"instrument"})
+
+
+class Config(StageConfig):
+    """Settings of the derotator test."""
+
+    sense: Literal["estimate", "anticlockwise", "clockwise"] = Field(
+        "estimate", description="how the wavefront before the derotator turns when its angle grows"
+    )
+    turn_per_degree: float = Field(
+        1.0, gt=0, le=2, description="turn of the image per degree of the angle; 2 for that of a K-mirror"
+    )
+    highest_noll: int | None = Field(None, ge=4, le=231, description="modes to use; none: all estimated")
+    max_chi2_nu: float = Field(
+        10.0, gt=0, description="QC limit on how well the two parts explain the single estimates"
+    )
+
+
+def run(ctx: StageContext) -> StageOutput:
+    """Split the estimates of all cubes; with a single angle say that this cannot be done."""
+    cubes = cube_estimates(ctx.products["calibrate"])
+    if not cubes:
+        raise ConfigurationError("derotator needs the cubes one by one: set calibrate.each to true")
+    series = _series(cubes, ctx.config)
+    listed = {"cubes": [{"name": c.name, "derotator_angle_deg": c.derotator_angle_deg} for c in cubes]}
+    one_angle = len(np.unique(series.angles_deg % 360)) == 1
+    return _one_angle(ctx, listed, series) if one_angle else _split(ctx, listed, series)
+
+
+def _series(cubes: list[CubeEstimate], config: Config) -> Series:
+    series = Series(
+        cubes[0].nolls,
+        config.turn_per_degree * np.array([cube.derotator_angle_deg for cube in cubes]),
+        np.stack([cube.zernike_nm for cube in cubes]),
+        np.stack([cube.covariance_nm2 for cube in cubes]),
+    )
+    return series.only(usable_modes(series.nolls, config.highest_noll))
+
+
+def _one_angle(ctx: StageContext, listed: dict, series: Series) -> StageOutput:
+    """What there is without a second angle: the estimates as measured."""
+    cubes = listed["cubes"]
+    angle = f"derotator angle {cubes[0]['derotator_angle_deg']:g}°"
+    reason = f"all {len(cubes)} recordings are of {angle}" if len(cubes) > 1 else f"one recording, of {angle}"
+    ctx.log.warning("%s: what turns cannot be told from what does not", reason)
+    results = {"modes": list(series.nolls), "parts": None, "reason": reason}
+    results["measured_nm"] = [rms_nm(one) for one in series.zernike_nm]
+    lines = [
+        f"Derotator       nothing split: {reason};",
+        "  give recordings of two or more angles (derotator_angle_deg in acquisition.yaml)",
+    ]
+    return StageOutput(series_arrays(ctx.instrument.pupil, series), listed | results, summary=lines)
+
+
+def _split(ctx: StageContext, listed: dict, series: Series) -> StageOutput:
+    senses = try_both_senses(series)
+    estimated = ctx.config.sense == "estimate"
+    sense = 1 if ctx.config.sense == "anticlockwise" else -1
+    told = SplitOutput(series, senses.best if estimated else split_series(series, sense), senses)
+    checks = [told.check_explained(ctx.config.max_chi2_nu), *([told.check_sense()] if estimated else [])]
+    arrays = told.arrays(ctx.instrument.pupil)
+    return StageOutput(arrays, listed | told.results(), checks, summary=told.summary())

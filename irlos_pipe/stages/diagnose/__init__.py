@@ -1,0 +1,1 @@
+"""Stage `diagnose`: what the model of a recording or ramp lacks."""

@@ -1,0 +1,1 @@
+"""Stage `ingest`: recordings in, cleaned frames out."""

@@ -1,0 +1,122 @@
+"""What ingest starts from: the recordings of all inputs, each with what is known about it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.frames.blocks import mean_frame
+from irlos_pipe.frames.raw import RawRecording
+from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.readers.acquisition import Resolved, resolve
+from irlos_pipe.readers.calibration_files import mean_variance
+from irlos_pipe.readers.find import read_recordings, recording_files, unique_name
+from irlos_pipe.readers.sidecar import AcquisitionKeys
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A recording as read, the recipe input it belongs to, and how it was taken."""
+
+    input: str
+    raw: RawRecording
+    resolved: Resolved
+
+    @property
+    def role(self) -> str:
+        """What the recording is for."""
+        return self.resolved.acquisition.role
+
+
+def read_sources(
+    inputs: Mapping[str, Sequence[Path]],
+    keys_for: Callable[[str], AcquisitionKeys],
+    instrument: Instrument,
+    log: logging.Logger,
+) -> tuple[list[Source], list[tuple[str, str]]]:
+    """Read all recordings of all inputs.
+
+    Parameters
+    ----------
+    keys_for : callable
+        ``keys_for(input_name)``: side-car keys from the recipe, which win.
+
+    Returns
+    -------
+    sources : list of Source
+    failures : list of (input name, reason)
+        Recordings that cannot be read; the others go on without them.
+
+    Raises
+    ------
+    NothingToDo
+        An input without recordings.
+    """
+    sources: list[Source] = []
+    failures: list[tuple[str, str]] = []
+    for name, paths in inputs.items():
+        taken: set[str] = set()
+        for file in recording_files(paths):
+            try:
+                for raw in _named(read_recordings(file, instrument), taken):
+                    sources.append(_source(name, raw, keys_for(name), instrument, log))
+            except InputDataError as error:
+                failures.append((name, str(error)))
+    return sources, failures
+
+
+def with_darks(sources: Sequence[Source]) -> tuple[list[Source], list[Source]]:
+    """Give recordings without a dark the mean of a dark recording of the same input and window.
+
+    Returns
+    -------
+    stars, darks : list of Source
+    """
+    darks = [source for source in sources if source.role == "dark"]
+    return [_with_dark(source, darks) for source in sources if source.role != "dark"], darks
+
+
+def _named(recordings: Sequence[RawRecording], taken: set[str]) -> Iterator[RawRecording]:
+    for raw in recordings:
+        name = unique_name(raw.name, raw.path, taken)
+        taken.add(name)
+        yield replace(raw, name=name)
+
+
+def _source(
+    input_name: str, raw: RawRecording, keys: AcquisitionKeys, instrument: Instrument, log: logging.Logger
+) -> Source:
+    resolved = resolve(raw, keys, _instrument_then(instrument, raw.start_unix_s))
+    for note in raw.notes:
+        log.info(note)
+    for line in resolved.warnings:
+        log.warning(line)
+    return Source(input_name, raw, resolved)
+
+
+def _instrument_then(instrument: Instrument, unix_s: float) -> Instrument:
+    """Return the instrument as it was when the recording was taken; as it is now if that is not known."""
+    if not np.isfinite(unix_s):
+        return instrument
+    return instrument.on(datetime.fromtimestamp(unix_s, UTC).date().isoformat())
+
+
+def _with_dark(source: Source, darks: Sequence[Source]) -> Source:
+    fitting = [dark for dark in darks if dark.input == source.input and dark.raw.window == source.raw.window]
+    if source.raw.calibration.dark_adu is not None or not fitting:
+        return source
+    wanted = source.resolved.acquisition.exposure_s
+    nearest = min(fitting, key=lambda dark: abs(dark.resolved.acquisition.exposure_s - wanted))
+    frames = nearest.raw.adu
+    maps = replace(
+        source.raw.calibration,
+        dark_adu=mean_frame(frames),
+        dark_variance_adu2=mean_variance(frames),
+    )
+    return replace(source, raw=replace(source.raw, calibration=maps))

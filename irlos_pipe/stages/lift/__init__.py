@@ -1,0 +1,1 @@
+"""Stage `lift`: tip, tilt and defocus of a ramp."""

@@ -1,0 +1,116 @@
+"""What `lift` and `sensitivity` both need: the ramp's frames, the model with the NCPAs, the effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.estimate.frame_settings import frame_settings
+from irlos_pipe.estimate.ramp_effects import ramp_effects
+from irlos_pipe.estimate.ramp_fit import RampData, start_from_defocus
+from irlos_pipe.estimate.start import scan_start_nm
+from irlos_pipe.frames.recording import Acquisition, Recording
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.stages.base import StageContext
+from irlos_pipe.stages.model.effects import calibrated_effects, good_pixels, image_effects, model_effects
+from irlos_pipe.stages.model.light_path import pooled_images, psf_settings, used_in_time_order
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """A ramp ready for estimation.
+
+    Attributes
+    ----------
+    recordings : list of Recording
+        Used frames only, in order of time.
+    data : RampData
+        All frames one after the other.
+    names, frame : list
+        Recording and frame number within it of every frame of `data`.
+    commanded_nm : ndarray, (frames,)
+        Defocus that the focus stage was told to introduce, which `data` has unless the model knows better.
+    """
+
+    recordings: list[Recording]
+    data: RampData
+    names: list[str]
+    frame: list[int]
+    commanded_nm: np.ndarray
+
+    @property
+    def acquisition(self) -> Acquisition:
+        """How the ramp was taken."""
+        return self.recordings[0].acquisition
+
+
+def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
+    """All used frames of a recipe input, in order of time."""
+    recordings = used_in_time_order(ctx.products["ingest"], input_name)
+    introduced_nm = np.concatenate([r.introduced_defocus_nm for r in recordings]).astype(float)
+    images_e, pixel_mask, noise = pooled_images(recordings)
+    listed = good_pixels(model_effects(ctx.instrument, ctx.model, recordings[0]), recordings[0].window)
+    data = RampData(images_e, pixel_mask & torch.as_tensor(listed), noise, introduced_nm)
+    names = [r.name for r in recordings for _ in range(r.frames)]
+    return Ramp(recordings, data, names, [i for r in recordings for i in range(r.frames)], introduced_nm)
+
+
+def calibrated_ncpa_nm(ctx: StageContext) -> dict[int, float]:
+    """Every estimated mode of the stage `calibrate`, without what the effects that it hands on hold."""
+    if "calibrate" not in ctx.products:
+        raise ConfigurationError(
+            "lift.calibrated needs the stage `calibrate` before it; "
+            "add it to the recipe, or set lift.calibrated=false"
+        )
+    arrays = ctx.products["calibrate"].arrays
+    return {int(n): float(v) for n, v in zip(arrays["noll"].value, arrays["modes_nm"].value, strict=True)}
+
+
+def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: dict[int, float]) -> PsfModel:
+    """PSF model of the ramp, NCPAs added to the diversity."""
+    settings = psf_settings(ctx.instrument, ctx.model, ramp.recordings[0], ncpa_nm)
+    return PsfModel(frame_settings(settings), nolls, device=ctx.device)
+
+
+def effects_for_lift(
+    ctx: StageContext,
+    recording: Recording,
+    halo: str,
+    object_sigma_mas: str | float,
+    *,
+    calibrated: bool = True,
+) -> list[Effect | Pinned]:
+    """Effects for LIFT, see `ramp_effects`; a drift belongs to the recording in which it was measured.
+
+    Parameters
+    ----------
+    calibrated : bool
+        False leaves effects out that are a part of the NCPAs.
+    """
+    available = image_effects(model_effects(ctx.instrument, ctx.model, recording))
+    available = [e for e in available if e.place != "time" and (calibrated or not e.aberration)]
+    return ramp_effects(available, _known(ctx, recording), halo, object_sigma_mas)
+
+
+def _known(ctx: StageContext, recording: Recording) -> dict[str, Pinned]:
+    """Effects as the calibration found them; none without a calibration."""
+    if "calibrate" not in ctx.products:
+        return {}
+    product = ctx.products["calibrate"]
+    return calibrated_effects(product, ctx.instrument, ctx.model, recording, product.results["seeing_arcsec"])
+
+
+def ramp_start(
+    ctx: StageContext, model: PsfModel, ramp: Ramp, ncpa_nm: dict[int, float], start: str
+) -> torch.Tensor:
+    """Start of every frame: the elongation prior, a scan of defocus, what the stage was told, or zero."""
+    if start == "scan":
+        return scan_start_nm(model, ramp.data.images_e, ramp.data.pixel_mask)
+    defocus = ramp.commanded_nm if start == "told" else np.zeros(len(ramp.names))
+    if start == "elongation" and "prior" in ctx.products:
+        defocus = np.array(ctx.products["prior"].arrays["defocus_nm"].value, float) - ncpa_nm.get(4, 0.0)
+    return start_from_defocus(model, ramp.data, defocus)

@@ -1,0 +1,1 @@
+"""The recipe's section `model`: the light path and effects that stages fit."""

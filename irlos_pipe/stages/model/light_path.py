@@ -1,0 +1,126 @@
+"""From a recipe and a recording to the PSF model's settings, and recordings that belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.frames.recording import Acquisition, Recording
+from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.optics.propagate import require_resolved
+from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.optics.structure import ResidualBand
+from irlos_pipe.product.product import Product
+from irlos_pipe.stages.ingest.recordings import recordings_from_product
+from irlos_pipe.stages.model.section import ModelConfig
+
+DEFAULT_SEEING_ARCSEC = 0.8
+SETUP_KEYS = {key: key for key in ("pixel_scale_mas", "spectrum", "diversity")}
+
+
+def psf_settings(
+    instrument: Instrument, model: ModelConfig, recording: Recording, ncpa_nm: dict[int, float] | None = None
+) -> PsfSettings:
+    """Settings of the PSF model for one recording; `ncpa_nm` is added to the diversity.
+
+    Raises
+    ------
+    ConfigurationError
+        If the pupil is sampled too coarsely for the window.
+    InputDataError
+        If the image is that of one lenslet: the model is that of the full pupil.
+    """
+    acquisition = recording.acquisition
+    if acquisition.subaperture:
+        raise InputDataError(
+            f"{recording.name}: image {acquisition.subaperture} of a 2x2 mode ({acquisition.mode}); "
+            "calibration and LIFT need full-pupil recordings"
+        )
+    _require_samples(instrument, model, recording)
+    diversity = dict(acquisition.diversity)
+    for noll, value in (ncpa_nm or {}).items():
+        diversity[noll] = diversity.get(noll, 0.0) + value
+    return PsfSettings(
+        instrument.pupil,
+        recording.window,
+        acquisition.pixel_scale_mas,
+        acquisition.spectrum,
+        diversity,
+        model.pupil_samples,
+    )
+
+
+def _require_samples(instrument: Instrument, model: ModelConfig, recording: Recording) -> None:
+    """Turn the model's refusal of a wide window into an error of the recipe."""
+    acquisition, step_m = recording.acquisition, instrument.pupil.diameter_m / model.pupil_samples
+    shortest_m = min(wavelength_nm for wavelength_nm, _ in acquisition.spectrum) * 1e-9
+    try:
+        require_resolved(max(recording.window), acquisition.pixel_scale_mas, shortest_m, step_m)
+    except ValueError as problem:
+        raise ConfigurationError(
+            f"{recording.name}: model.pupil_samples {model.pupil_samples}: {problem}"
+        ) from None
+
+
+def residual_band(instrument: Instrument, model: ModelConfig) -> ResidualBand:
+    """Spatial frequencies of the AO residual; below 1/D there is only tip and tilt."""
+    return ResidualBand(1 / instrument.pupil.diameter_m, model.cutoff_per_m, model.outer_scale_m)
+
+
+def seeing_arcsec(acquisition: Acquisition) -> float:
+    """Seeing of a recording, or a typical one where it is not known."""
+    return acquisition.seeing_arcsec or DEFAULT_SEEING_ARCSEC
+
+
+# -- recordings that belong together -----------------------------------------------------------
+
+
+def require_one_setup(recordings: Sequence[Recording]) -> None:
+    """Raise InputDataError unless all recordings share window, pixel scale, spectrum and diversity."""
+    for other in recordings[1:]:
+        differing = differences(recordings[0], other, SETUP_KEYS)
+        if differing:
+            raise InputDataError(
+                f"{other.name}: {', '.join(differing)} differ from those of {recordings[0].name}; "
+                "reduce recordings of different set-ups separately"
+            )
+
+
+def differences(one: Recording, other: Recording, words: Mapping[str, str]) -> list[str]:
+    """What differs between two recordings, in `words` for numbers of the acquisition, or the window."""
+    here, there = one.acquisition, other.acquisition
+    differing = [said for key, said in words.items() if getattr(here, key) != getattr(there, key)]
+    return differing if one.window == other.window else [*differing, "window"]
+
+
+def used_in_time_order(ingest: Product, input_name: str) -> list[Recording]:
+    """Used frames of a recipe input's recordings, which must share one set-up, in order of time."""
+    recordings = [r.accepted() for r in in_time_order(recordings_from_product(ingest, input_name))]
+    require_one_setup(recordings)
+    return recordings
+
+
+def pooled_images(recordings: Sequence[Recording]) -> tuple[torch.Tensor, torch.Tensor, NoiseModel]:
+    """Frames of all recordings one after the other, pixels good in all of them, and their noise."""
+    return (
+        torch.as_tensor(_joined([r.images_e for r in recordings])),
+        torch.as_tensor(np.all([r.pixel_mask for r in recordings], axis=0)),
+        NoiseModel.of(recordings[0]),
+    )
+
+
+def _joined(images: Sequence[np.ndarray]) -> np.ndarray:
+    """Images one after the other; those of a single recording are not copied."""
+    return images[0] if len(images) == 1 else np.concatenate(images)
+
+
+def in_time_order(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings by time of their first frame where all have one, else in the order given."""
+    starts = [recording.start_unix_s for recording in recordings]
+    return (
+        sorted(recordings, key=lambda r: r.start_unix_s) if np.all(np.isfinite(starts)) else list(recordings)
+    )

@@ -1,0 +1,40 @@
+"""The `model:` section of a recipe: the PSF model that calibrate, lift, sensitivity and correct share."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from irlos_pipe.stages.model.effect_entry import EffectEntry
+
+
+class ModelConfig(BaseModel):
+    """What the PSF model contains.
+
+    An effect is named to be estimated (``seeing_halo``), given with its parameters to be held at them
+    (``tip_tilt_jitter: {sigma_mas: 8}``), or to be estimated from there (the same and ``fit: true``).
+    Some have options besides (``vibration: {shape: gaussian}``).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    effects: tuple[Annotated[Any, Field()], ...] = Field(
+        ("seeing_halo", "tip_tilt_jitter"),
+        description="effects beyond the static wavefront, by name, or {name: {parameter: value}} to fix one",
+    )
+    pupil_samples: int = Field(128, ge=48, le=512, description="samples across the pupil diameter")
+    cutoff_per_m: float = Field(2.5, gt=0, le=5, description="AO cut-off, 1/(2 actuator pitch) [1/m]")
+    outer_scale_m: float = Field(25.0, gt=1, le=1000, description="outer scale of the turbulence [m]")
+
+    @field_validator("effects", mode="after")
+    @classmethod
+    def _known_effects(cls, effects: tuple) -> tuple:
+        names = [EffectEntry.of(entry).name for entry in effects]
+        if len(set(names)) != len(names):
+            raise ValueError("an effect is listed twice")
+        return effects
+
+    def entries(self) -> list[EffectEntry]:
+        """The effects one by one."""
+        return [EffectEntry.of(entry) for entry in self.effects]

@@ -1,0 +1,222 @@
+"""The command line: options, exit codes, and what goes to which stream."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import invoke, products
+from filelock import FileLock
+from helpers.paths import REPOSITORY
+
+from irlos_pipe.product.product import read_product
+
+
+def test_the_help_teaches_by_examples_and_exit_codes():
+    for arguments in ([], ["run"]):
+        text = invoke(*arguments, "--help").stdout
+        assert "irlos run recipes/full_reduction.yaml --output demo" in text
+        assert "75" in text and "in use by another run" in text
+
+
+@pytest.mark.parametrize(
+    "command", ["run", "validate", "status", "show", "report", "export", "score", "simulate"]
+)
+def test_every_command_has_an_example(command):
+    result = invoke(command, "--help")
+    assert result.exit_code == 0 and f"irlos {command} " in result.stdout
+
+
+def test_the_help_does_not_wait_for_pytorch():
+    code = (
+        "import sys; sys.argv = ['irlos', '--help']; import irlos_pipe.commands.main as c\n"
+        "try: c.cli()\nexcept SystemExit: sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, cwd=REPOSITORY).returncode == 0
+
+
+def test_a_run_ends_with_a_table_and_the_path_of_the_report(bench):
+    result = bench.run()
+    assert result.exit_code == 0
+    assert result.stdout.splitlines() == [
+        "ingest     2 files",
+        "calibrate  mean 4 ADU",
+        "QC         1 of 1 checks passed",
+        f"report     {bench.output / 'report.html'}",
+    ]
+    assert "irlos: lift: no product yet" in result.stderr.splitlines()
+
+
+def test_a_run_that_is_up_to_date_prints_the_same_table(bench):
+    first, second = bench.run(), bench.run()
+    assert second.exit_code == 0 and second.stdout == first.stdout
+    expected = [f"irlos: {name}: up to date" for name in ("ingest", "calibrate", "lift")]
+    assert second.stderr.splitlines() == expected
+
+
+def test_a_redo_is_explained_on_the_terminal(bench):
+    bench.run()
+    lines = bench.run("--set", "calibrate.method=dip_global").stderr.splitlines()
+    assert "irlos: calibrate: redone because calibrate.method changed dip_avg -> dip_global" in lines
+
+
+def test_json_is_all_that_goes_to_stdout(bench):
+    result = bench.run("--json")
+    assert json.loads(result.stdout) == json.loads((bench.output / "results.json").read_text())
+
+
+def test_quiet_says_nothing_when_all_is_well(bench):
+    result = bench.run("-q")
+    assert (result.exit_code, result.stdout, result.stderr) == (0, "", "")
+
+
+def test_verbose_shows_what_the_stages_say(bench):
+    assert "irlos: read 2 files" in bench.run("-v").stderr.splitlines()
+
+
+def test_a_dry_run_prints_the_plan_and_touches_nothing(bench):
+    result = bench.run("--dry-run", "--to", "calibrate")
+    assert result.exit_code == 0 and not bench.output.exists()
+    first, _, last = result.stdout.splitlines()
+    assert first.split() == ["ingest", "run", "no", "product", "yet"] and "not selected" in last
+
+
+def test_a_dry_run_can_be_read_by_scripts(bench):
+    bench.run()
+    plan = json.loads(bench.run("--dry-run", "--json", "--force", "--from", "lift").stdout)
+    assert [(step["stage"], step["action"]) for step in plan] == [
+        ("ingest", "use as it is"),
+        ("calibrate", "use as it is"),
+        ("lift", "run"),
+    ]
+
+
+def test_the_seed_and_the_input_options_reach_the_stages(bench):
+    bench.run("--seed", "5", "--input", f"cube={bench.data}")
+    expected = np.random.default_rng(5).normal(size=3)
+    assert np.array_equal(read_product(bench.output / "03_lift.h5").arrays["draws"].value, expected)
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "code"),
+    [
+        ("calibrate.crash", 1),
+        ("calibrate.disk_full", 1),
+        ("calibrate.bad_data", 3),
+        ("calibrate.missing_file", 3),
+        ("calibrate.fail_qc", 4),
+        ("calibrate.lose_exposure", 5),
+        ("ingest.nothing", 64),
+        ("calibrate.interrupt", 130),
+    ],
+)
+def test_each_kind_of_failure_has_its_exit_code(bench, behaviour, code):
+    bench.make(behaviour)
+    result = bench.run("-q")
+    assert result.exit_code == code
+    assert len(result.stderr.splitlines()) == (code not in (4, 5))
+
+
+def test_wrong_configuration_exits_with_2_and_one_line_per_mistake(bench):
+    result = bench.run("--set", "calibrate.methd=1", "--set", "sed=1")
+    assert result.exit_code == 2 and not bench.output.exists()
+    assert result.stderr.splitlines() == [
+        "irlos: error: --set calibrate.methd: unknown key 'calibrate.methd'; did you mean 'method'?",
+        "irlos: error: --set sed: unknown key 'sed'; did you mean 'seed'?",
+    ]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["run"],
+        ["rn"],
+        ["run", "x.yaml", "--output", "o", "--jobs", "0"],
+        ["run", "x.yaml", "--output", "o", "-v", "-q"],
+        ["run", "x.yaml", "--output", "o", "--device", "tpu"],
+    ],
+)
+def test_wrong_usage_exits_with_2(arguments):
+    assert invoke(*arguments).exit_code == 2
+
+
+def test_a_missing_cuda_device_is_told(bench, monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    result = invoke("run", str(bench.recipe), "--output", str(bench.output), "--device", "cuda")
+    assert result.exit_code == 2 and "finds no CUDA device" in result.stderr
+
+
+def test_a_folder_in_use_exits_with_75(bench):
+    bench.output.mkdir()
+    with FileLock(bench.output / ".lock"):
+        result = bench.run()
+    assert result.exit_code == 75 and "in use by another run" in result.stderr
+    assert products(bench.output) == [] and bench.run().exit_code == 0
+
+
+def test_an_output_that_cannot_be_made_exits_with_1_and_one_line(bench):
+    (bench.folder / "file").touch()
+    result = bench.run("--output", str(bench.folder / "file" / "out"))
+    assert result.exit_code == 1 and len(result.stderr.splitlines()) == 1
+    assert "cannot be written" in result.stderr
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_an_input_without_permission_exits_with_3(bench):
+    (bench.data / "a.dat").chmod(0)
+    result = bench.run()
+    assert result.exit_code == 3 and "Permission denied" in result.stderr
+
+
+def test_validate_tells_a_valid_recipe(bench):
+    result = invoke("validate", str(bench.recipe))
+    assert result.exit_code == 0 and "is valid: ingest, calibrate, lift" in result.stdout
+
+
+def test_validate_tells_a_wrong_recipe_with_2(bench):
+    bench.recipe.write_text("recipe: x\n")
+    result = invoke("validate", str(bench.recipe))
+    assert result.exit_code == 2 and "key 'stages' is missing" in result.stderr
+
+
+def test_status_says_what_is_up_to_date_and_why_the_rest_is_not(bench):
+    bench.run()
+    (bench.data / "a.dat").write_bytes(b"1")
+    (bench.output / "03_lift.h5").unlink()
+    lines = invoke("status", str(bench.output)).stdout.splitlines()
+    assert lines[1].startswith("01_ingest.h5") and "outdated: input file cube/data/a.dat changed" in lines[1]
+    assert lines[3].startswith("03_lift.h5") and "no product yet" in lines[3]
+
+
+def test_status_still_lists_the_products_when_the_inputs_are_gone(bench):
+    bench.run()
+    bench.data.rename(bench.folder / "moved")
+    lines = invoke("status", str(bench.output)).stdout.splitlines()
+    assert len(lines) == 4 and "cannot be checked" in lines[1] and "no such file" in lines[1]
+
+
+@pytest.mark.parametrize("command", ["status", "report"])
+def test_a_folder_without_a_run_is_told(tmp_path, command):
+    result = invoke(command, str(tmp_path))
+    assert result.exit_code == 3 and "not the folder of a run" in result.stderr
+
+
+def test_show_tells_arrays_units_results_checks_and_origin(bench):
+    bench.run()
+    text = invoke("show", str(bench.output / "02_calibrate.h5")).stdout
+    for part in ("mean  scalar  float64  ADU", "method: dip_avg", "passed  mean = 4 ADU", "iterations: 20"):
+        assert part in text
+
+
+def test_show_tells_a_wrong_file_in_one_line(bench):
+    result = invoke("show", str(bench.recipe))
+    assert result.exit_code == 3 and len(result.stderr.splitlines()) == 1
+
+
+def test_the_report_can_be_built_again(bench):
+    bench.run()
+    report = bench.output / "report.html"
+    report.unlink()
+    assert invoke("report", str(bench.output)).stdout.strip() == str(report) and report.is_file()

@@ -1,0 +1,171 @@
+"""`irlos night` as its user, or cron, meets it; work is done in this process by stand-in stages."""
+
+import json
+
+import pytest
+from conftest import invoke
+from helpers import night_bench
+
+from irlos_pipe.night import local
+from irlos_pipe.product.runfolder import owned_folder
+
+MORNING = "2024-02-11T03:00:00"
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch) -> night_bench.NightBench:
+    night_bench.without_drawings(monkeypatch)
+    monkeypatch.setattr(local, "local_runner", lambda jobs: map)
+    return night_bench.make(tmp_path, monkeypatch)
+
+
+def night(bench, *options: str):
+    recipes = [option for recipe in bench.recipes for option in ("--recipe", recipe)]
+    return invoke("night", str(bench.archive), "--output", str(bench.tree), *recipes, *options)
+
+
+def test_nothing_is_said_when_all_is_well(bench):
+    bench.record(MORNING)
+    for _ in range(2):
+        result = night(bench)
+        assert (result.exit_code, result.output) == (0, "")
+
+
+def test_one_line_says_what_is_wrong_and_where_to_look(bench):
+    (bench.record(MORNING) / "ingest.bad").touch()
+    bench.record("2024-02-11T04:00:00", "other", {"4": 500.0})
+    result = night(bench)
+    assert (result.exit_code, result.stdout) == (5, "")
+    assert result.stderr == (
+        "irlos: error: night 2024-02-10: 2024-02-10/030000_cube/cube: ingest: no star "
+        f"(and 1 more); see {bench.tree}/night_2024-02-10.html\n"
+    )
+
+
+def test_several_nights_that_need_a_look_are_told_in_one_line_too(bench):
+    for day in (11, 12, 13):
+        bench.record(f"2024-02-{day}T03:00:00", numbers={"4": 500.0 if day < 13 else 5.0})
+    result = night(bench)
+    assert result.exit_code == 4
+    assert result.stderr == (
+        f"irlos: error: 2 of 3 nights need a look (2024-02-10, 2024-02-11); see {bench.tree}/night_*.html\n"
+    )
+
+
+def test_an_empty_night_is_64_silent_for_cron_and_told_with_v(bench):
+    result = night(bench)
+    assert (result.exit_code, result.output) == (64, "")
+    assert len(list(bench.tree.glob("night_*.html"))) == 1
+    assert night(bench, "-v").stderr == f"irlos: error: {bench.archive}: no recordings\n"
+
+
+def test_a_tree_in_use_is_75(bench):
+    bench.record(MORNING)
+    with owned_folder(bench.tree):
+        result = night(bench)
+    assert result.exit_code == 75 and "in use by another run" in result.stderr
+
+
+def test_verbose_tells_what_was_done(bench):
+    bench.record(MORNING)
+    result = night(bench, "-v")
+    assert result.stdout.splitlines()[0].split() == ["2024-02-10", "030000_cube/cube", "ok", "new"]
+    assert "1 of 1: 2024-02-10/030000_cube/cube: new in" in result.stderr
+
+
+def test_a_dry_run_lists_stages_with_reasons_also_as_json(bench):
+    bench.record(MORNING)
+    line = night(bench, "--dry-run").stdout
+    assert line == "2024-02-10/030000_cube/cube  all stages  run  no products yet\n"
+    assert not bench.tree.exists()
+    night(bench)
+    told = json.loads(night(bench, "--dry-run", "--json").stdout)
+    assert [(one["stage"], one["action"]) for one in told] == [
+        ("ingest", "skip"),
+        ("calibrate", "skip"),
+        ("lift", "skip"),
+    ]
+
+
+def test_a_dry_run_names_what_it_could_not_reduce(bench):
+    bench.record(MORNING)
+    damaged = bench.record("2024-02-11T04:00:00", "torn") / "torn.fits"
+    damaged.write_bytes(damaged.read_bytes()[:3000])
+    rows = json.loads(night(bench, "--dry-run", "--json").stdout)
+    assert [row["run"] for row in rows] == ["2024-02-10/030000_cube/cube", "left out"]
+    assert "torn.fits" in rows[-1]["reason"] and "torn.fits" in night(bench, "--dry-run").stdout
+
+
+def test_json_tells_of_an_empty_night_too(bench):
+    bench.archive.mkdir(exist_ok=True)
+    for options in ([], ["--dry-run"]):
+        result = night(bench, "--json", *options)
+        told = json.loads(result.stdout)
+        assert result.exit_code == told["exit_code"] == 64
+        assert told["nights"] == [] and "no recordings" in told["nothing"]
+
+
+def test_json_tells_every_reduction_and_the_code(bench):
+    bench.record(MORNING)
+    told = json.loads(night(bench, "--json").stdout)
+    assert told["exit_code"] == 0 and told["nights"][0]["recordings"] == 1
+    assert told["nights"][0]["reductions"][0]["name"] == "2024-02-10/030000_cube/cube"
+
+
+def config(bench, text: str) -> str:
+    path = bench.folder / "night.yaml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_a_config_names_recipes_beside_it_and_changes_their_settings(bench):
+    bench.record(MORNING, numbers={"4": 500.0})
+    text = "recipes: {calibration: [cube.yaml], ramp: []}\nsettings: {cube: {calibrate.limit: 600}}\n"
+    arguments = ("night", str(bench.archive), "--output", str(bench.tree), "--config", config(bench, text))
+    assert invoke(*arguments).exit_code == 0
+    recipe = bench.run_folder() / "recipe.resolved.yaml"
+    assert "limit: 600.0" in recipe.read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("recipes: {calibraton: []}", "night.yaml:1: recipes.calibraton"),
+        ("recepes: {}", "night.yaml:1: unknown key 'recepes'; did you mean 'recipes'?"),
+        ("settings: {cub: {}}", "settings.cub: no such recipe"),
+        ("band: {false_alarm: 2}", "night.yaml:1: band.false_alarm"),
+        ("settings: {cube: {calibrate.limt: 1}}", "unknown key 'calibrate.limt'; did you mean 'limit'?"),
+    ],
+)
+def test_a_mistake_in_the_config_is_told_with_its_place(bench, text, told):
+    bench.record(MORNING)
+    result = night(bench, "--config", config(bench, text))
+    assert result.exit_code == 2 and told in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("recipe", "told"),
+    [
+        ("cube.yaml", "expected KIND=PATH"),
+        ("rmp=cube.yaml", "no such kind of group; did you mean 'ramp'?"),
+        ("calibration=absent.yaml", "absent.yaml: cannot be read"),
+    ],
+)
+def test_a_mistake_in_a_recipe_option_is_told_in_one_line(bench, recipe, told):
+    bench.record(MORNING)
+    result = invoke("night", str(bench.archive), "--output", str(bench.tree), "--recipe", recipe)
+    assert result.exit_code == 2 and told in result.stderr and result.stderr.count("\n") == 1
+
+
+def test_a_recipe_that_wants_what_its_group_does_not_have_is_refused(bench):
+    bench.record(MORNING)
+    result = night(bench, "--recipe", f"calibration={bench.folder / 'ramp.yaml'}")
+    assert result.exit_code == 2
+    assert "wants input 'ramp'; a group of kind 'calibration' offers" in result.stderr
+
+
+def test_the_help_shows_how_to_begin():
+    text = invoke("night", "--help").output
+    assert "irlos night /data/irlos/2024-02-10 --output /data/reduced" in text
+    assert "trend.sqlite" in text
+    assert "irlos trend" in invoke("trend", "--help").output

@@ -1,0 +1,56 @@
+"""Diagnoses of cubes whose images HCIPy made (independent code), with something hidden in them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.diagnose_cases import COMPANION, TRUE_NM, diagnosis_of
+
+from irlos_pipe.diagnose.sentence import sentence
+
+
+def error_nm(diagnosis, which: int) -> float:
+    """Error of the NCPAs before (0) or after (1)."""
+    true = np.array([TRUE_NM[noll] for noll in diagnosis.nolls])
+    return float(np.linalg.norm(diagnosis.modes_nm[which] - true))
+
+
+def test_a_clean_cube_has_nothing_missing():
+    diagnosis = diagnosis_of("plain")
+    assert diagnosis.verdict == "none"
+    assert abs(diagnosis.excess_sigma[0]) < 4
+    assert diagnosis.gap.before < 1.2 * diagnosis.gap.floor
+
+
+def test_what_the_free_modes_absorb_is_called_untestable_not_absent():
+    diagnosis = diagnosis_of("plain")
+    assert "diversity_error" in diagnosis.untestable  # Noll 6 is estimated
+    assert "atmospheric_dispersion" in diagnosis.untestable  # one wavelength
+    assert not set(diagnosis.mdb) & set(diagnosis.untestable)
+
+
+def test_a_second_source_is_named_with_its_size():
+    (step,) = diagnosis_of("companion").steps
+    assert step.name == "companion"
+    assert step.alternatives == []
+    x, y = (9.7 * COMPANION[key] for key in ("x_px", "y_px"))
+    true = {"flux_ratio": 0.03, "sep_mas": np.hypot(x, y), "pa_deg": np.rad2deg(np.arctan2(y, x)) % 360}
+    for key, value in true.items():
+        assert step.public[key] == pytest.approx(value, abs=4 * step.sigma[key] + 1e-3 * value)
+
+
+def test_the_ncpas_improve_and_the_held_out_gap_closes_with_the_name():
+    diagnosis = diagnosis_of("companion")
+    assert error_nm(diagnosis, 1) < error_nm(diagnosis, 0) / 5
+    assert diagnosis.gap.shrink > 0.95
+
+
+def test_the_sentence_says_what_and_how_much():
+    assert sentence(diagnosis_of("companion")).startswith("The images want a second source of 3.0")
+
+
+def test_an_opaque_spot_which_the_catalogue_lacks_gets_no_name():
+    diagnosis = diagnosis_of("spot")
+    assert diagnosis.verdict == "unknown"
+    assert diagnosis.steps == []
+    assert diagnosis.why_unknown

@@ -1,0 +1,110 @@
+"""Calibration with effects in the model. Truth: HCIPy images with the effect put in there (independent code)
+and photon noise; Zernike coefficients of the whole wavefront by least squares on HCIPy's pupil."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.effect_cases import CONDITIONS, STRONG
+from helpers.optics_cases import (
+    DIVERSITY,
+    MAS_RAD,
+    NARROW_H,
+    READ_NOISE,
+    SCALE_MAS,
+    draw_frames,
+    everything,
+    ncpa_nm,
+    settings,
+)
+from helpers.reference_psf import reference
+from test_effects_images import petal_of, xy_m
+
+from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
+from irlos_pipe.estimate.cube import Frames
+
+WINDOW, LAST, FLUX_E, COUNT = (40, 40), 21, 1e6, 12
+SAMPLES = 512  # of HCIPy's pupil; noise is more than what more would change
+NCPA_NM = ncpa_nm(11, LAST, 80.0)
+TILT_NM_PER_MAS = MAS_RAD * 8.0 / 4 * 1e9
+
+
+def hcipy_image(extra_nm: np.ndarray | float = 0.0) -> np.ndarray:
+    total = {n: NCPA_NM.get(n, 0.0) + DIVERSITY.get(n, 0.0) for n in {*NCPA_NM, *DIVERSITY}}
+    imager = reference(SAMPLES)
+    return imager.image(imager.opd_nm(total) + extra_nm, NARROW_H[0][0], WINDOW, SCALE_MAS)
+
+
+def calibrated(means: np.ndarray, *names: str, **options) -> Calibration:
+    """Calibration of noisy frames about the means (rows, columns), or (frames, rows, columns)."""
+    images = draw_frames(np.asarray(means) * FLUX_E, COUNT, seed=4)
+    effects = [CATALOGUE[name].under(CONDITIONS, **options) for name in names]
+    choice = CalibrationOptions(highest_noll=LAST)
+    return calibrate(Frames(images, everything(images), READ_NOISE), settings(WINDOW), choice, effects)
+
+
+def error_nm(result: Calibration, true_nm: dict[int, float]) -> float:
+    return float(np.linalg.norm(result.zernike_nm - [true_nm[noll] for noll in result.nolls]))
+
+
+def modes_of(opd_nm: np.ndarray) -> dict[int, float]:
+    """Least-squares coefficients over the pupil, piston fitted along."""
+    imager = reference(SAMPLES)
+    basis = np.stack([imager.opd_nm({noll: 1.0}) for noll in range(1, LAST + 1)])
+    weight = imager.transmission
+    solution = np.linalg.solve((basis * weight) @ basis.T, (basis * weight) @ opd_nm)
+    return dict(zip(range(2, LAST + 1), solution[1:], strict=True))
+
+
+def test_a_companion_anywhere_in_the_window_is_found_by_name_and_no_longer_spoils_the_ncpas():
+    x, y = (110.0 * f(np.deg2rad(220.0)) * TILT_NM_PER_MAS for f in (np.cos, np.sin))
+    image = (hcipy_image() + 0.05 * hcipy_image(reference(SAMPLES).opd_nm({2: x, 3: y}))) / 1.05
+    without, found = calibrated(image), calibrated(image, "companion")
+    true = {"flux_ratio": 0.05, "sep_mas": 110, "pa_deg": 220}
+    assert found.effects["companion"] == pytest.approx(true, rel=0.01)
+    assert error_nm(found, NCPA_NM) < 1.0 < 5.0 < error_nm(without, NCPA_NM)
+    assert found.chi2_nu < 1.3 < 10 < without.chi2_nu
+
+
+def test_with_petals_in_the_model_the_modes_are_those_of_the_whole_wavefront():
+    (x, y), effect = xy_m(SAMPLES), STRONG["low_wind_effect"]
+    piston, tip, tilt = (0.5 * np.array(effect[key])[petal_of(x, y)] for key in effect)
+    petals_nm = piston + 2 / 4.0 * (tip * x + tilt * y)
+    added = modes_of(petals_nm)
+    true_nm = {noll: NCPA_NM[noll] + added[noll] for noll in added}
+    result = calibrated(hcipy_image(petals_nm), "low_wind_effect")
+    assert error_nm(result, true_nm) < 1.5
+    assert error_nm(result, NCPA_NM) > 20
+    assert result.chi2_nu < 1.3
+    assert np.linalg.norm(result.modes_nm - result.zernike_nm) > 20
+
+
+def test_a_bump_is_found_and_counted_with_the_modes():
+    x, y = xy_m(SAMPLES)
+    bump_nm = 200.0 * np.exp(-((x + 1.5) ** 2 + (y - 2.0) ** 2) / (2 * 0.4**2))
+    added = modes_of(bump_nm)
+    result = calibrated(hcipy_image(bump_nm), "phase_bump")
+    told = result.effects["phase_bump"]
+    true = {"nm": 200, "x_m": -1.5, "y_m": 2.0, "width_m": 0.4}
+    assert told == pytest.approx(true, rel=0.05)
+    assert error_nm(result, {noll: NCPA_NM[noll] + added[noll] for noll in added}) < 2.0
+
+
+def test_a_drift_is_measured_in_the_frames_with_its_sign():
+    drift_nm = {4: -60.0, 7: 40.0}
+    change = reference(SAMPLES).opd_nm(drift_nm)
+    means = [hcipy_image(t * change) for t in np.linspace(-0.5, 0.5, COUNT)]
+    result = calibrated(means, "ncpa_drift", nolls=[4, 7, 8])
+    found = result.effects["ncpa_drift"]["zernike_nm"]
+    assert [found[n] for n in ("4", "7", "8")] == pytest.approx([-60, 40, 0], abs=4)
+    assert error_nm(result, NCPA_NM) < 1.5
+
+
+@pytest.mark.parametrize("name", ["companion", "phase_bump", "vibration"])
+def test_what_is_not_there_is_not_found(name):
+    result = calibrated(hcipy_image(), name)
+    size = {"companion": ("flux_ratio", 2e-3), "phase_bump": ("nm", 10.0), "vibration": ("sigma_mas", 1.5)}
+    key, limit = size[name]
+    assert abs(result.effects[name][key]) < limit
+    assert error_nm(result, NCPA_NM) < 1.5

@@ -1,0 +1,122 @@
+"""Detector effects, and what effects tell about themselves. Truth: sums over kernels by scipy, analysis."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from helpers.effect_cases import CONDITIONS, STRONG, made
+from scipy.ndimage import convolve
+from scipy.special import j0
+
+from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects.bessel import j0_of_twice_root
+from irlos_pipe.effects.pixels import BadPixels, DetectorNonlinearity
+
+CONTRACT = {
+    "tip_tilt_jitter", "vibration", "seeing_halo", "atmospheric_dispersion", "spectrum", "plate_scale",
+    "diversity_error", "pupil_misregistration", "amplitude_aberration", "low_wind_effect", "high_order_ncpa",
+    "phase_bump", "ncpa_drift", "companion", "interpixel_crosstalk", "detector_nonlinearity",
+    "background_gradient", "bad_pixels", "focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale",
+}  # fmt: skip
+
+
+@pytest.fixture
+def images() -> np.ndarray:
+    return np.random.default_rng(3).uniform(10, 1000, (2, 12, 9))
+
+
+def through(name: str, images: np.ndarray) -> np.ndarray:
+    effect, values = made(name)
+    return effect.apply(values, torch.as_tensor(images)).numpy()
+
+
+def test_crosstalk_gives_each_neighbour_a_quarter_of_what_leaves_a_pixel(images):
+    kernel = np.array([[0, 0.02, 0], [0.02, 0.92, 0.02], [0, 0.02, 0]])
+    expected = [convolve(image, kernel, mode="nearest") for image in images]
+    assert through("interpixel_crosstalk", images) == pytest.approx(np.array(expected))
+
+
+def test_crosstalk_leaves_a_flat_image_flat():
+    flat = np.full((1, 5, 6), 100.0)
+    assert through("interpixel_crosstalk", flat) == pytest.approx(flat)
+
+
+def test_nonlinearity_takes_its_fraction_at_the_peak_and_its_square_below(images):
+    expected = [image * (1 - 0.06 * image / image.max()) for image in images]
+    assert through("detector_nonlinearity", images) == pytest.approx(np.array(expected))
+
+
+def test_nonlinearity_stated_at_a_known_signal_does_not_depend_on_the_image(images):
+    effect = DetectorNonlinearity(peak_e=2000.0)
+    bent = effect.apply(torch.tensor([0.1]).double(), torch.as_tensor(images)).numpy()
+    assert bent == pytest.approx(images * (1 - 0.1 * images / 2000))
+
+
+def test_a_gradient_rises_towards_its_angle_and_averages_out(images):
+    added = through("background_gradient", images)[0] - images[0]
+    assert added.mean() == pytest.approx(0, abs=1e-12)
+    assert added[0, 1] - added[0, 0] == pytest.approx(4 * np.cos(np.deg2rad(30)))
+    assert added[1, 0] - added[0, 0] == pytest.approx(4 * np.sin(np.deg2rad(30)))
+
+
+def test_bad_pixels_are_masked_or_have_an_offset_of_their_own(images):
+    effect = BadPixels([(4, 7), (2, 0)])
+    assert np.argwhere(~effect.mask((12, 9))).tolist() == [[2, 0], [4, 7]]
+    added = effect.apply(torch.tensor([50.0, -30.0]).double(), torch.as_tensor(images)).numpy() - images
+    assert (added[:, 4, 7], added[:, 2, 0]) == (pytest.approx([50, 50]), pytest.approx([-30, -30]))
+    assert np.count_nonzero(np.abs(added) > 1e-9) == 4
+
+
+def test_bad_pixels_outside_the_window_are_refused():
+    with pytest.raises(ValueError, match="outside the window of 36 x 33"):
+        BadPixels.under(CONDITIONS, pixels=[[36, 0]])
+
+
+@pytest.mark.parametrize("largest", [1e-6, 1.0, 60.0])
+def test_the_bessel_factor_and_its_slope_are_those_of_scipy(largest):
+    w = torch.linspace(0, largest, 7, dtype=torch.float64)
+    value, slope = torch.func.jvp(j0_of_twice_root, (w,), (torch.ones_like(w),))
+    assert value.numpy() == pytest.approx(j0(2 * np.sqrt(w.numpy())), abs=1e-6)  # of PyTorch itself
+    h = 1e-4 * largest
+    inside = w.numpy()[1:-1]
+    expected = (j0(2 * np.sqrt(inside + h)) - j0(2 * np.sqrt(inside - h))) / (2 * h)
+    assert slope.numpy()[1:-1] == pytest.approx(expected, abs=1e-5)
+    assert slope[0] == pytest.approx(-1)
+
+
+def test_the_bessel_factor_can_be_differentiated_backwards():
+    w = torch.tensor([0.0, 0.5, 3.0], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(j0_of_twice_root, w.detach()[1:].requires_grad_())
+    j0_of_twice_root(w).sum().backward()
+    assert w.grad[0] == pytest.approx(-1)
+
+
+def test_the_catalogue_has_the_names_that_others_read():
+    assert set(CATALOGUE) == CONTRACT
+
+
+@pytest.mark.parametrize("kind", CATALOGUE.values(), ids=CATALOGUE)
+def test_every_effect_says_what_it_is_what_it_looks_like_and_where_that_is_written(kind):
+    paragraph = kind.__doc__.split("\n\n", 1)[1]
+    assert len(paragraph.split()) >= 12
+    assert len(kind.look_alike) > 15
+    assert len(kind.reference) > 15
+    assert all(public.unit or public.name == "fraction" for public in kind.public)
+
+
+@pytest.mark.parametrize("name", STRONG)
+def test_public_values_survive_the_way_to_the_solver_and_back(name):
+    effect, values = made(name)
+    told = effect.describe(values.numpy())
+    for key, value in STRONG[name].items():
+        back = {int(k): v for k, v in told[key].items()} if isinstance(value, dict) else told[key]
+        assert back == pytest.approx(value) if key != "pixels" else back == value
+
+
+@pytest.mark.parametrize("name", STRONG)
+def test_starts_lie_within_bounds_and_strong_levels_are_plausible(name):
+    effect, values = made(name)
+    for parameter, value in zip(effect.parameters, values, strict=True):
+        assert parameter.lower <= parameter.start <= parameter.upper
+        assert parameter.plausible[0] <= value <= parameter.plausible[1]

@@ -1,0 +1,154 @@
+"""Images with an effect. Truth: HCIPy on a pupil grid eight times finer than the model's, the effect put in
+there by the definition of its parameters, or as a sum of HCIPy images (independent code)."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import torch
+from helpers.effect_cases import NOLLS, SPECTRUM, STRONG, WINDOW, affected, made
+from helpers.optics_cases import DIVERSITY, MAS_RAD, SCALE_MAS, ncpa_nm, settings, vector
+from helpers.reference_psf import reference
+
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.optics.psf import PsfModel
+
+STATIC_NM = ncpa_nm(6, NOLLS[-1], 100.0)
+TOTAL_NM = {noll: STATIC_NM.get(noll, 0.0) + DIVERSITY.get(noll, 0.0) for noll in {*STATIC_NM, *DIVERSITY}}
+TOLERANCE = 2e-4  # of the peak
+TILT_NM_PER_MAS = MAS_RAD * 8.0 / 4 * 1e9
+
+
+@cache
+def model() -> PsfModel:
+    return PsfModel(settings(WINDOW, SPECTRUM), NOLLS, dtype=torch.float64)
+
+
+def ours(name: str) -> np.ndarray:
+    return affected(model(), name, vector(STATIC_NM, NOLLS))[0].numpy()
+
+
+def truth(extra_nm=None, *, transmission=None, spectrum=SPECTRUM, scale_mas=SCALE_MAS) -> np.ndarray:
+    """HCIPy image with a further OPD, a function of the wavelength [nm] or a map, and another amplitude."""
+    imager, weight = reference(), sum(w for _, w in spectrum)
+    base = imager.opd_nm(TOTAL_NM)
+
+    def opd(wavelength_nm: float) -> np.ndarray:
+        extra = extra_nm(wavelength_nm) if callable(extra_nm) else extra_nm
+        return base if extra is None else base + extra
+
+    images = (imager.image(opd(nm), nm, WINDOW, scale_mas, transmission) * w / weight for nm, w in spectrum)
+    return sum(images)
+
+
+def tilt_nm(x_mas: float, y_mas: float) -> np.ndarray:
+    """OPD that moves the image."""
+    return reference().opd_nm({2: x_mas * TILT_NM_PER_MAS, 3: y_mas * TILT_NM_PER_MAS})
+
+
+def xy_m(samples: int = 1024) -> tuple[np.ndarray, np.ndarray]:
+    grid = reference(samples).grid
+    return np.asarray(grid.x), np.asarray(grid.y)
+
+
+def agree(image: np.ndarray, expected: np.ndarray) -> None:
+    """Equal within the tolerance, and the effect is much larger than that."""
+    assert np.abs(image - expected).max() <= TOLERANCE * expected.max()
+    without = model().images(vector(STATIC_NM, NOLLS))[0].numpy()
+    assert np.abs(without - expected).max() > 20 * TOLERANCE * expected.max()
+
+
+def polar(size: float, angle_deg: float) -> tuple[float, float]:
+    return size * np.cos(np.deg2rad(angle_deg)), size * np.sin(np.deg2rad(angle_deg))
+
+
+def test_a_sinusoidal_vibration_is_the_time_average_of_the_moving_image():
+    x, y = polar(np.sqrt(2) * 14.0, 35.0)
+    phases = np.cos((np.arange(8) + 0.5) * np.pi / 8)  # Gauss-Chebyshev: half a period
+    agree(ours("vibration"), np.mean([truth(tilt_nm(s * x, s * y)) for s in phases], axis=0))
+
+
+def test_dispersion_displaces_each_wavelength_in_proportion_to_its_distance_from_the_mean():
+    wavelengths, weights = np.array(SPECTRUM).T
+    mean_nm = np.average(wavelengths, weights=weights)
+    x, y = polar(60.0, 120.0)
+    agree(
+        ours("atmospheric_dispersion"),
+        truth(lambda nm: tilt_nm(x * (nm - mean_nm) / 1e3, y * (nm - mean_nm) / 1e3)),
+    )
+
+
+def test_another_spectrum_is_that_of_other_wavelengths_and_weights():
+    wavelengths, weights = np.array(SPECTRUM).T
+    mean = np.average(wavelengths, weights=weights)
+    distance = wavelengths - mean
+    other = zip(1440.0 + 1.1 * distance, weights * (1 + 0.5 * distance / 1e3), strict=True)
+    agree(ours("spectrum"), truth(spectrum=list(other)))
+
+
+def test_another_plate_scale_is_that_of_larger_pixels():
+    agree(ours("plate_scale"), truth(scale_mas=1.02 * SCALE_MAS))
+
+
+def test_a_diversity_error_is_more_of_the_diversity():
+    larger = reference().opd_nm({6: -60.0})  # the diversity is -170 nm
+    agree(ours("diversity_error"), truth(larger))
+
+
+def test_a_misplaced_stop_and_turned_vanes_pass_light_where_both_do():
+    agree(ours("pupil_misregistration"), truth(transmission=reference().misregistered((0.12, -0.08), 4.0)))
+
+
+def test_an_amplitude_aberration_multiplies_the_field():
+    factor = 1 + reference().opd_nm(STRONG["amplitude_aberration"]["zernike"])
+    agree(ours("amplitude_aberration"), truth(transmission=reference().transmission * factor))
+
+
+def test_high_orders_are_further_zernike_modes():
+    agree(ours("high_order_ncpa"), truth(reference().opd_nm(STRONG["high_order_ncpa"]["zernike_nm"])))
+
+
+def test_a_bump_is_a_gaussian_in_the_pupil():
+    (x, y), bump = xy_m(), STRONG["phase_bump"]
+    distance2 = (x - bump["x_m"]) ** 2 + (y - bump["y_m"]) ** 2
+    agree(ours("phase_bump"), truth(bump["nm"] * np.exp(-distance2 / (2 * bump["width_m"] ** 2))))
+
+
+def petal_of(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Petal at points outside the central hole, by the sides of the middle lines of the vanes of UT4.
+
+    The vanes from (a, a) run to (R, 0) and (0, R), those from (-a, -a) to (-R, 0) and (0, -R).
+    """
+    a, reach = 0.370679, 4.2197
+
+    def left_of(x0: float, y0: float, x1: float, y1: float) -> np.ndarray:
+        return (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) > 0
+
+    first = left_of(a, a, reach, 0) & ~left_of(a, a, 0, reach)
+    third = left_of(-a, -a, -reach, 0) & ~left_of(-a, -a, 0, -reach)
+    return np.select([first, third, x < y], [0, 2, 1], 3)
+
+
+def test_petals_have_their_piston_tip_and_tilt():
+    (x, y), effect = xy_m(), STRONG["low_wind_effect"]
+    petal = petal_of(x, y)
+    piston, tip, tilt = (np.array(effect[key])[petal] for key in ("piston_nm", "tip_nm", "tilt_nm"))
+    agree(ours("low_wind_effect"), truth(piston + 2 / 4.0 * (tip * x + tilt * y)))
+
+
+def test_a_companion_is_a_second_image_elsewhere():
+    secondary = truth(tilt_nm(*polar(90.0, 300.0)))
+    agree(ours("companion"), (truth() + 0.2 * secondary) / 1.2)
+
+
+def test_a_drift_blurs_the_mean_image_and_moves_single_ones():
+    effect, values = made("ncpa_drift")
+    whole = ImageModel(model(), [effect])
+    change = reference().opd_nm({4: 120.0, 7: -80.0})
+    one, none = torch.ones(1, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
+    at = vector(STATIC_NM, NOLLS), one, none, values
+    nodes, weights = np.polynomial.legendre.leggauss(7)
+    average = sum(w / 2 * truth(s / 2 * change) for s, w in zip(nodes, weights, strict=True))
+    agree(whole.predict(*at)[0].numpy(), average)
+    agree(whole.predict(*at, when=one)[0].numpy(), truth(0.5 * change))

@@ -1,0 +1,154 @@
+"""Derivatives with respect to effect parameters. Truth: finite differences of the predicted images."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from helpers.effect_cases import CONDITIONS, NOLLS, SPECTRUM, STRONG, WINDOW, made
+from helpers.optics_cases import UT4, ncpa_nm, settings, vector
+
+from irlos_pipe.effects import CATALOGUE, Effect, Pinned
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.pupil_stop import PupilMisregistration, with_vanes_turned
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.pupil import band_limited
+
+WAVEFRONTS = torch.cat([vector(ncpa_nm(seed, NOLLS[-1], 100.0), NOLLS) for seed in (6, 7)])
+FLUX, BACKGROUND = torch.tensor([1e6, 2e6]).double(), torch.tensor([20.0, 10.0]).double()
+SMOOTH = sorted(set(STRONG) - {"pupil_misregistration"})
+IN_IMAGES = {name: kind for name, kind in CATALOGUE.items() if kind.place != "ramp"}
+
+
+@cache
+def psf() -> PsfModel:
+    return PsfModel(settings(WINDOW, SPECTRUM, pupil_samples=64), NOLLS, dtype=torch.float64)
+
+
+def images(effect, values: torch.Tensor, when=None) -> torch.Tensor:
+    return ImageModel(psf(), [effect]).predict(WAVEFRONTS, FLUX, BACKGROUND, values, when)
+
+
+def columns(effect, values: torch.Tensor, when=None) -> torch.Tensor:
+    """Derivatives of the images with respect to the effect's parameters, parameters first."""
+    whole = ImageModel(psf(), [effect])
+    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values, when)[1]
+    return jacobian[:, len(NOLLS) : -2].transpose(0, 1)
+
+
+def differences(effect, values: torch.Tensor, when=None) -> torch.Tensor:
+    steps = 1e-4 * values.abs().clamp_min(0.1)
+    moves = torch.diag(steps)
+    high, low = ([images(effect, values + s * move, when) for move in moves] for s in (1, -1))
+    return (torch.stack(high) - torch.stack(low)) / (2 * steps[:, None, None, None])
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_derivatives_at_a_strong_level_are_finite_differences(name):
+    effect, values = made(name)
+    for ours, theirs in zip(columns(effect, values), differences(effect, values), strict=True):
+        assert ours.numpy() == pytest.approx(theirs.numpy(), abs=2e-5 * float(theirs.abs().max()))
+
+
+def test_effects_in_the_pupil_are_differentiated_through_those_behind_them():
+    (stop, turned), (bump, place) = made("pupil_misregistration"), made("phase_bump")
+    (petals, steps), (amplitude, factors) = made("low_wind_effect"), made("amplitude_aberration")
+    effects = [petals, Pinned(stop, turned), Pinned(bump, place, free=("x_m", "width_m")), amplitude]
+    whole = ImageModel(psf(), effects)
+    starts = {petals.name: steps, stop.name: turned[:0], bump.name: place[[1, 3]], amplitude.name: factors}
+    values = torch.cat([starts[effect.name] for effect in whole.effects.effects])
+    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values)[1][:, len(NOLLS) : -2]
+    for index in range(0, len(values), 3):
+        move = torch.zeros_like(values)
+        move[index] = 1e-4 * max(0.1, abs(float(values[index])))
+        high, low = (whole.predict(WAVEFRONTS, FLUX, BACKGROUND, values + s * move) for s in (1, -1))
+        theirs = ((high - low) / (2 * move[index])).numpy()
+        assert jacobian[:, index].numpy() == pytest.approx(theirs, abs=2e-5 * np.abs(theirs).max())
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_modes_flux_and_background_are_differentiated_through_the_effect(name):
+    effect, values = made(name)
+    whole = ImageModel(psf(), [effect])
+    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values)[1]
+    step = torch.zeros(1, len(NOLLS)).double()
+    step[0, 2] = 0.05
+    at = [(WAVEFRONTS + s * step, FLUX * (1 + s * 1e-3), BACKGROUND + s) for s in (1, -1)]
+    high, low = (whole.predict(*arguments, values) for arguments in at)
+    total = 0.05 * jacobian[:, 2] + 1e-3 * FLUX[:, None, None] * jacobian[:, -2] + jacobian[:, -1]
+    expected = ((high - low) / 2).numpy()
+    assert total.numpy() == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
+
+
+def test_single_frames_of_a_drifting_recording_have_derivatives_too():
+    effect, values = made("ncpa_drift")
+    when = torch.tensor([0.0, 1.0])
+    for ours, theirs in zip(columns(effect, values, when), differences(effect, values, when), strict=True):
+        assert ours.numpy() == pytest.approx(theirs.numpy(), abs=2e-5 * float(theirs.abs().max()))
+
+
+def amplitude(distance_m: float, direction_rad: float, rotation_deg: float) -> np.ndarray:
+    """Band-limited amplitude from a drawing twice as fine as that of the effect."""
+    stop_m = (distance_m * np.cos(direction_rad), distance_m * np.sin(direction_rad))
+    return band_limited(with_vanes_turned(UT4, rotation_deg), 64, stop_m=stop_m, subsamples=32)
+
+
+@pytest.mark.parametrize(("index", "step"), [(0, 0.004), (1, 0.03), (2, 0.06)])
+def test_derivatives_of_the_misregistered_pupil_are_good_to_a_few_percent(index, step):
+    values, move = np.array([0.15, -0.6, 4.0]), np.zeros(3)
+    move[index] = step
+    expected = (amplitude(*(values + move)) - amplitude(*(values - move))) / (2 * step)
+    grid, direction = psf().pupil_grid, torch.zeros(3).double()
+    direction[index] = 1
+    field = torch.zeros(1, *grid.amplitude.shape).double()
+
+    def light(v: torch.Tensor) -> torch.Tensor:
+        return PupilMisregistration().apply(v, field, grid)[0] / grid.light
+
+    ours = torch.func.jvp(light, (torch.as_tensor(values),), (direction,))[1].numpy()
+    assert np.sqrt(np.mean((ours - expected) ** 2)) < 0.04 * np.sqrt(np.mean(expected**2))
+
+
+def searched(name: str) -> list[Effect | Pinned]:
+    kind = IN_IMAGES[name]
+    return kind.under(CONDITIONS, **kind.options_for(**STRONG[name])).candidates(WINDOW, 9.7)
+
+
+@pytest.mark.parametrize("name", sorted(IN_IMAGES))
+def test_every_effect_is_absent_at_its_null_values(name):
+    plain = ImageModel(psf()).predict(WAVEFRONTS, FLUX, BACKGROUND)
+    with_halo_otf = 2e-5  # the plain path skips the OTF, whose grid ends elsewhere
+    for effect in searched(name)[::7]:
+        values = torch.tensor(effect.null_values, dtype=torch.float64)
+        absent = images(effect, values)
+        assert absent.numpy() == pytest.approx(plain.numpy(), abs=with_halo_otf * float(plain.max()))
+
+
+@pytest.mark.parametrize("name", sorted(set(IN_IMAGES) - {"ncpa_drift"}))
+def test_every_effect_shows_in_the_derivative_at_its_null_values(name):
+    for effect in searched(name)[::7]:
+        assert all(p.null is not None for p in effect.parameters)
+        slopes = columns(effect, torch.tensor(effect.null_values, dtype=torch.float64))
+        assert torch.isfinite(slopes).all()
+        assert (slopes.abs().amax((1, 2, 3)) > 0).all()
+
+
+def test_a_drift_shows_in_single_frames_only():
+    (effect,) = searched("ncpa_drift")
+    none = torch.zeros(len(effect.parameters)).double()
+    assert columns(effect, none).abs().max() < 1e-6
+    assert columns(effect, none, torch.tensor([0.0, 1.0])).abs().amax((1, 2, 3)).min() > 1
+
+
+def test_a_shift_of_the_stop_darkens_the_rim_whichever_way_it_goes():
+    """Analysis: to first order the light falls by the projected width of the rim and of the hole."""
+    for effect in PupilMisregistration().candidates(WINDOW, 9.7)[:-1]:
+        change = torch.func.jvp(
+            lambda v, e=effect: e.apply(v, torch.zeros(1, 72, 72).double(), psf().pupil_grid)[0],
+            (torch.zeros(1).double(),),
+            (torch.ones(1).double(),),
+        )[1]
+        lost_m = -float(change.sum()) / psf().pupil_grid.light * (8.0 / 64) ** 2
+        assert lost_m == pytest.approx(8.0 + 1.116, rel=0.03)  # less what the vanes cover

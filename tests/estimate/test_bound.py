@@ -1,0 +1,81 @@
+"""The Cramér-Rao bound. Truth: Fisher matrices from finite differences of images, and analysis."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from helpers.optics_cases import J_AND_H, halo_and_jitter, ncpa_nm, settings, vector
+
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.bound import cramer_rao_nm
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.optics.psf import PsfModel
+
+NOLLS = (2, 3, 4, 5, 7)
+NOISE = NoiseModel(1.3, 9.0)
+STEP_NM = 0.1
+
+
+@pytest.fixture(scope="module")
+def model() -> PsfModel:
+    return PsfModel(settings(32, J_AND_H[1::3]), NOLLS, dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def wavefronts() -> torch.Tensor:
+    return torch.cat([vector(ncpa_nm(seed, 7, 80.0), NOLLS) for seed in (1, 2, 3)])
+
+
+def bound_by_differences(model, x, flux_e, optics, background_e) -> np.ndarray:
+    """Standard errors from the Fisher matrix of modes, flux and background."""
+
+    def image(modes, flux, background):
+        return (flux * model.images(modes[None], optics)[0] + background).numpy().ravel()
+
+    columns = [
+        (image(x + move, flux_e, background_e) - image(x - move, flux_e, background_e)) / (2 * STEP_NM)
+        for move in STEP_NM * torch.eye(len(NOLLS), dtype=torch.float64)
+    ]
+    columns.append((image(x, 1.01 * flux_e, 0) - image(x, 0.99 * flux_e, 0)) / (0.02 * flux_e))
+    columns.append(np.ones_like(columns[0]))
+    variance = NOISE.excess_noise_factor * image(x, flux_e, background_e) + NOISE.floor_e2
+    jacobian = np.stack(columns, axis=1)
+    return np.sqrt(np.diag(np.linalg.inv(jacobian.T @ (jacobian / variance[:, None]))))[: len(NOLLS)]
+
+
+@pytest.mark.parametrize("background_e", [0.0, 20.0])
+@pytest.mark.parametrize("blurred", [False, True])
+def test_the_bound_is_the_inverse_of_the_fisher_matrix(model, wavefronts, blurred, background_e):
+    effects = halo_and_jitter(model)
+    whole = ImageModel(model, effects.held(effects.starts) if blurred else ())
+    flux = torch.tensor([1e4, 1e5, 1e6], dtype=torch.float64)
+    ours = cramer_rao_nm(whole, wavefronts, flux, NOISE, background_e=background_e).numpy()
+    theirs = [
+        bound_by_differences(model, x, float(f), whole.optics, background_e)
+        for x, f in zip(wavefronts, flux, strict=True)
+    ]
+    assert ours == pytest.approx(np.array(theirs), rel=1e-4)
+
+
+def test_photon_noise_alone_halves_the_error_for_four_times_the_light(model, wavefronts):
+    quiet = NoiseModel(1.0, 1e-9)
+    whole = ImageModel(model)
+    faint, bright = (cramer_rao_nm(whole, wavefronts, torch.full((3,), flux), quiet) for flux in (1e5, 4e5))
+    assert (faint / bright).numpy() == pytest.approx(2.0, rel=1e-3)
+
+
+def test_read_noise_alone_makes_the_error_fall_as_the_light_grows(model, wavefronts):
+    loud = NoiseModel(1e-9, 1e4)
+    whole = ImageModel(model)
+    faint, bright = (cramer_rao_nm(whole, wavefronts, torch.full((3,), flux), loud) for flux in (1e4, 4e4))
+    assert (faint / bright).numpy() == pytest.approx(4.0, rel=1e-3)
+
+
+def test_more_free_modes_never_shrink_an_error(wavefronts):
+    flux = torch.full((3,), 1e5)
+    case = settings(32)
+    few, many = (ImageModel(PsfModel(case, nolls, dtype=torch.float64)) for nolls in (NOLLS[:3], NOLLS))
+    at = torch.zeros(3, 5, dtype=torch.float64)
+    narrow, wide = cramer_rao_nm(few, at[:, :3], flux, NOISE), cramer_rao_nm(many, at, flux, NOISE)[:, :3]
+    assert (wide >= narrow * (1 - 1e-9)).all()

@@ -1,0 +1,114 @@
+"""Calibration methods on noise-limited frames drawn from the model (same code, on purpose: without
+model error every method must find the truth within its errors), the scatter of means against AR(1)
+theory, and the twin solution against the symmetry of the pupil."""
+
+import numpy as np
+import pytest
+import torch
+from helpers import optics_cases as cases
+
+from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.methods import METHODS
+from irlos_pipe.estimate.scatter import autocorrelation_time, covariance_of_mean
+from irlos_pipe.estimate.twin import twin_of
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.optics.psf import PsfModel
+
+NOLLS = tuple(range(2, 16))
+FRAMES, FLUX = 12, 3e6
+
+
+@pytest.fixture(scope="module")
+def cube() -> tuple[Frames, np.ndarray]:
+    """Frames with 14 modes of aberration, and the coefficients."""
+    true = cases.vector(cases.ncpa_nm(4, highest_noll=15, total_nm=100.0), NOLLS)
+    image = PsfModel(cases.settings(), NOLLS).images(true)[0].double().numpy() * FLUX
+    images = cases.draw_frames(image, FRAMES, seed=5)
+    return Frames(images, cases.everything(images), NoiseModel(1.0, 1.0)), true[0].numpy()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_finds_the_aberrations_of_noise_limited_frames(cube, method):
+    frames, true = cube
+    options = CalibrationOptions(method, highest_noll=15, prior_scale=None)
+    result = calibrate(frames, cases.settings(), options)
+    assert set(result.frame_status) == {"converged"}
+    assert np.linalg.norm(result.zernike_nm - true) < 0.6  # L1 fits are less efficient than weighted ones
+    assert result.frames_nm.shape == (FRAMES, len(NOLLS))
+    assert 0.85 < result.chi2_nu < 1.15
+
+
+def test_weighted_fits_err_as_much_as_they_say(cube):
+    frames, true = cube
+    result = calibrate(frames, cases.settings(), CalibrationOptions(highest_noll=15))
+    pull = (result.zernike_nm - true) / result.sigma_nm
+    # Twelve frames: the scatter itself is uncertain by 20 %, so the pulls follow Student's t.
+    assert 0.5 < np.sqrt(np.mean(pull**2)) < 1.7
+
+
+def test_both_optimisers_reach_the_same_minimum(cube):
+    frames, _ = cube
+    both = [CalibrationOptions("dip_avg", "gaussian", name, 15, None) for name in ("lm", "lbfgs")]
+    lm, lbfgs = (calibrate(frames, cases.settings(), options) for options in both)
+    assert np.abs(lm.zernike_nm - lbfgs.zernike_nm).max() < 0.02
+
+
+def test_one_invalid_frame_is_flagged_and_left_out(cube):
+    frames, true = cube
+    images = frames.images_e.clone()
+    images[3, 20, 20] = float("inf")
+    result = calibrate(
+        Frames(images, frames.pixel_mask, frames.noise),
+        cases.settings(),
+        CalibrationOptions("lift_slices", highest_noll=15),
+    )
+    assert [i for i, status in enumerate(result.frame_status) if status == "invalid"] == [3]
+    assert np.isnan(result.frames_nm[3]).all()
+    assert np.linalg.norm(result.zernike_nm - true) < 0.6
+
+
+def test_a_single_frame_is_refused(cube):
+    frames, _ = cube
+    single = Frames(frames.images_e[:1], frames.pixel_mask, frames.noise)
+    with pytest.raises(ValueError, match="at least two frames"):
+        calibrate(single, cases.settings(), CalibrationOptions())
+
+
+def test_a_centro_symmetric_pupil_gives_the_twin_the_same_image():
+    settings = cases.settings(48)
+    model = PsfModel(settings, NOLLS, dtype=torch.float64)
+    x = cases.vector(cases.ncpa_nm(8, highest_noll=15), NOLLS)
+    first, second = model.images(torch.cat([x, twin_of(x, NOLLS, settings.diversity)]))
+    assert float((first - second).abs().max() / first.max()) < 1e-9
+
+
+def test_the_twin_needs_the_larger_aberration_and_loses(cube):
+    frames, _ = cube
+    twin = calibrate(frames, cases.settings(), CalibrationOptions(highest_noll=15)).twin
+    assert twin.preferred == "solution"
+    assert twin.distance_nm > 100
+    assert twin.twin_rms_nm > twin.rms_nm
+
+
+def autoregressive(frames: int, phi: float, columns: int, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    series = np.zeros((frames, columns))
+    series[0] = rng.standard_normal(columns) / np.sqrt(1 - phi**2)
+    for i in range(1, frames):
+        series[i] = phi * series[i - 1] + rng.standard_normal(columns)
+    return series
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.5, 0.8])
+def test_the_error_of_a_mean_counts_the_autocorrelation(phi):
+    """An AR(1) series has the integrated autocorrelation time (1 + φ)/(1 − φ)."""
+    series = autoregressive(2000, phi, 200, seed=1)
+    assert np.mean(autocorrelation_time(series)) == pytest.approx((1 + phi) / (1 - phi), rel=0.12)
+    quoted = np.sqrt(np.mean(np.diag(covariance_of_mean(series))))
+    assert quoted == pytest.approx(series.mean(0).std(), rel=0.15)
+
+
+def test_the_scatter_needs_two_frames():
+    with pytest.raises(ValueError, match="at least two"):
+        covariance_of_mean(np.zeros((1, 3)))

@@ -1,0 +1,45 @@
+"""Sampling for single frames.
+
+Truth: noise-free images of the same light path, sampled three times as finely (convergence of the same code).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from helpers.optics_cases import READ_NOISE, everything, ncpa_nm, settings
+
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.frame_settings import PUPIL_SAMPLES, frame_settings
+from irlos_pipe.estimate.lift import LiftOptions, lift
+from irlos_pipe.optics.psf import PsfModel
+
+SPECTRUM = ((1170.0, 0.5), (1625.0, 0.5))
+NOLLS = (2, 3, 4)
+
+
+def test_the_defocus_of_bright_frames_errs_by_a_hundredth_of_a_nanometre():
+    truth_nm = torch.tensor([[20.0, -30.0, defocus] for defocus in (-300.0, 0.0, 300.0)]).double()
+    diversity = ncpa_nm(3)
+    diversity[6] -= 170.0
+    fine = settings(64, SPECTRUM, diversity, pupil_samples=3 * PUPIL_SAMPLES)
+    images_e = 1e6 * PsfModel(fine, NOLLS, dtype=torch.float64).images(truth_nm)
+    model = ImageModel(PsfModel(frame_settings(fine), NOLLS))
+    start_nm = truth_nm + 5.0
+    found = lift(model, images_e.float(), everything(images_e), READ_NOISE, start_nm, LiftOptions("model"))
+    assert np.abs((found.zernike_nm - truth_nm)[:, 2].numpy()).max() < 0.02
+    assert found.sigma_nm[:, 2].min() > 0.1
+
+
+def test_a_wide_window_gets_the_samples_that_it_needs():
+    wide = frame_settings(settings(256, SPECTRUM, pupil_samples=256))
+    assert PUPIL_SAMPLES < wide.pupil_samples < 256
+    PsfModel(wide, NOLLS)
+
+
+@pytest.mark.parametrize("samples", [48, 61])
+def test_a_coarser_sampling_is_left_as_it_is(samples):
+    coarse = frame_settings(settings(40, pupil_samples=samples))
+    assert coarse.pupil_samples == samples
+    assert PsfModel(coarse, NOLLS).images(torch.zeros(1, 3)).shape == (1, 40, 40)

@@ -1,0 +1,267 @@
+"""LIFT on images drawn from the model. Truth: Monte Carlo (the images come from the same model, on
+purpose: bias, efficiency and error bars are properties of the estimator) and analysis at zero flux."""
+
+import numpy as np
+import pytest
+import torch
+from helpers import optics_cases as cases
+
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.bound import cramer_rao_nm
+from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
+from irlos_pipe.estimate.lift import LiftOptions, image_problem, lift
+from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.photon_fit import PhotonFit
+from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
+from irlos_pipe.estimate.start import scan_start_nm
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.optics.propagate import MAS
+from irlos_pipe.optics.psf import PsfModel
+
+TWO_COLOURS = ((1215.0, 1.0), (1625.0, 1.0))
+TTF = (2, 3, 4)
+NOISE = NoiseModel(1.0, 6.0)  # 1 e- of read noise and a background of 5 e- per pixel
+
+
+@pytest.fixture(scope="module")
+def model() -> PsfModel:
+    return PsfModel(cases.settings(32 * 2, TWO_COLOURS), TTF)
+
+
+def drawn(model, coefficients, flux_e, seed, noise=NOISE):
+    """Images of the model with noise, float32."""
+    mean = (model.images(coefficients).double() * flux_e).numpy()
+    rng = np.random.default_rng(seed)
+    gain = noise.excess_noise_factor
+    shot = gain * rng.poisson(np.maximum(mean, 0) / gain)
+    read = np.sqrt(noise.floor_e2) * rng.standard_normal(mean.shape)
+    return torch.as_tensor(shot + read, dtype=torch.float32)
+
+
+def random_modes(images: int, seed: int) -> torch.Tensor:
+    rng = np.random.default_rng(seed)
+    tilts = 40 * rng.standard_normal((images, 2))
+    return torch.as_tensor(np.column_stack([tilts, rng.uniform(-150, 150, images)]))
+
+
+def estimate(model, images, introduced_nm, options=None):
+    data = RampData(images, cases.everything(images), NOISE, introduced_nm)
+    start = start_from_defocus(model, data, 0.5 * introduced_nm)
+    return fit_ramp(model, data, start, options or LiftOptions()).result
+
+
+@pytest.mark.parametrize("mag_j", [9, 12, 15, 18])
+def test_lift_is_unbiased_efficient_and_its_error_bars_hold(model, mag_j):
+    images = 400
+    true = random_modes(images, seed=mag_j)
+    flux = cases.photons(mag_j)
+    result = estimate(model, drawn(model, true, flux, seed=100 + mag_j), true[:, 2].numpy())
+    error = (result.zernike_nm - true)[:, 2].numpy()
+    bound = cramer_rao_nm(ImageModel(model), true, torch.full((images,), flux), NOISE)[:, 2].numpy()
+    rmse, expected = np.sqrt(np.mean(error**2)), np.sqrt(np.mean(bound**2))
+    assert result.solution.converged.all()
+    assert abs(error.mean()) < 3.5 * expected / np.sqrt(images)
+    assert abs(rmse / expected - 1) < 0.10
+    inside = np.abs((result.zernike_nm - true).numpy()) < result.sigma_nm.numpy()
+    assert 0.63 < inside.mean() < 0.73
+    assert abs(float(result.chi2_nu.mean()) - 1) < 0.01
+
+
+def test_weights_from_the_image_itself_are_biased_where_the_model_s_are_not(model):
+    """The reason for iterating the variances: at low flux, low pixels get too much weight."""
+    images = 300
+    true = random_modes(images, seed=7)
+    data = drawn(model, true, cases.photons(19), seed=8)
+    chi2 = {
+        noise: float(estimate(model, data, true[:, 2].numpy(), LiftOptions(noise)).chi2_nu.mean())
+        for noise in ("data", "iterative")
+    }
+    assert abs(chi2["iterative"] - 1) < 0.01
+    assert abs(chi2["data"] - 1) > abs(chi2["iterative"] - 1)
+
+
+def test_at_zero_flux_map_returns_the_prior_with_its_covariance(model):
+    mean, sigma = torch.tensor([[10.0, -20.0, 55.0]]), torch.tensor([30.0, 40.0, 50.0])
+    rng = np.random.default_rng(1)
+    images = torch.as_tensor(0.01 * rng.standard_normal((1, 64, 64)), dtype=torch.float32)
+    options = LiftOptions("model", mean.double(), sigma.double())
+    noise, everything = NoiseModel(1.0, 100.0), cases.everything(images)
+    result = lift(ImageModel(model), images, everything, noise, mean.double(), options)
+    assert torch.allclose(result.zernike_nm, mean.double(), atol=0.05)
+    assert torch.allclose(result.covariance_nm2[0], torch.diag(sigma.double() ** 2), rtol=1e-2, atol=1.0)
+
+
+def test_map_lies_between_the_prior_and_the_maximum_likelihood(model):
+    true = torch.tensor([[0.0, 0.0, 100.0]], dtype=torch.float64)
+    image = drawn(model, true, cases.photons(20), seed=3)
+    ml = estimate(model, image, np.array([100.0])).zernike_nm[0, 2]
+    sigma = float(cramer_rao_nm(ImageModel(model), true, torch.tensor([cases.photons(20)]), NOISE)[0, 2])
+    options = LiftOptions("model", torch.zeros(1, 3).double(), torch.full((3,), sigma).double())
+    between = estimate(model, image, np.array([100.0]), options).zernike_nm[0, 2]
+    assert abs(float(between / ml) - 0.5) < 0.15  # equal precision of prior and data: half way
+
+
+def test_a_frame_of_nan_is_flagged_and_the_others_are_estimated(model):
+    true = random_modes(3, seed=5)
+    images = drawn(model, true, cases.photons(12), seed=6)
+    images[1, 10, 10] = float("nan")
+    result = lift(ImageModel(model), images, cases.everything(images), NOISE, true * 0.9)
+    assert result.solution.status[1] == "invalid"
+    assert torch.allclose(result.zernike_nm[[0, 2]], true[[0, 2]], atol=2.0)
+
+
+def test_masked_pixels_carry_no_weight(model):
+    true = random_modes(2, seed=9)
+    images = drawn(model, true, cases.photons(12), seed=10)
+    hurt = images.clone()
+    hurt[:, 30:33, 30:33] = 1e6
+    mask = cases.everything(images)
+    mask[30:33, 30:33] = False
+    whole, options = ImageModel(model), LiftOptions("model")
+    a, b = (lift(whole, picture, mask, NOISE, true * 0.9, options) for picture in (images, hurt))
+    # The start's smoothed variances see the neighbours of masked pixels; the estimates must not.
+    assert torch.allclose(a.zernike_nm, b.zernike_nm, atol=0.05)
+
+
+def test_the_capture_range_exceeds_600_nm_either_way(model):
+    introduced = np.linspace(-600, 600, 25)
+    true = torch.zeros(25, 3, dtype=torch.float64)
+    true[:, 2] = torch.as_tensor(introduced)
+    images = drawn(model, true, cases.photons(12), seed=11)
+    law = calibrate_law(PsfModel(cases.settings(64, TWO_COLOURS), [4]))
+    ratio = axis_ratios(images, cases.everything(images), law.angle_deg)
+    data = RampData(images, cases.everything(images), NOISE, introduced)
+    start = start_from_defocus(model, data, law.defocus_nm(ratio))
+    result = fit_ramp(model, data, start, LiftOptions()).result
+    assert np.abs(result.mode(4)[0].numpy() - introduced).max() < 5
+
+
+def test_frames_that_all_converge_to_a_wrong_defocus_are_found_though_none_stands_out(model):
+    """All end near the opposite defocus: none fits better than the others, only the scan can tell."""
+    true = torch.zeros(4, 3, dtype=torch.float64)
+    true[:, 2] = torch.linspace(480, 552, 4)
+    images = drawn(model, true, cases.photons(12), seed=12)
+    data = RampData(images, cases.everything(images), NOISE, true[:, 2].numpy())
+    start = start_from_defocus(model, data, np.zeros(4))
+    first = lift(ImageModel(model), images, data.pixel_mask, NOISE, start)
+    assert (first.solution.converged & ((first.mode(4)[0] - true[:, 2]).abs() > 100)).all()
+    result = fit_ramp(model, data, start, LiftOptions()).result
+    assert torch.allclose(result.mode(4)[0], true[:, 2], atol=5)
+
+
+def test_the_excess_noise_factor_widens_the_error_bars(model):
+    true = torch.zeros(1, 3, dtype=torch.float64)
+    flux = torch.tensor([cases.photons(10)])
+    poisson, excess = (
+        cramer_rao_nm(ImageModel(model), true, flux, NoiseModel(factor, 0.01)) for factor in (1.0, 1.5)
+    )
+    assert torch.allclose(excess, poisson * np.sqrt(1.5), rtol=1e-3)
+
+
+def photon_fit(model, images, mask=None) -> PhotonFit:
+    mask = cases.everything(images) if mask is None else mask
+    layout = Layout(TTF, prior_sigma_nm=torch.tensor([300.0, 300.0, 200.0]))
+    return PhotonFit(ImageModel(model), layout, images[:, None].flatten(2), mask.flatten(), NOISE)
+
+
+def test_the_slope_with_variances_that_follow_is_that_of_the_objective():
+    """Truth: central differences, in float64."""
+    precise = PsfModel(cases.settings(64, TWO_COLOURS), TTF, dtype=torch.float64)
+    at = random_modes(1, seed=3)
+    problem = photon_fit(precise, drawn(precise, at, 2e4, seed=4).double())
+    x = torch.cat([at + 15.0, torch.tensor([[2.1e4, 0.3]])], dim=1).double()
+    which = torch.arange(1)
+    _, gradient, hessian = problem.normal_equations(x, which)
+    steps = 1e-3 * torch.diagonal(hessian, dim1=1, dim2=2)[0] ** -0.5
+    for i, step in enumerate(steps):
+        move = torch.zeros_like(x)
+        move[0, i] = step
+        rise = problem.objective(x + move, which) - problem.objective(x - move, which)
+        assert float(rise / (2 * step)) == pytest.approx(float(gradient[0, i]), rel=1e-4, abs=1e-6)
+
+
+def test_pixels_that_are_masked_count_for_nothing_where_variances_follow(model):
+    at = random_modes(1, seed=5)
+    clean = drawn(model, at, 2e4, seed=6)
+    spoilt, mask = clean.clone(), cases.everything(clean).clone()
+    spoilt[0, 30, 31], mask[30, 31] = 1e6, False
+    x = torch.cat([at, torch.tensor([[2e4, 0.0]])], dim=1).double()
+    fits = (photon_fit(model, data, mask) for data in (clean, spoilt))
+    one, other = (fit.normal_equations(x, torch.arange(1)) for fit in fits)
+    assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def test_variances_that_follow_lead_where_endless_re_weighting_does(model):
+    true = random_modes(20, seed=11)
+    data = drawn(model, true, 3e4, seed=12)
+    found = estimate(model, data, true[:, 2].numpy())
+    layout, x, complete = Layout(TTF), found.solution.values, ImageModel(model)
+    for _ in range(6):
+        signal = complete.predict(x[:, :3], x[:, 3], x[:, 4])
+        problem = image_problem(complete, layout, data, NOISE.variance_e2(signal), cases.everything(data))
+        problem.tolerance = 1e-6
+        x = solve(problem, x).values
+    assert ((x - found.solution.values)[:, :3].abs() < 0.02 * found.sigma_nm).all()
+
+
+def test_images_that_are_fitted_in_pieces_find_what_they_find_together(model, monkeypatch):
+    true = random_modes(7, seed=21)
+    data = drawn(model, true, 3e4, seed=22)
+    prior = {"prior_mean_nm": true + 5.0, "prior_sigma_nm": torch.tensor([300.0, 300.0, 50.0])}
+    options = LiftOptions(**prior)
+    arguments = ImageModel(model), data, cases.everything(data), NOISE, 0.5 * true, options
+    together = lift(*arguments)
+    monkeypatch.setattr("irlos_pipe.estimate.lift.IMAGES_AT_ONCE", 3)
+    pieces = lift(*arguments)
+    assert pieces.solution.status == together.solution.status
+    assert torch.allclose(pieces.zernike_nm, together.zernike_nm, rtol=0, atol=1e-4)
+    assert torch.allclose(pieces.model_e, together.model_e, rtol=1e-5, atol=1e-3)
+    assert torch.allclose(pieces.chi2_nu, together.chi2_nu)
+
+
+def test_a_fit_in_inference_mode_is_the_same(model):
+    """As a loop in real time would run it."""
+    true = random_modes(2, seed=31)
+    data = drawn(model, true, 3e4, seed=32)
+    arguments = ImageModel(model), data, cases.everything(data), NOISE, 0.5 * true
+    usual = lift(*arguments)
+    with torch.inference_mode():
+        quick = lift(*arguments)
+    assert torch.equal(usual.zernike_nm, quick.zernike_nm)
+
+
+def test_some_members_of_a_fit_with_variances_that_follow_have_the_objectives_they_had():
+    precise = PsfModel(cases.settings(64, TWO_COLOURS), TTF, dtype=torch.float64)
+    true = random_modes(4, seed=41)
+    fit = photon_fit(precise, drawn(precise, true, 2e4, seed=42).double())
+    x = torch.cat([true, torch.tensor([[2e4, 0.0]]).expand(4, 2)], dim=1).double()
+    some = torch.tensor([3, 1])
+    found = fit.members(some).objective(x[some], torch.arange(2))
+    assert torch.allclose(found, fit.objective(x, torch.arange(4))[some], rtol=1e-9)
+
+
+def test_the_scan_finds_defocus_and_position_of_any_image():
+    """To 60 nm, whence every fit finds its minimum, and a pixel; a diversity tells the sign."""
+    case = cases.settings(64, TWO_COLOURS, diversity={6: -170.0})
+    model = PsfModel(case, TTF)
+    focus_nm = np.linspace(-640.0, 640.0, 33)
+    true = random_modes(len(focus_nm), seed=51)
+    true[:, 2] = torch.as_tensor(focus_nm)
+    images = drawn(model, true, 1e5, seed=52)
+    found = scan_start_nm(model, images, cases.everything(images))
+    pixel_nm = case.pixel_scale_mas * MAS * case.geometry.diameter_m / 4 * 1e9
+    assert ((found - true)[:, 2].abs() <= 60.0).all()
+    assert ((found - true)[:, :2].abs() <= pixel_nm).all()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.int32])
+def test_images_of_any_kind_are_fitted_by_a_model_of_double_precision(dtype):
+    precise = PsfModel(cases.settings(64, TWO_COLOURS), TTF, dtype=torch.float64)
+    true = random_modes(3, seed=61)
+    images = drawn(precise, true, 1e5, seed=62).round()
+    arguments = cases.everything(images), NOISE, 0.8 * true
+    exact = lift(ImageModel(precise), images.double(), *arguments)
+    found = lift(ImageModel(precise), images.to(dtype), *arguments)
+    assert found.solution.converged.all()
+    assert ((found.zernike_nm - exact.zernike_nm).abs() < 0.03 * exact.sigma_nm).all()

@@ -1,0 +1,63 @@
+"""The choice of LIFT's effects. Truth: the effects themselves, whose OTF factors are compared."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from helpers.optics_cases import BAND, NARROW_H, settings
+
+from irlos_pipe.effects import EffectSet, Pinned, SeeingHalo, TipTiltJitter, expected
+from irlos_pipe.effects.pixels import InterpixelCrosstalk
+from irlos_pipe.estimate.ramp_effects import ramp_effects
+from irlos_pipe.optics.grids import Stations
+from irlos_pipe.optics.psf import PsfModel
+
+AVAILABLE = (SeeingHalo(BAND, 0.5), TipTiltJitter())
+MEASURED = Pinned(AVAILABLE[0], AVAILABLE[0].values_of(wfe_nm=150.0))
+
+
+@pytest.fixture(scope="module")
+def stations() -> Stations:
+    return PsfModel(settings(16, NARROW_H), (4,)).stations
+
+
+def factor(effects, stations: Stations) -> torch.Tensor:
+    together = EffectSet(effects, stations)
+    return together(together.starts).transfer
+
+
+def test_what_a_calibration_has_measured_is_taken_and_the_rest_is_as_expected(stations):
+    chosen = ramp_effects(AVAILABLE, {"seeing_halo": MEASURED})
+    truth = factor([MEASURED, TipTiltJitter(7.0)], stations)
+    torch.testing.assert_close(factor(chosen, stations), truth)
+    assert not any(effect.parameters for effect in chosen)
+
+
+def test_without_a_calibration_everything_is_as_expected(stations):
+    truth = factor(expected(AVAILABLE), stations)
+    torch.testing.assert_close(factor(ramp_effects(AVAILABLE, {}), stations), truth)
+
+
+def test_a_kernel_given_in_mas_replaces_the_measured_one(stations):
+    chosen = ramp_effects(AVAILABLE, {}, halo="off", object_sigma_mas=12.0)
+    torch.testing.assert_close(factor(chosen, stations), factor([TipTiltJitter(12.0)], stations))
+    assert not any(effect.parameters for effect in chosen)
+
+
+def test_fitting_frees_the_variance_of_the_residual_and_of_the_kernel():
+    chosen = ramp_effects(AVAILABLE, {"seeing_halo": MEASURED}, halo="fit", object_sigma_mas="fit")
+    free = [parameter for effect in chosen for parameter in effect.parameters]
+    assert [parameter.name for parameter in free] == ["variance_nm2", "variance_mas2"]
+    assert free[0].start == pytest.approx(MEASURED.values[0])
+
+
+def test_an_effect_of_another_place_comes_along_fitted_unless_it_was_measured():
+    crosstalk = InterpixelCrosstalk()
+    free = ramp_effects((*AVAILABLE, crosstalk), {})[-1]
+    assert free is crosstalk
+    measured = Pinned(crosstalk, [0.05])
+    assert ramp_effects((*AVAILABLE, crosstalk), {crosstalk.name: measured})[-1] is measured
+
+
+def test_a_model_without_effects_stays_without():
+    assert ramp_effects((), {}) == []

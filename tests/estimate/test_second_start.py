@@ -1,0 +1,85 @@
+"""The second start of a fit that ended in a wrong minimum. Truth: coefficients that frames were drawn with
+from the model (same code, on purpose: what is tested is the way to the minimum)."""
+
+import numpy as np
+import pytest
+import torch
+from helpers import optics_cases as cases
+
+from irlos_pipe.estimate import calibration
+from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.second_start import FRAMES, better, median_of_frames_nm
+from irlos_pipe.numerics.levenberg_marquardt import CONVERGED, INVALID, Solution
+from irlos_pipe.optics.psf import PsfModel
+
+NOLLS, WINDOW, FLUX_E = tuple(range(2, 16)), 40, 1e6
+
+
+@pytest.fixture(scope="module")
+def truth_nm() -> torch.Tensor:
+    return cases.vector(cases.ncpa_nm(4, highest_noll=15, total_nm=100.0), NOLLS)
+
+
+@pytest.fixture(scope="module")
+def frames(truth_nm) -> Frames:
+    image = PsfModel(cases.settings(WINDOW), NOLLS).images(truth_nm)[0].double().numpy()
+    images = cases.draw_frames(image * FLUX_E, 24, seed=2)
+    return Frames(images, cases.everything(images), cases.READ_NOISE)
+
+
+def solution(objective: float, status: str = CONVERGED) -> Solution:
+    zero = torch.zeros(1, 1)
+    return Solution(zero, zero[None], [status], torch.ones(1), torch.tensor([objective]))
+
+
+def test_the_median_of_a_few_frames_is_near_the_truth(frames, truth_nm):
+    model = PsfModel(cases.settings(WINDOW), NOLLS)
+    found = median_of_frames_nm(model, frames.images_e, frames.pixel_mask, frames.noise)
+    assert (found - truth_nm[0]).norm() < 5
+
+
+def test_frames_that_cannot_be_fitted_do_not_count(frames, truth_nm):
+    images = frames.images_e.clone()
+    spread = torch.linspace(0, len(images) - 1, FRAMES).round().long()
+    images[spread[:3], 5, 5] = float("nan")
+    model = PsfModel(cases.settings(WINDOW), NOLLS)
+    found = median_of_frames_nm(model, images, frames.pixel_mask, frames.noise)
+    assert (found - truth_nm[0]).norm() < 5
+    images[spread, 5, 5] = float("nan")
+    assert torch.all(median_of_frames_nm(model, images, frames.pixel_mask, frames.noise) == 0)
+
+
+def test_a_fit_that_ended_wrong_is_tried_again(frames, truth_nm, monkeypatch):
+    honest = calibration._start
+
+    def far_off(*arguments):
+        start = honest(*arguments)
+        if arguments[-1] is None:
+            start[0, 5:9] = torch.tensor([600.0, -500.0, 500.0, 400.0], dtype=torch.float64)  # coma
+        return start
+
+    monkeypatch.setattr(calibration, "_start", far_off)
+    options = CalibrationOptions(highest_noll=15, prior_scale=None)
+    found = calibrate(frames, cases.settings(WINDOW), options)
+    assert np.linalg.norm(found.zernike_nm - truth_nm[0].numpy()) < 2
+    assert found.chi2_nu < 1.2
+    monkeypatch.setattr(calibration, "is_plausible", lambda problem, solution: True)
+    once = calibrate(frames, cases.settings(WINDOW), options)
+    assert once.chi2_nu > 10
+
+
+def test_a_good_fit_is_left_alone(frames, monkeypatch):
+    def refuse(*arguments):
+        raise AssertionError("a second start was made")
+
+    monkeypatch.setattr(calibration, "median_of_frames_nm", refuse)
+    calibrate(frames, cases.settings(WINDOW), CalibrationOptions(highest_noll=15))
+
+
+def test_the_lower_objective_wins_and_an_invalid_fit_loses():
+    low, high, invalid = solution(1.0), solution(2.0), solution(float("nan"), INVALID)
+    assert better(high, low) is low
+    assert better(low, high) is low
+    assert better(low, invalid) is low
+    assert better(invalid, high) is high

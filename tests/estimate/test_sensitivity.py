@@ -1,0 +1,114 @@
+"""Dimming frames and the limiting magnitude. Truth: Monte Carlo of really faint stars, and analysis."""
+
+import numpy as np
+import pytest
+import torch
+from helpers import optics_cases as cases
+
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.ramp_fit import RampData
+from irlos_pipe.estimate.sensitivity import (
+    MEDIAN_OF_NORMAL,
+    Criterion,
+    curve_of,
+    dim,
+    limiting_magnitude,
+    scan,
+)
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.optics.psf import PsfModel
+
+NOISE = NoiseModel(1.4, 9.0)
+FRAMES = 4000
+
+
+@pytest.fixture(scope="module")
+def bright_image() -> np.ndarray:
+    model = PsfModel(cases.settings(24), [2])
+    return model.images(torch.zeros(1, 1))[0].double().numpy() * 2e5
+
+
+@pytest.mark.parametrize("factor", [0.6, 0.05])
+def test_dimmed_frames_have_mean_and_variance_of_a_faint_star(bright_image, factor):
+    frames = cases.draw_frames(bright_image, FRAMES, seed=1, noise=NOISE)
+    signal = torch.as_tensor(bright_image).expand(FRAMES, -1, -1)
+    dimmed = dim(frames, signal, factor, NOISE, torch.Generator().manual_seed(2)).numpy()
+    expected = NOISE.variance_e2(factor * bright_image)
+    assert abs(dimmed.mean(0).sum() / (factor * bright_image.sum()) - 1) < 2e-3
+    assert abs(dimmed.var(0).sum() / expected.sum() - 1) < 0.01
+    assert abs(np.mean(dimmed.var(0) / expected) - 1) < 0.01
+
+
+def test_a_factor_of_one_changes_nothing(bright_image):
+    frames = cases.draw_frames(bright_image, 3, seed=1, noise=NOISE)
+    same = dim(frames, torch.as_tensor(bright_image).expand(3, -1, -1), 1.0, NOISE, torch.Generator())
+    assert torch.equal(same, frames.double())
+
+
+@pytest.mark.parametrize("factor", [0.0, 1.01, -1.0])
+def test_frames_cannot_be_made_brighter(bright_image, factor):
+    frames = torch.as_tensor(bright_image)[None]
+    with pytest.raises(ValueError, match="only be dimmed"):
+        dim(frames, frames, factor, NOISE, torch.Generator())
+
+
+CRITERION = Criterion(median_nm=20.0, failure_fraction=0.1)
+MAGNITUDES = np.array([12.0, 14.0, 16.0, 18.0])
+
+
+def test_the_limit_is_interpolated_in_the_logarithm_of_the_error():
+    median = 2.0 * 10 ** (0.4 * (MAGNITUDES - 12))  # meets 20 nm at 12 + 2.5 exactly
+    assert limiting_magnitude(MAGNITUDES, median, np.zeros(4), CRITERION) == pytest.approx(14.5)
+
+
+def test_failures_stop_the_limit_at_the_last_good_magnitude():
+    failures = np.array([0, 0, 0.3, 0.9])
+    assert limiting_magnitude(MAGNITUDES, np.full(4, 5.0), failures, CRITERION) == 14.0
+
+
+def test_a_curve_that_never_meets_the_criterion_has_no_limit():
+    assert np.isnan(limiting_magnitude(MAGNITUDES, np.full(4, 50.0), np.zeros(4), CRITERION))
+
+
+def test_a_curve_that_always_meets_it_ends_with_the_grid():
+    assert limiting_magnitude(MAGNITUDES, np.full(4, 5.0), np.zeros(4), CRITERION) == 18.0
+
+
+def test_a_curve_counts_failures_apart_from_errors():
+    errors = np.array([[1.0, 2.0, 3.0, 4.0, 5.0], [10.0, np.nan, 20.0, 30.0, np.nan]])
+    curve = curve_of((2, 3, 4), np.array([12.0, 14.0]), errors, np.array([1.0, 2.0]), CRITERION)
+    assert curve.median_abs_error_nm.tolist() == [3.0, 20.0]
+    assert curve.failures.tolist() == [0, 2]
+    assert (curve.trials, curve.limit_mag) == (5, 12.0)
+
+
+def test_a_magnitude_at_which_everything_fails_has_no_error():
+    errors = np.array([[1.0, 1.0], [np.nan, np.nan]])
+    curve = curve_of((2, 3, 4), np.array([12.0, 14.0]), errors, np.ones(2), CRITERION)
+    assert np.isnan(curve.median_abs_error_nm[1])
+    assert curve.limit_mag == 12.0
+
+
+def test_a_scan_reaches_the_bound_where_frames_err_by_noise_alone():
+    """Monte Carlo: noisy frames of the model itself, so that the error is that of an efficient estimate."""
+    model = PsfModel(cases.settings(24), [2, 3, 4])
+    introduced = np.linspace(-60, 60, 8)
+    true = torch.zeros(8, 3, dtype=torch.float64)
+    true[:, 2] = torch.as_tensor(introduced)
+    signal = model.images(true).double() * 2e6
+    frames = torch.cat([cases.draw_frames(mean.numpy(), 1, seed) for seed, mean in enumerate(signal)])
+    curve = scan(
+        ImageModel(model),
+        RampData(frames, cases.everything(frames), cases.READ_NOISE, introduced),
+        signal,
+        10.0,
+        np.array([12.5, 15.0]),
+        20,
+        true,
+        Criterion(),
+        seed=5,
+    )
+    assert curve.abs_error_nm.shape == (2, 160)
+    # relative error of a median of 160 absolute normal values: 1.17 / sqrt(160) = 9 %
+    assert curve.median_abs_error_nm == pytest.approx(MEDIAN_OF_NORMAL * curve.crb_nm, rel=0.25)
+    assert curve.failures.tolist() == [0, 0]

@@ -1,0 +1,87 @@
+"""YAML files are read strictly, and lines are remembered."""
+
+import pytest
+
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.files.yaml import line_of, load_yaml, parse_yaml
+
+TEXT = """\
+role: psf
+diversity:
+  zernike: {6: -170.0,
+            7: 1e-3}
+spectrum:
+- wavelength_nm: 1600
+- wavelength_nm: 1650
+"""
+
+
+def test_values_come_with_their_lines():
+    data, lines = parse_yaml(TEXT, "f.yaml")
+    assert data["diversity"]["zernike"] == {6: -170.0, 7: 1e-3}
+    assert lines[("diversity",)] == 2
+    assert lines[("diversity", "zernike", 7)] == 4
+    assert lines[("spectrum", 1, "wavelength_nm")] == 7
+
+
+def test_a_key_that_is_not_there_has_the_line_of_its_parent():
+    _, lines = parse_yaml(TEXT, "f.yaml")
+    assert line_of(lines, ("diversity", "source")) == 2
+    assert line_of(lines, ("target",)) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1e-3", 1e-3),
+        ("1E5", 1e5),
+        ("-2.5e+1", -25.0),
+        ("12", 12),
+        ("1.5", 1.5),
+        ("1e", "1e"),
+        ("true", True),
+    ],
+)
+def test_numbers_are_read_as_numbers(text, value):
+    assert parse_yaml(f"a: {text}", "f.yaml")[0]["a"] == value
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: 1\nb: {c: 2,\n    c: 3}", r"f\.yaml:3: key 'c' is given twice \(first on line 2\)"),
+        ("1: a\n1.0: b", r"f\.yaml:2: key '1.0' is given twice"),
+        ("a: &x [1]\nb: *x", r"f\.yaml:2: alias '\*x' is not accepted"),
+        ("a: !!python/object/apply:os.system [ls]", r"f\.yaml:1: tag .* is not accepted"),
+        ("a: [1, 2\nb: 3", r"f\.yaml:2: not valid YAML"),
+        ("a: b: c", r"f\.yaml:1: not valid YAML"),
+        ("? [a, b]\n: 1", r"f\.yaml:1: a key must be a plain word or number"),
+        ("a: 1\n---\nb: 2", r"f\.yaml:2: not valid YAML"),
+        ("a: \x00", r"f\.yaml:1: not valid YAML"),
+        ("a: 2023-99-99", r"f\.yaml:1: not valid YAML"),
+        ("[" * 500, r"f\.yaml:1: nested more than 30 deep"),
+        ("", r"f\.yaml:1: expected 'key: value' pairs, found nothing"),
+        ("- a", r"f\.yaml:1: expected 'key: value' pairs, found something else"),
+    ],
+)
+def test_what_yaml_forgives_is_not_forgiven(text, message):
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        parse_yaml(text, "f.yaml")
+    assert "\n" not in str(caught.value)
+
+
+def test_the_kind_of_error_is_the_callers_choice(tmp_path):
+    with pytest.raises(InputDataError, match=r"gone\.yaml: cannot be read: No such file"):
+        load_yaml(tmp_path / "gone.yaml", InputDataError)
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path):
+    (tmp_path / "f.yaml").write_bytes(b"a: \xff\xfe")
+    with pytest.raises(ConfigurationError, match="not a UTF-8 text file"):
+        load_yaml(tmp_path / "f.yaml")
+
+
+def test_a_huge_file_is_not_even_read(tmp_path):
+    (tmp_path / "f.yaml").write_bytes(b"#" * 5_000_000)
+    with pytest.raises(ConfigurationError, match="larger than 1 MB"):
+        load_yaml(tmp_path / "f.yaml")

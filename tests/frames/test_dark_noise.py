@@ -1,0 +1,59 @@
+"""Noise of the dark image, seen in the frames; truth by Monte Carlo with known variances."""
+
+import numpy as np
+import pytest
+
+from irlos_pipe.frames.dark_noise import dark_variance_e2
+from irlos_pipe.frames.noise import NoiseModel
+
+ALL_GOOD = np.ones((64, 64), dtype=bool)
+
+
+def star_e(peak_e: float = 1e4) -> np.ndarray:
+    """An Airy-like image of 4.2 pixels per λ/D with wings, by the Fourier transform of a disc."""
+    y, x = np.indices((256, 256)) - 128
+    field = np.fft.fftshift(np.fft.fft2(np.hypot(x, y) < 256 / 4.2 / 2))
+    image = (abs(field) ** 2)[96:160, 96:160]
+    return peak_e * image / image.max()
+
+
+def frames_e(dark_sigma_e: float, count: int = 60, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    photons = rng.poisson(star_e(), (count, 64, 64))
+    return photons + rng.normal(0, 1.0, photons.shape) - rng.normal(0, dark_sigma_e, (64, 64))
+
+
+@pytest.mark.parametrize("sigma_e", [0.2, 0.5, 2.0])
+def test_the_noise_of_the_dark_is_found_in_the_frames(sigma_e):
+    """To the error of eight draws, a tenth, and what the star's wings add, less than 0.01 e-²."""
+    found = np.mean([dark_variance_e2(frames_e(sigma_e, seed=s), ALL_GOOD, 100.0) for s in range(8)])
+    assert found == pytest.approx(sigma_e**2, rel=0.15, abs=0.01)
+
+
+def test_a_pattern_that_was_taken_out_is_no_noise():
+    """A dark without noise whose pattern looks like a noise of 5 e- leaves nothing in the frames."""
+    assert dark_variance_e2(frames_e(0.0), ALL_GOOD, 25.0) < 0.01
+
+
+def test_what_the_dark_itself_says_is_the_limit():
+    assert dark_variance_e2(frames_e(2.0), ALL_GOOD, 0.3) == 0.3
+    assert dark_variance_e2(frames_e(2.0)[:1], ALL_GOOD, 0.3) == 0.3
+
+
+def test_bad_pixels_do_not_count():
+    good = np.random.default_rng(1).random((64, 64)) > 0.01
+    images = np.where(good, frames_e(0.5), 1e4)
+    assert dark_variance_e2(images, good, 100.0) == pytest.approx(0.25, rel=0.25)
+
+
+def test_the_mean_of_many_frames_keeps_the_noise_of_the_dark():
+    noise = NoiseModel(1.0, 4.0, shared_e2=0.25)
+    assert noise.variance_e2(10.0) == 14.25
+    assert noise.mean_variance_e2(10.0, 100) == pytest.approx(0.14 + 0.25)
+    assert noise.scatter_e2(10.0) == 14.0
+
+
+def test_without_a_dark_the_pattern_of_the_detector_counts():
+    """An unlimited estimate finds the 2 e- that were put in; a single frame cannot tell."""
+    assert dark_variance_e2(frames_e(2.0), ALL_GOOD, np.inf) == pytest.approx(4.0, rel=0.2)
+    assert dark_variance_e2(frames_e(2.0)[:1], ALL_GOOD, np.inf) == 0.0

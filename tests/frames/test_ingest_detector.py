@@ -1,0 +1,150 @@
+"""Counts to electrons, levels, and the noise measured on a star."""
+
+import numpy as np
+import pytest
+from helpers.sparta_files import SAMPLING_PX, counts, frames_e, star
+
+from irlos_pipe.frames.cleaning import find_background
+from irlos_pipe.frames.detector import (
+    estimate_pedestal,
+    relative_flat,
+    saturation_level,
+    star_position,
+    to_electrons,
+)
+from irlos_pipe.frames.neighbour_prediction import neighbour_prediction
+from irlos_pipe.frames.photon_transfer import MeasuredNoise, measure_noise
+from irlos_pipe.frames.raw import CalibrationMaps
+from irlos_pipe.frames.recording import Detector
+
+DETECTOR = Detector(e_per_adu=0.5, read_noise_e=1.0)
+
+
+def test_electrons_are_counts_above_background_over_flat_times_gain():
+    adu = np.array([[[110.0, 60.0]], [[10.0, 35.0]]])
+    electrons = to_electrons(adu, np.array([[10.0, 10.0]]), np.array([[1.0, 0.5]]), e_per_adu=2.0)
+    assert electrons.tolist() == [[[200.0, 200.0]], [[0.0, 100.0]]]
+    assert electrons.dtype == np.float32
+
+
+def test_unsigned_counts_below_the_background_become_negative():
+    assert to_electrons(np.array([[[3]]], np.uint16), np.array([[5.0]]), np.ones((1, 1)), 1.0)[0, 0, 0] == -2
+
+
+def test_counts_are_left_as_they_were():
+    adu = np.full((2, 3, 3), 7.0, np.float32)
+    to_electrons(adu, np.ones((3, 3)), np.ones((3, 3)), 2.0)
+    assert (adu == 7).all()
+
+
+def test_only_the_shape_of_a_flat_matters():
+    flat = np.array([[2000.0, 2200.0, 1800.0]])
+    assert relative_flat(flat, (1, 3))[0] == pytest.approx(np.array([[1.0, 1.1, 0.9]]))
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+def test_a_pixel_whose_flat_is_no_positive_number_is_bad(value):
+    flat, bad = relative_flat(np.array([[1.0, value, 1.0]]), (1, 3))
+    assert bad.tolist() == [[False, True, False]]
+    assert flat[0, 1] == 1
+
+
+def test_dark_and_sky_add_up_to_the_background():
+    maps = CalibrationMaps(dark_adu=np.full((8, 8), 6.0), background_adu=np.full((8, 8), 2.5))
+    found = find_background(np.zeros((2, 8, 8)), maps, np.ones((8, 8), bool))
+    assert (found.adu == 8.5).all()
+    assert np.isnan(found.pedestal_adu)
+
+
+def test_without_dark_the_pedestal_is_estimated_under_the_star():
+    image = star(64, 64, flux_e=1e6)
+    mean = image / 0.5 + 200.0
+    level, error = estimate_pedestal(mean)
+    assert abs(level - 200) < 1e-4 * image.max() / 0.5
+    assert abs(level - 200) < 3 * error + 1
+
+
+def test_bad_pixels_do_not_pull_the_pedestal():
+    mean = star(64, 64) / 0.5 + 200.0
+    clean = estimate_pedestal(mean)[0]
+    mean[50:60, 5] = np.nan
+    assert estimate_pedestal(mean)[0] == pytest.approx(clean, abs=1)
+
+
+def test_the_pedestal_of_pure_noise_is_its_level():
+    noise = np.random.default_rng(0).normal(200, 0.1, (32, 32))
+    assert estimate_pedestal(noise)[0] == pytest.approx(200, abs=0.5)
+
+
+@pytest.mark.parametrize("shape", [(32, 32), (31, 40)])
+def test_the_star_is_found_where_it_is(shape):
+    y, x = np.indices(shape)
+    image = 7 + 1000 * np.exp(-((y - 12.3) ** 2 + (x - 17.8) ** 2) / 18)
+    assert star_position(image) == pytest.approx((12.3, 17.8), abs=0.1)
+
+
+def test_the_declared_saturation_level_is_believed():
+    assert saturation_level(counts(star()), Detector(0.5, 1.0, saturation_adu=1234.0)) == 1234.0
+
+
+def test_an_integer_type_saturates_at_its_end():
+    adu = counts(star(flux_e=1e5)).astype(np.uint16)
+    assert adu.max() < 60000
+    assert saturation_level(adu, DETECTOR) == 65535
+
+
+def test_clipped_counts_betray_the_level():
+    adu = np.minimum(counts(star()), 16383)
+    assert (adu == 16383).sum() > 20
+    assert saturation_level(adu, DETECTOR) == 16383
+
+
+@pytest.mark.parametrize("flux_e", [1e3, 1e5, 1e7])
+def test_a_star_that_is_not_clipped_shows_no_level(flux_e):
+    assert saturation_level(counts(star(flux_e=flux_e)), DETECTOR) is None
+
+
+def measured(images, detector=DETECTOR):
+    good = np.ones(images.shape[1:], bool)
+    return measure_noise(images.astype(np.float32), good, neighbour_prediction(good, SAMPLING_PX), detector)
+
+
+@pytest.mark.parametrize("read_noise_e", [1.0, 3.0])
+def test_read_noise_is_measured_on_the_star_itself(read_noise_e):
+    noise = measured(frames_e(star(64, 64, flux_e=3e5), 100, read_noise_e))
+    assert noise.floor_e2 == pytest.approx(read_noise_e**2, abs=5 * noise.floor_error_e2)
+    assert noise.excess_noise_factor == pytest.approx(1.0, abs=0.05)
+
+
+def test_excess_noise_is_measured_on_the_star_itself():
+    image = star(64, 64, flux_e=3e5)
+    rng = np.random.default_rng(2)
+    frames = image + np.sqrt(1.4 * image + 1) * rng.normal(size=(100, *image.shape))
+    assert measured(frames).excess_noise_factor == pytest.approx(1.4, rel=0.05)
+
+
+def test_image_motion_is_no_noise():
+    moving = np.stack(
+        [
+            star(64, 64, flux_e=3e5, shift_px=shift)
+            for shift in np.random.default_rng(0).normal(0, 0.7, (60, 2))
+        ]
+    )
+    rng = np.random.default_rng(1)
+    noise = measured(rng.poisson(moving) + rng.normal(0, 1, moving.shape))
+    assert noise.excess_noise_factor == pytest.approx(1.0, abs=0.1)
+
+
+def test_sky_noise_beyond_the_read_noise_shows_in_the_floor():
+    sky_e = 5.0
+    noise = measured(frames_e(star(64, 64, flux_e=3e5) + sky_e, 100) - sky_e)
+    assert noise.beyond_e2(1.0) == pytest.approx(sky_e, abs=5 * noise.floor_error_e2)
+
+
+def test_an_insignificant_excess_of_noise_is_not_reported():
+    assert MeasuredNoise(floor_e2=1.4, floor_error_e2=0.1).beyond_e2(1.0) == 0
+    assert MeasuredNoise().beyond_e2(1.0) == 0
+
+
+def test_a_few_frames_are_too_few_to_measure_noise():
+    assert np.isnan(measured(frames_e(star(64, 64), 5)).floor_e2)

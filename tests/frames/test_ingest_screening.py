@@ -1,0 +1,142 @@
+"""Frames that cannot be used, each with its reason."""
+
+import numpy as np
+import pytest
+from helpers.sparta_files import counts, frames_e, star
+
+from irlos_pipe.frames import screening
+from irlos_pipe.frames.bad_pixels import Hits
+from irlos_pipe.frames.screening import (
+    Limits,
+    hit_in_core,
+    no_reasons,
+    recorder_faults,
+    saturated_frames,
+    star_faults,
+    tally,
+)
+
+LIMITS = Limits()
+IMAGE = star(32, 32, flux_e=1e5)
+
+
+def images(count=12):
+    return frames_e(IMAGE, count).astype(np.float32)
+
+
+def judged(cube, limits=LIMITS):
+    return star_faults(cube, no_reasons(len(cube)), limits).tolist()
+
+
+def only(frame, reason, count=12):
+    return [reason if index == frame else "" for index in range(count)]
+
+
+def test_a_clean_recording_loses_no_frame():
+    adu = counts(IMAGE)
+    assert recorder_faults(adu, np.arange(len(adu))).tolist() == [""] * len(adu)
+    assert judged(images()) == [""] * 12
+
+
+def test_a_repeated_counter_costs_the_second_frame():
+    counter = np.array([0, 20, 20, 40])
+    assert recorder_faults(counts(IMAGE, 4), counter).tolist() == ["", "", screening.REPEATED_COUNTER, ""]
+
+
+def test_an_image_delivered_twice_counts_once():
+    adu = counts(IMAGE, 4)
+    adu[2] = adu[1]
+    assert recorder_faults(adu, np.arange(4)).tolist() == ["", "", screening.REPEATED_IMAGE, ""]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_frame_with_values_that_are_no_numbers_is_rejected(value):
+    adu = counts(IMAGE, 4)
+    adu[2, 5, 5] = value
+    assert recorder_faults(adu, np.arange(4)).tolist() == ["", "", screening.NOT_FINITE, ""]
+
+
+def test_a_pixel_that_never_is_a_number_costs_no_frame():
+    adu = counts(IMAGE, 4)
+    adu[:, 5, 5] = np.nan
+    assert recorder_faults(adu, np.arange(4)).tolist() == [""] * 4
+
+
+@pytest.mark.parametrize("level", [0, 200])
+def test_an_empty_frame_is_rejected(level):
+    adu = counts(IMAGE, 4)
+    adu[1] = level
+    assert recorder_faults(adu, np.arange(4)).tolist() == ["", screening.EMPTY, "", ""]
+
+
+def test_saturated_pixels_count_unless_they_are_bad():
+    adu = np.zeros((3, 4, 4))
+    adu[1, 2, 2] = adu[2, 0, 0] = 65535
+    good = np.ones((4, 4), bool)
+    good[0, 0] = False
+    assert saturated_frames(adu, good, 65535, tolerated_px=0).tolist() == [False, True, False]
+    assert not saturated_frames(adu, good, 65535, tolerated_px=1).any()
+    assert not saturated_frames(adu, good, None, tolerated_px=0).any()
+
+
+def test_a_frame_without_the_star_is_rejected():
+    cube = images()
+    cube[4] = np.random.default_rng(0).normal(0, 1, IMAGE.shape)
+    assert judged(cube) == only(4, screening.NO_STAR)
+
+
+def test_noise_alone_is_no_star():
+    noise = np.random.default_rng(0).normal(0, 1, (20, 32, 32)).astype(np.float32)
+    assert judged(noise) == [screening.NO_STAR] * 20
+
+
+def test_a_gradient_is_no_star():
+    noise = np.random.default_rng(0).normal(0, 1, (20, 32, 32)) + np.arange(32)
+    assert judged(noise.astype(np.float32)) == [screening.NO_STAR] * 20
+
+
+def test_a_star_too_faint_for_single_frames_is_kept_if_their_median_shows_it():
+    cube = frames_e(star(32, 32, flux_e=200), 150, read_noise_e=3.0).astype(np.float32)
+    assert screening.star_peaks(cube).snr.min() < LIMITS.star_snr
+    assert judged(cube) == [""] * 150
+
+
+def test_a_star_about_to_leave_the_window_is_rejected():
+    cube = images()
+    cube[7] = frames_e(star(32, 32, flux_e=1e5, shift_px=(0, 15.5)), 1)[0]
+    assert judged(cube) == only(7, screening.AT_EDGE)
+
+
+def test_a_star_off_centre_is_kept():
+    off_centre = frames_e(star(32, 32, flux_e=1e5, shift_px=(-8, 8)), 12).astype(np.float32)
+    assert judged(off_centre) == [""] * 12
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.6])
+def test_a_frame_of_odd_flux_is_rejected(factor):
+    cube = images()
+    cube[2] *= factor
+    assert judged(cube) == only(2, screening.FLUX)
+
+
+def test_flux_that_varies_a_little_is_no_fault():
+    cube = images() * np.linspace(0.9, 1.1, 12, dtype=np.float32)[:, None, None]
+    assert judged(cube) == [""] * 12
+
+
+def test_reasons_found_earlier_stay():
+    cube = images()
+    cube[2] *= 0.5
+    reasons = screening.also(no_reasons(12), np.arange(12) == 2, screening.SATURATED)
+    assert star_faults(cube, reasons, LIMITS).tolist() == only(2, screening.SATURATED)
+
+
+def test_a_hit_rejects_a_frame_only_in_the_core():
+    peak = np.unravel_index(IMAGE.argmax(), IMAGE.shape)
+    hits = Hits(frame=np.array([1, 2]), row=np.array([peak[0], 0]), column=np.array([peak[1], 0]))
+    assert hit_in_core(hits, IMAGE, 4, LIMITS.core_fraction).tolist() == [False, True, False, False]
+
+
+def test_reasons_are_counted():
+    reasons = np.array(["", "b", "a", "b"])
+    assert tally(reasons) == {"b": 2, "a": 1}

@@ -1,0 +1,1 @@
+"""What several tests share: made files, stand-in stages, reference optics."""

@@ -1,0 +1,76 @@
+"""Cubes of noise-limited frames made by HCIPy, with something hidden in them, and their diagnosis."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from helpers.optics_cases import (
+    BAND,
+    DIVERSITY,
+    READ_NOISE,
+    draw_frames,
+    everything,
+    ncpa_nm,
+    settings,
+    shift_nm,
+)
+from helpers.reference_psf import ReferenceImager, reference
+from irlos_pipe.diagnose.decide import Options
+from irlos_pipe.diagnose.verdict import Diagnosis
+from irlos_pipe.diagnose.view import Exposures
+from irlos_pipe.diagnose.workflow import diagnose
+from irlos_pipe.effects import Conditions
+from irlos_pipe.estimate.cube import Frames
+
+WINDOW, HIGHEST_NOLL, FRAMES, FLUX_E, WAVELENGTH_NM = 40, 15, 32, 1e6, 1600.0
+TRUE_NM = ncpa_nm(5, HIGHEST_NOLL, 100.0)
+CASE = settings(WINDOW)
+CONDITIONS = Conditions(BAND, 0.5, DIVERSITY, HIGHEST_NOLL, CASE.window, 9.7, CASE.spectrum)
+COMPANION = {"flux_ratio": 0.03, "x_px": -9.3, "y_px": 6.1}
+
+
+def opd_nm(imager: ReferenceImager, **tilts_px: float) -> np.ndarray:
+    """NCPAs and diversity, displaced by some pixels along x and y."""
+    total = {noll: TRUE_NM.get(noll, 0.0) + DIVERSITY.get(noll, 0.0) for noll in {*TRUE_NM, *DIVERSITY}}
+    total[2] += shift_nm(tilts_px.get("x_px", 0.0))
+    total[3] += shift_nm(tilts_px.get("y_px", 0.0))
+    return imager.opd_nm(total)
+
+
+def plain() -> np.ndarray:
+    """The star and nothing else, unit flux."""
+    imager = reference()
+    return imager.image(opd_nm(imager), WAVELENGTH_NM, CASE.window, 9.7)
+
+
+def with_companion() -> np.ndarray:
+    """A second source: the sum of two images."""
+    imager, ratio = reference(), COMPANION["flux_ratio"]
+    place = {key: COMPANION[key] for key in ("x_px", "y_px")}
+    second = imager.image(opd_nm(imager, **place), WAVELENGTH_NM, CASE.window, 9.7)
+    return (plain() + ratio * second) / (1 + ratio)
+
+
+def with_opaque_spot(radius_m: float = 0.45) -> np.ndarray:
+    """Something opaque in the pupil, which the catalogue does not have."""
+    imager = reference()
+    x, y = imager.grid.x, imager.grid.y
+    clear = np.hypot(np.asarray(x) - 1.6, np.asarray(y) + 1.9) > radius_m
+    return imager.image(
+        opd_nm(imager), WAVELENGTH_NM, CASE.window, 9.7, transmission=imager.transmission * clear
+    )
+
+
+def cube(image: np.ndarray, seed: int = 3) -> Frames:
+    """Noisy frames of one image."""
+    images = draw_frames(image * FLUX_E, FRAMES, seed=seed)
+    return Frames(images, everything(images), READ_NOISE)
+
+
+@functools.cache
+def diagnosis_of(kind: str) -> Diagnosis:
+    """Diagnosis of one of the images above, made once per test process."""
+    image = {"plain": plain, "companion": with_companion, "spot": with_opaque_spot}[kind]()
+    return diagnose([Exposures(cube(image), CASE, CONDITIONS)], [], Options(HIGHEST_NOLL))

@@ -1,0 +1,63 @@
+"""Frames drawn from the model itself, with one effect or none: for tests of the parts of a diagnosis."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import torch
+
+from helpers.optics_cases import (
+    BAND,
+    DIVERSITY,
+    READ_NOISE,
+    draw_frames,
+    everything,
+    ncpa_nm,
+    settings,
+    vector,
+)
+from irlos_pipe.diagnose.cube import Cube, Stack, split
+from irlos_pipe.diagnose.fitting import Fitted, Fitter
+from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.view import View
+from irlos_pipe.effects import Conditions
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.optics.psf import PsfModel
+
+WINDOW, NOLLS, FRAMES, FLUX_E = 32, tuple(range(2, 12)), 40, 3e5
+CASE = settings(WINDOW, margin_mas=100.0, halo_margin_mas=250.0)
+CONDITIONS = Conditions(BAND, 0.5, DIVERSITY, NOLLS[-1], CASE.window, 9.7, CASE.spectrum)
+TRUE_NM = ncpa_nm(4, NOLLS[-1], 90.0)
+
+
+@functools.cache
+def model() -> PsfModel:
+    return PsfModel(CASE, NOLLS, dtype=torch.float64)
+
+
+def image(modes_nm: dict[int, float] = TRUE_NM, effect=None, values=()) -> np.ndarray:
+    """Mean image [e-] with one effect or none."""
+    whole = ImageModel(model(), [] if effect is None else [effect])
+    flux, none = torch.tensor([FLUX_E], dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
+    values = torch.tensor(values, dtype=torch.float64)
+    return whole.predict(vector(modes_nm, NOLLS), flux, none, values)[0].numpy()
+
+
+def frames(mean_e: np.ndarray, seed: int = 1, noise: NoiseModel = READ_NOISE) -> Frames:
+    images = draw_frames(mean_e, FRAMES, seed, noise)
+    return Frames(images, everything(images), READ_NOISE)
+
+
+def cube(mean_e: np.ndarray, seed: int = 1) -> Cube:
+    return split(frames(mean_e, seed)).limited_by(True)
+
+
+def optimum(stack: Stack, effects=()) -> Optimum:
+    return Optimum(stack, fitted(stack, effects))
+
+
+def fitted(stack: Stack, effects=()) -> Fitted:
+    return Fitter([View(model(), CONDITIONS)], stack).fit(effects)

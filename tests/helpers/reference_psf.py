@@ -1,0 +1,101 @@
+"""Images of the UT4 pupil by HCIPy, on a pupil grid eight times finer than the default of the project.
+
+Shares no code with the package: HCIPy's aperture, Zernikes and matrix Fourier transform, the pupil's
+geometry as written in the simulator of ``data_samples``, pixels integrated by Gauss-Legendre rules.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+
+hcipy = pytest.importorskip("hcipy", reason="the independent images need HCIPy, a development dependency")
+from simulator.telescope import OBSCURATION_M, ut4_aperture  # noqa: E402
+
+DIAMETER_M = 8.0
+MAS_RAD = np.deg2rad(1 / 3.6e6)
+NODES = 4  # per pixel and axis
+SUBSAMPLES = 4  # per side of a pupil cell
+
+
+class ReferenceImager:
+    """Point-source images, as fractions of the light through the pupil.
+
+    Parameters
+    ----------
+    samples : int
+        Across the diameter.
+    """
+
+    def __init__(self, samples: int = 1024):
+        self.grid = hcipy.make_pupil_grid(samples, DIAMETER_M)
+        self.step_m = float(self.grid.delta[0])
+        self.transmission = _supersampled(self.grid, self.step_m)
+        self.area_m2 = float(self.transmission.sum()) * self.step_m**2
+        self._mode = functools.cache(self._mode)
+
+    def _mode(self, noll: int) -> np.ndarray:
+        n, m = hcipy.noll_to_zernike(noll)
+        return np.asarray(hcipy.zernike(n, m, D=DIAMETER_M, grid=self.grid, radial_cutoff=False))
+
+    def opd_nm(self, zernike_nm: dict[int, float]) -> np.ndarray:
+        """OPD of Noll coefficients, flat [nm]."""
+        return sum((nm * self._mode(noll) for noll, nm in zernike_nm.items()), np.zeros(self.grid.size))
+
+    def misregistered(self, stop_m: tuple[float, float], rotation_deg: float) -> np.ndarray:
+        """Transmission where an annular stop at `stop_m` and the pupil with turned vanes are both clear."""
+        turn = np.deg2rad(rotation_deg)
+        annulus = hcipy.make_obstructed_circular_aperture(DIAMETER_M, OBSCURATION_M / DIAMETER_M)
+        stop = hcipy.make_shifted_aperture(annulus, stop_m)
+        turned = hcipy.make_rotated_aperture(ut4_aperture, turn)
+        return _supersampled(self.grid, self.step_m, lambda grid: stop(grid) * turned(grid))
+
+    def image(
+        self, zernike_nm, wavelength_nm: float, window, pixel_scale_mas: float, transmission=None
+    ) -> np.ndarray:
+        """Pixel-integrated image (rows, columns); `zernike_nm` is a dict, or a flat OPD [nm].
+
+        Another `transmission` than that of the pupil still counts as fractions of the light through it.
+        """
+        opd = self.opd_nm(zernike_nm) if isinstance(zernike_nm, dict) else zernike_nm
+        nodes, weights = np.polynomial.legendre.leggauss(NODES)
+        pixel = pixel_scale_mas * MAS_RAD
+        rows, columns = ((np.arange(n) - (n - 1) / 2)[:, None] + nodes / 2 for n in window)
+        wavenumber = 2 * np.pi / (wavelength_nm * 1e-9)
+        axes = [columns.ravel() * pixel * wavenumber, rows.ravel() * pixel * wavenumber]
+        focal = hcipy.CartesianGrid(hcipy.SeparatedCoords(axes))
+        transform = hcipy.MatrixFourierTransform(self.grid, focal)
+        amplitude = self.transmission if transmission is None else transmission
+        field = hcipy.Field(amplitude * np.exp(2j * np.pi * opd / wavelength_nm), self.grid)
+        intensity = np.abs(np.asarray(transform.forward(field))) ** 2
+        fine = intensity.reshape(window[0], NODES, window[1], NODES)
+        integrated = np.einsum("yjxi,j,i->yx", fine, weights / 2, weights / 2)
+        # Parseval: the integral over all angles is wavelength^2 times the clear area
+        return integrated * pixel**2 / (self.area_m2 * (wavelength_nm * 1e-9) ** 2)
+
+    def spectral_image(self, zernike_nm, settings) -> np.ndarray:
+        """Image in the spectrum, window and scale of a `PsfSettings`, with its diversity added."""
+        total = {
+            noll: zernike_nm.get(noll, 0.0) + settings.diversity.get(noll, 0.0)
+            for noll in {*zernike_nm, *settings.diversity}
+        }
+        weight = sum(w for _, w in settings.spectrum)
+        return sum(
+            w / weight * self.image(total, nm, settings.window, settings.pixel_scale_mas)
+            for nm, w in settings.spectrum
+        )
+
+
+def _supersampled(grid, step_m: float, aperture=ut4_aperture) -> np.ndarray:
+    """Area-weighted transmission: mean over points spread evenly in every cell."""
+    offsets = ((np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES - 0.5) * step_m
+    shifted = (aperture(grid.shifted([dx, dy])) for dx in offsets for dy in offsets)
+    return np.asarray(sum(shifted)) / SUBSAMPLES**2
+
+
+@functools.cache
+def reference(samples: int = 1024) -> ReferenceImager:
+    """The imager, built once per test process."""
+    return ReferenceImager(samples)

@@ -1,0 +1,87 @@
+"""An ingest product of cubes at several derotator angles, and a context for the stages that work on it.
+
+Frames are drawn from the pipeline's own model: what is tested is what stages make of estimates.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from helpers import optics_cases as cases
+from helpers.ensemble_cases import silent_progress
+from irlos_pipe.frames.recording import Acquisition, Detector, Recording
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.rotation import rotation_matrix
+from irlos_pipe.product.product import Product
+from irlos_pipe.stages.base import Stage, StageContext, StageOutput
+from irlos_pipe.stages.ingest.recordings import arrays_from_recording, prefix_of
+from irlos_pipe.stages.model.section import ModelConfig
+
+WINDOW, FLUX_E, FRAMES = 40, 1e6, 36
+NOLLS = tuple(range(4, 16))
+ROTATING_NM = dict(zip(NOLLS, (0, 40, -30, 20, 25, -30, 15, 0, 10, -12, 14, 8), strict=True))
+FIXED_NM = dict(zip(NOLLS, (50, 10, 15, -20, 10, 5, -10, 20, 0, 5, -5, 5), strict=True))
+
+
+def static_nm(angle_deg: float) -> dict[int, float]:
+    """The wavefront at a derotator angle; it turns clockwise."""
+    turned = rotation_matrix(NOLLS, -angle_deg) @ list(ROTATING_NM.values())
+    return {noll: float(value) + FIXED_NM[noll] for noll, value in zip(NOLLS, turned, strict=True)}
+
+
+def recording(
+    name: str, angle_deg: float, seed: int, frames: int = FRAMES, used: int | None = None
+) -> Recording:
+    """A cube without AO residual, of which the first frames are used."""
+    zernike_nm = cases.vector(static_nm(angle_deg), NOLLS)
+    image = PsfModel(cases.settings(WINDOW), NOLLS).images(zernike_nm)[0].double().numpy()
+    acquisition = Acquisition(
+        "derotator", Detector(2.0, 1.0), cases.NARROW_H, dict(cases.DIVERSITY), cases.SCALE_MAS,
+        derotator_angle_deg=angle_deg,
+    )  # fmt: skip
+    kept = np.arange(frames) < (frames if used is None else used)
+    return Recording(
+        name,
+        "cube",
+        cases.draw_frames(image * FLUX_E, frames, seed).numpy(),
+        kept,
+        np.where(kept, "", "saturated"),
+        np.ones((WINDOW, WINDOW), bool),
+        0.1 * np.arange(frames),
+        np.arange(frames),
+        np.zeros(frames),
+        acquisition,
+    )
+
+
+def ingest_product(recordings: Sequence[Recording]) -> Product:
+    """What ingest would have left."""
+    arrays = {}
+    for one in recordings:
+        arrays |= arrays_from_recording(one, prefix_of(one))
+    rows = [{"name": one.name, "input": one.input} for one in recordings]
+    return Product("ingest", arrays, {"inputs": rows})
+
+
+def run_stage(stage: Stage, products: Mapping[str, Product], **settings) -> tuple[StageOutput, Product]:
+    """Run a stage; returns its output and the product the pipeline would make of it."""
+    config = stage.Config(**settings)
+    ctx = StageContext(
+        config,
+        ModelConfig(effects=()),
+        load_instrument("irlos"),
+        {},
+        dict(products),
+        "cpu",
+        0,
+        1,
+        silent_progress,
+        logging.getLogger("test"),
+        None,
+    )
+    output = stage.run(ctx)
+    return output, Product(stage.NAME, output.arrays, output.results, config=config.model_dump())

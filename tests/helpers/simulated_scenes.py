@@ -1,0 +1,53 @@
+"""Scenes that the tests of the simulator start from: the UT4 pupil, one wavelength, 142 nm of NCPAs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.simulate.exposure import Exposed, expose
+from irlos_pipe.simulate.ncpa import draw_ncpa_nm
+from irlos_pipe.simulate.scene import Band, Sampling, Scene
+
+UT4 = load_instrument("irlos").pupil
+MAS_RAD = np.deg2rad(1 / 3.6e6)
+NARROW_H = (Band(1600.0, 1e-6),)
+NCPA_NM = draw_ncpa_nm(np.random.default_rng(11))
+FINE = Sampling(points_per_band=1)
+
+
+def scene(**changes) -> Scene:
+    """One frame of 0.1 s on the bench, monochromatic, unless told otherwise."""
+    usual = {
+        "name": "test",
+        "geometry": UT4,
+        "bands": NARROW_H,
+        "seed": (20, 24),
+        "frames": 1,
+        "exposure_s": 0.1,
+        "window": (48, 48),
+        "ncpa_nm": NCPA_NM,
+        "diversity_nm": {6: -170.0},
+        "sampling": FINE,
+    }
+    return Scene(**usual | changes)
+
+
+def image(**changes) -> np.ndarray:
+    """Mean image of the frames of `scene`, in parts of the star's light, (rows, columns) float64."""
+    return of_light(expose(scene(**changes)), scene(**changes))
+
+
+def of_light(exposed: Exposed, exposed_scene: Scene) -> np.ndarray:
+    """Mean image in parts of the star's light."""
+    return exposed.mean_e.mean(axis=0, dtype=float) / exposed_scene.photons
+
+
+def tilt_nm_rms(mas: float, diameter_m: float = 8.0) -> float:
+    """Noll 2 or 3 [nm RMS] that moves the image: an angle is an OPD of angle · x, and Z2 = 4 x / D."""
+    return mas * MAS_RAD * diameter_m / 4 * 1e9
+
+
+def worst(found: np.ndarray, expected: np.ndarray) -> float:
+    """Largest difference in parts of the peak."""
+    return float(np.abs(found - expected).max() / expected.max())

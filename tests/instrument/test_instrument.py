@@ -1,0 +1,134 @@
+"""Instrument profiles."""
+
+import math
+
+import pytest
+import yaml
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.instrument.instrument import PROFILES, load_instrument
+
+
+@pytest.fixture
+def profile():
+    return yaml.safe_load((PROFILES / "irlos.yaml").read_text())
+
+
+def written(folder, content):
+    path = folder / "mine.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def test_the_pupil_is_that_of_ut4():
+    pupil = load_instrument("irlos").pupil
+    assert (pupil.diameter_m, pupil.obscuration_m) == (8.0, 1.116)
+    assert {vane.width_m for vane in pupil.vanes} == {0.040}
+    ends = {vane.end_m for vane in pupil.vanes}
+    assert ends == {(4.2197, 0.0), (0.0, 4.2197), (-4.2197, 0.0), (0.0, -4.2197)}
+    for vane in pupil.vanes:
+        x, y = vane.start_m
+        assert x == y
+        assert math.hypot(x, y) == pytest.approx(0.4045 / math.cos(math.radians(39.5)), abs=1e-5)
+
+
+def test_the_vanes_of_a_pair_enclose_101_degrees():
+    first, second, *_ = load_instrument("irlos").pupil.vanes
+    directions = [math.atan2(v.end_m[1] - v.start_m[1], v.end_m[0] - v.start_m[0]) for v in (first, second)]
+    assert math.degrees(directions[1] - directions[0]) == pytest.approx(101, abs=0.1)
+
+
+def test_photometry_and_scale_are_the_projects():
+    irlos = load_instrument("irlos")
+    assert irlos.photons_per_s_m15 == 150000
+    assert irlos.defaults["pixel_scale_mas"] == 9.7
+
+
+def test_every_value_has_unit_source_and_status():
+    facts = [fact for facts in load_instrument("irlos").facts.values() for fact in facts]
+    assert len(facts) > 10
+    assert all(fact.unit and fact.source and fact.status for fact in facts)
+
+
+def test_values_that_changed_follow_the_date():
+    mode = "20x20_SmallScale_500Hz_HighGain"
+    irlos = load_instrument("irlos")
+    assert irlos.modes[mode].pixel_scale_mas == 78
+    assert irlos.on("2021-03-20").modes[mode].pixel_scale_mas == 78
+    assert irlos.on("2021-03-19").modes[mode].pixel_scale_mas == 60
+
+
+def test_the_avalanche_gain_divides_the_conversion_gain():
+    mode = load_instrument("irlos").modes["64x64_FullPupil_200Hz_HighGain"]
+    assert mode.e_per_adu == pytest.approx(9.8 / 68)
+    assert (mode.lenslets, mode.frame_rate_hz) == (1, 200)
+
+
+def test_an_unknown_name_gets_a_suggestion():
+    with pytest.raises(ConfigurationError, match="unknown instrument 'irls'; did you mean 'irlos'"):
+        load_instrument("irls")
+
+
+def test_a_profile_of_ones_own_is_loaded_by_path(tmp_path, profile):
+    profile["facts"]["pupil_diameter_m"]["value"] = 8.1196
+    assert load_instrument(written(tmp_path, profile)).pupil.diameter_m == 8.1196
+
+
+def test_a_file_that_is_missing_is_named(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"gone\.yaml: cannot be read"):
+        load_instrument(tmp_path / "gone.yaml")
+
+
+def remove_unit(profile):
+    del profile["facts"]["pupil_diameter_m"]["unit"]
+
+
+def misspell_status(profile):
+    profile["facts"]["pupil_diameter_m"]["status"] = "adoptd"
+
+
+def remove_fact(profile):
+    del profile["facts"]["photons_per_s_m15"]
+
+
+def give_text(profile):
+    profile["facts"]["pupil_diameter_m"]["value"] = "eight"
+
+
+def break_vane(profile):
+    profile["facts"]["pupil_vanes_m"]["value"] = [[0, 1, 2]]
+
+
+def turn_seeing_round(profile):
+    profile["facts"]["seeing_ratio_mass_dimm"]["value"] = -1
+
+
+def misspell_reference(profile):
+    profile["defaults"]["seeing_arcsec"] = "seing_arcsec"
+
+
+def overlap_dates(profile):
+    profile["facts"]["pixel_scale_small_mas"][0].pop("until")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (remove_unit, r"mine\.yaml:\d+: key 'facts\.pupil_diameter_m\.0\.unit' is missing"),
+        (
+            misspell_status,
+            r"mine\.yaml:\d+: facts\.pupil_diameter_m\.0\.status = 'adoptd'.*did you mean 'adopted'",
+        ),
+        (remove_fact, "fact 'photons_per_s_m15' is missing"),
+        (give_text, "fact 'pupil_diameter_m' = 'eight' should be a number"),
+        (break_vane, r"fact 'pupil_vanes_m' should be a list of \[\[x, y\], \[x, y\]\]"),
+        (turn_seeing_round, "seeing scale 'mass_dimm': ratio -1 should be positive"),
+        (misspell_reference, "no fact 'seing_arcsec'; did you mean 'seeing_arcsec'"),
+        (overlap_dates, "fact 'pixel_scale_small_mas' has 2 values on the present day"),
+    ],
+)
+def test_a_mistake_in_a_profile_is_told_with_the_file(tmp_path, profile, change, message):
+    change(profile)
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        load_instrument(written(tmp_path, profile))
+    assert "mine.yaml" in str(caught.value)

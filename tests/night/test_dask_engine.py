@@ -1,0 +1,200 @@
+"""Tasks on a Dask cluster: the same bits as in this process, whoever dies meanwhile.
+
+Truth: the same recipe run stage after stage in this process. The cluster has two workers, each a
+process of one thread.
+"""
+
+import os
+import signal
+import sys
+import threading
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import invoke
+from helpers import sparta_files
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.night.reduce import Reduced, Task, reduce_group
+from irlos_pipe.pipeline import provenance, run_recipe
+from irlos_pipe.product.product import read_product
+
+RECIPE = """\
+recipe: small
+inputs: {calibration: none}
+stages: [ingest, calibrate]
+calibrate: {method: lift_avg, highest_noll: 6, max_iterations: 3}
+"""
+NAMES = ("a", "b", "c")
+ALLOWED_DEATHS = 1  # of workers at one task; Dask's default is 3
+
+
+@pytest.fixture(scope="module")
+def address():
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
+    import dask
+
+    options = {"dashboard_address": None, "worker_dashboard_address": None, "silence_logs": "CRITICAL"}
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": ALLOWED_DEATHS}),
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, **options) as cluster,
+    ):
+        yield cluster.scheduler_address
+
+
+@pytest.fixture
+def tasks(tmp_path) -> list[Task]:
+    """Three calibrations of different stars."""
+    recipe = tmp_path / "small.yaml"
+    recipe.write_text(RECIPE)
+    for seed, name in enumerate(NAMES):
+        adu = sparta_files.counts(sparta_files.star(16, 16, seed=seed), frames=4, seed=seed)
+        sparta_files.write_recorder(tmp_path / "data" / name, adu)
+    return [
+        Task(
+            f"night/{name}/small",
+            tmp_path / "tree" / name,
+            recipe,
+            inputs=(f"calibration={tmp_path / 'data' / name}",),
+        )
+        for name in NAMES
+    ]
+
+
+def on_dask(address: str, work, tasks: list[Task]) -> dict[str, Reduced]:
+    from irlos_pipe.night.dask_engine import dask_runner
+
+    return {one.name: one for one in dask_runner(address)(work, tasks)}
+
+
+def noted(marks: Path, task: Task, last: str, before: Reduced | None, hold: str = "") -> Reduced:
+    """Like `reduce_group`; notes process and stage, and holds the first try at one stage for good."""
+    from irlos_pipe.stages import STAGES
+
+    stage, work = STAGES[last], STAGES[last].run
+
+    def run(ctx):
+        tries = len(list(marks.glob(f"{task.folder.name}-{last}-*")))
+        (marks / f"{task.folder.name}-{last}-{tries}").write_text(str(os.getpid()))
+        if hold == f"{task.folder.name}-{last}" and tries == 0:
+            time.sleep(600)
+        return work(ctx)
+
+    stage.run = run
+    try:
+        return reduce_group(task, last, before)
+    finally:
+        stage.run = work
+
+
+def kill_when_there(mark: Path) -> None:
+    """Kill the process that left a mark."""
+    end = time.monotonic() + 120
+    while time.monotonic() < end:
+        if mark.exists() and mark.read_text():
+            os.kill(int(mark.read_text()), signal.SIGKILL)
+            return
+        time.sleep(0.05)
+
+
+def same_to_the_bit(task: Task, folder: Path) -> None:
+    run_recipe(task.load(), folder)
+    for name in ("01_ingest.h5", "02_calibrate.h5"):
+        ours, serial = read_product(task.folder / name), read_product(folder / name)
+        assert list(ours.arrays) == list(serial.arrays)
+        for key, quantity in serial.arrays.items():
+            assert quantity.value.tobytes() == ours.arrays[key].value.tobytes(), key
+        drop = {"seconds"}
+        assert {k: v for k, v in ours.results.items() if k not in drop} == {
+            k: v for k, v in serial.results.items() if k not in drop
+        }
+        assert (ours.checks, ours.config) == (serial.checks, serial.config)
+
+
+def test_a_worker_killed_in_the_middle_of_a_stage_costs_that_stage_only_and_no_bit(address, tasks, tmp_path):
+    marks = tmp_path / "marks"
+    marks.mkdir()
+    killer = threading.Thread(target=kill_when_there, args=(marks / "b-calibrate-0",))
+    killer.start()
+    tasks = tasks[:2]
+    done = on_dask(address, partial(noted, marks, hold="b-calibrate"), tasks)
+    killer.join()
+    assert [done[task.name].problem for task in tasks] == ["", ""]
+    tries = sorted(mark.name for mark in marks.iterdir())
+    assert "b-calibrate-1" in tries and "b-ingest-1" not in tries and "a-calibrate-1" not in tries
+    assert len({mark.read_text() for mark in marks.iterdir()}) >= 2
+    for task in tasks:
+        same_to_the_bit(task, tmp_path / "serial" / task.folder.name)
+    one, other = (read_product(task.folder / "02_calibrate.h5").arrays["zernike_nm"].value for task in tasks)
+    assert not np.array_equal(one, other)
+
+
+def test_what_fails_or_kills_every_worker_is_told_and_the_others_are_reduced(address, tasks):
+    done = on_dask(address, deadly, tasks)
+    assert "KilledWorker" in done[tasks[0].name].problem and done[tasks[0].name].failed
+    assert done[tasks[1].name].problem == "b: no star" and done[tasks[2].name].status == "ok"
+
+
+def deadly(task: Task, last: str, before: Reduced | None) -> Reduced:
+    if task.folder.name == "a":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if task.folder.name == "b":
+        return Reduced(task.name, task.folder, "failed", "failed", problem="b: no star")
+    return Reduced(task.name, task.folder, "new")
+
+
+def test_the_stages_of_a_task_come_one_after_the_other_with_the_result_of_the_one_before(address, tasks):
+    done = on_dask(address, told_stages, tasks)
+    assert [done[task.name].reasons for task in tasks] == [("ingest", "calibrate")] * 3
+
+
+def told_stages(task: Task, last: str, before: Reduced | None) -> Reduced:
+    return Reduced(task.name, task.folder, "new", reasons=(*(before.reasons if before else ()), last))
+
+
+def test_a_worker_with_other_software_is_refused(address, tasks, monkeypatch):
+    monkeypatch.setattr(provenance, "PACKAGES", ("torch",))  # here; the workers tell all of theirs
+    provenance.software_versions.cache_clear()
+    with pytest.raises(ConfigurationError, match=r"numpy .* instead of none.*not be the same"):
+        on_dask(address, told_stages, tasks)
+    provenance.software_versions.cache_clear()
+
+
+def test_an_address_where_nobody_answers_is_told(tasks, monkeypatch):
+    pytest.importorskip("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
+    from irlos_pipe.night import dask_engine
+
+    monkeypatch.setattr(dask_engine, "CONNECT_S", 0.5)
+    with pytest.raises(ConfigurationError, match="no Dask scheduler answers there"):
+        on_dask("tcp://127.0.0.1:9", told_stages, tasks)
+
+
+def test_an_address_without_a_port_is_told_before_a_client_is_made(tasks, monkeypatch):
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
+    monkeypatch.setattr(distributed, "Client", None)
+    with pytest.raises(ConfigurationError, match=r"--scheduler foo: .*missing port number"):
+        on_dask("foo", told_stages, tasks)
+
+
+def test_without_dask_the_engine_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    result = invoke(
+        "night",
+        str(tmp_path),
+        "--output",
+        str(tmp_path / "tree"),
+        "--engine",
+        "dask",
+        "--scheduler",
+        "tcp://127.0.0.1:9",
+    )
+    assert result.exit_code == 2 and "pip install 'irlos-pipe[dask]'" in result.output
+
+
+@pytest.mark.parametrize("options", [["--engine", "dask"], ["--scheduler", "tcp://127.0.0.1:9"]])
+def test_engine_and_address_need_each_other(tmp_path, options):
+    result = invoke("night", str(tmp_path), "--output", str(tmp_path / "tree"), *options)
+    assert result.exit_code == 2 and "need each other" in result.output

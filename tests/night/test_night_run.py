@@ -1,0 +1,321 @@
+"""`irlos night` on stand-in stages: what is reduced, what is told, and what survives."""
+
+import json
+import os
+import sys
+
+import pytest
+from conftest import invoke
+from helpers import night_bench
+from helpers.fake_stages import COUNTS
+
+from irlos_pipe.conventions.errors import InputDataError, Locked, NothingToDo
+from irlos_pipe.night.database import opened
+from irlos_pipe.night.run import plan_night, run_night
+from irlos_pipe.product.runfolder import owned_folder
+
+MORNING = "2024-02-11T03:00:00"
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch) -> night_bench.NightBench:
+    night_bench.without_drawings(monkeypatch)
+    return night_bench.make(tmp_path, monkeypatch)
+
+
+def contents(folder) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != ".lock"}
+
+
+def change_model(monkeypatch, stage: str = "calibrate") -> None:
+    monkeypatch.setattr(sys.modules[f"irlos_pipe.stages.{stage}.stage"], "VERSION", 2)
+
+
+def test_a_night_is_reduced_into_a_folder_per_group_and_recipe(bench):
+    bench.record(MORNING)
+    bench.record("2024-02-11T03:10:00", "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
+    ran = bench.run()
+    assert ran.exit_code == 0 and list(ran.nights) == ["2024-02-10"]
+    for group, recipe in (("030000_cube", "cube"), ("031000_offset", "ramp")):
+        folder = bench.run_folder(group=group, recipe=recipe)
+        assert json.loads((folder / "results.json").read_text())["status"] == "ok"
+        assert (folder / "03_lift.h5").is_file() and f"{group}/{recipe}/report.html" in bench.page()
+
+
+def test_a_second_run_works_on_nothing_and_leaves_every_file_as_it_is(bench):
+    bench.record(MORNING)
+    bench.run()
+    before, page = contents(bench.run_folder()), bench.page()
+    ran = bench.run()
+    assert [one.action for one in ran.nights["2024-02-10"].reduced.values()] == ["up to date"]
+    assert COUNTS["ingest"] == COUNTS["calibrate"] == COUNTS["lift"] == 1
+    assert contents(bench.run_folder()) == before and bench.page() == page
+
+
+def test_only_what_is_new_is_worked_on(bench):
+    bench.record(MORNING)
+    bench.run()
+    bench.record("2024-02-11T04:00:00", "later")
+    ran = bench.run()
+    actions = {one.name.split("/")[1]: one.action for one in ran.nights["2024-02-10"].reduced.values()}
+    assert actions == {"030000_cube": "up to date", "040000_later": "new"} and COUNTS["ingest"] == 2
+
+
+def test_a_bad_recording_is_named_and_the_rest_is_reduced(bench):
+    bench.record(MORNING)
+    damaged = bench.record("2024-02-11T03:30:00", "torn")
+    (damaged / "torn.fits").write_bytes((damaged / "torn.fits").read_bytes()[:3000])
+    ran = bench.run()
+    night = ran.nights["2024-02-11"]  # all that is known of it is the date of its folder
+    assert ran.exit_code == 5 and "torn.fits" in night.failures[0]
+    assert bench.run_folder().is_dir() and "torn.fits" in bench.page("2024-02-11")
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "told"),
+    [("ingest.bad", "ingest: no star"), ("calibrate.crash", "unexpected ZeroDivisionError: a bug")],
+)
+def test_a_reduction_that_fails_is_named_and_the_others_go_on(bench, behaviour, told):
+    (bench.record(MORNING, "poor") / behaviour).touch()
+    bench.record("2024-02-11T04:00:00", "good")
+    ran = bench.run()
+    assert ran.exit_code == 5 and told in ran.nights["2024-02-10"].failures[0]
+    assert not bench.run_folder(group="030000_poor").exists()
+    assert bench.run_folder(group="040000_good").is_dir() and told in bench.page()
+
+
+def test_when_nothing_can_be_reduced_the_code_is_that_of_bad_data(bench):
+    (bench.record(MORNING) / "ingest.bad").touch()
+    assert bench.run().exit_code == 3
+
+
+def test_a_failed_limit_is_4_and_lost_exposures_are_5(bench):
+    folder = bench.record(MORNING, numbers={"4": 500.0})
+    ran = bench.run()
+    assert ran.exit_code == 4 and "a QC limit failed" in bench.page()
+    (folder / "numbers.json").write_text('{"4": 5.0}')
+    (folder / "ingest.partial").touch()
+    assert bench.run().exit_code == 5 and "some exposures failed" in bench.page()
+
+
+def test_a_ramp_without_calibration_is_told_as_somebody_could_supply_one(bench):
+    bench.record(MORNING, "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
+    bench.record("2024-02-11T04:00:00", diversity={"source": "mirror", "zernike": {6: -100.0}})
+    ran = bench.run()
+    assert ran.exit_code == 5
+    assert "offset: no calibration cube of its configuration" in ran.nights["2024-02-10"].failures[0]
+
+
+def test_a_ramp_is_served_by_a_calibration_that_an_earlier_run_saw(bench):
+    bench.record("2024-02-09T03:00:00")
+    bench.run()
+    bench.record(MORNING, "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
+    assert bench.run(bench.night("2024-02-11")).exit_code == 0
+    recipe = bench.run_folder(group="030000_offset", recipe="ramp") / "recipe.resolved.yaml"
+    assert "2024-02-09/cube" in recipe.read_text()
+
+
+# -- nights with nothing, crashes, locks ------------------------------------------------------
+
+
+def test_an_empty_night_is_64_and_has_a_page_of_its_own(bench):
+    bench.night("2024-02-10").mkdir()
+    with pytest.raises(NothingToDo, match="no recordings"):
+        bench.run(bench.night("2024-02-10"))
+    assert "Nothing to process" in bench.page() and ">empty<" in bench.page()
+
+
+def test_recordings_that_no_recipe_serves_are_nothing_to_process_but_listed(bench):
+    bench.record(MORNING, "science", role="psf")
+    with pytest.raises(NothingToDo, match="nothing to reduce; science: no recipe serves"):
+        bench.run()
+    assert "science" in bench.page()
+
+
+def test_a_ramp_that_no_calibration_serves_needs_a_look_though_nothing_can_be_reduced(bench):
+    bench.record(MORNING, "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
+    ran = bench.run()
+    assert ran.exit_code == 3
+    assert "offset: no calibration cube of its configuration" in ran.nights["2024-02-10"].failures[0]
+    assert ">needs a look<" in bench.page()
+
+
+def test_a_folder_that_does_not_exist_is_told_on_the_page_too(bench):
+    with pytest.raises(InputDataError, match="no such file or folder"):
+        bench.run(bench.night("2024-02-10"))
+    assert "no such file or folder" in bench.page()
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [(RuntimeError("a bug"), "unexpected RuntimeError: a bug"), (KeyboardInterrupt(), "interrupted")],
+)
+def test_a_crash_leaves_a_page_that_says_so_and_the_next_run_puts_it_right(bench, error, told):
+    bench.record(MORNING)
+
+    def runner(work, tasks):
+        yield from map(work, tasks[:0])
+        raise error
+
+    with pytest.raises(type(error)):
+        run_night(bench.order(), runner)
+    assert told in bench.page() and ">stopped<" in bench.page() and "not finished" in bench.page()
+    assert bench.run().exit_code == 0 and ">ok<" in bench.page()
+
+
+def test_the_page_of_a_run_that_is_killed_says_that_it_is_not_finished(bench):
+    bench.record(MORNING)
+    seen = []
+
+    def runner(work, tasks):
+        seen.append(bench.page())
+        return map(work, tasks)
+
+    run_night(bench.order(), runner)
+    assert "goes on where it was" in seen[0] and ">not finished<" in seen[0]
+
+
+def test_numbers_that_a_kill_kept_from_the_file_are_put_in_by_the_next_run(bench):
+    bench.record(MORNING)
+    bench.run()
+    with opened(bench.tree) as connection:
+        connection.execute("UPDATE runs SET key = 'old'")
+        connection.execute("DELETE FROM numbers")
+    bench.run()
+    with opened(bench.tree) as connection:
+        found = dict(connection.execute("SELECT name, value FROM numbers WHERE name LIKE 'noll%'"))
+    assert found == {"noll_4_nm": 30.0, "noll_5_nm": -10.0}
+
+
+def test_a_tree_in_use_is_left_alone(bench):
+    bench.record(MORNING)
+    with owned_folder(bench.tree), pytest.raises(Locked):
+        bench.run()
+    assert not (bench.tree / "night_2024-02-10.html").exists()
+
+
+def test_the_tree_may_not_lie_among_the_recordings(bench):
+    result = invoke("night", str(bench.archive), "--output", str(bench.archive / "tree"))
+    assert result.exit_code == 2 and "lies inside input" in result.output
+
+
+# -- reprocessing ------------------------------------------------------------------------------
+
+
+def test_after_a_change_exactly_what_depends_on_it_is_redone_and_the_reason_told(bench, monkeypatch):
+    for day in (11, 12):
+        bench.record(f"2024-02-{day}T03:00:00")
+    bench.run()
+    change_model(monkeypatch, "lift")
+    ran = bench.run()
+    assert (COUNTS["ingest"], COUNTS["calibrate"], COUNTS["lift"]) == (2, 2, 4)
+    for night in ran.nights.values():
+        (reduced,) = night.reduced.values()
+        assert reduced.action == "redone"
+        assert reduced.reasons == ("lift: redone because stage version 1 -> 2",)
+        assert "stage version 1 -&gt; 2" in bench.page(night.date)
+
+
+def test_a_changed_recording_redoes_its_group_only(bench):
+    folder = bench.record(MORNING)
+    bench.record("2024-02-11T04:00:00", "other")
+    bench.run()
+    (folder / "numbers.json").write_text('{"4": 31.0}')
+    reduced = bench.run().nights["2024-02-10"].reduced.values()
+    actions = {one.name.split("/")[1]: one.action for one in reduced}
+    assert actions == {"030000_cube": "redone", "040000_other": "up to date"}
+
+
+def test_a_dry_run_lists_what_would_be_done_and_why_and_touches_nothing(bench, monkeypatch):
+    bench.record(MORNING)
+    plan, failures = plan_night(bench.order())
+    assert [steps for _, steps in plan] == [None] and failures == [] and not bench.tree.exists()
+    bench.run()
+    before = contents(bench.run_folder())
+    change_model(monkeypatch)
+    ((job, steps),), _ = plan_night(bench.order())
+    assert job.task.name == "2024-02-10/030000_cube/cube"
+    assert [(step.name, step.reason) for step in steps if not step.current] == [
+        ("calibrate", "stage version 1 -> 2")
+    ]
+    assert contents(bench.run_folder()) == before and COUNTS["calibrate"] == 1
+
+
+def test_old_products_stay_whole_when_a_later_stage_of_the_new_ones_fails(bench, monkeypatch):
+    folder = bench.record(MORNING)
+    bench.run()
+    before = contents(bench.run_folder())
+    change_model(monkeypatch)
+    (folder / "lift.crash").touch()
+    ran = bench.run()
+    assert ran.exit_code == 3 and COUNTS["calibrate"] == 2
+    assert contents(bench.run_folder()) == before
+    (folder / "lift.crash").unlink()
+    assert bench.run().exit_code == 0
+    after = contents(bench.run_folder())
+    assert after["02_calibrate.h5"] != before["02_calibrate.h5"] and not list(folder.glob(".*.part"))
+
+
+def test_an_interrupted_reprocessing_goes_on_where_it_was(bench, monkeypatch):
+    folder = bench.record(MORNING)
+    bench.run()
+    before = contents(bench.run_folder())
+    change_model(monkeypatch, "ingest")
+    (folder / "numbers.json").touch()  # same content
+    with monkeypatch.context() as patch:
+        patch.setattr(sys.modules["irlos_pipe.stages.lift.stage"], "run", _interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            bench.run()
+    assert contents(bench.run_folder()) == before
+    bench.run()
+    assert (COUNTS["ingest"], COUNTS["calibrate"]) == (2, 2)
+    assert len(list(bench.run_folder().parent.iterdir())) == 2  # the link and what it shows
+
+
+def _interrupted(_):
+    raise KeyboardInterrupt
+
+
+def test_a_change_taken_back_leaves_the_old_products_and_no_half_made_ones(bench, monkeypatch):
+    bench.record(MORNING)
+    bench.run()
+    with monkeypatch.context() as patch:
+        change_model(patch, "ingest")
+        patch.setattr(sys.modules["irlos_pipe.stages.lift.stage"], "run", _interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            bench.run()
+    assert len(list(bench.run_folder().parent.iterdir())) == 3
+    assert bench.run().exit_code == 0 and COUNTS["lift"] == 1
+    assert len(list(bench.run_folder().parent.iterdir())) == 2
+
+
+def test_only_nights_since_a_date_are_looked_at(bench):
+    for day in (11, 12):
+        bench.record(f"2024-02-{day}T03:00:00")
+    assert list(bench.run(since="2024-02-11").nights) == ["2024-02-11"]
+
+
+def test_what_is_in_the_way_of_a_group_is_not_touched(bench):
+    bench.record(MORNING)
+    (bench.run_folder()).mkdir(parents=True)
+    (bench.run_folder() / "mine.txt").touch()
+    ran = bench.run()
+    assert "is in the way" in ran.nights["2024-02-10"].failures[0]
+    assert os.listdir(bench.run_folder()) == ["mine.txt"]
+
+
+def test_stages_sent_one_by_one_leave_what_one_task_leaves(bench):
+    bench.record(MORNING)
+
+    def stage_by_stage(work, tasks):
+        for task in tasks:
+            done = None
+            for stage in task.load().stages:
+                assert not task.folder.exists()
+                done = work(task, last=stage, before=done)
+            yield done
+
+    run_night(bench.order(), stage_by_stage)
+    by_stages = json.loads((bench.run_folder() / "results.json").read_text())
+    assert COUNTS["ingest"] == COUNTS["calibrate"] == COUNTS["lift"] == 1
+    assert list(by_stages["stages"]) == ["ingest", "calibrate", "lift"]

@@ -1,0 +1,196 @@
+"""The numbers of all nights in the database, and `irlos trend`; truth is what was put in."""
+
+import json
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import invoke
+
+from irlos_pipe.night.database import NAME, opened
+from irlos_pipe.night.description import Description
+from irlos_pipe.night.grouping import Group
+from irlos_pipe.night.measures import Measured
+from irlos_pipe.night.page_sections import main_series, numbers_of_night
+from irlos_pipe.night.settings import BandKeys
+from irlos_pipe.night.state import Night
+from irlos_pipe.night.trend import make_trend, read_trend
+from irlos_pipe.night.trend_db import points, store, stored_key, verdicts
+
+DAY_S = 86400.0
+FIRST_S = 1707620400.0  # 2024-02-11 03:00 UTC, night of 2024-02-10
+JUMP_NM = 40.0
+
+
+def night(day: int) -> str:
+    return (datetime(2024, 2, 10, tzinfo=UTC) + timedelta(days=day)).date().isoformat()
+
+
+def measured(key: str = "k", verdict: str | None = None, **numbers: float) -> Measured:
+    given = {name: (value, 0.5) for name, value in numbers.items()}
+    return Measured("ok", given, [], verdict, [], "irlos_pipe 1", key)
+
+
+def put(tree: Path, day: int, content: Measured, start: bool = True, recipe: str = "cube") -> str:
+    """Store the run of a night."""
+    description = Description(
+        Path("/data/cube"),
+        "cube",
+        "ncpa_calibration",
+        night(day),
+        FIRST_S + day * DAY_S if start else None,
+        configuration="lens",
+        target="HD 1",
+    )
+    group = Group("calibration", night(day), "030000_cube", {"cube": (description,)})
+    run = f"{night(day)}/030000_cube/{recipe}"
+    with opened(tree) as connection:
+        store(connection, run, group, recipe, content)
+    return run
+
+
+@pytest.fixture
+def tree(tmp_path) -> Path:
+    """Twenty nights of three modes with 0.5 nm of noise; in the last, Noll 4 is 40 nm off."""
+    rng = np.random.default_rng(0)
+    for day in range(20):
+        modes = {f"noll_{noll}_nm": 10.0 * noll + rng.normal(0, 0.5) for noll in (2, 4, 11)}
+        modes["noll_4_nm"] += JUMP_NM * (day == 19)
+        put(tmp_path, day, measured(verdict="none", seeing_arcsec=0.5 + 3 * (day == 19), **modes))
+    return tmp_path
+
+
+def test_a_run_put_in_again_replaces_its_numbers(tmp_path):
+    run = put(tmp_path, 0, measured("old", noll_4_nm=1.0, noll_5_nm=2.0))
+    put(tmp_path, 0, measured("new", noll_4_nm=3.0))
+    with opened(tmp_path) as connection:
+        assert [(one.name, one.value) for one in points(connection)] == [("noll_4_nm", 3.0)]
+        assert stored_key(connection, run) == "new" and stored_key(connection, "other") == ""
+
+
+def test_a_run_without_a_time_stands_at_midnight_of_its_night(tmp_path):
+    put(tmp_path, 0, measured(noll_4_nm=1.0), start=False)
+    with opened(tmp_path) as connection:
+        (point,) = points(connection)
+    assert datetime.fromtimestamp(point.unix_s, UTC).isoformat() == "2024-02-11T04:42:00+00:00"
+
+
+def test_numbers_come_in_order_of_time_with_modes_in_order_of_their_index(tree):
+    trend = read_trend(tree, BandKeys())
+    assert [one.name for one in trend.series] == ["noll_2_nm", "noll_4_nm", "noll_11_nm", "seeing_arcsec"]
+    assert all(np.all(np.diff([point.unix_s for point in one.points]) == DAY_S) for one in trend.series)
+
+
+def test_a_coefficient_that_leaves_its_band_alarms_and_the_sky_does_not(tree):
+    alarms = read_trend(tree, BandKeys()).alarms()
+    assert [(point.night, point.name) for point, _ in alarms] == [(night(19), "noll_4_nm")]
+
+
+def test_the_trend_as_of_a_night_is_that_of_what_was_there_then(tree):
+    keys = BandKeys()
+    with opened(tree) as connection:
+        then = make_trend(points(connection, night(12)), verdicts(connection, night(12)), keys)
+    late = read_trend(tree, keys).until(night(12))
+    assert late.series == then.series and late.verdicts == then.verdicts and len(then.verdicts) == 13
+    for one, other in zip(late.structures.values(), then.structures.values(), strict=True):
+        assert np.array_equal(one.change_nm2, other.change_nm2)
+
+
+def test_stability_is_that_of_the_modes_beyond_tip_and_tilt(tree):
+    """Against a sum over all pairs; 0.5 nm of noise in two modes is taken off."""
+    trend = read_trend(tree, BandKeys(), until=night(18))
+    (structure,) = trend.structures.values()
+    modes = np.array(
+        [
+            [point.value for point in one.points]
+            for one in trend.series
+            if one.name in ("noll_4_nm", "noll_11_nm")
+        ]
+    )
+    day_apart = np.mean(np.sum(np.diff(modes, axis=1) ** 2, axis=0)) - 4 * 0.5**2
+    assert structure.lag_s[0] == DAY_S and structure.pairs[0] == 18
+    assert structure.change_nm2[0] == pytest.approx(day_apart)
+    assert structure.noise_nm2 == pytest.approx(np.full(len(structure.pairs), 1.0))
+
+
+def test_two_recipes_make_two_series(tmp_path):
+    for recipe in ("cube", "dip"):
+        put(tmp_path, 0, measured(noll_4_nm=1.0), recipe=recipe)
+    assert [one.recipe for one in read_trend(tmp_path, BandKeys()).series] == ["cube", "dip"]
+
+
+def test_the_page_tells_every_verdict_of_the_night_with_the_gap_of_its_own_recording(tmp_path):
+    for recipe, gap in (("cube", 0.02), ("muse", 0.05)):
+        put(tmp_path, 0, measured(verdict="effect", gap_before=gap, gap_after=gap / 2), recipe=recipe)
+    trend = read_trend(tmp_path, BandKeys())
+    notes = [one.note for one in numbers_of_night(Night(night(0)), trend) if one.label.startswith("Missing")]
+    assert [note.partition(": ")[2] for note in notes] == ["gap 0.020 → 0.010", "gap 0.050 → 0.025"]
+
+
+def test_of_several_series_the_longest_is_shown_then_the_more_precise(tmp_path):
+    put(tmp_path, 0, measured(noll_4_nm=1.0), recipe="one")
+    for recipe in ("many", "few"):
+        put(tmp_path, 1, measured(noll_4_nm=2.0), recipe=recipe)
+    put(tmp_path, 2, measured(noll_4_nm=2.0), recipe="many")
+    trend = read_trend(tmp_path, BandKeys())
+    assert main_series(trend, "noll_4_nm").recipe == "many"
+    assert main_series(trend.until(night(0)), "noll_4_nm").recipe == "one"
+
+
+# -- the command -------------------------------------------------------------------------------
+
+
+def test_the_table_tells_values_bands_stability_and_alarms(tree):
+    result = invoke("trend", str(tree))
+    assert result.exit_code == 4
+    row = next(line.split() for line in result.stdout.splitlines() if line.startswith("noll_4_nm"))
+    assert row[1:3] == ["cube", night(19)] and row[-1] == "ALARM"
+    assert "lag [days]" in result.stdout and "verdict" in result.stdout
+    line = "irlos: error: 1 number out of band: 2024-02-29/030000_cube/cube: noll_4_nm = "
+    assert result.stderr.startswith(line)
+
+
+def test_a_night_within_its_bands_is_0_and_silent_on_stderr(tree):
+    result = invoke("trend", str(tree), "--until", night(18))
+    assert (result.exit_code, result.stderr) == (0, "") and night(19) not in result.stdout
+
+
+def test_json_holds_every_point_with_its_band(tree):
+    told = json.loads(invoke("trend", str(tree), "--json").stdout)
+    series = {one["name"]: one["points"] for one in told["series"]}
+    low, high = series["noll_4_nm"][-1]["band"]
+    assert low < 40 < high < series["noll_4_nm"][-1]["value"] and series["noll_4_nm"][0]["band"] is None
+    assert len(told["verdicts"]) == 20 and told["stability"][0]["pairs"][0] == 19 and len(told["alarms"]) == 1
+
+
+@pytest.mark.parametrize(("ending", "begin"), [("svg", b"<?xml"), ("png", b"\x89PNG")])
+def test_a_plot_is_drawn_to_a_file(tree, ending, begin):
+    path = tree / f"focus.{ending}"
+    assert invoke("trend", str(tree), "--of", "noll_4_nm", "--plot", str(path)).exit_code == 4
+    assert path.read_bytes().startswith(begin)
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "line"),
+    [
+        (("--of", "noll_5_nm"), 2, "--of noll_5_nm: no such number; did you mean 'noll_4_nm'?"),
+        (("--plot", "x.gif"), 2, "--plot x.gif: give a name that ends in .svg, .png, .pdf"),
+        (("--until", "2023-01-01"), 64, "no numbers yet until 2023-01-01"),
+    ],
+)
+def test_a_mistake_is_told_in_one_line(tree, options, code, line):
+    result = invoke("trend", str(tree), *options)
+    assert result.exit_code == code and line in result.stderr and result.stderr.count("\n") == 1
+
+
+def test_a_folder_that_is_no_tree_is_bad_data(tmp_path):
+    result = invoke("trend", str(tmp_path))
+    assert result.exit_code == 3 and "make one with: irlos night" in result.stderr
+    assert not (tmp_path / NAME).exists()
+
+
+def test_a_database_that_is_damaged_is_told_with_what_to_do(tmp_path):
+    (tmp_path / NAME).write_bytes(b"no database" * 100)
+    result = invoke("trend", str(tmp_path))
+    assert result.exit_code == 1 and "move the file away" in result.stderr and result.stderr.count("\n") == 1

@@ -1,0 +1,216 @@
+"""The batched solver. Truth: scipy.optimize.least_squares on the same problems, and analysis."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import least_squares
+
+from irlos_pipe.numerics.levenberg_marquardt import CONVERGED, INVALID, MAX_ITERATIONS, solve
+
+X = np.linspace(0, 4, 40)
+
+
+class Decays:
+    """Curves ``a exp(-b x) + c`` with unit noise, one per member, for the solver."""
+
+    def __init__(self, data, lower=-np.inf, upper=np.inf):
+        self.data = torch.as_tensor(data)
+        self.lower = torch.full((3,), lower, dtype=torch.float64)
+        self.upper = torch.full((3,), upper, dtype=torch.float64)
+
+    def negligible(self, value):
+        return torch.full_like(value, 1e-6)
+
+    def _parts(self, p):
+        x = torch.as_tensor(X)
+        decay = torch.exp(-p[:, 1:2] * x)
+        columns = torch.stack([decay, -p[:, :1] * x * decay, torch.ones_like(decay)], dim=1)
+        return p[:, :1] * decay + p[:, 2:], columns
+
+    def objective(self, p, which):
+        return 0.5 * ((self.data[which] - self._parts(p)[0]) ** 2).sum(1)
+
+    def normal_equations(self, p, which):
+        model, columns = self._parts(p)
+        residual = self.data[which] - model
+        value = 0.5 * (residual**2).sum(1)
+        return value, -(columns @ residual[..., None])[..., 0], columns @ columns.mT
+
+
+class Frugal(Decays):
+    """The same, which also says the gradient alone, and counts what it is asked for."""
+
+    def __init__(self, data):
+        super().__init__(data)
+        self.hessians, self.gradients = 0, 0
+
+    def normal_equations(self, p, which):
+        self.hessians += len(p)
+        return super().normal_equations(p, which)
+
+    def cheap_gradient(self, p, which):
+        self.gradients += len(p)
+        return super().normal_equations(p, which)[:2]
+
+
+def curves(seed: int = 3, members: int = 5) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    a, b = rng.uniform(50, 200, members), rng.uniform(0.3, 2, members)
+    return a[:, None] * np.exp(-b[:, None] * X) + 7 + rng.standard_normal((members, len(X)))
+
+
+def start(members: int) -> torch.Tensor:
+    return torch.tensor([[80.0, 1.0, 0.0]], dtype=torch.float64).repeat(members, 1)
+
+
+def scipy_fit(curve: np.ndarray, bounds=(-np.inf, np.inf)):
+    def residual(p):
+        return p[0] * np.exp(-p[1] * X) + p[2] - curve
+
+    return least_squares(residual, [80, 1, 0.0], bounds=bounds, x_scale="jac")
+
+
+@pytest.mark.parametrize("kind", [Decays, Frugal])
+@pytest.mark.parametrize("members", [5, 8])
+def test_every_member_of_a_batch_reaches_the_minimum_that_scipy_finds(kind, members):
+    data = curves(members=members)
+    solution = solve(kind(data), start(len(data)))
+    expected = np.array([scipy_fit(curve).x for curve in data])
+    assert solution.status == [CONVERGED] * len(data)
+    assert np.abs(solution.values.numpy() - expected).max() < 2e-3 * solution.sigma.numpy().max()
+
+
+@pytest.mark.parametrize("kind", [Decays, Frugal])
+def test_the_covariance_is_the_inverse_of_the_fisher_matrix(kind):
+    data = curves(members=1)
+    solution = solve(kind(data), start(1))
+    jacobian = scipy_fit(data[0]).jac
+    assert np.allclose(solution.covariance[0], np.linalg.inv(jacobian.T @ jacobian), rtol=1e-3)
+
+
+def test_a_parameter_stays_at_the_bound_that_holds_it():
+    data = curves(members=1)
+    solution = solve(Decays(data, lower=0.0, upper=90.0), start(1))
+    expected = scipy_fit(data[0], bounds=(0.0, 90.0)).x
+    assert solution.status == [CONVERGED]
+    assert np.allclose(solution.values[0], expected, rtol=1e-3)
+
+
+def test_a_member_with_nan_is_flagged_and_leaves_the_others_alone():
+    data = curves()
+    broken = data.copy()
+    broken[2, 5] = np.nan
+    solution = solve(Decays(broken), start(len(data)))
+    clean = solve(Decays(data), start(len(data)))
+    good = [0, 1, 3, 4]
+    assert solution.status[2] == INVALID
+    assert torch.equal(solution.values[good], clean.values[good])
+
+
+def test_running_out_of_iterations_is_reported():
+    assert solve(Decays(curves()), start(5), max_iterations=1).status == [MAX_ITERATIONS] * 5
+
+
+def test_the_start_is_not_changed_in_place():
+    first = start(5)
+    kept = first.clone()
+    solve(Decays(curves()), first)
+    assert torch.equal(first, kept)
+
+
+def test_the_report_counts_every_member_once():
+    counted = []
+    solve(Decays(curves()), start(5), report=counted.append)
+    assert sum(counted) == 5
+
+
+@pytest.mark.parametrize("far", [10.0, 40.0])
+def test_a_far_start_only_costs_iterations(far):
+    data = curves()
+    there = torch.tensor([[far, 0.1, far]], dtype=torch.float64).repeat(5, 1)
+    solution = solve(Decays(data), there, max_iterations=200)
+    expected = np.array([scipy_fit(curve).x for curve in data])
+    assert np.allclose(solution.values, expected, rtol=1e-2, atol=0.05)
+
+
+class Bent:
+    """Residuals ``x``, ``1 + bend x²/2`` and a large constant, as noise makes it.
+
+    At the minimum, x = 0, Gauss–Newton sees a curvature of 1, and there is one of 1 + bend: above
+    a bend of 1 its full steps leap further across the minimum every time.
+    """
+
+    lower, upper = torch.tensor([-9.0]), torch.tensor([9.0])
+    constant = 2000.0
+
+    def __init__(self, bend: float):
+        self.bend = bend
+
+    def negligible(self, value):
+        return torch.full_like(value, 1e-3)
+
+    def objective(self, p, which):
+        x = p[:, 0]
+        return 0.5 * (x**2 + (1 + 0.5 * self.bend * x**2) ** 2) + self.constant
+
+    def normal_equations(self, p, which):
+        slope = self.bend * p
+        gradient = p + (1 + 0.5 * self.bend * p**2) * slope
+        return self.objective(p, which), gradient, (1 + slope**2)[..., None]
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.9, 1.3, 2.0])
+def test_curvature_that_gauss_newton_neglects_does_not_keep_it_from_converging(bend):
+    solution = solve(Bent(bend), torch.tensor([[0.2]]), max_iterations=40)
+    assert solution.status == [CONVERGED]
+    assert abs(float(solution.values)) < 0.05
+
+
+@pytest.mark.parametrize("bend", [-0.7, 0.9, 1.3])
+def test_the_neglected_curvature_is_learnt_from_the_gradients(bend):
+    """Plain Gauss–Newton steps shrink the distance to the minimum only by the factor |bend|."""
+    solution = solve(Bent(bend), torch.tensor([[0.2]]), max_iterations=40)
+    assert solution.status == [CONVERGED]
+    assert int(solution.iterations[0]) <= 6
+
+
+def test_a_start_where_nothing_can_be_learnt_of_a_parameter_is_not_left_in_a_leap():
+    """Analysis: the slope of cos(x) vanishes at 0, and rounding of it must not send x anywhere."""
+
+    class Blind:
+        lower, upper = torch.full((2,), -torch.inf), torch.full((2,), torch.inf)
+        alike = slice(0, 2)
+
+        def negligible(self, value):
+            return torch.full_like(value, 1e-3)
+
+        def objective(self, x, which):
+            return 0.5 * ((x[:, 0] - 1.0) ** 2 + (torch.cos(x[:, 1]) - 0.9) ** 2)
+
+        def normal_equations(self, x, which):
+            slope = -torch.sin(x[:, 1]) + 1e-18
+            gradient = torch.stack([x[:, 0] - 1.0, (torch.cos(x[:, 1]) - 0.9) * slope], 1)
+            hessian = torch.diag_embed(torch.stack([torch.ones(len(x)).double(), slope**2], 1))
+            return self.objective(x, which), gradient, hessian
+
+    found = solve(Blind(), torch.tensor([[0.3, 0.0]], dtype=torch.float64))
+    assert float(found.values[0, 0]) == pytest.approx(1.0, abs=1e-3)
+    assert abs(float(found.values[0, 1])) < 10
+
+
+# -- gradients between Hessians ----------------------------------------------------------------
+
+
+def test_cheap_gradients_spare_hessians():
+    problem = Frugal(curves(members=8))
+    solve(problem, start(8))
+    assert problem.hessians < 0.5 * problem.gradients
+
+
+def test_a_parameter_without_curvature_at_the_start_gets_its_due_later():
+    """The rate of a decay of amplitude zero has no slope until there is an amplitude."""
+    data = curves(members=1)
+    begin = torch.tensor([[0.0, 1.0, 0.0]], dtype=torch.float64)
+    solution = solve(Frugal(data), begin)
+    assert solution.status == [CONVERGED]
+    assert np.allclose(solution.values[0], scipy_fit(data[0]).x, rtol=1e-3)

@@ -1,0 +1,138 @@
+"""The forward model against an independent, converged calculation.
+
+Truth: HCIPy on a pupil grid eight times finer than the default (tests/reference_psf.py), the Airy pattern
+(analysis), and the shift theorem (analysis).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from helpers.optics_cases import J_AND_H, MAS_RAD, SCALE_MAS, ncpa_nm, settings, shift_nm, vector
+from helpers.reference_psf import reference
+from scipy.special import j1
+
+from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.optics.propagate import FocalGrid, baseline_to_pixels
+from irlos_pipe.optics.psf import PsfModel
+
+NOLLS = tuple(range(2, 52))
+WAVELENGTHS_NM = (1100.0, 1170.0, 1215.3, 1260.0, 1347.7, 1560.0, 1600.0, 1625.7, 1690.0, 1800.0)
+CALIBRATION = ncpa_nm(3)
+STRONG = ncpa_nm(0) | {4: ncpa_nm(0)[4] + 300}
+STRONGER = ncpa_nm(4) | {4: ncpa_nm(4)[4] + 300}
+CIRCLE = PupilGeometry(8.0)
+
+
+def images(case, zernike_nm, nolls=NOLLS, dtype=torch.float32) -> np.ndarray:
+    return PsfModel(case, nolls, dtype=dtype).images(vector(zernike_nm, nolls))[0].double().numpy()
+
+
+@pytest.mark.parametrize("window", [64, 51, (40, 57)], ids=str)
+@pytest.mark.parametrize("wavelength_nm", [1170.0, 1600.0])
+@pytest.mark.parametrize(
+    "zernike_nm", [{}, CALIBRATION, STRONG, STRONGER], ids=["flat", "142 nm", "424 nm", "458 nm"]
+)
+def test_images_agree_with_hcipy_to_1e_4_of_the_peak(window, wavelength_nm, zernike_nm):
+    case = settings(window, ((wavelength_nm, 1.0),))
+    truth = reference().spectral_image(zernike_nm, case)
+    error = images(case, zernike_nm) - truth
+    assert np.abs(error).max() <= 1e-4 * truth.max()
+    assert abs(error.sum()) <= 1e-4 * truth.sum()
+
+
+def test_a_broad_band_image_agrees_with_hcipy():
+    case = settings(64, J_AND_H)
+    truth = reference().spectral_image(STRONG, case)
+    assert images(case, STRONG) == pytest.approx(truth, abs=1e-4 * truth.max())
+
+
+def test_float32_propagation_costs_less_than_the_accuracy_that_is_claimed():
+    case = settings(64, J_AND_H)
+    exact = images(case, STRONG, dtype=torch.float64)
+    assert images(case, STRONG) == pytest.approx(exact, abs=1e-5 * exact.max())
+
+
+def airy(window: int, wavelength_nm: float, pixel_scale_mas: float) -> np.ndarray:
+    """Airy pattern of an 8 m circle, integrated over pixels; as a fraction of all light."""
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    pixel = pixel_scale_mas * MAS_RAD
+    a = (((np.arange(window) - (window - 1) / 2)[:, None] + nodes / 2) * pixel).ravel()
+    z = np.maximum(np.pi * 8.0 / (wavelength_nm * 1e-9) * np.hypot(a[:, None], a[None]), 1e-12)
+    fine = (np.pi * 16.0) * (2 * j1(z) / z) ** 2 / (wavelength_nm * 1e-9) ** 2 * pixel**2
+    return np.einsum("yjxi,j,i->yx", fine.reshape(window, 6, window, 6), weights / 2, weights / 2)
+
+
+def measured_scale(image: np.ndarray, window: int, wavelength_nm: float) -> float:
+    """Scale at which an Airy pattern fits `image`, from its derivative with respect to the scale."""
+    step = 1e-4
+    low, high = (airy(window, wavelength_nm, SCALE_MAS * (1 + d)) for d in (-step, step))
+    slope = (high - low) / (2 * step)
+    columns = np.stack([slope.ravel(), airy(window, wavelength_nm, SCALE_MAS).ravel()], axis=1)
+    change = np.linalg.lstsq(columns, (image - airy(window, wavelength_nm, SCALE_MAS)).ravel(), rcond=None)[0]
+    return 1 + change[0]
+
+
+@pytest.mark.parametrize("wavelength_nm", WAVELENGTHS_NM)
+def test_the_airy_pattern_has_its_size_to_1e_6_at_every_wavelength(wavelength_nm):
+    case = settings(48, ((wavelength_nm, 1.0),), {}, geometry=CIRCLE, margin_mas=1000.0)
+    image = images(case, {}, (4,), torch.float64)
+    assert measured_scale(image, 48, wavelength_nm) == pytest.approx(1, abs=1e-6)
+
+
+def moved_px(case, noll: int, pixels: int) -> float:
+    """Displacement between tilts of -`pixels` and +`pixels`, from what differs after undoing it."""
+    shifts = (-pixels, pixels, -pixels - 0.01, -pixels + 0.01)
+    before, after, low, high = (
+        images(case, CALIBRATION | {2: 0.0, 3: 0.0, noll: shift_nm(s)}, dtype=torch.float64) for s in shifts
+    )
+    if noll == 3:
+        before, after, low, high = before.T, after.T, low.T, high.T
+    slope = (high - low)[:, : -2 * pixels] / 0.02
+    return 2 * pixels + np.sum(slope * (after[:, 2 * pixels :] - before[:, : -2 * pixels])) / np.sum(slope**2)
+
+
+@pytest.mark.parametrize("wavelength_nm", WAVELENGTHS_NM)
+@pytest.mark.parametrize("noll", [2, 3], ids=["x-tilt to columns", "y-tilt to rows"])
+def test_a_tilt_moves_the_image_by_its_angle_to_1e_6_at_every_wavelength(noll, wavelength_nm):
+    assert moved_px(settings(51, ((wavelength_nm, 1.0),)), noll, 6) == pytest.approx(12, rel=1e-6)
+
+
+@pytest.mark.parametrize("window", [48, 47, (47, 48)], ids=str)
+def test_the_optical_axis_lies_at_the_centre_of_even_and_odd_windows(window):
+    image = images(settings(window, diversity={}, geometry=CIRCLE), {}, (4,), torch.float64)
+    assert image == pytest.approx(image[::-1, ::-1], abs=1e-12)
+    if isinstance(window, int):
+        assert image == pytest.approx(airy(window, 1600.0, SCALE_MAS), abs=2e-5 * image.max())
+
+
+def test_pixels_hold_the_integral_over_their_area():
+    coarse = images(settings(20, pixel_scale_mas=3 * SCALE_MAS), CALIBRATION, dtype=torch.float64)
+    fine = images(settings(60), CALIBRATION, dtype=torch.float64)
+    assert coarse == pytest.approx(fine.reshape(20, 3, 20, 3).sum((1, 3)), abs=1e-6 * coarse.max())
+
+
+def test_a_wide_window_holds_nearly_all_light():
+    total = images(settings(192), {}, (4,), torch.float64).sum()
+    assert total == pytest.approx(reference().spectral_image({}, settings(192)).sum(), rel=1e-4)
+    assert 0.98 < total < 1
+
+
+def test_a_window_wider_than_the_focal_grid_is_refused():
+    grid = FocalGrid(64, 8.5, 128)
+    field_px = 64 * 1.6e-6 / (2 * 8.5) / (SCALE_MAS * MAS_RAD)
+    assert (
+        baseline_to_pixels(grid.baseline_y_m, int(field_px), SCALE_MAS, 1.6e-6, grid, half=False).shape[1]
+        == 128
+    )
+    with pytest.raises(ValueError, match="alias"):
+        baseline_to_pixels(grid.baseline_y_m, int(field_px) + 1, SCALE_MAS, 1.6e-6, grid, half=False)
+
+
+def test_a_window_beyond_the_period_of_the_pupil_grid_is_refused():
+    field_mas = 48 * 1.17e-6 / 8.0 / MAS_RAD  # N λ/D
+    with pytest.raises(ValueError, match="pupil"):
+        PsfModel(
+            settings(64, ((1170.0, 1.0),), pupil_samples=48, pixel_scale_mas=1.05 * field_mas / 64), (4,)
+        )

@@ -1,0 +1,124 @@
+"""Derivatives of the forward model.
+
+Truth: finite differences of the images in float64, and automatic differentiation of `PsfModel.images`,
+whose code shares nothing with the hand-written derivatives but the light path.
+"""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from helpers.optics_cases import J_AND_H, NARROW_H, halo_and_jitter, ncpa_nm, settings, vector
+
+from irlos_pipe.optics.psf import AS_BUILT, PsfModel
+
+NOLLS = tuple(range(2, 22))
+SPECTRA = {"mono": NARROW_H, "polychromatic": J_AND_H[::2]}
+STEP_NM = 0.05
+
+
+@pytest.fixture(scope="module", params=SPECTRA, ids=str)
+def model(request) -> PsfModel:
+    return PsfModel(
+        settings((24, 21), SPECTRA[request.param], pupil_samples=64, margin_mas=60.0),
+        NOLLS,
+        dtype=torch.float64,
+    )
+
+
+@pytest.fixture
+def wavefronts() -> torch.Tensor:
+    return torch.cat([vector(ncpa_nm(seed, 21), NOLLS) for seed in (1, 2)])
+
+
+@pytest.fixture(params=[False, True], ids=["bare", "with OTF factors"])
+def factor(request, model):
+    effects = halo_and_jitter(model)
+    return effects(effects.starts) if request.param else AS_BUILT
+
+
+def central_difference(function, x: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
+    """Derivative of every output with respect to every element of a vector, derivatives first."""
+    moves = torch.diag(step)
+    return torch.stack([(function(x + move) - function(x - move)) / (2 * move.sum()) for move in moves])
+
+
+def test_modal_derivatives_are_finite_differences(model, factor, wavefronts):
+    _, jacobian = model.images_and_jacobian(wavefronts, factor)
+    for frame, x in enumerate(wavefronts):
+        numeric = central_difference(
+            lambda a: model.images(a[None], factor)[0], x, torch.full_like(x, STEP_NM)
+        )
+        assert jacobian[frame].numpy() == pytest.approx(
+            numeric.numpy(), abs=1e-6 * float(numeric.abs().max())
+        )
+
+
+def test_modal_derivatives_are_those_of_autograd(model, factor, wavefronts):
+    _, jacobian = model.images_and_jacobian(wavefronts, factor)
+    automatic = torch.func.jacrev(lambda a: model.images(a[None], factor)[0].sum(0))(wavefronts[1])
+    scale = float(automatic.abs().max())
+    assert jacobian[1].sum(1).T.numpy() == pytest.approx(automatic.numpy(), abs=1e-10 * scale)
+
+
+def test_the_pullback_is_the_transpose_of_finite_differences(model, factor, wavefronts):
+    images, pullback = model.images_and_pullback(wavefronts, factor)
+    assert images.numpy() == pytest.approx(model.images(wavefronts, factor).numpy(), abs=1e-15)
+    factors = torch.randn(images.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    found = pullback(factors)
+    for frame, x in enumerate(wavefronts):
+        numeric = central_difference(
+            lambda a, frame=frame: (model.images(a[None], factor)[0] * factors[frame]).sum(),
+            x,
+            torch.full_like(x, STEP_NM),
+        )
+        assert found[frame].numpy() == pytest.approx(numeric.numpy(), abs=1e-6 * float(numeric.abs().max()))
+
+
+def test_the_images_beside_the_derivatives_are_the_images(model, factor, wavefronts):
+    beside, _ = model.images_and_jacobian(wavefronts, factor)
+    plain = model.images(wavefronts, factor)
+    assert beside.numpy() == pytest.approx(plain.numpy(), abs=1e-12 * float(plain.max()))
+
+
+def test_derivatives_of_otf_parameters_are_finite_differences(model, wavefronts):
+    effects = halo_and_jitter(model)
+    values = effects.starts * 1.1 + 0.05
+    _, jacobian = model.images_and_jacobian(wavefronts, effects(values), effects.tangents(values))
+    steps = 1e-4 * values.abs().clamp_min(1.0)
+    for frame, x in enumerate(wavefronts):
+        numeric = central_difference(lambda v, x=x: model.images(x[None], effects(v))[0], values, steps)
+        for parameter, ours, theirs in zip(
+            effects.parameters, jacobian[frame, len(NOLLS) :], numeric, strict=True
+        ):
+            tolerance = 1e-6 * float(theirs.abs().max())
+            assert ours.numpy() == pytest.approx(theirs.numpy(), abs=tolerance), parameter.name
+
+
+def test_derivatives_with_respect_to_an_effect_do_not_vanish_when_it_is_absent(model, wavefronts):
+    effects = halo_and_jitter(model)
+    values = effects.starts
+    values[0] = values[-1] = 0.0  # variances of residual and jitter
+    _, jacobian = model.images_and_jacobian(wavefronts, effects(values), effects.tangents(values))
+    for position in (0, -1):
+        column = jacobian[:, len(NOLLS) :][:, position]
+        assert torch.isfinite(column).all()
+        assert column.abs().max() > 0
+
+
+def test_splitting_a_batch_does_not_change_it(model, wavefronts, monkeypatch):
+    many = wavefronts.repeat(3, 1)
+    together = model.images_and_jacobian(many)
+    monkeypatch.setattr("irlos_pipe.optics.psf.CHUNK_ELEMENTS", 1)
+    apart = model.images_and_jacobian(many)
+    for one, other in zip(together, apart, strict=True):
+        assert one.numpy() == pytest.approx(other.numpy(), abs=1e-15)
+
+
+def test_float32_derivatives_are_good_enough_for_a_solver(wavefronts):
+    case = settings((24, 21), NARROW_H, pupil_samples=64)
+    exact, single = (
+        PsfModel(case, NOLLS, dtype=dtype).images_and_jacobian(wavefronts)[1].double()
+        for dtype in (torch.float64, torch.float32)
+    )
+    assert single.numpy() == pytest.approx(exact.numpy(), abs=2e-5 * float(exact.abs().max()))

@@ -1,0 +1,180 @@
+"""README's tables are made from the committed numbers; expected Markdown is written out by hand."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from helpers.paths import REPOSITORY
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.files.json import jsonable
+from irlos_pipe.paper.run.experiments import find_experiments
+from irlos_pipe.paper.run.readme import RESULTS, TEXT, read_layouts, renewed, with_tables
+from irlos_pipe.paper.run.tables import TableLayout, cell, find, render_table
+
+SOURCES = REPOSITORY
+EXPERIMENTS = {
+    "methods": {
+        "seed": 5,
+        "sizes": {"methods": {"samples": 20}},
+        "results": {
+            "methods": {
+                "conditions": [
+                    {"seeing_arcsec": 0.35, "shape": "a", "median_nm": {"dip": 41.26, "own": 2.0}},
+                    {"seeing_arcsec": 1.0, "shape": "a", "median_nm": {"dip": 60.0, "own": None}},
+                    {"seeing_arcsec": 1.0, "shape": "b", "median_nm": {"dip": 70.0, "own": 3.0}},
+                ]
+            }
+        },
+    }
+}
+ROWS = TableLayout(
+    **{
+        "from": "methods/results/methods/conditions",
+        "columns": ["method", "0.35", "1.0"],
+        "rows": [
+            ["DIP", "{0/median_nm/dip:.1f}", "{1/median_nm/dip:.0f}"],
+            ["own", "**{0/median_nm/own:.1f}**", "{1/median_nm/own:.1f}"],
+        ],
+    }
+)
+
+
+def layout(**changes) -> TableLayout:
+    return TableLayout(**{"columns": ["a"], **changes})
+
+
+def test_rows_show_numbers_in_their_format_and_null_as_a_dash():
+    assert render_table(ROWS, EXPERIMENTS) == (
+        "| method | 0.35 | 1.0 |\n| --- | ---: | ---: |\n| DIP | 41.3 | 60 |\n| own | **2.0** | – |"
+    )
+
+
+def test_a_list_gives_a_row_for_each_member_and_a_note_stands_below():
+    table = layout(
+        **{
+            "from": "methods",
+            "columns": ["seeing", "DIP"],
+            "each": "results/methods/conditions",
+            "row": ['{seeing_arcsec:.2f}"', "{median_nm/dip:.0f} nm"],
+            "note": "{sizes/methods/samples} cubes, seed {seed}.",
+        }
+    )
+    assert render_table(table, EXPERIMENTS).splitlines() == [
+        "| seeing | DIP |",
+        "| --- | ---: |",
+        '| 0.35" | 41 nm |',
+        '| 1.00" | 60 nm |',
+        '| 1.00" | 70 nm |',
+        "",
+        "20 cubes, seed 5.",
+    ]
+
+
+def test_a_member_is_found_by_its_values():
+    conditions = find(EXPERIMENTS, "methods/results/methods/conditions")
+    assert find(conditions, "seeing_arcsec=1.0") is conditions[1]
+    assert find(conditions, "seeing_arcsec=1.0,shape=b") is conditions[2]
+    assert cell("{shape=b/median_nm/dip:g}", conditions) == "70"
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        (layout(rows=[["{method/seed}"]]), "no 'method' on the path 'method/seed'; there is methods"),
+        (layout(rows=[["{methods/results/methods/conditions/7}"]]), "no '7' .*; there is a list of 3"),
+        (layout(rows=[["{methods/results/methods/conditions/shape=c}"]]), "no 'shape=c' .* a list of 3"),
+        (layout(rows=[["{methods/seed/x}"]]), "no 'x' .*; there is 5"),
+        (layout(rows=[["1", "2"]]), "a row has 2 cells for 1 columns: 1, 2"),
+    ],
+)
+def test_a_layout_that_does_not_fit_says_why(table, told):
+    with pytest.raises(ConfigurationError, match=told):
+        render_table(table, EXPERIMENTS)
+
+
+def test_only_what_stands_between_the_marks_is_replaced():
+    text = (
+        "before\n<!-- paper:one -->\nold\nolder\n<!-- /paper -->\nafter\n"
+        "<!-- paper:two -->\n<!-- /paper -->\n"
+    )
+    tables = {"one": layout(rows=[["1"]]), "two": layout(rows=[["{methods/seed}"]])}
+    new = with_tables(text, tables, EXPERIMENTS)
+    assert new == (
+        "before\n<!-- paper:one -->\n| a |\n| --- |\n| 1 |\n<!-- /paper -->\nafter\n"
+        "<!-- paper:two -->\n| a |\n| --- |\n| 5 |\n<!-- /paper -->\n"
+    )
+    assert with_tables(new, tables, EXPERIMENTS) == new
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("<!-- paper:onne -->\n<!-- /paper -->", "<!-- paper:onne -->: no such table; did you mean 'one'"),
+        ("no mark", "table 'one': no <!-- paper:one --> in the text"),
+        ("<!-- paper:one -->\n<!-- /paper -->", "table 'one': no 'x' on the path 'x'"),
+    ],
+)
+def test_a_mark_without_table_or_a_table_without_mark_is_told(text, told):
+    with pytest.raises(ConfigurationError, match=told):
+        with_tables(text, {"one": layout(rows=[["{x}"]])}, EXPERIMENTS)
+
+
+def test_a_mistake_in_the_layout_is_told_with_its_line(tmp_path):
+    path = tmp_path / "tables.yaml"
+    path.write_text("one:\n  columns: [a]\n  rowws: []\n")
+    with pytest.raises(ConfigurationError, match=r"tables\.yaml:3: unknown key 'one\.rowws'; did you mean"):
+        read_layouts(path)
+
+
+def make_tree(root: Path, rows: str) -> None:
+    (root / "docs").mkdir()
+    (root / "README.md").write_text("# x\n<!-- paper:one -->\n<!-- /paper -->\n")
+    (root / "docs/paper_results.json").write_text(json.dumps({"experiments": EXPERIMENTS}))
+    (root / "docs/paper_tables.yaml").write_text(f"one: {{columns: [a], rows: {rows}}}\n")
+
+
+def renew(root: Path) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        [sys.executable, "-m", "irlos_pipe.paper.run.readme", str(root)],
+        capture_output=True,
+        text=True,
+        cwd=SOURCES,
+    )
+
+
+def test_the_command_renews_the_readme_of_a_source_tree(tmp_path):
+    make_tree(tmp_path, "[['{methods/seed}']]")
+    assert renew(tmp_path).stdout.endswith("README.md: renewed\n")
+    assert "| 5 |" in (tmp_path / "README.md").read_text()
+    assert renew(tmp_path).stdout.endswith("README.md: unchanged\n")
+
+
+def test_the_command_tells_a_mistake_in_one_line(tmp_path):
+    make_tree(tmp_path, "[['{seed}']]")
+    result = renew(tmp_path)
+    assert result.returncode == 1
+    assert result.stderr == "irlos: error: table 'one': no 'seed' on the path 'seed'; there is methods\n"
+
+
+@pytest.fixture
+def committed() -> dict:
+    """Numbers that stand in the source tree."""
+    if not (SOURCES / RESULTS).is_file():
+        pytest.skip("docs/paper_results.json is not there: make paper, make paper-tables")
+    return json.loads((SOURCES / RESULTS).read_text(encoding="utf-8"))
+
+
+def test_the_committed_numbers_are_those_of_the_full_recipes_as_they_are_now(committed):
+    assert (committed["schema"], committed["quick"], committed["missing"]) == ("irlos-paper", False, [])
+    known = find_experiments(SOURCES / "recipes/paper")
+    assert list(committed["experiments"]) == [one.name for one in known]
+    for one in known:
+        told = committed["experiments"][one.name]
+        assert (told["seed"], told["sizes"]) == (one.recipe.seed, jsonable(one.recipe.configs))
+
+
+def test_the_readme_agrees_with_the_committed_numbers(committed):
+    assert (SOURCES / TEXT).read_text(encoding="utf-8") == renewed(SOURCES), "run: make paper-tables"

@@ -1,0 +1,299 @@
+"""The slow focus loop. Truth: the difference equation by Monte Carlo against its linear theory, closed forms
+(random walk, deadbeat control, poles), and images simulated without interpolation."""
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import optics_cases as cases
+
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.paper.common.broad_band import star_scene
+from irlos_pipe.paper.slow_loop import stage
+from irlos_pipe.paper.slow_loop.closed import Loop, close_loops
+from irlos_pipe.paper.slow_loop.control import Integrator, best_gain
+from irlos_pipe.paper.slow_loop.disturbance import Drift, SodiumLayer
+from irlos_pipe.paper.slow_loop.experiment import Conditions, LoopSample, noise_law, run_loops
+from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
+from irlos_pipe.paper.slow_loop.outcome import outcome_of, sensor_of
+from irlos_pipe.paper.slow_loop.section import section as slow_loop_section
+from irlos_pipe.pipeline.resources import silent_progress
+from irlos_pipe.product.product import Product
+from irlos_pipe.report.run_data import RunData
+from irlos_pipe.simulate.exposure import expose
+from irlos_pipe.simulate.scene import Sampling
+from irlos_pipe.stages.base import StageContext
+from irlos_pipe.stages.model.section import ModelConfig
+
+DRIFT = SodiumLayer().drift(8.0)
+WALK = Drift(2.0, 5.0)  # a random walk of 5 nm per root second
+
+
+# -- the disturbance ---------------------------------------------------------------------------------
+
+
+def test_a_layer_that_rises_defocuses_by_the_difference_of_two_spheres():
+    """Against the wavefronts themselves: sag from two distances, defocus by projection on the disc."""
+    layer, diameter, rise = SodiumLayer(), 8.0, 100.0
+    rho = np.sqrt((np.arange(20000) + 0.5) / 20000)  # equal areas
+    sag = [np.sqrt(h**2 + (rho * diameter / 2) ** 2) - h for h in (layer.range_m, layer.range_m + rise)]
+    defocus = np.mean((sag[0] - sag[1]) * np.sqrt(3) * (2 * rho**2 - 1)) * 1e9
+    assert layer.defocus_per_metre_nm(diameter) * rise == pytest.approx(defocus, rel=3e-3)
+
+
+def test_it_is_the_four_nanometres_per_metre_of_a_thirty_metre_telescope():
+    assert SodiumLayer(range_m=92e3).defocus_per_metre_nm(30.0) == pytest.approx(4, rel=0.05)
+
+
+@pytest.mark.parametrize("slope", [1.6, 1.95, 2.0, 2.4])
+def test_the_spectrum_has_the_structure_function(slope):
+    """Numerical quadrature of ``2 ∫ S (1 - cos 2πfτ) df``."""
+    drift, lag = Drift(slope, 3.0), 7.0
+    edges = np.concatenate([np.geomspace(1e-7, 1e-2, 4000), np.arange(1e-2, 400, 2e-3)[1:]])
+    f, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+    value = np.sum(2 * drift.psd_nm2_hz(f) * (1 - np.cos(2 * np.pi * f * lag)) * width)
+    tail = 2 * drift.psd_nm2_hz(400.0) * 400 / (slope - 1)
+    assert value + tail == pytest.approx(drift.structure_nm2(lag), rel=0.01)
+
+
+def test_drifts_have_the_structure_function_at_every_lag():
+    rng = np.random.default_rng(1)
+    drifts = np.array([DRIFT.draw_nm(rng, 256, 0.1) for _ in range(1500)])
+    for steps in (1, 10, 100, 255):
+        measured = np.mean((drifts[:, steps] - drifts[:, 0]) ** 2)
+        assert measured == pytest.approx(DRIFT.structure_nm2(0.1 * steps), rel=0.13)  # 3.5 sigma of 1500
+
+
+def test_what_wanders_within_a_frame_is_the_scatter_about_its_mean():
+    rng = np.random.default_rng(2)
+    frames = np.array([DRIFT.draw_nm(rng, 400, 2.0 / 400) for _ in range(1500)])
+    assert frames.var(1).mean() == pytest.approx(DRIFT.wander_within_nm2(2.0), rel=0.12)
+
+
+# -- linear theory -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2, 4])
+def test_the_stability_limit_is_where_a_pole_reaches_the_unit_circle(delay):
+    limit = Integrator(1.0, 1.0, delay).largest_stable_gain
+    for gain, stable in ((0.999 * limit, True), (1.001 * limit, False)):
+        polynomial = np.zeros(delay + 2)
+        polynomial[0], polynomial[1] = 1, -1
+        polynomial[-1] += gain
+        assert (np.abs(np.roots(polynomial)).max() < 1) == stable
+
+
+def test_without_delay_the_noise_grows_as_a_leaky_average():
+    """``g / (2 - g)`` of the measurement's variance."""
+    still = Drift(2.0, 1e-9)
+    assert Integrator(0.3, 1.0, 0).residual_nm(still, 10.0) == pytest.approx(
+        10 * np.sqrt(0.3 / 1.7), rel=1e-6
+    )
+
+
+def test_deadbeat_control_leaves_one_step_of_a_random_walk():
+    """Gain 1 without delay: the residual of a frame is its mean less that of the frame before, whose variance
+    is ⅔ of a step's, plus the ⅙ that wanders within the frame."""
+    assert Integrator(1.0, 1.0, 0).residual_nm(WALK, 0.0) == pytest.approx(
+        5 * np.sqrt(2 / 3 + 1 / 6), rel=2e-3
+    )
+
+
+@pytest.mark.parametrize(
+    "loop", [Integrator(0.5), Integrator(0.15), Integrator(0.4, 2.0), Integrator(0.6, 1.0, 0)]
+)
+def test_the_residual_is_that_of_the_difference_equation(loop):
+    runs, frames, noise, sub = 300, 300, 12.0, 10
+    rng = np.random.default_rng(3)
+    drift = np.array([DRIFT.draw_nm(rng, frames * sub, loop.frame_s / sub) for _ in range(runs)])
+    drift = drift.reshape(runs, frames, sub)
+    command = np.zeros((frames + 1 + loop.delay, runs))
+    squares = []
+    for k in range(frames):
+        residual = drift[:, k] - command[k][:, None]
+        command[k + 1 + loop.delay] = command[k + loop.delay] + loop.gain * (
+            residual.mean(1) + noise * rng.standard_normal(runs)
+        )
+        squares.append(np.mean(residual**2))
+    assert np.sqrt(np.mean(squares[60:])) == pytest.approx(loop.residual_nm(DRIFT, noise), rel=0.02)
+
+
+def test_a_steeper_sensor_acts_like_a_higher_gain():
+    assert Integrator(0.3).residual_nm(DRIFT, 0.0, 1.2) == pytest.approx(
+        Integrator(0.36).residual_nm(DRIFT, 0.0)
+    )
+
+
+def test_beyond_the_limit_there_is_no_residual():
+    assert np.isinf(Integrator(0.9).residual_nm(DRIFT, 1.0, sensor_slope=1.2))
+
+
+@pytest.mark.parametrize("noise", [1.0, 20.0])
+def test_the_best_gain_is_a_minimum(noise):
+    best = best_gain(DRIFT, noise)
+    here, *others = (Integrator(best * factor).residual_nm(DRIFT, noise) for factor in (1, 0.9, 1.1))
+    assert here < min(others)
+    assert best_gain(DRIFT, 2 * noise) < best
+
+
+# -- the loop itself ---------------------------------------------------------------------------------
+
+
+class PerfectSensor:
+    """Reads the defocus out of `linear_table`'s two pixels."""
+
+    def measure(self, images_e):
+        a, b = images_e[:, 0, 0], images_e[:, 0, 1]
+        return 100 * (a - b) / (a + b)
+
+
+class BlindSensor:
+    def measure(self, images_e):
+        return np.full(len(images_e), np.nan)
+
+
+def linear_table(frames: int) -> FrameTable:
+    """Two pixels that share the light in the ratio 1 ± defocus / 100 nm."""
+    series = np.zeros((2, frames, 1, 2))
+    series[0], series[1] = 1e10, np.array([1e10, -1e10])
+    return FrameTable(100.0, series, np.zeros(frames))
+
+
+def scene(frames=1):
+    star = star_scene("test", cases.UT4, (5,), frames, 12.0, cases.ncpa_nm(1))
+    return replace(star, sampling=Sampling(64, 1, 0.25))
+
+
+def closed(loops, drift, sensor, delay=1):
+    bright = replace(scene(), window=(1, 2), detector=replace(scene().detector, e_per_adu=1e9))
+    return close_loops(
+        loops, {"one": sensor}, bright, linear_table(len(drift)), drift, delay, np.random.default_rng(0)
+    )
+
+
+def test_a_step_is_taken_out_after_the_delay():
+    drift = np.concatenate([np.zeros(3), np.full(6, 40.0)])
+    record = closed([Loop("one", 12.0, 1.0)], drift, PerfectSensor(), delay=0)
+    assert record.residual_nm[0] == pytest.approx([0, 0, 0, 40, 0, 0, 0, 0, 0], abs=0.1)
+    late = closed([Loop("one", 12.0, 0.5)], drift, PerfectSensor(), delay=1).residual_nm[0]
+    assert late == pytest.approx([0, 0, 0, 40, 40, 20, 0, -10, -10], abs=0.1)
+
+
+def test_longer_exposures_measure_and_correct_less_often():
+    drift = np.full(8, 40.0)
+    record = closed([Loop("one", 12.0, 0.5, exposures=2)], drift, PerfectSensor(), delay=0)
+    assert record.residual_nm[0] == pytest.approx([40, 40, 20, 20, 10, 10, 5, 5], abs=0.1)
+    assert record.due[0].tolist() == [False, True] * 4
+
+
+def test_without_a_measurement_the_command_is_held():
+    drift = np.linspace(0, 30, 6)
+    record = closed([Loop("one", 12.0, 0.5)], drift, BlindSensor())
+    assert record.residual_nm[0] == pytest.approx(drift)
+    assert np.isnan(record.measured_nm).all() and record.due.all()
+
+
+def test_a_loop_beyond_its_reach_has_diverged_and_stays_so():
+    drift = np.array([0.0, 50.0, 150.0, 0.0])
+    record = closed([Loop("one", 12.0, 0.1)], drift, BlindSensor())
+    assert np.isfinite(record.residual_nm[0]).tolist() == [True, True, False, False]
+
+
+def test_the_loop_leaves_what_theory_predicts_of_a_real_drift():
+    frames, sub = 3000, 10
+    drift = DRIFT.draw_nm(np.random.default_rng(4), frames * sub, 1 / sub).reshape(frames, sub).mean(1)
+    record = closed([Loop("one", 12.0, 0.4)], drift, PerfectSensor())
+    outcome = outcome_of(*(v[None] for v in vars(record).values()), DRIFT, 30)
+    assert outcome.residual_nm == pytest.approx(Integrator(0.4).residual_nm(DRIFT, 0.0), rel=0.06)
+    assert outcome.slope == pytest.approx(1, abs=1e-3)
+    assert outcome.gain_margin(Integrator(0.4)) == pytest.approx(2.5, rel=2e-3)
+
+
+def test_the_sensor_s_slope_and_noise_are_found_whatever_the_offset_of_each_sky():
+    rng = np.random.default_rng(6)
+    true = 20 * rng.standard_normal((3, 2, 400))
+    offset = np.array([-30.0, 0.0, 50.0])[:, None, None]
+    slope, noise = sensor_of(0.8 * true + offset + 5 * rng.standard_normal(true.shape), true)
+    assert slope == pytest.approx(0.8, abs=0.02)
+    assert noise == pytest.approx(5, rel=0.06)
+
+
+# -- simulated frames --------------------------------------------------------------------------------
+
+
+def test_interpolated_frames_are_those_simulated_at_that_defocus():
+    star = scene(2)
+    table = frame_table(star, 240.0, 8)
+    for defocus in (-230.0, 33.0, 170.0):
+        direct = expose(replace(star, introduced_nm=defocus)).mean_e
+        interpolated = np.array([table.images_e(frame, np.array([defocus]))[0] for frame in range(2)])
+        assert np.abs(interpolated - direct).max() < 5e-4 * direct.max()
+
+
+def test_the_table_tells_the_defocus_of_the_sky():
+    star = scene(3)
+    expected = expose(star).zernike_nm[:, 2] - star.ncpa_nm[4]
+    assert frame_table(star, 100.0, 2).sky_focus_nm == pytest.approx(expected)
+
+
+# -- everything together -----------------------------------------------------------------------------
+
+LOOPS = (Loop("uncalibrated", 12.0, 0.4), Loop("uncalibrated", 25.0, 0.1), Loop("uncalibrated", 12.0, 0.4, 2))
+
+
+@pytest.fixture(scope="module")
+def found():
+    conditions = Conditions(cases.UT4, DRIFT)
+    return run_loops(LoopSample("test", (3, 1), conditions, ("uncalibrated",), LOOPS, 10, 1, 120.0, 6))
+
+
+def test_lift_measures_what_the_loop_leaves(found):
+    error = (found["measured_nm"] - found["true_nm"])[0, 0]
+    assert (
+        np.abs(error - np.median(error)).max() < 25
+    )  # the sky's own defocus; the NCPAs' bias is in the median
+
+
+def test_residual_and_measurements_tell_the_same_story(found):
+    """Drift less the sum of gain times measurement, one frame late."""
+    measured = np.nan_to_num(found["measured_nm"][0, 0])
+    command = 0.4 * np.concatenate([[0, 0], np.cumsum(measured)[:-2]])
+    assert found["residual_nm"][0, 0] == pytest.approx(found["drift_nm"][0] - command)
+
+
+def test_a_star_too_faint_to_measure_loses_measurements(found):
+    assert np.isnan(found["measured_nm"][0, 1]).mean() > 0.5
+    assert np.isfinite(found["measured_nm"][0, 0]).all()
+
+
+def test_the_bound_follows_photons(found):
+    bright, faint, longer = found["bound_nm"]
+    assert longer == pytest.approx(bright / np.sqrt(2), rel=0.01)
+    assert faint > 400 * bright  # 13 magnitudes are a factor 398 while photons rule, more with read noise
+
+
+def test_the_expected_noise_is_near_the_bound_of_the_simulated_star(found):
+    noise = noise_law(Conditions(cases.UT4, DRIFT))
+    expected = np.sqrt(noise(25.0, 1) ** 2 - 5.0**2)
+    assert expected == pytest.approx(found["bound_nm"][1], rel=0.3)  # whose NCPAs change it a little
+
+
+def test_stage_and_section_show_what_the_loops_left(found, monkeypatch):
+    monkeypatch.setattr(stage, "run_samples", lambda function, samples, ctx, desc: [found] * len(samples))
+    monkeypatch.setattr(stage, "_loops", lambda ctx: LOOPS)
+    config = stage.Config(skies=2, settle=4)
+    instrument, log = load_instrument("irlos"), logging.getLogger("test")
+    output = stage.run(
+        StageContext(
+            config, ModelConfig(), instrument, {}, {}, "cpu", 3, 1, silent_progress, log, Path("scratch")
+        )
+    )
+    rows = output.results["loops"]
+    assert [(row["mag_j"], row["runs"]) for row in rows] == [(12.0, 2), (25.0, 2), (12.0, 2)]
+    assert rows[0]["gain_margin"] * 0.4 * rows[0]["slope"] == pytest.approx(1)
+    product = Product("slow_loop", output.arrays, output.results)
+    section = slow_loop_section(RunData({}, "", "ok", "", {"slow_loop": product}, []))
+    table = section.blocks[-1]
+    assert table.title == "Uncalibrated" and [row[0] for row in table.rows] == ["12", "25"]

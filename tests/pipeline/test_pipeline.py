@@ -1,0 +1,184 @@
+"""A run leaves whole products, results and quality control, whatever happens."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+import yaml
+from helpers.fake_stages import COUNTS
+from helpers.running import STAGES, reasons, run, told, visible
+
+from irlos_pipe.conventions.errors import InputDataError, IrlosError, NothingToDo
+from irlos_pipe.pipeline import Selection
+from irlos_pipe.product.product import read_product
+from irlos_pipe.product.runfolder import RunFolder
+
+PRODUCTS = ["01_ingest.h5", "02_calibrate.h5", "03_lift.h5"]
+
+
+def test_a_run_leaves_products_results_quality_report_log_and_the_resolved_recipe(bench):
+    run(bench)
+    assert visible(bench) == [
+        *PRODUCTS,
+        "qc.json",
+        "recipe.resolved.yaml",
+        "report.html",
+        "results.json",
+        "run.log",
+        "table.csv",
+    ]
+
+
+def test_results_hold_the_section_of_each_stage_with_nan_as_null(bench):
+    run(bench)
+    head = {"schema": "irlos-results", "schema_version": 1, "recipe": "test", "status": "ok"}
+    assert {key: value for key, value in told(bench).items() if key != "stages"} == head
+    assert told(bench)["stages"]["ingest"] == {"total": 8.0, "spread": None}
+    assert told(bench)["stages"]["calibrate"] == {"method": "dip_avg"}
+
+
+def test_quality_holds_every_check_with_its_stage(bench):
+    run(bench)
+    quality = json.loads((bench.output / "qc.json").read_text())
+    assert quality["passed"] is True
+    assert quality["checks"] == [
+        {
+            "stage": "calibrate",
+            "name": "mean",
+            "passed": True,
+            "value": 4.0,
+            "unit": "ADU",
+            "low": 0,
+            "high": None,
+            "message": "counts are positive",
+        }
+    ]
+
+
+def test_a_second_run_does_nothing_and_changes_no_file(bench):
+    first, _ = run(bench)
+    before = {name: (bench.output / name).read_bytes() for name in visible(bench) if name != "run.log"}
+    second, worked = run(bench)
+    assert worked == [] and COUNTS["report"] == 1
+    assert {name: (bench.output / name).read_bytes() for name in before} == before
+    assert second.summary == first.summary == {"ingest": ["2 files"], "calibrate": ["mean 4 ADU"], "lift": []}
+    assert set(reasons(bench).values()) == {"up to date"}
+
+
+def test_a_rerun_makes_the_same_content_except_for_provenance(bench):
+    run(bench)
+    before = [read_product(bench.output / name) for name in PRODUCTS]
+    run(bench, selection=Selection(force=True))
+    for old, name in zip(before, PRODUCTS, strict=True):
+        new = read_product(bench.output / name)
+        assert (new.results, new.config) == (old.results, old.config)
+        assert (new.checks, new.log) == (old.checks, old.log)
+        assert all(np.array_equal(new.arrays[key].value, old.arrays[key].value) for key in old.arrays)
+        assert new.provenance["key"] == old.provenance["key"]
+
+
+def test_a_missing_report_is_built_again(bench):
+    run(bench)
+    (bench.output / "report.html").unlink()
+    assert run(bench)[1] == [] and (bench.output / "report.html").is_file()
+
+
+def test_a_product_knows_where_it_comes_from(bench):
+    run(bench)
+    origin = read_product(bench.output / "03_lift.h5").provenance
+    assert origin["inputs"][0]["sha256"] == "5994471abb01112afcc18159f6cc74b4f511b99806da59b3caf5a9c173cacfc5"
+    assert {"irlos_pipe", "python", "torch", "numpy"} <= origin["software"].keys()
+    assert origin["seed"] == 0 and origin["machine"]["host"] and origin["started"] <= origin["finished"]
+
+
+def test_messages_of_a_stage_are_in_its_product_and_in_the_log(bench):
+    run(bench)
+    assert read_product(bench.output / "01_ingest.h5").log == ["INFO read 2 files"]
+    assert read_product(bench.output / "02_calibrate.h5").log == []
+    assert "irlos_pipe.stage.ingest: read 2 files" in (bench.output / "run.log").read_text()
+
+
+def test_a_failed_limit_is_told_after_the_products_are_written(bench):
+    bench.make("calibrate.fail_qc")
+    outcome, worked = run(bench)
+    assert (outcome.status, outcome.exit_code, worked) == ("qc_failed", 4, list(STAGES))
+    assert told(bench)["status"] == "qc_failed"
+    assert not json.loads((bench.output / "qc.json").read_text())["passed"]
+
+
+def test_lost_exposures_make_a_run_partial_also_when_it_is_skipped(bench):
+    bench.make("calibrate.lose_exposure")
+    assert (run(bench)[0].exit_code, run(bench)[0].status) == (5, "partial")
+
+
+def test_a_failed_stage_keeps_the_products_before_it_and_says_so_in_the_results(bench):
+    bench.make("calibrate.bad_data")
+    with pytest.raises(InputDataError, match="HDU 1 is truncated"):
+        run(bench)
+    assert "01_ingest.h5" in visible(bench) and "02_calibrate.h5" not in visible(bench)
+    assert told(bench)["status"] == "failed" and told(bench)["error"] == "cube.fits: HDU 1 is truncated"
+    assert set(told(bench)["stages"]) == {"ingest"}
+
+
+def test_a_run_goes_on_where_it_failed(bench):
+    bench.make("calibrate.bad_data")
+    with pytest.raises(InputDataError):
+        run(bench)
+    (bench.data / "calibrate.bad_data").unlink()
+    assert "calibrate.bad_data is gone" in reasons(bench)["ingest"]
+    assert run(bench)[0].status == "ok"
+
+
+def test_a_bug_is_told_in_one_line_with_the_traceback_in_the_log(bench):
+    bench.make("calibrate.crash")
+    with pytest.raises(IrlosError) as caught:
+        run(bench)
+    log = bench.output / "run.log"
+    assert str(caught.value) == f"unexpected ZeroDivisionError: a bug; the traceback is in {log}"
+    assert "Traceback" in log.read_text() and "fake_stages.py" in log.read_text()
+    assert caught.value.exit_code == 1
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "error", "message"),
+    [
+        ("missing_file", InputDataError, "x.fits: No such file or directory"),
+        ("disk_full", IrlosError, "the disk is full"),
+        ("nothing", NothingToDo, "no recordings found"),
+        ("interrupt", KeyboardInterrupt, None),
+    ],
+)
+def test_what_stops_a_stage_keeps_its_kind_and_leaves_no_product(bench, behaviour, error, message):
+    bench.make(f"calibrate.{behaviour}")
+    with pytest.raises(error, match=message):
+        run(bench)
+    assert [name for name in visible(bench) if name.endswith(".h5")] == ["01_ingest.h5"]
+
+
+def test_a_report_that_cannot_be_built_costs_no_product(bench, monkeypatch):
+    def fail(_):
+        raise KeyError("template")
+
+    monkeypatch.setattr(sys.modules["irlos_pipe.report.build"], "write_report", fail)
+    outcome, _ = run(bench)
+    assert outcome.exit_code == 1 and outcome.report is None
+    assert outcome.report_error.startswith(f"{bench.output / 'report.html'}: could not be built: KeyError")
+    assert set(PRODUCTS) <= set(visible(bench)) and told(bench)["status"] == "ok"
+
+
+def test_leftovers_of_a_killed_run_are_removed_by_the_next(bench):
+    bench.output.mkdir()
+    (bench.output / ".01_ingest.h5.123.part").write_bytes(b"half")
+    run(bench)
+    assert not list(bench.output.glob(".*.part"))
+
+
+def test_products_of_another_recipe_in_the_folder_do_not_count(bench):
+    run(bench)
+    content = yaml.safe_load(bench.recipe.read_text())
+    bench.recipe.write_text(
+        yaml.safe_dump({key: content[key] for key in ("recipe", "inputs")} | {"stages": ["ingest", "lift"]})
+    )
+    run(bench)
+    assert list(RunFolder(bench.output).products()) == ["ingest", "lift"]

@@ -1,0 +1,208 @@
+"""What a run would do, and the reason it gives."""
+
+import sys
+
+import pytest
+from helpers.running import STAGES, reasons, run, told
+
+from irlos_pipe.conventions.errors import ConfigurationError, NothingToDo
+from irlos_pipe.instrument.instrument import PROFILES
+from irlos_pipe.pipeline import Selection, plan_run, run_recipe
+from irlos_pipe.pipeline.fingerprint import changes
+from irlos_pipe.recipe import load_recipe
+
+
+def test_a_new_folder_has_no_product_yet(bench):
+    assert reasons(bench) == dict.fromkeys(STAGES, "no product yet")
+
+
+def test_a_changed_setting_redoes_its_stage_only_and_says_from_what_to_what(bench):
+    run(bench)
+    assert reasons(bench, "calibrate.method=dip_global") == {
+        "ingest": "up to date",
+        "calibrate": "calibrate.method changed dip_avg -> dip_global",
+        "lift": "up to date",
+    }
+    assert run(bench, "calibrate.method=dip_global")[1] == ["calibrate"]
+
+
+def test_a_section_that_was_empty_is_told_by_what_is_in_it_now():
+    old = {"stage": "ingest", "config": {"detector": None}}
+    new = {"stage": "ingest", "config": {"detector": {"gain": 2}}}
+    assert changes(old, new) == "ingest.detector.gain changed null -> 2"
+    assert changes(new, old) == "ingest.detector.gain changed 2 -> null"
+
+
+def test_many_changes_are_counted():
+    old, new = ({"stage": "lift", "config": {f"x{i}": value for i in range(5)}} for value in (0, 1))
+    assert changes(old, new) == (
+        "lift.x0 changed 0 -> 1; lift.x1 changed 0 -> 1; lift.x2 changed 0 -> 1; and 2 more"
+    )
+
+
+def test_a_change_upstream_redoes_the_stages_that_read_the_product(bench):
+    run(bench)
+    assert reasons(bench, "ingest.scale=2") == {
+        "ingest": "ingest.scale changed 1.0 -> 2.0",
+        "calibrate": "upstream ingest changed",
+        "lift": "upstream ingest changed",
+    }
+    assert run(bench, "ingest.scale=2")[1] == ["ingest", "calibrate", "lift"]
+    assert told(bench)["stages"]["ingest"]["total"] == 16
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [(["model.pupil_samples=64"], {"calibrate"}), (["seed=3"], {"calibrate", "lift"})],
+)
+def test_a_stage_is_redone_only_for_what_it_depends_on(bench, settings, expected):
+    run(bench)
+    redone = {name for name, reason in reasons(bench, *settings).items() if reason != "up to date"}
+    assert redone == expected
+
+
+def test_a_changed_seed_is_told(bench):
+    run(bench)
+    assert reasons(bench, seed=3)["lift"] == "seed changed 0 -> 3"
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda data: (data / "a.dat").write_bytes(b"54321"), "input file cube/data/a.dat changed"),
+        (lambda data: (data / "b.dat").unlink(), "input file cube/data/b.dat is gone"),
+        (lambda data: (data / "c.dat").touch(), "input file cube/data/c.dat is new"),
+    ],
+)
+def test_a_changed_input_file_is_named(bench, change, expected):
+    run(bench)
+    change(bench.data)
+    assert reasons(bench)["ingest"] == expected
+
+
+def test_touching_or_moving_input_files_redoes_nothing(bench):
+    run(bench)
+    (bench.data / "a.dat").touch()
+    moved = bench.folder / "archive" / "data"
+    moved.parent.mkdir()
+    bench.data.rename(moved)
+    assert set(reasons(bench, inputs=[f"cube={moved}"]).values()) == {"up to date"}
+
+
+def test_a_side_car_beside_an_input_file_counts_as_input(bench):
+    one_file = [f"cube={bench.data / 'cube.fits'}"]
+    (bench.data / "cube.fits").write_bytes(b"x")
+    before = plan_run(load_recipe(bench.recipe, inputs=one_file), bench.output, Selection())[0]
+    (bench.data / "cube.yaml").write_text("mag_j: 7")
+    after = plan_run(load_recipe(bench.recipe, inputs=one_file), bench.output, Selection())[0]
+    assert {file.label for file in after} - {file.label for file in before} == {"cube/cube.yaml"}
+
+
+def test_a_new_stage_version_redoes_the_stage(bench, monkeypatch):
+    run(bench)
+    monkeypatch.setattr(sys.modules["irlos_pipe.stages.lift.stage"], "VERSION", 2)
+    assert reasons(bench)["lift"] == "stage version 1 -> 2"
+
+
+def test_another_instrument_profile_redoes_the_stages_that_depend_on_it(bench):
+    run(bench)
+    profile = bench.folder / "other.yaml"
+    profile.write_text((PROFILES / "irlos.yaml").read_text().replace("150000", "140000"))
+    changed = reasons(bench, f"instrument={profile}")
+    assert changed["ingest"].startswith("instrument.") and "150000" in changed["ingest"]
+    assert changed["calibrate"].startswith(("instrument.", "upstream"))
+
+
+def test_a_damaged_product_is_made_again(bench):
+    run(bench)
+    content = (bench.output / "02_calibrate.h5").read_bytes()
+    (bench.output / "02_calibrate.h5").write_bytes(content[:100])
+    assert reasons(bench)["calibrate"] == "product unreadable"
+    assert run(bench)[1] == ["calibrate"] and told(bench)["status"] == "ok"
+
+
+def test_a_product_of_another_stage_in_its_place_is_made_again(bench):
+    run(bench)
+    (bench.output / "01_ingest.h5").replace(bench.output / "03_lift.h5")
+    assert reasons(bench) == {
+        "ingest": "no product yet",
+        "calibrate": "up to date",
+        "lift": "product unreadable",
+    }
+    assert run(bench)[1] == ["ingest", "lift"]
+
+
+def test_a_missing_further_file_is_made_again(bench):
+    run(bench)
+    (bench.output / "table.csv").unlink()
+    assert reasons(bench)["calibrate"] == "table.csv is missing"
+    assert run(bench)[1] == ["calibrate"] and (bench.output / "table.csv").is_file()
+
+
+def test_force_redoes_the_selected_stages(bench):
+    run(bench)
+    assert run(bench, selection=Selection(force=True))[1] == ["ingest", "calibrate", "lift"]
+    assert run(bench, selection=Selection("calibrate", "calibrate", True))[1] == ["calibrate"]
+
+
+def test_a_run_up_to_a_stage_leaves_the_later_ones(bench):
+    outcome, worked = run(bench, selection=Selection(last="calibrate"))
+    assert worked == ["ingest", "calibrate"] and set(outcome.results["stages"]) == {"ingest", "calibrate"}
+
+
+def test_a_run_up_to_a_stage_keeps_later_results_only_while_they_are_up_to_date(bench):
+    run(bench)
+    assert set(run(bench, selection=Selection(last="ingest"))[0].results["stages"]) == set(STAGES)
+    changed, _ = run(bench, "ingest.scale=3", selection=Selection(last="ingest"))
+    assert set(changed.results["stages"]) == {"ingest"}
+
+
+def test_a_run_from_a_stage_needs_the_earlier_products(bench):
+    with pytest.raises(ConfigurationError, match=r"'ingest' cannot be used.*run with --from ingest"):
+        run(bench, selection=Selection(first="calibrate"))
+    assert not bench.output.exists()
+
+
+def test_a_run_from_a_stage_uses_earlier_products_as_they_are(bench):
+    run(bench)
+    (bench.data / "c.dat").write_bytes(b"1234567")
+    _, worked = run(bench, "calibrate.method=dip_global", selection=Selection(first="calibrate"))
+    assert worked == ["calibrate"]
+    assert told(bench)["stages"]["ingest"]["total"] == 8
+    wanted = reasons(bench, selection=Selection(first="calibrate"))
+    assert wanted["ingest"] == "used as it is, though input file cube/data/c.dat is new"
+
+
+@pytest.mark.parametrize(
+    ("selection", "message"),
+    [
+        (Selection(first="lft"), "--from lft: no stage of recipe 'test'; did you mean 'lift'"),
+        (Selection(last="correct"), "--to correct: no stage"),
+        (Selection("lift", "ingest"), "--from lift comes after --to ingest"),
+    ],
+)
+def test_a_selection_that_makes_no_sense_is_told(bench, selection, message):
+    with pytest.raises(ConfigurationError, match=message):
+        run(bench, selection=selection)
+
+
+def test_planning_touches_nothing(bench):
+    reasons(bench)
+    assert not bench.output.exists()
+
+
+def test_an_empty_input_is_nothing_to_process(bench):
+    (bench.folder / "empty").mkdir()
+    with pytest.raises(NothingToDo, match="holds no files"):
+        run(bench, inputs=[f"cube={bench.folder / 'empty'}"])
+
+
+def test_the_output_may_not_lie_inside_an_input(bench):
+    with pytest.raises(ConfigurationError, match="lies inside input 'cube'"):
+        run_recipe(load_recipe(bench.recipe), bench.data / "out")
+
+
+def test_the_resolved_recipe_runs_again_and_is_up_to_date(bench):
+    run(bench, "calibrate.method=dip_global")
+    resolved = load_recipe(bench.output / "recipe.resolved.yaml")
+    assert {step.reason for step in plan_run(resolved, bench.output, Selection())[1]} == {"up to date"}

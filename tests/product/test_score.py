@@ -1,0 +1,198 @@
+"""Scores against a truth that is known by construction."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import invoke
+from helpers import made_run
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.product.score import score_run
+
+
+def write_truth(folder: Path, **truths: dict[str, Any]) -> Path:
+    folder.mkdir(exist_ok=True)
+    for name, content in truths.items():
+        (folder / f"{name}.json").write_text(json.dumps(content))
+    return folder
+
+
+def scored(tmp_path: Path, *stages: str, **truths: dict[str, Any]) -> str:
+    """Score of a made-up run; the names of the truths are those of their files."""
+    folder = made_run.write_run(tmp_path / "run", made_run.products("ingest", *stages))
+    return score_run(folder, write_truth(tmp_path / "truth", **truths))
+
+
+def row(text: str, first: str) -> list[str]:
+    """Cells of the line that begins with `first`."""
+    line = next(line for line in text.splitlines() if line.startswith(first))
+    return [cell.strip() for cell in line.split("  ") if cell.strip()]
+
+
+def ramp_point(truth_nm: float, ncpa_nm: float = 30.0) -> dict[str, Any]:
+    """Truth of a ramp recording whose time-averaged defocus is `truth_nm` beyond the NCPA."""
+    return {"ncpa_nm": {"4": ncpa_nm}, "mean_zernike_nm": {"4": truth_nm + ncpa_nm}}
+
+
+RAMP = {f"ramp__offset_{i:02d}": ramp_point(nm) for i, nm in enumerate(made_run.OFFSETS_NM)}
+
+
+def shifted(**shifts_nm: float) -> dict[str, Any]:
+    """Truth from which the calibration of the made-up run differs by these amounts (``z4=3``)."""
+    truth = dict(made_run.NCPA_NM)
+    for name, shift in shifts_nm.items():
+        truth[name[1:]] = truth.get(name[1:], 0.0) - shift
+    return {"mean_zernike_nm": truth}
+
+
+def test_the_error_of_the_calibration_adds_up_over_the_modes(tmp_path):
+    text = scored(tmp_path, "calibrate", sky=shifted(z2=3.0, z4=-4.0, z5=12.0))
+    assert row(text, "long_exposure") == ["long_exposure", "13.0 nm RMS", "-4.0 nm", "2.0 s"]
+
+
+def test_a_perfect_calibration_has_no_error(tmp_path):
+    assert "0.0 nm RMS" in row(scored(tmp_path, "calibrate", sky=shifted()), "long_exposure")
+
+
+def test_modes_above_noll_30_do_not_count(tmp_path):
+    assert "0.0 nm RMS" in row(scored(tmp_path, "calibrate", sky=shifted(z31=50.0)), "long_exposure")
+
+
+def test_modes_that_were_not_estimated_count_in_full(tmp_path):
+    assert "24.0 nm RMS" in row(scored(tmp_path, "calibrate", sky=shifted(z30=24.0)), "long_exposure")
+
+
+def test_methods_run_beside_are_scored_too(tmp_path):
+    truth = {"mean_zernike_nm": {"4": 31.5}}
+    assert row(scored(tmp_path, "calibrate", sky=truth), "dip_avg") == [
+        "dip_avg",
+        "1.5 nm RMS",
+        "+1.5 nm",
+        "9.0 s",
+    ]
+
+
+def test_recordings_fitted_together_are_compared_with_their_mean_by_frames(tmp_path):
+    ingest = made_run.ingest()
+    ingest.results["inputs"] = [made_run.row("a", "calibration", 30), made_run.row("b", "calibration", 10)]
+    folder = made_run.write_run(tmp_path / "run", [ingest, made_run.calibrate()])
+    truth = write_truth(tmp_path / "truth", a=shifted(z4=8.0), b=shifted(z4=0.0))
+    assert row(score_run(folder, truth), "long_exposure")[1:3] == ["6.0 nm RMS", "+6.0 nm"]
+
+
+def test_the_ramp_is_compared_with_what_was_introduced(tmp_path):
+    text = scored(tmp_path, "lift", **RAMP)
+    assert row(text, "frames against the introduced")[-1] == "1.0 nm RMS"
+
+
+def test_the_ramp_is_compared_with_the_defocus_that_was_there_without_the_ncpas(tmp_path):
+    truths = {
+        name: ramp_point(nm + 4.0, ncpa_nm=-70.0) for name, nm in zip(RAMP, made_run.OFFSETS_NM, strict=True)
+    }
+    text = scored(tmp_path, "lift", **truths)
+    assert row(text, "frames against the true")[-1] == "3.0 nm RMS"
+
+
+def test_means_of_recordings_lose_what_differs_from_frame_to_frame(tmp_path):
+    lift = made_run.lift()
+    lift.results["points"] = [
+        made_run.point("offset_00", -100.0, -100.0 + error) for error in (2.0 + 5.0, 2.0 - 5.0)
+    ]
+    folder = made_run.write_run(tmp_path / "run", [made_run.ingest(), lift])
+    text = score_run(folder, write_truth(tmp_path / "truth", **RAMP))
+    assert row(text, "means of recordings")[-1] == "2.0 nm RMS"
+    assert row(text, "frames against the introduced")[-1] == "5.4 nm RMS"  # sqrt((49 + 9) / 2)
+
+
+def test_frames_without_estimate_are_left_out(tmp_path):
+    lift = made_run.lift()
+    lift.results["points"][0]["defocus_nm"] = None
+    folder = made_run.write_run(tmp_path / "run", [made_run.ingest(), lift])
+    text = score_run(folder, write_truth(tmp_path / "truth", **RAMP))
+    assert row(text, "frames against the introduced")[-1] == "1.0 nm RMS"
+
+
+def test_a_truth_without_mean_defocus_still_gives_the_error_against_the_introduced(tmp_path):
+    text = scored(tmp_path, "lift", **{name: {"hidden": {}} for name in RAMP})
+    assert row(text, "frames against the introduced")[-1] == "1.0 nm RMS"
+    assert "true mean" not in text
+
+
+@pytest.mark.parametrize("name", ["sky", "night__sky"])
+def test_a_truth_belongs_to_the_recording_of_its_name_with_or_without_folder(tmp_path, name):
+    assert "long_exposure" in scored(tmp_path, "calibrate", **{name: shifted()})
+
+
+def test_the_full_name_goes_before_a_similar_one(tmp_path):
+    text = scored(tmp_path, "calibrate", sky=shifted(z4=5.0), other__sky=shifted())
+    assert "5.0 nm RMS" in row(text, "long_exposure")
+
+
+def test_a_single_file_will_do(tmp_path):
+    folder = made_run.write_run(tmp_path / "run", made_run.products("ingest", "calibrate", "lift"))
+    truth = write_truth(tmp_path, sky=shifted()) / "sky.json"
+    text = score_run(folder, truth)
+    assert "calibration (sky)" in text
+    assert "ramp" not in text
+
+
+def test_calibration_and_ramp_are_scored_together(tmp_path):
+    text = scored(tmp_path, "calibrate", "lift", sky=shifted(), **RAMP)
+    assert "calibration (sky)" in text
+    assert "ramp (3 recordings, 6 frames)" in text
+
+
+def test_columns_are_aligned(tmp_path):
+    lines = scored(tmp_path, "calibrate", sky=shifted()).splitlines()
+    assert len({len(line) for line in lines}) == 1
+
+
+def bad_truth(tmp_path: Path, content: str) -> Path:
+    (tmp_path / "bad.json").write_text(content)
+    return tmp_path / "bad.json"
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda path: path / "nowhere", "no such file or folder"),
+        (lambda path: write_truth(path / "empty"), "no .*json in this folder"),
+        (lambda path: write_truth(path / "truth", moon=shifted()), "no truth for sky; it holds moon"),
+        (
+            lambda path: write_truth(path / "truth", a__sky=shifted(), b__sky=shifted()),
+            "several truth files: a__sky, b__sky",
+        ),
+        (lambda path: bad_truth(path, "{"), "bad.json: not a readable JSON file"),
+        (lambda path: bad_truth(path, "[1]"), "bad.json: holds a list"),
+    ],
+)
+def test_a_truth_that_cannot_be_used_is_told_in_one_line(tmp_path, make, message):
+    folder = made_run.write_run(tmp_path / "run", made_run.products("ingest", "calibrate"))
+    with pytest.raises(InputDataError, match=message) as problem:
+        score_run(folder, make(tmp_path))
+    assert "\n" not in str(problem.value)
+
+
+def test_a_run_without_estimates_has_nothing_to_compare(tmp_path):
+    with pytest.raises(InputDataError, match="nothing to compare"):
+        scored(tmp_path, sky=shifted())
+
+
+def test_the_command_prints_the_table(tmp_path):
+    folder = made_run.write_run(tmp_path / "run", made_run.products("ingest", "calibrate"))
+    result = invoke("score", str(folder), "--truth", str(write_truth(tmp_path / "truth", sky=shifted())))
+    assert result.exit_code == 0
+    assert "long_exposure" in result.output
+
+
+def test_a_value_that_is_not_known_is_not_taken_for_zero(tmp_path):
+    calibrate = made_run.calibrate()
+    calibrate = replace(calibrate, results=calibrate.results | {"zernike_nm": made_run.NCPA_NM | {"4": None}})
+    folder = made_run.write_run(tmp_path / "run", [made_run.ingest(), calibrate])
+    text = score_run(folder, write_truth(tmp_path / "truth", sky=shifted()))
+    assert "nan nm RMS" in row(text, "long_exposure")

@@ -1,0 +1,178 @@
+"""Side-cars, and which source wins."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.sparta_files import sidecar, write_sidecar
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.frames.raw import RawRecording
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.readers.acquisition import resolve
+from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
+
+IRLOS = load_instrument("irlos")
+NOTHING = AcquisitionKeys()
+
+
+def recording(folder: Path, frames: int = 3, header: dict | None = None) -> RawRecording:
+    return RawRecording(
+        "rec",
+        folder / "rec.fits",
+        "fits_cube",
+        np.zeros((frames, 8, 8)),
+        np.arange(frames),
+        header=header or {},
+    )
+
+
+def test_every_key_of_the_side_car_arrives(tmp_path):
+    write_sidecar(
+        tmp_path / "acquisition.yaml",
+        derotator_angle_deg=12.5,
+        introduced_defocus_nm=-40.0,
+        spectrum=[{"wavelength_nm": 1200.0, "weight": 0.5}, {"wavelength_nm": 1600.0}],
+        diversity={"source": "dsm", "zernike": {5: 20.0, 6: -170}},
+    )
+    resolved = resolve(recording(tmp_path), NOTHING, IRLOS)
+    found = resolved.acquisition
+    assert (found.role, found.target, found.mag_j) == ("ncpa_calibration", "TEST", 8.0)
+    assert (found.exposure_s, found.frame_rate_hz, found.pixel_scale_mas) == (0.1, 10.0, 9.7)
+    assert (found.seeing_arcsec, found.derotator_angle_deg) == (0.5, 12.5)
+    assert found.spectrum == ((1200.0, 0.5), (1600.0, 1.0))
+    assert (found.diversity_source, found.diversity) == ("dsm", {5: 20.0, 6: -170.0})
+    assert (found.detector.e_per_adu, found.detector.read_noise_e) == (0.5, 1.0)
+    assert resolved.introduced_defocus_nm.tolist() == [-40.0, -40.0, -40.0]
+    assert resolved.warnings == ()
+
+
+def test_the_side_car_of_a_file_goes_before_that_of_its_folder(tmp_path):
+    data = tmp_path / "MUSE.2023-07-14T03:21:10.000.fits"
+    assert sidecar_path(data).name == "acquisition.yaml"
+    own = write_sidecar(tmp_path / "MUSE.2023-07-14T03:21:10.000.yaml")
+    assert sidecar_path(data) == own
+
+
+def test_recipe_wins_over_side_car_over_header_over_profile(tmp_path):
+    write_sidecar(tmp_path / "acquisition.yaml", "seeing_arcsec", "exposure_s")
+    header = {"mag_j": 11.0, "seeing_arcsec": 0.9}
+    recipe = AcquisitionKeys(mag_j=7.0, detector={"read_noise_e": 3.0})
+    found = resolve(recording(tmp_path, header=header), recipe, IRLOS).acquisition
+    assert (found.mag_j, found.sources["mag_j"]) == (7.0, "recipe")
+    assert (found.pixel_scale_mas, found.sources["pixel_scale_mas"]) == (9.7, "side-car")
+    assert (found.seeing_arcsec, found.sources["seeing_arcsec"]) == (0.9, "header")
+    assert found.seeing_measured
+    assert (found.exposure_s, found.sources["exposure_s"]) == (0.1, "instrument profile")
+    assert (found.detector.read_noise_e, found.detector.e_per_adu) == (3.0, 0.5)
+
+
+def test_what_comes_from_header_or_profile_is_warned_of(tmp_path):
+    write_sidecar(tmp_path / "acquisition.yaml", "seeing_arcsec", "pixel_scale_mas", "mag_j")
+    lines = resolve(recording(tmp_path, header={"seeing_arcsec": 0.9}), NOTHING, IRLOS).warnings
+    assert lines[0] == "rec: taken from the header: seeing_arcsec = 0.9"
+    assert lines[1] == "rec: taken from the instrument profile: pixel_scale_mas = 9.7"
+    assert "mag_j is not known" in lines[2]
+
+
+def test_header_values_out_of_range_are_not_taken(tmp_path):
+    write_sidecar(tmp_path / "acquisition.yaml", "seeing_arcsec")
+    found = resolve(recording(tmp_path, header={"seeing_arcsec": -1.0}), NOTHING, IRLOS).acquisition
+    assert found.sources["seeing_arcsec"] == "instrument profile"
+    assert not found.seeing_measured
+
+
+@pytest.mark.parametrize("key", ["role", "spectrum", "diversity"])
+def test_a_missing_key_without_a_safe_default_is_named(tmp_path, key):
+    write_sidecar(tmp_path / "acquisition.yaml", key)
+    with pytest.raises(
+        InputDataError, match=rf"acquisition\.yaml: key '{key}' missing, and no default is safe"
+    ):
+        resolve(recording(tmp_path), NOTHING, IRLOS)
+
+
+def test_without_a_side_car_all_missing_keys_are_named_at_once(tmp_path):
+    with pytest.raises(
+        InputDataError,
+        match=r"rec\.fits: no side-car acquisition\.yaml; "
+        "keys 'role', 'spectrum', 'diversity' missing",
+    ):
+        resolve(recording(tmp_path), NOTHING, IRLOS)
+
+
+def test_the_recipe_alone_can_say_everything(tmp_path):
+    keys = AcquisitionKeys.model_validate(sidecar())
+    assert resolve(recording(tmp_path), keys, IRLOS).acquisition.diversity == {6: -170.0}
+
+
+def test_a_ramp_must_say_its_defocus(tmp_path):
+    write_sidecar(tmp_path / "acquisition.yaml", "introduced_defocus_nm", role="defocus_ramp")
+    with pytest.raises(InputDataError, match="key 'introduced_defocus_nm' missing"):
+        resolve(recording(tmp_path), NOTHING, IRLOS)
+
+
+def test_a_dark_needs_neither_spectrum_nor_diversity(tmp_path):
+    write_sidecar(tmp_path / "acquisition.yaml", "spectrum", "diversity", role="dark")
+    assert resolve(recording(tmp_path), NOTHING, IRLOS).acquisition.role == "dark"
+
+
+def test_defocus_may_be_given_per_frame(tmp_path):
+    write_sidecar(tmp_path / "acquisition.yaml", introduced_defocus_nm=[-100.0, 0.0, 100.0])
+    assert resolve(recording(tmp_path), NOTHING, IRLOS).introduced_defocus_nm.tolist() == [-100.0, 0.0, 100.0]
+
+
+def test_defocus_for_another_number_of_frames_is_refused(tmp_path):
+    write_sidecar(tmp_path / "acquisition.yaml", introduced_defocus_nm=[-100.0, 100.0])
+    with pytest.raises(InputDataError, match="introduced_defocus_nm has 2 values for 3 frames"):
+        resolve(recording(tmp_path), NOTHING, IRLOS)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("role: psf\nseing_arcsec: 0.5\n", ":2: unknown key 'seing_arcsec'; did you mean 'seeing_arcsec'"),
+        ("role: psf\nmag_j: 7\nmag_j: 8\n", r":3: key 'mag_j' is given twice \(first on line 2\)"),
+        ("role: calibration\n", ":1: role = 'calibration'"),
+        ("mag_j: bright\n", ":1: mag_j = 'bright': should be a valid number"),
+        ("role: psf\nexposure_s: -0.1\n", ":2: exposure_s = -0.1: should be greater than 0"),
+        ("seeing_arcsec: .nan\n", ":1: seeing_arcsec = nan"),
+        (
+            "detector:\n  e_per_adu: 0.5\n  read_noise: 1\n",
+            ":3: unknown key 'detector.read_noise'; did you mean 'read_noise_e'",
+        ),
+        ("diversity: {source: lens, zernike: {1: 5}}\n", ":1: .*1 is no Noll index from 2 to 1000"),
+        ("spectrum: []\n", ":1: spectrum"),
+        ("spectrum: [{wavelength_nm: 1600, weight: 0}]\n", ":1: .*at least one weight must be positive"),
+        (
+            "spectrum:\n- wavelength_nm: 1600\n- wavelenght_nm: 1650\n",
+            ":3: unknown key 'spectrum.1.wavelenght_nm'; did you mean",
+        ),
+        ("- role: psf\n", ":1: expected 'key: value' pairs"),
+        ("", ":1: expected 'key: value' pairs, found nothing"),
+        ("role: [psf\n", ":2: not valid YAML"),
+    ],
+)
+def test_a_mistake_in_a_side_car_is_told_in_one_line_with_its_place(tmp_path, text, message):
+    path = tmp_path / "acquisition.yaml"
+    path.write_text(text)
+    with pytest.raises(InputDataError, match=rf"acquisition\.yaml{message}") as caught:
+        read_sidecar(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_further_mistakes_are_counted(tmp_path):
+    path = tmp_path / "acquisition.yaml"
+    path.write_text("mag_j: x\nseeing_arcsec: y\nexposure_s: z\n")
+    with pytest.raises(InputDataError, match=r"mag_j.*\(and 2 more\)$"):
+        read_sidecar(path)
+
+
+def test_keys_for_an_input_replace_single_keys_only():
+    general = AcquisitionKeys(mag_j=7.0, detector={"e_per_adu": 2.0, "read_noise_e": 1.0})
+    merged = general.updated(AcquisitionKeys(role="psf", detector={"read_noise_e": 4.0}))
+    assert merged.flat() == {
+        "mag_j": 7.0,
+        "role": "psf",
+        "detector.e_per_adu": 2.0,
+        "detector.read_noise_e": 4.0,
+    }

@@ -1,0 +1,105 @@
+"""Raw files of MUSE: cube, modes, quadrants, header and side tables."""
+
+import numpy as np
+import pytest
+from helpers.sparta_files import FULL_PUPIL, TWO_BY_TWO, quadrants, write_muse
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.readers import muse_raw
+from irlos_pipe.readers.quadrants import split_quadrants
+
+IRLOS = load_instrument("irlos")
+
+
+def numbered(frames, rows, columns, offset=0):
+    frame, y, x = np.indices((frames, rows, columns))
+    return (offset + 1 + 1000 * frame + 100 * y + x).astype(np.uint16)
+
+
+def test_the_cube_keeps_its_axes_and_type(tmp_path):
+    cube = numbered(4, 8, 7)
+    (raw,) = muse_raw.read(write_muse(tmp_path / "m.fits", cube), IRLOS)
+    assert raw.adu.dtype == np.uint16
+    assert np.array_equal(raw.adu, cube)
+    assert raw.mode == FULL_PUPIL
+
+
+def test_the_header_gives_what_it_knows(tmp_path):
+    header = {
+        "ESO SEQ NGS MAG": 10.5,
+        "ESO TEL AMBI FWHM START": 0.7,
+        "ESO TEL PARANG START": 35.2,
+        "ESO TEL ALT": 62.0,
+        "ESO INS DROT START": 81.4,
+        "OBJECT": "HD 1",
+    }
+    (raw,) = muse_raw.read(write_muse(tmp_path / "m.fits", numbered(2, 8, 8), header=header), IRLOS)
+    expected = {
+        "mag_j": 10.5,
+        "seeing_arcsec": 0.7,
+        "parallactic_angle_deg": 35.2,
+        "altitude_deg": 62.0,
+        "derotator_angle_deg": 81.4,
+        "target": "HD 1",
+        "frame_rate_hz": 200.0,
+        "exposure_s": 0.005,
+        "pixel_scale_mas": 9.7,
+    }
+    assert {key: raw.header[key] for key in expected} == expected
+    assert raw.start_unix_s == 1689304870.0  # 2023-07-14T03:21:10 UTC
+
+
+def test_the_seeing_of_sparta_is_preferred_to_the_monitor(tmp_path):
+    path = write_muse(
+        tmp_path / "m.fits",
+        numbered(2, 8, 8),
+        header={"ESO TEL AMBI FWHM START": 0.7},
+        seeing=[0.4, 0.5, 0.6, -1.0],
+    )
+    assert muse_raw.read(path, IRLOS)[0].header["seeing_arcsec"] == pytest.approx(0.5)
+
+
+def test_an_unknown_mode_is_named(tmp_path):
+    path = write_muse(tmp_path / "m.fits", numbered(2, 8, 8), mode="64x64_FullPupl_200Hz_HighGain")
+    with pytest.raises(
+        InputDataError,
+        match=r"'64x64_FullPupl_200Hz_HighGain' is no mode of irlos.*did you mean "
+        r"'64x64_FullPupil_200Hz_HighGain'",
+    ):
+        muse_raw.read(path, IRLOS)
+
+
+def test_a_file_without_mode_says_which_key_is_missing(tmp_path):
+    with pytest.raises(InputDataError, match="ESO AOS MAIN MODES IRLOS is missing"):
+        muse_raw.read(write_muse(tmp_path / "m.fits", numbered(2, 8, 8), mode=None), IRLOS)
+
+
+def test_values_of_before_the_upgrade_hold_for_files_of_that_time(tmp_path):
+    images = [numbered(1, 6, 6)] * 4
+    new, old = (
+        muse_raw.read(
+            write_muse(tmp_path / f"{day}.fits", quadrants(images), TWO_BY_TWO, {"DATE-OBS": day}), IRLOS
+        )[0]
+        for day in ("2023-01-01T00:00:00", "2020-01-01T00:00:00")
+    )
+    assert new.header["pixel_scale_mas"] == 78
+    assert old.header["pixel_scale_mas"] == 60
+
+
+def test_a_2x2_mode_gives_four_recordings_without_their_borders(tmp_path):
+    images = [numbered(3, 6, 8, offset) for offset in (0, 10000, 20000, 30000)]
+    found = muse_raw.read(write_muse(tmp_path / "m.fits", quadrants(images), TWO_BY_TWO), IRLOS)
+    assert [raw.name for raw in found] == ["m-q1", "m-q2", "m-q3", "m-q4"]
+    assert [raw.subaperture for raw in found] == [1, 2, 3, 4]
+    assert all(np.array_equal(raw.adu, image) for raw, image in zip(found, images, strict=True))
+
+
+def test_a_2x2_cube_without_borders_is_refused():
+    with pytest.raises(InputDataError, match="quadrant 1 lacks the one-pixel border of zeros"):
+        split_quadrants(numbered(2, 16, 16), "m.fits")
+
+
+def test_an_odd_window_has_no_quadrants():
+    with pytest.raises(InputDataError, match="15x16 px has no four equal quadrants"):
+        split_quadrants(numbered(2, 15, 16), "m.fits")

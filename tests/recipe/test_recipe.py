@@ -1,0 +1,237 @@
+"""Recipes are checked before anything runs, and every mistake is told where it stands."""
+
+import sys
+
+import pytest
+import yaml
+from conftest import RECIPE
+from helpers import paths
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.files.overrides import overridden, parse_setting
+from irlos_pipe.recipe import load_recipe
+
+COMPANION = {"flux_ratio": 0.04, "sep_mas": 150.0, "pa_deg": 300.0}
+RECIPES = sorted((paths.RECIPES).glob("*.yaml"))
+
+
+def complaints(bench, text: str = RECIPE, **changes) -> list[str]:
+    """Lines of the error that a recipe raises, with the file's name for its path."""
+    bench.recipe.write_text(text)
+    with pytest.raises(ConfigurationError) as caught:
+        load_recipe(bench.recipe, **changes)
+    return str(caught.value).replace(f"{bench.recipe}:", "recipe.yaml:").splitlines()
+
+
+def test_a_recipe_takes_defaults_for_what_it_does_not_say(bench):
+    recipe = load_recipe(bench.recipe)
+    assert recipe.stages == ("ingest", "calibrate", "lift")
+    assert recipe.configs["calibrate"].jitter_sigma_mas == 5.0
+    assert (recipe.instrument.name.lower(), recipe.seed) == ("irlos", 0)
+
+
+def test_inputs_count_from_the_recipe_and_not_from_the_current_folder(bench, monkeypatch):
+    monkeypatch.chdir("/")
+    assert load_recipe(bench.recipe).inputs == {"cube": (bench.data,)}
+
+
+def test_an_input_given_twice_makes_a_list(bench):
+    cubes = (bench.data / "a.dat", bench.data / "b.dat")
+    assert load_recipe(bench.recipe, inputs=[f"cube={path}" for path in cubes]).inputs["cube"] == cubes
+
+
+def test_an_input_on_the_command_line_counts_from_the_current_folder(bench, monkeypatch):
+    monkeypatch.chdir(bench.data)
+    assert load_recipe(bench.recipe, inputs=["cube=a.dat"]).inputs["cube"] == (bench.data / "a.dat",)
+
+
+def test_all_mistakes_are_told_at_once_in_the_order_of_the_file(bench):
+    text = RECIPE + "  jiter_sigma_mas: 3\n  solver: {iterations: 0}\nseed: -1\ninstrumnt: x\n"
+    lines = complaints(bench, text.replace("cube: data", "cube: gone"))
+    assert [line.split(": ")[0] for line in lines] == [f"recipe.yaml:{n}" for n in (4, 8, 9, 10, 11)]
+
+
+@pytest.mark.parametrize(
+    ("addition", "expected"),
+    [
+        ("instrumnt: x", "recipe.yaml:8: unknown key 'instrumnt'; did you mean 'instrument'?"),
+        ("  metod: dip_avg", "recipe.yaml:8: unknown key 'calibrate.metod'; did you mean 'method'?"),
+        (
+            "  solver: {iteration: 2}",
+            "recipe.yaml:8: unknown key 'calibrate.solver.iteration'; did you mean 'iterations'?",
+        ),
+        (
+            "  jitter_sigma_arcsec: 0.01",
+            "recipe.yaml:8: unknown key 'calibrate.jitter_sigma_arcsec'; did you mean 'jitter_sigma_mas'?",
+        ),
+        (
+            "  jitter_sigma_mas: 500",
+            "recipe.yaml:8: calibrate.jitter_sigma_mas = 500: should be less than or equal to 100 "
+            "(image motion [mas])",
+        ),
+        (
+            "  jitter_sigma_mas: 5 mas",
+            "recipe.yaml:8: calibrate.jitter_sigma_mas = '5 mas': should be a valid number, unable to parse "
+            "string as a number; give a plain number, its unit is in the name of the key (image motion [mas])",
+        ),
+        ("lift: 3", "recipe.yaml:8: lift = 3: should be a section of 'key: value' lines"),
+        ("correct: {}", "recipe.yaml:8: section 'correct' has no effect: no such stage under 'stages'"),
+        (
+            "model: {pupil_sampels: 64}",
+            "recipe.yaml:8: unknown key 'model.pupil_sampels'; did you mean 'pupil_samples'?",
+        ),
+        ("instrument: irlso", "recipe.yaml:8: unknown instrument 'irlso'; did you mean 'irlos'?"),
+        ("  method: dip_global", "recipe.yaml:8: key 'method' is given twice (first on line 7)"),
+    ],
+)
+def test_a_mistake_is_told_with_file_line_and_suggestion(bench, monkeypatch, addition, expected):
+    if addition.startswith("correct"):
+        monkeypatch.setitem(
+            sys.modules, "irlos_pipe.stages.correct", sys.modules["irlos_pipe.stages.lift.stage"]
+        )
+    (line,) = complaints(bench, RECIPE + addition + "\n")
+    assert line.startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("stages", "expected"),
+    [
+        ("[ingest, calibrat]", "unknown stage 'calibrat'; did you mean 'calibrate'?"),
+        ("[ingest, ingest, calibrate]", "stage 'ingest' is listed twice"),
+        ("[ingest, lift, calibrate]", "stage 'calibrate' must come before 'lift'"),
+        ("[calibrate]", "stage 'calibrate' needs 'ingest' before it"),
+        ("[]", "stages = []: list should have at least 1 item"),
+    ],
+)
+def test_wrong_stages_are_told(bench, stages, expected):
+    text = RECIPE.replace("[ingest, calibrate, lift]", stages)
+    assert complaints(bench, text)[0].startswith(f"recipe.yaml:5: {expected}")
+
+
+def test_a_wrong_literal_gets_the_closest_choice(bench):
+    (line,) = complaints(bench, RECIPE.replace("dip_avg", "dip_globl"))
+    assert line.startswith("recipe.yaml:7: calibrate.method = 'dip_globl'")
+    assert "did you mean 'dip_global'?" in line
+
+
+def test_a_missing_input_says_how_to_give_another(bench):
+    (line,) = complaints(bench, RECIPE.replace("cube: data", "cube: gone"))
+    assert line == (
+        f"recipe.yaml:4: input 'cube': no such file or folder: {bench.folder / 'gone'}; "
+        "correct it, or give --input cube=PATH"
+    )
+
+
+def test_an_input_without_default_must_be_given(bench):
+    (line,) = complaints(bench, RECIPE.replace("cube: data", "cube:"))
+    assert line == "recipe.yaml:4: input 'cube' is not given; add --input cube=PATH"
+
+
+@pytest.mark.parametrize(
+    ("setting", "expected"),
+    [
+        (
+            "calibrat.method=dip_avg",
+            "--set calibrat.method: unknown key 'calibrat'; did you mean 'calibrate'?",
+        ),
+        ("calibrate.meth=x", "--set calibrate.meth: unknown key 'calibrate.meth'; did you mean 'method'?"),
+        (
+            "calibrate.solver.iterations=0",
+            "--set calibrate.solver.iterations: calibrate.solver.iterations = 0: ",
+        ),
+        ("calibrate.method", "--set calibrate.method: expected stage.key=VALUE"),
+        ("calibrate.method=[a", "--set calibrate.method: the value '[a' is not valid YAML"),
+        ("recipe.name=x", "--set recipe.name: there is a plain value"),
+        ("seed=x", "--set seed: seed = 'x': should be a valid integer"),
+    ],
+)
+def test_a_wrong_setting_is_told_by_its_option(bench, setting, expected):
+    (line,) = complaints(bench, settings=[setting])
+    assert line.startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "expected"),
+    [
+        (["cub=data"], "--input cub: unknown input 'cub'; did you mean 'cube'?"),
+        (["cube"], "--input cube: expected NAME=PATH"),
+        (["cube=/nowhere"], "--input cube: input 'cube': no such file or folder: /nowhere"),
+    ],
+)
+def test_a_wrong_input_is_told_by_its_option(bench, inputs, expected):
+    (line,) = complaints(bench, inputs=inputs)
+    assert line.startswith(expected)
+
+
+def test_mistakes_on_the_command_line_and_in_the_file_are_told_together(bench):
+    lines = complaints(bench, RECIPE + "sed: 1\n", settings=["nonsense", "calibrate.x=1"], inputs=["cub=x"])
+    assert len(lines) == 4
+
+
+def test_settings_are_yaml_and_the_last_one_counts(bench):
+    settings = [
+        "calibrate.method=dip_avg",
+        "calibrate.method=dip_global",
+        "model.effects=[seeing_halo]",
+        "calibrate.jitter_sigma_mas=1e1",
+    ]
+    recipe = load_recipe(bench.recipe, settings)
+    assert recipe.configs["calibrate"].method == "dip_global"
+    assert recipe.configs["calibrate"].jitter_sigma_mas == 10
+    assert list(recipe.model.effects) == ["seeing_halo"]
+
+
+def test_the_seed_option_replaces_the_seed_of_the_recipe(bench):
+    bench.recipe.write_text(RECIPE + "seed: 1\n")
+    assert load_recipe(bench.recipe, seed=7).seed == 7
+
+
+def test_a_section_can_be_taken_from_a_file(bench, monkeypatch):
+    section = {"effects": [{"companion": COMPANION}], "pupil_samples": 96}
+    (bench.data / "model.yaml").write_text(yaml.safe_dump(section))
+    monkeypatch.chdir(bench.data)
+    settings = ["model.pupil_samples=64", "model=model.yaml", "model.cutoff_per_m=3"]
+    model = load_recipe(bench.recipe, settings).model
+    assert (model.pupil_samples, model.cutoff_per_m) == (96, 3.0)
+    assert [(one.name, one.values) for one in model.entries()] == [("companion", COMPANION)]
+
+
+def test_a_file_for_a_section_that_is_not_there_is_told(bench):
+    (line,) = complaints(bench, settings=["model=nowhere/model.yaml"])
+    assert "nowhere/model.yaml" in line and "No such file" in line
+
+
+def test_a_setting_leaves_the_data_it_changes_alone():
+    data = {"calibrate": {"method": "dip_avg"}}
+    changed = overridden(data, parse_setting("calibrate.zernike.6=-170"))
+    assert changed == {"calibrate": {"method": "dip_avg", "zernike": {6: -170}}}
+    assert data == {"calibrate": {"method": "dip_avg"}}
+
+
+def test_the_resolved_recipe_says_everything_and_means_the_same(bench, tmp_path):
+    recipe = load_recipe(bench.recipe, settings=["calibrate.solver.iterations=3"])
+    copy = tmp_path / "elsewhere" / "resolved.yaml"
+    copy.parent.mkdir()
+    copy.write_text(recipe.resolved_yaml())
+    again = load_recipe(copy)
+    assert (again.configs, again.model, again.inputs) == (recipe.configs, recipe.model, recipe.inputs)
+    assert (again.instrument, again.stages, again.seed) == (recipe.instrument, recipe.stages, recipe.seed)
+    assert yaml.safe_load(copy.read_text())["lift"] == {"calibrated": True}
+
+
+def test_a_file_that_is_no_recipe_is_told_in_one_line(bench):
+    assert len(complaints(bench, "just text\n")) == 1
+    bench.recipe.unlink()
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        load_recipe(bench.recipe)
+
+
+@pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
+def test_a_recipe_of_the_project_is_named_like_its_file_and_has_a_title(path):
+    content = yaml.safe_load(path.read_text())
+    assert content["recipe"] == path.stem and content["title"]
+
+
+@pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
+def test_a_recipe_of_the_project_is_valid_with_the_data_of_the_project(path):
+    assert load_recipe(path).name == path.stem

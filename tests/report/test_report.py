@@ -1,0 +1,241 @@
+"""The report as a whole: one file, complete, whatever stages and values there are."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import made_run
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.product.product import Check, Product, Quantity
+from irlos_pipe.report.build import write_report
+from irlos_pipe.report.section_ingest import MOST_THUMBNAILS
+
+
+class Page(HTMLParser):
+    """What a test wants to know of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.text, self.identifiers, self.references, self.loaded, self.open = text, [], [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        if "id" in values:
+            self.identifiers.append(values["id"])
+        for name in ("href", "xlink:href", "src"):
+            if name in values:
+                (self.references if values[name].startswith("#") else self.loaded).append(values[name])
+        if tag in ("section", "details", "div", "figure", "table"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if tag in ("section", "details", "div", "figure", "table"):
+            assert self.open.pop() == tag
+
+    @property
+    def sections(self) -> list[str]:
+        return re.findall(r'<section id="([^"]*)"', self.text)
+
+
+def report(folder: Path, made: list[Product], **told) -> Page:
+    return Page(write_report(made_run.write_run(folder, made, **told)).read_text(encoding="utf-8"))
+
+
+def spoiled(product: Product) -> Product:
+    """The product with NaN for every number of its arrays and None for every number of its results."""
+    arrays = {
+        name: replace(quantity, value=_without_numbers(quantity.value))
+        for name, quantity in product.arrays.items()
+    }
+    return replace(product, arrays=arrays, results=_without_results(product.results))
+
+
+def _without_numbers(value: np.ndarray) -> np.ndarray:
+    return np.full(np.shape(value), np.nan) if np.asarray(value).dtype == float else value
+
+
+def _without_results(content):
+    if isinstance(content, dict):
+        return {key: _without_results(value) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_without_results(value) for value in content]
+    return None if isinstance(content, float) else content
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory) -> Page:
+    return report(tmp_path_factory.mktemp("full"), made_run.products())
+
+
+def test_the_report_lies_in_the_run_folder(tmp_path):
+    folder = made_run.write_run(tmp_path, made_run.products("ingest"))
+    assert write_report(folder) == tmp_path / "report.html"
+
+
+def test_a_full_run_has_all_sections_results_first(full):
+    assert full.sections == [
+        "calibrate",
+        "correct",
+        "prior",
+        "lift",
+        "sensitivity",
+        "ingest",
+        "quality",
+        "origin",
+    ]
+
+
+def test_the_page_loads_nothing(full):
+    assert full.loaded
+    assert all(address.startswith("data:") for address in full.loaded)
+    assert not re.search(r"<script|<link|@import", full.text)
+
+
+def test_identifiers_are_unique_and_every_reference_has_its_target(full):
+    assert len(full.identifiers) == len(set(full.identifiers))
+    wanted = {reference[1:] for reference in full.references} | set(re.findall(r"url\(#([^)]*)\)", full.text))
+    assert wanted <= set(full.identifiers)
+
+
+def test_elements_are_closed_in_order(full):
+    assert full.open == []
+
+
+def test_the_page_stays_small(full):
+    assert len(full.text.encode()) < 3e6
+
+
+@pytest.mark.parametrize(
+    "shown",
+    [
+        "54.8 ± 4.0 nm",
+        "0.998 ± 0.003",
+        "+1.0 nm",
+        "1.2 nm RMS",
+        "≥ 16.0 mag",
+        "0.631 → 0.742",
+        "0.50 arcsec",
+        "110 nm RMS",
+        "6.9 mas RMS",
+        "HD 1",
+        "2024-02-11 02:20",
+        "dip_avg",
+        "1.2340 ± 0.0030",
+        "13.3",
+        "0123456789ab",
+        "numpy 2.4.6",
+        "derotator_angle_deg",
+    ],
+)
+def test_the_numbers_to_see_first_are_there_with_their_units(full, shown):
+    assert shown in full.text
+
+
+def test_modes_have_names(full):
+    assert "4 defocus" in full.text
+    assert "5 astigmatism 45°" in full.text
+
+
+def test_the_same_products_give_the_same_file(tmp_path):
+    folder = made_run.write_run(tmp_path, made_run.products("ingest", "lift"))
+    first = write_report(folder).read_bytes()
+    assert write_report(folder).read_bytes() == first
+
+
+@pytest.mark.parametrize("stage", ["ingest", "prior", "lift", "sensitivity"])
+def test_a_section_appears_only_with_its_product(tmp_path, stage):
+    others = set(made_run.STAGES) - {stage}
+    page = report(tmp_path, made_run.products(stage))
+    assert stage in page.sections
+    assert not others & set(page.sections)
+
+
+@pytest.mark.parametrize("stage", made_run.STAGES)
+def test_missing_numbers_never_stop_the_report(tmp_path, stage):
+    made = [made_run.ingest()] if stage != "ingest" else []
+    page = report(tmp_path, [*made, spoiled(made_run.STAGES[stage]())])
+    assert stage in page.sections
+    assert not re.search(r"\bnan\b|\bNone\b", page.text)
+
+
+@pytest.mark.parametrize("stage", made_run.STAGES)
+def test_products_without_arrays_and_results_still_have_a_section(tmp_path, stage):
+    page = report(tmp_path, [Product(stage, {}, {})])
+    assert page.sections == [stage, "origin"]
+
+
+def test_a_stage_without_drawings_shows_what_it_told_on_the_terminal(tmp_path):
+    made = [Product("unheard_of", {}, {}, provenance={"summary": ["axis at 31.5, 30.2 px"]})]
+    assert "axis at 31.5, 30.2 px" in report(tmp_path, made).text
+
+
+def test_failed_checks_come_first_and_are_marked(tmp_path):
+    made = [
+        replace(
+            made_run.ingest(),
+            checks=[
+                Check("fine", 1.0, "", None, 2.0, "good"),
+                Check("too wide", 5.0, "px", None, 4.0, "off centre"),
+            ],
+        )
+    ]
+    text = report(tmp_path, made, status="qc_failed").text
+    row = re.search(r'<tr class="bad">.*?</tr>', text, re.DOTALL)[0]
+    assert re.findall(r"<td>(.*?)</td>", row) == ["FAILED", "ingest", "too wide", "5 px", "≤ 4", "off centre"]
+    assert text.index("too wide") < text.index("<td>fine</td>")
+    assert "1 of 2" in text
+    assert "qc failed" in text
+
+
+def test_many_passed_checks_are_folded(tmp_path):
+    many = [Check(f"check {i}", 0.0, "", None, 1.0, "") for i in range(30)]
+    text = report(tmp_path, [replace(made_run.ingest(), checks=many)]).text
+    assert "<details><summary>ingest: 30 passed</summary>" in text
+
+
+def test_warnings_and_lost_exposures_are_shown(tmp_path):
+    made = [
+        replace(
+            made_run.ingest(),
+            log=["INFO all is well", "WARNING no dark"],
+            provenance={"failures": ["x.fits: truncated"]},
+        )
+    ]
+    text = report(tmp_path, made).text
+    assert "ingest: no dark" in text
+    assert "x.fits: truncated" in text
+    assert "all is well" not in text
+
+
+def test_a_run_that_stopped_says_why(tmp_path):
+    assert "Stopped: the disk is full" in report(tmp_path, [], status="failed", error="the disk is full").text
+
+
+def test_names_from_files_cannot_change_the_page(tmp_path):
+    product = made_run.ingest()
+    product.results["inputs"][0]["name"] = "<script>alert(1)</script>"
+    assert "&lt;script&gt;alert(1)" in report(tmp_path, [product]).text
+
+
+def test_a_night_of_recordings_does_not_blow_up_the_page(tmp_path):
+    product = made_run.ingest()
+    rows = [made_run.row(f"r{i:03d}", "cube", 1) for i in range(MOST_THUMBNAILS + 20)]
+    arrays: dict[str, Quantity] = {}
+    for row in rows:
+        one = made_run.recording(row["name"], "cube", 1)
+        arrays |= made_run.arrays_from_recording(one, f"recordings/cube/{row['name']}")
+    text = report(tmp_path, [replace(product, arrays=arrays, results={"inputs": rows})]).text
+    assert text.count("<img") == MOST_THUMBNAILS
+    assert f"r{MOST_THUMBNAILS + 19:03d}" in text
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path):
+    with pytest.raises(InputDataError, match="not the folder of a run"):
+        write_report(tmp_path)

@@ -1,0 +1,150 @@
+"""Files of simulated recordings, read back with the readers of ingest, astropy and PyYAML.
+
+Truth: the frames handed to the writer, and the definition of the layouts in FITS.
+"""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from astropy.io import fits
+from helpers.campaign_specs import CUBE, spec_of, written
+
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.readers.acquisition import resolve
+from irlos_pipe.readers.find import read_recordings, recording_files
+from irlos_pipe.readers.sidecar import AcquisitionKeys
+from irlos_pipe.simulate.detector import Readout
+from irlos_pipe.simulate.recordings import load_spec
+from irlos_pipe.simulate.recordings.files import layout_of
+from irlos_pipe.simulate.recordings.series import Planned, plan_recordings
+
+SKY = {"sky": {"seeing_arcsec": 0.7}}
+
+
+def planned(folder: Path, **recording) -> Planned:
+    spec = spec_of({"night": CUBE | recording}, **SKY)
+    return plan_recordings(load_spec(written(folder / "spec.yaml", spec)))[0]
+
+
+def frames_of(one: Planned, frames: int | None = None):
+    """Raw frames that use the whole range of the converter, one by one."""
+    rng = np.random.default_rng(0)
+    for _ in range(frames or one.scene.frames):
+        yield rng.integers(0, 65536, one.scene.window).astype(np.uint16)
+
+
+def write(one: Planned, folder: Path) -> Path:
+    """Write a recording of random frames; returns its folder."""
+    folder.mkdir()
+    readout = Readout.of(one.scene, np.zeros(one.scene.window))
+    layout_of(one).write(folder, readout, frames_of(one), np.random.default_rng(1))
+    return folder
+
+
+@pytest.mark.parametrize("layout", ["recorder", "muse_raw"])
+def test_ingest_reads_the_frames_back(tmp_path, layout):
+    one = planned(tmp_path, layout=layout, window=[24, 30], frames=5)
+    files = recording_files([write(one, tmp_path / "night")])
+    (raw,) = read_recordings(files[0], load_instrument("irlos"))
+    assert raw.layout == {"recorder": "sparta_recorder", "muse_raw": "muse_raw"}[layout]
+    assert np.array_equal(raw.adu, list(frames_of(one)))
+    assert raw.start_unix_s == one.scene.start_unix_s
+
+
+@pytest.mark.parametrize("layout", ["recorder", "muse_raw"])
+def test_the_files_are_valid_fits(tmp_path, layout):
+    folder = write(planned(tmp_path, layout=layout), tmp_path / "night")
+    for path in folder.glob("*.fits"):
+        assert path.stat().st_size % 2880 == 0
+        with fits.open(path) as hdus:
+            hdus.verify("exception")
+
+
+def test_counters_and_times_of_the_recorder_run_with_the_loop(tmp_path):
+    one = planned(tmp_path, frames=25, exposure_s=0.05, frame_rate_hz=10)
+    table = fits.getdata(write(one, tmp_path / "night") / "night.fits", "IRPixelFrame")
+    assert np.array_equal(np.diff(table["FrameCounter"]), [20] * 24)  # 200 Hz loop
+    times = table["Seconds"] - one.scene.start_unix_s + table["USeconds"] * 1e-6
+    assert times == pytest.approx(np.arange(25) * 0.1)
+    assert table["USeconds"].max() < 1_000_000
+    (raw,) = read_recordings(tmp_path / "night" / "night.fits", load_instrument("irlos"))
+    assert raw.unix_s == pytest.approx(one.scene.start_unix_s + np.arange(25) * 0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize("layout", ["recorder", "muse_raw"])
+def test_the_side_car_tells_everything_that_ingest_needs(tmp_path, layout):
+    one = planned(tmp_path, layout=layout, introduced_nm=[0, 10, 20], detector={"excess_noise_factor": 1.25})
+    files = recording_files([write(one, tmp_path / "night")])
+    (raw,) = read_recordings(files[0], load_instrument("irlos"))
+    known = resolve(raw, AcquisitionKeys(), load_instrument("irlos"))
+    told = known.acquisition
+    assert known.warnings == () or all("header" in line for line in known.warnings)
+    assert known.introduced_defocus_nm.tolist() == [0, 10, 20]
+    assert (told.role, told.mag_j, told.exposure_s, told.seeing_arcsec) == ("ncpa_calibration", 9.0, 0.1, 0.7)
+    assert told.detector.e_per_adu == 0.5 and told.detector.excess_noise_factor == 1.25
+    assert told.diversity == {6: -170.0} and told.pixel_scale_mas == 9.7
+
+
+def test_the_side_car_tells_nothing_of_the_truth(tmp_path):
+    effects = {
+        "companion": {"flux_ratio": 0.12, "sep_mas": 150, "pa_deg": 30},
+        "plate_scale": {"fraction": 0.04},
+        "focus_stage_offset": {"nm": 37.7},
+        "diversity_error": {"nm": 11.1},
+    }
+    one = planned(tmp_path, effects=effects, ncpa={"zernike_nm": {5: 77.7}})
+    side_car = yaml.safe_load((write(one, tmp_path / "night") / "acquisition.yaml").read_text())
+    known = "role target mag_j exposure_s frame_rate_hz pixel_scale_mas seeing_arcsec spectrum diversity"
+    assert set(side_car) == {*known.split(), "introduced_defocus_nm", "derotator_angle_deg", "detector"}
+    assert side_car["pixel_scale_mas"] == 9.7 and side_car["introduced_defocus_nm"] == 0
+    assert side_car["diversity"]["zernike"] == {6: -170.0}
+
+
+def test_a_spectrum_without_width_is_told_as_one_wavelength(tmp_path):
+    one = planned(tmp_path, bands=[{"centre_nm": 1600, "half_width_nm": 0}])
+    side_car = yaml.safe_load((write(one, tmp_path / "night") / "acquisition.yaml").read_text())
+    assert side_car["spectrum"] == [{"wavelength_nm": 1600.0, "weight": 1.0}]
+
+
+def test_calibration_images_lie_beside_the_frames_where_the_detector_needs_them(tmp_path):
+    plain = write(planned(tmp_path), tmp_path / "plain")
+    worn = write(planned(tmp_path, detector={"flat_rms": 0.02, "dead": [[3, 4]]}), tmp_path / "worn")
+    assert sorted(path.name for path in plain.glob("IRAcq*")) == [
+        "IRAcq.DET1.DARK.fits",
+        "IRAcq.DET1.DEAD.fits",
+    ]
+    assert np.argwhere(fits.getdata(worn / "IRAcq.DET1.DEAD.fits")).tolist() == [[3, 4]]
+    flat = fits.getdata(worn / "IRAcq.DET1.FLAT.fits")
+    assert flat[3, 4] == 0 and np.delete(flat, 3 * 24 + 4).std() == pytest.approx(0.02, rel=0.15)
+    assert fits.getdata(plain / "IRAcq.DET1.DARK.fits").mean() == pytest.approx(200, abs=0.1)
+
+
+def test_a_muse_file_has_the_header_and_tables_of_the_instrument(tmp_path):
+    one = planned(tmp_path, layout="muse_raw", derotator_angle_deg=33.0, target="HD 1")
+    (path,) = write(one, tmp_path / "night").glob("*.fits")
+    assert path.name == "MUSE.2024-02-11T02:20:00.000.fits" and path.with_suffix(".yaml").is_file()
+    with fits.open(path) as hdus:
+        header = hdus[0].header
+        assert hdus["SPARTA_TT_CUBE"].data.shape == (3, 24, 24)
+        assert hdus["SPARTA_ATM_DATA"].data["LGS3_SEEING"] == pytest.approx([0.7, 0.7])
+    assert header["ESO AOS MAIN MODES IRLOS"] == "64x64_FullPupil_200Hz_HighGain"
+    assert (header["OBJECT"], header["ESO INS DROT START"], header["ESO SEQ NGS MAG"]) == ("HD 1", 33.0, 9.0)
+
+
+@pytest.mark.parametrize("layout", ["recorder", "muse_raw"])
+def test_writing_needs_memory_for_a_few_frames_only(tmp_path, layout):
+    def peak_bytes(frames: int) -> int:
+        one = planned(tmp_path, layout=layout, window=[64, 64], frames=frames)
+        tracemalloc.start()
+        write(one, tmp_path / f"{frames}")
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return peak
+
+    few, many = peak_bytes(20), peak_bytes(500)
+    assert many < few + 0.1 * 480 * 64 * 64 * 2

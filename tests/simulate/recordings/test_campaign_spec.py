@@ -1,0 +1,178 @@
+"""Simulation specs: what is accepted, what is refused, how it is told. Expectations are written by hand."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+from helpers.campaign_specs import CUBE, RAMP, spec_of, written
+from helpers.paths import PACKAGE, RECIPES
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.files.json import jsonable
+from irlos_pipe.simulate.catalogue import EFFECTS, check_effects
+from irlos_pipe.simulate.recordings import load_spec
+from irlos_pipe.simulate.recordings.effect_keys import EffectKeys
+from irlos_pipe.simulate.recordings.series import plan_recordings
+
+EXAMPLES = sorted((RECIPES / "simulations").glob("*.yaml"))
+EFFECT_LINE = re.compile(r"^ *(?:# )?([a-z_]+): (\{[^#]*\})", re.MULTILINE)
+
+
+def loaded(tmp_path: Path, spec: dict, *settings: str, **options):
+    return load_spec(written(tmp_path / "spec.yaml", spec), settings, **options)
+
+
+def refusal(tmp_path: Path, spec: dict, *settings: str) -> list[str]:
+    """Lines of the error, without the folder."""
+    with pytest.raises(ConfigurationError) as error:
+        loaded(tmp_path, spec, *settings)
+    return str(error.value).replace(f"{tmp_path}/", "").splitlines()
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_the_example_specs_are_valid_and_say_how_to_use_them(path):
+    assert plan_recordings(load_spec(path))
+    assert f"irlos simulate recipes/simulations/{path.name} --output" in path.read_text()
+
+
+def test_the_examples_show_every_effect_of_the_catalogue_with_values_that_load():
+    text = (EXAMPLES[0].parent / "hidden_companion.yaml").read_text()
+    shown = {name: yaml.safe_load(value) for name, value in EFFECT_LINE.findall(text) if name in EFFECTS}
+    assert shown.keys() == EFFECTS.keys() == EffectKeys.model_fields.keys()
+    given = EffectKeys.model_validate(shown).given()
+    assert given.keys() == EFFECTS.keys()
+    check_effects(given)
+
+
+def test_every_mistake_is_told_at_once_with_line_and_suggestion(tmp_path):
+    spec = spec_of(
+        {"cal": CUBE | {"role": "ncpa_calibraton", "effects": {"vibratin": {"sigma_mas": 1}}}}, sed=3
+    )
+    lines = refusal(tmp_path, spec, "recordings.cal.frames=0")
+    text = written(tmp_path / "again.yaml", spec).read_text().splitlines()
+    role, effect = (
+        1 + next(i for i, line in enumerate(text) if word in line) for word in ("role:", "vibratin")
+    )
+    assert lines[0].startswith("--set recordings.cal.frames: recordings.cal.frames = 0: should be")
+    assert f"spec.yaml:{role}: recordings.cal.role = 'ncpa_calibraton'" in lines[1]
+    assert "did you mean 'ncpa_calibration'?" in lines[1]
+    assert (
+        lines[2]
+        == f"spec.yaml:{effect}: unknown key 'recordings.cal.effects.vibratin'; did you mean 'vibration'?"
+    )
+    assert "unknown key 'sed'; did you mean 'seed'?" in lines[3] and len(lines) == 4
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("mag_j", ".inf"), ("exposure_s", ".nan"), ("exposure_s", "-1"), ("frames", "1.5"),
+        ("frames", "100000000"),
+        ("window", "[4, 64]"), ("pixel_scale_mas", "0"), ("offsets_nm", "[.nan]"), ("offsets_nm", "[1.0e+9]"),
+        ("sky.seeing_arcsec", "0"), ("motion.rms_mas", "-3"), ("detector.e_per_adu", "0"),
+        ("detector.excess_noise_factor", "0.5"), ("detector.flat_rms", "7"), ("ncpa.total_nm", "1e99"),
+        ("ncpa.zernike_nm", "{1: 5}"), ("effects.companion.flux_ratio", "-.inf"), ("bands", "[]"),
+        ("bands", "[{centre_nm: 600, half_width_nm: 500}]"), ("effects.low_wind_effect.piston_nm", "[1, 2]"),
+    ],
+)  # fmt: skip
+def test_values_that_make_no_sense_are_refused_in_one_line(tmp_path, key, value):
+    recording = RAMP if key == "offsets_nm" else CUBE
+    recording = recording | {"effects": {"companion": {"flux_ratio": 0.1, "sep_mas": 100, "pa_deg": 0}}}
+    lines = refusal(tmp_path, spec_of({"one": recording}), f"recordings.one.{key}={value}")
+    assert len(lines) == 1 and lines[0].startswith(f"--set recordings.one.{key}")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"frame_rate_hz": 20}, "longer than the 0.05 s that frame_rate_hz = 20 leaves"),
+        ({"offsets_nm": [0, 1]}, "set role: defocus_ramp"),
+        ({"introduced_nm": [1, 2]}, "2 values for 3 frames"),
+        ({"angles_deg": [0, 1], "offsets_nm": [1], "role": "defocus_ramp"}, "not both"),
+        ({"layout": "muse_raw", "angles_deg": [0, 1]}, "holds one cube"),
+        ({"detector": {"dead": [[3, 24]]}}, "[3, 24] lies outside the window of [24, 24]"),
+        ({"effects": {"bad_pixels": [[30, 2]]}}, "[30, 2] lies outside the window"),
+        ({"effects": {"spectrum": {"weights": [1, 2]}}}, "give one per band, 1"),
+        ({"effects": {"diversity_error": {"nm": 9}}, "diversity": None}, "needs a diversity"),
+        ({"ncpa": {}}, "give either total_nm"),
+        ({"ncpa": {"total_nm": 3, "zernike_nm": {4: 1}}}, "give either total_nm"),
+        ({"detector": {"e_per_adu": 9.8}}, "below the noise of rounding"),
+        ({"sky": {"shape": "servo_lag", "wind_m_s": 0}}, "needs wind"),
+        ({"motion": {"lines": [{"hz": hz, "share_x": 0.7, "share_y": 0} for hz in (5, 6)]}}, "more than 1"),
+    ],
+)  # fmt: skip
+def test_values_that_contradict_each_other_are_told(tmp_path, change, message):
+    lines = refusal(tmp_path, spec_of({"one": CUBE | change}))
+    assert len(lines) == 1 and message in lines[0] and lines[0].startswith("spec.yaml:")
+
+
+def test_a_window_wider_than_the_sampled_image_is_refused(tmp_path):
+    # λ/D = 1580 nm / 8 m = 40.7 mas at the short end of the band: 500 px of 9.7 mas hold 119 of them.
+    wide = spec_of({"one": CUBE | {"window": [64, 500], "sampling": {"points_per_band": 41}}})
+    with pytest.raises(ConfigurationError, match=r"needs 120 samples .*pupil_samples >= 120"):
+        plan_recordings(loaded(tmp_path, wide))
+    assert plan_recordings(loaded(tmp_path, wide, "recordings.one.sampling.pupil_samples=120"))
+
+
+@pytest.mark.parametrize("name", ["a/b", "..", "a__b", ".hidden", "ä"])
+def test_a_recording_name_that_makes_no_folder_is_refused(tmp_path, name):
+    assert "becomes the name of a folder" in refusal(tmp_path, spec_of({name: CUBE}))[0]
+
+
+def test_a_spec_without_recordings_or_with_something_else_there_is_refused(tmp_path):
+    assert "at least 1" in refusal(tmp_path, spec_of({}))[0]
+    assert "should be a section" in refusal(tmp_path, spec_of({"one": 5}))[0]
+
+
+def test_a_recording_changes_shared_sections_key_by_key_for_itself_alone(tmp_path):
+    recordings = {
+        "plain": CUBE,
+        "own": CUBE | {"sky": {"slope": 1.5}, "detector": {"e_per_adu": 2.0},
+                       "effects": {"vibration": {"sigma_mas": 5}}},
+        "bench": CUBE | {"sky": None, "effects": None},
+    }  # fmt: skip
+    shared = {
+        "sky": {"seeing_arcsec": 0.8},
+        "detector": {"read_noise_e": 3.0},
+        "effects": {"plate_scale": {"fraction": 0.01}},
+    }
+    plain, own, bench = (
+        one.scene for one in plan_recordings(loaded(tmp_path, spec_of(recordings, **shared)))
+    )
+    assert (plain.sky.seeing_arcsec, plain.sky.slope, plain.detector.e_per_adu) == (0.8, 2.0, 0.5)
+    assert (own.sky.seeing_arcsec, own.sky.slope) == (0.8, 1.5)
+    assert (own.detector.e_per_adu, own.detector.read_noise_e) == (2.0, 3.0)
+    assert own.effects.keys() == {"plate_scale", "vibration"} and plain.effects.keys() == {"plate_scale"}
+    assert bench.sky is None and not bench.effects and bench.detector.read_noise_e == 3.0
+
+
+def test_the_command_line_wins_over_the_file(tmp_path):
+    spec = loaded(
+        tmp_path, spec_of({"one": CUBE}), "recordings.one.frames=7", "sky.seeing_arcsec=1.0", seed=9
+    )
+    scene = plan_recordings(spec)[0].scene
+    assert (scene.frames, scene.sky.seeing_arcsec, scene.seed[0]) == (7, 1.0, 9)
+
+
+def test_the_resolved_spec_makes_the_same_recordings(tmp_path):
+    spec = load_spec(EXAMPLES[0].parent / "on_sky.yaml", ["effects.bad_pixels=[[3, 4]]"], seed=4)
+    path = tmp_path / "resolved.yaml"
+    path.write_text(spec.resolved_yaml())
+    assert jsonable(plan_recordings(load_spec(path))) == jsonable(plan_recordings(spec))
+
+
+def test_an_instrument_profile_of_ones_own_gives_pupil_scale_and_photons(tmp_path):
+    profile = PACKAGE / "instrument" / "irlos.yaml"
+    text = profile.read_text().replace("value: 8.0", "value: 7.0").replace("{value: 9.7,", "{value: 12.5,")
+    (tmp_path / "mine.yaml").write_text(text.replace("value: 150000", "value: 300000"))
+    own = plan_recordings(loaded(tmp_path, spec_of({"one": CUBE}, instrument="./mine.yaml")))[0].scene
+    usual = plan_recordings(loaded(tmp_path, spec_of({"one": CUBE})))[0].scene
+    assert (own.geometry.diameter_m, own.pixel_scale_mas) == (7.0, 12.5)
+    assert own.photons == pytest.approx(2 * usual.photons)
+    assert (
+        "unknown instrument 'irlo'; did you mean 'irlos'?"
+        in refusal(tmp_path, spec_of({"one": CUBE}, instrument="irlo"))[0]
+    )

@@ -1,0 +1,104 @@
+"""How the simulator hands out frames: repeatable, one by one, independent of how many there are.
+
+Truth: repetition, and finer sampling in time and wavelength.
+"""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from helpers.simulated_scenes import image, scene, worst
+
+from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.simulate.checks import SceneError
+from irlos_pipe.simulate.exposure import expose, exposures
+from irlos_pipe.simulate.motion import Motion
+from irlos_pipe.simulate.scene import Band, Sampling
+
+QUICK = {
+    "sky": Sky(0.5),
+    "motion": Motion(),
+    "window": (24, 24),
+    "frames": 3,
+    "exposure_s": 0.04,
+    "sampling": Sampling(pupil_samples=48, points_per_band=1),
+}
+
+
+def test_the_same_seed_gives_the_same_bits():
+    first, second = expose(scene(**QUICK)), expose(scene(**QUICK))
+    assert np.array_equal(first.mean_e, second.mean_e)
+    assert np.array_equal(first.mean_opd_nm, second.mean_opd_nm)
+
+
+def test_another_seed_gives_another_sky():
+    first, second = expose(scene(**QUICK)), expose(scene(**QUICK, seed=(20, 25)))
+    assert np.abs(first.zernike_nm - second.zernike_nm).max() > 1
+
+
+def test_sky_and_motion_are_drawn_apart():
+    with_motion, without = expose(scene(**QUICK)), expose(scene(**QUICK | {"motion": None}))
+    assert np.allclose(with_motion.zernike_nm[:, 2:], without.zernike_nm[:, 2:], atol=1e-3)
+
+
+def test_more_frames_leave_the_first_ones_as_they_are():
+    few, many = expose(scene(**QUICK)), expose(scene(**QUICK | {"frames": 5}))
+    assert np.array_equal(few.mean_e, many.mean_e[:3])
+
+
+def test_frames_are_handed_out_one_by_one_and_reported():
+    reported: list[int] = []
+    cube = expose(scene(**QUICK), reported.append)
+    assert reported == [1, 2, 3]
+    for index, exposure in enumerate(exposures(scene(**QUICK))):
+        assert exposure.mean_e.dtype == np.float64
+        assert np.array_equal(exposure.mean_e.astype(np.float32), cube.mean_e[index])
+
+
+def test_memory_does_not_grow_with_the_number_of_frames():
+    def peak_bytes(frames: int) -> int:
+        tracemalloc.start()
+        for _ in exposures(scene(**QUICK | {"frames": frames})):
+            pass
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return peak
+
+    peak_bytes(2)  # fills the caches
+    assert peak_bytes(40) < 1.02 * peak_bytes(4)
+
+
+def test_time_passes_between_frames():
+    slow = {**QUICK, "frames": 150, "exposure_s": 0.01, "motion": None}
+    dense, sparse = (expose(scene(**slow, frame_rate_hz=rate)).zernike_nm[:, 3] for rate in (100.0, 2.0))
+    correlation = [np.corrcoef(series[1:], series[:-1])[0, 1] for series in (dense, sparse)]
+    assert correlation[0] > 0.25 > abs(correlation[1])
+
+
+@pytest.mark.parametrize(("exposure_s", "expected"), [(0.1, 10), (0.095, 10), (0.004, 1)])
+def test_sub_exposures_are_no_longer_than_the_step(exposure_s, expected):
+    assert scene(sky=Sky(0.5), exposure_s=exposure_s).subexposures == expected
+    assert scene(exposure_s=exposure_s).subexposures == 1
+
+
+def test_the_default_step_makes_frames_scatter_hardly_more_than_continuous_exposure():
+    def scatter_nm(step_s: float) -> float:
+        sampling = Sampling(pupil_samples=32, points_per_band=1, step_s=step_s)
+        cube = expose(scene(sky=Sky(0.5), frames=120, window=(4, 4), sampling=sampling))
+        return float(np.sqrt(cube.zernike_nm[:, 2:].var(axis=0).mean()))
+
+    assert 1.0 < scatter_nm(Sampling().step_s) / scatter_nm(0.002) < 1.1
+
+
+@pytest.mark.parametrize("band", [Band(1600.0, 20.0), Band(1215.0, 58.0), Band(1625.0, 84.0)])
+def test_the_default_wavelengths_resolve_the_bands(band):
+    few, many = (
+        image(bands=(band,), window=(64, 64), sampling=Sampling(points_per_band=points))
+        for points in (Sampling().points_per_band, 15)
+    )
+    assert worst(few, many) < 1e-5
+
+
+def test_values_per_frame_must_match_the_frames():
+    with pytest.raises(SceneError, match="introduced_nm: 2 values for 3 frames"):
+        scene(frames=3, introduced_nm=(1.0, 2.0))

@@ -1,0 +1,119 @@
+"""What the stage `diagnose` hands on: results as scripts read them, a model as recipes take it, a section."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+from helpers.diagnose_cases import CASE, CONDITIONS, cube, diagnosis_of, with_companion
+
+from irlos_pipe.files.json import json_text
+from irlos_pipe.product.product import Product
+from irlos_pipe.report.run_data import RunData
+from irlos_pipe.report.section_diagnose import diagnose_section
+from irlos_pipe.stages.diagnose import stage
+from irlos_pipe.stages.model.effect_entry import EffectEntry
+from irlos_pipe.stages.model.section import ModelConfig
+
+STEP_KEYS = {
+    "effect",
+    "indistinguishable",
+    "parameters",
+    "sigma",
+    "significance",
+    "gap_before",
+    "gap_after",
+}
+KEYS = {"verdict", "steps", "gap", "unexplained", "untestable", "mdb", "model"}
+
+
+@pytest.fixture(scope="module")
+def results() -> dict:
+    return json.loads(json_text(stage._results(diagnosis_of("companion"))))
+
+
+def test_the_results_hold_what_scripts_look_for(results):
+    assert results.keys() >= KEYS
+    assert results["verdict"] == "effect"
+    (step,) = results["steps"]
+    assert step.keys() >= STEP_KEYS
+    assert step["sigma"].keys() == step["parameters"].keys()
+    assert results["gap"].keys() == {"before", "after", "floor", "shrink"}
+
+
+def test_limits_of_what_was_not_seen_have_public_names_and_no_positions(results):
+    assert results["mdb"]["vibration"].keys() == {"sigma_mas"}
+    assert results["mdb"]["pupil_misregistration"].keys() <= {"dx_m", "dy_m", "rotation_deg"}
+    assert 0 < results["mdb"]["vibration"]["sigma_mas"] < 5
+
+
+def test_the_model_with_what_was_found_is_a_valid_section_of_a_recipe():
+    ctx = SimpleNamespace(model=ModelConfig(effects=("tip_tilt_jitter",)))
+    entries = [stage._entry(step) for step in diagnosis_of("companion").steps]
+    section = ModelConfig(**yaml.safe_load(stage._model_yaml(ctx, entries)))
+    jitter, companion = section.entries()
+    assert (jitter.name, jitter.fit) == ("tip_tilt_jitter", True)
+    assert companion.values["flux_ratio"] == pytest.approx(0.03, rel=0.05)
+    assert companion.fit
+
+
+def test_the_companion_found_is_one_that_the_recipe_can_place():
+    (step,) = diagnosis_of("companion").steps
+    made = EffectEntry.of(stage._entry(step))
+    again = type(step.effect.effect).under(CONDITIONS).values_of(**made.values)
+    assert again == pytest.approx(step.effect.values.tolist())
+
+
+def section_of(kind: str):
+    diagnosis = diagnosis_of(kind)
+    told = json.loads(json_text(stage._results(diagnosis)))
+    product = Product("diagnose", stage._arrays(diagnosis), told, config={"input": "cube"})
+    return diagnose_section(RunData({}, "", "ok", "", {"diagnose": product}, []))
+
+
+@pytest.mark.parametrize("kind", ["plain", "companion", "spot"])
+def test_the_section_begins_with_the_verdict_in_words_and_shows_both_models(kind):
+    section = section_of(kind)
+    titles = [getattr(block, "title", "") for block in section.blocks]
+    assert section.lead == stage._results(diagnosis_of(kind))["sentence"]
+    assert {"Measured", "Predicted before", "Predicted after", "Residual before", "Gap"} <= set(titles)
+
+
+def test_residuals_before_and_after_are_drawn_on_one_scale():
+    """The tick labels of both colour bars agree although the residuals differ by an order of magnitude."""
+    pictures = diagnosis_of("companion").pictures
+    before, after = (np.abs(pictures.measured_e - one).max() for one in (pictures.before_e, pictures.after_e))
+    assert before > 5 * after
+    blocks = {
+        block.title: str(block.svg) for block in section_of("companion").blocks if hasattr(block, "svg")
+    }
+    ticks = [
+        [line for line in blocks[f"Residual {when}"].splitlines() if "<text" in line][-8:]
+        for when in ("before", "after")
+    ]
+    assert [t.split(">")[1] for t in ticks[0]] == [t.split(">")[1] for t in ticks[1]]
+
+
+def test_too_few_frames_are_refused_with_the_name_of_the_recording():
+    frames = cube(with_companion()).images_e[:6].numpy()
+    recording = SimpleNamespace(
+        name="short",
+        images_e=frames,
+        pixel_mask=np.ones(CASE.window, bool),
+        acquisition=SimpleNamespace(detector=SimpleNamespace(read_noise_e=1.0, excess_noise_factor=1.0)),
+        background_variance_e2=0.0,
+        dark_variance_e2=0.0,
+    )
+    with pytest.raises(Exception, match="short: a diagnosis needs 16 used frames"):
+        stage._frames([recording], np.ones(CASE.window, bool))
+
+
+def test_bad_pixels_of_the_model_and_those_found_make_one_list():
+    known, found = {"bad_pixels": {"pixels": [[3, 4]]}}, {"bad_pixels": {"pixels": [[1, 2], [3, 4]]}}
+    assert stage._with_one_list_of_pixels(["seeing_halo", known, found]) == [
+        "seeing_halo",
+        {"bad_pixels": {"pixels": [[1, 2], [3, 4]]}},
+    ]

@@ -1,0 +1,110 @@
+"""Effects in a recipe. Truth: the catalogue of names and units that recipes are written by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from helpers.effect_cases import STRONG
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.effects.telling import mean_of, rows_of
+from irlos_pipe.frames.recording import Acquisition, Detector, Recording
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.stages.model.effect_entry import EffectEntry
+from irlos_pipe.stages.model.effects import good_pixels, image_effects, model_effects
+from irlos_pipe.stages.model.section import ModelConfig
+
+IRLOS = load_instrument("irlos")
+
+
+def recording(diversity) -> Recording:
+    acquisition = Acquisition("ncpa_calibration", Detector(1.0, 1.0), ((1600.0, 1.0),), diversity, 9.7)
+    used, mask = np.ones(1, bool), np.ones((64, 64), bool)
+    per_frame = np.zeros(1), np.zeros(1, int), np.zeros(1)
+    images = np.zeros((1, 64, 64), np.float32)
+    return Recording("cube", "calibration", images, used, np.array([""]), mask, *per_frame, acquisition)
+
+
+def effects_of(*entries, diversity=None):
+    return model_effects(IRLOS, ModelConfig(effects=entries), recording(diversity or {6: -170.0}))
+
+
+@pytest.mark.parametrize("name", sorted(set(STRONG) - {"bad_pixels"}))
+def test_every_effect_can_be_free_fixed_or_free_from_a_start(name):
+    (free,) = effects_of(name)
+    (fixed,) = effects_of({name: STRONG[name]})
+    (started,) = effects_of({name: STRONG[name] | {"fit": True}})
+    assert len(free.parameters) > 0
+    assert fixed.parameters == ()
+    assert [p.start for p in started.parameters] == pytest.approx(fixed.values)
+    assert len(started.parameters) == len(fixed.values)
+
+
+@pytest.mark.parametrize("name", ["focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale"])
+def test_errors_of_the_focus_stage_are_no_part_of_an_image(name):
+    effects = effects_of(name, "companion")
+    assert [effect.name for effect in image_effects(effects)] == ["companion"]
+
+
+def test_bad_pixels_are_a_mask_and_no_part_of_an_image():
+    effects = effects_of({"bad_pixels": {"pixels": [[3, 4], [60, 1]]}})
+    assert image_effects(effects) == []
+    assert np.argwhere(~good_pixels(effects, (64, 64))).tolist() == [[3, 4], [60, 1]]
+    assert good_pixels([], (64, 64)).all()
+
+
+@pytest.mark.parametrize(("entry", "message"), [
+    ("companoin", "did you mean 'companion'"),
+    ({"companion": {"flux_ratio": 0.1}}, r"companion is fixed by \{flux_ratio, sep_mas, pa_deg\}"),
+    ({"companion": {"flux": 0.1}}, r"companion is fixed by \{flux_ratio, sep_mas, pa_deg\}"),
+    ({"companion": 3}, "companion is fixed by"),
+    ({"tip_tilt_jitter": {"sigma_mas": -1}}, "tip_tilt_jitter.sigma_mas must lie between 0 and 60"),
+    ({"tip_tilt_jitter": {"sigma_mas": "8"}}, "sigma_mas must be a number"),
+    ({"high_order_ncpa": {"zernike_nm": [1, 2]}}, "must be a table {Noll index: value}"),
+    ({"low_wind_effect": {"piston_nm": [1], "tip_nm": [0] * 4, "tilt_nm": [0] * 4}}, "list of four numbers"),
+    ({"bad_pixels": {"pixels": [3, 4]}}, r"must be a list of \[row, column\]"),
+    ({"vibration": {"speed": 3}}, r"options: \{shape\}"),
+])  # fmt: skip
+def test_a_wrong_entry_is_refused_with_what_is_allowed(entry, message):
+    with pytest.raises(ValueError, match=message):
+        EffectEntry.of(entry)
+
+
+@pytest.mark.parametrize(("entry", "diversity", "message"), [
+    ("diversity_error", {6: 0.0}, "diversity_error for cube: there is no diversity"),
+    ("bad_pixels", {6: 1.0}, "bad_pixels for cube: there is nothing to estimate"),
+    ({"bad_pixels": {"pixels": [[64, 0]]}}, {6: 1.0}, "outside the window"),
+    ({"vibration": {"shape": "square"}}, {6: 1.0}, "sinusoidal or gaussian"),
+    ({"seeing_halo": {"wfe_nm": 100, "scale": 1}}, {6: 1.0}, "either wfe_nm or scale"),
+])  # fmt: skip
+def test_an_effect_that_means_nothing_for_a_recording_is_an_error_of_the_recipe(entry, diversity, message):
+    with pytest.raises(ConfigurationError, match=message):
+        effects_of(entry, diversity=diversity)
+
+
+def test_options_choose_modes_and_shapes():
+    choices = {"high_order_ncpa": {"nolls": [70, 80]}}, {"vibration": {"shape": "gaussian"}}
+    high, vibration = effects_of(*choices)
+    assert [p.name for p in high.parameters] == ["noll_70", "noll_80"]
+    assert vibration.shape == "gaussian"
+
+
+def test_public_values_are_told_one_number_a_row():
+    told = {"sigma_mas": 7.0, "zernike_nm": {"70": 1.0}, "tip_nm": [2.0, 3.0], "pixels": [[4, 5]]}
+    assert rows_of(told) == [
+        ("sigma_mas", 7.0), ("zernike_nm 70", 1.0), ("tip_nm 1", 2.0), ("tip_nm 2", 3.0),
+        ("pixels 1 1", 4), ("pixels 1 2", 5),
+    ]  # fmt: skip
+
+
+def test_the_mean_over_estimates_is_taken_number_by_number():
+    first = {"vibration": {"sigma_mas": 3.0, "shape": "gaussian"}, "petals": {"tip_nm": [1.0, -2.0]}}
+    second = {"vibration": {"sigma_mas": 5.0, "shape": "gaussian"}, "petals": {"tip_nm": [2.0, 2.0]}}
+    mean = {"vibration": {"sigma_mas": 4.0, "shape": "gaussian"}, "petals": {"tip_nm": [1.5, 0.0]}}
+    assert mean_of([first, second]) == mean
+
+
+def test_a_fixed_effect_has_the_values_of_the_recipe():
+    (companion,) = effects_of({"companion": {"flux_ratio": 0.1, "sep_mas": 100.0, "pa_deg": 90.0}})
+    assert companion.all_values(torch.zeros(0)).tolist() == pytest.approx([0.1, 0.0, 100.0])

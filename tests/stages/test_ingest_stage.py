@@ -1,0 +1,351 @@
+"""Ingest as a whole: files in, recordings in electrons out."""
+
+import json
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from helpers import paths
+from helpers.sparta_files import (
+    TWO_BY_TWO,
+    counts,
+    frames_e,
+    quadrants,
+    sidecar,
+    star,
+    write_muse,
+    write_recorder,
+    write_sidecar,
+)
+
+from irlos_pipe.conventions.errors import InputDataError, NothingToDo
+from irlos_pipe.files.json import json_text
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.product.product import Product, read_product, write_product
+from irlos_pipe.stages.base import StageContext
+from irlos_pipe.stages.ingest import stage as ingest
+from irlos_pipe.stages.ingest.recordings import recordings_from_product
+from irlos_pipe.stages.model.section import ModelConfig
+
+SHARED = paths.SHARED / "samples"
+IMAGE = star(32, 32)
+
+
+def run(*paths, config=None, **inputs):
+    """Run the stage; positional paths are those of the input `cube`."""
+    inputs = inputs or {"cube": paths}
+    return ingest.run(
+        StageContext(
+            config=ingest.Config(**config or {}),
+            model=ModelConfig(),
+            instrument=load_instrument("irlos"),
+            inputs={name: tuple(map(Path, files)) for name, files in inputs.items()},
+            products={},
+            device="cpu",
+            seed=0,
+            jobs=1,
+            progress=lambda iterable, **_: iterable,
+            log=logging.getLogger("test"),
+            scratch=Path("scratch"),
+        )
+    )
+
+
+def product_of(output):
+    return Product("ingest", output.arrays, output.results)
+
+
+def only_recording(output):
+    (recording,) = recordings_from_product(product_of(output))
+    return recording
+
+
+def test_counts_become_the_electrons_that_were_put_in(tmp_path):
+    write_recorder(tmp_path / "rec", counts(IMAGE, pedestal_adu=50), maps={"DARK": np.full(IMAGE.shape, 50)})
+    recording = only_recording(run(tmp_path))
+    mean = recording.images_e.mean(axis=0)
+    noise = np.sqrt((IMAGE + 1) / recording.frames)
+    assert np.std((mean - IMAGE) / noise) == pytest.approx(1, abs=0.1)
+    assert mean.sum() == pytest.approx(IMAGE.sum(), rel=1e-3)
+    assert recording.used.all() and recording.pixel_mask.all()
+
+
+def test_the_results_describe_every_recording(tmp_path):
+    write_recorder(
+        tmp_path / "rec",
+        counts(IMAGE),
+        counter=[*range(0, 160, 20), 200, 220, 240, 260],
+        maps={"DARK": np.full(IMAGE.shape, 50)},
+    )
+    output = run(tmp_path)
+    (row,) = output.results["inputs"]
+    expected = {
+        "name": "rec",
+        "input": "cube",
+        "role": "ncpa_calibration",
+        "frames": 12,
+        "frames_rejected": 0,
+        "frames_missing": 2,
+        "window": [32, 32],
+        "mag_j": 8.0,
+        "saturated_frames": 0,
+        "bad_pixels": [],
+    }
+    assert {key: row[key] for key in expected} == expected
+    assert row["flux_e"] == pytest.approx(1e6, rel=0.01)
+    assert json.loads(json_text(output.results))
+    assert len(output.summary) == 1
+
+
+def test_a_clean_recording_passes_its_checks(tmp_path):
+    write_recorder(tmp_path / "rec", counts(IMAGE))
+    checks = run(tmp_path).checks
+    assert len(checks) == 5
+    assert all(check.passed for check in checks)
+
+
+def test_recordings_survive_the_product_file(tmp_path):
+    write_recorder(tmp_path / "ramp" / "offset_2", counts(IMAGE), keys={"introduced_defocus_nm": 40.0})
+    write_recorder(tmp_path / "ramp" / "offset_10", counts(IMAGE), keys={"introduced_defocus_nm": 80.0})
+    write_recorder(tmp_path / "sky", counts(IMAGE))
+    output = run(ramp=[tmp_path / "ramp"], calibration=[tmp_path / "sky"])
+    write_product(product_of(output), tmp_path / "01_ingest.h5")
+    product = read_product(tmp_path / "01_ingest.h5")
+    ramp = recordings_from_product(product, "ramp")
+    assert [(r.input, r.name) for r in ramp] == [("ramp", "offset_2"), ("ramp", "offset_10")]
+    assert len(recordings_from_product(product)) == 3
+    before = recordings_from_product(product_of(output), "ramp")[0]
+    assert np.array_equal(ramp[0].images_e, before.images_e)
+    assert ramp[0].acquisition == before.acquisition
+    assert ramp[0].introduced_defocus_nm.tolist() == [40.0] * 12
+    assert ramp[0].reason.tolist() == [""] * 12
+
+
+def test_a_product_without_recordings_of_an_input_says_so(tmp_path):
+    write_recorder(tmp_path / "rec", counts(IMAGE))
+    with pytest.raises(InputDataError, match="no recordings of input 'ramp'"):
+        recordings_from_product(product_of(run(tmp_path)), "ramp")
+
+
+def test_the_raw_counts_stay_retrievable(tmp_path):
+    adu = counts(star(flux_e=3e5)).astype(np.uint16)
+    fits.writeto(tmp_path / "cube.fits", adu)
+    write_sidecar(tmp_path / "cube.yaml")
+    arrays = run(tmp_path).arrays
+    prefix = "recordings/cube/cube"
+    raw, background, flat = (
+        arrays[f"{prefix}/{name}"].value for name in ("raw_adu", "background_adu", "flat")
+    )
+    assert raw.dtype == np.uint16
+    assert np.array_equal(raw, adu)
+    again = (raw - background) / flat * 0.5
+    assert again == pytest.approx(arrays[f"{prefix}/images_e"].value, abs=0.1)
+
+
+def test_sky_and_flat_are_taken_out(tmp_path):
+    rng = np.random.default_rng(3)
+    flat = rng.normal(1, 0.05, IMAGE.shape)
+    adu = (frames_e(IMAGE * flat + 4.0 * flat, 50) / 0.5 + 50).astype(np.float32)
+    maps = {"DARK": np.full(IMAGE.shape, 50), "BACKGROUND": 8.0 * flat, "FLAT": 1000 * flat}
+    write_recorder(tmp_path / "rec", adu, maps=maps)
+    recording = only_recording(run(tmp_path))
+    noise = np.sqrt((IMAGE + 5) / 50)
+    pull = (recording.images_e.mean(axis=0) - IMAGE * np.median(flat)) / noise
+    assert np.abs(np.mean(pull)) < 0.1
+    assert np.std(pull) == pytest.approx(1, abs=0.1)
+    assert recording.background_variance_e2 == pytest.approx(4.0, rel=0.3)
+
+
+def test_windows_need_not_be_square(tmp_path):
+    image = star(24, 37)
+    write_recorder(tmp_path / "rec", counts(image), pad=100)
+    recording = only_recording(run(tmp_path))
+    assert recording.window == (24, 37)
+    brightest = np.unravel_index(recording.images_e.mean(axis=0).argmax(), (24, 37))
+    assert brightest == np.unravel_index(image.argmax(), (24, 37))
+
+
+def test_spoilt_frames_are_kept_with_their_reason(tmp_path):
+    adu = counts(IMAGE, 20)
+    adu[3], adu[5, 2, 2], adu[8] = 0, np.nan, (adu[8] - 50) * 0.4 + 50
+    counter = np.arange(20)
+    counter[11] = 10
+    write_recorder(tmp_path / "rec", adu, counter=counter, maps={"DARK": np.full(IMAGE.shape, 50)})
+    output = run(tmp_path)
+    recording = only_recording(output)
+    assert np.flatnonzero(~recording.used).tolist() == [3, 5, 8, 11]
+    assert recording.reason[[3, 5, 8, 11]].tolist() == [
+        "empty frame",
+        "values not finite",
+        "flux outlier",
+        "frame counter repeated",
+    ]
+    assert recording.accepted().frames == 16
+    assert np.isfinite(recording.images_e).all()
+    assert output.results["inputs"][0]["frames_rejected"] == 4
+
+
+def test_a_bad_pixel_and_a_hit_leave_the_rest_alone(tmp_path):
+    adu = counts(IMAGE, 20)
+    adu[:, 4, 5] = 5000.0
+    adu[7, 25, 6] += 3000
+    write_recorder(tmp_path / "rec", adu, maps={"DARK": np.full(IMAGE.shape, 50)})
+    output = run(tmp_path)
+    recording = only_recording(output)
+    assert np.argwhere(~recording.pixel_mask).tolist() == [[4, 5]]
+    assert output.arrays["recordings/cube/rec/cosmic_hits"].value.tolist() == [[7, 25, 6]]
+    assert recording.used.all()
+    assert np.abs(recording.images_e[:, 4, 5] - IMAGE[4, 5]).max() < 100
+    assert np.abs(recording.images_e[7, 25, 6] - IMAGE[25, 6]) < 100
+
+
+def test_a_hit_in_the_core_costs_the_frame(tmp_path):
+    adu = counts(IMAGE, 20)
+    peak = np.unravel_index(IMAGE.argmax(), IMAGE.shape)
+    adu[(7, *peak)] += 0.5 * IMAGE.max() / 0.5
+    write_recorder(tmp_path / "rec", adu)
+    assert only_recording(run(tmp_path)).reason[7] == "cosmic hit in the core"
+
+
+def test_times_count_from_the_first_frame(tmp_path):
+    times = {"Seconds": 1700000000 + np.arange(12) // 10, "USeconds": 100000 * (np.arange(12) % 10)}
+    write_recorder(tmp_path / "rec", counts(IMAGE), times=times)
+    recording = only_recording(run(tmp_path))
+    assert recording.time_s == pytest.approx(0.1 * np.arange(12), abs=1e-5)
+    assert recording.start_unix_s == 1700000000
+
+
+def test_a_dark_recording_serves_the_others_of_its_input(tmp_path):
+    pattern = np.random.default_rng(7).normal(100, 10, IMAGE.shape)
+    noise = np.random.default_rng(8).normal(0, 2, (50, *IMAGE.shape))
+    write_recorder(tmp_path / "dark", (pattern + noise).astype(np.float32), keys={"role": "dark"})
+    write_recorder(tmp_path / "rec", (counts(IMAGE, pedestal_adu=0) + pattern).astype(np.float32))
+    output = run(tmp_path)
+    assert [row["role"] for row in output.results["inputs"]] == ["ncpa_calibration", "dark"]
+    background = output.arrays["recordings/cube/rec/background_adu"].value
+    assert background == pytest.approx(pattern, abs=1.5)
+    assert only_recording(output).dark_variance_e2 <= 4 / 50 * 0.25 * 1.2
+
+
+def test_the_lenslets_of_a_2x2_mode_become_recordings(tmp_path):
+    cubes = [
+        (frames_e(star(18, 18, flux_e=2e5, seed=seed), 8) / 0.5 + 200).astype(np.float32) for seed in range(4)
+    ]
+    write_muse(tmp_path / "m.fits", quadrants(cubes), TWO_BY_TWO)
+    write_sidecar(tmp_path / "m.yaml", pixel_scale_mas=78.0)
+    recordings = recordings_from_product(product_of(run(tmp_path / "m.fits")))
+    assert [recording.acquisition.subaperture for recording in recordings] == [1, 2, 3, 4]
+    assert all(recording.window == (18, 18) and recording.used.all() for recording in recordings)
+
+
+def test_the_recipe_may_differ_per_input(tmp_path):
+    for name in ("a", "b"):
+        write_recorder(tmp_path / name, counts(IMAGE), keys={"mag_j": 5.0})
+    config = {"acquisition": {"target": "Vega"}, "acquisition_of": {"two": {"mag_j": 9.0}}}
+    rows = run(one=[tmp_path / "a"], two=[tmp_path / "b"], config=config).results["inputs"]
+    assert [row["mag_j"] for row in rows] == [5.0, 9.0]
+
+
+def test_one_bad_recording_does_not_cost_the_others(tmp_path):
+    write_recorder(tmp_path / "a", counts(IMAGE))
+    write_sidecar(write_recorder(tmp_path / "b", counts(IMAGE)).with_name("acquisition.yaml"), "role")
+    output = run(tmp_path)
+    assert [row["name"] for row in output.results["inputs"]] == ["a"]
+    assert len(output.failures) == 1
+    assert "'role'" in output.failures[0]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda adu: adu * 0, "none of the 12 frames can be used: 12 x empty frame"),
+        (lambda adu: adu * np.nan, "none of the 12 frames can be used: 12 x values not finite"),
+        (lambda adu: 50 + np.random.default_rng(0).normal(0, 2, adu.shape), "12 x no star above the noise"),
+        (lambda adu: np.minimum(adu, 9000), "12 x saturated"),
+        (lambda adu: np.repeat(adu[:1], 12, axis=0), None),
+    ],
+    ids=["all zero", "all NaN", "dark", "saturated", "one image repeated"],
+)
+def test_a_cube_of_useless_frames_is_refused_with_the_reason(tmp_path, spoil, message):
+    write_recorder(tmp_path / "rec", spoil(counts(IMAGE)).astype(np.float32))
+    if message is None:
+        assert only_recording(run(tmp_path)).used.tolist() == [True] + [False] * 11
+        return
+    with pytest.raises(InputDataError, match=message) as caught:
+        run(tmp_path)
+    assert "rec.fits" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_empty_folder_leaves_nothing_to_do(tmp_path):
+    with pytest.raises(NothingToDo):
+        run(tmp_path)
+
+
+def test_an_input_with_darks_only_is_refused(tmp_path):
+    write_recorder(tmp_path / "dark", counts(IMAGE), keys={"role": "dark"})
+    with pytest.raises(InputDataError, match="input 'cube': only darks"):
+        run(tmp_path)
+
+
+def test_equal_names_in_one_input_stay_apart(tmp_path):
+    for night in ("a", "b"):
+        write_recorder(tmp_path / night / "offset_00", counts(IMAGE))
+    output = run(tmp_path)
+    assert len({row["name"] for row in output.results["inputs"]}) == 2
+    assert len(recordings_from_product(product_of(output))) == 2
+
+
+def test_files_are_never_written(tmp_path):
+    path = write_recorder(tmp_path / "rec", counts(IMAGE))
+    before = {file: file.read_bytes() for file in path.parent.iterdir()}
+    run(tmp_path)
+    assert {file: file.read_bytes() for file in path.parent.iterdir()} == before
+
+
+needs_samples = pytest.mark.skipif(not SHARED.is_dir(), reason="the shared samples are not there")
+
+
+@needs_samples
+def test_the_shared_samples_are_clean():
+    output = run(SHARED)
+    assert output.failures == []
+    assert len(output.results["inputs"]) == 14
+    for row in output.results["inputs"]:
+        assert (row["frames_rejected"], row["bad_pixels"], row["cosmic_hits"]) == (0, [], 0), row["name"]
+    assert all(check.passed for check in output.checks)
+
+
+@needs_samples
+@pytest.mark.parametrize(
+    ("name", "mag_j", "exposure_s"),
+    [
+        ("calibration-bench", 9, 0.1),
+        ("calibration-sky", 7, 0.1),
+        ("ramp-broad/offset_03", 12, 1.0),
+        ("MUSE.2023-07-14T03:21:10.000.fits", 10, 0.1),
+    ],
+)
+def test_the_flux_of_the_samples_is_that_of_their_magnitude(name, mag_j, exposure_s):
+    photons = 150000 * 10 ** (0.4 * (15 - mag_j)) * exposure_s
+    (row,) = run(SHARED / name).results["inputs"]
+    # the window holds most of the light, never more than all of it
+    assert 0.85 * photons < row["flux_e"] < photons
+
+
+def test_a_complete_side_car_leaves_no_warning(tmp_path, caplog):
+    write_recorder(tmp_path / "rec", counts(IMAGE), keys=sidecar())
+    with caplog.at_level(logging.WARNING, logger="test"):
+        run(tmp_path)
+    assert caplog.messages == []
+
+
+def test_a_product_of_the_first_version_is_read_as_if_its_dark_had_no_noise(tmp_path):
+    write_recorder(tmp_path / "rec", counts(IMAGE))
+    product = product_of(run(tmp_path))
+    older = {key: one for key, one in product.arrays.items() if not key.endswith("/dark_variance_e2")}
+    assert len(older) == len(product.arrays) - 1
+    assert recordings_from_product(replace(product, arrays=older))[0].dark_variance_e2 == 0.0

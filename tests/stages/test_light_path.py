@@ -1,0 +1,36 @@
+"""What the stages refuse before a model is built. Truth: the geometry of the instrument."""
+
+import numpy as np
+import pytest
+
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.frames.recording import Acquisition, Detector, Recording
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.stages.model.light_path import psf_settings
+from irlos_pipe.stages.model.section import ModelConfig
+
+IRLOS = load_instrument("irlos")
+
+
+def recording(window: int = 64, **changes) -> Recording:
+    spectrum, diversity = ((1600.0, 1.0),), {6: -170.0}
+    acquisition = Acquisition("ncpa_calibration", Detector(1.0, 1.0), spectrum, diversity, 9.7, **changes)
+    images = np.zeros((1, window, window), np.float32)
+    used, mask = np.ones(1, bool), np.ones((window, window), bool)
+    per_frame = np.zeros(1), np.zeros(1, int), np.zeros(1)
+    return Recording("cube", "calibration", images, used, np.array([""]), mask, *per_frame, acquisition)
+
+
+def test_ncpas_are_added_to_the_diversity():
+    settings = psf_settings(IRLOS, ModelConfig(), recording(), {4: 20.0, 6: 30.0})
+    assert settings.diversity == {6: -140.0, 4: 20.0}
+
+
+def test_a_window_wider_than_the_sampled_pupil_supports_is_an_error_of_the_recipe():
+    with pytest.raises(ConfigurationError, match=r"model\.pupil_samples 48.*times as many"):
+        psf_settings(IRLOS, ModelConfig(pupil_samples=48), recording(window=400))
+
+
+def test_the_image_of_one_lenslet_is_refused():
+    with pytest.raises(InputDataError, match="image 2 of a 2x2 mode"):
+        psf_settings(IRLOS, ModelConfig(), recording(subaperture=2, mode="20x20_SmallScale_500Hz_HighGain"))
