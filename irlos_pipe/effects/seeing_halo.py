@@ -3,7 +3,6 @@
 The structure function D is that of the residual inside the correction band (free variance,
 slope, two-fold and four-fold anisotropy; the variance, because ∂μ/∂σ vanishes at σ = 0) plus that of the
 von Kármán turbulence beyond it. Its light falls mostly outside a window of 0.6", where it cannot be told
-from irlos_pipe.conventions.units import NM
 from flux and background: the seeing fixes it, and where that was not measured, the residual in the band.
 """
 
@@ -14,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.units import NM
 from irlos_pipe.effects.base import Conditions, Effect, OtfEffect, Parameter, number
 from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.propagate import FocalGrid
