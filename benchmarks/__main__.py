@@ -16,13 +16,13 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from .breakdown import measure_breakdown
-from .docs import breakdown
-from .docs import write_docs as put_into_docs
-from .inputs import Inputs, prepare
-from .measure import in_own_process
-from .plan import CUBE, CUDA, CUDA_60, LIFT, NCPA, NCPA_60, OTHERS, Entry
-from .table import render
+from benchmarks.breakdown import measure_breakdown
+from benchmarks.docs import breakdown
+from benchmarks.docs import write_docs as put_into_docs
+from benchmarks.inputs import Inputs, prepare
+from benchmarks.measure import in_own_process
+from benchmarks.plan import CUBE, CUDA, CUDA_60, LIFT, NCPA, NCPA_60, OTHERS, Entry
+from benchmarks.table import render
 
 RESULTS = Path(__file__).parent / "results.json"
 

@@ -13,12 +13,11 @@ from collections import defaultdict
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from benchmarks.inputs import Inputs
+from benchmarks.lift_cases import prepared_lift
+from benchmarks.measure import stopwatch
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
 from irlos_pipe.numerics.parallel import set_workers
-
-from .inputs import Inputs
-from .lift_cases import prepared_lift
-from .measure import stopwatch
 
 PRODUCTS = ("mm", "bmm", "addmm", "baddbmm")
 COMPLEX_PRODUCTS, REAL_PRODUCTS, DOUBLE_PRODUCTS, FFT, SOLVES, REST = (

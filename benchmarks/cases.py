@@ -15,6 +15,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from benchmarks.frames import DIVERSITY_NM, NOLLS, PIXEL_SCALE_MAS, READ_NOISE_E, WAVELENGTH_NM, WINDOW_PX
+from benchmarks.inputs import Inputs, true_zernike_nm
+from benchmarks.lift_cases import lift_bare, lift_halo, lift_latency, lift_numpy, lift_solvephase
+from benchmarks.long_recording import stream_10000
+from benchmarks.measure import peak_mib, stopwatch
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel
@@ -24,12 +29,6 @@ from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.ingest.recordings import recordings_from_product
 from irlos_pipe.stages.model.effects import model_effects
 from irlos_pipe.stages.model.light_path import psf_settings
-
-from .frames import DIVERSITY_NM, NOLLS, PIXEL_SCALE_MAS, READ_NOISE_E, WAVELENGTH_NM, WINDOW_PX
-from .inputs import Inputs, true_zernike_nm
-from .lift_cases import lift_bare, lift_halo, lift_latency, lift_numpy, lift_solvephase
-from .long_recording import stream_10000
-from .measure import peak_mib, stopwatch
 
 MORE_NOLLS = tuple(range(2, 62))
 
@@ -76,7 +75,7 @@ def lift_slices(inputs: Inputs, count: int) -> dict:
 
 def fft_lbfgs(inputs: Inputs, count: int, nolls: tuple[int, ...] = NOLLS) -> dict:
     """Padded FFT, autograd, L-BFGS."""
-    from .baseline_fft import FftModel, fit
+    from benchmarks.baseline_fft import FftModel, fit
 
     model = FftModel(inputs.settings.geometry, nolls, DIVERSITY_NM, WAVELENGTH_NM, PIXEL_SCALE_MAS, WINDOW_PX)
     images_e = torch.as_tensor(inputs.frames.images_e[:count])
@@ -94,7 +93,7 @@ def fft_lbfgs_60(inputs: Inputs, count: int) -> dict:
 
 def solvephase_lm(inputs: Inputs, count: int) -> dict:
     """`solvephase`, 29 modes per frame."""
-    from .baseline_solvephase import SolvephaseFit
+    from benchmarks.baseline_solvephase import SolvephaseFit
 
     fitter = SolvephaseFit(inputs.settings, len(NOLLS), READ_NOISE_E, "gaussian")
     fitter.fit_nm(inputs.frames.images_e[0])
@@ -127,7 +126,7 @@ def long_exposure(inputs: Inputs, count: int) -> dict:
 
 def sensitivity_scan(inputs: Inputs, count: int) -> dict:
     """The paper's sensitivity scan, `count` fits in all."""
-    from .sensitivity import SensitivityScan
+    from benchmarks.sensitivity import SensitivityScan
 
     scan = SensitivityScan(inputs, count)
     with stopwatch() as watch:

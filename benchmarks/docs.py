@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from .table import render
+from benchmarks.table import render
 
 PAGE = Path(__file__).parents[1] / "docs" / "performance.md"
 

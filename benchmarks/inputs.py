@@ -14,16 +14,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.optics.psf_settings import PsfSettings
-from irlos_pipe.product.product import Product, read_product
-from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.lift import stage as lift
-from irlos_pipe.stages.model.section import ModelConfig
-
-from .frames import (
+from benchmarks.frames import (
     DIVERSITY_NM,
     PIXEL_SCALE_MAS,
     READ_NOISE_E,
@@ -33,6 +24,14 @@ from .frames import (
     BenchFrames,
     draw,
 )
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.product.product import Product, read_product
+from irlos_pipe.stages.base import StageContext
+from irlos_pipe.stages.lift import stage as lift
+from irlos_pipe.stages.model.section import ModelConfig
 
 RECIPE = SAMPLES.parent / "recipes" / "full_reduction.yaml"
 

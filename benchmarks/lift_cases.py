@@ -13,6 +13,9 @@ from functools import cached_property
 import numpy as np
 import torch
 
+from benchmarks.frames import DIVERSITY_NM, PIXEL_SCALE_MAS, WINDOW_PX
+from benchmarks.inputs import Inputs
+from benchmarks.measure import stopwatch
 from irlos_pipe.effects import Effect, Pinned
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.frame_settings import frame_settings
@@ -31,10 +34,6 @@ from irlos_pipe.stages.lift.input import (
     read_ramp,
 )
 from irlos_pipe.stages.model.light_path import psf_settings
-
-from .frames import DIVERSITY_NM, PIXEL_SCALE_MAS, WINDOW_PX
-from .inputs import Inputs
-from .measure import stopwatch
 
 REALISATIONS, FACTOR, SEED = 10, 0.5, 5
 REPEATS = 5  # of fits that take less than a second; the median counts
@@ -147,14 +146,14 @@ def _one_by_one(inputs: Inputs, count: int, build: Callable[[PsfSettings, float]
 
 def lift_solvephase(inputs: Inputs, count: int) -> dict:
     """`solvephase`'s LIFT."""
-    from .baseline_solvephase import SolvephaseFit
+    from benchmarks.baseline_solvephase import SolvephaseFit
 
     return _one_by_one(inputs, count, lambda case, noise: SolvephaseFit(case, 3, noise, "poisson"))
 
 
 def lift_numpy(inputs: Inputs, count: int) -> dict:
     """Gauss-Newton with NumPy's FFT, as the paper's code."""
-    from .baseline_numpy_lift import NumpyLift
+    from benchmarks.baseline_numpy_lift import NumpyLift
 
     return _one_by_one(inputs, count, lambda case, noise: NumpyLift(case, (2, 3, 4), noise))
 

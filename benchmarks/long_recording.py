@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 from astropy.io import fits
 
+from benchmarks.frames import DIVERSITY_NM, PIXEL_SCALE_MAS, READ_NOISE_E, SAMPLES, SEED, WAVELENGTH_NM
+from benchmarks.inputs import Inputs
+from benchmarks.measure import stopwatch
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.pipeline import Selection, run_recipe
 from irlos_pipe.recipe import load_recipe
-
-from .frames import DIVERSITY_NM, PIXEL_SCALE_MAS, READ_NOISE_E, SAMPLES, SEED, WAVELENGTH_NM
-from .inputs import Inputs
-from .measure import stopwatch
 
 RECIPE = SAMPLES.parent / "recipes" / "ncpa_calibration.yaml"
 PEDESTAL_ADU, E_PER_ADU = 200.0, 4.0  # the brightest speckles do not saturate

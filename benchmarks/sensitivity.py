@@ -7,14 +7,13 @@ from itertools import product
 import numpy as np
 import torch
 
+from benchmarks.inputs import Inputs
 from irlos_pipe.effects import Effect, Pinned
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.sensitivity import Criterion, scan
 from irlos_pipe.stages.lift.input import calibrated_ncpa_nm, effects_for_lift, ramp_model, read_ramp
-
-from .inputs import Inputs
 
 REACH_NM, MAGNITUDES, FAINTEST_MAG_J, REALISATIONS = 170.0, 11, 19.0, 10
 MODES = (2, 3, 4), (2, 3, 4, 5, 7, 8, 9, 10, 11)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .plan import CUBE
+from benchmarks.plan import CUBE
 
 HEADER = (
     "NCPAs, 29 modes",

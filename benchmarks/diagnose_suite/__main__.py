@@ -10,11 +10,10 @@ import click
 import numpy as np
 from tqdm import tqdm
 
+from benchmarks.diagnose_suite.cases import Case, all_cases
+from benchmarks.diagnose_suite.report import write_report
+from benchmarks.diagnose_suite.working import Folder, work
 from irlos_pipe.files.processes import in_processes
-
-from .cases import Case, all_cases
-from .report import write_report
-from .working import Folder, work
 
 
 @click.command()

@@ -8,10 +8,10 @@ from itertools import product
 from typing import Any
 from zlib import crc32
 
-from .foreign import FOREIGN
-from .hidden import DRAWS, STAGE
-from .levels import LEVELS, MEDIUM
-from .settings import SETTINGS, Setting
+from benchmarks.diagnose_suite.foreign import FOREIGN
+from benchmarks.diagnose_suite.hidden import DRAWS, STAGE
+from benchmarks.diagnose_suite.levels import LEVELS, MEDIUM
+from benchmarks.diagnose_suite.settings import SETTINGS, Setting
 
 CLEAN, SINGLE, PAIR, OUTSIDE = "clean", "single", "pair", "outside"
 RAMP_CLEAN, RAMP_SINGLE, RAMP_OUTSIDE = "ramp_clean", "ramp_single", "ramp_outside"

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from .cases import CLEAN, OUTSIDE, RAMP_CLEAN, RAMP_OUTSIDE, RAMP_SINGLE, SINGLE
-from .hidden import DRAWS
-from .judging import EFFECT, NONE, UNKNOWN, Outcome, is_untestable, named
+from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, RAMP_CLEAN, RAMP_OUTSIDE, RAMP_SINGLE, SINGLE
+from benchmarks.diagnose_suite.hidden import DRAWS
+from benchmarks.diagnose_suite.judging import EFFECT, NONE, UNKNOWN, Outcome, is_untestable, named
 
 KINDS = (CLEAN, SINGLE, OUTSIDE, RAMP_CLEAN, RAMP_SINGLE, RAMP_OUTSIDE)
 NOTHING, NOT_IN_CATALOGUE, UNTESTABLE = "(nothing)", "(outside)", "(untestable)"

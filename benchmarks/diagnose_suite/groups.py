@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from .cases import CLEAN, SINGLE
-from .judging import Outcome, is_untestable
-from .sizes import in_smallest
+from benchmarks.diagnose_suite.cases import CLEAN, SINGLE
+from benchmarks.diagnose_suite.judging import Outcome, is_untestable
+from benchmarks.diagnose_suite.sizes import in_smallest
 
 CLEARLY_THERE = 3.0  # times the smallest detectable size
 

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.diagnose_suite.settings import EXPOSURE_S, Setting
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.simulate.shaking import JITTER_CORRELATION_S
-
-from .settings import EXPOSURE_S, Setting
 
 SPREAD = 0.25  # of the drawn size about its level, natural logarithm
 LINES_HZ = (24.2, 45.5, 48.3, 72.5)  # of UT4 above 20 Hz

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .cases import CLEAN, OUTSIDE, PAIR
+from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, PAIR
 
 NONE, EFFECT, UNKNOWN = "none", "effect", "unknown"
 LARGEST_SET = 3

@@ -8,16 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.diagnose_suite.cases import Case
+from benchmarks.diagnose_suite.foreign import Image
+from benchmarks.diagnose_suite.planning import plan_case
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import json_text
 from irlos_pipe.simulate.detector import Readout
 from irlos_pipe.simulate.exposure import exposures, telescope_of
 from irlos_pipe.simulate.recordings.files import layout_of
 from irlos_pipe.simulate.recordings.series import Planned
-
-from .cases import Case
-from .foreign import Image
-from .planning import plan_case
 
 DETECTOR_STREAM = 1  # child of a scene's seed; the wavefront has its own
 

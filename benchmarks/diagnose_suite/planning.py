@@ -9,16 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.diagnose_suite.cases import IN_SKY_MODEL, MIXED_UP, Case
+from benchmarks.diagnose_suite.foreign import FOREIGN, Foreign
+from benchmarks.diagnose_suite.hidden import Hidden, drawn
+from benchmarks.diagnose_suite.levels import size_of
+from benchmarks.diagnose_suite.settings import OFFSETS_NM, RAMP_FRAMES, SKY_PUPIL_SAMPLES
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.simulate.recordings import load_spec
 from irlos_pipe.simulate.recordings.series import Planned, plan_recordings
 from irlos_pipe.simulate.scene import Scene
-
-from .cases import IN_SKY_MODEL, MIXED_UP, Case
-from .foreign import FOREIGN, Foreign
-from .hidden import Hidden, drawn
-from .levels import size_of
-from .settings import OFFSETS_NM, RAMP_FRAMES, SKY_PUPIL_SAMPLES
 
 CUBE, RAMP, CALIBRATION = "cube", "ramp", "calibration"
 SECTIONS, HIDDEN, OUTSIDE, ORDER = range(4)  # streams of random numbers of a case

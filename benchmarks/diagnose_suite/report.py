@@ -8,16 +8,15 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from benchmarks.diagnose_suite.cases import RAMP_SINGLE, SINGLE
+from benchmarks.diagnose_suite.confusion import Confusion, called, draw_confusion
+from benchmarks.diagnose_suite.groups import smallest_sizes
+from benchmarks.diagnose_suite.judging import Outcome, ambiguity_sets, is_right, is_untestable, named
+from benchmarks.diagnose_suite.rates import Rate
+from benchmarks.diagnose_suite.scoring import Row, score
+from benchmarks.diagnose_suite.sizes import in_smallest, true_size_inside
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import json_text
-
-from .cases import RAMP_SINGLE, SINGLE
-from .confusion import Confusion, called, draw_confusion
-from .groups import smallest_sizes
-from .judging import Outcome, ambiguity_sets, is_right, is_untestable, named
-from .rates import Rate
-from .scoring import Row, score
-from .sizes import in_smallest, true_size_inside
 
 RESULTS, PICTURE = "suite.json", "confusion.png"
 

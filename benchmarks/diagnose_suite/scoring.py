@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .cases import CLEAN, OUTSIDE, PAIR, RAMP_CLEAN, RAMP_OUTSIDE, RAMP_SINGLE
-from .groups import Singles, of_kind, sorted_singles
-from .judging import (
+from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, PAIR, RAMP_CLEAN, RAMP_OUTSIDE, RAMP_SINGLE
+from benchmarks.diagnose_suite.groups import Singles, of_kind, sorted_singles
+from benchmarks.diagnose_suite.judging import (
     EFFECT,
     NONE,
     UNKNOWN,
@@ -21,9 +21,9 @@ from .judging import (
     is_in_set,
     named,
 )
-from .rates import Rate
-from .sizes import true_size_inside
-from .working import BIASED_NM
+from benchmarks.diagnose_suite.rates import Rate
+from benchmarks.diagnose_suite.sizes import true_size_inside
+from benchmarks.diagnose_suite.working import BIASED_NM
 
 
 @dataclass(frozen=True)

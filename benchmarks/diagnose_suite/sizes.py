@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from .hidden import CENTRE_NM
-from .judging import Outcome, is_first
+from benchmarks.diagnose_suite.hidden import CENTRE_NM
+from benchmarks.diagnose_suite.judging import Outcome, is_first
 
 CONFIDENCE = 0.95
 NEGLIGIBLE = 1e-9  # a component of a direction that is zero but for rounding

@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 import yaml
 
+from benchmarks.diagnose_suite.cases import SINGLE, Case
+from benchmarks.diagnose_suite.making import make_case
+from benchmarks.diagnose_suite.planning import CALIBRATION, CUBE, RAMP
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import json_text
 from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.recipe import load_recipe
-
-from .cases import SINGLE, Case
-from .making import make_case
-from .planning import CALIBRATION, CUBE, RAMP
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 NOT_KEPT = ("noise", "sentence", "model", "sigma_nm")

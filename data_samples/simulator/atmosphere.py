@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 
-from .telescope import Telescope
+from simulator.telescope import Telescope
 
 CUT_OFF_PER_M = 2.5
 OUTER_SCALE_M = 25.0

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from .detector import Detector
-from .scene import Band, Cosmic, Scene, draw_ncpa_nm
+from simulator.detector import Detector
+from simulator.scene import Band, Cosmic, Scene, draw_ncpa_nm
 
 SEED = 20240211
 NCPA_SEED = (SEED, 5)  # the first draw in which tip and tilt hold no more than their expected share

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .atmosphere import ResidualScreens
-from .imaging import Imager
-from .jitter import jitter_mas
-from .scene import Cosmic, Scene
-from .telescope import Telescope, tilt_nm
+from simulator.atmosphere import ResidualScreens
+from simulator.imaging import Imager
+from simulator.jitter import jitter_mas
+from simulator.scene import Cosmic, Scene
+from simulator.telescope import Telescope, tilt_nm
 
 
 @dataclass(frozen=True)

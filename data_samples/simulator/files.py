@@ -10,10 +10,10 @@ import numpy as np
 import yaml
 from astropy.io import fits
 
-from .atmosphere import residual_wfe_nm
-from .exposure import RawRecording
-from .scene import SIDE_CAR_POINTS, Scene
-from .telescope import Telescope
+from simulator.atmosphere import residual_wfe_nm
+from simulator.exposure import RawRecording
+from simulator.scene import SIDE_CAR_POINTS, Scene
+from simulator.telescope import Telescope
 
 MUSE_MODE = "64x64_FullPupil_200Hz_HighGain"
 

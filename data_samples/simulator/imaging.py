@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hcipy import CartesianGrid, Field, MatrixFourierTransform, SeparatedCoords
 
-from .telescope import Telescope
+from simulator.telescope import Telescope
 
 MAS = np.deg2rad(1 / 3.6e6)
 PIXEL_NODES = 3

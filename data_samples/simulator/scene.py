@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .detector import Detector, Pixel
+from simulator.detector import Detector, Pixel
 
 PHOTONS_PER_S_AT_M15 = 150_000.0
 SIDE_CAR_POINTS = 3

@@ -72,7 +72,8 @@ def test_all_mistakes_are_told_at_once_in_the_order_of_the_file(bench):
         (
             "  jitter_sigma_mas: 5 mas",
             "recipe.yaml:8: calibrate.jitter_sigma_mas = '5 mas': should be a valid number, unable to parse "
-            "string as a number; give a plain number, its unit is in the name of the key (image motion [mas])",
+            "string as a number; give a plain number, its unit is in the name of the key "
+            "(image motion [mas])",
         ),
         ("lift: 3", "recipe.yaml:8: lift = 3: should be a section of 'key: value' lines"),
         ("correct: {}", "recipe.yaml:8: section 'correct' has no effect: no such stage under 'stages'"),
