@@ -25,13 +25,13 @@ MAY_IMPORT = {
     "simulate.recordings": {"conventions", "files", "instrument", "product", "simulate"},
     "product": {"conventions", "files"},
     "stages": {
-        "conventions", "files", "frames", "instrument", "readers", "numerics", "optics", "effects", "estimate",
-        "diagnose", "product",
+        "conventions", "files", "frames", "instrument", "readers", "numerics", "optics", "effects",
+        "estimate", "diagnose", "product",
     },
     "recipe": {"conventions", "files", "instrument", "stages"},
     "report": {
-        "conventions", "files", "frames", "instrument", "numerics", "optics", "effects", "estimate", "product",
-        "stages",
+        "conventions", "files", "frames", "instrument", "numerics", "optics", "effects", "estimate",
+        "product", "stages",
     },
     "pipeline": {"conventions", "files", "numerics", "product", "recipe", "stages", "report"},
     "paper": {
