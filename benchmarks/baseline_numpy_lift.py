@@ -24,7 +24,7 @@ class NumpyLift:
     Parameters
     ----------
     settings : PsfSettings
-        Spectrum, plate scale, square window and diversity (NCPAs included).
+        Spectrum, plate scale, square window and known wavefront.
     nolls : sequence of int
     """
 
@@ -37,7 +37,9 @@ class NumpyLift:
         unit = self.x_m / (settings.geometry.diameter_m / 2), self.y_m / (settings.geometry.diameter_m / 2)
         self.amplitude = area_weighted_pupil(settings.geometry, u)
         self.basis = zernike_basis(nolls, *unit)
-        self.fixed_nm = sum(nm * zernike_basis([noll], *unit)[0] for noll, nm in settings.diversity.items())
+        self.fixed_nm = sum(
+            nm * zernike_basis([noll], *unit)[0] for noll, nm in settings.known.total_nm.items()
+        )
         light = sum(weight for _, weight in settings.spectrum)
         self.spectrum = [(nm * NM, weight / light) for nm, weight in settings.spectrum]
         self.read_noise_e = read_noise_e

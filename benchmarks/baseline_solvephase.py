@@ -29,7 +29,7 @@ class SolvephaseFit:
     Parameters
     ----------
     settings : PsfSettings
-        Spectrum, plate scale and diversity (NCPAs included).
+        Spectrum, plate scale and known wavefront.
     modes : int
         Noll 2 to ``modes + 1`` are fitted, with flux and background.
     loss : {"gaussian", "poisson"}
@@ -48,7 +48,7 @@ class SolvephaseFit:
             settings.window,
             pixel_scale=settings.pixel_scale_mas * MAS,
             weights=weights,
-            diversity=[_opd_m(pupil, settings.diversity)],
+            diversity=[_opd_m(pupil, settings.known.total_nm)],
             precision="single",
         )
         self.basis = solvephase.Basis.zernike(pupil, modes, start=2, annular=False)

@@ -27,7 +27,7 @@ from benchmarks.frames import (
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.product.product import Product, read_product
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.lift import stage as lift
@@ -83,7 +83,7 @@ class Inputs:
             (WINDOW_PX, WINDOW_PX),
             PIXEL_SCALE_MAS,
             ((WAVELENGTH_NM, 1.0),),
-            DIVERSITY_NM,
+            KnownWavefront(DIVERSITY_NM),
         )
 
     def calibration_frames(self, count: int) -> Frames:

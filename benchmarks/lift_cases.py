@@ -24,7 +24,7 @@ from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.estimate.sensitivity import dim
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.stages.lift.input import (
     Ramp,
     calibrated_ncpa_nm,
@@ -133,7 +133,9 @@ def lift_halo(inputs: Inputs, count: int) -> dict:
 def _one_by_one(inputs: Inputs, count: int, build: Callable[[PsfSettings, float], object]) -> dict:
     """Another implementation on images spread over the first realisation, same NCPAs."""
     context, dimmed = inputs.context, DimmedRamp(inputs)
-    settings = psf_settings(context.instrument, context.model, dimmed.ramp.recordings[0], dimmed.ncpa_nm)
+    settings = psf_settings(
+        context.instrument, context.model, dimmed.ramp.recordings[0], ncpa_nm=dimmed.ncpa_nm
+    )
     fitter = build(settings, dimmed.ramp.acquisition.detector.read_noise_e)
     chosen = np.linspace(0, len(dimmed.ramp.names) - 1, count).astype(int)
     images_e = dimmed.data.images_e[chosen].numpy()
@@ -161,7 +163,11 @@ def lift_numpy(inputs: Inputs, count: int) -> dict:
 def lift_latency(inputs: Inputs, count: int) -> dict:
     """One frame at a time, three modes, two wavelengths, no AO residual."""
     settings = PsfSettings(
-        inputs.settings.geometry, (WINDOW_PX, WINDOW_PX), PIXEL_SCALE_MAS, TWO_WAVELENGTHS, DIVERSITY_NM
+        inputs.settings.geometry,
+        (WINDOW_PX, WINDOW_PX),
+        PIXEL_SCALE_MAS,
+        TWO_WAVELENGTHS,
+        KnownWavefront(DIVERSITY_NM),
     )
     model = PsfModel(frame_settings(settings), (2, 3, 4))
     frames = inputs.calibration_frames(1)

@@ -174,7 +174,7 @@ class Fitter:
         problem, start = fitted.problem, fitted.x.clone()
         modes = problem.layout.modes
         psf = self.views[0].psf
-        start[:, modes] = twin_of(start[:, modes], psf.nolls, psf.settings.diversity)
+        start[:, modes] = twin_of(start[:, modes], psf.nolls, psf.settings.known.total_nm)
         return self._solved(problem, start)
 
     def most_plausible(self, found: Sequence[Fitted]) -> Fitted:

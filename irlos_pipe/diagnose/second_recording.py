@@ -128,11 +128,12 @@ def replaced(psf: PsfModel, settings: PsfSettings) -> PsfModel:
 
 def variants(settings: PsfSettings, conditions: Conditions) -> list[tuple[str, PsfSettings, Conditions]]:
     """Recordings that differ from one by focus, diversity or band."""
-    focus = {**settings.diversity, 4: settings.diversity.get(4, 0.0) + OUT_OF_FOCUS_NM}
-    found = [(f"{OUT_OF_FOCUS_NM:+.0f} nm out of focus", replace(settings, diversity=focus), conditions)]
-    if any(conditions.diversity.values()):
-        introduced = {n: nm - conditions.diversity.get(n, 0.0) for n, nm in settings.diversity.items()}
-        plain = replace(settings, diversity=introduced)
+    known = settings.known
+    focus = {**known.introduced_nm, 4: known.introduced_nm.get(4, 0.0) + OUT_OF_FOCUS_NM}
+    defocused = replace(settings, known=replace(known, introduced_nm=focus))
+    found = [(f"{OUT_OF_FOCUS_NM:+.0f} nm out of focus", defocused, conditions)]
+    if any(known.diversity_nm.values()):
+        plain = replace(settings, known=replace(known, diversity_nm={}))
         found.append(("without the diversity", plain, replace(conditions, diversity={})))
     for name, limits in BANDS_NM.items():
         if not any(limits[0] <= nm <= limits[1] for nm, _ in settings.spectrum):

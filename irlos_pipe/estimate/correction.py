@@ -10,7 +10,7 @@ import torch
 
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def predict_correction(
     make_optics : callable
         ``make_optics(model)`` gives what AO residual, jitter and other effects make of the light path.
     """
-    model = PsfModel(replace(settings, diversity={}), nolls)
+    model = PsfModel(replace(settings, known=KnownWavefront()), nolls)
     motion = np.isin(nolls, (2, 3))
     before = np.where(motion, modes_nm - total_nm, modes_nm)
     after = np.where(motion, before, modes_nm - gain * total_nm)

@@ -164,7 +164,7 @@ def calibrate_law(model: PsfModel, optics: Optics = AS_BUILT) -> ElongationLaw:
     model : PsfModel
         With Noll 4 as its only mode.
     """
-    angle = diversity_angle_deg(model.settings.diversity)
+    angle = diversity_angle_deg(model.settings.known.diversity_nm)
     images = model.images(torch.as_tensor(SPAN_NM)[:, None], optics).cpu()
     ratio = axis_ratios(images, torch.ones(images.shape[1:], dtype=torch.bool), angle)
     return _fit_law(ratio, angle)

@@ -7,6 +7,7 @@ tells them apart is the prior, and the size of the aberration each would need.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -42,12 +43,22 @@ class TwinCheck:
         return "solution" if worse or self.distance_nm < 1.0 else "twin"
 
 
-def twin_of(coefficients_nm: torch.Tensor, nolls, diversity_nm: dict[int, float]) -> torch.Tensor:
-    """Coefficients, (batch, modes), that give a centro-symmetric pupil the same image [nm]."""
+def twin_of(
+    coefficients_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int, float]
+) -> torch.Tensor:
+    """Coefficients, (batch, modes), that give a centro-symmetric pupil the same image [nm].
+
+    Parameters
+    ----------
+    coefficients_nm : tensor, (batch, modes)
+    nolls : sequence of int
+    known_nm : mapping of int to float
+        The known wavefront in the light path, which does not change.
+    """
     twin = coefficients_nm.clone()
     for column, noll in enumerate(nolls):
         if noll_to_nm(noll)[0] % 2 == 0:
-            twin[:, column] = -twin[:, column] - 2 * diversity_nm.get(noll, 0.0)
+            twin[:, column] = -twin[:, column] - 2 * known_nm.get(noll, 0.0)
     return twin
 
 
@@ -65,7 +76,7 @@ def check_twin(problem: ImageFit, x: torch.Tensor, objective: float) -> TwinChec
     """
     modes, nolls = problem.layout.modes, problem.layout.nolls
     start = x.clone()
-    start[:, modes] = twin_of(x[:, modes], nolls, problem.model.psf.settings.diversity)
+    start[:, modes] = twin_of(x[:, modes], nolls, problem.model.psf.settings.known.total_nm)
     twin = solve(problem, start, max_iterations=30)
     shape = [i for i, noll in enumerate(nolls) if noll > 3]
     size = [v[0, shape].square().sum().sqrt() for v in (x, twin.values, twin.values - x)]

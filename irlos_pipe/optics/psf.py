@@ -118,10 +118,10 @@ class PsfModel:
     def _set_pupil(self, grid: PupilGrid) -> None:
         self.amplitude = self._map(grid.amplitude)
         self.basis = self._map(grid.modes(self.nolls).copy()).flatten(1)
-        diversity = np.zeros_like(grid.amplitude)
-        for noll, value_nm in self.settings.diversity.items():
-            diversity += value_nm * grid.modes([noll])[0]
-        self.diversity_nm = self._map(diversity)
+        known = np.zeros_like(grid.amplitude)
+        for noll, nm in self.settings.known.total_nm.items():
+            known += nm * grid.modes([noll])[0]
+        self.known_nm = self._map(known)
 
     def _set_products(self, grid: PupilGrid) -> None:
         """Every mode in products of Chebyshev polynomials, and the transforms that serve these products."""
@@ -184,9 +184,9 @@ class PsfModel:
     # -- light path --------------------------------------------------------------------------
 
     def _opd_nm(self, coefficients_nm: torch.Tensor) -> torch.Tensor:
-        """Wavefront with the diversity, (frames, n, n) in mirrored order [nm]."""
+        """Wavefront with what is known of it, (frames, n, n) in mirrored order [nm]."""
         coefficients = coefficients_nm.to(self.device, self.dtype)
-        return (coefficients @ self.basis).unflatten(1, self.amplitude.shape) + self.diversity_nm
+        return (coefficients @ self.basis).unflatten(1, self.amplitude.shape) + self.known_nm
 
     def _colour(self, index: int, optics: Optics) -> Colour:
         """The light path at one wavelength."""

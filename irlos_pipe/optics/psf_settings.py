@@ -2,9 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from irlos_pipe.conventions.pupil import PupilGeometry
+
+
+@dataclass(frozen=True)
+class KnownWavefront:
+    """What is known of the wavefront before anything is estimated: Noll index to nm RMS.
+
+    Attributes
+    ----------
+    diversity_nm : mapping of int to float
+        The astigmatism introduced for phase diversity.
+    introduced_nm : mapping of int to float
+        What was introduced on purpose beside it: the defocus commanded of the focus stage.
+    ncpa_nm : mapping of int to float
+        NCPAs estimated before and held here.
+    """
+
+    diversity_nm: Mapping[int, float] = field(default_factory=dict)
+    introduced_nm: Mapping[int, float] = field(default_factory=dict)
+    ncpa_nm: Mapping[int, float] = field(default_factory=dict)
+
+    @property
+    def total_nm(self) -> dict[int, float]:
+        """The sum of the three, by Noll index [nm RMS]."""
+        total = dict(self.diversity_nm)
+        for part in (self.introduced_nm, self.ncpa_nm):
+            for noll, nm in part.items():
+                total[noll] = total.get(noll, 0.0) + nm
+        return total
 
 
 @dataclass(frozen=True)
@@ -19,8 +48,8 @@ class PsfSettings:
     pixel_scale_mas : float
     spectrum : sequence of (wavelength_nm, weight)
         Photon weights, any positive scale.
-    diversity : dict of int to float
-        Noll index to nm RMS, always present in the light path.
+    known : KnownWavefront
+        Present in every image, beside the coefficients that the model is given.
     pupil_samples : int
         Samples across the pupil diameter; 128 keeps the error below 1e-4 of the peak for
         wavefronts up to 600 nm RMS (tests/test_psf_accuracy.py).
@@ -36,7 +65,7 @@ class PsfSettings:
     window: tuple[int, int]
     pixel_scale_mas: float
     spectrum: tuple[tuple[float, float], ...]
-    diversity: dict[int, float]
+    known: KnownWavefront
     pupil_samples: int = 128
     margin_mas: float = 200.0
     halo_margin_mas: float = 500.0

@@ -10,7 +10,7 @@ from benchmarks.baseline_fft import FftModel, fit
 from benchmarks.baseline_numpy_lift import NumpyLift
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 
 NOLLS = (2, 3, 4, 5, 7)
 ZERNIKE_NM = torch.tensor([[40.0, -60.0, 120.0, 30.0, -50.0]])
@@ -26,7 +26,7 @@ def settings():
         (WINDOW_PX, WINDOW_PX),
         SCALE_MAS,
         ((WAVELENGTH_NM, 1.0),),
-        DIVERSITY_NM,
+        KnownWavefront(DIVERSITY_NM),
     )
 
 

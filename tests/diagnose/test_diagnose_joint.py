@@ -20,6 +20,7 @@ from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.diagnose.workflow import diagnose
 from irlos_pipe.effects import TipTiltJitter
 from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.optics.psf_settings import KnownWavefront
 
 NOLLS = tuple(range(2, HIGHEST_NOLL + 1))
 TOLD = ({6: -170.0}, {})  # diversities of the two recordings
@@ -34,7 +35,7 @@ def recording(diversity: dict[int, float], real: dict[int, float], seed: int) ->
     images = draw_frames(image * FLUX_E, FRAMES, seed=seed)
     return Exposures(
         Frames(images, everything(images), READ_NOISE),
-        replace(CASE, diversity=diversity),
+        replace(CASE, known=KnownWavefront(diversity)),
         replace(CONDITIONS, diversity=diversity),
     )
 

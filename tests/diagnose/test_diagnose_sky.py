@@ -20,7 +20,7 @@ from irlos_pipe.diagnose.workflow import diagnose
 from irlos_pipe.effects import Conditions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.exposure import expose
 
@@ -46,7 +46,7 @@ def on_sky() -> tuple[Diagnosis, dict[int, float]]:
         np.stack([draw_frames(mean, 1, seed, NOISE)[0] for seed, mean in enumerate(exposed.mean_e)])
     )
     spectrum = tuple((band.centre_nm, 1.0) for band in NARROW_H)
-    settings = PsfSettings(UT4, WINDOW, 9.7, spectrum, DIVERSITY)
+    settings = PsfSettings(UT4, WINDOW, 9.7, spectrum, KnownWavefront(DIVERSITY))
     conditions = Conditions(BAND, SEEING_ARCSEC, DIVERSITY, HIGHEST_NOLL, WINDOW, 9.7, spectrum)
     frames = Frames(images, everything(images), NOISE)
     options = Options(HIGHEST_NOLL, most_names=1)

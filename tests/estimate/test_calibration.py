@@ -79,7 +79,7 @@ def test_a_centro_symmetric_pupil_gives_the_twin_the_same_image():
     settings = cases.settings(48)
     model = PsfModel(settings, NOLLS, dtype=torch.float64)
     x = cases.vector(cases.ncpa_nm(8, highest_noll=15), NOLLS)
-    first, second = model.images(torch.cat([x, twin_of(x, NOLLS, settings.diversity)]))
+    first, second = model.images(torch.cat([x, twin_of(x, NOLLS, settings.known.total_nm)]))
     assert float((first - second).abs().max() / first.max()) < 1e-9
 
 

@@ -9,7 +9,7 @@ from irlos_pipe.effects import EffectSet, SeeingHalo, TipTiltJitter
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.optics.structure import ResidualBand
 
 UT4 = load_instrument("irlos").pupil
@@ -33,7 +33,7 @@ def settings(
             "window": shape,
             "pixel_scale_mas": SCALE_MAS,
             "spectrum": spectrum,
-            "diversity": dict(diversity),
+            "known": KnownWavefront(dict(diversity)),
         }
         | changes
     )

@@ -76,10 +76,10 @@ class ReferenceImager:
         return integrated * pixel**2 / (self.area_m2 * (wavelength_nm * 1e-9) ** 2)
 
     def spectral_image(self, zernike_nm, settings) -> np.ndarray:
-        """Image in the spectrum, window and scale of a `PsfSettings`, with its diversity added."""
+        """Image in the spectrum, window and scale of a `PsfSettings`, with its known wavefront added."""
+        known_nm = settings.known.total_nm
         total = {
-            noll: zernike_nm.get(noll, 0.0) + settings.diversity.get(noll, 0.0)
-            for noll in {*zernike_nm, *settings.diversity}
+            noll: zernike_nm.get(noll, 0.0) + known_nm.get(noll, 0.0) for noll in {*zernike_nm, *known_nm}
         }
         weight = sum(w for _, w in settings.spectrum)
         return sum(

@@ -21,9 +21,9 @@ def recording(window: int = 64, **changes) -> Recording:
     return Recording("cube", "calibration", images, used, np.array([""]), mask, *per_frame, acquisition)
 
 
-def test_ncpas_are_added_to_the_diversity():
-    settings = psf_settings(IRLOS, ModelConfig(), recording(), {4: 20.0, 6: 30.0})
-    assert settings.diversity == {6: -140.0, 4: 20.0}
+def test_ncpas_are_held_beside_the_diversity():
+    settings = psf_settings(IRLOS, ModelConfig(), recording(), ncpa_nm={4: 20.0, 6: 30.0})
+    assert settings.known.total_nm == {6: -140.0, 4: 20.0}
 
 
 def test_a_window_wider_than_the_sampled_pupil_supports_is_an_error_of_the_recipe():

@@ -15,7 +15,7 @@ import torch
 from irlos_pipe.effects import Conditions, Effect, SeeingHalo, TipTiltJitter
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.optics.pupil import grid_centres
 from irlos_pipe.optics.structure import ResidualBand
 from irlos_pipe.optics.zernike import zernike_basis
@@ -30,12 +30,10 @@ BENCH_SEEING_ARCSEC = 0.5
 
 
 def settings_of(scene: Scene, ncpa_nm: Mapping[int, float] | None = None) -> PsfSettings:
-    """Settings of the PSF model for a scene; `ncpa_nm` is added to the diversity."""
-    diversity = dict(scene.diversity_nm)
-    for noll, value in (ncpa_nm or {}).items():
-        diversity[noll] = diversity.get(noll, 0.0) + value
+    """Settings of the PSF model for a scene, with NCPAs to hold."""
+    known = KnownWavefront(scene.diversity_nm, ncpa_nm=ncpa_nm or {})
     spectrum = tuple(scene.spectrum(SIDE_CAR_POINTS))
-    return PsfSettings(scene.geometry, scene.window, scene.pixel_scale_mas, spectrum, diversity)
+    return PsfSettings(scene.geometry, scene.window, scene.pixel_scale_mas, spectrum, known)
 
 
 def model_effects_of(scene: Scene) -> list[Effect]:

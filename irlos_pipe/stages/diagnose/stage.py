@@ -70,11 +70,11 @@ def _diagnose(ctx: StageContext, settings: list[list[Recording]]) -> Diagnosis:
 
 
 def _exposures(ctx: StageContext, alike: list[Recording], effects: list[Effect | Pinned]) -> Exposures:
-    """Recordings of one setting, the introduced defocus among what is known of it."""
+    """Recordings of one setting, the introduced defocus in the known wavefront."""
     first = alike[0]
     return Exposures(
         _frames(alike, good_pixels(effects, first.window)),
-        psf_settings(ctx.instrument, ctx.model, first, {4: introduced_nm(first)}),
+        psf_settings(ctx.instrument, ctx.model, first, introduced_nm={4: introduced_nm(first)}),
         conditions_of(ctx.instrument, ctx.model, first, ctx.config.highest_noll),
         screened_pixels(ctx.products["ingest"], first),
     )

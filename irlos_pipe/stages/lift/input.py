@@ -72,7 +72,7 @@ def calibrated_ncpa_nm(ctx: StageContext) -> dict[int, float]:
 
 def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: dict[int, float]) -> PsfModel:
     """PSF model of the ramp, NCPAs added to the diversity."""
-    settings = psf_settings(ctx.instrument, ctx.model, ramp.recordings[0], ncpa_nm)
+    settings = psf_settings(ctx.instrument, ctx.model, ramp.recordings[0], ncpa_nm=ncpa_nm)
     return PsfModel(frame_settings(settings), nolls, device=ctx.device)
 
 

@@ -12,7 +12,7 @@ from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.optics.propagate import require_resolved
-from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.optics.structure import ResidualBand
 from irlos_pipe.product.product import Product
 from irlos_pipe.stages.ingest.recordings import recordings_from_product
@@ -23,9 +23,21 @@ SETUP_KEYS = {key: key for key in ("pixel_scale_mas", "spectrum", "diversity")}
 
 
 def psf_settings(
-    instrument: Instrument, model: ModelConfig, recording: Recording, ncpa_nm: dict[int, float] | None = None
+    instrument: Instrument,
+    model: ModelConfig,
+    recording: Recording,
+    *,
+    introduced_nm: Mapping[int, float] | None = None,
+    ncpa_nm: Mapping[int, float] | None = None,
 ) -> PsfSettings:
-    """Settings of the PSF model for one recording; `ncpa_nm` is added to the diversity.
+    """Settings of the PSF model for one recording.
+
+    Parameters
+    ----------
+    instrument, model, recording
+        The recording's diversity belongs to the known wavefront.
+    introduced_nm, ncpa_nm : mapping of int to float, optional
+        What was introduced beside the diversity, and NCPAs to hold, see `KnownWavefront`.
 
     Raises
     ------
@@ -41,15 +53,12 @@ def psf_settings(
             "calibration and LIFT need full-pupil recordings"
         )
     _require_samples(instrument, model, recording)
-    diversity = dict(acquisition.diversity)
-    for noll, value in (ncpa_nm or {}).items():
-        diversity[noll] = diversity.get(noll, 0.0) + value
     return PsfSettings(
         instrument.pupil,
         recording.window,
         acquisition.pixel_scale_mas,
         acquisition.spectrum,
-        diversity,
+        KnownWavefront(acquisition.diversity, introduced_nm or {}, ncpa_nm or {}),
         model.pupil_samples,
     )
 

@@ -1,0 +1,57 @@
+"""Laws of an instrument that its profile states by a few numbers: NCPAs by mode, AO residual by seeing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class NcpaLaw:
+    """Standard deviation of the NCPAs, ``A exp(−B i) + C``, i = 0 for Noll 2.
+
+    Attributes
+    ----------
+    amplitude_nm, decay, plateau_nm : float
+        A and C [nm RMS], and B per mode.
+    """
+
+    amplitude_nm: float
+    decay: float
+    plateau_nm: float
+
+    def sigma_nm(self, nolls: Sequence[int] | np.ndarray) -> np.ndarray:
+        """Return the standard deviation of modes [nm RMS].
+
+        Parameters
+        ----------
+        nolls : sequence of int, (modes,)
+        """
+        index = np.asarray(nolls, float) - 2
+        return self.amplitude_nm * np.exp(-self.decay * index) + self.plateau_nm
+
+
+@dataclass(frozen=True)
+class ResidualLaw:
+    """RMS of the AO residual without piston, tip and tilt: proportional to the seeing, and a floor.
+
+    Attributes
+    ----------
+    nm_per_arcsec, floor_nm : float
+        Slope and floor [nm RMS].
+    """
+
+    nm_per_arcsec: float
+    floor_nm: float
+
+    def wfe_nm(self, seeing_arcsec: float) -> float:
+        """Return the residual at a seeing on the scale of the law [nm RMS].
+
+        Parameters
+        ----------
+        seeing_arcsec : float
+            At 500 nm.
+        """
+        return self.nm_per_arcsec * seeing_arcsec + self.floor_nm
