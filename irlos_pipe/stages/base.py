@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
@@ -25,9 +25,12 @@ class StageConfig(BaseModel):
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", frozen=True)
 
 
+ConfigT = TypeVar("ConfigT", bound=StageConfig)
+
+
 @dataclass(frozen=True)
-class StageContext:
-    """All that a stage may look at.
+class StageContext(Generic[ConfigT]):
+    """All that a stage may look at; ``StageContext[Config]`` says whose section `config` is.
 
     Attributes
     ----------
@@ -51,7 +54,7 @@ class StageContext:
         removed when the product has been written.
     """
 
-    config: StageConfig
+    config: ConfigT
     model: ModelConfig
     instrument: Instrument
     inputs: dict[str, tuple[Path, ...]]
@@ -105,7 +108,7 @@ class Stage(Protocol):
     Config: type[StageConfig]
 
     @staticmethod
-    def run(ctx: StageContext) -> StageOutput: ...
+    def run(ctx: StageContext[Any]) -> StageOutput: ...
 
 
 def needs(stage: Stage) -> tuple[str, ...]:
