@@ -16,6 +16,7 @@ from irlos_pipe.pipeline.plan import Action, Step
 from irlos_pipe.pipeline.resources import Resources, limit_threads, one_blas_thread
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
 from irlos_pipe.product.product import Product, read_product, write_product
+from irlos_pipe.product.results import StageResults
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
@@ -105,7 +106,7 @@ class Job:
         product = Product(
             step.name,
             output.arrays,
-            output.results,
+            output.results.as_json() if isinstance(output.results, StageResults) else output.results,
             list(output.checks),
             jsonable(self.recipe.configs[step.name]),
             self._provenance(step, output) | times,

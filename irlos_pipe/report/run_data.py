@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.product.product import Product, read_product
+from irlos_pipe.product.results import Results, results_of
 from irlos_pipe.product.runfolder import existing_run
 from irlos_pipe.stages.ingest.recordings import recordings_from_product
 
@@ -40,9 +41,16 @@ class RunData:
     products: dict[str, Product]
     recordings: list[Recording]
 
-    def results(self, stage: str) -> dict[str, Any]:
-        """Return the results of a stage; empty without that stage."""
-        return self.products[stage].results if stage in self.products else {}
+    @overload
+    def results(self, stage: type[Results]) -> Results: ...
+    @overload
+    def results(self, stage: str) -> dict[str, Any]: ...
+
+    def results(self, stage: type[Results] | str) -> Results | dict[str, Any]:
+        """Return the results of a stage as its model; all defaults without that stage."""
+        if isinstance(stage, str):
+            return self.products[stage].results if stage in self.products else {}
+        return results_of(stage, self.products[stage.stage]) if stage.stage in self.products else stage()
 
     def array(self, stage: str, name: str) -> np.ndarray | None:
         """Return an array of a product, or None where there is none."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 from pydantic import BaseModel, ConfigDict
 
 from irlos_pipe.product.product import Check, Product, Quantity
+from irlos_pipe.product.results import StageResults
 
 if TYPE_CHECKING:
     from irlos_pipe.instrument.instrument import Instrument
@@ -73,8 +74,8 @@ class StageOutput:
 
     Attributes
     ----------
-    results : dict
-        The stage's section of results.json; NaN is allowed and becomes null.
+    results : StageResults
+        The stage's section of results.json.
     files : dict of str to bytes
         Further files for the run folder, by file name.
     summary : sequence of str
@@ -84,7 +85,7 @@ class StageOutput:
     """
 
     arrays: dict[str, Quantity]
-    results: dict[str, Any]
+    results: StageResults | dict[str, Any]
     checks: Sequence[Check] = ()
     files: dict[str, bytes] = field(default_factory=dict)
     summary: Sequence[str] = ()

@@ -1,0 +1,112 @@
+"""Results of the stages as typed objects, and results.json as a whole.
+
+Every stage states its section of results.json as a model derived from `StageResults`: the keys with their
+units are its fields. The stage returns it, the product stores it as JSON, and whoever reads a product or
+results.json takes the same model, never the keys as text. NaN in memory is null in JSON. Every field has a
+default, so that a product of an older version, which lacks a key, can still be read.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.files.json import jsonable
+from irlos_pipe.product.product import Product
+
+Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+ByNoll = dict[int, Number]  # coefficients [nm RMS] by Noll index, which is text in JSON
+# Values of an effect's parameters by name, as `describe` of the effect gives them: numbers, words, or
+# lists and tables of numbers.
+EffectValues = dict[str, Any]
+
+
+class ResultsPart(BaseModel):
+    """Base of everything that stands in results.json; keys of a newer version are ignored."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="ignore", frozen=True, populate_by_name=True)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the keys that were set, in the types of JSON."""
+        return jsonable(self.model_dump(exclude_unset=True, by_alias=True))
+
+
+class StageResults(ResultsPart):
+    """Base of the section of one stage, named by `stage`."""
+
+    stage: ClassVar[str]
+
+
+Results = TypeVar("Results", bound=StageResults)
+Part = TypeVar("Part", bound=ResultsPart)
+
+
+class RunResults(ResultsPart):
+    """Content of results.json.
+
+    Attributes
+    ----------
+    status : str
+        ``ok``, ``qc_failed``, ``partial`` or ``failed``.
+    stages : dict of str to dict
+        Sections of the finished stages by name; `of` returns one as its model.
+    error : str
+        What stopped the run; empty if nothing did.
+    """
+
+    format: str = Field("irlos-results", alias="schema")
+    schema_version: int = 1
+    recipe: str = ""
+    status: str = ""
+    stages: dict[str, dict[str, Any]] = {}
+    error: str = ""
+
+    def of(self, kind: type[Results]) -> Results:
+        """Return the section of the stage of `kind`; all defaults without that stage.
+
+        Raises
+        ------
+        InputDataError
+            When the section is not that of the stage.
+        """
+        return _parsed(kind, self.stages.get(kind.stage, {}), f"results of stage '{kind.stage}'")
+
+
+def results_of(kind: type[Results], product: Product) -> Results:
+    """Return the results of a `product` as the model `kind` of its stage.
+
+    Raises
+    ------
+    InputDataError
+        When they are not those of the stage.
+    """
+    return _parsed(kind, product.results, f"results of stage '{product.stage}'")
+
+
+def read_run_results(path: Path) -> RunResults:
+    """Read the results.json at `path`.
+
+    Raises
+    ------
+    InputDataError
+        When it is missing, or not the results of a run.
+    """
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputDataError(f"{path}: cannot be read ({error}); run the recipe again") from error
+    return _parsed(RunResults, content, str(path))
+
+
+def _parsed(kind: type[Part], content: Any, what: str) -> Part:
+    try:
+        return kind.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"])) or "content"
+        raise InputDataError(f"{what}: {key}: {first['msg']}; run the recipe again") from error

@@ -1,0 +1,89 @@
+"""Results of stage `calibrate`."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+from irlos_pipe.product.results import ByNoll, EffectValues, Number, ResultsPart, StageResults
+
+
+class Estimate(ResultsPart):
+    """The part of the results that every estimate has.
+
+    Attributes
+    ----------
+    zernike_nm, sigma_nm : dict of int to float
+        Reported modes of the static wavefront without the diversity, and their standard errors.
+    wfe_nm, wfe_sigma_nm : float
+        RMS of the reported modes, and the total error expected of them.
+    frames : int
+        Used frames.
+    seconds : float
+        Time of the fit.
+    chi2_nu : float
+        Reduced χ² of the mean image.
+    modes_estimated : int
+        Modes in the fit, more than are reported.
+    status : dict of str to int
+        Number of fits by their outcome.
+    """
+
+    method: str = ""
+    zernike_nm: ByNoll = {}
+    sigma_nm: ByNoll = {}
+    wfe_nm: Number = math.nan
+    wfe_sigma_nm: Number = math.nan
+    frames: int = 0
+    seconds: Number = math.nan
+    chi2_nu: Number = math.nan
+    loss: str = ""
+    optimiser: str = ""
+    modes_estimated: int | None = None
+    status: dict[str, int] = {}
+
+
+class Twin(ResultsPart):
+    """Comparison with the twin solution, see `estimate.twin.TwinCheck`."""
+
+    delta_chi2: Number = math.nan
+    rms_nm: Number = math.nan
+    twin_rms_nm: Number = math.nan
+    distance_nm: Number = math.nan
+    preferred: str = ""
+
+
+class CubeRow(Estimate):
+    """Estimate of one recording that was reduced by itself."""
+
+    name: str = ""
+    derotator_angle_deg: Number = math.nan
+    effects: dict[str, EffectValues] = {}
+
+
+class CalibrateResults(Estimate, StageResults):
+    """One estimate from all recordings, or the mean over the `cubes` that were reduced one by one.
+
+    Attributes
+    ----------
+    effects : dict of str to dict
+        Estimated effects with the values of their parameters.
+    seeing_arcsec : float
+        Seeing taken for the calibration.
+    twin : Twin or None
+        None without a twin solution, and for the mean over cubes.
+    compare : list of Estimate
+        Estimates with other methods.
+    """
+
+    stage: ClassVar[str] = "calibrate"
+    effects: dict[str, EffectValues] = {}
+    seeing_arcsec: Number = math.nan
+    twin: Twin | None = None
+    compare: list[Estimate] = []
+    cubes: list[CubeRow] = []
+
+    def effect_number(self, effect: str, parameter: str) -> float:
+        """Return an estimated `parameter` of an `effect` as a number; NaN where there is none."""
+        value = self.effects.get(effect, {}).get(parameter)
+        return float(value) if isinstance(value, (int, float)) else math.nan

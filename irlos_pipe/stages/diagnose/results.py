@@ -1,0 +1,179 @@
+"""Results of stage `diagnose`."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+from irlos_pipe.product.results import ByNoll, EffectValues, Number, ResultsPart, StageResults
+
+
+class GapRow(ResultsPart):
+    """``Σ|measured − predicted| / Σ measured`` of the held-out frames.
+
+    Attributes
+    ----------
+    before, after : float
+        With the model as it was, and with what was found.
+    floor : float
+        What noise alone leaves.
+    shrink : float
+        (before − after) / (before − floor).
+    """
+
+    before: Number = math.nan
+    after: Number = math.nan
+    floor: Number = math.nan
+    shrink: Number = math.nan
+
+
+class AlternativeRow(ResultsPart):
+    """An effect that the images do not tell from the one found, see `diagnose.ambiguity.Alternative`."""
+
+    name: str = ""
+    reason: str = ""
+    separated_by: str = ""
+    likeness: Number = math.nan
+    second_recording: str = ""
+    likeness_then: Number = math.nan
+
+
+class RankedRow(ResultsPart):
+    """A candidate when an effect was chosen, see `diagnose.verdict.Ranked`."""
+
+    name: str = ""
+    gain: Number = math.nan
+    explained: Number = math.nan
+    significance: Number = math.nan
+
+
+class StepRow(ResultsPart):
+    """An effect, in the order found.
+
+    Attributes
+    ----------
+    indistinguishable : list of str
+        Names of the `alternatives`.
+    parameters, sigma : dict
+        Values and standard errors by name of the parameter.
+    significance : float
+        In Gaussian σ.
+    explained : float
+        Part of the excess over noise that was there before.
+    held_out_z : float
+        Vuong's statistic on the held-out frames.
+    gap_before, gap_after : float
+        Gap without and with it.
+    """
+
+    effect: str = ""
+    indistinguishable: list[str] = []
+    alternatives: list[AlternativeRow] = []
+    parameters: EffectValues = {}
+    sigma: EffectValues = {}
+    significance: Number = math.nan
+    explained: Number = math.nan
+    held_out_z: Number = math.nan
+    gap_before: Number = math.nan
+    gap_after: Number = math.nan
+    ranking: list[RankedRow] = []
+
+
+class AdviceRow(ResultsPart):
+    """A second recording that shows an effect, see `diagnose.second_recording.Advice`."""
+
+    recording: str = ""
+    survival: Number = math.nan
+    smallest: EffectValues = {}
+
+
+class NoiseRow(ResultsPart):
+    """Whether the noise model holds, see `diagnose.checks.noise.NoiseVerdict`."""
+
+    kind: str = ""
+    bright_ratio: Number = math.nan
+    faint_ratio: Number = math.nan
+    holds: bool = True
+    text: str = ""
+
+
+class FineStructureRow(ResultsPart):
+    """Structure finer than the telescope can make, see `diagnose.checks.fine_structure.FineStructure`."""
+
+    ratio: Number = math.nan
+    significance: Number = math.nan
+
+
+class Change(ResultsPart):
+    """A number with the model as it was, and with what was found."""
+
+    before: Number = math.nan
+    after: Number = math.nan
+
+
+class ModesChange(ResultsPart):
+    """Coefficients with the model as it was, and with what was found."""
+
+    before: ByNoll = {}
+    after: ByNoll = {}
+
+
+class FrameCounts(ResultsPart):
+    """Frames that the fits saw, and those held out."""
+
+    training: int = 0
+    held_out: int = 0
+
+
+class DiagnoseResults(StageResults):
+    """What the model of cubes or a ramp lacks; some keys stand only for cubes, `defocus_error_nm` for a ramp.
+
+    Attributes
+    ----------
+    verdict : str
+        ``none``, ``effect`` or ``unknown``.
+    nearest : StepRow or None
+        What comes nearest, where the verdict is unknown.
+    unexplained : bool
+        Whether a significant part of the residual is left.
+    untestable : list of str
+        Effects that the free parameters absorb.
+    second_recording : dict of str to AdviceRow
+        For those of them that a second recording would show.
+    mdb : dict of str to dict
+        Smallest detectable size of every effect that was not found.
+    model : str
+        File with the model and what was found.
+    chi2_nu, excess_sigma : Change
+        Reduced χ² of the mean image, and its excess in σ.
+    motion_ratio, drift_significance : float
+        Image motion over its expectation; drift in σ.
+    zernike_nm : ModesChange
+        Total static wavefront [nm RMS]; `sigma_nm` its standard errors.
+    defocus_error_nm : Change
+        RMS of estimated minus introduced defocus of a ramp.
+    """
+
+    stage: ClassVar[str] = "diagnose"
+    verdict: str = ""
+    sentence: str = ""
+    steps: list[StepRow] = []
+    nearest: StepRow | None = None
+    gap: GapRow = GapRow()
+    unexplained: bool = False
+    why_unknown: str = ""
+    untestable: list[str] = []
+    second_recording: dict[str, AdviceRow] = {}
+    mdb: dict[str, EffectValues] = {}
+    model: str = ""
+    noise: NoiseRow | None = None
+    fine_structure: FineStructureRow | None = None
+    chi2_nu: Change = Change()
+    excess_sigma: Change = Change()
+    motion_ratio: Number = math.nan
+    drift_significance: Number = math.nan
+    frames: FrameCounts = FrameCounts()
+    zernike_nm: ModesChange = ModesChange()
+    sigma_nm: ByNoll = {}
+    defocus_error_nm: Change = Change()
+    seconds: Number = math.nan

@@ -1,0 +1,77 @@
+"""Results of stage `ingest`."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+from irlos_pipe.product.results import Number, ResultsPart, StageResults
+
+
+class RecordingRow(ResultsPart):
+    """One recording; those of role ``dark`` have only the keys up to `mag_j`.
+
+    Attributes
+    ----------
+    input : str
+        Recipe input that it belongs to.
+    mode : str
+        Read-out mode, empty where the layout has none.
+    frames, frames_rejected, frames_missing : int
+        All frames recorded, those of them that are not used, and those that the recorder lost.
+    window : (int, int)
+        Rows and columns.
+    flux_e : float
+        Median over the used frames of the sum over the window [e-].
+    reasons : dict of str to int
+        Rejected frames by reason.
+    bad_pixels, bad_pixels_found : list of (row, column)
+        All masked pixels, and those of them that no map of dead pixels lists.
+    cosmic_hits : int
+        Replaced pixels, over all frames.
+    centre_offset_px : (float, float)
+        Position (x, y) of the star from the centre of the window.
+    noise_floor_e2, excess_noise_measured : float
+        Noise as measured from the frames; NaN where it cannot be.
+    background_variance_e2, dark_variance_e2 : float
+        Variance per pixel beyond read noise and star, and of the dark image.
+    sources : dict of str to str
+        Where each key of the acquisition came from.
+    """
+
+    name: str = ""
+    input: str = ""
+    role: str = ""
+    layout: str = ""
+    mode: str = ""
+    frames: int = 0
+    window: tuple[int, ...] = ()
+    frames_rejected: int = 0
+    frames_missing: int = 0
+    flux_e: Number = math.nan
+    mag_j: Number = math.nan
+    reasons: dict[str, int] = {}
+    saturated_frames: int = 0
+    bad_pixels: list[tuple[int, int]] = []
+    bad_pixels_found: list[tuple[int, int]] = []
+    cosmic_hits: int | None = None
+    centre_offset_px: tuple[Number, ...] = ()
+    pedestal_adu: Number = math.nan
+    pedestal_error_adu: Number = math.nan
+    noise_floor_e2: Number = math.nan
+    excess_noise_measured: Number = math.nan
+    background_variance_e2: Number = math.nan
+    dark_variance_e2: Number = math.nan
+    sources: dict[str, str] = {}
+
+    @property
+    def frames_used(self) -> int:
+        """Frames that are not rejected."""
+        return self.frames - self.frames_rejected
+
+
+class IngestResults(StageResults):
+    """One row per recording, darks behind."""
+
+    stage: ClassVar[str] = "ingest"
+    inputs: list[RecordingRow] = []

@@ -1,0 +1,84 @@
+"""Results of stage `lift`."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+from irlos_pipe.product.results import ByNoll, EffectValues, Number, ResultsPart, StageResults
+
+
+class Point(ResultsPart):
+    """Estimate of one frame.
+
+    Attributes
+    ----------
+    name : str
+        Recording, in which the frame has the number `frame`.
+    introduced_nm, commanded_nm : float
+        Introduced defocus as the model has it, and as commanded.
+    defocus_nm, sigma_nm : float
+        Estimate with its standard error; NaN where the fit is invalid.
+    zernike_nm : dict of int to float
+        All estimated modes.
+    """
+
+    name: str = ""
+    frame: int = 0
+    introduced_nm: Number = math.nan
+    commanded_nm: Number = math.nan
+    defocus_nm: Number = math.nan
+    sigma_nm: Number = math.nan
+    converged: bool = True
+    status: str = ""
+    chi2_nu: Number = math.nan
+    zernike_nm: ByNoll = {}
+
+
+class Line(ResultsPart):
+    """The straight line of a ramp, see `estimate.ramp.RampSummary`."""
+
+    slope: Number = math.nan
+    slope_sigma: Number = math.nan
+    offset_nm: Number = math.nan
+    rms_nm: Number = math.nan
+    residual_rms_nm: Number = math.nan
+    saw_tooth_nm: Number = math.nan
+    saw_tooth_sigma_nm: Number = math.nan
+
+
+class Offset(ResultsPart):
+    """Median and 1σ scatter of the estimates at one introduced defocus."""
+
+    introduced_nm: Number = math.nan
+    median_nm: Number = math.nan
+    scatter_nm: Number = math.nan
+
+
+class LiftResults(StageResults):
+    """A ramp.
+
+    Attributes
+    ----------
+    modes : list of int
+        Estimated modes (Noll).
+    calibrated : bool
+        Whether the NCPAs are part of the known wavefront.
+    effects, effects_sigma : dict of str to dict
+        Effects that the fit used or found, and standard errors of those of the focus stage.
+    effects_fitted_jointly : bool
+        Whether effects were fitted to all frames together.
+    compare : dict of str to Line
+        The same ramp with parts of the model left out.
+    """
+
+    stage: ClassVar[str] = "lift"
+    modes: list[int] = []
+    calibrated: bool = False
+    points: list[Point] = []
+    summary: Line = Line()
+    offsets: list[Offset] = []
+    effects: dict[str, EffectValues] = {}
+    effects_sigma: dict[str, EffectValues] = {}
+    effects_fitted_jointly: bool = False
+    compare: dict[str, Line] = {}

@@ -1,0 +1,74 @@
+"""Typed results. Truth: the JSON that the contract states, written and read back."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from helpers import made_run
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.product.product import Product
+from irlos_pipe.product.results import RunResults, read_run_results, results_of
+from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
+from irlos_pipe.stages.lift.results import LiftResults, Line
+
+
+def test_json_has_the_keys_that_were_set_and_null_for_nan():
+    results = LiftResults(modes=[2, 4], summary=Line(slope=1.0, offset_nm=math.nan))
+    assert results.as_json() == {"modes": [2, 4], "summary": {"slope": 1.0, "offset_nm": None}}
+
+
+def test_coefficients_are_by_number_in_memory_and_by_text_in_json():
+    results = CalibrateResults(zernike_nm={2: 1.0, 10: -3.0})
+    assert results.as_json() == {"zernike_nm": {"2": 1.0, "10": -3.0}}
+    assert results_of(CalibrateResults, Product("calibrate", {}, results.as_json())) == results
+
+
+def test_null_and_an_absent_key_are_nan_when_read():
+    row = results_of(IngestResults, Product("ingest", {}, {"inputs": [{"name": "a", "mag_j": None}]})).inputs[
+        0
+    ]
+    assert math.isnan(row.mag_j) and math.isnan(row.flux_e)
+    assert row.frames == 0 and row.reasons == {}
+
+
+def test_keys_of_a_newer_version_are_ignored():
+    assert RecordingRow.model_validate({"name": "a", "unheard_of": 1}).name == "a"
+
+
+def test_an_effects_number_is_found_by_name_and_nan_without_the_effect():
+    results = results_of(CalibrateResults, made_run.calibrate())
+    assert results.effect_number("tip_tilt_jitter", "sigma_mas") == 6.9
+    assert math.isnan(results.effect_number("tip_tilt_jitter", "angle_deg"))
+    assert math.isnan(results.effect_number("companion", "flux_ratio"))
+
+
+def test_damaged_results_name_the_key():
+    with pytest.raises(InputDataError, match=r"'lift': points\.0\.defocus_nm: .*number"):
+        results_of(LiftResults, Product("lift", {}, {"points": [{"defocus_nm": "far"}]}))
+
+
+def test_results_of_a_run_give_a_stages_section_as_its_model(tmp_path):
+    path = tmp_path / "results.json"
+    content = {"status": "ok", "recipe": "made", "stages": {"lift": made_run.lift().results}}
+    path.write_text(json.dumps(content))
+    run = read_run_results(path)
+    assert (run.status, run.recipe, run.error) == ("ok", "made", "")
+    assert run.of(LiftResults).summary.slope == 0.998
+    assert run.of(CalibrateResults) == CalibrateResults()
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{", "[" * 100_000, '{"stages": 3}'])
+def test_a_file_that_is_not_results_is_refused_with_its_name(tmp_path, content):
+    path = tmp_path / "results.json"
+    path.write_text(content)
+    with pytest.raises(InputDataError, match=r"results\.json: .*run the recipe again"):
+        read_run_results(path)
+
+
+def test_the_schema_keeps_its_name():
+    content = {"schema": "irlos-results", "schema_version": 1, "recipe": "a", "status": "ok", "stages": {}}
+    assert RunResults.model_validate(content).as_json() == content
