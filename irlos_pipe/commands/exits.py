@@ -55,7 +55,7 @@ class IrlosGroup(click.Group):
 
 
 def _lines(error: IrlosError) -> str:
-    """All complaints about a configuration, a line each; anything else in one line."""
+    """All errors of a configuration, a line each; anything else in one line."""
     text = str(error) or type(error).__name__
     return text if isinstance(error, ConfigurationError) else " ".join(text.splitlines())
 

@@ -243,7 +243,8 @@ def simulate(
       truth/*_wavefront.fits    mean wavefront, pupil, Zernikes per frame
       simulation.resolved.yaml  the spec with every default; can be simulated again
     """
-    from irlos_pipe.pipeline.terminal import aligned, messages
+    from irlos_pipe.conventions.text import aligned
+    from irlos_pipe.pipeline.terminal import messages
     from irlos_pipe.simulate.recordings import load_spec, plan_rows, plan_simulation, where_text
     from irlos_pipe.simulate.recordings import simulate as simulate_recordings
 

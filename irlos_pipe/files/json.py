@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import PurePath
 from typing import Any
@@ -54,3 +54,29 @@ def json_text(value: Any, indent: int | None = 1) -> str:
 def canonical_json(value: Any) -> str:
     """Serialise so that equal content gives equal text, whatever the order of keys."""
     return json.dumps(jsonable(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def changed_values(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[tuple[str, ...], tuple[Any, Any]]:
+    """Return the values in which two nested mappings differ; what is absent counts as None.
+
+    Parameters
+    ----------
+    old, new : mapping
+        JSON objects, nested to any depth.
+
+    Returns
+    -------
+    dict of tuple of str to (old value, new value)
+        By key path, in the order of `new`; what `new` lacks comes last.
+    """
+    before, after = dict(_leaves(old)), dict(_leaves(new))
+    both = {name: (before.get(name), after.get(name)) for name in after | before}
+    return {name: values for name, values in both.items() if values[0] != values[1]}
+
+
+def _leaves(tree: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    for key, value in tree.items():
+        if isinstance(value, Mapping) and value:
+            yield from _leaves(value, (*above, key))
+        else:
+            yield (*above, key), value

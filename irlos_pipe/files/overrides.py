@@ -5,11 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 from typing import Any, TypeVar
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.files.yaml import parse_yaml
+from irlos_pipe.conventions.text import suggestion
+from irlos_pipe.files.validation import Origins, ValidationErrors
+from irlos_pipe.files.yaml import load_yaml, parse_yaml
 
 Parsed = TypeVar("Parsed")
 EXAMPLE = "stage.key=VALUE, for example calibrate.method=dip_avg"
@@ -48,10 +51,61 @@ def parse_setting(text: str, example: str = EXAMPLE) -> Override:
     return Override(tuple(map(_key_part, parts)), _yaml_value(value, where), where)
 
 
-def accepted(
+def read_overridden(
+    path: Path,
+    parse: Callable[[str], Override],
+    settings: Iterable[str] = (),
+    inputs: Iterable[str] = (),
+    seed: int | None = None,
+) -> tuple[dict, ValidationErrors]:
+    """Read a settings file and replace what the command line gives.
+
+    Parameters
+    ----------
+    path : Path
+        The YAML file.
+    parse : callable
+        Makes an override of one of the `settings`.
+    settings : iterable of str
+        ``key.key=VALUE``, applied in order; the value is YAML.
+    inputs : iterable of str
+        ``NAME=PATH``, relative to the current folder; a name given again makes a list.
+    seed : int, optional
+        Replaces the value of ``seed``.
+
+    Returns
+    -------
+    data : dict
+        Content of the file with the replaced values.
+    errors : ValidationErrors
+        What was wrong with the options, and where every value comes from.
+    """
+    written, lines = load_yaml(path)
+    rejected: list[ConfigurationError] = []
+    overrides = _accepted(parse, settings, rejected)
+    overrides += [] if seed is None else [Override(("seed",), seed, "--seed")]
+    given = input_overrides(_accepted(parse_input, inputs, rejected))
+    origins = Origins(path, lines, [(override.key, override.where) for override in (*overrides, *given)])
+    errors = ValidationErrors(origins, rejected)
+    overrides += _declared(given, written.get("inputs"), errors)
+    return reduce(overridden, overrides, written), errors
+
+
+def _declared(given: list[Override], declared: Any, errors: ValidationErrors) -> list[Override]:
+    """Return those of the inputs that the file declares; the others are errors."""
+    known = declared if isinstance(declared, dict) else {}
+    for override in given:
+        name = override.key[1]
+        if name not in known:
+            hint = suggestion(name, known) or "; the recipe has no inputs"
+            errors.add(override.key, f"unknown input '{name}'{hint}")
+    return [override for override in given if override.key[1] in known]
+
+
+def _accepted(
     parse: Callable[[str], Parsed], texts: Iterable[str], rejected: list[ConfigurationError]
 ) -> list[Parsed]:
-    """Parse what can be parsed and collect the complaints about the rest."""
+    """Parse what can be parsed and collect the errors about the rest."""
     parsed = []
     for text in texts:
         try:

@@ -11,7 +11,9 @@ from typing import Any
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.pupil import PupilGeometry, Vane
 from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
-from irlos_pipe.files.complaints import suggestion
+from irlos_pipe.conventions.text import suggestion
+from irlos_pipe.files.overrides import absolute
+from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.instrument.profile import Fact, ModeEntry, Profile, Ratio, SeeingScaleEntry, parse_profile
 
@@ -93,6 +95,33 @@ def load_instrument(name_or_path: str | Path) -> Instrument:
         return _instrument(profile, None)
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from None
+
+
+def checked_instrument(name: str, folder: Path, errors: ValidationErrors) -> tuple[str, Instrument | None]:
+    """Load the profile that a settings file asks for.
+
+    Parameters
+    ----------
+    name : str
+        Name of a profile, or the path of its file relative to `folder`.
+    folder : Path
+        Folder of the settings file.
+    errors : ValidationErrors
+        Where a profile that cannot be used is noted, under ``instrument``.
+
+    Returns
+    -------
+    name : str
+        The name, or the absolute path.
+    instrument : Instrument or None
+    """
+    if "/" in name or name.endswith(PROFILE_SUFFIXES):
+        name = str(absolute(name, folder))
+    try:
+        return name, load_instrument(name)
+    except ConfigurationError as error:
+        errors.add(("instrument",), str(error))
+        return name, None
 
 
 def _profile_path(name: str) -> Path:

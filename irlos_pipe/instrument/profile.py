@@ -7,9 +7,9 @@ from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from irlos_pipe.files.complaints import Complaints, Origins
+from irlos_pipe.files.validation import Origins, require_valid
 
 # Facts that must be there, and the range a number must keep to make sense.
 REQUIRED_FACTS = {
@@ -101,13 +101,7 @@ def parse_profile(data: dict, lines: dict, path: Path) -> Profile:
     ConfigurationError
         One line ``file:line: problem`` for everything that is wrong.
     """
-    complaints = Complaints(Origins(path, lines))
-    try:
-        return Profile.model_validate(data)
-    except ValidationError as error:
-        complaints.add_invalid(error, Profile)
-        complaints.raise_if_any()
-        raise
+    return require_valid(data, Profile, Origins(path, lines))
 
 
 def _require_number(name: str, entries: list[Fact] | None, low: float, high: float) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError, NothingToDo
-from irlos_pipe.files.complaints import and_more
+from irlos_pipe.conventions.text import and_more
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.night.catalogue import Catalogue
 from irlos_pipe.night.database import copied, opened

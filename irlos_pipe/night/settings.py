@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.files.complaints import Complaints, Origins, suggestion
+from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.overrides import absolute
-from irlos_pipe.files.yaml import load_yaml
+from irlos_pipe.files.validation import read_validated
 from irlos_pipe.night.grouping import KINDS
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
@@ -79,14 +79,7 @@ def load_settings(path: Path | None = None, recipes: Iterable[str] = ()) -> Nigh
 
 
 def _read(path: Path) -> NightSettings:
-    data, lines = load_yaml(path)
-    complaints = Complaints(Origins(path, lines))
-    try:
-        return NightSettings.model_validate(data)
-    except ValidationError as error:
-        complaints.add_invalid(error, NightSettings)
-    complaints.raise_if_any()
-    raise AssertionError(f"{path}: invalid, but nothing to complain about")
+    return read_validated(path, NightSettings)
 
 
 def _given(recipes: Iterable[str]) -> dict[str, list[Path]]:

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from irlos_pipe.conventions.errors import ExitCode
-from irlos_pipe.files.complaints import and_more
+from irlos_pipe.conventions.text import aligned, and_more
 from irlos_pipe.files.json import json_text
 from irlos_pipe.night.jobs import Job
 from irlos_pipe.night.page import page_path
 from irlos_pipe.night.state import Night, Ran
 from irlos_pipe.pipeline import Step
-from irlos_pipe.pipeline.terminal import aligned
 
 NEW_STEP = ("all stages", "run", "no products yet")
 

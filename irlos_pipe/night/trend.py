@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.conventions.errors import ConfigurationError, NothingToDo
-from irlos_pipe.files.complaints import suggestion
+from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.night.database import existing
 from irlos_pipe.night.settings import BandKeys
 from irlos_pipe.night.stability import Band, BandRule, Structure, bands, structure_function

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from irlos_pipe.files.complaints import and_more
+from irlos_pipe.conventions.text import aligned, and_more
 from irlos_pipe.files.json import json_text
 from irlos_pipe.night.stability import DAY_S, Band, Structure
 from irlos_pipe.night.trend import Series, Trend, alarm_text
 from irlos_pipe.night.trend_db import Point
-from irlos_pipe.pipeline.terminal import aligned
 from irlos_pipe.report.text import number, plural
 
 SERIES_COLUMNS = ("number", "recipe", "night", "value", "±", "band", "nights", "", "configuration")

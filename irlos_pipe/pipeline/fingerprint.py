@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
-from irlos_pipe.files.json import canonical_json, jsonable
+from irlos_pipe.files.json import canonical_json, changed_values, jsonable
 from irlos_pipe.pipeline.inputs import InputFile
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages.base import Stage, depends_on
@@ -46,43 +46,21 @@ def key_of(parts: Mapping[str, Any]) -> str:
 
 
 def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    """Say what differs between the parts of two keys, the first few differences in full."""
-    reasons = list(_differences(old, new))
-    shown = reasons[:MAX_REASONS]
-    more = len(reasons) - len(shown)
-    return "; ".join(shown) + (f"; and {more} more" if more else "")
+    """Describe how the parts of two keys, `old` and `new`, differ; the first few differences in full."""
+    stage = str(new["stage"])
+    reasons = [_difference(name, stage, *values) for name, values in changed_values(old, new).items()]
+    more = len(reasons) - MAX_REASONS
+    return "; ".join(reasons[:MAX_REASONS]) + (f"; and {more} more" if more > 0 else "")
 
 
-def _differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
-    before, after = dict(_flat(old)), dict(_flat(new))
-    for name in after | before:
-        if before.get(name) != after.get(name):  # what is absent counts as null
-            yield _told(name, str(new["stage"]), before, after)
-
-
-def _flat(tree: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    for key, value in tree.items():
-        if isinstance(value, Mapping) and value:
-            yield from _flat(value, (*above, key))
-        else:
-            yield (*above, key), value
-
-
-def _told(name: tuple[str, ...], stage: str, before: Mapping, after: Mapping) -> str:
+def _difference(name: tuple[str, ...], stage: str, before: Any, after: Any) -> str:
     part, rest = name[0], ".".join(name[1:])
-    if part == "inputs":
-        return f"input file {rest} {_fate(name, before, after)}"
-    if part == "upstream":
-        return f"upstream {rest} {_fate(name, before, after)}"
+    if part in ("inputs", "upstream"):
+        verb = "is new" if before is None else "is gone" if after is None else "changed"
+        return f"{'input file' if part == 'inputs' else part} {rest} {verb}"
     label = {"config": f"{stage}.{rest}", "version": "stage version"}.get(part, ".".join(name))
     verb = "" if part == "version" else " changed"
-    return f"{label}{verb} {_shown(before.get(name))} -> {_shown(after.get(name))}"
-
-
-def _fate(name: tuple[str, ...], before: Mapping, after: Mapping) -> str:
-    if name not in before:
-        return "is new"
-    return "changed" if name in after else "is gone"
+    return f"{label}{verb} {_shown(before)} -> {_shown(after)}"
 
 
 def _shown(value: Any) -> str:

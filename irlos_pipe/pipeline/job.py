@@ -10,9 +10,9 @@ from typing import Any
 
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import jsonable
-from irlos_pipe.pipeline import provenance
 from irlos_pipe.pipeline.inputs import InputFile
 from irlos_pipe.pipeline.plan import Action, Step
+from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
 from irlos_pipe.pipeline.resources import Resources, limit_threads, one_blas_thread
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
 from irlos_pipe.product.product import Product, read_product, write_product
@@ -63,13 +63,13 @@ class Job:
     def _run(self, step: Step) -> None:
         log = stage_logger(step.name)
         limit_threads(self.resources.jobs)
-        started, clock = provenance.now(), time.perf_counter()
+        started, clock = now(), time.perf_counter()
         context = self._context(step, log)
         with collected(log) as lines, one_blas_thread():
             output = STAGES[step.name].run(context)
         times = {
             "started": started,
-            "finished": provenance.now(),
+            "finished": now(),
             "seconds": round(time.perf_counter() - clock, 3),
         }
         self._write(step, output, times, lines)
@@ -127,7 +127,7 @@ class Job:
             "seed": self.recipe.seed,
             "device": self.resources.device,
             "jobs": self.resources.jobs,
-            "software": provenance.software_versions(),
-            "machine": provenance.machine(),
-            "command": provenance.command_line(),
+            "software": software_versions(),
+            "machine": machine(),
+            "command": command_line(),
         }

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
-from irlos_pipe.files.complaints import suggestion
+from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.pipeline.fingerprint import changes, key_of, key_parts
 from irlos_pipe.pipeline.inputs import InputFile
 from irlos_pipe.product.product import read_product

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 
 from tqdm import tqdm
 
+from irlos_pipe.conventions.text import aligned
 from irlos_pipe.files.json import json_text
 from irlos_pipe.pipeline import Outcome, Step
 from irlos_pipe.pipeline.runlog import ROOT, RUN, TRACE
@@ -58,17 +59,6 @@ def quality_line(outcome: Outcome) -> str:
     """Return how many checks passed."""
     checks = outcome.quality["checks"]
     return f"{sum(check['passed'] for check in checks)} of {len(checks)} checks passed"
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows of text with columns of equal width; a repeated first entry is left blank."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines, previous = [], None
-    for first, *rest in rows:
-        cells = ["" if first == previous else first, *rest]
-        lines.append("  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True)).rstrip())
-        previous = first
-    return "\n".join(lines)
 
 
 def _check_text(check: dict) -> str:

@@ -11,8 +11,8 @@ import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.atomic import write_bytes
-from irlos_pipe.files.complaints import suggestion
 from irlos_pipe.product.product import Product, Quantity
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.text import aligned
 from irlos_pipe.product.product import Product, read_product
 from irlos_pipe.product.runfolder import existing_run
 
@@ -51,7 +52,7 @@ def score_run(run_folder: Path, truth: Path) -> str:
         raise InputDataError(
             f"{truth}: no truth for {', '.join(_compared(products))}; it holds {', '.join(truths)}"
         )
-    return "\n\n".join(_aligned(table) for table in tables if table)
+    return "\n\n".join(aligned(table, numbers=True) for table in tables if table)
 
 
 # -- calibration -------------------------------------------------------------------------------
@@ -206,14 +207,3 @@ def _truth_of(name: str, truths: Truths) -> dict[str, Any] | None:
         if fitting:
             return truths[fitting[0]]
     return None
-
-
-def _aligned(table: Table) -> str:
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if place == 0 else cell.rjust(width)
-            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in table
-    )

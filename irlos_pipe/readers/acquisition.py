@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.seeing import SPARTA
-from irlos_pipe.files.complaints import suggestion
+from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.frames.raw import RawRecording
 from irlos_pipe.frames.recording import HEADER, PROFILE, RECIPE, SIDECAR, Acquisition, Detector
 from irlos_pipe.instrument.instrument import Instrument

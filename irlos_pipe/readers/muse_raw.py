@@ -11,7 +11,7 @@ from astropy.time import Time
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.seeing import SPARTA
-from irlos_pipe.files.complaints import suggestion
+from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.frames.raw import RawRecording
 from irlos_pipe.instrument.instrument import Instrument, Mode
 from irlos_pipe.readers.fitsfile import hdu_label, header_number, image_array, open_fits, stem

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
-from irlos_pipe.files.complaints import Complaints, Origins, and_more
+from irlos_pipe.conventions.text import and_more
+from irlos_pipe.files.validation import Origins, require_valid
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.readers.fitsfile import stem
 
@@ -113,16 +114,10 @@ def read_sidecar(path: Path) -> AcquisitionKeys:
     if not path.exists():
         return AcquisitionKeys()
     data, lines = load_yaml(path, InputDataError)
-    complaints = Complaints(Origins(path, lines))
     try:
-        return AcquisitionKeys.model_validate(data)
-    except ValidationError as error:
-        complaints.add_invalid(error, AcquisitionKeys)
-    try:
-        complaints.raise_if_any()
+        return require_valid(data, AcquisitionKeys, Origins(path, lines))
     except ConfigurationError as error:
         raise InputDataError(_one_line(str(error))) from None
-    raise AssertionError(f"{path}: invalid, but nothing to complain about")
 
 
 def _one_line(text: str) -> str:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.files.complaints import Complaints, suggestion
-from irlos_pipe.files.overrides import Override, absolute
-from irlos_pipe.instrument.instrument import Instrument, load_instrument
+from irlos_pipe.conventions.text import suggestion
+from irlos_pipe.files.overrides import absolute
+from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageConfig, needs
 
@@ -53,77 +52,66 @@ class RecipeHead(BaseModel):
 SECTIONS = ("model", *STAGES)
 
 
-def check_head(data: Mapping[str, Any], complaints: Complaints) -> RecipeHead:
+def check_head(data: Mapping[str, Any], errors: ValidationErrors) -> RecipeHead:
     """Check the keys at the top level; wrong ones are replaced, so that the rest can be checked too."""
     known = (*RecipeHead.model_fields, *SECTIONS)
     for key in data:
         if key not in known:
-            complaints.add((key,), f"unknown key '{key}'{suggestion(key, known)}")
+            errors.add((key,), f"unknown key '{key}'{suggestion(key, known)}")
     own = {key: value for key, value in data.items() if key in RecipeHead.model_fields}
     try:
         return RecipeHead.model_validate(own)
     except ValidationError as error:
-        complaints.add_invalid(error, RecipeHead)
+        errors.add_invalid(error, RecipeHead)
         wrong = {problem["loc"][0] for problem in error.errors()}
     substitutes = {"recipe": "unnamed", "stages": list(STAGES)[:1]}
     return RecipeHead.model_validate(substitutes | {key: own[key] for key in own.keys() - wrong})
 
 
 def check_section(
-    data: Mapping[str, Any], name: str, model: type[Section], complaints: Complaints
+    data: Mapping[str, Any], name: str, model: type[Section], errors: ValidationErrors
 ) -> Section | None:
     """Check one section; a section that is absent or empty takes all defaults."""
     content = {} if data.get(name) is None else data[name]
-    return _validated(content, model, (name,), complaints)
+    return _validated(content, model, (name,), errors)
 
 
-def check_stage_sections(data: Mapping[str, Any], complaints: Complaints) -> dict[str, StageConfig | None]:
+def check_stage_sections(data: Mapping[str, Any], errors: ValidationErrors) -> dict[str, StageConfig | None]:
     """Check the section of every stage that the recipe lists or configures."""
     listed = data.get("stages") if isinstance(data.get("stages"), list) else []
     concerned = [name for name in STAGES if name in data or name in listed]
     for name in concerned:
         if name not in listed:
-            complaints.add((name,), f"section '{name}' has no effect: no such stage under 'stages'")
-    return {name: check_section(data, name, STAGES[name].Config, complaints) for name in concerned}
+            errors.add((name,), f"section '{name}' has no effect: no such stage under 'stages'")
+    return {name: check_section(data, name, STAGES[name].Config, errors) for name in concerned}
 
 
-def check_stages(stages: Sequence[str], complaints: Complaints) -> None:
+def check_stages(stages: Sequence[str], errors: ValidationErrors) -> None:
     """Check names and order of the stages."""
     for index, name in enumerate(stages):
         problem = _stage_problem(name, stages[:index])
         if problem:
-            complaints.add(("stages", index), problem)
-
-
-def undeclared_inputs(given: Iterable[Override], declared: Any, complaints: Complaints) -> list[Override]:
-    """Return what the command line gives for inputs that the recipe does not have."""
-    declared = declared if isinstance(declared, dict) else {}
-    unknown = [override for override in given if override.key[1] not in declared]
-    for override in unknown:
-        name = override.key[1]
-        known = suggestion(name, declared) or "; the recipe has no inputs"
-        complaints.add(override.key, f"unknown input '{name}'{known}")
-    return unknown
+            errors.add(("stages", index), problem)
 
 
 def check_inputs(
-    inputs: Mapping[str, Sequence[str]], folder: Path, complaints: Complaints
+    inputs: Mapping[str, Sequence[str]], folder: Path, errors: ValidationErrors
 ) -> dict[str, tuple[Path, ...]]:
     """Check that all inputs exist; returns absolute paths, counted from the recipe's `folder`."""
     for name, paths in inputs.items():
         if not INPUT_NAME.fullmatch(name):
-            complaints.add(
+            errors.add(
                 ("inputs", name),
                 f"input {name!r}: a name is made of letters, digits and . _ + - "
                 "and begins with a letter or digit",
             )
         if not paths:
-            complaints.add(("inputs", name), f"input '{name}' is not given; add --input {name}=PATH")
+            errors.add(("inputs", name), f"input '{name}' is not given; add --input {name}=PATH")
     found = {name: tuple(absolute(path, folder) for path in paths) for name, paths in inputs.items()}
     for name, paths in found.items():
         for path in paths:
             if not os.path.exists(path):  # also of a name that no file can have
-                complaints.add(
+                errors.add(
                     ("inputs", name),
                     f"input '{name}': no such file or folder: {path}; "
                     f"correct it, or give --input {name}=PATH",
@@ -131,26 +119,11 @@ def check_inputs(
     return found
 
 
-def check_instrument(name: str, folder: Path, complaints: Complaints) -> tuple[str, Instrument | None]:
-    """Load the instrument profile; returns its name, or its absolute path, and the profile."""
-    if "/" in name or name.endswith((".yaml", ".yml")):
-        name = str(absolute(name, folder))
-    try:
-        return name, load_instrument(name)
-    except ConfigurationError as error:
-        complaints.add(("instrument",), str(error))
-        return name, None
-
-
-def _validated(content: Any, model: type[Section], key: tuple, complaints: Complaints) -> Section | None:
+def _validated(content: Any, model: type[Section], key: tuple, errors: ValidationErrors) -> Section | None:
     if not isinstance(content, dict):
-        complaints.add(key, f"{key[0]} = {content!r}: should be a section of 'key: value' lines")
+        errors.add(key, f"{key[0]} = {content!r}: should be a section of 'key: value' lines")
         return None
-    try:
-        return model.model_validate(content)
-    except ValidationError as error:
-        complaints.add_invalid(error, model, key)
-        return None
+    return errors.validated(content, model, key)
 
 
 def _stage_problem(name: str, earlier: Sequence[str]) -> str:

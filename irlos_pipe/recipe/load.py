@@ -4,25 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.files.complaints import Complaints, Origins
-from irlos_pipe.files.overrides import (
-    Override,
-    absolute,
-    accepted,
-    input_overrides,
-    overridden,
-    parse_input,
-    parse_setting,
-)
+from irlos_pipe.files.overrides import Override, absolute, parse_setting, read_overridden
+from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.instrument.instrument import Instrument, checked_instrument
 from irlos_pipe.recipe import checks
 from irlos_pipe.stages.base import StageConfig
 from irlos_pipe.stages.model.section import ModelConfig
@@ -91,17 +81,7 @@ def load_recipe(
         With one line ``where: message`` for everything that is wrong.
     """
     path = Path(path)
-    written, lines = load_yaml(path)
-    rejected: list[ConfigurationError] = []
-    overrides = accepted(_parse_setting, settings, rejected)
-    overrides += [] if seed is None else [Override(("seed",), seed, "--seed")]
-    given = input_overrides(accepted(parse_input, inputs, rejected))
-    overrides += given
-    origins = Origins(path, lines, [(override.key, override.where) for override in overrides])
-    complaints = Complaints(origins, rejected)
-    unknown = checks.undeclared_inputs(given, written.get("inputs"), complaints)
-    usable = [override for override in overrides if override not in unknown]
-    return _checked(path, reduce(overridden, usable, written), complaints)
+    return _checked(path, *read_overridden(path, _parse_setting, settings, inputs, seed))
 
 
 def _parse_setting(text: str) -> Override:
@@ -113,14 +93,14 @@ def _parse_setting(text: str) -> Override:
     return replace(override, value=load_yaml(absolute(override.value))[0])
 
 
-def _checked(path: Path, data: dict[str, Any], complaints: Complaints) -> Recipe:
-    head = checks.check_head(data, complaints)
-    model = checks.check_section(data, "model", ModelConfig, complaints)
-    configs = checks.check_stage_sections(data, complaints)
-    checks.check_stages(head.stages, complaints)
-    inputs = checks.check_inputs(head.inputs, absolute(path).parent, complaints)
-    instrument_name, instrument = checks.check_instrument(head.instrument, absolute(path).parent, complaints)
-    complaints.raise_if_any()
+def _checked(path: Path, data: dict[str, Any], errors: ValidationErrors) -> Recipe:
+    head = checks.check_head(data, errors)
+    model = checks.check_section(data, "model", ModelConfig, errors)
+    configs = checks.check_stage_sections(data, errors)
+    checks.check_stages(head.stages, errors)
+    inputs = checks.check_inputs(head.inputs, absolute(path).parent, errors)
+    instrument_name, instrument = checked_instrument(head.instrument, absolute(path).parent, errors)
+    errors.raise_if_any()
     return Recipe(
         absolute(path),
         head.recipe,

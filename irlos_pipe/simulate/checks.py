@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.text import suggestion
 
 
 class SceneError(ConfigurationError, ValueError):
@@ -22,6 +22,4 @@ def require_known(where: str, names: Iterable[str], known: Iterable[str]) -> Non
     known = list(known)
     for name in names:
         if name not in known:
-            near = get_close_matches(str(name), known, n=1, cutoff=0.5)
-            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
-            raise SceneError(f"{where}: '{name}' is not known; {hint}")
+            raise SceneError(f"{where}: '{name}' is not known{suggestion(name, known)}")

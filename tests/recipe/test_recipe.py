@@ -15,7 +15,7 @@ COMPANION = {"flux_ratio": 0.04, "sep_mas": 150.0, "pa_deg": 300.0}
 RECIPES = sorted((paths.RECIPES).glob("*.yaml"))
 
 
-def complaints(bench, text: str = RECIPE, **changes) -> list[str]:
+def error_lines(bench, text: str = RECIPE, **changes) -> list[str]:
     """Lines of the error that a recipe raises, with the file's name for its path."""
     bench.recipe.write_text(text)
     with pytest.raises(ConfigurationError) as caught:
@@ -47,7 +47,7 @@ def test_an_input_on_the_command_line_counts_from_the_current_folder(bench, monk
 
 def test_all_mistakes_are_told_at_once_in_the_order_of_the_file(bench):
     text = RECIPE + "  jiter_sigma_mas: 3\n  solver: {iterations: 0}\nseed: -1\ninstrumnt: x\n"
-    lines = complaints(bench, text.replace("cube: data", "cube: gone"))
+    lines = error_lines(bench, text.replace("cube: data", "cube: gone"))
     assert [line.split(": ")[0] for line in lines] == [f"recipe.yaml:{n}" for n in (4, 8, 9, 10, 11)]
 
 
@@ -90,7 +90,7 @@ def test_a_mistake_is_told_with_file_line_and_suggestion(bench, monkeypatch, add
         monkeypatch.setitem(
             sys.modules, "irlos_pipe.stages.correct", sys.modules["irlos_pipe.stages.lift.stage"]
         )
-    (line,) = complaints(bench, RECIPE + addition + "\n")
+    (line,) = error_lines(bench, RECIPE + addition + "\n")
     assert line.startswith(expected)
 
 
@@ -106,17 +106,17 @@ def test_a_mistake_is_told_with_file_line_and_suggestion(bench, monkeypatch, add
 )
 def test_wrong_stages_are_told(bench, stages, expected):
     text = RECIPE.replace("[ingest, calibrate, lift]", stages)
-    assert complaints(bench, text)[0].startswith(f"recipe.yaml:5: {expected}")
+    assert error_lines(bench, text)[0].startswith(f"recipe.yaml:5: {expected}")
 
 
 def test_a_wrong_literal_gets_the_closest_choice(bench):
-    (line,) = complaints(bench, RECIPE.replace("dip_avg", "dip_globl"))
+    (line,) = error_lines(bench, RECIPE.replace("dip_avg", "dip_globl"))
     assert line.startswith("recipe.yaml:7: calibrate.method = 'dip_globl'")
     assert "did you mean 'dip_global'?" in line
 
 
 def test_a_missing_input_says_how_to_give_another(bench):
-    (line,) = complaints(bench, RECIPE.replace("cube: data", "cube: gone"))
+    (line,) = error_lines(bench, RECIPE.replace("cube: data", "cube: gone"))
     assert line == (
         f"recipe.yaml:4: input 'cube': no such file or folder: {bench.folder / 'gone'}; "
         "correct it, or give --input cube=PATH"
@@ -124,7 +124,7 @@ def test_a_missing_input_says_how_to_give_another(bench):
 
 
 def test_an_input_without_default_must_be_given(bench):
-    (line,) = complaints(bench, RECIPE.replace("cube: data", "cube:"))
+    (line,) = error_lines(bench, RECIPE.replace("cube: data", "cube:"))
     assert line == "recipe.yaml:4: input 'cube' is not given; add --input cube=PATH"
 
 
@@ -147,7 +147,7 @@ def test_an_input_without_default_must_be_given(bench):
     ],
 )
 def test_a_wrong_setting_is_told_by_its_option(bench, setting, expected):
-    (line,) = complaints(bench, settings=[setting])
+    (line,) = error_lines(bench, settings=[setting])
     assert line.startswith(expected)
 
 
@@ -160,12 +160,12 @@ def test_a_wrong_setting_is_told_by_its_option(bench, setting, expected):
     ],
 )
 def test_a_wrong_input_is_told_by_its_option(bench, inputs, expected):
-    (line,) = complaints(bench, inputs=inputs)
+    (line,) = error_lines(bench, inputs=inputs)
     assert line.startswith(expected)
 
 
 def test_mistakes_on_the_command_line_and_in_the_file_are_told_together(bench):
-    lines = complaints(bench, RECIPE + "sed: 1\n", settings=["nonsense", "calibrate.x=1"], inputs=["cub=x"])
+    lines = error_lines(bench, RECIPE + "sed: 1\n", settings=["nonsense", "calibrate.x=1"], inputs=["cub=x"])
     assert len(lines) == 4
 
 
@@ -198,7 +198,7 @@ def test_a_section_can_be_taken_from_a_file(bench, monkeypatch):
 
 
 def test_a_file_for_a_section_that_is_not_there_is_told(bench):
-    (line,) = complaints(bench, settings=["model=nowhere/model.yaml"])
+    (line,) = error_lines(bench, settings=["model=nowhere/model.yaml"])
     assert "nowhere/model.yaml" in line and "No such file" in line
 
 
@@ -221,7 +221,7 @@ def test_the_resolved_recipe_says_everything_and_means_the_same(bench, tmp_path)
 
 
 def test_a_file_that_is_no_recipe_is_told_in_one_line(bench):
-    assert len(complaints(bench, "just text\n")) == 1
+    assert len(error_lines(bench, "just text\n")) == 1
     bench.recipe.unlink()
     with pytest.raises(ConfigurationError, match="cannot be read"):
         load_recipe(bench.recipe)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.files.complaints import suggestion
+from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.recipe import Recipe, load_recipe
 from irlos_pipe.stages import STAGES

@@ -12,11 +12,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
+from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.atomic import write_if_changed
-from irlos_pipe.files.complaints import Complaints, Origins, suggestion
+from irlos_pipe.files.validation import Origins, ValidationErrors
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.paper.run.tables import TableLayout, render_table
 
@@ -56,13 +55,10 @@ def read_layouts(path: Path) -> dict[str, TableLayout]:
         With one line ``file:line: problem`` for everything that is wrong.
     """
     written, lines = load_yaml(path)
-    complaints, layouts = Complaints(Origins(path, lines)), {}
+    errors, layouts = ValidationErrors(Origins(path, lines)), {}
     for name, content in written.items():
-        try:
-            layouts[name] = TableLayout.model_validate(content)
-        except ValidationError as error:
-            complaints.add_invalid(error, TableLayout, (name,))
-    complaints.raise_if_any()
+        layouts[name] = errors.validated(content, TableLayout, (name,))
+    errors.raise_if_any()
     return layouts
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from irlos_pipe.conventions.text import aligned
 from irlos_pipe.paper.run.run import Ran
 from irlos_pipe.pipeline import Outcome
-from irlos_pipe.pipeline.terminal import aligned, quality_line
+from irlos_pipe.pipeline.terminal import quality_line
 
 
 def ran_text(ran: Ran) -> str:

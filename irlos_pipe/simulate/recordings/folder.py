@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.files.json import changed_values
 from irlos_pipe.simulate.recordings.files import layout_of
 from irlos_pipe.simulate.recordings.series import Planned
 from irlos_pipe.simulate.recordings.spec import DOUBLE
 from irlos_pipe.simulate.recordings.truth import made_from
 
 MAX_REASONS = 3
+KINDS = ("recording", "scene")  # sections whose name means nothing to a reader
 WORK_PREFIX = ".simulating-"
 
 
@@ -92,22 +94,10 @@ class SimulationFolder:
 
 
 def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    """Say which values differ, the first few by name; empty when none does."""
-    before, after = dict(_flat(old)), dict(_flat(new))
-    differing = [name for name in after | before if before.get(name) != after.get(name)]
-    shown = [".".join(name) for name in differing[:MAX_REASONS]]
-    more = f" and {len(differing) - MAX_REASONS} more" if len(differing) > MAX_REASONS else ""
-    return f"changed: {', '.join(shown)}{more}" if shown else ""
-
-
-def _flat(tree: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    for key, value in tree.items():
-        # what kind of thing it is says nothing to a reader
-        here = above if key in ("recording", "scene") else (*above, key)
-        if isinstance(value, Mapping) and value:
-            yield from _flat(value, here)
-        else:
-            yield here, value
+    """Name the first few values in which `old` and `new` differ; empty when none does."""
+    names = [".".join(part for part in name if part not in KINDS) for name in changed_values(old, new)]
+    more = f" and {len(names) - MAX_REASONS} more" if len(names) > MAX_REASONS else ""
+    return f"changed: {', '.join(names[:MAX_REASONS])}{more}" if names else ""
 
 
 def _read_made_from(truth: Path) -> dict[str, Any] | None:

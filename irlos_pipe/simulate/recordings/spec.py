@@ -5,17 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field, ValidationError
 
-from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.files.complaints import Complaints, Origins
-from irlos_pipe.files.overrides import Override, absolute, accepted, overridden, parse_setting
-from irlos_pipe.files.yaml import load_yaml, yaml_text
-from irlos_pipe.instrument.instrument import PROFILE_SUFFIXES, Instrument, load_instrument
+from irlos_pipe.files.overrides import absolute, parse_setting, read_overridden
+from irlos_pipe.files.validation import ValidationErrors
+from irlos_pipe.files.yaml import yaml_text
+from irlos_pipe.instrument.instrument import Instrument, checked_instrument
 from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys, Shared
 
 SETTING_EXAMPLE = "KEY=VALUE, for example recordings.calibration.frames=20"
@@ -82,59 +81,36 @@ def load_spec(path: str | Path, settings: Iterable[str] = (), seed: int | None =
         With one line ``where: message`` for everything that is wrong.
     """
     path = Path(path)
-    written, lines = load_yaml(path)
-    rejected: list[ConfigurationError] = []
-    overrides = accepted(lambda text: parse_setting(text, SETTING_EXAMPLE), settings, rejected)
-    overrides += [] if seed is None else [Override(("seed",), seed, "--seed")]
-    origins = Origins(path, lines, [(override.key, override.where) for override in overrides])
-    return _checked(reduce(overridden, overrides, written), path, Complaints(origins, rejected))
+    parse = partial(parse_setting, example=SETTING_EXAMPLE)
+    return _checked(path, *read_overridden(path, parse, settings, seed=seed))
 
 
-def _checked(data: Mapping[str, Any], path: Path, complaints: Complaints) -> Spec:
-    keys = _validated(data, complaints)
-    complaints.raise_if_any()
+def _checked(path: Path, data: Mapping[str, Any], errors: ValidationErrors) -> Spec:
+    keys = errors.validated(data, SpecKeys)
+    errors.raise_if_any()
     for name in keys.recordings:
-        _check_name(name, complaints)
-    recordings = {name: _filled_in(name, keys, complaints) for name in keys.recordings}
-    instrument_name, instrument = _instrument(keys.instrument, absolute(path).parent, complaints)
-    complaints.raise_if_any()
+        _check_name(name, errors)
+    recordings = {name: _filled_in(name, keys, errors) for name in keys.recordings}
+    instrument_name, instrument = checked_instrument(keys.instrument, absolute(path).parent, errors)
+    errors.raise_if_any()
     return Spec(keys.simulation, keys.title, keys.seed, instrument_name, instrument, recordings)
 
 
-def _validated(data: Mapping[str, Any], complaints: Complaints) -> SpecKeys | None:
-    try:
-        return SpecKeys.model_validate(data)
-    except ValidationError as error:
-        complaints.add_invalid(error, SpecKeys)
-        return None
-
-
-def _check_name(name: str, complaints: Complaints) -> None:
+def _check_name(name: str, errors: ValidationErrors) -> None:
     if not re.match(NAME, name) or DOUBLE in name:
-        complaints.add(
+        errors.add(
             ("recordings", name),
             f"recordings.{name}: becomes the name of a folder; use letters, digits and . _ + : - "
             f"(no '{DOUBLE}'), beginning with a letter or digit",
         )
 
 
-def _filled_in(name: str, keys: SpecKeys, complaints: Complaints) -> RecordingKeys | None:
+def _filled_in(name: str, keys: SpecKeys, errors: ValidationErrors) -> RecordingKeys | None:
     try:
         complete = keys.recordings[name].with_shared(keys)
     except ValidationError as error:
-        complaints.add_invalid(error, RecordingKeys, ("recordings", name))
+        errors.add_invalid(error, RecordingKeys, ("recordings", name))
         return None
     if complete.missing_section():
-        complaints.add(("recordings", name), f"recordings.{name}: {complete.missing_section()}")
+        errors.add(("recordings", name), f"recordings.{name}: {complete.missing_section()}")
     return complete
-
-
-def _instrument(name: str, folder: Path, complaints: Complaints) -> tuple[str, Instrument | None]:
-    """Load the instrument profile; returns its name, or its absolute path, and the profile."""
-    if "/" in name or name.endswith(PROFILE_SUFFIXES):
-        name = str(absolute(name, folder))
-    try:
-        return name, load_instrument(name)
-    except ConfigurationError as error:
-        complaints.add(("instrument",), str(error))
-        return name, None

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.files.complaints import and_more
+from irlos_pipe.conventions.text import and_more
 from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.blocks import picked
 from irlos_pipe.frames.cleaning import Cleaned, clean

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 from typing import Any
 
+from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.base import Public
 
@@ -44,7 +44,7 @@ class EffectEntry:
         if isinstance(entry, dict) and len(entry) == 1:
             name, given = next(iter(entry.items()))
         if not isinstance(name, str) or name not in CATALOGUE:
-            raise ValueError(f"unknown effect {name!r}; {_hint(name)}")
+            raise ValueError(f"unknown effect {name!r}{suggestion(name, CATALOGUE)}")
         effect = CATALOGUE[name]
         if not isinstance(given, dict):
             raise ValueError(f"{name} is fixed by {_keys(effect.public)}, not by {given!r}")
@@ -59,11 +59,6 @@ class EffectEntry:
             if public.name in given:
                 _check(f"{name}.{public.name}", public, given[public.name])
         return cls(name, values, options, not values or bool(given.get(FIT, False)))
-
-
-def _hint(name: Any) -> str:
-    close = difflib.get_close_matches(str(name), CATALOGUE, n=1)
-    return f"did you mean {close[0]!r}?" if close else f"available: {', '.join(CATALOGUE)}"
 
 
 def _keys(publics: tuple[Public, ...]) -> str:

@@ -1,26 +1,27 @@
-"""Turn everything that is wrong with a settings file into lines ``file:line: message`` with suggestions."""
+"""Check settings files; everything that is wrong is reported in lines ``file:line: message``."""
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.files.yaml import line_of
+from irlos_pipe.conventions.text import nearest, suggestion
+from irlos_pipe.files.yaml import line_of, load_yaml
 
 KeyPath = tuple[str | int, ...]
+Model = TypeVar("Model", bound=BaseModel)
 MAX_SHOWN = 60  # characters of a section or list in a message
 
 
 @dataclass(frozen=True)
 class Origins:
-    """Knows where each value of a recipe was given: in the file or on the command line.
+    """Where each value of a settings file was given: in the file or on the command line.
 
     Attributes
     ----------
@@ -35,7 +36,7 @@ class Origins:
     overrides: Sequence[tuple[KeyPath, str]] = ()
 
     def where(self, key: KeyPath) -> str:
-        """Return ``file:line``, or the option that set the value."""
+        """Return ``file:line`` of the value at `key`, or the option that set it."""
         for replaced, option in reversed(self.overrides):
             within = key[: len(replaced)] == replaced
             made_by_it = key not in self.lines and replaced[: len(key)] == key
@@ -44,51 +45,78 @@ class Origins:
         return f"{self.path}:{line_of(self.lines, key)}"
 
 
-def suggestion(word: Any, known: Iterable[str]) -> str:
-    """Return ``; did you mean 'x'?``, or the list of what is known when nothing is close."""
-    known = [str(name) for name in known]
-    close = difflib.get_close_matches(str(word), known, n=1, cutoff=0.5)
-    if close:
-        return f"; did you mean '{close[0]}'?"
-    return f"; known: {', '.join(known)}" if known else ""
+class ValidationErrors:
+    """Collects what is wrong with a settings file, so that all of it can be reported at once.
 
-
-def and_more(told: Sequence) -> str:
-    """What follows the first of several things when only that is told."""
-    return f" (and {len(told) - 1} more)" if len(told) > 1 else ""
-
-
-class Complaints:
-    """Collects complaints, so that all of them can be told at once."""
+    Parameters
+    ----------
+    origins : Origins
+        Where the values come from.
+    rejected : iterable of ConfigurationError
+        Options that could not be parsed; their messages name the option.
+    """
 
     def __init__(self, origins: Origins, rejected: Iterable[ConfigurationError] = ()) -> None:
         self._origins = origins
-        # Errors about options that could not be parsed say themselves where they belong.
-        self._found = [tuple(str(error).split(": ", 1)) for error in rejected]
+        self._found = [str(error).split(": ", 1) for error in rejected]
 
     def add(self, key: KeyPath, message: str) -> None:
-        """Note a complaint about the value at `key`."""
-        entry = (self._origins.where(key), message)
+        """Note a `message` about the value at `key`."""
+        entry = [self._origins.where(key), message]
         if entry not in self._found:
             self._found.append(entry)
 
     def add_invalid(self, error: ValidationError, model: type[BaseModel], section: KeyPath = ()) -> None:
-        """Note all that pydantic found wrong with a section of the recipe."""
+        """Note each `error` that pydantic found in a `section` that should have the form of `model`."""
         for problem in error.errors():
-            key = (*section, *problem["loc"])
-            self.add(key, _explain(problem, model, section))
+            self.add((*section, *problem["loc"]), _explain(dict(problem), model, section))
+
+    def validated(self, content: Any, model: type[Model], section: KeyPath = ()) -> Model | None:
+        """Return the `content` of a `section` as a `model`; None after noting what is wrong with it."""
+        try:
+            return model.model_validate(content)
+        except ValidationError as error:
+            self.add_invalid(error, model, section)
+            return None
 
     def raise_if_any(self) -> None:
-        """Raise all complaints as one error, in the order of the file.
+        """Raise everything that was noted as one error, in the order of the file.
 
         Raises
         ------
         ConfigurationError
-            One line per complaint.
+            One line per validation error.
         """
         if self._found:
             ordered = sorted(self._found, key=lambda entry: _natural(entry[0]))
             raise ConfigurationError("\n".join(f"{where}: {message}" for where, message in ordered))
+
+
+def read_validated(path: Path, model: type[Model]) -> Model:
+    """Read the YAML file at `path` and check it against `model`.
+
+    Raises
+    ------
+    ConfigurationError
+        One line ``file:line: problem`` for everything that is wrong.
+    """
+    data, lines = load_yaml(path)
+    return require_valid(data, model, Origins(path, lines))
+
+
+def require_valid(data: Any, model: type[Model], origins: Origins) -> Model:
+    """Return `data`, whose values come from `origins`, as a `model`.
+
+    Raises
+    ------
+    ConfigurationError
+        One line ``file:line: problem`` for everything that is wrong.
+    """
+    errors = ValidationErrors(origins)
+    valid = errors.validated(data, model)
+    errors.raise_if_any()
+    assert valid is not None, f"{origins.path}: invalid without a reason"
+    return valid
 
 
 def _natural(where: str) -> tuple[str, int]:
@@ -116,9 +144,8 @@ def _shown(value: Any) -> str:
 
 def _hint(problem: dict) -> str:
     if problem["type"] == "literal_error":
-        expected = re.findall(r"'([^']*)'", problem["ctx"]["expected"])
-        close = difflib.get_close_matches(str(problem["input"]), expected, n=1, cutoff=0.5)
-        return f"; did you mean '{close[0]}'?" if close else ""
+        close = nearest(problem["input"], re.findall(r"'([^']*)'", problem["ctx"]["expected"]))
+        return f"; did you mean '{close}'?" if close else ""
     if problem["type"] in ("float_parsing", "int_parsing"):
         return "; give a plain number, its unit is in the name of the key"
     return ""

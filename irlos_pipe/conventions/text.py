@@ -1,0 +1,49 @@
+"""Pieces of messages for people: suggestions, counts of what is left out, tables of text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+
+
+def nearest(word: object, known: Iterable[str]) -> str | None:
+    """Return the entry of `known` that is spelt most like `word`, or None if none is close."""
+    return next(iter(get_close_matches(str(word), list(known), n=1, cutoff=0.5)), None)
+
+
+def suggestion(word: object, known: Iterable[object]) -> str:
+    """Return ``; did you mean 'x'?`` for a `word` like one that is `known`, else list what is known."""
+    names = [str(name) for name in known]
+    close = nearest(word, names)
+    if close is not None:
+        return f"; did you mean '{close}'?"
+    return f"; known: {', '.join(names)}" if names else ""
+
+
+def and_more(items: Sequence[object]) -> str:
+    """Return what follows the first of several items when the others are not shown."""
+    return f" (and {len(items) - 1} more)" if len(items) > 1 else ""
+
+
+def aligned(rows: Sequence[Sequence[str]], *, numbers: bool = False) -> str:
+    """Return rows of text as a table with columns of equal width.
+
+    Parameters
+    ----------
+    rows : sequence of sequence of str
+        Cells; all rows have the same number of them.
+    numbers : bool
+        Align all columns but the first to the right. Otherwise all are aligned to the left, and a first
+        cell that repeats the one above is left blank.
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines, previous = [], None
+    for first, *rest in rows:
+        cells = ["" if first == previous and not numbers else first, *rest]
+        padded = [
+            cell.rjust(width) if numbers and column else cell.ljust(width)
+            for column, (cell, width) in enumerate(zip(cells, widths, strict=True))
+        ]
+        lines.append("  ".join(padded).rstrip())
+        previous = first
+    return "\n".join(lines)
