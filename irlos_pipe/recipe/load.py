@@ -13,7 +13,14 @@ from irlos_pipe.files.overrides import Override, absolute, parse_setting, read_o
 from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument
-from irlos_pipe.recipe import checks
+from irlos_pipe.recipe.checks import (
+    SECTIONS,
+    check_head,
+    check_inputs,
+    check_section,
+    check_stage_sections,
+    check_stages,
+)
 from irlos_pipe.stages.base import StageConfig
 from irlos_pipe.stages.model.section import ModelConfig
 
@@ -87,18 +94,18 @@ def load_recipe(
 def _parse_setting(text: str) -> Override:
     """A setting; a section given by name is read."""
     override = parse_setting(text)
-    whole = len(override.key) == 1 and override.key[0] in checks.SECTIONS
+    whole = len(override.key) == 1 and override.key[0] in SECTIONS
     if not whole or not isinstance(override.value, str):
         return override
     return replace(override, value=load_yaml(absolute(override.value))[0])
 
 
 def _checked(path: Path, data: dict[str, Any], errors: ValidationErrors) -> Recipe:
-    head = checks.check_head(data, errors)
-    model = checks.check_section(data, "model", ModelConfig, errors)
-    configs = checks.check_stage_sections(data, errors)
-    checks.check_stages(head.stages, errors)
-    inputs = checks.check_inputs(head.inputs, absolute(path).parent, errors)
+    head = check_head(data, errors)
+    model = check_section(data, "model", ModelConfig, errors)
+    configs = check_stage_sections(data, errors)
+    check_stages(head.stages, errors)
+    inputs = check_inputs(head.inputs, absolute(path).parent, errors)
     instrument_name, instrument = checked_instrument(head.instrument, absolute(path).parent, errors)
     errors.raise_if_any()
     return Recipe(
