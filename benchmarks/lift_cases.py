@@ -16,7 +16,7 @@ import torch
 from benchmarks.frames import DIVERSITY_NM, PIXEL_SCALE_MAS, WINDOW_PX
 from benchmarks.inputs import Inputs
 from benchmarks.measure import stopwatch
-from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.frame_settings import frame_settings
 from irlos_pipe.estimate.lift import LiftOptions, lift
@@ -63,7 +63,7 @@ class DimmedRamp:
         return ramp_model(self.inputs.context, self.ramp, self.inputs.context.config.modes, self.ncpa_nm)
 
     @cached_property
-    def halo(self) -> list[Effect | Pinned]:
+    def halo(self) -> list[Effect]:
         """AO residual and jitter as calibrated."""
         return effects_for_lift(self.inputs.context, self.ramp.recordings[0], "calibrated", "calibrated")
 

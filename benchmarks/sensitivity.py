@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from benchmarks.inputs import Inputs
-from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
@@ -64,7 +64,7 @@ class SensitivityScan:
         )
         return float(curve.median_abs_error_nm[0])
 
-    def _effects(self, calibrated: bool) -> list[Effect | Pinned]:
+    def _effects(self, calibrated: bool) -> list[Effect]:
         recording = self.ramp.recordings[0]
         return effects_for_lift(self.context, recording, "calibrated", "calibrated", calibrated=calibrated)
 

@@ -68,4 +68,4 @@ def _alternative(best: Refit, other: Refit, z: float) -> Alternative:
     cosine = likeness(best.fitted, other.fitted, best.origin)
     alike = "they change the image alike" if cosine > LIKENESS else "both explain the excess as well"
     reason = f"{alike} (|cos| {cosine:.3f}), and the held-out frames do not decide (z {z:.1f})"
-    return Alternative(other.name, reason, best.bare.look_alike, cosine)
+    return Alternative(other.name, reason, best.base.look_alike, cosine)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -13,9 +12,9 @@ from irlos_pipe.diagnose.checks.bad_pixels import smallest_excess_e
 from irlos_pipe.diagnose.checks.fine_structure import FineStructure, fine_structure
 from irlos_pipe.diagnose.checks.motion import motion_ratio
 from irlos_pipe.diagnose.checks.noise import PHOTONS, SPECKLES, NoiseVerdict
-from irlos_pipe.diagnose.checks.screened_pixels import Screened, screened_step
+from irlos_pipe.diagnose.checks.screened_pixels import screened_step
 from irlos_pipe.diagnose.cube import Cube
-from irlos_pipe.diagnose.decide import Accepted, Options, threshold
+from irlos_pipe.diagnose.decide import Accepted, Options, Search, threshold
 from irlos_pipe.diagnose.fitting import Fitted
 from irlos_pipe.diagnose.held_out import Judge, gap_between
 from irlos_pipe.diagnose.optimum import Optimum
@@ -23,14 +22,12 @@ from irlos_pipe.diagnose.search.detect import Score
 from irlos_pipe.diagnose.second_recording import Advice, SecondRecordings
 from irlos_pipe.diagnose.sizes import detectable, determined, parameter_covariance, public_sigma, within_reach
 from irlos_pipe.diagnose.verdict import EFFECT, NONE, UNKNOWN, Diagnosis, Pictures, Step
-from irlos_pipe.effects import Pinned
+from irlos_pipe.diagnose.view import Screened
+from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.drift import NcpaDrift
 from irlos_pipe.effects.pixels import BadPixels
 from irlos_pipe.effects.seeing_halo import SeeingHalo
 from irlos_pipe.estimate.total_wavefront import effects_in_modes_nm
-
-if TYPE_CHECKING:
-    from irlos_pipe.diagnose.workflow import Search
 
 # Part of the excess, and χ² over its expectation, from which much is left. With known noise a right name
 # leaves less than a thousandth; the residual of an AO system has more shapes than its model. Complete models
@@ -128,9 +125,7 @@ def _elsewhere(search: Search, options: Options) -> dict[str, dict]:
     """The same of what is not found by a score: drift from the frames, pixels one by one."""
     limits = {}
     if search.drift and search.drift.significance < options.sure:
-        limits[NcpaDrift.name] = search.drift.effect().effect.describe(
-            search.drift.detectable_nm(options.sure)
-        )
+        limits[NcpaDrift.name] = search.drift.effect().base.describe(search.drift.detectable_nm(options.sure))
     if not any(one.name == BadPixels.name for one in search.accepted):
         limits[BadPixels.name] = {"excess_e": smallest_excess_e(search.final)}
     return limits
@@ -165,7 +160,7 @@ def _steps(cube: Cube, search: Search) -> list[Step]:
 
 def _step(cube: Cube, accepted: Accepted, fitted: Fitted, covariance: np.ndarray) -> Step:
     refit = accepted.refit
-    bare = refit.bare
+    base = refit.base
     effect = next(e for e in fitted.effects if e.name == refit.name)
     values = effect.all_values(fitted.values_of(refit.name)).numpy()
     full = np.zeros((len(values), len(values)))
@@ -173,9 +168,9 @@ def _step(cube: Cube, accepted: Accepted, fitted: Fitted, covariance: np.ndarray
     full[np.ix_(effect.free, effect.free)] = determined(effect, covariance[np.ix_(columns, columns)])
     judges = (Judge(cube.held_out, one) for one in (refit.origin.fitted, refit.fitted))
     return Step(
-        Pinned(bare, values),
-        bare.describe(values),
-        public_sigma(bare, values, full),
+        FixedEffect(base, values),
+        base.describe(values),
+        public_sigma(base, values, full),
         refit.significance,
         accepted.ranking[0].explained,
         accepted.preference,
@@ -202,7 +197,7 @@ def _drift_steps(cube: Cube, search: Search, options: Options) -> list[Step]:
         return []
     judge = Judge(cube.held_out, search.null.fitted)
     effect = drift.effect()
-    sigma = effect.effect.describe(drift.sigma_nm)
+    sigma = effect.base.describe(drift.sigma_nm)
     return [
         Step(
             effect,

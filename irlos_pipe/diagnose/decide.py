@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from irlos_pipe.diagnose.ambiguity import Alternative, alternatives
+from irlos_pipe.diagnose.checks.drift import Drift
 from irlos_pipe.diagnose.checks.motion import MOVING, motion_ratio
 from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.held_out import Judge, preference
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.refit import PER_PARAMETER, Refit
+from irlos_pipe.diagnose.search.detect import Score
 from irlos_pipe.diagnose.verdict import Ranked
 from irlos_pipe.numerics.parallel import ordered_map
 
@@ -70,6 +72,32 @@ class Accepted:
     def name(self) -> str:
         """Of the effect."""
         return self.refit.name
+
+
+@dataclass(frozen=True)
+class Search:
+    """What was found on the way.
+
+    Attributes
+    ----------
+    null, final : Optimum
+        Before and after all names.
+    drift : Drift or None
+        None where the model has one already.
+    accepted : list of Accepted
+        Names in the order found, the drift not among them.
+    scores : list of Score
+        Of all families, at the last model for which a name was looked for.
+    meaningless : list of str
+        Effects that mean nothing for this cube.
+    """
+
+    null: Optimum
+    final: Optimum
+    drift: Drift | None
+    accepted: list[Accepted]
+    scores: list[Score]
+    meaningless: list[str]
 
 
 def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool) -> Accepted | None:

@@ -12,7 +12,7 @@ import torch
 from irlos_pipe.diagnose.cube import Stack, Stacks
 from irlos_pipe.diagnose.joint_fit import OWN, JointFit
 from irlos_pipe.diagnose.view import View
-from irlos_pipe.effects import Effect, Parameter, Pinned
+from irlos_pipe.effects import Effect, FixedEffect, Parameter
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.centring import start_tilts_nm
 from irlos_pipe.estimate.image_fit import ImageFit
@@ -55,7 +55,7 @@ class Fitted:
         return self.solution.values
 
     @property
-    def effects(self) -> tuple[Effect | Pinned, ...]:
+    def effects(self) -> tuple[Effect, ...]:
         """Of the model, in the order of the light path."""
         return self.problem.model.effects.effects
 
@@ -94,28 +94,28 @@ class Fitted:
         """Parameters of one effect."""
         return self.problem.model.effects.split(self.effect_values)[name]
 
-    def continued(self) -> list[Effect | Pinned]:
+    def continued(self) -> list[Effect]:
         """The effects with the same freedom, to start from where they are now."""
         pieces = self.problem.model.effects.split(self.effect_values)
         return [_begun_at(effect, pieces[effect.name]) for effect in self.effects]
 
-    def anew(self) -> list[Effect | Pinned]:
+    def anew(self) -> list[Effect]:
         """The effects with the same freedom, to start from where nothing is known of them."""
         return [_begun_at(effect, [p.start for p in _free(effect)]) for effect in self.effects]
 
 
-def _begun_at(effect: Effect | Pinned, values: Sequence[float]) -> Effect | Pinned:
+def _begun_at(effect: Effect, values: Sequence[float]) -> Effect:
     """With the same freedom."""
     if not effect.parameters:
         return effect
     free = [parameter.name for parameter in effect.parameters]
-    return Pinned(effect.bare, effect.all_values(values).numpy(), free)
+    return FixedEffect(effect.base, effect.all_values(values).numpy(), free)
 
 
-def _free(effect: Effect | Pinned) -> list[Parameter]:
+def _free(effect: Effect) -> list[Parameter]:
     """Free parameters as the effect itself declares them."""
     free = {parameter.name for parameter in effect.parameters}
-    return [parameter for parameter in effect.bare.parameters if parameter.name in free]
+    return [parameter for parameter in effect.base.parameters if parameter.name in free]
 
 
 class Fitter:
@@ -138,12 +138,12 @@ class Fitter:
     def _quick(self) -> list[View]:
         return [view.quick() for view in self.views]
 
-    def fit(self, effects: Sequence[Effect | Pinned], near: Fitted | None = None) -> Fitted:
+    def fit(self, effects: Sequence[Effect], near: Fitted | None = None) -> Fitted:
         """Fit from zero wavefront, or from modes, flux and background of another fit."""
         problem = self._problem(effects, self._quick)
         return self._exact(self._solved(problem, self._start(problem, near)))
 
-    def explored(self, effects: Sequence[Effect | Pinned], near: Fitted | None = None) -> Fitted:
+    def explored(self, effects: Sequence[Effect], near: Fitted | None = None) -> Fitted:
         """The same as far as tells whether it is promising."""
         problem = self._problem(effects, self._quick, ROUGHLY)
         return self._solved(problem, self._start(problem, near), EXPLORING)
@@ -214,7 +214,7 @@ class Fitter:
         return Fitted(problem, solution, float(problem.chi2(x)), self.views)
 
     def _problem(
-        self, effects: Sequence[Effect | Pinned], views: Sequence[View], tolerance: float = CHI2_TOLERANCE
+        self, effects: Sequence[Effect], views: Sequence[View], tolerance: float = CHI2_TOLERANCE
     ) -> JointFit:
         pairs = zip(views, self.stack.parts, strict=True)
         return JointFit([_part(stack, view, views[0], effects) for view, stack in pairs], tolerance)
@@ -235,7 +235,7 @@ class Fitter:
         return Fitted(problem, solution, float(problem.chi2(solution.values)), self.views)
 
 
-def _part(stack: Stack, view: View, first: View, effects: Sequence[Effect | Pinned]) -> ImageFit:
+def _part(stack: Stack, view: View, first: View, effects: Sequence[Effect]) -> ImageFit:
     """The problem of one recording by itself, with effects as stated for the first."""
     psf = view.psf
     model = ImageModel(psf, [view.seen(effect, first) for effect in effects])

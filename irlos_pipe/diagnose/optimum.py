@@ -16,7 +16,7 @@ import torch
 
 from irlos_pipe.diagnose.cube import Stack, Stacks
 from irlos_pipe.diagnose.fitting import Fitted
-from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.search import frozen
 
 
@@ -72,7 +72,7 @@ class Optimum:
         self._unconverged = self.basis.mT @ self.residual + basis[len(self.residual) :].mT @ prior
 
     @cached_property
-    def frozen(self) -> list[list[Effect | Pinned]]:
+    def frozen(self) -> list[list[Effect]]:
         """The effects as fitted for each recording, to try others beside them."""
         problem = self.fitted.problem
         values = self.fitted.effect_values

@@ -11,7 +11,7 @@ import numpy as np
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.optimum import Excess, Optimum
 from irlos_pipe.diagnose.search.detect import Score, gaussian_sigma
-from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.seeing_halo import ScaledHalo
 from irlos_pipe.numerics.parallel import ordered_map
 
@@ -92,14 +92,14 @@ class Refit:
         return gaussian_sigma(hotelling, self.parameters, stack.independent, self.score.trials)
 
     @property
-    def effect(self) -> Effect | Pinned:
+    def effect(self) -> Effect:
         """The effect as fitted."""
         return next(one for one in self.fitted.effects if one.name == self.name)
 
     @property
-    def bare(self) -> Effect:
+    def base(self) -> Effect:
         """The effect itself."""
-        return self.effect.bare
+        return self.effect.base
 
     @property
     def values(self) -> np.ndarray:
@@ -109,12 +109,12 @@ class Refit:
     @property
     def public(self) -> dict:
         """Its parameters under public names."""
-        return self.bare.describe(self.values)
+        return self.base.describe(self.values)
 
     @property
     def implausible(self) -> list[str]:
         """Parameters at a bound or outside the plausible range."""
-        pairs = zip(self.bare.parameters, self.values, strict=True)
+        pairs = zip(self.base.parameters, self.values, strict=True)
         return [p.name for p, value in pairs if not _plausible(p, value)]
 
 
@@ -139,7 +139,7 @@ def refits(
         found = _joined(fitter, found, ordered_map(partial(_near, fitter, origin), hopeful))
         report(len(some))
     if origin.excess.chi2_nu > FAR:
-        detectors = [one for one in found if one.bare.place == "detector"]
+        detectors = [one for one in found if one.base.plane == "detector"]
         found = _once_more(fitter, found, [*detectors, *_leading(found, but=detectors)], _from_zero)
     several = [one for one in found if one.score.elsewhere]
     found = _once_more(fitter, found, _leading(several), _from_elsewhere)
@@ -170,7 +170,7 @@ def _near(fitter: Fitter, origin: Optimum, score: Score) -> Refit:
     return Refit(score, origin, _explored(fitter, origin, _whole(score, score.start())))
 
 
-def _explored(fitter: Fitter, origin: Optimum, effect: Pinned) -> Fitted:
+def _explored(fitter: Fitter, origin: Optimum, effect: FixedEffect) -> Fitted:
     """A fit from the model before that goes as far as tells whether it is promising."""
     return fitter.explored([*origin.fitted.continued(), effect], origin.fitted)
 
@@ -241,9 +241,9 @@ def proposals(scores: Sequence[Score]) -> list[Score]:
     return sorted(promising, key=lambda one: -one.gain / one.inflation)[:PROPOSALS]
 
 
-def _whole(score: Score, start: Pinned) -> Pinned:
+def _whole(score: Score, start: FixedEffect) -> FixedEffect:
     """The effect to be fitted: the halo with its shape free, if there is enough of it."""
-    if not isinstance(start.effect, ScaledHalo) or score.sizes[0] < FULL_HALO:
+    if not isinstance(start.base, ScaledHalo) or score.sizes[0] < FULL_HALO:
         return start
-    halo = start.effect.halo
-    return Pinned(halo, [p.start for p in halo.parameters], [p.name for p in halo.parameters])
+    halo = start.base.halo
+    return FixedEffect(halo, [p.start for p in halo.parameters], [p.name for p in halo.parameters])

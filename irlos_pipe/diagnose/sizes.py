@@ -10,7 +10,7 @@ import numpy as np
 from irlos_pipe.diagnose.cube import Stack, Stacks
 from irlos_pipe.diagnose.fitting import Fitted
 from irlos_pipe.diagnose.search.detect import Score
-from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects import Effect
 
 STEP = 1e-3  # of a standard error, in derivatives of public values
 FAR = 1e3  # standard errors, in place of a prior that there is none of
@@ -33,17 +33,17 @@ def parameter_covariance(stack: Stack | Stacks, fitted: Fitted) -> np.ndarray:
     return scatter * np.outer(ratio, ratio)
 
 
-def public_sigma(bare: Effect, values: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
+def public_sigma(base: Effect, values: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
     """Standard errors of the public values, by linear propagation of the solver's covariance."""
     steps = np.sqrt(np.diag(covariance)) * STEP
     slopes = [
-        _difference(bare.describe(values + one), bare.describe(values - one))
+        _difference(base.describe(values + one), base.describe(values - one))
         for one in np.diag(np.where(steps > 0, steps, 1e-9))
     ]
     return _combined(slopes, covariance, 2 * np.where(steps > 0, steps, 1e-9))
 
 
-def determined(effect: Effect | Pinned, covariance: np.ndarray) -> np.ndarray:
+def determined(effect: Effect, covariance: np.ndarray) -> np.ndarray:
     """Covariance of an effect's free parameters without the directions that only the prior holds.
 
     Petals may move together, which tip, tilt and piston of the whole pupil do as well: the prior keeps

@@ -13,7 +13,7 @@ from irlos_pipe.diagnose.checks.fine_structure import FineStructure
 from irlos_pipe.diagnose.checks.noise import NoiseVerdict
 from irlos_pipe.diagnose.held_out import Gap
 from irlos_pipe.diagnose.second_recording import Advice
-from irlos_pipe.effects import Pinned
+from irlos_pipe.effects import FixedEffect
 
 NONE, EFFECT, UNKNOWN = "none", "effect", "unknown"
 
@@ -44,7 +44,7 @@ class Step:
 
     Attributes
     ----------
-    effect : Pinned
+    effect : FixedEffect
         As it stands in the final model, nothing free.
     public, sigma : dict
         Parameters and standard errors under public names.
@@ -61,7 +61,7 @@ class Step:
         Families that were fitted, the best first.
     """
 
-    effect: Pinned
+    effect: FixedEffect
     public: dict[str, Any]
     sigma: dict[str, Any]
     significance: float

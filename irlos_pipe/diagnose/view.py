@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
-from irlos_pipe.effects import Conditions, Effect, Pinned
+from irlos_pipe.effects import Conditions, Effect, FixedEffect
 from irlos_pipe.effects.colour import Spectrum
 from irlos_pipe.effects.seeing_halo import ScaledHalo, SeeingHalo
 from irlos_pipe.effects.wavefront import DiversityError
@@ -21,8 +20,21 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings
 
-if TYPE_CHECKING:
-    from irlos_pipe.diagnose.checks.screened_pixels import Screened
+
+@dataclass(frozen=True)
+class Screened:
+    """A pixel that the screening of the frames masked and no map lists.
+
+    Attributes
+    ----------
+    row, column : int
+    mean_e : float
+        Mean over the frames of what it showed, background subtracted [e-].
+    """
+
+    row: int
+    column: int
+    mean_e: float
 
 
 @dataclass(frozen=True)
@@ -62,13 +74,13 @@ class View:
         psf = PsfModel(self.psf.settings, self.psf.nolls, device=self.psf.device, dtype=torch.float32)
         return View(psf, self.conditions)
 
-    def seen(self, effect: Effect | Pinned, first: View) -> Effect | Pinned:
+    def seen(self, effect: Effect, first: View) -> Effect:
         """An effect that is stated for the `first` recording as it acts in this one."""
         if first is self:
             return effect
-        if isinstance(effect, Pinned):
-            free = [effect.effect.parameters[i].name for i in effect.free]
-            return Pinned(self.seen(effect.effect, first), effect.values, free)
+        if isinstance(effect, FixedEffect):
+            free = [effect.base.parameters[i].name for i in effect.free]
+            return FixedEffect(self.seen(effect.base, first), effect.values, free)
         if isinstance(effect, DiversityError):
             return DiversityErrorHere(self.conditions.diversity, effect.diversity)
         if self.conditions.spectrum == first.conditions.spectrum:
@@ -107,7 +119,7 @@ class ElsewhereOnly(Effect):
     """An effect of another recording, of which this one shows nothing."""
 
     def __init__(self, effect: Effect):
-        self.name, self.place, self.order = effect.name, effect.place, effect.order
+        self.name, self.place, self.order = effect.name, effect.plane, effect.order
         self.parameters = effect.parameters
 
     def apply(self, values: torch.Tensor, light, *rest):

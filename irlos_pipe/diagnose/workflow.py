@@ -13,7 +13,7 @@ from irlos_pipe.diagnose.checks.drift import Drift, measure_drift
 from irlos_pipe.diagnose.checks.noise import PHOTONS, judge_all
 from irlos_pipe.diagnose.conclude import conclude
 from irlos_pipe.diagnose.cube import Cube, split
-from irlos_pipe.diagnose.decide import Accepted, Options, choose, explained, no_longer_needed
+from irlos_pipe.diagnose.decide import Accepted, Options, Search, choose, explained, no_longer_needed
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.refit import Refit, refits
@@ -21,7 +21,7 @@ from irlos_pipe.diagnose.search.detect import Score, scores
 from irlos_pipe.diagnose.search.families import families, names_of
 from irlos_pipe.diagnose.verdict import Diagnosis
 from irlos_pipe.diagnose.view import Exposures
-from irlos_pipe.effects import Conditions, Effect, Pinned
+from irlos_pipe.effects import Conditions, Effect
 from irlos_pipe.effects.drift import NcpaDrift
 from irlos_pipe.effects.pixels import BadPixels
 
@@ -35,7 +35,7 @@ def silent(count: int) -> None:
 @torch.no_grad()
 def diagnose(
     recordings: Sequence[Exposures],
-    effects: Sequence[Effect | Pinned],
+    effects: Sequence[Effect],
     options: Options,
     *,
     device: str = "cpu",
@@ -48,7 +48,7 @@ def diagnose(
     recordings : sequence of Exposures
         With different focus, diversity or band, but the same window; of one wavefront. Effects are stated
         for the first.
-    effects : sequence of Effect or Pinned
+    effects : sequence of Effect
         What the model has already.
     report : callable, optional
         Called with the number of finished fits, for a progress bar.
@@ -71,32 +71,6 @@ def diagnose(
 
 
 @dataclass(frozen=True)
-class Search:
-    """What was found on the way.
-
-    Attributes
-    ----------
-    null, final : Optimum
-        Before and after all names.
-    drift : Drift or None
-        None where the model has one already.
-    accepted : list of Accepted
-        Names in the order found, the drift not among them.
-    scores : list of Score
-        Of all families, at the last model for which a name was looked for.
-    meaningless : list of str
-        Effects that mean nothing for this cube.
-    """
-
-    null: Optimum
-    final: Optimum
-    drift: Drift | None
-    accepted: list[Accepted]
-    scores: list[Score]
-    meaningless: list[str]
-
-
-@dataclass(frozen=True)
 class Task:
     """A cube with the means to fit it."""
 
@@ -106,7 +80,7 @@ class Task:
     options: Options
     report: Report
 
-    def searched(self, effects: Sequence[Effect | Pinned]) -> Search:
+    def searched(self, effects: Sequence[Effect]) -> Search:
         """Add names until nothing significant is missing, or nothing explains what is."""
         null = self._optimum(self._null(effects))
         drift, current = self._with_drift(null)
@@ -127,12 +101,12 @@ class Task:
 
     # -- steps ---------------------------------------------------------------------------------
 
-    def _null(self, effects: Sequence[Effect | Pinned]) -> Fitted:
+    def _null(self, effects: Sequence[Effect]) -> Fitted:
         """The fit without anything new, of it and its twins the most plausible.
 
         A changing wavefront has many false minima: the fit with it starts from that of a constant one.
         """
-        constant = [effect for effect in effects if effect.place != "time"]
+        constant = [effect for effect in effects if effect.plane != "time"]
         near = self._null(constant) if len(constant) < len(effects) else None
         found = [self.fitter.fit(effects, near)]
         found.append(self.fitter.twin(found[0]))

@@ -1,14 +1,14 @@
 """Physical effects beyond the static wavefront, each declaring where on the light path it acts."""
 
-from irlos_pipe.effects.base import Conditions, Effect, Parameter
+from irlos_pipe.effects.base import Effect, FixedEffect, expected
 from irlos_pipe.effects.colour import AtmosphericDispersion, PlateScale, Spectrum
 from irlos_pipe.effects.companion import Companion
+from irlos_pipe.effects.declaration import Conditions, Parameter
 from irlos_pipe.effects.drift import NcpaDrift
 from irlos_pipe.effects.effect_set import EffectSet, fixed_optics
 from irlos_pipe.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
 from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.effects.motion import TipTiltJitter, Vibration
-from irlos_pipe.effects.pinned import Pinned, expected
 from irlos_pipe.effects.pixels import BackgroundGradient, BadPixels, DetectorNonlinearity, InterpixelCrosstalk
 from irlos_pipe.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
 from irlos_pipe.effects.seeing_halo import SeeingHalo
@@ -46,8 +46,8 @@ __all__ = [
     "Conditions",
     "Effect",
     "EffectSet",
+    "FixedEffect",
     "Parameter",
-    "Pinned",
     "SeeingHalo",
     "TipTiltJitter",
     "expected",

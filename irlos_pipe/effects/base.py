@@ -1,119 +1,32 @@
-"""What a physical effect declares: its numbers, and its place on the light path.
+"""What a physical effect is: parameters, and what it does to what arrives at its plane of the light path.
 
-There is one base class per place. Each asks for one method, `apply`, which takes what arrives at the
-place and returns it as the effect leaves it; derivatives come from forward-mode differentiation of it,
+There is one base class per plane. Each asks for one method, `apply`, which takes what arrives at the
+plane and returns it as the effect leaves it; derivatives come from forward-mode differentiation of it,
 unless an effect knows a quicker way.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, Self
+from dataclasses import replace
+from typing import Any, Self
 
 import numpy as np
 import torch
 
+from irlos_pipe.effects.declaration import Conditions, Parameter, Plane, Public
 from irlos_pipe.numerics.forward_mode import along, along_all
 from irlos_pipe.optics.grids import OtfGrid, PupilGrid, Sampling
-from irlos_pipe.optics.structure import ResidualBand
-
-INFINITE = float("inf")
-Place = Literal["pupil", "otf", "sampling", "time", "detector", "ramp"]
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number of an effect, as a solver sees it.
-
-    Attributes
-    ----------
-    name, unit : str
-    start : float
-        Where a fit begins.
-    prior_mean, prior_sigma : float
-        Gaussian prior; an infinite sigma means none.
-    lower, upper : float
-        Bounds that a fit respects.
-    null : float or None
-        Value at which the effect is absent; None for a number that then means nothing, such as a position.
-    plausible : (float, float)
-        A value outside says that the effect stands in for something else.
-    """
-
-    name: str
-    unit: str
-    start: float
-    prior_mean: float = 0.0
-    prior_sigma: float = INFINITE
-    lower: float = -INFINITE
-    upper: float = INFINITE
-    null: float | None = 0.0
-    plausible: tuple[float, float] = (-INFINITE, INFINITE)
-
-
-@dataclass(frozen=True)
-class Public:
-    """One number, list or table of an effect, as recipes and results have it.
-
-    Attributes
-    ----------
-    name, unit : str
-    kind : str
-        A number; a table of Noll indices; four numbers, one per petal; a list of (row, column); a name.
-    lower, upper : float
-        Limits of every number in it.
-    required : bool
-        Whether an effect held at known values must be given it.
-    """
-
-    name: str
-    unit: str
-    kind: Literal["number", "zernike", "petals", "pixels", "nolls", "word"] = "number"
-    lower: float = -INFINITE
-    upper: float = INFINITE
-    required: bool = True
-
-
-@dataclass(frozen=True)
-class Conditions:
-    """Circumstances of a recording that effects may start from.
-
-    Attributes
-    ----------
-    band : ResidualBand
-        Spatial frequencies that the AO corrects.
-    seeing_arcsec : float
-    diversity : dict of int to float
-        Noll index to nm RMS, as introduced.
-    highest_noll : int
-        Last mode that is estimated as such.
-    window : (int, int)
-        Rows and columns [px].
-    pixel_scale_mas : float
-    spectrum : tuple of (wavelength_nm, weight)
-    seeing_measured : bool
-        Otherwise the seeing is a typical one.
-    """
-
-    band: ResidualBand
-    seeing_arcsec: float
-    diversity: dict[int, float] = field(default_factory=dict)
-    highest_noll: int = 30
-    window: tuple[int, int] = (64, 64)
-    pixel_scale_mas: float = 9.7
-    spectrum: tuple[tuple[float, float], ...] = ((1600.0, 1.0),)
-    seeing_measured: bool = True
 
 
 class Effect:
-    """What all effects have; the place says which further class to derive from.
+    """What all effects have; the plane says which further class to derive from.
 
     Class attributes
     ----------------
     name : str
         As recipes and results have it.
-    place : str
+    plane : str
     public : tuple of Public
         Numbers under their public names and units.
     options : tuple of Public
@@ -129,17 +42,17 @@ class Effect:
     reference : str
     """
 
-    name: ClassVar[str]
-    place: ClassVar[Place]
-    order: ClassVar[int] = 0  # among effects of the same place
-    public: ClassVar[tuple[Public, ...]] = ()
-    options: ClassVar[tuple[Public, ...]] = ()
-    usual: ClassVar[bool] = False
-    instrumental: ClassVar[bool] = True
-    aberration: ClassVar[bool] = False
-    look_alike: ClassVar[str] = ""
-    reference: ClassVar[str] = ""
-    parameters: tuple[Parameter, ...]
+    name: str
+    plane: Plane
+    order: int = 0  # among effects of the same plane
+    public: tuple[Public, ...] = ()
+    options: tuple[Public, ...] = ()
+    usual: bool = False
+    instrumental: bool = True
+    aberration: bool = False
+    look_alike: str = ""
+    reference: str = ""
+    parameters: tuple[Parameter, ...] = ()
 
     @classmethod
     def under(cls, conditions: Conditions, **options: Any) -> Self:
@@ -165,11 +78,11 @@ class Effect:
         """Parameters under the public names and units of the effect catalogue."""
         return {p.name: float(v) for p, v in zip(self.parameters, values, strict=True)}
 
-    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Any]:
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> Sequence[Effect]:
         """Effects whose derivative at the null values is to be looked at when searching for this one.
 
         Where position, direction or size mean nothing in the absence of the effect, one per value tried:
-        `Pinned` at its null values with the size left free.
+        `FixedEffect` at its null values with the size left free.
 
         Parameters
         ----------
@@ -179,10 +92,35 @@ class Effect:
         """
         return [self]
 
+    def apply(self, values: torch.Tensor, *light: Any, **more: Any) -> Any:
+        """What arrives at the plane, as the effect leaves it; see the base class of the plane."""
+        raise NotImplementedError
+
+    def slopes(
+        self, values: torch.Tensor, light: torch.Tensor, grid: Any, wanted: Sequence[int]
+    ) -> Sequence[torch.Tensor]:
+        """Derivatives of `apply` with respect to the `wanted` parameters, in the pupil and of the OTF."""
+        raise NotImplementedError
+
+    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor | None:
+        """The effect's part of the wavefront, (n, n) [nm]; None if it is none."""
+        return None
+
     @property
-    def bare(self) -> Effect:
-        """The effect itself; of a `Pinned` one, what is pinned."""
+    def base(self) -> Effect:
+        """The effect itself; of a `FixedEffect`, the effect whose parameters are held."""
         return self
+
+    @property
+    def needs_search(self) -> bool:
+        """Whether a fit needs a search first: some parameters mean nothing in the effect's absence."""
+        return not self.usual and any(p.null is None for p in self.parameters)
+
+    def expected(self) -> Effect:
+        """The effect held at what is to be expected: a usual one at its start, others absent."""
+        if not self.parameters:
+            return self
+        return FixedEffect(self, [p.start for p in self.parameters] if self.usual else self.null_values)
 
     def all_values(self, values: Sequence[float]) -> torch.Tensor:
         """Values of all parameters from those of the free ones, float64; here all are free."""
@@ -194,10 +132,78 @@ class Effect:
         return [p.start if p.null is None else p.null for p in self.parameters]
 
 
+class FixedEffect(Effect):
+    """An effect with every parameter held at a value, except those named in `free`, which start there.
+
+    This is how parameters estimated by one stage are handed on to the next.
+
+    Parameters
+    ----------
+    base : Effect
+        What it declares holds for this one as well.
+    values : sequence of float, (parameters of the base effect,)
+    free : sequence of str
+    """
+
+    def __init__(self, base: Effect, values: Sequence[float], free: Sequence[str] = ()):
+        for declared in Effect.__annotations__:
+            setattr(self, declared, getattr(base, declared))
+        self._base = base
+        self.values = np.array(values, float)
+        self.free = [i for i, p in enumerate(base.parameters) if p.name in free]
+        self.parameters = tuple(replace(base.parameters[i], start=float(self.values[i])) for i in self.free)
+
+    @property
+    def base(self) -> Effect:
+        """See `Effect.base`."""
+        return self._base
+
+    def all_values(self, values: Sequence[float]) -> torch.Tensor:
+        """See `Effect.all_values`."""
+        full = torch.as_tensor(self.values, dtype=torch.float64)
+        if not self.free:
+            return full
+        chosen = torch.as_tensor(np.eye(len(self.values))[self.free])
+        held = torch.as_tensor(np.isin(np.arange(len(self.values)), self.free, invert=True))
+        return full * held + torch.as_tensor(values, dtype=torch.float64) @ chosen
+
+    @property
+    def needs_search(self) -> bool:
+        """See `Effect.needs_search`: where it starts is known."""
+        return False
+
+    def expected(self) -> Effect:
+        """See `Effect.expected`."""
+        return FixedEffect(self.base, self.values) if self.free else self
+
+    def apply(self, values: torch.Tensor, *light: Any, **more: Any) -> Any:
+        """See `Effect.apply`."""
+        return self.base.apply(self.all_values(values), *light, **more)
+
+    def slopes(
+        self, values: torch.Tensor, light: torch.Tensor, grid: Any, wanted: Sequence[int]
+    ) -> Sequence[torch.Tensor]:
+        """See `Effect.slopes`."""
+        return self.base.slopes(self.all_values(values), light, grid, [self.free[i] for i in wanted])
+
+    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor | None:
+        """See `Effect.opd_nm`."""
+        return self.base.opd_nm(self.all_values(values), grid)
+
+    def describe(self, values: Sequence[float]) -> dict[str, Any]:
+        """See `Effect.describe`."""
+        return self.base.describe(self.all_values(values).numpy())
+
+
+def expected(effects: Sequence[Effect]) -> list[Effect]:
+    """The same effects held at what is to be expected: usual ones at their start, others absent."""
+    return [effect.expected() for effect in effects]
+
+
 class PupilEffect(Effect):
     """Acts on the complex amplitude in the pupil."""
 
-    place = "pupil"
+    plane = "pupil"
     order = 1  # after those that change where light passes, which add to the field
 
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
@@ -210,15 +216,11 @@ class PupilEffect(Effect):
         """Derivatives of `apply` with respect to the `wanted` parameters, (wavelengths, n, n) each."""
         return [along(lambda v: self.apply(v, field, grid), values, index) for index in wanted]
 
-    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor | None:
-        """The effect's part of the wavefront, (n, n) [nm]; None if it is none."""
-        return None
-
 
 class OtfEffect(Effect):
     """Multiplies the OTF by a factor, real or complex."""
 
-    place = "otf"
+    plane = "otf"
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """`factor`, broadcastable to (wavelengths, p, p//2 + 1), times that of the effect."""
@@ -239,7 +241,7 @@ class OtfEffect(Effect):
 class SamplingEffect(Effect):
     """Changes wavelengths, their weights, or the pixel scale."""
 
-    place = "sampling"
+    plane = "sampling"
 
     def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
         """`sampling` with the effect; `nominal` is what the recording is said to have."""
@@ -249,7 +251,7 @@ class SamplingEffect(Effect):
 class TimeEffect(Effect):
     """Changes the wavefront during the recording."""
 
-    place = "time"
+    plane = "time"
 
     def apply(
         self, values: torch.Tensor, modes_nm: torch.Tensor, nolls: tuple[int, ...], when: torch.Tensor
@@ -261,7 +263,7 @@ class TimeEffect(Effect):
 class DetectorEffect(Effect):
     """Acts on the electrons in the pixels."""
 
-    place = "detector"
+    plane = "detector"
 
     def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
         """Images (..., rows, columns) [e-] as the detector shows them."""
@@ -271,15 +273,10 @@ class DetectorEffect(Effect):
 class RampEffect(Effect):
     """Changes the defocus that a focus stage really introduces."""
 
-    place = "ramp"
+    plane = "ramp"
 
     def apply(
         self, values: torch.Tensor, introduced_nm: torch.Tensor, commanded_nm: np.ndarray
     ) -> torch.Tensor:
         """Introduced defocus with the effect, (frames,); `commanded_nm`: in order of recording."""
         raise NotImplementedError
-
-
-def number(name: str, unit: str, lower: float = -INFINITE, upper: float = INFINITE, **more) -> Public:
-    """A public number."""
-    return Public(name, unit, "number", lower, upper, **more)

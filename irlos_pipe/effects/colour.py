@@ -12,7 +12,8 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import MAS, NM
-from irlos_pipe.effects.base import Conditions, OtfEffect, Parameter, SamplingEffect, number
+from irlos_pipe.effects.base import OtfEffect, SamplingEffect
+from irlos_pipe.effects.declaration import Conditions, Parameter, number
 from irlos_pipe.effects.polar import components, size_and_angle
 from irlos_pipe.optics.grids import OtfGrid, Sampling
 from irlos_pipe.optics.phasor import phasor

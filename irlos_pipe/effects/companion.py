@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import MAS
-from irlos_pipe.effects.base import Conditions, Effect, OtfEffect, Parameter, number
-from irlos_pipe.effects.pinned import Pinned
+from irlos_pipe.effects.base import Effect, FixedEffect, OtfEffect
+from irlos_pipe.effects.declaration import Conditions, Parameter, number
 from irlos_pipe.effects.polar import components, size_and_angle
 from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.phasor import phasor
@@ -69,12 +69,12 @@ class Companion(OtfEffect):
         """Solver's parameters for a known companion."""
         return [flux_ratio, *components(sep_mas, pa_deg)]
 
-    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
         """One per position on a grid over half the window about the star."""
         reach = (n / 2 * pixel_scale_mas for n in window[::-1])
         columns, rows = (STEP_MAS * np.arange(-(r // STEP_MAS), r // STEP_MAS + 1) for r in reach)
         return [
-            Pinned(self, [0.0, x, y], free=("flux_ratio",))
+            FixedEffect(self, [0.0, x, y], free=("flux_ratio",))
             for y in rows
             for x in columns
             if np.hypot(x, y) >= INNER_MAS

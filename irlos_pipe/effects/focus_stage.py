@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from irlos_pipe.effects.base import Parameter, RampEffect, number
+from irlos_pipe.effects.base import RampEffect
+from irlos_pipe.effects.declaration import Parameter, number
 
 
 def travel_direction(commanded_nm: np.ndarray) -> np.ndarray:

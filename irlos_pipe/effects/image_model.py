@@ -17,7 +17,6 @@ import torch
 
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.effect_set import NOTHING, EffectSet
-from irlos_pipe.effects.pinned import Pinned
 from irlos_pipe.numerics.forward_mode import along, pushed_all
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.psf import NO_TANGENTS, PsfModel
@@ -31,12 +30,12 @@ class ImageModel:
     Parameters
     ----------
     psf : PsfModel
-    effects : sequence of Effect or Pinned, or EffectSet
+    effects : sequence of Effect, or EffectSet
     """
 
-    def __init__(self, psf: PsfModel, effects: Sequence[Effect | Pinned] | EffectSet = ()):
+    def __init__(self, psf: PsfModel, effects: Sequence[Effect] | EffectSet = ()):
         self.psf = psf
-        self.effects = effects if isinstance(effects, EffectSet) else EffectSet(effects, psf.stations)
+        self.effects = effects if isinstance(effects, EffectSet) else EffectSet(effects, psf.grids)
         self._last: tuple[torch.Tensor, Optics] | None = None
 
     def predict(

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from irlos_pipe.effects.base import Parameter, Public, PupilEffect
+from irlos_pipe.effects.base import PupilEffect
+from irlos_pipe.effects.declaration import Parameter, Public
 from irlos_pipe.optics.grids import PupilGrid
 from irlos_pipe.optics.petals import PETALS, petal_amplitudes, petal_index
 

@@ -12,9 +12,9 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import MAS
-from irlos_pipe.effects.base import Effect, OtfEffect, Parameter, Public, number
+from irlos_pipe.effects.base import Effect, FixedEffect, OtfEffect
 from irlos_pipe.effects.bessel import j0_of_twice_root
-from irlos_pipe.effects.pinned import Pinned
+from irlos_pipe.effects.declaration import Parameter, Public, number
 from irlos_pipe.optics.grids import OtfGrid
 
 LARGEST_MAS = 60.0
@@ -103,7 +103,7 @@ class Vibration(OtfEffect):
         """Solver's parameters for a known motion."""
         return [sigma_mas**2, float(np.deg2rad(angle_deg))]
 
-    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
         """One per direction."""
         angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
-        return [Pinned(self, [0.0, angle], free=("variance_mas2",)) for angle in angles]
+        return [FixedEffect(self, [0.0, angle], free=("variance_mas2",)) for angle in angles]

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from irlos_pipe.effects.base import Conditions, DetectorEffect, Parameter, Public, number
+from irlos_pipe.effects.base import DetectorEffect
+from irlos_pipe.effects.declaration import Conditions, Parameter, Public, number
 from irlos_pipe.effects.polar import components, size_and_angle
 
 NEIGHBOURS = ((0, 1), (2, 1), (1, 0), (1, 2))  # offsets in an image padded by one pixel

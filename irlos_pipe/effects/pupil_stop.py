@@ -10,8 +10,8 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.pupil import PupilGeometry, Vane
-from irlos_pipe.effects.base import Conditions, Effect, Parameter, Public, PupilEffect, number
-from irlos_pipe.effects.pinned import Pinned
+from irlos_pipe.effects.base import Effect, FixedEffect, PupilEffect
+from irlos_pipe.effects.declaration import Conditions, Parameter, Public, number
 from irlos_pipe.effects.zernike_table import ZernikeTable
 from irlos_pipe.optics.grids import PupilGrid
 from irlos_pipe.optics.pupil import band_limited
@@ -77,11 +77,11 @@ class PupilMisregistration(PupilEffect):
         """Solver's parameters for a known misregistration."""
         return [float(np.hypot(dx_m, dy_m)), float(np.arctan2(dy_m, dx_m)), rotation_deg]
 
-    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
         """One per direction of the shift, and the rotation."""
         angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
-        shifts = [Pinned(self, [0.0, angle, 0.0], free=("distance_m",)) for angle in angles]
-        return [*shifts, Pinned(self, [0.0, 0.0, 0.0], free=("rotation_deg",))]
+        shifts = [FixedEffect(self, [0.0, angle, 0.0], free=("distance_m",)) for angle in angles]
+        return [*shifts, FixedEffect(self, [0.0, 0.0, 0.0], free=("rotation_deg",))]
 
 
 class _Moved(torch.autograd.Function):

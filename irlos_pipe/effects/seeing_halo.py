@@ -14,7 +14,8 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import NM
-from irlos_pipe.effects.base import Conditions, Effect, OtfEffect, Parameter, number
+from irlos_pipe.effects.base import Effect, OtfEffect
+from irlos_pipe.effects.declaration import Conditions, Parameter, number
 from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.propagate import FocalGrid
 from irlos_pipe.optics.structure import (

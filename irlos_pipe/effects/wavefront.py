@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from irlos_pipe.effects.base import Conditions, Effect, Parameter, Public, PupilEffect, number
-from irlos_pipe.effects.pinned import Pinned
+from irlos_pipe.effects.base import Effect, FixedEffect, PupilEffect
+from irlos_pipe.effects.declaration import Conditions, Parameter, Public, number
 from irlos_pipe.effects.zernike_table import ZernikeTable
 from irlos_pipe.numerics.forward_mode import along
 from irlos_pipe.optics.grids import PupilGrid
@@ -167,11 +167,11 @@ class PhaseBump(_Map):
         u, v = (u - x) / width, (v - y) / width
         return torch.exp(-(u**2 + v**2) / 2) * torch.tensor(grid.lit), u, v
 
-    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect | Pinned]:
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
         """One per position on a grid and per width."""
         steps = np.arange(-REACH_M + BUMP_STEP_M / 2, REACH_M, BUMP_STEP_M)
         return [
-            Pinned(self, [0.0, x, y, width], free=("nm",))
+            FixedEffect(self, [0.0, x, y, width], free=("nm",))
             for width in BUMP_WIDTHS_M
             for y in steps
             for x in steps

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from irlos_pipe.effects.base import Parameter
+from irlos_pipe.effects.declaration import Parameter
 
 
 class ZernikeTable:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.centring import start_tilts_nm
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
@@ -22,7 +22,7 @@ from irlos_pipe.estimate.methods import METHODS, Method
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.priors import ncpa_sigma_nm
 from irlos_pipe.estimate.scatter import covariance_of_mean
-from irlos_pipe.estimate.search import located, searched_for
+from irlos_pipe.estimate.search import located
 from irlos_pipe.estimate.second_start import HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
 from irlos_pipe.estimate.total_wavefront import effects_in_modes_nm
 from irlos_pipe.estimate.twin import TwinCheck, check_twin
@@ -120,7 +120,7 @@ def calibrate(
     frames: Frames,
     settings: PsfSettings,
     options: CalibrationOptions,
-    effects: Sequence[Effect | Pinned] = (),
+    effects: Sequence[Effect] = (),
     *,
     start_nm: np.ndarray | None = None,
     device: str = "cpu",
@@ -130,7 +130,7 @@ def calibrate(
 
     Parameters
     ----------
-    effects : sequence of Effect or Pinned
+    effects : sequence of Effect
         Of the model; methods of the paper leave them out.
     start_nm : ndarray, (modes,), optional
         Start from Noll 2 on, for as many modes as there are; else the fit starts from none, and once more
@@ -171,7 +171,7 @@ class _Task:
     report: Callable[[int], None] | None
 
     def fit(
-        self, effects: Sequence[Effect | Pinned], near: tuple[ImageFit, Solution] | None = None
+        self, effects: Sequence[Effect], near: tuple[ImageFit, Solution] | None = None
     ) -> tuple[ImageFit, Solution]:
         """Fit with these effects, from scratch or from the modes of another fit."""
         problem = _problem(self.frames, ImageModel(self.psf, effects), self.method, self.options)
@@ -189,10 +189,10 @@ class _Task:
         return problem, solution
 
 
-def _fit_steady(task: _Task, effects: Sequence[Effect | Pinned]) -> tuple[ImageFit, Solution]:
+def _fit_steady(task: _Task, effects: Sequence[Effect]) -> tuple[ImageFit, Solution]:
     """Fit with all effects; those whose place is unknown are searched for in what the others leave."""
-    fit = task.fit([effect for effect in effects if not searched_for(effect)])
-    if not any(searched_for(effect) for effect in effects):
+    fit = task.fit([effect for effect in effects if not effect.needs_search])
+    if not any(effect.needs_search for effect in effects):
         return fit
     return task.fit(located(fit[0], fit[1].values[:1], effects), fit)
 

@@ -6,22 +6,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects import Effect, FixedEffect
 
 
-def drifts(effect: Effect | Pinned) -> bool:
+def drifts(effect: Effect) -> bool:
     """Whether the effect is a change with time that is still to be estimated."""
-    return effect.place == "time" and len(effect.parameters) > 0
+    return effect.plane == "time" and len(effect.parameters) > 0
 
 
-def measured_drift(effect: Effect | Pinned, nolls: Sequence[int], frames_nm: np.ndarray) -> Pinned:
+def measured_drift(effect: Effect, nolls: Sequence[int], frames_nm: np.ndarray) -> FixedEffect:
     """The effect held at the slopes of straight lines through the estimates of the frames.
 
     The mean image shows a drift to second order only, and not its sign; the frames show both.
 
     Parameters
     ----------
-    effect : NcpaDrift, or it Pinned with all parameters free
+    effect : NcpaDrift, or it FixedEffect with all parameters free
     nolls : sequence of int
         Modes of `frames_nm`.
     frames_nm : ndarray, (frames, modes)
@@ -32,10 +32,10 @@ def measured_drift(effect: Effect | Pinned, nolls: Sequence[int], frames_nm: np.
     ValueError
         If a mode that is to drift is not estimated.
     """
-    bare = effect.bare
-    missing = sorted(set(bare.nolls) - set(nolls))
+    base = effect.base
+    missing = sorted(set(base.nolls) - set(nolls))
     if missing:
         raise ValueError(f"ncpa_drift of Noll {missing}: only modes that are estimated can drift")
     when = np.linspace(-0.5, 0.5, len(frames_nm))
-    columns = [list(nolls).index(noll) for noll in bare.nolls]
-    return Pinned(bare, when @ frames_nm[:, columns] / (when @ when))
+    columns = [list(nolls).index(noll) for noll in base.nolls]
+    return FixedEffect(base, when @ frames_nm[:, columns] / (when @ when))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects import Effect
 
 LEAST_SURVIVAL = 1e-6  # of a column's power beside the others
 
@@ -30,13 +30,13 @@ class FocusStage:
 
 
 def fit_focus_stage(
-    effects: Sequence[Effect | Pinned], commanded_nm: np.ndarray, estimated_nm: np.ndarray
+    effects: Sequence[Effect], commanded_nm: np.ndarray, estimated_nm: np.ndarray
 ) -> FocusStage:
     """Estimate the free errors by least squares: what is introduced is linear in all of them.
 
     Parameters
     ----------
-    effects : sequence of Effect or Pinned
+    effects : sequence of Effect
         That act on a ramp.
     commanded_nm, estimated_nm : ndarray, (frames,)
         In order of recording; failed estimates are NaN.

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -101,7 +101,7 @@ def scan_mode_numbers(
     settings: PsfSettings,
     options: CalibrationOptions,
     highest_nolls: Sequence[int],
-    effects: Sequence[Effect | Pinned] = (),
+    effects: Sequence[Effect] = (),
     *,
     nolls: Sequence[int] = COMPARED,
     device: str = "cpu",
@@ -144,7 +144,7 @@ def fit_mode_numbers(
     settings: PsfSettings,
     options: CalibrationOptions,
     highest_nolls: Sequence[int],
-    effects: Sequence[Effect | Pinned] = (),
+    effects: Sequence[Effect] = (),
     *,
     device: str = "cpu",
     report: Callable[[int], None] | None = None,

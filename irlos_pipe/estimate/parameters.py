@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import torch
 
-from irlos_pipe.effects.base import Parameter
+from irlos_pipe.effects.declaration import Parameter
 
 INFINITE = float("inf")
 

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from irlos_pipe.effects import Effect, Pinned, SeeingHalo, TipTiltJitter, expected
+from irlos_pipe.effects import Effect, FixedEffect, SeeingHalo, TipTiltJitter, expected
 
 
 def ramp_effects(
-    available: Sequence[Effect | Pinned],
-    known: Mapping[str, Pinned],
+    available: Sequence[Effect],
+    known: Mapping[str, FixedEffect],
     halo: str = "calibrated",
     object_sigma_mas: str | float = "calibrated",
-) -> list[Effect | Pinned]:
+) -> list[Effect]:
     """Effects for `fit_ramp`.
 
     Parameters
     ----------
-    available : sequence of Effect or Pinned
+    available : sequence of Effect
         The effects of the model.
-    known : mapping of str to Pinned
+    known : mapping of str to FixedEffect
         Those that a calibration has measured, by name. Of the others, residual and jitter are taken as
         expected, and the rest as `available` has them: a free one is fitted to the whole ramp.
     halo : {"calibrated", "fit", "off"}
@@ -33,14 +33,14 @@ def ramp_effects(
     return [effect for effect in (residual, kernel, *rest) if effect is not None]
 
 
-def _halo(best: Pinned | None, halo: str) -> Effect | Pinned | None:
+def _halo(best: FixedEffect | None, halo: str) -> Effect | None:
     if halo == "off" or best is None:
         return None
-    return Pinned(best.effect, best.values, free=("variance_nm2",)) if halo == "fit" else best
+    return FixedEffect(best.base, best.values, free=("variance_nm2",)) if halo == "fit" else best
 
 
-def _kernel(best: Pinned | None, object_sigma_mas: str | float) -> Effect | Pinned | None:
+def _kernel(best: FixedEffect | None, object_sigma_mas: str | float) -> Effect | None:
     if object_sigma_mas == "calibrated":
         return best
     jitter = TipTiltJitter()
-    return jitter if object_sigma_mas == "fit" else Pinned(jitter, jitter.values_of(object_sigma_mas))
+    return jitter if object_sigma_mas == "fit" else FixedEffect(jitter, jitter.values_of(object_sigma_mas))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from irlos_pipe.effects import Effect, EffectSet, Pinned
+from irlos_pipe.effects import Effect, EffectSet
 from irlos_pipe.effects.effect_set import NOTHING
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.centring import start_tilts_nm
@@ -84,7 +84,7 @@ def fit_ramp(
     data: RampData,
     start_nm: torch.Tensor,
     options: LiftOptions,
-    effects: Sequence[Effect | Pinned] = (),
+    effects: Sequence[Effect] = (),
     *,
     report: Callable[[int], None] | None = None,
 ) -> RampFit:
@@ -92,10 +92,10 @@ def fit_ramp(
 
     Parameters
     ----------
-    effects : sequence of Effect or Pinned
-        Pinned ones are fixed, others are shared by all frames.
+    effects : sequence of Effect
+        FixedEffect ones are fixed, others are shared by all frames.
     """
-    free = EffectSet(effects, model.stations)
+    free = EffectSet(effects, model.grids)
     shared = _fit_effects(model, data, start_nm, free) if free.parameters else None
     held = free.held(shared.values if shared else NOTHING)
     complete = ImageModel(model, held)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import torch
 
-from irlos_pipe.effects import Effect, EffectSet, Pinned
+from irlos_pipe.effects import Effect, EffectSet, FixedEffect
 from irlos_pipe.effects.base import OtfEffect, PupilEffect
 from irlos_pipe.effects.effect_set import NOTHING
 from irlos_pipe.effects.image_model import ImageModel
@@ -29,7 +29,7 @@ class Score:
 
     Attributes
     ----------
-    candidate : Effect or Pinned
+    candidate : Effect
     sizes : tensor, (parameters,)
         Linear estimate, within the bounds.
     gain : float
@@ -38,13 +38,13 @@ class Score:
         Part of the power of the derivative that the other parameters cannot imitate, of its first parameter.
     """
 
-    candidate: Effect | Pinned
+    candidate: Effect
     sizes: torch.Tensor
     gain: float
     survival: float
 
 
-def score(problem: ImageFit, x: torch.Tensor, candidate: Effect | Pinned) -> Score:
+def score(problem: ImageFit, x: torch.Tensor, candidate: Effect) -> Score:
     """Score of one candidate beside the effects that the problem has already.
 
     Parameters
@@ -57,26 +57,19 @@ def score(problem: ImageFit, x: torch.Tensor, candidate: Effect | Pinned) -> Sco
     return _Null(problem, x).score(candidate)
 
 
-def best_start(problem: ImageFit, x: torch.Tensor, effect: Effect) -> Pinned:
+def best_start(problem: ImageFit, x: torch.Tensor, effect: Effect) -> FixedEffect:
     """The effect with all its parameters free, starting at its best candidate."""
     settings = problem.model.psf.settings
     null = _Null(problem, x)
     scores = [null.score(c) for c in effect.candidates(settings.window, settings.pixel_scale_mas)]
     best = max(scores, key=lambda one: one.gain)
     values = best.candidate.all_values(best.sizes).numpy()
-    return Pinned(effect, values, free=[p.name for p in effect.parameters])
+    return FixedEffect(effect, values, free=[p.name for p in effect.parameters])
 
 
-def located(problem: ImageFit, x: torch.Tensor, effects: Sequence[Effect | Pinned]) -> list[Effect | Pinned]:
+def located(problem: ImageFit, x: torch.Tensor, effects: Sequence[Effect]) -> list[Effect]:
     """Effects with a start for those that must be searched for; `problem` has those that need not."""
-    return [best_start(problem, x, effect) if searched_for(effect) else effect for effect in effects]
-
-
-def searched_for(effect: Effect | Pinned) -> bool:
-    """Whether a fit of the effect needs a search first: some parameters mean nothing in its absence."""
-    if isinstance(effect, Pinned) or effect.usual:
-        return False
-    return any(p.null is None for p in effect.parameters)
+    return [best_start(problem, x, effect) if effect.needs_search else effect for effect in effects]
 
 
 class _Null:
@@ -90,7 +83,7 @@ class _Null:
         self.basis = torch.linalg.qr((columns[0].double() * self.root).mT)[0]  # (pixels, parameters)
         self.own = frozen(problem.model.effects, x[0, problem.layout.effect_values])
 
-    def score(self, candidate: Effect | Pinned) -> Score:
+    def score(self, candidate: Effect) -> Score:
         """See `score`."""
         shapes = self._shapes(candidate)
         rest = shapes - self.basis @ (self.basis.mT @ shapes)
@@ -101,7 +94,7 @@ class _Null:
         fall = 2 * sizes @ (rest.mT @ self.residual) - sizes @ normal @ sizes
         return Score(candidate, sizes.cpu(), float(fall), float(normal[0, 0] / (shapes[:, 0] ** 2).sum()))
 
-    def _shapes(self, candidate: Effect | Pinned) -> torch.Tensor:
+    def _shapes(self, candidate: Effect) -> torch.Tensor:
         """Whitened derivatives with respect to the candidate's parameters at their null values."""
         whole = ImageModel(self.problem.model.psf, [*self.own, candidate])
         null = torch.tensor(candidate.null_values, dtype=torch.float64)
@@ -130,7 +123,7 @@ class _FrozenPupil(PupilEffect):
     name = "frozen"
     parameters = ()
 
-    def __init__(self, effect: Pinned, grid: PupilGrid):
+    def __init__(self, effect: FixedEffect, grid: PupilGrid):
         dark = torch.zeros(len(grid.wavelengths_m), *grid.amplitude.shape, dtype=torch.complex128)
         self.order = effect.order
         self.added = effect.apply(NOTHING, dark, grid)
@@ -141,19 +134,19 @@ class _FrozenPupil(PupilEffect):
         return field * self.factor + self.added
 
 
-def frozen(effects: EffectSet, values: torch.Tensor) -> list[Effect | Pinned]:
+def frozen(effects: EffectSet, values: torch.Tensor) -> list[Effect]:
     """The effects held at `values`, computed once; all as they are where wavelengths may move."""
     held = effects.held(values)
     if held.at("sampling"):
         return list(held.effects)
-    stations = held.stations
-    grid = stations.pupil.at(stations.sampling.wavelengths_m)
-    fixed = [effect for effect in held.effects if effect.place not in ("pupil", "otf")]
+    grids = held.grids
+    grid = grids.pupil.at(grids.sampling.wavelengths_m)
+    fixed = [effect for effect in held.effects if effect.plane not in ("pupil", "otf")]
     fixed += [_FrozenPupil(effect, grid) for effect, _ in held.at("pupil")]
     return [*fixed, _FrozenTransfer(held().transfer)] if held.at("otf") else fixed
 
 
-def _within(candidate: Effect | Pinned, sizes: torch.Tensor) -> torch.Tensor:
+def _within(candidate: Effect, sizes: torch.Tensor) -> torch.Tensor:
     """Null values plus sizes, kept within the bounds."""
     limits = torch.tensor([[p.lower, p.upper] for p in candidate.parameters], dtype=torch.float64)
     null = torch.tensor(candidate.null_values, dtype=torch.float64)

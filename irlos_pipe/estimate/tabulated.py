@@ -26,7 +26,7 @@ class TabulatedModel(ImageModel):
     def __init__(self, general: ImageModel, reach: Reach):
         psf = FocusTable(general.psf, general.optics, reach)
         detector = [effect for effect, _ in general.effects.at("detector")]
-        super().__init__(psf, EffectSet(detector, general.psf.stations))
+        super().__init__(psf, EffectSet(detector, general.psf.grids))
         self._general = general
 
     @property

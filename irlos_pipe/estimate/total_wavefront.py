@@ -29,7 +29,7 @@ def effects_in_modes_nm(
     """
     if not effects.at("pupil"):
         return torch.zeros(len(nolls)), torch.zeros(len(nolls), len(values))
-    project = torch.as_tensor(_projection(effects.stations.pupil, nolls))
+    project = torch.as_tensor(_projection(effects.grids.pupil, nolls))
 
     def modes(v: torch.Tensor) -> torch.Tensor:
         return project @ effects.opd_nm(v).flatten()

@@ -58,7 +58,7 @@ class FocusTable:
 
     def __init__(self, psf: PsfModel, optics: Optics, reach: Reach):
         self.settings, self.nolls, self.device, self.dtype = psf.settings, psf.nolls, psf.device, psf.dtype
-        self.stations, self.reach = psf.stations, reach
+        self.grids, self.reach = psf.grids, reach
         self.tilts, self.focus = [self.nolls.index(2), self.nolls.index(3)], place_of_focus(self.nolls)
         beyond, band = _pixels_beyond(psf, optics, reach), _band_per_px(psf, optics)
         window, pixel_nm = self.settings.window, _pixel_nm(psf, optics)
@@ -182,8 +182,8 @@ def _band_per_px(psf: PsfModel, optics: Optics) -> float:
 
 
 def _pixel_rad(psf: PsfModel, optics: Optics) -> float:
-    return float((optics.sampling or psf.stations.sampling).pixel_scale_mas) * MAS
+    return float((optics.sampling or psf.grids.sampling).pixel_scale_mas) * MAS
 
 
 def _shortest_m(psf: PsfModel, optics: Optics) -> float:
-    return float((optics.sampling or psf.stations.sampling).wavelengths_m.min())
+    return float((optics.sampling or psf.grids.sampling).wavelengths_m.min())

@@ -179,7 +179,7 @@ class Tangents(NamedTuple):
     transfer: Sequence[torch.Tensor] = ()
 
 
-class Stations(NamedTuple):
+class Grids(NamedTuple):
     """Everything that effects need to know of a light path: its grids, nominal sampling, and modes."""
 
     pupil: PupilGrid

@@ -30,7 +30,7 @@ from numpy.polynomial import chebyshev
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.numerics.parallel import ordered_map
 from irlos_pipe.optics.colour import Colour
-from irlos_pipe.optics.grids import Optics, PupilGrid, Sampling, Stations, Tangents
+from irlos_pipe.optics.grids import Grids, Optics, PupilGrid, Sampling, Tangents
 from irlos_pipe.optics.matrix_dft import MatrixDft, mirrored, products_up_to
 from irlos_pipe.optics.propagate import (
     FocalGrid,
@@ -80,11 +80,11 @@ class PsfModel:
         self._set_focal_plane()
 
     @property
-    def stations(self) -> Stations:
+    def grids(self) -> Grids:
         """Where effects can act, for `effects.EffectSet`."""
         numbers = self.wavelengths_m, self.weights, self.settings.pixel_scale_mas
         sampling = Sampling(*(torch.as_tensor(n, dtype=torch.float64) for n in numbers))
-        return Stations(self.pupil_grid, self.grid, sampling, self.nolls)
+        return Grids(self.pupil_grid, self.grid, sampling, self.nolls)
 
     def in_window(self, window: tuple[int, int], margin_mas: float, halo_margin_mas: float) -> PsfModel:
         """The same light path to another window, see `PsfSettings`."""
@@ -136,9 +136,9 @@ class PsfModel:
 
     def _set_focal_plane(self) -> None:
         u = self.pupil_grid.u_m
-        self.grids = self._focal_grids(u)
-        self.grid = max(self.grids, key=lambda grid: grid.samples)
-        self.dfts = [MatrixDft(u, focal, self.polynomials, self.amplitude) for focal in self.grids]
+        self.focal_grids = self._focal_grids(u)
+        self.grid = max(self.focal_grids, key=lambda grid: grid.samples)
+        self.dfts = [MatrixDft(u, focal, self.polynomials, self.amplitude) for focal in self.focal_grids]
         for made_when_needed in ("plain", "filtered"):
             self.__dict__.pop(made_when_needed, None)
 
@@ -155,7 +155,7 @@ class PsfModel:
     def _colours(self) -> Iterator[tuple]:
         """Pixel scale, wavelength, weight and focal grid of every wavelength."""
         scales = repeat(self.settings.pixel_scale_mas)
-        return zip(scales, self.wavelengths_m, self.weights, self.grids, strict=False)
+        return zip(scales, self.wavelengths_m, self.weights, self.focal_grids, strict=False)
 
     def _plain_matrices(self, scale_mas, wavelength_m, weight, grid: FocalGrid) -> list[torch.Tensor]:
         """From focal intensity to rows, weighted, and to columns."""
@@ -196,9 +196,11 @@ class PsfModel:
         if optics.sampling is not None:
             wavelength_m, weight = optics.sampling.wavelengths_m[index], optics.sampling.weights[index]
             make = self._plain_matrices if transfer is None else self._filtered_matrices
-            matrices = make(optics.sampling.pixel_scale_mas, wavelength_m, weight, self.grids[index])
+            matrices = make(optics.sampling.pixel_scale_mas, wavelength_m, weight, self.focal_grids[index])
         pupil = self.amplitude if optics.pupil is None else mirrored(self._complex(optics.pupil[index]))
-        return Colour(wavelength_m, pupil, transfer, *matrices, self.grid.padded, self.grids[index].samples)
+        return Colour(
+            wavelength_m, pupil, transfer, *matrices, self.grid.padded, self.focal_grids[index].samples
+        )
 
     def _like_images(self, factor: torch.Tensor) -> torch.Tensor:
         return self._complex(factor) if factor.is_complex() else self._real(factor)

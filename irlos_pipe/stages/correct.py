@@ -103,7 +103,7 @@ def _predict(ctx: StageContext, nolls: list[int], zernike_nm: np.ndarray) -> Pre
         np.array(product.arrays["modes_nm"].value, float),
         zernike_nm,
         np.where(np.array(nolls) <= HIGHEST_NOLL, ctx.config.gain, 0.0),
-        lambda model: fixed_optics(list(effects.values()), model),
+        lambda model: fixed_optics(list(effects.values()), model.grids),
     )
 
 

@@ -49,7 +49,7 @@ def run(ctx: StageContext) -> StageOutput:
 def _law(ctx: StageContext, recording: Recording) -> ElongationLaw:
     model = PsfModel(psf_settings(ctx.instrument, ctx.model, recording), [4], device=ctx.device)
     effects = expected(model_effects(ctx.instrument, ctx.model, recording))
-    return calibrate_law(model, fixed_optics(effects, model))
+    return calibrate_law(model, fixed_optics(effects, model.grids))
 
 
 def _ratios(recording: Recording, good: np.ndarray, law: ElongationLaw) -> np.ndarray:

@@ -30,7 +30,7 @@ from irlos_pipe.diagnose.checks.bad_pixels import outstanding_pixels
 from irlos_pipe.diagnose.checks.drift import measure_drift
 from irlos_pipe.diagnose.checks.motion import motion_ratio
 from irlos_pipe.diagnose.checks.noise import judge_noise
-from irlos_pipe.diagnose.checks.screened_pixels import Screened, screened_step
+from irlos_pipe.diagnose.checks.screened_pixels import screened_step
 from irlos_pipe.diagnose.cube import split
 from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.held_out import Gap, Judge, noise_floor, preference
@@ -39,12 +39,13 @@ from irlos_pipe.diagnose.search.detect import Score, gaussian_sigma, score_famil
 from irlos_pipe.diagnose.search.families import Family, families
 from irlos_pipe.diagnose.sentence import phrase
 from irlos_pipe.diagnose.sizes import detectable, determined, public_sigma
+from irlos_pipe.diagnose.view import Screened
 from irlos_pipe.effects import (
     CATALOGUE,
     AmplitudeAberration,
+    FixedEffect,
     HighOrderNcpa,
     LowWindEffect,
-    Pinned,
     TipTiltJitter,
 )
 from irlos_pipe.effects.companion import Companion
@@ -188,7 +189,7 @@ def test_candidates_tried_together_beside_frozen_effects_have_the_derivatives_th
 )
 def test_a_fit_begins_within_half_the_prior_if_there_is_one(effect, at, estimate, begun):
     first = effect.parameters[0].name
-    candidate, nothing = Pinned(effect, at, free=[first]), np.zeros(1)
+    candidate, nothing = FixedEffect(effect, at, free=[first]), np.zeros(1)
     score = Score(candidate, np.array([estimate]), 1.0, 1.0, 1.0, 9.0, nothing, usable=(first,))
     assert score.start().values == pytest.approx([begun, *at[1:]])
     assert len(score.start().parameters) == len(at)

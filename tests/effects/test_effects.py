@@ -19,7 +19,7 @@ from helpers.optics_cases import (
     vector,
 )
 
-from irlos_pipe.effects import EffectSet, Pinned, SeeingHalo, TipTiltJitter
+from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
 from irlos_pipe.optics.grids import Optics, OtfGrid
 from irlos_pipe.optics.psf import PsfModel
 
@@ -44,7 +44,7 @@ def moved(model: PsfModel, wavefront: torch.Tensor, x_px: float, y_px: float) ->
 
 
 def jittered(model: PsfModel, wavefront: torch.Tensor, sigma_mas: float) -> np.ndarray:
-    effects = EffectSet((TipTiltJitter(),), model.stations)
+    effects = EffectSet((TipTiltJitter(),), model.grids)
     return model.images(wavefront, effects(torch.tensor([sigma_mas**2], dtype=torch.float64)))[0].numpy()
 
 
@@ -67,7 +67,7 @@ def curvature_at_zero(model: PsfModel, factor: torch.Tensor, wavelength: int) ->
 
 @pytest.mark.parametrize("wavelength", [0, 1])
 def test_jitter_adds_its_variance_to_the_second_moment_at_every_wavelength(model, wavelength):
-    effects = EffectSet((TipTiltJitter(),), model.stations)
+    effects = EffectSet((TipTiltJitter(),), model.grids)
     factor = effects(torch.tensor([SIGMA_MAS**2], dtype=torch.float64)).transfer
     assert curvature_at_zero(model, factor, wavelength) == pytest.approx(SIGMA_MAS**2, rel=1e-9)
 
@@ -91,7 +91,7 @@ def test_an_asymmetric_kernel_is_convolved_not_correlated(model, wavefront):
 
 
 def test_a_residual_stretched_along_x_widens_the_image_along_x(model):
-    effects = EffectSet((SeeingHalo(BAND, 0.5),), model.stations)
+    effects = EffectSet((SeeingHalo(BAND, 0.5),), model.grids)
     factor = effects(torch.tensor([150.0**2, 2.0, 1.5, 0.0, 0.0, 0.0], dtype=torch.float64)).transfer
     along_x, along_y = float(factor[0, 0, 2]), float(factor[0, 2, 0])
     assert along_x < along_y < 1
@@ -118,7 +118,7 @@ def test_a_residual_of_known_size_is_given_in_nm_or_as_a_part_of_what_is_expecte
 
 
 def test_without_a_measured_seeing_the_whole_halo_grows_with_the_residual(model):
-    grid = OtfGrid.of(model.stations.focal, model.stations.sampling)
+    grid = OtfGrid.of(model.grids.focal, model.grids.sampling)
     exponents = {}
     for measured in (True, False):
         halo = SeeingHalo(BAND, 0.5, measured)
@@ -153,7 +153,7 @@ def test_jitter_is_described_in_mas():
 
 def pinned(effects: EffectSet, values: torch.Tensor, free: tuple[str, ...]) -> EffectSet:
     pieces = effects.split(values)
-    return EffectSet([Pinned(e, pieces[e.name], free) for e in effects.effects], effects.stations)
+    return EffectSet([FixedEffect(e, pieces[e.name], free) for e in effects.effects], effects.grids)
 
 
 def test_pinned_effects_have_the_otf_of_the_values_they_are_held_at(model):

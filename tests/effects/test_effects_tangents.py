@@ -10,7 +10,7 @@ import torch
 from helpers.effect_cases import CONDITIONS, NOLLS, SPECTRUM, STRONG, WINDOW, made
 from helpers.optics_cases import UT4, ncpa_nm, settings, vector
 
-from irlos_pipe.effects import CATALOGUE, Effect, Pinned
+from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.pupil_stop import PupilMisregistration, with_vanes_turned
 from irlos_pipe.optics.psf import PsfModel
@@ -19,7 +19,7 @@ from irlos_pipe.optics.pupil import band_limited
 WAVEFRONTS = torch.cat([vector(ncpa_nm(seed, NOLLS[-1], 100.0), NOLLS) for seed in (6, 7)])
 FLUX, BACKGROUND = torch.tensor([1e6, 2e6]).double(), torch.tensor([20.0, 10.0]).double()
 SMOOTH = sorted(set(STRONG) - {"pupil_misregistration"})
-IN_IMAGES = {name: kind for name, kind in CATALOGUE.items() if kind.place != "ramp"}
+IN_IMAGES = {name: kind for name, kind in CATALOGUE.items() if kind.plane != "ramp"}
 
 
 @cache
@@ -55,7 +55,12 @@ def test_derivatives_at_a_strong_level_are_finite_differences(name):
 def test_effects_in_the_pupil_are_differentiated_through_those_behind_them():
     (stop, turned), (bump, place) = made("pupil_misregistration"), made("phase_bump")
     (petals, steps), (amplitude, factors) = made("low_wind_effect"), made("amplitude_aberration")
-    effects = [petals, Pinned(stop, turned), Pinned(bump, place, free=("x_m", "width_m")), amplitude]
+    effects = [
+        petals,
+        FixedEffect(stop, turned),
+        FixedEffect(bump, place, free=("x_m", "width_m")),
+        amplitude,
+    ]
     whole = ImageModel(psf(), effects)
     starts = {petals.name: steps, stop.name: turned[:0], bump.name: place[[1, 3]], amplitude.name: factors}
     values = torch.cat([starts[effect.name] for effect in whole.effects.effects])
@@ -111,7 +116,7 @@ def test_derivatives_of_the_misregistered_pupil_are_good_to_a_few_percent(index,
     assert np.sqrt(np.mean((ours - expected) ** 2)) < 0.04 * np.sqrt(np.mean(expected**2))
 
 
-def searched(name: str) -> list[Effect | Pinned]:
+def searched(name: str) -> list[Effect]:
     kind = IN_IMAGES[name]
     return kind.under(CONDITIONS, **kind.options_for(**STRONG[name])).candidates(WINDOW, 9.7)
 

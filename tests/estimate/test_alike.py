@@ -6,7 +6,7 @@ import pytest
 import torch
 from helpers import optics_cases as cases
 
-from irlos_pipe.effects import CATALOGUE, Pinned
+from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.alike import alike
 from irlos_pipe.estimate.lift import LiftOptions, lift
@@ -61,6 +61,6 @@ def test_models_whose_single_fits_are_quick_or_the_only_way_go_without(model):
     start = torch.zeros(4, 3).double()
     assert alike(tabulated(ImageModel(psf), start), start, torch.arange(4)) is None
     bend = CATALOGUE["interpixel_crosstalk"]()
-    assert alike(ImageModel(psf, [Pinned(bend, [0.02])]), start, torch.arange(4)) is None
+    assert alike(ImageModel(psf, [FixedEffect(bend, [0.02])]), start, torch.arange(4)) is None
     assert alike(ImageModel(psf, [bend]), start, torch.arange(4)) is None
     assert alike(ImageModel(psf), start, torch.arange(4)) is not None

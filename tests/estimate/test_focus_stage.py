@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from irlos_pipe.effects import Pinned
+from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
 from irlos_pipe.estimate.focus_stage import fit_focus_stage
 
@@ -54,7 +54,7 @@ def test_errors_of_the_stage_are_recovered_from_a_ramp_with_their_errors():
 
 def test_known_errors_change_what_is_introduced_and_none_leave_it():
     commanded, estimated = ramp()
-    known = fit_focus_stage([Pinned(FocusStageScale(), [0.1])], commanded, estimated)
+    known = fit_focus_stage([FixedEffect(FocusStageScale(), [0.1])], commanded, estimated)
     assert known.introduced_nm == pytest.approx(1.1 * commanded)
     assert (known.effects, known.sigma) == ({"focus_stage_scale": {"fraction": 0.1}}, {})
     assert np.array_equal(fit_focus_stage([], commanded, estimated).introduced_nm, commanded)

@@ -6,41 +6,41 @@ import pytest
 import torch
 from helpers.optics_cases import BAND, NARROW_H, settings
 
-from irlos_pipe.effects import EffectSet, Pinned, SeeingHalo, TipTiltJitter, expected
+from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter, expected
 from irlos_pipe.effects.pixels import InterpixelCrosstalk
 from irlos_pipe.estimate.ramp_effects import ramp_effects
-from irlos_pipe.optics.grids import Stations
+from irlos_pipe.optics.grids import Grids
 from irlos_pipe.optics.psf import PsfModel
 
 AVAILABLE = (SeeingHalo(BAND, 0.5), TipTiltJitter())
-MEASURED = Pinned(AVAILABLE[0], AVAILABLE[0].values_of(wfe_nm=150.0))
+MEASURED = FixedEffect(AVAILABLE[0], AVAILABLE[0].values_of(wfe_nm=150.0))
 
 
 @pytest.fixture(scope="module")
-def stations() -> Stations:
-    return PsfModel(settings(16, NARROW_H), (4,)).stations
+def grids() -> Grids:
+    return PsfModel(settings(16, NARROW_H), (4,)).grids
 
 
-def factor(effects, stations: Stations) -> torch.Tensor:
-    together = EffectSet(effects, stations)
+def factor(effects, grids: Grids) -> torch.Tensor:
+    together = EffectSet(effects, grids)
     return together(together.starts).transfer
 
 
-def test_what_a_calibration_has_measured_is_taken_and_the_rest_is_as_expected(stations):
+def test_what_a_calibration_has_measured_is_taken_and_the_rest_is_as_expected(grids):
     chosen = ramp_effects(AVAILABLE, {"seeing_halo": MEASURED})
-    truth = factor([MEASURED, TipTiltJitter(7.0)], stations)
-    torch.testing.assert_close(factor(chosen, stations), truth)
+    truth = factor([MEASURED, TipTiltJitter(7.0)], grids)
+    torch.testing.assert_close(factor(chosen, grids), truth)
     assert not any(effect.parameters for effect in chosen)
 
 
-def test_without_a_calibration_everything_is_as_expected(stations):
-    truth = factor(expected(AVAILABLE), stations)
-    torch.testing.assert_close(factor(ramp_effects(AVAILABLE, {}), stations), truth)
+def test_without_a_calibration_everything_is_as_expected(grids):
+    truth = factor(expected(AVAILABLE), grids)
+    torch.testing.assert_close(factor(ramp_effects(AVAILABLE, {}), grids), truth)
 
 
-def test_a_kernel_given_in_mas_replaces_the_measured_one(stations):
+def test_a_kernel_given_in_mas_replaces_the_measured_one(grids):
     chosen = ramp_effects(AVAILABLE, {}, halo="off", object_sigma_mas=12.0)
-    torch.testing.assert_close(factor(chosen, stations), factor([TipTiltJitter(12.0)], stations))
+    torch.testing.assert_close(factor(chosen, grids), factor([TipTiltJitter(12.0)], grids))
     assert not any(effect.parameters for effect in chosen)
 
 
@@ -55,7 +55,7 @@ def test_an_effect_of_another_place_comes_along_fitted_unless_it_was_measured():
     crosstalk = InterpixelCrosstalk()
     free = ramp_effects((*AVAILABLE, crosstalk), {})[-1]
     assert free is crosstalk
-    measured = Pinned(crosstalk, [0.05])
+    measured = FixedEffect(crosstalk, [0.05])
     assert ramp_effects((*AVAILABLE, crosstalk), {crosstalk.name: measured})[-1] is measured
 
 

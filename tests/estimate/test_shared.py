@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers.optics_cases import BAND, READ_NOISE, draw_frames, everything, settings, vector
 
-from irlos_pipe.effects import EffectSet, Pinned, SeeingHalo, TipTiltJitter
+from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import image_problem, smooth
 from irlos_pipe.estimate.parameters import Layout
@@ -40,7 +40,7 @@ def joint_fit(model: PsfModel, effects: EffectSet, true: float, seed: int) -> Sh
 
 
 def jitter_fit(model: PsfModel, seed: int, start_mas: float = 7.0, sigma_mas: float = SIGMA_MAS) -> SharedFit:
-    return joint_fit(model, EffectSet((TipTiltJitter(start_mas),), model.stations), sigma_mas**2, 10 * seed)
+    return joint_fit(model, EffectSet((TipTiltJitter(start_mas),), model.grids), sigma_mas**2, 10 * seed)
 
 
 def test_the_size_of_the_object_is_recovered_from_a_ramp(model):
@@ -74,7 +74,7 @@ def test_an_absent_object_stays_at_its_bound(model):
 def test_the_residual_can_be_scaled_on_a_ramp(model):
     halo = SeeingHalo(BAND, 0.5)
     start = [p.start for p in halo.parameters]
-    effects = EffectSet((Pinned(halo, start, free=("variance_nm2",)),), model.stations)
+    effects = EffectSet((FixedEffect(halo, start, free=("variance_nm2",)),), model.grids)
     true = 1.5 * start[0]
     fit = joint_fit(model, effects, true, seed=80)
     assert fit.status == "converged"

@@ -48,4 +48,4 @@ def made(name: str) -> tuple[Effect, torch.Tensor]:
 def affected(model: PsfModel, name: str, modes_nm: torch.Tensor) -> torch.Tensor:
     """Unit-flux images of `model` with the effect."""
     effect, values = made(name)
-    return model.images(modes_nm, EffectSet([effect], model.stations)(values))
+    return model.images(modes_nm, EffectSet([effect], model.grids)(values))

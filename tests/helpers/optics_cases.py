@@ -59,7 +59,7 @@ def vector(zernike_nm: dict[int, float], nolls) -> torch.Tensor:
 
 def halo_and_jitter(model: PsfModel, seeing_arcsec: float = 0.5) -> EffectSet:
     """AO residual and image motion, all parameters free."""
-    return EffectSet((SeeingHalo(BAND, seeing_arcsec), TipTiltJitter()), model.stations)
+    return EffectSet((SeeingHalo(BAND, seeing_arcsec), TipTiltJitter()), model.grids)
 
 
 def photons(mag_j: float, exposure_s: float = 1.0) -> float:

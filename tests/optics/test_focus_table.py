@@ -11,9 +11,9 @@ from helpers import optics_cases as cases
 from irlos_pipe.effects import (
     AtmosphericDispersion,
     EffectSet,
+    FixedEffect,
     InterpixelCrosstalk,
     NcpaDrift,
-    Pinned,
     PlateScale,
     TipTiltJitter,
 )
@@ -45,7 +45,7 @@ def fine_model(settings=SETTINGS, nolls=TTF) -> PsfModel:
 
 
 def optics_of(model: PsfModel, *effects) -> Optics:
-    return EffectSet(effects, model.stations)()
+    return EffectSet(effects, model.grids)()
 
 
 def largest(difference: torch.Tensor, images: torch.Tensor) -> float:
@@ -83,12 +83,12 @@ def test_derivatives_are_those_of_the_finer_models_images(mode):
 def test_effects_are_in_the_table():
     model, fine, x = PsfModel(SETTINGS, TTF), fine_model(), wavefronts()
     held = (
-        Pinned(TipTiltJitter(), TipTiltJitter().values_of(6.0)),
-        Pinned(AtmosphericDispersion(), AtmosphericDispersion().values_of(20.0, 30.0)),
-        Pinned(PlateScale(), [0.02]),
+        FixedEffect(TipTiltJitter(), TipTiltJitter().values_of(6.0)),
+        FixedEffect(AtmosphericDispersion(), AtmosphericDispersion().values_of(20.0, 30.0)),
+        FixedEffect(PlateScale(), [0.02]),
     )
     halo = cases.halo_and_jitter(model).effects[0]
-    held += (Pinned(halo, [p.start for p in halo.parameters]),)
+    held += (FixedEffect(halo, [p.start for p in halo.parameters]),)
     table, truth = FocusTable(model, optics_of(model, *held), REACH), fine.images(x, optics_of(fine, *held))
     assert largest(table.images(x) - truth, truth) < 1e-4
 
@@ -127,7 +127,7 @@ def test_a_frame_beyond_the_reach_is_left_to_the_model_that_was_tabulated():
 
 
 def test_detector_effects_stay_behind_the_table():
-    general = ImageModel(PsfModel(SETTINGS, TTF), [Pinned(InterpixelCrosstalk(), [0.02])])
+    general = ImageModel(PsfModel(SETTINGS, TTF), [FixedEffect(InterpixelCrosstalk(), [0.02])])
     quick, x = tabulated(general, torch.zeros(1, 3)), wavefronts(2)
     flux, background = torch.tensor([1e5, 2e5]).double(), torch.tensor([3.0, 4.0]).double()
     one, other = (model.predict(x, flux, background) for model in (general, quick))
@@ -137,7 +137,7 @@ def test_detector_effects_stay_behind_the_table():
 
 def test_what_cannot_be_tabulated_is_left_as_it_is():
     start = torch.zeros(1, 3)
-    drift = Pinned(NcpaDrift([5]), [10.0])
+    drift = FixedEffect(NcpaDrift([5]), [10.0])
     coarse_pixels = replace(SETTINGS, pixel_scale_mas=13.0, window=(24, 24))
     models = [
         ImageModel(PsfModel(SETTINGS, (2, 3, 4, 5))),

@@ -161,7 +161,7 @@ def test_the_long_exposure_is_the_mean_of_images_through_random_screens():
     )
     model = PsfModel(settings(window, diversity={}), (4,), dtype=torch.float64)
     good_seeing = SeeingHalo(BAND, 0.01)  # leaves next to nothing beyond the cut-off, as in the screens
-    halo = EffectSet((good_seeing,), model.stations)
+    halo = EffectSet((good_seeing,), model.grids)
     values = torch.tensor([150.0**2, 2.0, 0.0, 0.0], dtype=torch.float64)
     ours = model.images(torch.zeros(1, 1), halo(values))[0].numpy()
     error = drawn.std(0, ddof=1) / np.sqrt(SCREENS)
@@ -173,8 +173,8 @@ def test_the_long_exposure_is_the_mean_of_images_through_random_screens():
 
 
 def test_turbulence_beyond_the_cut_off_adds_to_the_residual_inside():
-    stations = PsfModel(settings(24), (4,)).stations
-    grid = OtfGrid.of(stations.focal, stations.sampling)
+    grids = PsfModel(settings(24), (4,)).grids
+    grid = OtfGrid.of(grids.focal, grids.sampling)
     values = torch.tensor([100.0**2, 2.0, 0.0, 0.0], dtype=torch.float64)
     inside, both = (SeeingHalo(BAND, seeing).exponent(values, grid)[0] for seeing in (1e-4, 0.8))
     lengths = np.hypot(grid.baseline_x_m[None], grid.baseline_y_m[:, None])

@@ -63,7 +63,7 @@ def test_the_model_with_what_was_found_is_a_valid_section_of_a_recipe():
 def test_the_companion_found_is_one_that_the_recipe_can_place():
     (step,) = diagnosis_of("companion").steps
     made = EffectEntry.of(stage._entry(step))
-    again = type(step.effect.effect).under(CONDITIONS).values_of(**made.values)
+    again = type(step.effect.base).under(CONDITIONS).values_of(**made.values)
     assert again == pytest.approx(step.effect.values.tolist())
 
 

@@ -16,7 +16,7 @@ from scipy import stats
 from irlos_pipe.diagnose.cube import Stack, Stacks
 from irlos_pipe.diagnose.fitting import Fitted
 from irlos_pipe.diagnose.search.detect import gaussian_sigma
-from irlos_pipe.effects import Pinned
+from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.drift import NcpaDrift
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit
@@ -50,9 +50,9 @@ class Drift:
         tested = sum(noll not in POINTING for noll in self.nolls)
         return self.sigma_nm * np.sqrt(stats.chi2.isf(stats.norm.sf(sure), tested))
 
-    def effect(self) -> Pinned:
+    def effect(self) -> FixedEffect:
         """The drift, held at what was measured."""
-        return Pinned(NcpaDrift(self.nolls), self.change_nm)
+        return FixedEffect(NcpaDrift(self.nolls), self.change_nm)
 
 
 def measure_drift(stack: Stack | Stacks, fitted: Fitted, sure: float) -> Drift:
@@ -107,7 +107,7 @@ class LinearStep:
         layout, (first, last) = self.part.layout, (self.stack.when.min(), self.stack.when.max())
         when = first + (np.arange(TIMES) + 0.5) / TIMES * (last - first)
         held = self.part.model.effects.held(self.x[0, layout.effect_values]).effects
-        model = ImageModel(self.part.model.psf, [*held, Pinned(NcpaDrift(self.nolls), change_nm)])
+        model = ImageModel(self.part.model.psf, [*held, FixedEffect(NcpaDrift(self.nolls), change_nm)])
         modes, flux, background = (self.x[:, at].expand(TIMES, -1) for at in (layout.modes, [-2], [-1]))
         images = model.predict(modes, flux[:, 0], background[:, 0], when=torch.as_tensor(when))
         images = images.cpu().flatten(1)

@@ -7,7 +7,6 @@ says whether they are bad, and what the gap would have been with them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,26 +15,11 @@ from irlos_pipe.diagnose.held_out import Gap
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.search.detect import gaussian_sigma
 from irlos_pipe.diagnose.verdict import Step
-from irlos_pipe.effects import Pinned
+from irlos_pipe.diagnose.view import Screened
+from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.pixels import BadPixels
 
 OFF = 0.1  # of the star's signal in the pixel, below which the model may be to blame
-
-
-@dataclass(frozen=True)
-class Screened:
-    """One masked pixel.
-
-    Attributes
-    ----------
-    row, column : int
-    mean_e : float
-        Mean over the frames of what it showed, background subtracted [e-].
-    """
-
-    row: int
-    column: int
-    mean_e: float
 
 
 def screened_step(screened: Sequence[Screened], optimum: Optimum, frames: int, gap: Gap) -> Step | None:
@@ -68,7 +52,9 @@ def screened_step(screened: Sequence[Screened], optimum: Optimum, frames: int, g
     sigma = {"pixels": [[0.0, 0.0] for _ in bad]}
     before = _gap_with(gap.before, float(star_e.sum()), bad)
     found = Gap(before, gap.before, gap.floor)
-    return Step(Pinned(effect, nothing), effect.describe(nothing), sigma, significance, np.nan, np.nan, found)
+    return Step(
+        FixedEffect(effect, nothing), effect.describe(nothing), sigma, significance, np.nan, np.nan, found
+    )
 
 
 def _gap_with(gap: float, light_e: float, bad: Sequence[tuple[Screened, float]]) -> float:

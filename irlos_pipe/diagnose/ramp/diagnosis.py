@@ -15,7 +15,6 @@ import numpy as np
 from irlos_pipe.diagnose.ramp.visits import Visits, candidates, course
 from irlos_pipe.diagnose.search.detect import gaussian_sigma
 from irlos_pipe.diagnose.verdict import EFFECT, NONE, UNKNOWN
-from irlos_pipe.effects import Pinned
 from irlos_pipe.effects.base import RampEffect
 from irlos_pipe.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
 
@@ -68,11 +67,6 @@ class RampName:
         """Whether a stage could err by so much."""
         low, high = self.effect.parameters[0].plausible
         return low <= self.size <= high
-
-    @property
-    def pinned(self) -> Pinned:
-        """The effect at its size."""
-        return Pinned(self.effect, [self.size])
 
 
 @dataclass(frozen=True)

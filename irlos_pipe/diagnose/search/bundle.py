@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import torch
 
-from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects import Effect
 from irlos_pipe.effects.base import PupilEffect
 from irlos_pipe.optics.grids import PupilGrid
 
@@ -16,13 +16,13 @@ class Bundle(PupilEffect):
 
     Parameters
     ----------
-    candidates : sequence of Effect or Pinned
+    candidates : sequence of Effect
         Of one family, in the pupil.
     """
 
     name = "bundle"
 
-    def __init__(self, candidates: Sequence[Effect | Pinned]):
+    def __init__(self, candidates: Sequence[Effect]):
         self.candidates, self.order = tuple(candidates), candidates[0].order
         self.parameters = tuple(p for one in candidates for p in one.parameters)
 
@@ -43,6 +43,6 @@ class Bundle(PupilEffect):
         return [every[index] for index in wanted]
 
 
-def _slopes(candidate: Effect | Pinned, field: torch.Tensor, grid: PupilGrid) -> list[torch.Tensor]:
+def _slopes(candidate: Effect, field: torch.Tensor, grid: PupilGrid) -> list[torch.Tensor]:
     null = torch.tensor(candidate.null_values, dtype=torch.float64)
     return candidate.slopes(null, field, grid, range(len(null)))

@@ -12,7 +12,7 @@ import torch
 
 from irlos_pipe.diagnose.fitting import Fitted
 from irlos_pipe.diagnose.optimum import Optimum
-from irlos_pipe.effects import Pinned
+from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.companion import INNER_MAS, Companion
 
 PLACES = 3  # candidates to look at more closely
@@ -20,11 +20,11 @@ APART_PX = 4
 RING_MAS, DIRECTIONS = 150.0, 8
 
 
-def brightest_companions(optimum: Optimum, candidates: list[Pinned]) -> list[Pinned]:
+def brightest_companions(optimum: Optimum, candidates: list[FixedEffect]) -> list[FixedEffect]:
     """The most promising places, of any on the pixel grid within the reach of the candidates."""
     settings = optimum.fitted.problem.model.psf.settings
     gain = companion_gains(optimum, settings.window)
-    scale, companion = settings.pixel_scale_mas, candidates[0].effect
+    scale, companion = settings.pixel_scale_mas, candidates[0].base
     rows, columns = (np.fft.fftfreq(n, 1 / n) for n in gain.shape)
     y, x = (axis * scale for axis in np.meshgrid(rows, columns, indexing="ij"))
     inside = (np.abs(y) < settings.window[0] / 2 * scale) & (np.abs(x) < settings.window[1] / 2 * scale)
@@ -32,16 +32,16 @@ def brightest_companions(optimum: Optimum, candidates: list[Pinned]) -> list[Pin
     places = []
     for _ in range(PLACES):
         best = np.unravel_index(np.argmax(gain), gain.shape)
-        places.append(Pinned(companion, [0.0, x[best], y[best]], free=("flux_ratio",)))
+        places.append(FixedEffect(companion, [0.0, x[best], y[best]], free=("flux_ratio",)))
         gain[np.hypot(x - x[best], y - y[best]) < APART_PX * scale] = 0
     return places
 
 
-def around(companion: Companion) -> list[Pinned]:
+def around(companion: Companion) -> list[FixedEffect]:
     """Places at a middling distance on all sides, which tell how faint a companion can be seen there."""
     angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
     ring = [(RING_MAS * np.cos(angle), RING_MAS * np.sin(angle)) for angle in angles]
-    return [Pinned(companion, [0.0, x, y], free=("flux_ratio",)) for x, y in ring]
+    return [FixedEffect(companion, [0.0, x, y], free=("flux_ratio",)) for x, y in ring]
 
 
 def companion_gains(optimum: Optimum, window: tuple[int, int]) -> np.ndarray:

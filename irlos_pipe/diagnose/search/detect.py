@@ -14,7 +14,7 @@ from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.search.bundle import Bundle
 from irlos_pipe.diagnose.search.companion_search import around, brightest_companions
 from irlos_pipe.diagnose.search.families import Family
-from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.numerics.parallel import ordered_map
@@ -33,7 +33,7 @@ class Score:
 
     Attributes
     ----------
-    candidate : Effect or Pinned
+    candidate : Effect
         Its free parameters at their null values.
     sizes : ndarray, (parameters,)
         Linear estimate of the free parameters, within their bounds.
@@ -57,7 +57,7 @@ class Score:
         Next best candidates far from this one, where a fit may begin as well.
     """
 
-    candidate: Effect | Pinned
+    candidate: Effect
     sizes: np.ndarray
     gain: float
     inflation: float
@@ -79,7 +79,7 @@ class Score:
         """Whether these data can show the effect."""
         return self.survival > ABSORBED
 
-    def start(self) -> Pinned:
+    def start(self) -> FixedEffect:
         """The whole effect, free but for what these data do not determine, at the linear estimate.
 
         A phase of a radian is no longer linear: whatever has a prior starts well within it.
@@ -88,14 +88,14 @@ class Score:
         reach = LINEAR * np.array([p.prior_sigma for p in self.candidate.parameters])
         return self._begun_at(np.clip(self.sizes, null - reach, null + reach))
 
-    def anew(self) -> Pinned:
+    def anew(self) -> FixedEffect:
         """The same without the estimate."""
         return self._begun_at([p.start for p in self.candidate.parameters])
 
-    def _begun_at(self, sizes: Sequence[float]) -> Pinned:
-        bare, values = self.candidate.bare, self.candidate.all_values(sizes).numpy()
+    def _begun_at(self, sizes: Sequence[float]) -> FixedEffect:
+        base, values = self.candidate.base, self.candidate.all_values(sizes).numpy()
         unseen = {p.name for p in self.candidate.parameters} - {*self.usable}
-        return Pinned(bare, values, [p.name for p in bare.parameters if p.name not in unseen])
+        return FixedEffect(base, values, [p.name for p in base.parameters if p.name not in unseen])
 
 
 def scores(optimum: Optimum, families: Sequence[Family]) -> list[Score]:
@@ -114,7 +114,7 @@ def score_family(optimum: Optimum, family: Family) -> Score:
     ]
     trials = len(tried) * family.places
     if family.name == Companion.name:
-        tried = [*brightest_companions(optimum, tried), *around(tried[0].bare)]
+        tried = [*brightest_companions(optimum, tried), *around(tried[0].base)]
     pieces = ordered_map(partial(_scored, optimum, trials), _bundles(tried))
     found = [score for piece in pieces for score in piece]
     kinds = {one.usable: _typical([o for o in found if o.usable == one.usable]) for one in found}
@@ -131,8 +131,8 @@ def _typical(alike: Sequence[Score]) -> Score:
 
 def _elsewhere(best: Score, found: Sequence[Score]) -> tuple[Score, ...]:
     """The best candidates that differ from `best` and from each other by much of the range tried."""
-    alike = [one for one in found if one.usable == best.usable and isinstance(one.candidate, Pinned)]
-    if len(alike) < 2 or not isinstance(best.candidate, Pinned):
+    alike = [one for one in found if one.usable == best.usable and isinstance(one.candidate, FixedEffect)]
+    if len(alike) < 2 or not isinstance(best.candidate, FixedEffect):
         return ()
     tried = np.array([one.candidate.values for one in alike])
     unit = np.ptp(tried, axis=0)
@@ -145,7 +145,7 @@ def _elsewhere(best: Score, found: Sequence[Score]) -> tuple[Score, ...]:
     return tuple(alike[index] for index in chosen)
 
 
-def whitened_shapes(optimum: Optimum, candidates: Sequence[Effect | Pinned]) -> list[torch.Tensor]:
+def whitened_shapes(optimum: Optimum, candidates: Sequence[Effect]) -> list[torch.Tensor]:
     """Derivatives of the mean images with respect to each candidate's parameters at null, (pixels, m) each.
 
     Several candidates must be of the pupil.
@@ -159,37 +159,37 @@ def whitened_shapes(optimum: Optimum, candidates: Sequence[Effect | Pinned]) -> 
     return list(shapes.split([len(one.parameters) for one in candidates], dim=1))
 
 
-def _together(candidates: Sequence[Effect | Pinned]) -> Effect | Pinned:
+def _together(candidates: Sequence[Effect]) -> Effect:
     return candidates[0] if len(candidates) == 1 else Bundle(candidates)
 
 
-def _bundles(candidates: Sequence[Effect | Pinned]) -> list[Sequence[Effect | Pinned]]:
+def _bundles(candidates: Sequence[Effect]) -> list[Sequence[Effect]]:
     """Candidates of one family whose derivatives are computed together."""
-    size = BUNDLED if candidates[0].place == "pupil" else 1
+    size = BUNDLED if candidates[0].plane == "pupil" else 1
     return [candidates[i : i + size] for i in range(0, len(candidates), size)]
 
 
-def _derivatives(optimum: Optimum, number: int, candidate: Effect | Pinned) -> torch.Tensor:
+def _derivatives(optimum: Optimum, number: int, candidate: Effect) -> torch.Tensor:
     """Of the mean image of one recording with respect to a candidate's parameters at null, (m, pixels)."""
     problem = optimum.fitted.problem
     part, x = problem.parts[number], problem.part(optimum.fitted.x, number)
     model, layout = part.model, part.layout
-    sampling = candidate.place == "sampling"
+    sampling = candidate.plane == "sampling"
     own = model.effects.held(x[0, layout.effect_values]).effects if sampling else optimum.frozen[number]
     whole = ImageModel(model.psf, [*own, candidate])
     null = torch.tensor(candidate.null_values, dtype=torch.float64)
-    modal = candidate.place not in ("pupil", "otf")  # with nothing else there is nothing to propagate
+    modal = candidate.plane not in ("pupil", "otf")  # with nothing else there is nothing to propagate
     at = x[:, layout.modes], x[:, -2], x[:, -1], null
     columns = whole.predict_and_jacobian(*at, modal=modal)[1][0].cpu().double().flatten(1)
     return columns[len(columns) - 2 - len(null) : -2]
 
 
-def _scored(optimum: Optimum, trials: int, candidates: Sequence[Effect | Pinned]) -> list[Score]:
+def _scored(optimum: Optimum, trials: int, candidates: Sequence[Effect]) -> list[Score]:
     pairs = zip(candidates, whitened_shapes(optimum, candidates), strict=True)
     return [_score(optimum, trials, candidate, shapes) for candidate, shapes in pairs]
 
 
-def _score(optimum: Optimum, trials: int, candidate: Effect | Pinned, shapes: torch.Tensor) -> Score:
+def _score(optimum: Optimum, trials: int, candidate: Effect, shapes: torch.Tensor) -> Score:
     power, left = (shapes**2).sum(0), torch.diagonal(optimum.norm2(shapes))
     survival = left / power.clamp_min(1e-300)
     usable = (power > NOTHING * power.max()) & (survival > ABSORBED)
@@ -271,6 +271,6 @@ def _log_tail_of_f(value: float, above: float, below: float) -> float:
     return float(a * np.log(x) + (b - 1) * np.log1p(-x) - np.log(a) - special.betaln(a, b))
 
 
-def _within(candidate: Effect | Pinned, values: torch.Tensor) -> torch.Tensor:
+def _within(candidate: Effect, values: torch.Tensor) -> torch.Tensor:
     limits = torch.tensor([[p.lower, p.upper] for p in candidate.parameters], dtype=torch.float64)
     return values.clamp(limits[:, 0], limits[:, 1])

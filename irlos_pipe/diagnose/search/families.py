@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from irlos_pipe.effects import CATALOGUE, Conditions, Effect, Pinned
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect
 from irlos_pipe.effects.motion import Vibration
 
 NOT_IN_A_CUBE = ("focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale")
@@ -48,6 +48,6 @@ def _variants(name: str, conditions: Conditions) -> tuple[Effect, ...]:
     return (CATALOGUE[name].under(conditions),)
 
 
-def names_of(effects: Sequence[Effect | Pinned]) -> list[str]:
+def names_of(effects: Sequence[Effect]) -> list[str]:
     """Names of effects."""
     return [effect.name for effect in effects]

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from irlos_pipe.effects import Effect, Pinned, expected, fixed_optics
+from irlos_pipe.effects import Effect, FixedEffect, expected, fixed_optics
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
 from irlos_pipe.estimate.lift import LiftOptions
@@ -58,19 +58,19 @@ class Knowledge:
     ----------
     ncpa_nm : dict of int to float
         Noll: nm RMS.
-    effects : dict of str to Pinned
+    effects : dict of str to FixedEffect
         AO residual and jitter as measured; empty for methods without them in their model.
     """
 
     ncpa_nm: Mapping[int, float] = field(default_factory=dict)
-    effects: Mapping[str, Pinned] = field(default_factory=dict)
+    effects: Mapping[str, FixedEffect] = field(default_factory=dict)
 
 
 def knowledge_of(scene: Scene, calibration: Calibration) -> Knowledge:
     """NCPAs and effects of a calibration of `scene`."""
     ncpa_nm = dict(zip(calibration.nolls, calibration.modes_nm.tolist(), strict=True))
     effects = {
-        effect.name: Pinned(effect, calibration.effect_values[effect.name])
+        effect.name: FixedEffect(effect, calibration.effect_values[effect.name])
         for effect in model_effects_of(scene)
         if effect.name in calibration.effect_values
     }
@@ -86,7 +86,7 @@ def ramp_data(scene: Scene, exposed: Exposed) -> RampData:
 def elongation_defocus_nm(scene: Scene, data: RampData) -> np.ndarray:
     """Defocus of every frame from the elongation of its image, (frames,), the law from the model."""
     model = PsfModel(settings_of(scene), [DEFOCUS])
-    law = calibrate_law(model, fixed_optics(expected(model_effects_of(scene)), model))
+    law = calibrate_law(model, fixed_optics(expected(model_effects_of(scene)), model.grids))
     return law.defocus_nm(axis_ratios(data.images_e, data.pixel_mask, law.angle_deg))
 
 
@@ -113,7 +113,7 @@ class ObservedRamp:
         """PSF model of a way, the NCPAs it knows added to the diversity."""
         return PsfModel(frame_settings(self.scene, self.knowledge[way.ncpa].ncpa_nm), way.modes)
 
-    def effects(self, way: Way) -> list[Effect | Pinned]:
+    def effects(self, way: Way) -> list[Effect]:
         """AO residual and kernel of a way."""
         known = self.knowledge[way.ncpa].effects
         return ramp_effects(model_effects_of(self.scene), known, way.halo, way.kernel)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from irlos_pipe.effects import Effect, Pinned, SeeingHalo, expected
+from irlos_pipe.effects import Effect, FixedEffect, SeeingHalo, expected
 from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -15,13 +15,13 @@ DEFAULT = "long_exposure"
 PUBLISHED = ("lift_avg", "dip_avg", "dip_joint", "lift_slices", "dip_global")
 PUBLISHED_MODES = 30  # Noll 2 to this, as SPARTA can correct
 
-Effects = Sequence[Effect | Pinned]
+Effects = Sequence[Effect]
 
 
-def partial_halo(halo: SeeingHalo, count: int) -> Pinned:
+def partial_halo(halo: SeeingHalo, count: int) -> FixedEffect:
     """AO residual with its first `count` parameters free and the others, all of its direction, at zero."""
     starts, names = ([getattr(p, key) for p in halo.parameters] for key in ("start", "name"))
-    return Pinned(halo, starts, free=names[:count])
+    return FixedEffect(halo, starts, free=names[:count])
 
 
 @dataclass(frozen=True)

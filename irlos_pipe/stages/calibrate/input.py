@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
-from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.calibration import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.recording import Recording
@@ -26,12 +26,12 @@ class CubeInput:
     frames : Frames
         Bad pixels that the model lists masked.
     settings : PsfSettings
-    effects : list of Effect or Pinned
+    effects : list of Effect
     """
 
     frames: Frames
     settings: PsfSettings
-    effects: list[Effect | Pinned]
+    effects: list[Effect]
 
 
 def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: CalibrationOptions) -> CubeInput:

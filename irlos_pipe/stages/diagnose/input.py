@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.diagnose.checks.screened_pixels import Screened
+from irlos_pipe.diagnose.view import Screened
 from irlos_pipe.frames.blocks import mean_frame, picked
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.product.product import Product

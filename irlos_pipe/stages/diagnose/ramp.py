@@ -65,7 +65,7 @@ def _gap(ctx: StageContext, ramp: Ramp, lift, corrected_nm: np.ndarray, held_out
     model = ramp_model(ctx, ramp, tuple(config["modes"]), ncpa_nm)
     kernel, recording = config["object_sigma_mas"], ramp.recordings[0]
     effects = effects_for_lift(ctx, recording, config["halo"], kernel, calibrated=config["calibrated"])
-    free = EffectSet(effects, model.stations)
+    free = EffectSet(effects, model.grids)
     held = ImageModel(model, free.held(free.starts) if free.parameters else free.held(NOTHING))
     modes = torch.as_tensor(np.nan_to_num(np.asarray(lift.arrays["zernike_nm"].value, float)))
     return ramp_gap(held, ramp.data, modes, ramp.commanded_nm, corrected_nm, held_out)

@@ -16,7 +16,7 @@ from irlos_pipe.diagnose.sentence import sentence
 from irlos_pipe.diagnose.verdict import Diagnosis, Step
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.diagnose.workflow import diagnose
-from irlos_pipe.effects import CATALOGUE, Effect, Pinned
+from irlos_pipe.effects import CATALOGUE, Effect
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.product.product import Quantity
@@ -69,7 +69,7 @@ def _diagnose(ctx: StageContext, settings: list[list[Recording]]) -> Diagnosis:
         return diagnose(exposures, image_effects(effects), options, device=ctx.device, report=bar.update)
 
 
-def _exposures(ctx: StageContext, alike: list[Recording], effects: list[Effect | Pinned]) -> Exposures:
+def _exposures(ctx: StageContext, alike: list[Recording], effects: list[Effect]) -> Exposures:
     """Recordings of one setting, the introduced defocus in the known wavefront."""
     first = alike[0]
     return Exposures(
@@ -204,7 +204,7 @@ def _entry(step: Step) -> dict[str, Any]:
     """A name as the section has it: values to start from, and to be fitted."""
     kind, public = CATALOGUE[step.name], step.public
     values = {p.name: _plain(public[p.name]) for p in kind.public if p.name in public}
-    options = {o.name: getattr(step.effect.effect, o.name) for o in kind.options if o.kind == "word"}
+    options = {o.name: getattr(step.effect.base, o.name) for o in kind.options if o.kind == "word"}
     return {step.name: values | options | ({} if step.name in HELD else {"fit": True})}
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.effects import Effect, Pinned
+from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.estimate.frame_settings import frame_settings
 from irlos_pipe.estimate.ramp_effects import ramp_effects
 from irlos_pipe.estimate.ramp_fit import RampData, start_from_defocus
@@ -83,7 +83,7 @@ def effects_for_lift(
     object_sigma_mas: str | float,
     *,
     calibrated: bool = True,
-) -> list[Effect | Pinned]:
+) -> list[Effect]:
     """Effects for LIFT, see `ramp_effects`; a drift belongs to the recording in which it was measured.
 
     Parameters
@@ -92,11 +92,11 @@ def effects_for_lift(
         False leaves effects out that are a part of the NCPAs.
     """
     available = image_effects(model_effects(ctx.instrument, ctx.model, recording))
-    available = [e for e in available if e.place != "time" and (calibrated or not e.aberration)]
+    available = [e for e in available if e.plane != "time" and (calibrated or not e.aberration)]
     return ramp_effects(available, _known(ctx, recording), halo, object_sigma_mas)
 
 
-def _known(ctx: StageContext, recording: Recording) -> dict[str, Pinned]:
+def _known(ctx: StageContext, recording: Recording) -> dict[str, FixedEffect]:
     """Effects as the calibration found them; none without a calibration."""
     if "calibrate" not in ctx.products:
         return {}

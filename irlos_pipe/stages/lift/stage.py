@@ -108,7 +108,7 @@ def _fit(ctx: StageContext, ramp: Ramp, *, calibrated: bool, halo: str) -> RampF
 def _focus_stage(ctx: StageContext, ramp: Ramp, fit: RampFit) -> FocusStage:
     """What the focus stage really did, as far as the recipe's model says that it may err."""
     effects = model_effects(ctx.instrument, ctx.model, ramp.recordings[0])
-    ramp_effects = [effect for effect in effects if effect.place == "ramp"]
+    ramp_effects = [effect for effect in effects if effect.plane == "ramp"]
     try:
         return fit_focus_stage(ramp_effects, ramp.commanded_nm, _defocus(fit))
     except ValueError as problem:

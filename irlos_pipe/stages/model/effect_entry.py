@@ -7,7 +7,7 @@ from typing import Any
 
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.effects import CATALOGUE
-from irlos_pipe.effects.base import Public
+from irlos_pipe.effects.declaration import Public
 
 FIT = "fit"
 

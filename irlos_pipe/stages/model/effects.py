@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.effects import CATALOGUE, Conditions, Effect, Pinned
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
 from irlos_pipe.effects.pixels import BadPixels, DetectorNonlinearity
 from irlos_pipe.effects.seeing_halo import SeeingHalo, in_band_wfe_nm
 from irlos_pipe.frames.recording import Recording
@@ -40,7 +40,7 @@ def conditions_of(
 
 def model_effects(
     instrument: Instrument, model: ModelConfig, recording: Recording, highest_noll: int = REPORTED_NOLL
-) -> list[Effect | Pinned]:
+) -> list[Effect]:
     """The effects of the recipe's model for one recording, fixed ones pinned.
 
     Raises
@@ -52,7 +52,7 @@ def model_effects(
     return [_effect(entry, conditions, recording.name) for entry in model.entries()]
 
 
-def _effect(entry: EffectEntry, conditions: Conditions, recording_name: str) -> Effect | Pinned:
+def _effect(entry: EffectEntry, conditions: Conditions, recording_name: str) -> Effect:
     try:
         effect = _under(entry, conditions, entry.values)
         if not (entry.values or effect.parameters):
@@ -62,7 +62,7 @@ def _effect(entry: EffectEntry, conditions: Conditions, recording_name: str) -> 
         values = effect.values_of(**entry.values)
     except ValueError as problem:
         raise ConfigurationError(f"model.effects: {entry.name} for {recording_name}: {problem}") from None
-    return Pinned(effect, values, free=[p.name for p in effect.parameters] if entry.fit else ())
+    return FixedEffect(effect, values, free=[p.name for p in effect.parameters] if entry.fit else ())
 
 
 def _under(entry: EffectEntry, conditions: Conditions, public: dict[str, Any]) -> Effect:
@@ -71,14 +71,14 @@ def _under(entry: EffectEntry, conditions: Conditions, public: dict[str, Any]) -
     return kind.under(conditions, **entry.options | kind.options_for(**public))
 
 
-def image_effects(effects: Sequence[Effect | Pinned]) -> list[Effect | Pinned]:
+def image_effects(effects: Sequence[Effect]) -> list[Effect]:
     """Those that the model of an image contains: neither masks of pixels nor errors of the focus stage."""
-    return [e for e in effects if e.place != "ramp" and e.name != BadPixels.name]
+    return [e for e in effects if e.plane != "ramp" and e.name != BadPixels.name]
 
 
-def good_pixels(effects: Sequence[Effect | Pinned], window: tuple[int, int]) -> np.ndarray:
+def good_pixels(effects: Sequence[Effect], window: tuple[int, int]) -> np.ndarray:
     """False for the bad pixels that the model lists, (rows, columns)."""
-    masks = [e.effect.mask(window) for e in effects if e.name == BadPixels.name]
+    masks = [e.base.mask(window) for e in effects if e.name == BadPixels.name]
     return np.all([np.ones(window, bool), *masks], axis=0)
 
 
@@ -101,7 +101,7 @@ def calibrated_effects(
     calibration_seeing_arcsec: float,
     *,
     same_star: bool = False,
-) -> dict[str, Pinned]:
+) -> dict[str, FixedEffect]:
     """Effects as `calibrate` found them, for a recording taken under another seeing.
 
     The in-band residual is scaled by the seeing law and the non-linearity keeps its bend per electron;
@@ -122,27 +122,27 @@ def calibrated_effects(
     return known
 
 
-def _scaled_with_seeing(halo: Pinned, now_arcsec: float, then_arcsec: float) -> Pinned:
+def _scaled_with_seeing(halo: FixedEffect, now_arcsec: float, then_arcsec: float) -> FixedEffect:
     """The residual under another seeing."""
-    now, then = (in_band_wfe_nm(halo.effect.band, seeing) for seeing in (now_arcsec, then_arcsec))
+    now, then = (in_band_wfe_nm(halo.base.band, seeing) for seeing in (now_arcsec, then_arcsec))
     variance, *shape = halo.values
-    return Pinned(halo.effect, [variance * (now / then) ** 2, *shape])
+    return FixedEffect(halo.base, [variance * (now / then) ** 2, *shape])
 
 
-def _bent_as_before(product: Product, bend: Pinned) -> Pinned:
+def _bent_as_before(product: Product, bend: FixedEffect) -> FixedEffect:
     """The non-linearity stated at the brightest pixel of the calibration's mean image, before it was bent.
 
     Of cubes that were reduced one by one, at the mean over their brightest pixels.
     """
     models = [one.value for name, one in product.arrays.items() if name.endswith("model_image_e")]
     brightest_e = float(np.mean([np.max(image) for image in models]))
-    return Pinned(DetectorNonlinearity(brightest_e / (1 - bend.values[0])), bend.values)
+    return FixedEffect(DetectorNonlinearity(brightest_e / (1 - bend.values[0])), bend.values)
 
 
-def _measured(product: Product, entry: EffectEntry, conditions: Conditions) -> Pinned | None:
+def _measured(product: Product, entry: EffectEntry, conditions: Conditions) -> FixedEffect | None:
     """An effect at the values of a calibration; None where it has none."""
     key = f"effects/{entry.name}"
     if key not in product.arrays or not len(product.arrays[key].value):
         return None
     effect = _under(entry, conditions, product.results.get("effects", {}).get(entry.name, {}))
-    return Pinned(effect, np.array(product.arrays[key].value, float))
+    return FixedEffect(effect, np.array(product.arrays[key].value, float))
