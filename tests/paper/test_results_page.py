@@ -1,4 +1,4 @@
-"""README's tables are made from the committed numbers; expected Markdown is written out by hand."""
+"""The tables of docs/results.md come from the committed numbers; expected Markdown is written by hand."""
 
 import json
 import subprocess
@@ -11,10 +11,9 @@ from helpers.paths import REPOSITORY
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.paper.run.experiments import find_experiments
-from irlos_pipe.paper.run.readme import RESULTS, TEXT, read_layouts, renewed, with_tables
+from irlos_pipe.paper.run.results_page import PAGE, RESULTS, read_layouts, renewed, with_tables
 from irlos_pipe.paper.run.tables import TableLayout, cell, find, render_table
 
-SOURCES = REPOSITORY
 EXPERIMENTS = {
     "methods": {
         "seed": 5,
@@ -81,7 +80,7 @@ def test_a_member_is_found_by_its_values():
 
 
 @pytest.mark.parametrize(
-    ("table", "told"),
+    ("table", "message"),
     [
         (layout(rows=[["{method/seed}"]]), "no 'method' on the path 'method/seed'; there is methods"),
         (layout(rows=[["{methods/results/methods/conditions/7}"]]), "no '7' .*; there is a list of 3"),
@@ -90,8 +89,8 @@ def test_a_member_is_found_by_its_values():
         (layout(rows=[["1", "2"]]), "a row has 2 cells for 1 columns: 1, 2"),
     ],
 )
-def test_a_layout_that_does_not_fit_says_why(table, told):
-    with pytest.raises(ConfigurationError, match=told):
+def test_a_layout_that_does_not_fit_says_why(table, message):
+    with pytest.raises(ConfigurationError, match=message):
         render_table(table, EXPERIMENTS)
 
 
@@ -110,19 +109,19 @@ def test_only_what_stands_between_the_marks_is_replaced():
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("<!-- paper:onne -->\n<!-- /paper -->", "<!-- paper:onne -->: no such table; did you mean 'one'"),
         ("no mark", "table 'one': no <!-- paper:one --> in the text"),
         ("<!-- paper:one -->\n<!-- /paper -->", "table 'one': no 'x' on the path 'x'"),
     ],
 )
-def test_a_mark_without_table_or_a_table_without_mark_is_told(text, told):
-    with pytest.raises(ConfigurationError, match=told):
+def test_a_mark_without_table_or_a_table_without_mark_is_an_error(text, message):
+    with pytest.raises(ConfigurationError, match=message):
         with_tables(text, {"one": layout(rows=[["{x}"]])}, EXPERIMENTS)
 
 
-def test_a_mistake_in_the_layout_is_told_with_its_line(tmp_path):
+def test_a_mistake_in_the_layout_is_reported_with_its_line(tmp_path):
     path = tmp_path / "tables.yaml"
     path.write_text("one:\n  columns: [a]\n  rowws: []\n")
     with pytest.raises(ConfigurationError, match=r"tables\.yaml:3: unknown key 'one\.rowws'; did you mean"):
@@ -131,28 +130,28 @@ def test_a_mistake_in_the_layout_is_told_with_its_line(tmp_path):
 
 def make_tree(root: Path, rows: str) -> None:
     (root / "docs").mkdir()
-    (root / "README.md").write_text("# x\n<!-- paper:one -->\n<!-- /paper -->\n")
+    (root / PAGE).write_text("# x\n<!-- paper:one -->\n<!-- /paper -->\n")
     (root / "docs/paper_results.json").write_text(json.dumps({"experiments": EXPERIMENTS}))
     (root / "docs/paper_tables.yaml").write_text(f"one: {{columns: [a], rows: {rows}}}\n")
 
 
 def renew(root: Path) -> subprocess.CompletedProcess:
     return subprocess.run(
-        [sys.executable, "-m", "irlos_pipe.paper.run.readme", str(root)],
+        [sys.executable, "-m", "irlos_pipe.paper.run.results_page", str(root)],
         capture_output=True,
         text=True,
-        cwd=SOURCES,
+        cwd=REPOSITORY,
     )
 
 
-def test_the_command_renews_the_readme_of_a_source_tree(tmp_path):
+def test_the_command_renews_the_page_of_a_source_tree(tmp_path):
     make_tree(tmp_path, "[['{methods/seed}']]")
-    assert renew(tmp_path).stdout.endswith("README.md: renewed\n")
-    assert "| 5 |" in (tmp_path / "README.md").read_text()
-    assert renew(tmp_path).stdout.endswith("README.md: unchanged\n")
+    assert renew(tmp_path).stdout.endswith("docs/results.md: renewed\n")
+    assert "| 5 |" in (tmp_path / PAGE).read_text()
+    assert renew(tmp_path).stdout.endswith("docs/results.md: unchanged\n")
 
 
-def test_the_command_tells_a_mistake_in_one_line(tmp_path):
+def test_the_command_reports_a_mistake_in_one_line(tmp_path):
     make_tree(tmp_path, "[['{seed}']]")
     result = renew(tmp_path)
     assert result.returncode == 1
@@ -162,19 +161,19 @@ def test_the_command_tells_a_mistake_in_one_line(tmp_path):
 @pytest.fixture
 def committed() -> dict:
     """Numbers that stand in the source tree."""
-    if not (SOURCES / RESULTS).is_file():
+    if not (REPOSITORY / RESULTS).is_file():
         pytest.skip("docs/paper_results.json is not there: make paper, make paper-tables")
-    return json.loads((SOURCES / RESULTS).read_text(encoding="utf-8"))
+    return json.loads((REPOSITORY / RESULTS).read_text(encoding="utf-8"))
 
 
 def test_the_committed_numbers_are_those_of_the_full_recipes_as_they_are_now(committed):
     assert (committed["schema"], committed["quick"], committed["missing"]) == ("irlos-paper", False, [])
-    known = find_experiments(SOURCES / "recipes/paper")
+    known = find_experiments(REPOSITORY / "recipes/paper")
     assert list(committed["experiments"]) == [one.name for one in known]
     for one in known:
-        told = committed["experiments"][one.name]
-        assert (told["seed"], told["sizes"]) == (one.recipe.seed, jsonable(one.recipe.configs))
+        found = committed["experiments"][one.name]
+        assert (found["seed"], found["sizes"]) == (one.recipe.seed, jsonable(one.recipe.configs))
 
 
-def test_the_readme_agrees_with_the_committed_numbers(committed):
-    assert (SOURCES / TEXT).read_text(encoding="utf-8") == renewed(SOURCES), "run: make paper-tables"
+def test_the_page_agrees_with_the_committed_numbers(committed):
+    assert (REPOSITORY / PAGE).read_text(encoding="utf-8") == renewed(REPOSITORY), "run: make paper-tables"

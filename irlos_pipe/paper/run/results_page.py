@@ -1,6 +1,7 @@
-"""The tables of README.md from docs/paper_results.json: ``python -m irlos_pipe.paper.run.readme``.
+"""Renew the tables of docs/results.md: ``python -m irlos_pipe.paper.run.results_page``.
 
-A table named in docs/paper_tables.yaml stands between ``<!-- paper:NAME -->`` and ``<!-- /paper -->``.
+The numbers are those of docs/paper_results.json. A table that docs/paper_tables.yaml lays out stands between
+``<!-- paper:NAME -->`` and ``<!-- /paper -->``; the text around the tables is kept.
 """
 
 from __future__ import annotations
@@ -19,23 +20,36 @@ from irlos_pipe.files.validation import Origins, ValidationErrors
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.paper.run.tables import TableLayout, render_table
 
-TEXT, RESULTS, LAYOUT = Path("README.md"), Path("docs/paper_results.json"), Path("docs/paper_tables.yaml")
+PAGE, RESULTS, LAYOUT = (
+    Path("docs/results.md"),
+    Path("docs/paper_results.json"),
+    Path("docs/paper_tables.yaml"),
+)
 BLOCK = re.compile(r"(<!-- paper:(\S+) -->\n).*?(<!-- /paper -->)", re.DOTALL)
 
 
 def with_tables(text: str, layouts: Mapping[str, TableLayout], experiments: Mapping[str, Any]) -> str:
-    """Return the text with every table made anew.
+    """Return the text with every table renewed.
+
+    Parameters
+    ----------
+    text : str
+        The page, with the marks of the tables.
+    layouts : mapping of str to TableLayout
+        Layouts by the name of the table.
+    experiments : mapping
+        Results of the experiments by name.
 
     Raises
     ------
     ConfigurationError
-        When a table has no layout or no place in the text, or cannot be made.
+        If a table has no layout or no mark in the text, or cannot be made.
     """
     named = {found[2] for found in BLOCK.finditer(text)}
     for name in named - layouts.keys():
         raise ConfigurationError(f"<!-- paper:{name} -->: no such table{suggestion(name, layouts)}")
     for name in layouts.keys() - named:
-        raise ConfigurationError(f"table '{name}': no <!-- paper:{name} --> in the text to put it behind")
+        raise ConfigurationError(f"table '{name}': no <!-- paper:{name} --> in the text")
     return BLOCK.sub(lambda found: f"{found[1]}{_table(found[2], layouts, experiments)}\n{found[3]}", text)
 
 
@@ -63,22 +77,24 @@ def read_layouts(path: Path) -> dict[str, TableLayout]:
 
 
 def renewed(root: Path) -> str:
-    """Return README.md of a source tree with its tables made from the results there."""
+    """Return docs/results.md of a source tree with its tables made from the results there."""
     results = json.loads((root / RESULTS).read_text(encoding="utf-8"))
-    text = (root / TEXT).read_text(encoding="utf-8")
+    text = (root / PAGE).read_text(encoding="utf-8")
     return with_tables(text, read_layouts(root / LAYOUT), results["experiments"])
 
 
 def main() -> None:
-    """Renew the tables of a source tree's README.md."""
-    parser = argparse.ArgumentParser(prog="python -m irlos_pipe.paper.run.readme", description=main.__doc__)
+    """Renew the tables of docs/results.md in a source tree."""
+    parser = argparse.ArgumentParser(
+        prog="python -m irlos_pipe.paper.run.results_page", description=main.__doc__
+    )
     parser.add_argument("root", nargs="?", default=".", type=Path, help="the source tree (default: here)")
     root = parser.parse_args().root
     try:
-        changed = write_if_changed(root / TEXT, renewed(root).encode())
+        changed = write_if_changed(root / PAGE, renewed(root).encode())
     except (IrlosError, OSError) as error:
         raise SystemExit(f"irlos: error: {error}") from None
-    print(f"{root / TEXT}: {'renewed' if changed else 'unchanged'}")
+    print(f"{root / PAGE}: {'renewed' if changed else 'unchanged'}")
 
 
 if __name__ == "__main__":
