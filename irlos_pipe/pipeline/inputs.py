@@ -5,8 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.files.atomic import write_if_changed
 from irlos_pipe.files.json import json_text
 
-FITS_SUFFIX = re.compile(r"\.(fits?|fts)(\.gz|\.fz)?$", re.IGNORECASE)
 CACHE_NAME = ".input_checksums.json"
 
 
@@ -26,7 +24,8 @@ class InputFile:
     Attributes
     ----------
     label : str
-        ``<input>/<folder or file given>/<path below it>``: the same wherever the data lie.
+        ``<input>/<folder or file given>/<path below it>``: the same wherever the data lie. Files beside
+        what was given, such as a side-car, count from its parent folder.
     """
 
     label: str
@@ -34,55 +33,62 @@ class InputFile:
     sha256: str
 
 
-def input_files(inputs: Mapping[str, tuple[Path, ...]], cache_folder: Path) -> list[InputFile]:
+def input_files(
+    inputs: Mapping[str, tuple[Path, ...]],
+    cache_folder: Path,
+    files_of: Callable[[Path], list[Path]] | None = None,
+) -> list[InputFile]:
     """List the files of all inputs with their checksums, ordered by label.
 
     Checksums of files whose size and time of modification did not change come from the cache
     in `cache_folder`, which is not written here (see `remember`).
 
+    Parameters
+    ----------
+    inputs : mapping of str to tuple of Path
+        Files and folders by input name.
+    cache_folder : Path
+        Folder of the cache.
+    files_of : callable, optional
+        ``files_of(root)``: the files that are read of a file or folder given as input; all by default.
+
     Raises
     ------
     NothingToDo
-        When an input is an empty folder.
+        When there is nothing to read of an input.
     InputDataError
         When a file cannot be read.
     """
     cache = _read_cache(cache_folder)
     found = {}
     for name, roots in inputs.items():
+        own = {}
         for index, root in enumerate(roots):
             prefix = name if len(roots) == 1 else f"{name}[{index}]"
-            found.update((f"{prefix}/{label}", path) for label, path in _labelled(root, name))
+            own |= {f"{prefix}/{_label(path, root)}": path for path in (files_of or _all_files)(root)}
+        if not own:
+            raise NothingToDo(
+                f"input '{name}': no recordings under {', '.join(map(str, roots))}; nothing to process"
+            )
+        found |= own
     return [InputFile(label, path, _checksum(path, cache)) for label, path in sorted(found.items())]
 
 
 def remember(files: list[InputFile], cache_folder: Path) -> None:
-    """Write the cache of checksums."""
+    """Write the checksums of `files` to the cache in `cache_folder`."""
     entries = {str(file.path): [*_stamp(file.path), file.sha256] for file in files}
     write_if_changed(cache_folder / CACHE_NAME, json_text(entries).encode())
 
 
-def _labelled(root: Path, name: str) -> Iterator[tuple[str, Path]]:
-    """Yield label and path of all files that belong to an input."""
-    files = list(_walk(root)) if root.is_dir() else [root, *_companions(root)]
-    if not files:
-        raise NothingToDo(f"input '{name}': {root} holds no files; nothing to process")
-    return ((_label(path, root), path) for path in files)
-
-
 def _label(path: Path, root: Path) -> str:
-    label = path.relative_to(root.parent).as_posix()
+    label = Path(os.path.relpath(path, root.parent)).as_posix()
     if not label.isprintable():  # control characters, and bytes that are no UTF-8
         raise InputDataError(f"{str(path)!r}: the name holds characters that cannot be shown; rename it")
     return label
 
 
-def _companions(path: Path) -> Iterator[Path]:
-    """Yield what belongs to a data file and lies beside it: side-cars and detector calibrations."""
-    own_sidecar = FITS_SUFFIX.sub("", path.name) + ".yaml"
-    for other in path.parent.iterdir():
-        if other.name in (own_sidecar, "acquisition.yaml") or other.name.startswith("IRAcq."):
-            yield other
+def _all_files(root: Path) -> list[Path]:
+    return list(_walk(root)) if root.is_dir() else [root]
 
 
 def _walk(folder: Path) -> Iterator[Path]:

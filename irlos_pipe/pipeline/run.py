@@ -20,6 +20,8 @@ from irlos_pipe.pipeline.resources import Resources
 from irlos_pipe.pipeline.runlog import TRACE, written_to
 from irlos_pipe.product.runfolder import RunFolder, owned_folder, require_outside_inputs
 from irlos_pipe.recipe import Recipe
+from irlos_pipe.stages import STAGES
+from irlos_pipe.stages.base import files_of
 
 
 def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[InputFile], list[Step]]:
@@ -33,7 +35,8 @@ def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[I
         When input files cannot be read, or there are none.
     """
     require_outside_inputs(folder, recipe.inputs)
-    files = input_files(recipe.inputs, folder)
+    readers = filter(None, (files_of(STAGES[name]) for name in recipe.stages))
+    files = input_files(recipe.inputs, folder, next(readers, None))
     return files, make_plan(recipe, folder, files, selection)
 
 

@@ -11,21 +11,27 @@ import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.units import MAS
 from irlos_pipe.frames.raw import CalibrationMaps, RawRecording
+from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.fitsfile import native, require_cube, stem
 
 LAYOUT = "aot"
 VERSION_KEY = "AOT-VERS"
-MAS_PER_RADIAN = np.degrees(1) * 3.6e6
 
 
 def recognises(hdus: fits.HDUList) -> bool:
-    """Tell whether a FITS file says that it follows the AOT standard."""
+    """Return whether a FITS file says that it follows the AOT standard."""
     return VERSION_KEY in hdus[0].header
 
 
-def read(path: Path) -> list[RawRecording]:
-    """Read every detector of the file that looks at a star (not at a laser) and recorded its pixels.
+def files_of(path: Path) -> list[Path]:
+    """Return the files from which the recordings in `path` are read: it alone."""
+    return [path]
+
+
+def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
+    """See `irlos_pipe.readers.find.Reader.read`: one recording per detector that looks at a star.
 
     Raises
     ------
@@ -98,7 +104,7 @@ def _per_frame(time: Any, attribute: str, frames: int) -> np.ndarray | None:
 
 
 def _known(detector: Any) -> dict[str, float]:
-    scale = None if detector.pixel_scale is None else detector.pixel_scale * MAS_PER_RADIAN
+    scale = None if detector.pixel_scale is None else detector.pixel_scale / MAS
     numbers = {
         "pixel_scale_mas": scale,
         "exposure_s": detector.integration_time,

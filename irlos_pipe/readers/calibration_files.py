@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,22 +11,29 @@ import numpy as np
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.blocks import frame_variance, mean_frame
 from irlos_pipe.frames.raw import CalibrationMaps
-from irlos_pipe.readers.fitsfile import hdu_label, native, open_fits
+from irlos_pipe.readers.fitsfile import first_image, hdu_label, native, open_fits
 
 PREFIX = "IRAcq.DET1."
 KINDS = ("DARK", "BACKGROUND", "FLAT", "DEAD", "WEIGHT")
 MAX_BAD_FRACTION = 0.5  # a map that excludes more than this means something else
 
 
+def calibration_files(folders: Sequence[Path]) -> dict[str, Path]:
+    """Return the calibration images by kind; the first of the `folders` that has an image wins."""
+    candidates = {kind: [folder / f"{PREFIX}{kind}.fits" for folder in folders] for kind in KINDS}
+    found = {kind: next(filter(Path.is_file, paths), None) for kind, paths in candidates.items()}
+    return {kind: path for kind, path in found.items() if path is not None}
+
+
 def read_calibration_maps(
-    folders: Sequence[Path], window: tuple[int, int]
+    found: Mapping[str, Path], window: tuple[int, int]
 ) -> tuple[CalibrationMaps, tuple[str, ...]]:
     """Read the calibration images of a recording.
 
     Parameters
     ----------
-    folders : sequence of Path
-        Where to look; the first folder that has an image wins.
+    found : mapping of str to Path
+        Files by kind, see `calibration_files`.
     window : tuple of int
         Rows and columns of the recording [px].
 
@@ -41,7 +48,6 @@ def read_calibration_maps(
     InputDataError
         An image that cannot be read or does not fit the window.
     """
-    found = {kind: path for kind in KINDS if (path := _find(folders, kind)) is not None}
     images = {kind: _read_stack(path, window) for kind, path in found.items()}
     means = {kind: stack.mean(axis=0) for kind, stack in images.items()}
     maps = CalibrationMaps(
@@ -68,19 +74,10 @@ def mean_variance(stack: np.ndarray) -> float:
     return float(scatter**2 / 2)
 
 
-def _find(folders: Sequence[Path], kind: str) -> Path | None:
-    candidates = [folder / f"{PREFIX}{kind}.fits" for folder in folders]
-    return next((path for path in candidates if path.is_file()), None)
-
-
 def _read_stack(path: Path, window: tuple[int, int]) -> np.ndarray:
     """Read an image or a stack of images as float32 (images, rows, columns)."""
     with open_fits(path) as hdus:
-        index, hdu = next(
-            ((i, h) for i, h in enumerate(hdus) if h.is_image and h.header.get("NAXIS", 0) > 0), (None, None)
-        )
-        if hdu is None:
-            raise InputDataError(f"{path}: no image in the file")
+        index, hdu = first_image(path, hdus)
         data = native(hdu.data).astype(np.float32)
         where = hdu_label(path, index, hdu)
     # SPARTA also stores maps as one long vector, x fastest

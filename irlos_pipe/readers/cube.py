@@ -1,4 +1,4 @@
-"""Plain FITS cube: images in the primary HDU or the first image extension."""
+"""Plain FITS cube (frames, y, x) or image (y, x), in the primary HDU or the first image extension."""
 
 from __future__ import annotations
 
@@ -7,31 +7,25 @@ from pathlib import Path
 import numpy as np
 from astropy.io import fits
 
-from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.raw import RawRecording
-from irlos_pipe.readers.fitsfile import hdu_label, image_array, open_fits, stem
+from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.readers.fitsfile import first_image, has_image, hdu_label, image_array, stem
 
 LAYOUT = "fits_cube"
 
 
 def recognises(hdus: fits.HDUList) -> bool:
-    """Tell whether a FITS file has an image that could be a cube."""
-    return any(hdu.is_image and hdu.header.get("NAXIS", 0) > 0 for hdu in hdus)
+    """Return whether a FITS file has an image that could be a cube."""
+    return any(map(has_image, hdus))
 
 
-def read(path: Path) -> RawRecording:
-    """Read a cube (frames, y, x) or a single image (y, x).
+def files_of(path: Path) -> list[Path]:
+    """Return the files from which the recording in `path` is read: it alone."""
+    return [path]
 
-    Raises
-    ------
-    InputDataError
-        No image, or axes that cannot be a cube of images.
-    """
-    with open_fits(path) as hdus:
-        index, hdu = next(
-            ((i, h) for i, h in enumerate(hdus) if h.is_image and h.header.get("NAXIS", 0) > 0), (-1, None)
-        )
-        if hdu is None:
-            raise InputDataError(f"{path}: no image in the file")
-        adu = image_array(hdu, hdu_label(path, index, hdu))
-    return RawRecording(stem(path), path, LAYOUT, adu, np.arange(len(adu)))
+
+def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
+    """See `irlos_pipe.readers.find.Reader.read`."""
+    index, hdu = first_image(path, hdus)
+    adu = image_array(hdu, hdu_label(path, index, hdu))
+    return [RawRecording(stem(path), path, LAYOUT, adu, np.arange(len(adu)))]

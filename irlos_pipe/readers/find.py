@@ -5,17 +5,53 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from itertools import chain, count
 from pathlib import Path
+from typing import Protocol
+
+from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.frames.raw import RawRecording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers import aot, cube, muse_raw, recorder
 from irlos_pipe.readers.fitsfile import has_fits_name, open_fits
+from irlos_pipe.readers.sidecar import sidecar_path
 
-LAYOUTS = (aot, recorder, muse_raw, cube)
+
+class Reader(Protocol):
+    """What a module that reads one layout offers."""
+
+    LAYOUT: str
+
+    def recognises(self, hdus: fits.HDUList) -> bool:
+        """Return whether a FITS file has this layout; `hdus` may be used for their headers only."""
+
+    def files_of(self, path: Path) -> list[Path]:
+        """Return every file from which the recordings in `path` are read, but for the side-car."""
+
+    def read(self, path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
+        """Read the recordings of a file.
+
+        Parameters
+        ----------
+        path : Path
+            The file, of which the other files of the recording are known.
+        hdus : HDUList
+            The file, open and checked.
+        instrument : Instrument
+            Knows the read-out modes.
+
+        Raises
+        ------
+        InputDataError
+            The file, or one that belongs to it, does not hold what the layout asks for.
+        """
+
+
 DAMAGED = "damaged"
+READERS: tuple[Reader, ...] = (aot, recorder, muse_raw, cube)  # the most specific one that fits reads
 # Files of the real-time computer beside the frames: IRAcq.DET1.DARK.fits, IRCtr.SENSOR_2_MODES.fits
 COMPUTER_FILE = re.compile(r"\w*(Acq|Ctr|Monitor|RTC|Recn)\.[\w.]+\.fits", re.ASCII)
 
@@ -30,8 +66,10 @@ def recording_files(
 
     Parameters
     ----------
+    paths : sequence of Path
+        Files and folders.
     refused : callable, optional
-        Told of folders below that may not be read; raised otherwise.
+        Called with the error for each folder below that may not be read; raised otherwise.
 
     Raises
     ------
@@ -49,33 +87,41 @@ def recording_files(
     return files
 
 
+def files_of(path: Path) -> list[Path]:
+    """Return every file from which the recordings in `path` are read: data, calibration images, side-car."""
+    own = [path]
+    with suppress(InputDataError):  # reading will say what is wrong
+        reader = _reader_of(path)
+        own = [path] if reader is None else reader.files_of(path)
+    return [*own, *filter(Path.is_file, [sidecar_path(path)])]
+
+
 def read_recordings(path: Path, instrument: Instrument) -> list[RawRecording]:
-    """Read the recordings of one FITS file, whatever its layout.
+    """Read the recordings of the FITS file `path`, whatever its layout; the `instrument` knows the modes.
 
     Raises
     ------
     InputDataError
         No layout is recognised, or the file cannot be read.
     """
-    match _layout(path):
-        case aot.LAYOUT:
-            return aot.read(path)
-        case recorder.LAYOUT:
-            return [recorder.read(path)]
-        case muse_raw.LAYOUT:
-            return muse_raw.read(path, instrument)
-        case cube.LAYOUT:
-            return [cube.read(path)]
+    with open_fits(path) as hdus:
+        reader = _recognised(hdus)
+        if reader is not None:
+            return reader.read(path, hdus, instrument)
     raise InputDataError(
         f"{path}: no recording in it; expected a table IRPixelFrame, an image SPARTA_TT_CUBE, "
         "a plain cube (frames, y, x), or an AOT file"
     )
 
 
-def _layout(path: Path) -> str | None:
-    """Name the layout of a FITS file, the most specific one that fits; None if it has no frames."""
-    with open_fits(path) as hdus:
-        return next((layout.LAYOUT for layout in LAYOUTS if layout.recognises(hdus)), None)
+def _recognised(hdus: fits.HDUList) -> Reader | None:
+    return next((reader for reader in READERS if reader.recognises(hdus)), None)
+
+
+def _reader_of(path: Path) -> Reader | None:
+    """Return the reader of a FITS file, judged by its headers; None if it has no frames."""
+    with open_fits(path, verify=False) as hdus:
+        return _recognised(hdus)
 
 
 def _raise(error: InputDataError) -> None:
@@ -114,16 +160,18 @@ def _files_in_folder(folder: Path, refused: Callable[[InputDataError], None]) ->
 
 def _data_files(candidates: list[Path]) -> list[Path]:
     """Files with frames in them; beside a pixel table other images are its telemetry, not cubes."""
-    layouts = {path: _layout_or_damaged(path) for path in candidates}
+    layouts = {path: _layout(path) for path in candidates}
     passed_over = {None, cube.LAYOUT} if recorder.LAYOUT in layouts.values() else {None}
     return [path for path, layout in layouts.items() if layout not in passed_over]
 
 
-def _layout_or_damaged(path: Path) -> str | None:
+def _layout(path: Path) -> str | None:
+    """Name the layout of a FITS file; None if it has no frames."""
     try:
-        return _layout(path)
+        reader = _reader_of(path)
     except InputDataError:
         return DAMAGED
+    return None if reader is None else reader.LAYOUT
 
 
 def natural_order(path: Path) -> list:

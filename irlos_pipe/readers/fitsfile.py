@@ -41,8 +41,15 @@ def stem(path: Path) -> str:
 
 
 @contextmanager
-def open_fits(path: Path) -> Iterator[fits.HDUList]:
+def open_fits(path: Path, *, verify: bool = True) -> Iterator[fits.HDUList]:
     """Open a FITS file whose HDUs all fit into it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    verify : bool
+        Compare the data with their checksums, which reads all of them.
 
     Raises
     ------
@@ -60,7 +67,8 @@ def open_fits(path: Path) -> Iterator[fits.HDUList]:
             with path.open("rb") as stream, fits.open(stream, memmap=False, lazy_load_hdus=True) as hdus:
                 _require_complete(hdus, path)
                 _require_end(hdus, path)
-                _require_sums(hdus, path)
+                if verify:
+                    _require_sums(hdus, path)
                 yield hdus
     except IrlosError:
         raise
@@ -70,6 +78,25 @@ def open_fits(path: Path) -> Iterator[fits.HDUList]:
         raise InputDataError(
             f"{path}: cannot be read as FITS, damaged or cut off: {_one_line(error)}"
         ) from None
+
+
+def has_image(hdu: fits.hdu.base._BaseHDU) -> bool:
+    """Return whether an HDU holds an image with pixels."""
+    return hdu.is_image and hdu.header.get("NAXIS", 0) > 0
+
+
+def first_image(path: Path, hdus: fits.HDUList) -> tuple[int, fits.hdu.base._BaseHDU]:
+    """Return number and HDU of the first image among the `hdus` of the file `path`.
+
+    Raises
+    ------
+    InputDataError
+        No image in the file.
+    """
+    found = next(((index, hdu) for index, hdu in enumerate(hdus) if has_image(hdu)), None)
+    if found is None:
+        raise InputDataError(f"{path}: no image in the file")
+    return found
 
 
 def image_array(hdu: fits.hdu.base._BaseHDU, where: str) -> np.ndarray:

@@ -14,7 +14,7 @@ from irlos_pipe.conventions.seeing import SPARTA
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.frames.raw import RawRecording
 from irlos_pipe.instrument.instrument import Instrument, Mode
-from irlos_pipe.readers.fitsfile import hdu_label, header_number, image_array, open_fits, stem
+from irlos_pipe.readers.fitsfile import hdu_label, header_number, image_array, stem
 from irlos_pipe.readers.quadrants import split_quadrants
 from irlos_pipe.readers.times import unix_seconds
 
@@ -34,26 +34,30 @@ SEEING_RANGE_ARCSEC = (0.05, 10.0)
 
 
 def recognises(hdus: fits.HDUList) -> bool:
-    """Tell whether a FITS file holds a cube of the low-order sensor."""
+    """Return whether a FITS file holds a cube of the low-order sensor."""
     return any(hdu.name.upper() == CUBE for hdu in hdus)
 
 
-def read(path: Path, instrument: Instrument) -> list[RawRecording]:
-    """Read a raw file: one recording in full-pupil modes, four (one per lenslet) in 2x2 modes.
+def files_of(path: Path) -> list[Path]:
+    """Return the files from which the recordings in `path` are read: it alone."""
+    return [path]
+
+
+def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
+    """See `irlos_pipe.readers.find.Reader.read`: one recording in full-pupil modes, four in 2x2 modes.
 
     Raises
     ------
     InputDataError
         Unknown or missing mode string, or a cube that does not fit the mode.
     """
-    with open_fits(path) as hdus:
-        index = next(i for i, hdu in enumerate(hdus) if hdu.name.upper() == CUBE)
-        where = hdu_label(path, index, hdus[index])
-        adu = image_array(hdus[index], where)
-        header = hdus[0].header
-        mode = _mode(header, instrument, path)
-        start = _start(hdus, header)
-        known = _from_mode(mode) | _from_header(header) | _from_atmosphere(hdus)
+    index = next(i for i, hdu in enumerate(hdus) if hdu.name.upper() == CUBE)
+    where = hdu_label(path, index, hdus[index])
+    adu = image_array(hdus[index], where)
+    header = hdus[0].header
+    mode = _mode(header, instrument, path)
+    start = _start(hdus, header)
+    known = _from_mode(mode) | _from_header(header) | _from_atmosphere(hdus)
     common = {
         "path": path,
         "layout": LAYOUT,

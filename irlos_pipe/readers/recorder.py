@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,8 @@ from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.raw import RawRecording
-from irlos_pipe.readers.calibration_files import PREFIX, read_calibration_maps
+from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.readers.calibration_files import PREFIX, calibration_files, read_calibration_maps
 from irlos_pipe.readers.fitsfile import has_fits_name, hdu_label, native, open_fits, require_cube, stem
 from irlos_pipe.readers.times import column, pair_by_counter, unix_seconds
 
@@ -21,12 +22,27 @@ PIXEL_FOLDER_SUFFIX = "_PIX"  # GALACSI keeps NAME_IR (loop, calibration) beside
 
 
 def recognises(hdus: fits.HDUList) -> bool:
-    """Tell whether a FITS file holds a SPARTA pixel table."""
-    return any(hdu.name.upper() == PIXEL_TABLE for hdu in hdus)
+    """Return whether a FITS file holds a SPARTA pixel table."""
+    return _table(hdus, PIXEL_TABLE)[1] is not None
 
 
-def read(path: Path) -> RawRecording:
-    """Read the recording whose pixel table is in `path`.
+def files_of(path: Path) -> list[Path]:
+    """Return the files from which the recording in `path` is read: table, calibration images, loop tables.
+
+    Loop tables are those that are searched for the times of the frames, none if the file itself has them.
+    """
+    folders = _folders(path)
+    files = [path, *calibration_files(folders).values()]
+    beside = _loop_candidates(path, folders)
+    if beside:
+        with open_fits(path, verify=False) as hdus:
+            own = _table_times(path, hdus, PIXEL_TABLE) or _table_times(path, hdus, LOOP_TABLE)
+        files += [] if own else _searched(beside)[0]
+    return files
+
+
+def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
+    """See `irlos_pipe.readers.find.Reader.read`.
 
     Raises
     ------
@@ -34,26 +50,25 @@ def read(path: Path) -> RawRecording:
         A column that is missing, a window that changes or does not fit the pixel vector, no rows,
         or calibration images that do not fit.
     """
-    with open_fits(path) as hdus:
-        index, table = _table(hdus, PIXEL_TABLE)
-        where = hdu_label(path, index, table)
-        adu, counter = _frames(table, where)
-        own_times = unix_seconds(table)
+    index, table = _table(hdus, PIXEL_TABLE)
+    assert table is not None, f"{path}: not a recorder file"
+    adu, counter = _frames(table, hdu_label(path, index, table))
     folders = _folders(path)
-    maps, notes = read_calibration_maps(folders, adu.shape[1:])
-    times, time_note = (own_times, ()) if own_times is not None else _times_from_loop(path, folders, counter)
-    start = float(times[0]) if times is not None else float("nan")
-    return RawRecording(
-        stem(path),
-        path,
-        LAYOUT,
-        adu,
-        counter,
-        times,
-        calibration=maps,
-        start_unix_s=start,
-        notes=notes + time_note,
-    )
+    maps, notes = read_calibration_maps(calibration_files(folders), (adu.shape[1], adu.shape[2]))
+    times, time_notes = _times(path, hdus, folders, counter)
+    return [
+        RawRecording(
+            stem(path),
+            path,
+            LAYOUT,
+            adu,
+            counter,
+            times,
+            calibration=maps,
+            start_unix_s=float(times[0]) if times is not None else float("nan"),
+            notes=notes + time_notes,
+        )
+    ]
 
 
 def _frames(table: fits.BinTableHDU, where: str) -> tuple[np.ndarray, np.ndarray]:
@@ -118,27 +133,57 @@ def _folders(path: Path) -> list[Path]:
     return [folder, loop] if loop != folder and loop.is_dir() else [folder]
 
 
-def _times_from_loop(
-    path: Path, folders: list[Path], counter: np.ndarray
+@dataclass(frozen=True)
+class _TableTimes:
+    """Times of the rows of a table [s since 1970], and their frame counters."""
+
+    counter: np.ndarray
+    unix_s: np.ndarray
+
+
+def _table_times(path: Path, hdus: fits.HDUList, name: str) -> _TableTimes | None:
+    """Return the times in the table of this name; None if there is none, or it has no times."""
+    index, table = _table(hdus, name)
+    times = None if table is None else unix_seconds(table)
+    if table is None or times is None:
+        return None
+    return _TableTimes(_required(table, "FrameCounter", hdu_label(path, index, table)), times)
+
+
+def _times(
+    path: Path, hdus: fits.HDUList, folders: list[Path], counter: np.ndarray
 ) -> tuple[np.ndarray | None, tuple[str, ...]]:
-    """Times of the frames from the loop table, by counter; and a remark for the log."""
-    for candidate in _loop_candidates(path, folders):
+    """Times of the frames, from the pixel table or else from a loop table by counter; remarks for the log."""
+    own = _table_times(path, hdus, PIXEL_TABLE)
+    if own is not None:
+        return own.unix_s, ()
+    source, loop = path, _table_times(path, hdus, LOOP_TABLE)
+    if loop is None:
+        searched, loop = _searched(_loop_candidates(path, folders))
+        source = searched[-1] if searched else path
+    if loop is None:
+        return None, (f"{path}: no times recorded; taken from the frame counter and the frame rate",)
+    paired = pair_by_counter(counter, loop.counter, loop.unix_s)
+    missing = int(np.isnan(paired).sum())
+    note = f"{path}: times from {source.name}, {missing} of {len(counter)} frames not found in it"
+    return (None if missing == len(counter) else paired), (note,)
+
+
+def _loop_candidates(path: Path, folders: list[Path]) -> list[Path]:
+    """Return the other FITS files of the folders, which may hold the loop table."""
+    others = (other for folder in folders for other in sorted(folder.iterdir()))
+    return [
+        other
+        for other in others
+        if other != path and has_fits_name(other) and not other.name.startswith(PREFIX)
+    ]
+
+
+def _searched(candidates: list[Path]) -> tuple[list[Path], _TableTimes | None]:
+    """Return the files up to the first with the times of the loop, and these times."""
+    for number, candidate in enumerate(candidates, start=1):
         with open_fits(candidate) as hdus:
-            _, table = _table(hdus, LOOP_TABLE)
-            times = unix_seconds(table) if table is not None else None
-            if times is not None:
-                paired = pair_by_counter(counter, column(table, "FrameCounter"), times)
-                missing = int(np.isnan(paired).sum())
-                note = (
-                    f"{path}: times from {candidate.name}, {missing} of {len(counter)} frames not found in it"
-                )
-                return (None if missing == len(counter) else paired), (note,)
-    return None, (f"{path}: no times recorded; taken from the frame counter and the frame rate",)
-
-
-def _loop_candidates(path: Path, folders: list[Path]) -> Iterator[Path]:
-    yield path
-    for folder in folders:
-        for candidate in sorted(folder.iterdir()):
-            if candidate != path and has_fits_name(candidate) and not candidate.name.startswith(PREFIX):
-                yield candidate
+            times = _table_times(candidate, hdus, LOOP_TABLE)
+        if times is not None:
+            return candidates[:number], times
+    return candidates, None

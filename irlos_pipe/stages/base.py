@@ -100,6 +100,8 @@ class Stage(Protocol):
     - ``NEEDS``: names of stages that must come before it in a recipe (default none);
     - ``READS``: names of the earlier stages whose products it looks at (default all of them).
       A change of any other stage does not redo it;
+    - ``files_of(root)``: the files of an input, given as a file or folder, that it reads (default all
+      of them). Other files may change without its product being made again;
     - ``DEPENDS_ON``: the parts of `KEY_PARTS` it depends on (default all of them). A change of
       any other part does not redo it.
     """
@@ -121,6 +123,11 @@ def reads(stage: Stage, earlier: Sequence[str]) -> tuple[str, ...]:
     """Names of those of the `earlier` stages whose products `stage` looks at."""
     wanted = getattr(stage, "READS", None)
     return tuple(name for name in earlier if wanted is None or name in wanted or name in needs(stage))
+
+
+def files_of(stage: Stage) -> Callable[[Path], list[Path]] | None:
+    """Return the function of a `stage` that lists the files it reads of an input, if it has one."""
+    return getattr(stage, "files_of", None)
 
 
 def depends_on(stage: Stage) -> frozenset[str]:

@@ -6,7 +6,7 @@ from helpers.sparta_files import FULL_PUPIL, TWO_BY_TWO, quadrants, write_muse
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.readers import muse_raw
+from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.quadrants import split_quadrants
 
 IRLOS = load_instrument("irlos")
@@ -19,7 +19,7 @@ def numbered(frames, rows, columns, offset=0):
 
 def test_the_cube_keeps_its_axes_and_type(tmp_path):
     cube = numbered(4, 8, 7)
-    (raw,) = muse_raw.read(write_muse(tmp_path / "m.fits", cube), IRLOS)
+    (raw,) = read_recordings(write_muse(tmp_path / "m.fits", cube), IRLOS)
     assert raw.adu.dtype == np.uint16
     assert np.array_equal(raw.adu, cube)
     assert raw.mode == FULL_PUPIL
@@ -34,7 +34,7 @@ def test_the_header_gives_what_it_knows(tmp_path):
         "ESO INS DROT START": 81.4,
         "OBJECT": "HD 1",
     }
-    (raw,) = muse_raw.read(write_muse(tmp_path / "m.fits", numbered(2, 8, 8), header=header), IRLOS)
+    (raw,) = read_recordings(write_muse(tmp_path / "m.fits", numbered(2, 8, 8), header=header), IRLOS)
     expected = {
         "mag_j": 10.5,
         "seeing_arcsec": 0.7,
@@ -57,7 +57,7 @@ def test_the_seeing_of_sparta_is_preferred_to_the_monitor(tmp_path):
         header={"ESO TEL AMBI FWHM START": 0.7},
         seeing=[0.4, 0.5, 0.6, -1.0],
     )
-    assert muse_raw.read(path, IRLOS)[0].header["seeing_arcsec"] == pytest.approx(0.5)
+    assert read_recordings(path, IRLOS)[0].header["seeing_arcsec"] == pytest.approx(0.5)
 
 
 def test_an_unknown_mode_is_named(tmp_path):
@@ -67,18 +67,18 @@ def test_an_unknown_mode_is_named(tmp_path):
         match=r"'64x64_FullPupl_200Hz_HighGain' is no mode of irlos.*did you mean "
         r"'64x64_FullPupil_200Hz_HighGain'",
     ):
-        muse_raw.read(path, IRLOS)
+        read_recordings(path, IRLOS)
 
 
 def test_a_file_without_mode_says_which_key_is_missing(tmp_path):
     with pytest.raises(InputDataError, match="ESO AOS MAIN MODES IRLOS is missing"):
-        muse_raw.read(write_muse(tmp_path / "m.fits", numbered(2, 8, 8), mode=None), IRLOS)
+        read_recordings(write_muse(tmp_path / "m.fits", numbered(2, 8, 8), mode=None), IRLOS)
 
 
 def test_values_of_before_the_upgrade_hold_for_files_of_that_time(tmp_path):
     images = [numbered(1, 6, 6)] * 4
     new, old = (
-        muse_raw.read(
+        read_recordings(
             write_muse(tmp_path / f"{day}.fits", quadrants(images), TWO_BY_TWO, {"DATE-OBS": day}), IRLOS
         )[0]
         for day in ("2023-01-01T00:00:00", "2020-01-01T00:00:00")
@@ -89,7 +89,7 @@ def test_values_of_before_the_upgrade_hold_for_files_of_that_time(tmp_path):
 
 def test_a_2x2_mode_gives_four_recordings_without_their_borders(tmp_path):
     images = [numbered(3, 6, 8, offset) for offset in (0, 10000, 20000, 30000)]
-    found = muse_raw.read(write_muse(tmp_path / "m.fits", quadrants(images), TWO_BY_TWO), IRLOS)
+    found = read_recordings(write_muse(tmp_path / "m.fits", quadrants(images), TWO_BY_TWO), IRLOS)
     assert [raw.name for raw in found] == ["m-q1", "m-q2", "m-q3", "m-q4"]
     assert [raw.subaperture for raw in found] == [1, 2, 3, 4]
     assert all(np.array_equal(raw.adu, image) for raw, image in zip(found, images, strict=True))

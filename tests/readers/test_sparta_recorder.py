@@ -6,8 +6,14 @@ from astropy.io import fits
 from helpers.sparta_files import counts, loop_table, pixel_table, star, write_recorder
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.readers import recorder
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.times import frames_missing, relative_times
+
+
+def read(path):
+    (raw,) = read_recordings(path, load_instrument("irlos"))
+    return raw
 
 
 def ramp_image(rows, columns, frames=3):
@@ -22,27 +28,27 @@ def cube():
 
 
 def test_x_runs_fastest_and_padding_is_dropped(tmp_path, cube):
-    raw = recorder.read(write_recorder(tmp_path / "rec", cube, pad=37))
+    raw = read(write_recorder(tmp_path / "rec", cube, pad=37))
     assert raw.window == (6, 9)
     assert np.array_equal(raw.adu, cube)
     assert raw.adu[2, 5, 8] == 2508
 
 
 def test_the_recording_is_named_after_its_folder(tmp_path, cube):
-    assert recorder.read(write_recorder(tmp_path / "night.1", cube)).name == "night.1"
+    assert read(write_recorder(tmp_path / "night.1", cube)).name == "night.1"
 
 
 @pytest.mark.parametrize(("seconds", "microseconds"), [("Seconds", "USeconds"), ("Sec", "USec")])
 def test_time_columns_are_read_in_both_spellings(tmp_path, cube, seconds, microseconds):
     times = {seconds: [1700000000, 1700000000, 1700000001], microseconds: [500000, 600000, 0]}
-    raw = recorder.read(write_recorder(tmp_path / "rec", cube, times=times))
+    raw = read(write_recorder(tmp_path / "rec", cube, times=times))
     assert raw.unix_s - 1700000000 == pytest.approx([0.5, 0.6, 1.0], abs=1e-6)
     assert raw.start_unix_s == pytest.approx(1700000000.5, abs=1e-6)
 
 
 @pytest.mark.parametrize("times", [None, {"Seconds": [0, 0, 0], "USeconds": [0, 0, 0]}])
 def test_absent_and_zero_times_count_as_unknown(tmp_path, cube, times):
-    raw = recorder.read(write_recorder(tmp_path / "rec", cube, times=times))
+    raw = read(write_recorder(tmp_path / "rec", cube, times=times))
     assert raw.unix_s is None
     assert any("no times recorded" in note for note in raw.notes)
 
@@ -67,7 +73,7 @@ def place_in_loop_folder(folder, cube, loop):
 def test_times_come_from_the_loop_table_by_exact_counter(tmp_path, cube, place):
     loop_counter = np.setdiff1d(np.arange(90, 160), [120])  # the loop lost frame 120
     loop = loop_table(loop_counter, np.full(69, 1700000000), 5000 * loop_counter)
-    raw = recorder.read(place(tmp_path, cube, loop))
+    raw = read(place(tmp_path, cube, loop))
     assert raw.unix_s[[0, 2]] - 1700000000 == pytest.approx([0.5, 0.7], abs=1e-6)
     assert np.isnan(raw.unix_s[1])
     assert any("1 of 3 frames not found" in note for note in raw.notes)
@@ -93,7 +99,7 @@ def test_a_lost_frame_is_counted_as_missing(counter, missing):
 def test_a_window_that_changes_is_refused_and_the_row_named(tmp_path, cube):
     path = write_recorder(tmp_path / "rec", cube, sizes=([9, 9, 8], [6, 6, 6]))
     with pytest.raises(InputDataError, match=r"window changes from 9x6 to 8x6 \(x, y\) px in row 3"):
-        recorder.read(path)
+        read(path)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +112,7 @@ def test_a_window_that_changes_is_refused_and_the_row_named(tmp_path, cube):
 )
 def test_a_window_that_cannot_be_is_refused(tmp_path, cube, sizes, message):
     with pytest.raises(InputDataError, match=message):
-        recorder.read(write_recorder(tmp_path / "rec", cube, sizes=sizes))
+        read(write_recorder(tmp_path / "rec", cube, sizes=sizes))
 
 
 @pytest.mark.parametrize("name", ["FrameCounter", "WindowSizeX", "WindowSizeY", "Pixels"])
@@ -116,12 +122,12 @@ def test_a_missing_column_is_named(tmp_path, cube, name):
     kept = fits.BinTableHDU.from_columns([c for c in table.columns if c.name != name], name="IRPixelFrame")
     fits.HDUList([fits.PrimaryHDU(), kept]).writeto(path, overwrite=True)
     with pytest.raises(InputDataError, match=rf"HDU 1 \(IRPIXELFRAME\): no column '{name}'"):
-        recorder.read(path)
+        read(path)
 
 
 def test_a_table_without_rows_is_refused(tmp_path, cube):
     with pytest.raises(InputDataError, match="no frames"):
-        recorder.read(write_recorder(tmp_path / "rec", cube[:0]))
+        read(write_recorder(tmp_path / "rec", cube[:0]))
 
 
 def test_vectors_of_varying_length_are_refused(tmp_path, cube):
@@ -134,7 +140,7 @@ def test_vectors_of_varying_length_are_refused(tmp_path, cube):
     )
     fits.HDUList([fits.PrimaryHDU(), table]).writeto(path, overwrite=True)
     with pytest.raises(InputDataError, match="varying length"):
-        recorder.read(path)
+        read(path)
 
 
 def test_calibration_images_beside_the_table_are_read(tmp_path, cube):
@@ -142,7 +148,7 @@ def test_calibration_images_beside_the_table_are_read(tmp_path, cube):
     dead, weight = np.zeros((6, 9)), np.ones((6, 9))
     dead[1, 2], weight[3, 4] = 1, 0
     maps = {"DARK": dark, "BACKGROUND": sky, "FLAT": flat, "DEAD": dead, "WEIGHT": weight}
-    found = recorder.read(write_recorder(tmp_path / "rec", cube, maps=maps)).calibration
+    found = read(write_recorder(tmp_path / "rec", cube, maps=maps)).calibration
     assert (found.dark_adu == 6).all() and (found.background_adu == 2).all()
     assert found.flat == pytest.approx(0.9)
     assert np.argwhere(found.bad).tolist() == [[1, 2], [3, 4]]
@@ -151,20 +157,20 @@ def test_calibration_images_beside_the_table_are_read(tmp_path, cube):
 def test_a_calibration_image_may_be_one_long_vector(tmp_path, cube):
     maps = {"DARK": cube[0].reshape(1, -1)}
     assert np.array_equal(
-        recorder.read(write_recorder(tmp_path / "rec", cube, maps=maps)).calibration.dark_adu, cube[0]
+        read(write_recorder(tmp_path / "rec", cube, maps=maps)).calibration.dark_adu, cube[0]
     )
 
 
 def test_a_stack_of_darks_is_averaged_and_its_noise_known(tmp_path):
     darks = np.random.default_rng(0).normal(50, 4, (100, 32, 32))
-    maps = recorder.read(write_recorder(tmp_path / "rec", counts(star()), maps={"DARK": darks})).calibration
+    maps = read(write_recorder(tmp_path / "rec", counts(star()), maps={"DARK": darks})).calibration
     assert maps.dark_adu.mean() == pytest.approx(50, abs=0.1)
     assert maps.dark_variance_adu2 == pytest.approx(16 / 100, rel=0.1)
 
 
 def test_the_noise_of_a_single_dark_is_judged_by_its_pixels(tmp_path):
     dark = np.random.default_rng(0).normal(50, 4, (32, 32)) + np.arange(32)  # a slope is no noise
-    maps = recorder.read(write_recorder(tmp_path / "rec", counts(star()), maps={"DARK": dark})).calibration
+    maps = read(write_recorder(tmp_path / "rec", counts(star()), maps={"DARK": dark})).calibration
     assert maps.dark_variance_adu2 == pytest.approx(16, rel=0.15)
 
 
@@ -173,17 +179,17 @@ def test_a_calibration_image_of_another_size_is_refused(tmp_path, cube):
     with pytest.raises(
         InputDataError, match=r"IRAcq\.DET1\.DARK\.fits.*9x9 \(y, x\) px do not fit the window of 6x9"
     ):
-        recorder.read(path)
+        read(path)
 
 
 def test_a_map_of_dead_pixels_upside_down_is_refused(tmp_path, cube):
     with pytest.raises(InputDataError, match="marks 54 of 54 pixels as dead"):
-        recorder.read(write_recorder(tmp_path / "rec", cube, maps={"DEAD": np.ones((6, 9))}))
+        read(write_recorder(tmp_path / "rec", cube, maps={"DEAD": np.ones((6, 9))}))
 
 
 def test_weights_that_leave_a_small_window_are_no_bad_pixels(tmp_path, cube):
     weight = np.zeros((6, 9))
     weight[2:4, 3:6] = 1
-    raw = recorder.read(write_recorder(tmp_path / "rec", cube, maps={"WEIGHT": weight}))
+    raw = read(write_recorder(tmp_path / "rec", cube, maps={"WEIGHT": weight}))
     assert raw.calibration.bad is None
     assert any("centroiding window" in note for note in raw.notes)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from pydantic import Field
 
-from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.blocks import picked
@@ -18,6 +20,8 @@ from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.frames.screening import Limits, tally
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Quantity
+from irlos_pipe.readers.find import files_of as recording_parts
+from irlos_pipe.readers.find import recording_files
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.readers.times import frames_missing, relative_times
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
@@ -98,6 +102,13 @@ class Config(StageConfig):
         """Return what the recipe says about an input."""
         own = self.acquisition_of.get(input_name, AcquisitionKeys())
         return self.acquisition.updated(own)
+
+
+def files_of(root: Path) -> list[Path]:
+    """Return every file that ingest reads of an input, given as a file or folder `root`."""
+    with suppress(NothingToDo):
+        return [path for recording in recording_files([root]) for path in recording_parts(recording)]
+    return []
 
 
 def run(ctx: StageContext) -> StageOutput:
