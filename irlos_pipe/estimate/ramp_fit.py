@@ -24,6 +24,8 @@ OUTLIER_CHI2 = 2.0  # a fit this much worse than the median of the ramp gets a s
 FEWEST_FRAMES = 3  # whose fits take longer than making a table of images
 CONTRADICTION_NM = 100.0  # and so does one that the scan of defocus puts this far away
 
+DEFOCUS = 4  # Noll
+
 
 @dataclass(frozen=True)
 class RampData:
@@ -65,11 +67,17 @@ class RampFit:
     shared: SharedFit | None
     start_nm: torch.Tensor
 
+    @property
+    def defocus_nm(self) -> np.ndarray:
+        """Defocus of every frame, (frames,); NaN where the fit is invalid."""
+        valid = np.array([status != "invalid" for status in self.result.solution.status])
+        return np.where(valid, self.result.mode(DEFOCUS)[0].numpy(), np.nan)
+
 
 def start_from_defocus(model: PsfModel, data: RampData, defocus_nm: np.ndarray) -> torch.Tensor:
     """Start with a given defocus; tip and tilt from the centroids, relative to the model's own image."""
     start = torch.zeros(len(data.images_e), len(model.nolls), dtype=torch.float64)
-    start[:, model.nolls.index(4)] = torch.as_tensor(np.nan_to_num(defocus_nm))
+    start[:, model.nolls.index(DEFOCUS)] = torch.as_tensor(np.nan_to_num(defocus_nm))
     scale, diameter = model.settings.pixel_scale_mas, model.settings.geometry.diameter_m
     seen = start_tilts_nm((data.images_e * data.pixel_mask).double(), scale, diameter)
     modelled = start_tilts_nm(model.images(start).double().cpu(), scale, diameter)

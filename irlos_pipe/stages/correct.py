@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
+import math
+from typing import ClassVar
 
 import numpy as np
 from astropy.io import fits
 from pydantic import Field
 
+from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS
 from irlos_pipe.effects import fixed_optics
 from irlos_pipe.estimate.correction import Prediction, predict_correction
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.zernike import zernike_basis
 from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.results import ByNoll, Number, StageResults
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.ingest.recordings import recordings_from_product
 from irlos_pipe.stages.model.effects import calibrated_effects
@@ -23,12 +27,12 @@ NAME = "correct"
 VERSION = 3
 NEEDS = ("ingest", "calibrate")
 READS = ("ingest", "calibrate")
-HIGHEST_NOLL = 30
 MAP_SAMPLES = 160
 SIGN = (
     "offset = -NCPA: add the offset to the reference to cancel the aberration; OPD in nm RMS, Noll; "
     "diversity not included"
 )
+Offsets = tuple[np.ndarray, np.ndarray, np.ndarray]  # Noll indices, offsets [nm], standard errors [nm]
 
 
 class Config(StageConfig):
@@ -38,7 +42,17 @@ class Config(StageConfig):
     gain: float = Field(1.0, gt=0, le=1, description="part of the measured aberration to correct")
 
 
-def run(ctx: StageContext) -> StageOutput:
+class CorrectResults(StageResults):
+    """Offsets to add to the reference [nm RMS], and the Strehl ratio predicted without and with them."""
+
+    stage: ClassVar[str] = NAME
+    offset_nm: ByNoll = {}
+    sign: str = ""
+    strehl_before: Number = math.nan
+    strehl_after: Number = math.nan
+
+
+def run(ctx: StageContext[Config]) -> StageOutput:
     """Offsets as CSV and FITS, and the predicted image before and after."""
     arrays = ctx.products["calibrate"].arrays
     nolls = [int(n) for n in arrays["noll"].value]
@@ -65,17 +79,14 @@ def run(ctx: StageContext) -> StageOutput:
     )
 
 
-def _offsets(
-    nolls: list[int], offset_nm: np.ndarray, sigma_nm: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Noll 2 to 30; modes that were not estimated are 0 with an infinite error."""
+def _offsets(nolls: list[int], offset_nm: np.ndarray, sigma_nm: np.ndarray) -> Offsets:
+    """The reported modes; those that were not estimated are 0 with an infinite error."""
     table = {noll: (o, s) for noll, o, s in zip(nolls, offset_nm, sigma_nm, strict=True)}
-    wanted = np.arange(2, HIGHEST_NOLL + 1)
-    values = np.array([table.get(int(noll), (0.0, np.inf)) for noll in wanted])
-    return wanted, values[:, 0], values[:, 1]
+    values = np.array([table.get(noll, (0.0, np.inf)) for noll in REPORTED_NOLLS])
+    return np.array(REPORTED_NOLLS), values[:, 0], values[:, 1]
 
 
-def _csv(offsets) -> bytes:
+def _csv(offsets: Offsets) -> bytes:
     text = io.StringIO()
     text.write(f"# {SIGN}\n")
     writer = csv.writer(text, lineterminator="\n")
@@ -92,7 +103,7 @@ def _fits(table: fits.BinTableHDU) -> bytes:
     return data.getvalue()
 
 
-def _predict(ctx: StageContext, nolls: list[int], zernike_nm: np.ndarray) -> Prediction:
+def _predict(ctx: StageContext[Config], nolls: list[int], zernike_nm: np.ndarray) -> Prediction:
     recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
     product = ctx.products["calibrate"]
     seeing = seeing_arcsec(recording.acquisition)
@@ -102,12 +113,12 @@ def _predict(ctx: StageContext, nolls: list[int], zernike_nm: np.ndarray) -> Pre
         nolls,
         np.array(product.arrays["modes_nm"].value, float),
         zernike_nm,
-        np.where(np.array(nolls) <= HIGHEST_NOLL, ctx.config.gain, 0.0),
+        np.where(np.array(nolls) <= HIGHEST_REPORTED_NOLL, ctx.config.gain, 0.0),
         lambda model: fixed_optics(list(effects.values()), model.grids),
     )
 
 
-def _wavefront_nm(ctx: StageContext, nolls: list[int], zernike_nm: np.ndarray) -> np.ndarray:
+def _wavefront_nm(ctx: StageContext[Config], nolls: list[int], zernike_nm: np.ndarray) -> np.ndarray:
     """Map of the estimated wavefront, NaN outside the pupil."""
     geometry = ctx.instrument.pupil
     centres = grid_centres(MAP_SAMPLES, geometry.diameter_m / MAP_SAMPLES)
@@ -118,7 +129,13 @@ def _wavefront_nm(ctx: StageContext, nolls: list[int], zernike_nm: np.ndarray) -
     return np.where(area_weighted_pupil(geometry, centres) > 0.5, opd, np.nan)
 
 
-def _arrays(ctx: StageContext, nolls, zernike_nm, offsets, prediction: Prediction) -> dict[str, Quantity]:
+def _arrays(
+    ctx: StageContext[Config],
+    nolls: list[int],
+    zernike_nm: np.ndarray,
+    offsets: Offsets,
+    prediction: Prediction,
+) -> dict[str, Quantity]:
     seen = np.where(np.isin(nolls, (2, 3)), 0.0, zernike_nm)
     left = np.where(np.isin(nolls, offsets[0]), (1 - ctx.config.gain) * seen, seen)
     arrays = {
@@ -142,12 +159,10 @@ def _arrays(ctx: StageContext, nolls, zernike_nm, offsets, prediction: Predictio
     }
 
 
-def _results(offsets, prediction: Prediction) -> dict:
-    return {
-        "offset_nm": {
-            str(noll): value for noll, value in zip(*(o.tolist() for o in offsets[:2]), strict=True)
-        },
-        "sign": SIGN,
-        "strehl_before": prediction.strehl_before,
-        "strehl_after": prediction.strehl_after,
-    }
+def _results(offsets: Offsets, prediction: Prediction) -> CorrectResults:
+    return CorrectResults(
+        offset_nm=dict(zip(offsets[0].tolist(), offsets[1].tolist(), strict=True)),
+        sign=SIGN,
+        strehl_before=prediction.strehl_before,
+        strehl_after=prediction.strehl_after,
+    )

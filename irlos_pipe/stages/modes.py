@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -12,19 +14,20 @@ from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter, fit_mode_law, mod
 from irlos_pipe.estimate.mode_number import LEAST_FRAMES, Choice, ModeScan, choose, scan_mode_numbers
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.results import Number, ResultsPart, StageResults, results_of
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.each import CubeEstimate, cube_estimates
 from irlos_pipe.stages.calibrate.input import cube_input
+from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.ingest.recordings import recordings_from_product
-from irlos_pipe.stages.mode_laws import law_row
 
 NAME = "modes"
 VERSION = 4
 NEEDS = ("ingest", "calibrate")
 READS = ("ingest", "calibrate")
 POINTING = (2, 3)  # where the star lies in the window
-LEAST_MODES = 4
+MIN_MODES = 4
 
 
 class Config(StageConfig):
@@ -49,7 +52,87 @@ class Config(StageConfig):
         return numbers
 
 
-def run(ctx: StageContext) -> StageOutput:
+class LawRow(ResultsPart):
+    """A fitted law std(i) = A exp(−B i) + C, i = 0 for Noll 2, see `estimate.mode_law.ModeLaw`."""
+
+    A_nm: Number = math.nan
+    B: Number = math.nan
+    C_nm: Number = math.nan
+    A_sigma_nm: Number = math.nan
+    B_sigma: Number = math.nan
+    C_sigma_nm: Number = math.nan
+    deviance_nu: Number = math.nan
+    plateau_noll: int | None = None
+
+    @classmethod
+    def of(cls, law: ModeLaw) -> LawRow:
+        """Return the parameters of a `law` with their errors."""
+        a, b, c = law.sigma
+        return cls(
+            A_nm=law.a_nm,
+            B=law.decay,
+            C_nm=law.plateau_nm,
+            A_sigma_nm=a,
+            B_sigma=b,
+            C_sigma_nm=c,
+            deviance_nu=law.deviance_nu,
+            plateau_noll=law.plateau_noll,
+        )
+
+
+class NumberScan(ResultsPart):
+    """Fits with several numbers of modes; lists are over `highest_noll`.
+
+    Attributes
+    ----------
+    cubes : int
+        Cubes that the numbers were tried on.
+    held_out_chi2_nu, fitted_chi2_nu : list of float
+        Reduced χ² of unseen frames, and of those fitted.
+    excess, excess_sigma : list of float
+        Held-out χ²/ν above the least, with its error.
+    change_nm : list of float
+        RMS difference of the reported modes from the estimate with the recommended number.
+    halves_nm : list of float
+        Error from the difference of the two halves of the frames.
+    best, recommended : int
+        Highest Noll index with the least χ², and the least one that is as good within the error.
+    """
+
+    cubes: int = 0
+    highest_noll: list[int] = []
+    held_out_chi2_nu: list[Number] = []
+    excess: list[Number] = []
+    excess_sigma: list[Number] = []
+    fitted_chi2_nu: list[Number] = []
+    change_nm: list[Number] = []
+    halves_nm: list[Number] = []
+    best: int = 0
+    recommended: int = 0
+
+
+class ModesResults(StageResults):
+    """Strength of the modes and their number.
+
+    Attributes
+    ----------
+    draws : int
+        Independent sets of NCPAs among the `cubes`.
+    laws : dict of str to LawRow
+        ``estimates`` as they are, and ``ncpas`` without the errors of the estimates.
+    numbers : NumberScan or None
+        None where no cube has frames enough.
+    """
+
+    stage: ClassVar[str] = NAME
+    method: str = ""
+    cubes: int = 0
+    draws: int = 0
+    laws: dict[str, LawRow] = {}
+    numbers: NumberScan | None = None
+
+
+def run(ctx: StageContext[Config]) -> StageOutput:
     """Scatter of the modes with its law, and the scan of the number of modes."""
     cubes = cube_estimates(ctx.products["calibrate"])
     if not cubes:
@@ -61,22 +144,22 @@ def run(ctx: StageContext) -> StageOutput:
         "ncpas": fit_mode_law(scatter, fitted, remove_noise=True),
     }
     arrays = _scatter_arrays(cubes, scatter, laws)
-    results = {
-        "method": ctx.products["calibrate"].results["method"],
-        "cubes": len(cubes),
-        "draws": scatter.draws,
-        "laws": {name: law_row(law) for name, law in laws.items()},
-        "numbers": None,
-    }
     lines = _law_lines(scatter.draws, int(fitted.sum()), laws)
-    scans = _scans(ctx)
+    scans, numbers = _scans(ctx), None
     if scans:
         choice = choose(np.concatenate([scan.misfit for scan in scans], axis=1))
         arrays |= _scan_arrays(scans, choice)
-        results["numbers"] = _numbers(scans, choice)
-        lines += _number_lines(results["numbers"])
+        numbers = _numbers(scans, choice)
+        lines += _number_lines(numbers)
     else:
         lines.append(f"  number of modes not tried: no cube has {LEAST_FRAMES} used frames")
+    results = ModesResults(
+        method=results_of(CalibrateResults, ctx.products["calibrate"]).method,
+        cubes=len(cubes),
+        draws=scatter.draws,
+        laws={name: LawRow.of(law) for name, law in laws.items()},
+        numbers=numbers,
+    )
     return StageOutput(arrays, results, summary=lines)
 
 
@@ -95,15 +178,15 @@ def _fitted(scatter: ModeScatter, highest_noll: int | None) -> np.ndarray:
     """Modes the law is fitted to: no tip and tilt."""
     nolls = np.array(scatter.nolls)
     fitted = ~np.isin(nolls, POINTING) & (nolls <= (highest_noll or nolls[-1]))
-    if fitted.sum() < LEAST_MODES:
+    if fitted.sum() < MIN_MODES:
         raise ConfigurationError(
-            f"a law needs at least {LEAST_MODES} modes beyond tilt: raise calibrate.highest_noll to "
-            f"{POINTING[-1] + LEAST_MODES} or more"
+            f"a law needs at least {MIN_MODES} modes beyond tilt: raise calibrate.highest_noll to "
+            f"{POINTING[-1] + MIN_MODES} or more"
         )
     return fitted
 
 
-def _law_lines(draws: int, modes: int, laws: dict[str, ModeLaw]) -> list[str]:
+def _law_lines(draws: int, modes: int, laws: Mapping[str, ModeLaw]) -> list[str]:
     texts = {"estimates": "of the estimates", "ncpas": "without their errors"}
     return [
         f"Modes           std(i) = A exp(−B i) + C, i = 0 for Noll 2, "
@@ -117,7 +200,7 @@ def _law_lines(draws: int, modes: int, laws: dict[str, ModeLaw]) -> list[str]:
 
 
 def _scatter_arrays(
-    cubes: list[CubeEstimate], scatter: ModeScatter, laws: dict[str, ModeLaw]
+    cubes: list[CubeEstimate], scatter: ModeScatter, laws: Mapping[str, ModeLaw]
 ) -> dict[str, Quantity]:
     over_frames = np.sqrt(np.mean([np.nanvar(cube.frames_nm, axis=0, ddof=1) for cube in cubes], axis=0))
     arrays = {
@@ -137,7 +220,7 @@ def _scatter_arrays(
 # -- appendix B ----------------------------------------------------------------------------------
 
 
-def _scans(ctx: StageContext) -> list[ModeScan]:
+def _scans(ctx: StageContext[Config]) -> list[ModeScan]:
     """Scan of the first cubes that have enough frames."""
     stored = CalibrateConfig(**ctx.products["calibrate"].config)
     recordings = [r.accepted() for r in recordings_from_product(ctx.products["ingest"], stored.input)]
@@ -147,7 +230,12 @@ def _scans(ctx: StageContext) -> list[ModeScan]:
         return [_scan(ctx, recording, stored, bar.update) for recording in usable]
 
 
-def _scan(ctx: StageContext, recording: Recording, stored: CalibrateConfig, report) -> ModeScan:
+def _scan(
+    ctx: StageContext[Config],
+    recording: Recording,
+    stored: CalibrateConfig,
+    report: Callable[[int], None],
+) -> ModeScan:
     options = stored.options()
     cube = cube_input(ctx, [recording], options)
     return scan_mode_numbers(
@@ -161,41 +249,41 @@ def _scan(ctx: StageContext, recording: Recording, stored: CalibrateConfig, repo
     )
 
 
-def _numbers(scans: list[ModeScan], choice: Choice) -> dict:
+def _numbers(scans: Sequence[ModeScan], choice: Choice) -> NumberScan:
     highest = scans[0].highest_nolls
-    return {
-        "cubes": len(scans),
-        "highest_noll": list(highest),
-        "held_out_chi2_nu": np.mean([scan.misfit.mean(axis=1) for scan in scans], axis=0).tolist(),
-        "excess": choice.excess.tolist(),
-        "excess_sigma": choice.excess_sigma.tolist(),
-        "fitted_chi2_nu": np.mean([scan.fitted_chi2_nu for scan in scans], axis=0).tolist(),
-        "change_nm": _rms_over_cubes(_changes_nm(scans, choice.recommended)).tolist(),
-        "halves_nm": _rms_over_cubes([scan.halves_nm for scan in scans]).tolist(),
-        "best": highest[choice.best],
-        "recommended": highest[choice.recommended],
-    }
+    return NumberScan(
+        cubes=len(scans),
+        highest_noll=list(highest),
+        held_out_chi2_nu=np.mean([scan.misfit.mean(axis=1) for scan in scans], axis=0).tolist(),
+        excess=choice.excess.tolist(),
+        excess_sigma=choice.excess_sigma.tolist(),
+        fitted_chi2_nu=np.mean([scan.fitted_chi2_nu for scan in scans], axis=0).tolist(),
+        change_nm=_rms_over_cubes(_changes_nm(scans, choice.recommended)).tolist(),
+        halves_nm=_rms_over_cubes([scan.halves_nm for scan in scans]).tolist(),
+        best=highest[choice.best],
+        recommended=highest[choice.recommended],
+    )
 
 
-def _changes_nm(scans: list[ModeScan], place: int) -> Iterator[np.ndarray]:
+def _changes_nm(scans: Sequence[ModeScan], place: int) -> Iterator[np.ndarray]:
     """RMS difference from the estimate with one of the numbers, (numbers,) per cube."""
     for scan in scans:
         yield np.sqrt(np.sum((scan.mean_nm - scan.mean_nm[place]) ** 2, axis=1))
 
 
-def _rms_over_cubes(values) -> np.ndarray:
+def _rms_over_cubes(values: Iterable[np.ndarray]) -> np.ndarray:
     return np.sqrt(np.mean(np.square(list(values)), axis=0))
 
 
-def _number_lines(numbers: dict) -> list[str]:
-    place = numbers["highest_noll"].index(numbers["recommended"])
+def _number_lines(numbers: NumberScan) -> list[str]:
+    place = numbers.highest_noll.index(numbers.recommended)
     return [
-        f"  {numbers['recommended'] - 1} modes (Noll 2–{numbers['recommended']}) suffice for unseen frames: "
-        f"χ²/ν {numbers['held_out_chi2_nu'][place]:.3f}, least with Noll {numbers['best']}"
+        f"  {numbers.recommended - 1} modes (Noll 2–{numbers.recommended}) suffice for unseen frames: "
+        f"χ²/ν {numbers.held_out_chi2_nu[place]:.3f}, least with Noll {numbers.best}"
     ]
 
 
-def _scan_arrays(scans: list[ModeScan], choice: Choice) -> dict[str, Quantity]:
+def _scan_arrays(scans: Sequence[ModeScan], choice: Choice) -> dict[str, Quantity]:
     return {
         "numbers/highest_noll": Quantity(np.array(scans[0].highest_nolls), "", "modes Noll 2 to this"),
         "numbers/noll": Quantity(np.array(scans[0].nolls), "", "modes that are compared"),

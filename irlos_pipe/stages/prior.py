@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import ClassVar
+
 import numpy as np
 import torch
 from pydantic import Field
@@ -12,6 +15,7 @@ from irlos_pipe.estimate.elongation import ElongationLaw, axis_ratios, calibrate
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.product.results import Number, ResultsPart, StageResults
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.model.effects import good_pixels, model_effects
 from irlos_pipe.stages.model.light_path import psf_settings, used_in_time_order
@@ -29,7 +33,38 @@ class Config(StageConfig):
     max_failed_fraction: float = Field(0.1, ge=0, le=1, description="QC limit on Gaussian fits that fail")
 
 
-def run(ctx: StageContext) -> StageOutput:
+class DefocusPrior(ResultsPart):
+    """Prior of the defocus of one frame."""
+
+    name: str = ""
+    frame: int = 0
+    introduced_nm: Number = math.nan
+    defocus_nm: Number = math.nan
+
+
+class PriorResults(StageResults):
+    """The law defocus = `A` (σ1/σ2 − 1) + `B` [nm], and what it gives for every frame.
+
+    Attributes
+    ----------
+    angle_deg : float
+        Direction of the first axis, from +x towards +y.
+    valid_nm : (float, float)
+        Range of defocus of the law.
+    law_residual_nm : float
+        RMS departure of the law from the model.
+    """
+
+    stage: ClassVar[str] = NAME
+    A: Number = math.nan
+    B: Number = math.nan
+    angle_deg: Number = math.nan
+    valid_nm: tuple[Number, Number] = (math.nan, math.nan)
+    law_residual_nm: Number = math.nan
+    estimates: list[DefocusPrior] = []
+
+
+def run(ctx: StageContext[Config]) -> StageOutput:
     """Calibrate A and B from the model and apply them to every used frame."""
     recordings = used_in_time_order(ctx.products["ingest"], ctx.config.input)
     try:
@@ -46,7 +81,7 @@ def run(ctx: StageContext) -> StageOutput:
     return _output(ctx, recordings, law, ratios)
 
 
-def _law(ctx: StageContext, recording: Recording) -> ElongationLaw:
+def _law(ctx: StageContext[Config], recording: Recording) -> ElongationLaw:
     model = PsfModel(psf_settings(ctx.instrument, ctx.model, recording), [4], device=ctx.device)
     effects = expected(model_effects(ctx.instrument, ctx.model, recording))
     return calibrate_law(model, fixed_optics(effects, model.grids))
@@ -57,16 +92,13 @@ def _ratios(recording: Recording, good: np.ndarray, law: ElongationLaw) -> np.nd
 
 
 def _output(
-    ctx: StageContext, recordings: list[Recording], law: ElongationLaw, ratios: list[np.ndarray]
+    ctx: StageContext[Config], recordings: list[Recording], law: ElongationLaw, ratios: list[np.ndarray]
 ) -> StageOutput:
     defocus = [law.defocus_nm(ratio) for ratio in ratios]
     estimates = [
-        {
-            "name": recording.name,
-            "frame": frame,
-            "introduced_nm": float(introduced),
-            "defocus_nm": float(value),
-        }
+        DefocusPrior(
+            name=recording.name, frame=frame, introduced_nm=float(introduced), defocus_nm=float(value)
+        )
         for recording, values in zip(recordings, defocus, strict=True)
         for frame, (introduced, value) in enumerate(zip(recording.introduced_defocus_nm, values, strict=True))
     ]
@@ -82,14 +114,14 @@ def _output(
             np.concatenate([r.introduced_defocus_nm for r in recordings]), "nm", "introduced defocus"
         ),
     }
-    results = {
-        "A": law.A,
-        "B": law.B,
-        "angle_deg": law.angle_deg,
-        "valid_nm": list(law.valid_nm),
-        "law_residual_nm": law.residual_nm,
-        "estimates": estimates,
-    }
+    results = PriorResults(
+        A=law.A,
+        B=law.B,
+        angle_deg=law.angle_deg,
+        valid_nm=law.valid_nm,
+        law_residual_nm=law.residual_nm,
+        estimates=estimates,
+    )
     check = Check(
         "failed Gaussian fits",
         failed,

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
+from typing import ClassVar
+
 import numpy as np
 from pydantic import Field, field_validator
 
@@ -10,6 +14,7 @@ from irlos_pipe.estimate.lift import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, Curve, scan
 from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.results import Number, ResultsPart, StageResults
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.lift.input import (
     Ramp,
@@ -24,6 +29,15 @@ NAME = "sensitivity"
 VERSION = 7
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
+# Arrays of a curve with their units.
+UNITS = {
+    "mag_j": "mag",
+    "median_abs_error_nm": "nm",
+    "p16_nm": "nm",
+    "p84_nm": "nm",
+    "crb_nm": "nm",
+    "failures": "",
+}
 
 
 class Config(StageConfig):
@@ -48,13 +62,65 @@ class Config(StageConfig):
 
     @field_validator("modes")
     @classmethod
-    def _focus_among_them(cls, modes: tuple) -> tuple:
+    def _focus_among_them(cls, modes: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, ...], ...]:
         if any(4 not in one for one in modes):
             raise ValueError("every set of modes must hold 4 (defocus)")
         return modes
 
 
-def run(ctx: StageContext) -> StageOutput:
+class CurveRow(ResultsPart):
+    """One curve over the magnitudes `mag_j`.
+
+    Attributes
+    ----------
+    calibrated : bool
+        Whether the NCPAs are part of the known wavefront.
+    modes : list of int
+        Estimated modes (Noll).
+    median_abs_error_nm, p16_nm, p84_nm : list of float
+        Percentiles of |estimated − introduced| defocus.
+    crb_nm : list of float
+        Cramér–Rao bound, 1σ.
+    failures : list of int
+        Estimates that failed, of `trials` per magnitude.
+    limit_mag : float
+        Faintest magnitude that meets the criterion; NaN if none does.
+    """
+
+    calibrated: bool = False
+    modes: list[int] = []
+    mag_j: list[Number] = []
+    median_abs_error_nm: list[Number] = []
+    p16_nm: list[Number] = []
+    p84_nm: list[Number] = []
+    crb_nm: list[Number] = []
+    failures: list[int] = []
+    trials: int | None = None
+    limit_mag: Number = math.nan
+
+    @property
+    def at_the_end(self) -> bool:
+        """Whether the magnitudes end before the criterion is missed."""
+        return bool(self.mag_j) and self.limit_mag == self.mag_j[-1]
+
+
+class CriterionRow(ResultsPart):
+    """What a limiting magnitude keeps: largest median error, and largest part of failures."""
+
+    median_abs_error_nm: Number = math.nan
+    failures: Number = math.nan
+
+
+class SensitivityResults(StageResults):
+    """One curve per combination of modes and calibration."""
+
+    stage: ClassVar[str] = NAME
+    curves: list[CurveRow] = []
+    criterion: CriterionRow = CriterionRow()
+    crb_note: str = ""
+
+
+def run(ctx: StageContext[Config]) -> StageOutput:
     """Scan every combination of modes and calibration."""
     ramp = read_ramp(ctx, ctx.config.input)
     bright = ramp.acquisition.mag_j
@@ -96,13 +162,13 @@ def _choose(ramp: Ramp, config: Config) -> np.ndarray:
 
 
 def _curve(
-    ctx: StageContext,
+    ctx: StageContext[Config],
     ramp: Ramp,
     chosen: np.ndarray,
     calibrated: bool,
     nolls: tuple[int, ...],
     magnitudes: np.ndarray,
-    report,
+    report: Callable[[int], None],
 ) -> Curve:
     """One curve; the model of each bright frame gives the noise-free signal and the start."""
     ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
@@ -118,7 +184,7 @@ def _curve(
         bright.model,
         data,
         bright.result.model_e,
-        ramp.acquisition.mag_j,
+        float(magnitudes[0]),
         magnitudes,
         ctx.config.realisations,
         start,
@@ -129,40 +195,40 @@ def _curve(
     )
 
 
-def _output(config: Config, combinations: list, curves: list[Curve]) -> StageOutput:
-    rows, arrays = [], {}
+def _output(
+    config: Config, combinations: Sequence[tuple[bool, tuple[int, ...]]], curves: Sequence[Curve]
+) -> StageOutput:
+    rows: list[CurveRow] = []
+    arrays: dict[str, Quantity] = {}
     for number, ((calibrated, nolls), curve) in enumerate(zip(combinations, curves, strict=True)):
-        row = {"calibrated": calibrated, "modes": list(nolls)}
-        for key in ("mag_j", "median_abs_error_nm", "p16_nm", "p84_nm", "crb_nm", "failures"):
-            values = getattr(curve, key)
-            row[key] = values.tolist()
-            arrays[f"curves/{number}/{key}"] = Quantity(
-                values,
-                "mag" if key == "mag_j" else "nm" if "nm" in key else "",
-                f"NCPAs {'added' if calibrated else 'left out'}, {len(nolls)} modes",
-            )
-        rows.append(row | {"trials": curve.trials, "limit_mag": curve.limit_mag})
-    results = {
-        "curves": rows,
-        "criterion": {"median_abs_error_nm": config.limit_nm, "failures": config.limit_failures},
-        "crb_note": f"1 sigma; the median |error| of an efficient estimate is {MEDIAN_OF_NORMAL} of it",
-    }
+        values = {key: getattr(curve, key) for key in UNITS}
+        text = f"NCPAs {'added' if calibrated else 'left out'}, {len(nolls)} modes"
+        arrays |= {f"curves/{number}/{key}": Quantity(values[key], UNITS[key], text) for key in UNITS}
+        lists = {key: value.tolist() for key, value in values.items()}
+        own = CurveRow(
+            calibrated=calibrated, modes=list(nolls), trials=curve.trials, limit_mag=curve.limit_mag, **lists
+        )
+        rows.append(own)
+    results = SensitivityResults(
+        curves=rows,
+        criterion=CriterionRow(median_abs_error_nm=config.limit_nm, failures=config.limit_failures),
+        crb_note=f"1 sigma; the median |error| of an efficient estimate is {MEDIAN_OF_NORMAL} of it",
+    )
     return StageOutput(arrays, results, summary=_lines(config, rows))
 
 
-def _lines(config: Config, rows: list[dict]) -> list[str]:
+def _lines(config: Config, rows: Sequence[CurveRow]) -> list[str]:
     lines = [
         f"Limit           median |error| ≤ {config.limit_nm:.0f} nm, failures ≤ {config.limit_failures:.0%}:"
     ]
     for row in rows:
-        ncpas = "with" if row["calibrated"] else "without"
-        lines.append(f"  {ncpas} NCPAs, {len(row['modes'])} modes: {_limit_text(row)}")
+        ncpas = "with" if row.calibrated else "without"
+        lines.append(f"  {ncpas} NCPAs, {len(row.modes)} modes: {_limit_text(row)}")
     return lines
 
 
-def _limit_text(row: dict) -> str:
-    """Limiting magnitude in words; at least that where the grid ends before the criterion is missed."""
-    limit, grid_end = row["limit_mag"], row["mag_j"][-1]
-    if not np.isfinite(limit):
+def _limit_text(row: CurveRow) -> str:
+    """Limiting magnitude as text; with ≥ where the grid ends before the criterion is missed."""
+    if not math.isfinite(row.limit_mag):
         return "not reached at any magnitude"
-    return f"m_J {'≥ ' if limit >= grid_end else ''}{limit:.1f}"
+    return f"m_J {'≥ ' if row.at_the_end else ''}{row.limit_mag:.1f}"

@@ -40,5 +40,6 @@ def run_stage(monkeypatch, stage, config, found_of: Callable) -> StageOutput:
 
 
 def section_of(output: StageOutput, name: str, build: Callable[[RunData], Section]) -> Section:
-    product = Product(name, output.arrays, output.results)
+    results = output.results if isinstance(output.results, dict) else output.results.as_json()
+    product = Product(name, output.arrays, results)
     return build(RunData({}, "", "ok", "", {name: product}, []))

@@ -84,4 +84,4 @@ def run_stage(stage: Stage, products: Mapping[str, Product], **settings) -> tupl
         None,
     )
     output = stage.run(ctx)
-    return output, Product(stage.NAME, output.arrays, output.results, config=config.model_dump())
+    return output, Product(stage.NAME, output.arrays, output.results.as_json(), config=config.model_dump())

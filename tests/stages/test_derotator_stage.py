@@ -12,6 +12,7 @@ from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.report.section_derotator import derotator_section
 from irlos_pipe.stages.calibrate import stage as calibrate
 from irlos_pipe.stages.derotator import stage as derotator
+from irlos_pipe.stages.derotator.results import PartRow
 
 ANGLES = (0.0, 40.0, 110.0, 160.0)
 EACH = {"input": "cube", "each": True, "highest_noll": 15, "prior_scale": None}
@@ -34,17 +35,17 @@ def split(calibrated):
     return bench.run_stage(derotator, calibrated[1])[0]
 
 
-def error_nm(part: dict, true_nm: dict[int, float]) -> float:
-    return float(np.linalg.norm([value - true_nm[int(noll)] for noll, value in part["zernike_nm"].items()]))
+def error_nm(part: PartRow, true_nm: dict[int, float]) -> float:
+    return float(np.linalg.norm([value - true_nm[noll] for noll, value in part.zernike_nm.items()]))
 
 
 def test_every_cube_gets_the_estimate_it_would_get_alone(recordings, calibrated):
     alone, _ = bench.run_stage(
         calibrate, {"ingest": bench.ingest_product(recordings[1:2])}, **EACH | {"each": False}
     )
-    cube = calibrated[0].results["cubes"][1]
-    assert (cube["name"], cube["derotator_angle_deg"]) == ("at_40", 40.0)
-    assert cube["zernike_nm"] == alone.results["zernike_nm"]
+    cube = calibrated[0].results.cubes[1]
+    assert (cube.name, cube.derotator_angle_deg) == ("at_40", 40.0)
+    assert cube.zernike_nm == alone.results.zernike_nm
     assert np.array_equal(
         calibrated[0].arrays["cubes/at_40/frames_nm"].value, alone.arrays["frames_nm"].value
     )
@@ -52,13 +53,13 @@ def test_every_cube_gets_the_estimate_it_would_get_alone(recordings, calibrated)
 
 def test_the_contracts_keys_hold_the_mean_over_the_cubes(calibrated):
     results = calibrated[0].results
-    for noll, value in results["zernike_nm"].items():
-        cubes = [cube["zernike_nm"][noll] for cube in results["cubes"]]
-        errors = [cube["sigma_nm"][noll] for cube in results["cubes"]]
+    for noll, value in results.zernike_nm.items():
+        cubes = [cube.zernike_nm[noll] for cube in results.cubes]
+        errors = [cube.sigma_nm[noll] for cube in results.cubes]
         assert value == pytest.approx(np.mean(cubes))
-        assert results["sigma_nm"][noll] == pytest.approx(np.linalg.norm(errors) / len(errors))
-    assert results["frames"] == len(ANGLES) * bench.FRAMES
-    assert results["status"] == {"converged": len(ANGLES)}
+        assert results.sigma_nm[noll] == pytest.approx(np.linalg.norm(errors) / len(errors))
+    assert results.frames == len(ANGLES) * bench.FRAMES
+    assert results.status == {"converged": len(ANGLES)}
 
 
 def test_checks_name_the_cube(calibrated):
@@ -70,7 +71,7 @@ def test_a_cube_with_one_used_frame_is_left_out_and_told(recordings):
     poor = bench.recording("poor", 70.0, seed=9, used=1)
     products = {"ingest": bench.ingest_product([recordings[0], poor])}
     output, _ = bench.run_stage(calibrate, products, **EACH)
-    assert [cube["name"] for cube in output.results["cubes"]] == ["at_0"]
+    assert [cube.name for cube in output.results.cubes] == ["at_0"]
     assert output.failures == ["poor: a calibration needs at least two used frames"]
     with pytest.raises(InputDataError, match="poor: a calibration needs"):
         bench.run_stage(calibrate, {"ingest": bench.ingest_product([poor])}, **EACH)
@@ -82,23 +83,23 @@ def test_methods_are_not_compared_cube_by_cube():
 
 
 def test_both_parts_are_found_within_their_errors(split):
-    parts = split.results["parts"]
+    parts = split.results.parts
     for name, true_nm in (("rotating", bench.ROTATING_NM), ("fixed", bench.FIXED_NM)):
-        assert error_nm(parts[name], true_nm) < 2 * parts[name]["noise_nm"] < 2
-    assert set(parts["unsplit"]["zernike_nm"]) == {"4", "11"}
-    assert parts["unsplit"]["zernike_nm"]["4"] == pytest.approx(50, abs=1)
-    assert 0.5 < split.results["chi2_nu"] < 1.7
+        assert error_nm(parts[name], true_nm) < 2 * parts[name].noise_nm < 2
+    assert set(parts["unsplit"].zernike_nm) == {4, 11}
+    assert parts["unsplit"].zernike_nm[4] == pytest.approx(50, abs=1)
+    assert 0.5 < split.results.chi2_nu < 1.7
 
 
 def test_the_sense_of_rotation_is_estimated_and_checked(split):
-    assert split.results["sense"] == "clockwise"
+    assert split.results.sense == "clockwise"
     assert all(check.passed for check in split.checks)
 
 
 def test_a_wrong_sense_fails_the_quality_control(calibrated):
     output, _ = bench.run_stage(derotator, calibrated[1], sense="anticlockwise")
     assert [check.passed for check in output.checks] == [False]
-    assert output.results["delta_chi2"] < -1000
+    assert output.results.delta_chi2 < -1000
 
 
 def test_maps_are_those_of_the_coefficients(split):
@@ -106,9 +107,7 @@ def test_maps_are_those_of_the_coefficients(split):
     assert measured.shape == (len(ANGLES), *parts.shape)
     lit = np.isfinite(parts)
     # The hole takes 2 % of the disc.
-    assert np.sqrt(np.mean(parts[lit] ** 2)) == pytest.approx(
-        split.results["parts"]["fixed"]["rms_nm"], rel=0.05
-    )
+    assert np.sqrt(np.mean(parts[lit] ** 2)) == pytest.approx(split.results.parts["fixed"].rms_nm, rel=0.05)
     total = sum(split.arrays[f"maps/{name}_nm"].value for name in ("rotating", "fixed", "unsplit"))
     left = split.arrays["maps/residual_nm"].value[0]
     assert np.allclose((total + left)[lit], measured[0][lit], atol=1e-3)  # at angle 0 nothing is turned
@@ -122,14 +121,14 @@ def test_the_angle_of_a_k_mirror_counts_twice(recordings):
     products = {"ingest": bench.ingest_product(halved)}
     products["calibrate"] = bench.run_stage(calibrate, products, **EACH)[1]
     output, _ = bench.run_stage(derotator, products, turn_per_degree=2.0)
-    assert error_nm(output.results["parts"]["rotating"], bench.ROTATING_NM) < 2
+    assert error_nm(output.results.parts["rotating"], bench.ROTATING_NM) < 2
 
 
 def test_one_angle_is_told_and_nothing_is_split(recordings):
     products = {"ingest": bench.ingest_product(recordings[:1])}
     products["calibrate"] = bench.run_stage(calibrate, products, **EACH)[1]
     output, _ = bench.run_stage(derotator, products)
-    assert output.results["parts"] is None
+    assert output.results.parts is None
     assert "one recording, of derotator angle 0°" in output.summary[0]
     assert "two or more angles" in output.summary[1]
     assert output.arrays["maps/measured_nm"].value.shape[0] == 1
@@ -152,7 +151,7 @@ def blocks(output) -> dict[str, object]:
 def test_the_section_shows_angles_parts_and_their_consistency(split):
     found = blocks(split)
     assert [row[1] for row in found["Angles"].rows] == ["0°", "40°", "110°", "160°"]
-    assert found["Parts"].rows[0][2] == f"{split.results['parts']['rotating']['rms_nm']:.1f}"
+    assert found["Parts"].rows[0][2] == f"{split.results.parts['rotating'].rms_nm:.1f}"
     assert {"Wavefront at every angle", "Parts of the wavefront", "Consistency"} <= set(found)
 
 

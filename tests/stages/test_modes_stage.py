@@ -33,7 +33,7 @@ def test_the_scatter_is_the_rms_over_the_cubes(output):
     for mode in bench.NOLLS:
         true = np.sqrt(np.mean([bench.static_nm(angle)[mode] ** 2 for angle in ANGLES]))
         assert std[list(noll).index(mode)] == pytest.approx(true, abs=1.0)
-    assert output.results["draws"] == 3
+    assert output.results.draws == 3
 
 
 def test_modes_that_were_not_put_in_are_noise(output):
@@ -45,19 +45,19 @@ def test_modes_that_were_not_put_in_are_noise(output):
 def test_cubes_of_the_same_ncpas_count_once(products):
     output, _ = bench.run_stage(modes, products, same_ncpas=True, cubes=0)
     mean = products["calibrate"].arrays["zernike_nm"]
-    assert output.results["draws"] == 1
+    assert output.results.draws == 1
     assert output.arrays["std_nm"].value == pytest.approx(np.abs(mean.value))
     assert output.arrays["noise_nm"].value == pytest.approx(mean.error)
-    assert output.results["numbers"] is None
+    assert output.results.numbers is None
 
 
 def test_unseen_frames_recommend_the_number_put_in(output):
-    numbers = output.results["numbers"]
-    assert numbers["recommended"] == 15
+    numbers = output.results.numbers
+    assert numbers.recommended == 15
     place = NUMBERS.index(15)
-    assert numbers["change_nm"][place] == 0
-    assert numbers["change_nm"][0] > 20 * numbers["halves_nm"][place]
-    assert numbers["cubes"] == 2
+    assert numbers.change_nm[place] == 0
+    assert numbers.change_nm[0] > 20 * numbers.halves_nm[place]
+    assert numbers.cubes == 2
     assert output.arrays["numbers/misfit"].value.shape[:2] == (2, len(NUMBERS))
 
 
@@ -65,7 +65,7 @@ def test_too_few_frames_for_halves_are_told(products):
     short = {"ingest": bench.ingest_product([bench.recording("short", 0.0, 1, frames=20)])}
     short["calibrate"] = bench.run_stage(calibrate, short, **EACH)[1]
     output, _ = bench.run_stage(modes, short)
-    assert output.results["numbers"] is None
+    assert output.results.numbers is None
     assert "no cube has 32 used frames" in output.summary[-1]
 
 
@@ -88,4 +88,4 @@ def test_the_section_shows_strength_law_and_numbers(output):
     found = {block.title: block for block in flat}
     assert {"Strength of the modes", "Frames that no fit has seen", "Change of the estimate"} <= set(found)
     marked = [row[0] for row in found["Number of modes"].rows if row[0].endswith("*")]
-    assert marked == [f"{output.results['numbers']['recommended']} *"]
+    assert marked == [f"{output.results.numbers.recommended} *"]

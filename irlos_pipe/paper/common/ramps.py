@@ -149,12 +149,6 @@ def calibrated(cube: Scene, methods: Sequence[str]) -> dict[str, Knowledge]:
     }
 
 
-def estimated_defocus_nm(fit: RampFit) -> np.ndarray:
-    """Defocus of every frame, NaN where the fit is invalid."""
-    valid = np.array([status != "invalid" for status in fit.result.solution.status])
-    return np.where(valid, fit.result.mode(DEFOCUS)[0].numpy(), np.nan)
-
-
 def ping_pong(offsets_nm: Sequence[float]) -> np.ndarray:
     """Offsets from the ends inwards, from one side to the other after every step."""
     ordered = np.sort(np.asarray(offsets_nm, float))

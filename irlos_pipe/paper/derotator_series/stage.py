@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from irlos_pipe.estimate.derotation import Series, try_both_senses, usable_modes
+from irlos_pipe.files.json import jsonable
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.derotator_series.experiment import (
     AngleSample,
@@ -55,7 +56,7 @@ def run(ctx: StageContext) -> StageOutput:
         told = _split(ctx.config, numbers, method)
         own = told.arrays(ctx.instrument.pupil)
         arrays |= {f"{method}/{name}": quantity for name, quantity in own.items()}
-        methods[method] = told.results() | _compared(told, truth, numbers, method)
+        methods[method] = jsonable(told.results()) | _compared(told, truth, numbers, method)
         lines += _lines(method, methods[method])
     results = {
         "angles_deg": list(ctx.config.angles_deg),

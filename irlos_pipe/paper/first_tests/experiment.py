@@ -27,7 +27,6 @@ from irlos_pipe.paper.common.ramps import (
     ObservedRamp,
     Way,
     calibrated,
-    estimated_defocus_nm,
     observe,
     ping_pong,
 )
@@ -196,7 +195,7 @@ def estimate(sample: TargetSample) -> dict[str, np.ndarray]:
 def _estimates(observed: ObservedRamp, way: Way) -> dict[str, np.ndarray]:
     fit = observed.estimate(way)
     return {
-        "defocus_nm": estimated_defocus_nm(fit),
+        "defocus_nm": fit.defocus_nm,
         "given_nm": np.array(observed.given_defocus_nm(way)),
         "converged": fit.result.solution.converged.numpy(),
         "kernel_mas": np.array(fit.effects.get("tip_tilt_jitter", {}).get("sigma_mas", np.nan)),

@@ -21,7 +21,6 @@ from irlos_pipe.paper.common.ramps import (
     ObservedRamp,
     Way,
     calibrated,
-    estimated_defocus_nm,
     observe,
 )
 from irlos_pipe.paper.common.variants import DEFAULT
@@ -135,7 +134,7 @@ def _estimates(observed: ObservedRamp, way: Way) -> dict[str, np.ndarray]:
     given = observed.knowledge[way.ncpa].ncpa_nm
     return {
         "modes_nm": fit.result.zernike_nm.numpy() + [given.get(noll, 0.0) for noll in way.modes],
-        "defocus_nm": estimated_defocus_nm(fit),
+        "defocus_nm": fit.defocus_nm,
         "converged": fit.result.solution.converged.numpy(),
     }
 

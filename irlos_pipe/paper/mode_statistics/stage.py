@@ -19,7 +19,7 @@ from irlos_pipe.paper.mode_statistics.experiment import (
 )
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.mode_laws import law_row
+from irlos_pipe.stages.modes import LawRow
 
 NAME = "mode_statistics"
 VERSION = 2
@@ -58,8 +58,8 @@ def run(ctx: StageContext) -> StageOutput:
         "cubes": len(numbers),
         "modes_introduced": INTRODUCED - 1,
         "modes_estimated": len(nolls),
-        "laws": {name: law_row(law) for name, law in laws.items()},
-        "laws_of_introduced_modes": {name: law_row(law) for name, law in introduced.items()},
+        "laws": {name: LawRow.of(law).as_json() for name, law in laws.items()},
+        "laws_of_introduced_modes": {name: LawRow.of(law).as_json() for name, law in introduced.items()},
         "beyond_nm": {name: beyond_nm(nolls, scatter.std_nm) for name, scatter in scatters.items()},
         "error_nm": {method: _errors_nm(numbers, method) for method in (DEFAULT, PUBLISHED)},
     }

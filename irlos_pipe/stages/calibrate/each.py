@@ -1,4 +1,4 @@
-"""What stage `calibrate` tells when every recording is reduced by itself.
+"""What stage `calibrate` reports when every recording is reduced by itself.
 
 The keys of a joint estimate hold the mean over the cubes; those of every cube stand in
 ``cubes``, its arrays under ``cubes/<name>/``.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from irlos_pipe.effects.telling import mean_of
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.frames.recording import Acquisition
 from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageOutput
 from irlos_pipe.stages.calibrate.output import (
     Limits,
@@ -23,10 +25,11 @@ from irlos_pipe.stages.calibrate.output import (
     checks_of,
     counts,
     effect_lines,
-    exported,
-    results_of,
+    estimate_keys,
+    reported,
     wfe_nm,
 )
+from irlos_pipe.stages.calibrate.results import CalibrateResults, CubeRow
 from irlos_pipe.stages.model.effects import effect_arrays
 from irlos_pipe.stages.model.light_path import seeing_arcsec
 
@@ -66,41 +69,54 @@ class CubeEstimate:
 
 
 def each_output(limits: Limits, cubes: Sequence[Cube], failures: Sequence[str]) -> StageOutput:
-    """Output of one estimate per recording."""
+    """Return the output of one estimate per recording.
+
+    Parameters
+    ----------
+    limits : Limits
+    cubes : sequence of Cube
+    failures : sequence of str
+        One line per recording that could not be used.
+    """
     mean = _Mean(cubes)
     arrays = mean.arrays()
     for cube in cubes:
         own = arrays_of(cube.result) | effect_arrays(cube.result.effect_values)
         arrays |= {f"{ROOT}/{cube.name}/{name}": quantity for name, quantity in own.items()}
-    results = mean.results() | {"cubes": [_row(cube) for cube in cubes]}
+    results = CalibrateResults(**mean.results(), cubes=[_row(cube) for cube in cubes])
     checks = [check for cube in cubes for check in checks_of(limits, cube.result, f"{cube.name}: ")]
     return StageOutput(arrays, results, checks, summary=_summary(mean, cubes), failures=failures)
 
 
 def cube_estimates(product: Product) -> list[CubeEstimate]:
-    """Estimates of a `calibrate` product made with ``each: true``, in the order of the recordings."""
-    return [_estimate(product, row) for row in product.results.get("cubes", [])]
+    """Return the estimates of a `calibrate` product made with ``each: true``, in the order of recording."""
+    return [_estimate(product, row) for row in results_of(CalibrateResults, product).cubes]
 
 
-def _estimate(product: Product, row: dict) -> CubeEstimate:
+def _estimate(product: Product, row: CubeRow) -> CubeEstimate:
     def own(name: str) -> Quantity:
-        return product.arrays[f"{ROOT}/{row['name']}/{name}"]
+        return product.arrays[f"{ROOT}/{row.name}/{name}"]
 
     return CubeEstimate(
-        row["name"],
-        row["derotator_angle_deg"],
+        row.name,
+        row.derotator_angle_deg,
         tuple(int(noll) for noll in own("noll").value),
         own("zernike_nm").value,
-        own("zernike_nm").error,
+        np.asarray(own("zernike_nm").error),
         own("covariance_nm2").value,
         own("frames_nm").value,
         own("mean_image_e").value,
     )
 
 
-def _row(cube: Cube) -> dict:
-    angle = {"name": cube.name, "derotator_angle_deg": cube.acquisition.derotator_angle_deg}
-    return angle | results_of(cube.result) | {"effects": cube.result.effects}
+def _row(cube: Cube) -> CubeRow:
+    angle_deg = cube.acquisition.derotator_angle_deg
+    return CubeRow(
+        name=cube.name,
+        derotator_angle_deg=angle_deg,
+        **estimate_keys(cube.result),
+        effects=cube.result.effects,
+    )
 
 
 class _Mean:
@@ -130,8 +146,8 @@ class _Mean:
             "covariance_nm2": Quantity(self.covariance_nm2, "nm2", "from the scatter over frames"),
         } | effect_arrays(effect_values)
 
-    def results(self) -> dict:
-        return results_of(self.first) | {
+    def results(self) -> dict[str, Any]:
+        return estimate_keys(self.first) | {
             "zernike_nm": by_noll(self.nolls, self.zernike_nm),
             "sigma_nm": by_noll(self.nolls, self.sigma_nm),
             "wfe_nm": wfe_nm(self.nolls, self.zernike_nm),
@@ -148,7 +164,7 @@ class _Mean:
 
 
 def _summary(mean: _Mean, cubes: Sequence[Cube]) -> list[str]:
-    last = mean.nolls[exported(mean.nolls)][-1]
+    last = mean.nolls[reported(mean.nolls)][-1]
     return [
         f"NCPA            {wfe_nm(mean.nolls, mean.zernike_nm):.1f} ± "
         f"{wfe_nm(mean.nolls, mean.sigma_nm):.1f} nm RMS in Noll 2–{last}: mean of {len(cubes)} "

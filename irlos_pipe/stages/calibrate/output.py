@@ -1,63 +1,84 @@
-"""What stage `calibrate` tells of its estimates: arrays, results, checks, summary."""
+"""What stage `calibrate` reports of its estimates: arrays, results, checks, summary."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Protocol
+from typing import Any
 
 import numpy as np
+from pydantic import Field
 
+from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects.telling import rows_of
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.product.product import Check, Quantity
-from irlos_pipe.stages.base import StageOutput
+from irlos_pipe.stages.base import StageConfig, StageOutput
+from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate, Twin
 from irlos_pipe.stages.model.effects import effect_arrays
 from irlos_pipe.stages.model.light_path import seeing_arcsec
 
-EXPORTED = 30  # highest Noll mode reported: SPARTA takes 29 modal offsets
 
+class Limits(StageConfig):
+    """Limits of the quality control, part of the stage's settings."""
 
-class Limits(Protocol):
-    """Limits of the quality control."""
-
-    min_converged: float
-    max_chi2_nu: float
+    max_chi2_nu: float = Field(5.0, gt=0, description="QC limit on the reduced chi-square of the mean image")
+    min_converged: float = Field(0.9, ge=0, le=1, description="QC limit on the part of fits that converge")
 
 
 def joint_output(
     limits: Limits, result: Calibration, others: Sequence[Calibration], recordings: Sequence[Recording]
 ) -> StageOutput:
-    """Output of one estimate from all recordings."""
-    results = results_of(result) | {
-        "effects": result.effects,
-        "seeing_arcsec": seeing_arcsec(recordings[0].acquisition),
-        "twin": None if result.twin is None else asdict(result.twin) | {"preferred": result.twin.preferred},
-        "compare": [results_of(other) for other in others],
-    }
+    """Return the output of one estimate from all recordings.
+
+    Parameters
+    ----------
+    limits : Limits
+    result : Calibration
+        The estimate that is adopted.
+    others : sequence of Calibration
+        Estimates with the methods to compare.
+    recordings : sequence of Recording
+        The first gives the seeing.
+    """
+    twin = result.twin
+    results = CalibrateResults(
+        **estimate_keys(result),
+        effects=result.effects,
+        seeing_arcsec=seeing_arcsec(recordings[0].acquisition),
+        twin=None if twin is None else Twin(**asdict(twin), preferred=twin.preferred),
+        compare=[Estimate(**estimate_keys(other)) for other in others],
+    )
     arrays = arrays_of(result) | effect_arrays(result.effect_values)
     return StageOutput(arrays, results, checks_of(limits, result), summary=_summary(result, others))
 
 
-def exported(nolls: Sequence[int]) -> slice:
-    """Places of the modes that are reported."""
-    return slice(0, sum(noll <= EXPORTED for noll in nolls))
+def reported(nolls: Sequence[int]) -> slice:
+    """Return the positions of the reported modes among rising Noll indices `nolls`."""
+    return slice(0, sum(noll <= HIGHEST_REPORTED_NOLL for noll in nolls))
 
 
 def wfe_nm(nolls: Sequence[int], zernike_nm: np.ndarray) -> float:
-    """RMS of the reported modes [nm]; of standard errors: the expected total error."""
-    return float(np.sqrt(np.sum(zernike_nm[exported(nolls)] ** 2)))
+    """Return the RMS [nm] of the reported modes.
+
+    Parameters
+    ----------
+    nolls : sequence of int
+    zernike_nm : ndarray, (modes,)
+        Coefficients, or their standard errors, which gives the expected total error.
+    """
+    return float(np.sqrt(np.sum(zernike_nm[reported(nolls)] ** 2)))
 
 
-def by_noll(nolls: Sequence[int], values: np.ndarray) -> dict[str, float]:
-    """Values of the reported modes by their index as text."""
-    own = exported(nolls)
-    return {str(noll): float(value) for noll, value in zip(nolls[own], values[own], strict=True)}
+def by_noll(nolls: Sequence[int], values: np.ndarray) -> dict[int, float]:
+    """Return the `values` of the reported modes by their index; `nolls` has that of every value."""
+    own = reported(nolls)
+    return dict(zip(nolls[own], values[own].tolist(), strict=True))
 
 
-def results_of(result: Calibration) -> dict:
-    """The part of the results that every estimate has."""
+def estimate_keys(result: Calibration) -> dict[str, Any]:
+    """Return the keys of `Estimate`."""
     return {
         "method": result.options.method,
         "zernike_nm": by_noll(result.nolls, result.zernike_nm),
@@ -75,12 +96,12 @@ def results_of(result: Calibration) -> dict:
 
 
 def counts(status: Sequence[str]) -> dict[str, int]:
-    """How often every status occurs."""
+    """Return how often every status occurs."""
     return {name: list(status).count(name) for name in sorted(set(status))}
 
 
 def arrays_of(result: Calibration) -> dict[str, Quantity]:
-    """Arrays of one estimate."""
+    """Return the arrays of one estimate."""
     return {
         "noll": Quantity(np.array(result.nolls), "", "Noll index of every estimated mode"),
         "zernike_nm": Quantity(
@@ -97,7 +118,7 @@ def arrays_of(result: Calibration) -> dict[str, Quantity]:
 
 
 def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Check]:
-    """Checks of one estimate; `prefix` begins their names."""
+    """Return the checks of a `result` against the `limits`; `prefix` begins their names."""
     converged = result.frame_status.count("converged") / len(result.frame_status)
     checks = [
         Check(
@@ -138,7 +159,7 @@ def _twin_check(result: Calibration, prefix: str) -> list[Check]:
 
 
 def effect_lines(effects: dict[str, dict]) -> list[str]:
-    """One line per effect."""
+    """Return one line per effect."""
     return [
         f"  {name:22s}" + ", ".join(f"{key} {value:.3g}" for key, value in rows_of(values))
         for name, values in effects.items()
@@ -147,7 +168,7 @@ def effect_lines(effects: dict[str, dict]) -> list[str]:
 
 def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
     wfe, sigma = wfe_nm(result.nolls, result.zernike_nm), wfe_nm(result.nolls, result.sigma_nm)
-    last = result.nolls[exported(result.nolls)][-1]
+    last = result.nolls[reported(result.nolls)][-1]
     return [
         f"NCPA            {wfe:.1f} ± {sigma:.1f} nm RMS in Noll 2–{last} "
         f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f})",

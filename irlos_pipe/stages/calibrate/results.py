@@ -53,11 +53,16 @@ class Twin(ResultsPart):
     preferred: str = ""
 
 
-class CubeRow(Estimate):
-    """Estimate of one recording that was reduced by itself."""
+class AngleRow(ResultsPart):
+    """A recording and its derotator angle."""
 
     name: str = ""
     derotator_angle_deg: Number = math.nan
+
+
+class CubeRow(Estimate, AngleRow):
+    """Estimate of one recording that was reduced by itself."""
+
     effects: dict[str, EffectValues] = {}
 
 

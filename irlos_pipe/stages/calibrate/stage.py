@@ -9,10 +9,10 @@ from pydantic import Field, model_validator
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
 from irlos_pipe.frames.recording import Recording
-from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.each import Cube, each_output
 from irlos_pipe.stages.calibrate.input import cube_input
-from irlos_pipe.stages.calibrate.output import joint_output, wfe_nm
+from irlos_pipe.stages.calibrate.output import Limits, joint_output, wfe_nm
 from irlos_pipe.stages.ingest.recordings import recordings_from_product
 from irlos_pipe.stages.model.light_path import require_one_setup
 
@@ -20,11 +20,11 @@ NAME = "calibrate"
 VERSION = 7
 NEEDS = ("ingest",)
 READS = ("ingest",)
-LEAST_FRAMES = 2
+MIN_FRAMES = 2
 MethodName = Literal["long_exposure", "dip_global", "dip_avg", "dip_joint", "lift_avg", "lift_slices"]
 
 
-class Config(StageConfig):
+class Config(Limits):
     """Settings of the calibration."""
 
     input: str = Field("calibration", description="recipe input that holds the cubes")
@@ -44,8 +44,6 @@ class Config(StageConfig):
     )
     max_iterations: int = Field(60, ge=1, le=10000, description="per fit")
     compare: tuple[MethodName, ...] = Field((), description="methods to run beside, for the report only")
-    max_chi2_nu: float = Field(5.0, gt=0, description="QC limit on the reduced chi-square of the mean image")
-    min_converged: float = Field(0.9, ge=0, le=1, description="QC limit on the part of fits that converge")
 
     @model_validator(mode="after")
     def _compared_on_all(self) -> Config:
@@ -67,15 +65,15 @@ class Config(StageConfig):
         )
 
 
-def run(ctx: StageContext) -> StageOutput:
+def run(ctx: StageContext[Config]) -> StageOutput:
     """Calibrate with the chosen method, and with those to compare."""
     recordings = [r.accepted() for r in recordings_from_product(ctx.products["ingest"], ctx.config.input)]
     return _each(ctx, recordings) if ctx.config.each else _together(ctx, recordings)
 
 
-def _together(ctx: StageContext, recordings: list[Recording]) -> StageOutput:
+def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
     require_one_setup(recordings)
-    if sum(r.frames for r in recordings) < LEAST_FRAMES:
+    if sum(r.frames for r in recordings) < MIN_FRAMES:
         raise InputDataError(_too_few(recordings[0]))
     result = _calibrate(ctx, recordings, ctx.config.options())
     others = [
@@ -86,9 +84,9 @@ def _together(ctx: StageContext, recordings: list[Recording]) -> StageOutput:
     return joint_output(ctx.config, result, others, recordings)
 
 
-def _each(ctx: StageContext, recordings: list[Recording]) -> StageOutput:
-    usable = [r for r in recordings if r.frames >= LEAST_FRAMES]
-    failures = [_too_few(r) for r in recordings if r.frames < LEAST_FRAMES]
+def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
+    usable = [r for r in recordings if r.frames >= MIN_FRAMES]
+    failures = [_too_few(r) for r in recordings if r.frames < MIN_FRAMES]
     if not usable:
         raise InputDataError(failures[0])
     cubes = [Cube(r.name, r.acquisition, _calibrate(ctx, [r], ctx.config.options())) for r in usable]
@@ -99,7 +97,9 @@ def _too_few(recording: Recording) -> str:
     return f"{recording.name}: a calibration needs at least two used frames"
 
 
-def _calibrate(ctx: StageContext, recordings: list[Recording], options: CalibrationOptions) -> Calibration:
+def _calibrate(
+    ctx: StageContext[Config], recordings: list[Recording], options: CalibrationOptions
+) -> Calibration:
     """One method on all frames of the recordings."""
     first, cube = recordings[0], cube_input(ctx, recordings, options)
     total = len(cube.frames.images_e) if options.resolved()[0].images == "frames" else 1

@@ -1,9 +1,10 @@
-"""What is told of a series of derotator angles and of its split: arrays, results, checks, summary."""
+"""What is reported of a series of derotator angles and of its split: arrays, results, checks, summary."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.estimate.derotation import Consistency, Part, Senses, Series, Split, consistency
 from irlos_pipe.optics.wavefront import disc_maps_nm
 from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.stages.derotator.results import ConsistencyRow, PartRow
 
 MAP_SAMPLES = 96
 SENSES = {1: "anticlockwise", -1: "clockwise"}
@@ -23,12 +25,12 @@ CERTAIN = 9.0  # Δχ² between the senses, in units of χ²/ν: three sigma
 
 
 def rms_nm(zernike_nm: np.ndarray) -> float:
-    """RMS over the disc [nm]."""
+    """Return the RMS over the disc [nm]."""
     return float(np.sqrt(np.sum(zernike_nm**2)))
 
 
 def series_arrays(geometry: PupilGeometry, series: Series) -> dict[str, Quantity]:
-    """The estimates as measured."""
+    """Return the estimates of a `series` as measured, and their maps over the pupil of `geometry`."""
     return {
         "noll": Quantity(np.array(series.nolls), "", "Noll index"),
         "angle_deg": Quantity(series.angles_deg, "deg", "turn of the wavefront before the derotator"),
@@ -38,7 +40,16 @@ def series_arrays(geometry: PupilGeometry, series: Series) -> dict[str, Quantity
 
 
 def map_of(geometry: PupilGeometry, nolls: Sequence[int], zernike_nm: np.ndarray, text: str) -> Quantity:
-    """Maps of coefficients without tip and tilt."""
+    """Return maps of coefficients without tip and tilt.
+
+    Parameters
+    ----------
+    geometry : PupilGeometry
+    nolls : sequence of int
+    zernike_nm : ndarray, (..., modes)
+    text : str
+        Begin of the description.
+    """
     maps = disc_maps_nm(geometry, nolls, zernike_nm, MAP_SAMPLES)
     return Quantity(maps.astype(np.float32), "nm", f"{text}, without tip and tilt")
 
@@ -66,8 +77,8 @@ class SplitOutput:
         """How well the angles agree."""
         return consistency(self.series, self.split)
 
-    def results(self) -> dict:
-        """The split for results.json."""
+    def results(self) -> dict[str, Any]:
+        """Return the keys of `SplitRow`."""
         residual_nm = self.series.zernike_nm - self.split.predicted_nm
         return {
             "modes": list(self.split.nolls),
@@ -77,24 +88,24 @@ class SplitOutput:
             "chi2_nu": self.split.chi2_nu,
             "freedom": self.split.freedom,
             "parts": {name: self._part(name) for name in PARTS},
-            "consistency": asdict(self.consistency),
+            "consistency": ConsistencyRow(**asdict(self.consistency)),
             "measured_nm": [rms_nm(one) for one in self.series.zernike_nm],
             "residual_nm": [rms_nm(one) for one in residual_nm],
         }
 
-    def _part(self, name: str) -> dict:
+    def _part(self, name: str) -> PartRow:
         part, separable = self.parts[name], self.split.separable
         own = np.flatnonzero(~separable if name == "unsplit" else separable)
-        keys = [str(self.split.nolls[i]) for i in own]
-        return {
-            "rms_nm": part.rms_nm,
-            "noise_nm": part.noise_nm,
-            "zernike_nm": dict(zip(keys, part.zernike_nm[own].tolist(), strict=True)),
-            "sigma_nm": dict(zip(keys, part.sigma_nm[own].tolist(), strict=True)),
-        }
+        nolls = [self.split.nolls[i] for i in own]
+        return PartRow(
+            rms_nm=part.rms_nm,
+            noise_nm=part.noise_nm,
+            zernike_nm=dict(zip(nolls, part.zernike_nm[own].tolist(), strict=True)),
+            sigma_nm=dict(zip(nolls, part.sigma_nm[own].tolist(), strict=True)),
+        )
 
     def arrays(self, geometry: PupilGeometry) -> dict[str, Quantity]:
-        """Coefficients and maps of the estimates, of the parts, and of what they leave."""
+        """Return coefficients and maps of the estimates, of the parts, and of what they leave."""
         nolls, back = self.series.nolls, self.series.turned_back(self.split.sense)
         left = self.series.zernike_nm - self.split.predicted_nm
         text = "before the derotator"
@@ -109,18 +120,18 @@ class SplitOutput:
         return arrays
 
     def check_explained(self, limit: float) -> Check:
-        """Whether two parts explain the estimates."""
+        """Check whether two parts explain the estimates."""
         text = f"χ²/ν = {self.split.chi2_nu:.2f} of the two parts against the single estimates"
         return Check("chi2 of the split", self.split.chi2_nu, "", None, limit, text)
 
     def check_sense(self) -> Check:
-        """Whether the sense of rotation is certain."""
+        """Check whether the sense of rotation is certain."""
         margin = self.delta_chi2 / max(1.0, self.split.chi2_nu)
         text = f"{SENSES[self.split.sense]} by {np.sqrt(max(margin, 0)):.1f} sigma"
         return Check("sense of rotation", margin, "", CERTAIN, None, text)
 
     def summary(self) -> list[str]:
-        """Lines for the terminal."""
+        """Return lines for the terminal."""
         found = self.consistency
         rotating, fixed, unsplit = (
             f"{part.rms_nm:.1f} ± {part.noise_nm:.1f} nm" for part in self.parts.values()

@@ -6,6 +6,7 @@ import math
 from typing import ClassVar
 
 from irlos_pipe.product.results import ByNoll, Number, ResultsPart, StageResults
+from irlos_pipe.stages.calibrate.results import AngleRow
 
 
 class PartRow(ResultsPart):
@@ -63,13 +64,6 @@ class SplitRow(ResultsPart):
     consistency: ConsistencyRow = ConsistencyRow()
     measured_nm: list[Number] = []
     residual_nm: list[Number] = []
-
-
-class AngleRow(ResultsPart):
-    """A recording and its derotator angle."""
-
-    name: str = ""
-    derotator_angle_deg: Number = math.nan
 
 
 class DerotatorResults(SplitRow, StageResults):

@@ -11,7 +11,9 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.estimate.derotation import Series, split_series, try_both_senses, usable_modes
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.each import CubeEstimate, cube_estimates
+from irlos_pipe.stages.calibrate.results import AngleRow
 from irlos_pipe.stages.derotator.output import SplitOutput, rms_nm, series_arrays
+from irlos_pipe.stages.derotator.results import DerotatorResults
 
 NAME = "derotator"
 VERSION = 1
@@ -35,15 +37,15 @@ class Config(StageConfig):
     )
 
 
-def run(ctx: StageContext) -> StageOutput:
-    """Split the estimates of all cubes; with a single angle say that this cannot be done."""
+def run(ctx: StageContext[Config]) -> StageOutput:
+    """Split the estimates of all cubes; report that this cannot be done with a single angle."""
     cubes = cube_estimates(ctx.products["calibrate"])
     if not cubes:
         raise ConfigurationError("derotator needs the cubes one by one: set calibrate.each to true")
     series = _series(cubes, ctx.config)
-    listed = {"cubes": [{"name": c.name, "derotator_angle_deg": c.derotator_angle_deg} for c in cubes]}
+    rows = [AngleRow(name=cube.name, derotator_angle_deg=cube.derotator_angle_deg) for cube in cubes]
     one_angle = len(np.unique(series.angles_deg % 360)) == 1
-    return _one_angle(ctx, listed, series) if one_angle else _split(ctx, listed, series)
+    return _one_angle(ctx, rows, series) if one_angle else _split(ctx, rows, series)
 
 
 def _series(cubes: list[CubeEstimate], config: Config) -> Series:
@@ -56,26 +58,30 @@ def _series(cubes: list[CubeEstimate], config: Config) -> Series:
     return series.only(usable_modes(series.nolls, config.highest_noll))
 
 
-def _one_angle(ctx: StageContext, listed: dict, series: Series) -> StageOutput:
-    """What there is without a second angle: the estimates as measured."""
-    cubes = listed["cubes"]
-    angle = f"derotator angle {cubes[0]['derotator_angle_deg']:g}°"
+def _one_angle(ctx: StageContext[Config], cubes: list[AngleRow], series: Series) -> StageOutput:
+    """Return what there is without a second angle: the estimates as measured."""
+    angle = f"derotator angle {cubes[0].derotator_angle_deg:g}°"
     reason = f"all {len(cubes)} recordings are of {angle}" if len(cubes) > 1 else f"one recording, of {angle}"
     ctx.log.warning("%s: what turns cannot be told from what does not", reason)
-    results = {"modes": list(series.nolls), "parts": None, "reason": reason}
-    results["measured_nm"] = [rms_nm(one) for one in series.zernike_nm]
+    results = DerotatorResults(
+        cubes=cubes,
+        modes=list(series.nolls),
+        parts=None,
+        reason=reason,
+        measured_nm=[rms_nm(one) for one in series.zernike_nm],
+    )
     lines = [
         f"Derotator       nothing split: {reason};",
         "  give recordings of two or more angles (derotator_angle_deg in acquisition.yaml)",
     ]
-    return StageOutput(series_arrays(ctx.instrument.pupil, series), listed | results, summary=lines)
+    return StageOutput(series_arrays(ctx.instrument.pupil, series), results, summary=lines)
 
 
-def _split(ctx: StageContext, listed: dict, series: Series) -> StageOutput:
+def _split(ctx: StageContext[Config], cubes: list[AngleRow], series: Series) -> StageOutput:
     senses = try_both_senses(series)
     estimated = ctx.config.sense == "estimate"
     sense = 1 if ctx.config.sense == "anticlockwise" else -1
-    told = SplitOutput(series, senses.best if estimated else split_series(series, sense), senses)
-    checks = [told.check_explained(ctx.config.max_chi2_nu), *([told.check_sense()] if estimated else [])]
-    arrays = told.arrays(ctx.instrument.pupil)
-    return StageOutput(arrays, listed | told.results(), checks, summary=told.summary())
+    found = SplitOutput(series, senses.best if estimated else split_series(series, sense), senses)
+    checks = [found.check_explained(ctx.config.max_chi2_nu), *([found.check_sense()] if estimated else [])]
+    results = DerotatorResults(cubes=cubes, **found.results())
+    return StageOutput(found.arrays(ctx.instrument.pupil), results, checks, summary=found.summary())

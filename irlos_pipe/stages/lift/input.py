@@ -1,4 +1,4 @@
-"""What `lift` and `sensitivity` both need: the ramp's frames, the model with the NCPAs, the effects."""
+"""What `lift` and `sensitivity` both need: the frames of the ramp, the model with the NCPAs, the effects."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from irlos_pipe.estimate.ramp_fit import RampData, start_from_defocus
 from irlos_pipe.estimate.start import scan_start_nm
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext
+from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.model.effects import calibrated_effects, good_pixels, image_effects, model_effects
 from irlos_pipe.stages.model.light_path import pooled_images, psf_settings, used_in_time_order
 
@@ -33,7 +35,7 @@ class Ramp:
     names, frame : list
         Recording and frame number within it of every frame of `data`.
     commanded_nm : ndarray, (frames,)
-        Defocus that the focus stage was told to introduce, which `data` has unless the model knows better.
+        Defocus commanded from the focus stage, which `data` has unless the model knows better.
     """
 
     recordings: list[Recording]
@@ -49,7 +51,7 @@ class Ramp:
 
 
 def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
-    """All used frames of a recipe input, in order of time."""
+    """Return all used frames of the recipe input `input_name`, in order of time; `ctx` has the products."""
     recordings = used_in_time_order(ctx.products["ingest"], input_name)
     introduced_nm = np.concatenate([r.introduced_defocus_nm for r in recordings]).astype(float)
     images_e, pixel_mask, noise = pooled_images(recordings)
@@ -60,7 +62,13 @@ def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
 
 
 def calibrated_ncpa_nm(ctx: StageContext) -> dict[int, float]:
-    """Every estimated mode of the stage `calibrate`, without what the effects that it hands on hold."""
+    """Return every mode estimated by `calibrate`, without the part that its effects hold.
+
+    Raises
+    ------
+    ConfigurationError
+        Without the stage `calibrate`.
+    """
     if "calibrate" not in ctx.products:
         raise ConfigurationError(
             "lift.calibrated needs the stage `calibrate` before it; "
@@ -71,7 +79,17 @@ def calibrated_ncpa_nm(ctx: StageContext) -> dict[int, float]:
 
 
 def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: dict[int, float]) -> PsfModel:
-    """PSF model of the ramp, NCPAs added to the diversity."""
+    """Return the PSF model of a ramp.
+
+    Parameters
+    ----------
+    ctx : StageContext
+    ramp : Ramp
+    nolls : tuple of int
+        Modes to be estimated.
+    ncpa_nm : dict of int to float
+        NCPAs in the known wavefront (Noll: nm RMS).
+    """
     settings = psf_settings(ctx.instrument, ctx.model, ramp.recordings[0], ncpa_nm=ncpa_nm)
     return PsfModel(frame_settings(settings), nolls, device=ctx.device)
 
@@ -84,10 +102,19 @@ def effects_for_lift(
     *,
     calibrated: bool = True,
 ) -> list[Effect]:
-    """Effects for LIFT, see `ramp_effects`; a drift belongs to the recording in which it was measured.
+    """Return the effects for LIFT, see `ramp_effects`.
+
+    A drift is left out: it belongs to the recording in which it was measured.
 
     Parameters
     ----------
+    ctx : StageContext
+    recording : Recording
+        Its acquisition sets the conditions.
+    halo : {"calibrated", "fit", "off"}
+        AO residual in the model.
+    object_sigma_mas : float or {"calibrated", "fit"}
+        Kernel of object and jitter.
     calibrated : bool
         False leaves effects out that are a part of the NCPAs.
     """
@@ -101,16 +128,28 @@ def _known(ctx: StageContext, recording: Recording) -> dict[str, FixedEffect]:
     if "calibrate" not in ctx.products:
         return {}
     product = ctx.products["calibrate"]
-    return calibrated_effects(product, ctx.instrument, ctx.model, recording, product.results["seeing_arcsec"])
+    seeing_arcsec = results_of(CalibrateResults, product).seeing_arcsec
+    return calibrated_effects(product, ctx.instrument, ctx.model, recording, seeing_arcsec)
 
 
 def ramp_start(
     ctx: StageContext, model: PsfModel, ramp: Ramp, ncpa_nm: dict[int, float], start: str
 ) -> torch.Tensor:
-    """Start of every frame: the elongation prior, a scan of defocus, what the stage was told, or zero."""
+    """Return the start of every frame, (frames, modes) [nm].
+
+    Parameters
+    ----------
+    ctx : StageContext
+    model : PsfModel
+    ramp : Ramp
+    ncpa_nm : dict of int to float
+        NCPAs in the known wavefront, taken off the elongation prior.
+    start : {"elongation", "scan", "commanded", "zero"}
+        Elongation prior, scan of defocus, commanded defocus, or zero.
+    """
     if start == "scan":
         return scan_start_nm(model, ramp.data.images_e, ramp.data.pixel_mask)
-    defocus = ramp.commanded_nm if start == "told" else np.zeros(len(ramp.names))
+    defocus = ramp.commanded_nm if start == "commanded" else np.zeros(len(ramp.names))
     if start == "elongation" and "prior" in ctx.products:
         defocus = np.array(ctx.products["prior"].arrays["defocus_nm"].value, float) - ncpa_nm.get(4, 0.0)
     return start_from_defocus(model, ramp.data, defocus)

@@ -1,4 +1,4 @@
-"""Stage `lift`: tip, tilt and defocus of every frame of a ramp, NCPAs added to the diversity."""
+"""Stage `lift`: tip, tilt and defocus of every frame of a ramp, the NCPAs in the known wavefront."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 import torch
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.estimate.focus_stage import FocusStage, fit_focus_stage
@@ -25,22 +25,18 @@ from irlos_pipe.stages.lift.input import (
     ramp_start,
     read_ramp,
 )
+from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point
 from irlos_pipe.stages.model.effects import model_effects
 
 NAME = "lift"
 VERSION = 7
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
-
-SUMMARY_KEYS = (
-    "slope",
-    "slope_sigma",
-    "offset_nm",
-    "rms_nm",
-    "residual_rms_nm",
-    "saw_tooth_nm",
-    "saw_tooth_sigma_nm",
-)
+# "told" is the former spelling of "commanded".
+Start = Annotated[
+    Literal["elongation", "scan", "commanded", "zero"],
+    BeforeValidator(lambda value: "commanded" if value == "told" else value),
+]
 ObjectSigma = Literal["calibrated", "fit"] | Annotated[float, Field(ge=0, le=200)]
 
 
@@ -49,7 +45,7 @@ class Config(StageConfig):
 
     input: str = Field("ramp", description="recipe input that holds the ramp")
     modes: tuple[int, ...] = Field((2, 3, 4), description="Noll modes to estimate; 4 (defocus) among them")
-    calibrated: bool = Field(True, description="add the NCPAs of `calibrate` to the diversity")
+    calibrated: bool = Field(True, description="make the NCPAs of `calibrate` a part of the known wavefront")
     halo: Literal["calibrated", "fit", "off"] = Field("calibrated", description="AO residual in the model")
     object_sigma_mas: ObjectSigma = Field(
         "calibrated",
@@ -60,10 +56,11 @@ class Config(StageConfig):
     noise: Literal["data", "model", "iterative"] = Field(
         "iterative", description="where the variances come from"
     )
-    start: Literal["elongation", "scan", "told", "zero"] = Field(
+    start: Start = Field(
         "elongation",
-        description="where the iteration begins; told: at the introduced defocus, as without a diversity "
-        "images do not show its sign",
+        description="where the iteration begins: at the elongation prior, at the best of a scan of defocus, "
+        "at the commanded defocus (needed without diversity, where the sign of defocus is ambiguous), or at "
+        "zero",
     )
     max_iterations: int = Field(40, ge=1, le=1000, description="per fit")
     compare: bool = Field(
@@ -75,7 +72,7 @@ class Config(StageConfig):
     )
 
 
-def run(ctx: StageContext) -> StageOutput:
+def run(ctx: StageContext[Config]) -> StageOutput:
     """Estimate the ramp, and repeat it with parts of the model left out to show what each buys."""
     if 4 not in ctx.config.modes:
         raise InputDataError(
@@ -95,7 +92,7 @@ def run(ctx: StageContext) -> StageOutput:
     )
 
 
-def _fit(ctx: StageContext, ramp: Ramp, *, calibrated: bool, halo: str) -> RampFit:
+def _fit(ctx: StageContext[Config], ramp: Ramp, *, calibrated: bool, halo: str) -> RampFit:
     ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
     model = ramp_model(ctx, ramp, ctx.config.modes, ncpa_nm)
     recording, kernel = ramp.recordings[0], ctx.config.object_sigma_mas
@@ -105,12 +102,12 @@ def _fit(ctx: StageContext, ramp: Ramp, *, calibrated: bool, halo: str) -> RampF
         return fit_ramp(model, ramp.data, start, _options(ctx.config, start), effects, report=bar.update)
 
 
-def _focus_stage(ctx: StageContext, ramp: Ramp, fit: RampFit) -> FocusStage:
+def _focus_stage(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> FocusStage:
     """What the focus stage really did, as far as the recipe's model says that it may err."""
     effects = model_effects(ctx.instrument, ctx.model, ramp.recordings[0])
     ramp_effects = [effect for effect in effects if effect.plane == "ramp"]
     try:
-        return fit_focus_stage(ramp_effects, ramp.commanded_nm, _defocus(fit))
+        return fit_focus_stage(ramp_effects, ramp.commanded_nm, fit.defocus_nm)
     except ValueError as problem:
         raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
 
@@ -127,25 +124,19 @@ def _options(config: Config, start_nm: torch.Tensor) -> LiftOptions:
     )
 
 
-def _comparison(ctx: StageContext, ramp: Ramp) -> dict[str, RampSummary]:
-    """The same ramp without NCPAs and without the AO residual."""
-    variants = {}
-    if ctx.config.calibrated:
-        variants["without NCPAs"] = {"calibrated": False, "halo": ctx.config.halo}
-    if ctx.config.halo != "off" and ctx.model.effects:
-        variants["without AO residual"] = {"calibrated": ctx.config.calibrated, "halo": "off"}
-    return {name: _summarise(ramp, _fit(ctx, ramp, **variant)) for name, variant in variants.items()}
-
-
-def _defocus(fit: RampFit) -> np.ndarray:
-    """Defocus of every frame, NaN where the fit is invalid."""
-    valid = np.array([status != "invalid" for status in fit.result.solution.status])
-    return np.where(valid, fit.result.mode(4)[0].numpy(), np.nan)
+def _comparison(ctx: StageContext[Config], ramp: Ramp) -> dict[str, RampSummary]:
+    """Estimate the same ramp without NCPAs and without the AO residual."""
+    config, found = ctx.config, {}
+    if config.calibrated:
+        found["without NCPAs"] = _fit(ctx, ramp, calibrated=False, halo=config.halo)
+    if config.halo != "off" and ctx.model.effects:
+        found["without AO residual"] = _fit(ctx, ramp, calibrated=config.calibrated, halo="off")
+    return {name: _summarise(ramp, fit) for name, fit in found.items()}
 
 
 def _summarise(ramp: Ramp, fit: RampFit) -> RampSummary:
     try:
-        return summarise(ramp.data.introduced_nm, _defocus(fit))
+        return summarise(ramp.data.introduced_nm, fit.defocus_nm)
     except ValueError as problem:
         raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
 
@@ -154,54 +145,53 @@ def _summarise(ramp: Ramp, fit: RampFit) -> RampSummary:
 
 
 def _results(
-    ctx: StageContext,
+    ctx: StageContext[Config],
     ramp: Ramp,
     fit: RampFit,
     summary: RampSummary,
     others: dict[str, RampSummary],
     focus: FocusStage,
-) -> dict:
-    return {
-        "modes": list(ctx.config.modes),
-        "calibrated": ctx.config.calibrated,
-        "points": _points(ramp, fit),
-        "summary": _numbers(summary),
-        "offsets": _offsets(summary),
-        "effects": fit.effects | focus.effects,
-        "effects_sigma": focus.sigma,
-        "effects_fitted_jointly": fit.shared is not None,
-        "compare": {name: _numbers(other) for name, other in others.items()},
-    }
+) -> LiftResults:
+    return LiftResults(
+        modes=list(ctx.config.modes),
+        calibrated=ctx.config.calibrated,
+        points=_points(ramp, fit),
+        summary=_line(summary),
+        offsets=_offsets(summary),
+        effects=fit.effects | focus.effects,
+        effects_sigma=focus.sigma,
+        effects_fitted_jointly=fit.shared is not None,
+        compare={name: _line(other) for name, other in others.items()},
+    )
 
 
-def _points(ramp: Ramp, fit: RampFit) -> list[dict]:
+def _points(ramp: Ramp, fit: RampFit) -> list[Point]:
     """One row per frame, as results.json has them."""
-    defocus, sigma = _defocus(fit).tolist(), fit.result.mode(4)[1].tolist()
-    nolls = [str(noll) for noll in fit.result.nolls]
+    defocus, sigma = fit.defocus_nm.tolist(), fit.result.mode(4)[1].tolist()
     return [
-        {
-            "name": name,
-            "frame": ramp.frame[i],
-            "introduced_nm": float(ramp.data.introduced_nm[i]),
-            "commanded_nm": float(ramp.commanded_nm[i]),
-            "defocus_nm": defocus[i],
-            "sigma_nm": sigma[i],
-            "converged": fit.result.solution.status[i] == "converged",
-            "status": fit.result.solution.status[i],
-            "chi2_nu": float(fit.result.chi2_nu[i]),
-            "zernike_nm": dict(zip(nolls, fit.result.zernike_nm[i].tolist(), strict=True)),
-        }
+        Point(
+            name=name,
+            frame=ramp.frame[i],
+            introduced_nm=float(ramp.data.introduced_nm[i]),
+            commanded_nm=float(ramp.commanded_nm[i]),
+            defocus_nm=defocus[i],
+            sigma_nm=sigma[i],
+            converged=fit.result.solution.status[i] == "converged",
+            status=fit.result.solution.status[i],
+            chi2_nu=float(fit.result.chi2_nu[i]),
+            zernike_nm=dict(zip(fit.result.nolls, fit.result.zernike_nm[i].tolist(), strict=True)),
+        )
         for i, name in enumerate(ramp.names)
     ]
 
 
-def _numbers(summary: RampSummary) -> dict[str, float]:
-    return {key: getattr(summary, key) for key in SUMMARY_KEYS}
+def _line(summary: RampSummary) -> Line:
+    return Line(**{key: getattr(summary, key) for key in Line.model_fields})
 
 
-def _offsets(summary: RampSummary) -> list[dict]:
+def _offsets(summary: RampSummary) -> list[Offset]:
     return [
-        {"introduced_nm": float(o), "median_nm": float(m), "scatter_nm": float(s)}
+        Offset(introduced_nm=float(o), median_nm=float(m), scatter_nm=float(s))
         for o, m, s in zip(summary.offsets_nm, summary.median_nm, summary.scatter_nm, strict=True)
     ]
 
@@ -212,7 +202,7 @@ def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary) -> dict[str, Quantit
     groups = [introduced == value for value in summary.offsets_nm]
     measured = np.array([ramp.data.images_e.numpy()[g].mean(0, dtype=float) for g in groups])
     modelled = np.array([model[g].mean(0) for g in groups]).reshape(-1, *shape)
-    defocus, sigma = _defocus(fit), fit.result.mode(4)[1].numpy()
+    defocus, sigma = fit.defocus_nm, fit.result.mode(4)[1].numpy()
     return {
         "introduced_nm": Quantity(introduced, "nm", "introduced defocus, frames in order of time"),
         "defocus_nm": Quantity(defocus, "nm", "estimated introduced defocus", sigma),
@@ -253,7 +243,7 @@ def _checks(config: Config, fit: RampFit, summary: RampSummary) -> list[Check]:
 
 
 def _lines(
-    ctx: StageContext, fit: RampFit, summary: RampSummary, others: dict[str, RampSummary]
+    ctx: StageContext[Config], fit: RampFit, summary: RampSummary, others: dict[str, RampSummary]
 ) -> list[str]:
     label = "with NCPAs" if ctx.config.calibrated else "without NCPAs"
     lines = [
