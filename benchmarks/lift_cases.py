@@ -18,7 +18,6 @@ from benchmarks.inputs import Inputs
 from benchmarks.measure import stopwatch
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.frame_settings import frame_settings
 from irlos_pipe.estimate.lift import LiftOptions, lift
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.estimate.sensitivity import dim
@@ -169,7 +168,7 @@ def lift_latency(inputs: Inputs, count: int) -> dict:
         TWO_WAVELENGTHS,
         KnownWavefront(DIVERSITY_NM),
     )
-    model = PsfModel(frame_settings(settings), (2, 3, 4))
+    model = PsfModel(settings.for_single_frames(), (2, 3, 4))
     frames = inputs.calibration_frames(1)
     truth_nm = torch.tensor([[20.0, -30.0, 100.0]])
     image_e = torch.poisson(

@@ -9,9 +9,8 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from irlos_pipe.estimate.cube import Frames, mean_variance_e2
+from irlos_pipe.estimate.cube import Frames, autocorrelation_time, mean_variance_e2
 from irlos_pipe.estimate.lift import smooth
-from irlos_pipe.estimate.scatter import autocorrelation_time
 
 BLOCKS = 20  # of a cube in time; every fourth is held out
 FEWEST = 16  # frames without which scatter means nothing

@@ -11,19 +11,21 @@ import torch
 
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.centring import start_tilts_nm
-from irlos_pipe.estimate.cube import Frames, mean_variance_e2
+from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.drift import drifts, measured_drift
 from irlos_pipe.estimate.frame_fits import fit_frames
-from irlos_pipe.estimate.frame_settings import frame_settings
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
 from irlos_pipe.estimate.lbfgs import solve_lbfgs
 from irlos_pipe.estimate.methods import METHODS, Method
-from irlos_pipe.estimate.parameters import Layout
-from irlos_pipe.estimate.priors import ncpa_sigma_nm
-from irlos_pipe.estimate.scatter import covariance_of_mean
+from irlos_pipe.estimate.parameters import Layout, ncpa_sigma_nm
 from irlos_pipe.estimate.search import located
-from irlos_pipe.estimate.second_start import HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
+from irlos_pipe.estimate.starts import (
+    START_HIGHEST_NOLL,
+    better,
+    is_plausible,
+    median_of_frames_nm,
+    start_tilts_nm,
+)
 from irlos_pipe.estimate.total_wavefront import effects_in_modes_nm
 from irlos_pipe.estimate.twin import TwinCheck, check_twin
 from irlos_pipe.frames.blocks import blocks
@@ -201,7 +203,7 @@ def _psf_model(settings: PsfSettings, method: Method, nolls: Sequence[int], devi
     """PSF model: quick for single frames, exact for the mean; rounding of float32 would stall its fit."""
     if method.images == "mean":
         return PsfModel(settings, nolls, device=device, dtype=torch.float64)
-    return PsfModel(frame_settings(settings), nolls, device=device)
+    return PsfModel(settings.for_single_frames(), nolls, device=device)
 
 
 # -- the problem -----------------------------------------------------------------------------
@@ -264,7 +266,7 @@ def _frames_start(frames: Frames, problem: ImageFit) -> torch.Tensor:
 
 def _second_start(frames: Frames, problem: ImageFit, psf: PsfModel) -> torch.Tensor:
     """The start with what single frames tell of the low modes."""
-    nolls = [noll for noll in psf.nolls if noll <= HIGHEST_NOLL]
+    nolls = [noll for noll in psf.nolls if noll <= START_HIGHEST_NOLL]
     model = _psf_model(psf.settings, METHODS["lift_slices"], nolls, psf.device)
     median_nm = median_of_frames_nm(model, frames.images_e, frames.pixel_mask, frames.noise)
     return _start(frames, problem, psf.settings, median_nm)

@@ -16,10 +16,9 @@ from dataclasses import dataclass, replace
 import torch
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.alike import Alike, AlikeFit
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
+from irlos_pipe.estimate.lift_problems import Alike, AlikeFit, PhotonFit
 from irlos_pipe.estimate.parameters import Layout
-from irlos_pipe.estimate.photon_fit import PhotonFit
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import Solution, joined_tensors, mixed_tensors

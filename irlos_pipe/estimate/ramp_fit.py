@@ -1,21 +1,20 @@
-"""LIFT on all frames of a ramp: start, object fit, estimate, second try for outliers."""
+"""LIFT on all frames of a ramp: effects, start, object fit, estimate, second try for outliers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from irlos_pipe.effects import Effect, EffectSet
+from irlos_pipe.effects import Effect, EffectSet, FixedEffect, SeeingHalo, TipTiltJitter, expected
 from irlos_pipe.effects.effect_set import NOTHING
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.centring import start_tilts_nm
 from irlos_pipe.estimate.lift import LiftOptions, LiftResult, image_problem, lift, smooth
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.shared import SharedFit, fit_shared
-from irlos_pipe.estimate.start import scan_start_nm
+from irlos_pipe.estimate.starts import scan_start_nm, start_tilts_nm
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
@@ -146,3 +145,42 @@ def _suspect(result: LiftResult, scan_nm: torch.Tensor) -> torch.Tensor:
     focus = result.nolls.index(4)
     contradicted = (result.zernike_nm[:, focus] - scan_nm[:, focus]).abs() > CONTRADICTION_NM
     return ~result.solution.converged | ~(result.chi2_nu < OUTLIER_CHI2 * typical) | contradicted
+
+
+def ramp_effects(
+    available: Sequence[Effect],
+    known: Mapping[str, FixedEffect],
+    halo: str = "calibrated",
+    object_sigma_mas: str | float = "calibrated",
+) -> list[Effect]:
+    """Effects for `fit_ramp`.
+
+    Parameters
+    ----------
+    available : sequence of Effect
+        The effects of the model.
+    known : mapping of str to FixedEffect
+        Those that a calibration has measured, by name. Of the others, residual and jitter are taken as
+        expected, and the rest as `available` has them: a free one is fitted to the whole ramp.
+    halo : {"calibrated", "fit", "off"}
+    object_sigma_mas : {"calibrated", "fit"} or float
+        Size of the Gaussian kernel that stands for object and jitter.
+    """
+    best = {effect.name: known.get(effect.name) or expected([effect])[0] for effect in available}
+    residual = _halo(best.pop(SeeingHalo.name, None), halo)
+    kernel = _kernel(best.pop(TipTiltJitter.name, None), object_sigma_mas)
+    rest = [known.get(effect.name, effect) for effect in available if effect.name in best]
+    return [effect for effect in (residual, kernel, *rest) if effect is not None]
+
+
+def _halo(best: FixedEffect | None, halo: str) -> Effect | None:
+    if halo == "off" or best is None:
+        return None
+    return FixedEffect(best.base, best.values, free=("variance_nm2",)) if halo == "fit" else best
+
+
+def _kernel(best: FixedEffect | None, object_sigma_mas: str | float) -> Effect | None:
+    if object_sigma_mas == "calibrated":
+        return best
+    jitter = TipTiltJitter()
+    return jitter if object_sigma_mas == "fit" else FixedEffect(jitter, jitter.values_of(object_sigma_mas))

@@ -6,7 +6,7 @@ import torch
 
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.start import SCAN_NM
+from irlos_pipe.estimate.starts import SCAN_NM
 from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate, is_family, place_of_focus
 from irlos_pipe.optics.psf import PsfModel
 

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.units import NM
+from irlos_pipe.optics.propagate import pupil_samples_for
+
+# For single frames, see `PsfSettings.for_single_frames`.
+FRAME_PUPIL_SAMPLES = 64
+FRAME_MARGIN_MAS, FRAME_HALO_MARGIN_MAS = 100.0, 320.0
 
 
 @dataclass(frozen=True)
@@ -69,3 +75,23 @@ class PsfSettings:
     pupil_samples: int = 128
     margin_mas: float = 200.0
     halo_margin_mas: float = 500.0
+
+    def for_single_frames(self) -> PsfSettings:
+        """Return the same light path sampled more coarsely, by an error that the noise of a frame hides.
+
+        With 64 samples across the pupil, images at 1600 nm err by up to 1e-4 of the peak at 142 nm RMS and
+        1.3e-3 at 424 nm, where 50 modes fall with their number; ten times as much where all are as
+        strong. The defocus of a ramp of ±300 nm beside 142 nm of NCPAs errs by less than 0.01 nm, where 10⁶
+        photons allow 0.2 nm. A blur wraps around 320 mas beyond the window instead of 500, which moves the
+        defocus by less than 0.03 nm at 0.5″. For a mean image this is not enough: χ²/ν of the mean of 60
+        noise-limited frames was 1.14 instead of 0.99.
+        """
+        shortest_m = min(wavelength_nm for wavelength_nm, _ in self.spectrum) * NM
+        window_px, diameter_m = max(self.window), self.geometry.diameter_m
+        needed = pupil_samples_for(window_px, self.pixel_scale_mas, shortest_m, diameter_m)
+        return replace(
+            self,
+            margin_mas=min(self.margin_mas, FRAME_MARGIN_MAS),
+            halo_margin_mas=min(self.halo_margin_mas, FRAME_HALO_MARGIN_MAS),
+            pupil_samples=min(self.pupil_samples, max(FRAME_PUPIL_SAMPLES, needed)),
+        )

@@ -8,9 +8,8 @@ import torch
 from helpers import optics_cases as cases
 
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
-from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean
 from irlos_pipe.estimate.methods import METHODS
-from irlos_pipe.estimate.scatter import autocorrelation_time, covariance_of_mean
 from irlos_pipe.estimate.twin import twin_of
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel

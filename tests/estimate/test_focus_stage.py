@@ -8,7 +8,7 @@ import torch
 
 from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
-from irlos_pipe.estimate.focus_stage import fit_focus_stage
+from irlos_pipe.estimate.ramp import fit_focus_stage
 
 KEYS = [("focus_stage_hysteresis", "nm"), ("focus_stage_offset", "nm"), ("focus_stage_scale", "fraction")]
 COMMANDED_NM = np.array([-300.0, 300.0, 300.0, -200.0, 200.0, -100.0])

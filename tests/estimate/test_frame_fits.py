@@ -15,7 +15,6 @@ from scipy.optimize import minimize
 
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.frame_fits import fit_frames
-from irlos_pipe.estimate.frame_settings import frame_settings
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.numerics.levenberg_marquardt import CONVERGED, INVALID
@@ -33,7 +32,7 @@ def problem(dtype=torch.float32, frames: int = FRAMES) -> tuple[ImageFit, torch.
     rng = np.random.default_rng(7)
     scatter_nm = SCATTER_NM * torch.as_tensor(rng.standard_normal((frames, len(DRAWN))))
     true = cases.vector(cases.ncpa_nm(4, 30), DRAWN) + scatter_nm
-    sampled = frame_settings(cases.settings(32))
+    sampled = cases.settings(32).for_single_frames()
     clean = PsfModel(sampled, DRAWN).images(true).double().clamp_min(0).numpy() * FLUX
     drawn = torch.cat([cases.draw_frames(image, 1, seed=k) for k, image in enumerate(clean)])
     images = drawn.flatten(1)[:, None].to(dtype)

@@ -11,7 +11,7 @@ import torch
 from helpers.optics_cases import READ_NOISE, everything, ncpa_nm, settings
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.frame_settings import PUPIL_SAMPLES, frame_settings
+from irlos_pipe.optics.psf_settings import FRAME_PUPIL_SAMPLES
 from irlos_pipe.estimate.lift import LiftOptions, lift
 from irlos_pipe.optics.psf import PsfModel
 
@@ -23,9 +23,9 @@ def test_the_defocus_of_bright_frames_errs_by_a_hundredth_of_a_nanometre():
     truth_nm = torch.tensor([[20.0, -30.0, defocus] for defocus in (-300.0, 0.0, 300.0)]).double()
     diversity = ncpa_nm(3)
     diversity[6] -= 170.0
-    fine = settings(64, SPECTRUM, diversity, pupil_samples=3 * PUPIL_SAMPLES)
+    fine = settings(64, SPECTRUM, diversity, pupil_samples=3 * FRAME_PUPIL_SAMPLES)
     images_e = 1e6 * PsfModel(fine, NOLLS, dtype=torch.float64).images(truth_nm)
-    model = ImageModel(PsfModel(frame_settings(fine), NOLLS))
+    model = ImageModel(PsfModel(fine.for_single_frames(), NOLLS))
     start_nm = truth_nm + 5.0
     found = lift(model, images_e.float(), everything(images_e), READ_NOISE, start_nm, LiftOptions("model"))
     assert np.abs((found.zernike_nm - truth_nm)[:, 2].numpy()).max() < 0.02
@@ -33,13 +33,13 @@ def test_the_defocus_of_bright_frames_errs_by_a_hundredth_of_a_nanometre():
 
 
 def test_a_wide_window_gets_the_samples_that_it_needs():
-    wide = frame_settings(settings(256, SPECTRUM, pupil_samples=256))
-    assert PUPIL_SAMPLES < wide.pupil_samples < 256
+    wide = settings(256, SPECTRUM, pupil_samples=256).for_single_frames()
+    assert FRAME_PUPIL_SAMPLES < wide.pupil_samples < 256
     PsfModel(wide, NOLLS)
 
 
 @pytest.mark.parametrize("samples", [48, 61])
 def test_a_coarser_sampling_is_left_as_it_is(samples):
-    coarse = frame_settings(settings(40, pupil_samples=samples))
+    coarse = settings(40, pupil_samples=samples).for_single_frames()
     assert coarse.pupil_samples == samples
     assert PsfModel(coarse, NOLLS).images(torch.zeros(1, 3)).shape == (1, 40, 40)

@@ -8,7 +8,7 @@ from helpers.optics_cases import BAND, NARROW_H, settings
 
 from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter, expected
 from irlos_pipe.effects.pixels import InterpixelCrosstalk
-from irlos_pipe.estimate.ramp_effects import ramp_effects
+from irlos_pipe.estimate.ramp_fit import ramp_effects
 from irlos_pipe.optics.grids import Grids
 from irlos_pipe.optics.psf import PsfModel
 

@@ -9,7 +9,7 @@ from helpers import optics_cases as cases
 from irlos_pipe.estimate import calibration
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.second_start import FRAMES, better, median_of_frames_nm
+from irlos_pipe.estimate.starts import FEW_FRAMES, better, median_of_frames_nm
 from irlos_pipe.numerics.levenberg_marquardt import CONVERGED, INVALID, Solution
 from irlos_pipe.optics.psf import PsfModel
 
@@ -41,7 +41,7 @@ def test_the_median_of_a_few_frames_is_near_the_truth(frames, truth_nm):
 
 def test_frames_that_cannot_be_fitted_do_not_count(frames, truth_nm):
     images = frames.images_e.clone()
-    spread = torch.linspace(0, len(images) - 1, FRAMES).round().long()
+    spread = torch.linspace(0, len(images) - 1, FEW_FRAMES).round().long()
     images[spread[:3], 5, 5] = float("nan")
     model = PsfModel(cases.settings(WINDOW), NOLLS)
     found = median_of_frames_nm(model, images, frames.pixel_mask, frames.noise)

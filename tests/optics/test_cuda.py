@@ -31,7 +31,7 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.elongation import calibrate_law
 from irlos_pipe.estimate.lift import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
-from irlos_pipe.estimate.start import scan_start_nm
+from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.optics.psf import PsfModel
 
 SMALL, HIGHEST_NOLL, TTF = cases.settings(16, pupil_samples=48), 7, (2, 3, 4)

@@ -18,7 +18,6 @@ from irlos_pipe.effects import (
     TipTiltJitter,
 )
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.frame_settings import frame_settings
 from irlos_pipe.estimate.lift import LiftOptions, lift
 from irlos_pipe.estimate.tabulated import TabulatedModel, tabulated
 from irlos_pipe.optics.focus_table import FocusTable, Reach
@@ -27,7 +26,7 @@ from irlos_pipe.optics.psf import PsfModel
 
 TTF = (2, 3, 4)
 WINDOW = (40, 48)
-SETTINGS = frame_settings(cases.settings(WINDOW, cases.J_AND_H, {6: -170.0, 7: 40.0, 11: -50.0, 8: 60.0}))
+SETTINGS = cases.settings(WINDOW, cases.J_AND_H, {6: -170.0, 7: 40.0, 11: -50.0, 8: 60.0}).for_single_frames()
 REACH = Reach((-500.0, 400.0), 300.0)
 STEP_NM = 1.0
 

@@ -16,11 +16,10 @@ from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects import expected
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.centring import TILT_NM_PER_RAD
 from irlos_pipe.estimate.lift import LiftOptions, LiftResult, lift
 from irlos_pipe.estimate.methods import METHODS
 from irlos_pipe.estimate.ramp_fit import RampData, second_try, start_from_defocus
-from irlos_pipe.estimate.start import scan_start_nm
+from irlos_pipe.estimate.starts import TILT_NM_PER_RAD, scan_start_nm
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.paper.common.broad_band import frame_settings, star_scene
 from irlos_pipe.paper.common.observation import images_of, model_effects_of, noise_of

@@ -13,8 +13,7 @@ from irlos_pipe.effects import Effect, FixedEffect, expected, fixed_optics
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
 from irlos_pipe.estimate.lift import LiftOptions
-from irlos_pipe.estimate.ramp_effects import ramp_effects
-from irlos_pipe.estimate.ramp_fit import RampData, RampFit, fit_ramp, start_from_defocus
+from irlos_pipe.estimate.ramp_fit import RampData, RampFit, fit_ramp, ramp_effects, start_from_defocus
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.paper.common.broad_band import frame_settings
 from irlos_pipe.paper.common.observation import frames_of, images_of, model_effects_of, noise_of, settings_of

@@ -18,7 +18,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import LiftOptions, LiftResult, lift
 from irlos_pipe.estimate.ramp import summarise
 from irlos_pipe.estimate.ramp_fit import second_try, start_from_defocus
-from irlos_pipe.estimate.start import scan_start_nm
+from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.paper.common.broad_band import star_scene
 from irlos_pipe.paper.common.ramps import (
     DEFOCUS,

@@ -10,7 +10,7 @@ import torch
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.bound import cramer_rao_nm
 from irlos_pipe.estimate.lift import LiftOptions, lift
-from irlos_pipe.estimate.ramp_effects import ramp_effects
+from irlos_pipe.estimate.ramp_fit import ramp_effects
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel

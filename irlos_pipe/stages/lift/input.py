@@ -9,10 +9,8 @@ import torch
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.effects import Effect, FixedEffect
-from irlos_pipe.estimate.frame_settings import frame_settings
-from irlos_pipe.estimate.ramp_effects import ramp_effects
-from irlos_pipe.estimate.ramp_fit import RampData, start_from_defocus
-from irlos_pipe.estimate.start import scan_start_nm
+from irlos_pipe.estimate.ramp_fit import RampData, ramp_effects, start_from_defocus
+from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.product.results import results_of
@@ -91,7 +89,7 @@ def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: d
         NCPAs in the known wavefront (Noll: nm RMS).
     """
     settings = psf_settings(ctx.instrument, ctx.model, ramp.recordings[0], ncpa_nm=ncpa_nm)
-    return PsfModel(frame_settings(settings), nolls, device=ctx.device)
+    return PsfModel(settings.for_single_frames(), nolls, device=ctx.device)
 
 
 def effects_for_lift(

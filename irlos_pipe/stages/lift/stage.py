@@ -10,10 +10,9 @@ import torch
 from pydantic import BeforeValidator, Field
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.estimate.focus_stage import FocusStage, fit_focus_stage
 from irlos_pipe.estimate.lift import LiftOptions
-from irlos_pipe.estimate.priors import ncpa_sigma_nm
-from irlos_pipe.estimate.ramp import RampSummary, summarise
+from irlos_pipe.estimate.parameters import ncpa_sigma_nm
+from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise
 from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput

@@ -1,0 +1,147 @@
+"""Where fits begin: the centroid, a scan of defocus, or the median of a few single frames.
+
+The scan needs no prior: one template per defocus is shared by all images, and the position comes from
+the peak of the normalised cross-correlation. It costs a few transforms per image and does not care how
+far off the elongation prior is.
+
+Aberrations of 200 nm and more leave an averaged image with several minima, and a fit that starts from
+none of them often ends in the wrong one, with χ²/ν ten times too large. Single frames keep their
+speckles and are less ambiguous; the median of a few of them is a start close enough.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from irlos_pipe.conventions.units import MAS
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.lift import LiftOptions, lift
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.numerics.levenberg_marquardt import INVALID, Solution
+from irlos_pipe.optics.grids import Optics
+from irlos_pipe.optics.psf import AS_BUILT, PsfModel
+
+TILT_NM_PER_RAD = 1e9 / 4  # a tilt θ over the diameter D is θ D/4 RMS
+SCAN_NM = np.linspace(-700.0, 700.0, 15)  # defocus of the templates
+PLAUSIBLE_CHI2 = 4.0  # χ²/ν of right solutions stays below 3, that of wrong ones is 10 and more
+FEW_FRAMES = 10  # whose median is a start
+FEW_FRAMES_ITERATIONS = 60
+START_HIGHEST_NOLL = 30  # modes of a start from single frames
+
+
+def start_tilts_nm(images_e: torch.Tensor, pixel_scale_mas: float, diameter_m: float) -> torch.Tensor:
+    """Tip and tilt that move the model to the centroid of the bright pixels, (frames, 2) [nm RMS].
+
+    Pixels below a fifth of the brightest are left out, so that noise and halo do not pull.
+
+    Parameters
+    ----------
+    images_e : tensor, (frames, rows, columns)
+    """
+    bright = (images_e - 0.2 * images_e.amax((1, 2), keepdim=True)).clamp_min(0)
+    total = bright.sum((1, 2)).clamp_min(1e-30)
+    rows, columns = images_e.shape[1:]
+    y = (bright.sum(2) @ (torch.arange(rows, dtype=bright.dtype) - (rows - 1) / 2)) / total
+    x = (bright.sum(1) @ (torch.arange(columns, dtype=bright.dtype) - (columns - 1) / 2)) / total
+    return torch.stack([x, y], dim=1).double() * pixel_scale_mas * MAS * diameter_m * TILT_NM_PER_RAD
+
+
+def scan_start_nm(
+    model: PsfModel, images_e: torch.Tensor, pixel_mask: torch.Tensor, optics: Optics = AS_BUILT
+) -> torch.Tensor:
+    """Tip, tilt and defocus of the template that resembles each image most, other modes 0.
+
+    Parameters
+    ----------
+    model : PsfModel
+        Noll 2, 3 and 4 among its modes.
+    images_e : tensor, (images, rows, columns)
+
+    Returns
+    -------
+    tensor, (images, modes), float64 [nm RMS]
+    """
+    focus = model.nolls.index(4)
+    coefficients = torch.zeros(len(SCAN_NM), len(model.nolls), dtype=torch.float64)
+    coefficients[:, focus] = torch.as_tensor(SCAN_NM)
+    templates = model.images(coefficients, optics).cpu()
+    best, shift_px = _most_alike(templates, images_e, pixel_mask)
+    start = torch.zeros(len(images_e), len(model.nolls), dtype=torch.float64)
+    start[:, focus] = torch.as_tensor(SCAN_NM)[best]
+    pixel_nm = model.settings.pixel_scale_mas * MAS * model.settings.geometry.diameter_m * TILT_NM_PER_RAD
+    for axis, noll in ((1, 2), (0, 3)):
+        start[:, model.nolls.index(noll)] = shift_px[:, axis] * pixel_nm
+    return start
+
+
+def _standardised(images: torch.Tensor) -> torch.Tensor:
+    """Images (..., rows, columns) without mean and of unit norm, float32: their correlations are compared."""
+    centred = images.float() - images.float().mean((-2, -1), keepdim=True)
+    return centred / torch.linalg.vector_norm(centred, dim=(-2, -1), keepdim=True).clamp_min(1e-30)
+
+
+def _most_alike(
+    templates: torch.Tensor, images: torch.Tensor, pixel_mask: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Template of the highest correlation with each image (images,), and its shift (images, 2) [px]."""
+    rows, columns = pixel_mask.shape
+    spectra = torch.fft.rfft2(_standardised(templates)).conj_physical()
+    best, peaks = [], []
+    for image in images:
+        spectrum = torch.fft.rfft2(_standardised(image * pixel_mask))
+        correlation = torch.fft.irfft2(spectrum * spectra, s=(rows, columns)).flatten(1)
+        best.append(int(correlation.amax(1).argmax()))
+        row, column = divmod(int(correlation[best[-1]].argmax()), columns)
+        peaks.append([_signed(row, rows), _signed(column, columns)])
+    return torch.tensor(best), torch.tensor(peaks, dtype=torch.float64)
+
+
+def _signed(index: int, size: int) -> int:
+    """Shift that an index of a circular correlation stands for."""
+    return index - size if index > size // 2 else index
+
+
+def is_plausible(problem: ImageFit, solution: Solution) -> bool:
+    """Whether the first member of a problem is converged and fits."""
+    return bool(solution.converged[0] and problem.reduced_chi2(solution.values[:1])[0] < PLAUSIBLE_CHI2)
+
+
+def median_of_frames_nm(
+    model: PsfModel,
+    images_e: torch.Tensor,
+    pixel_mask: torch.Tensor,
+    noise: NoiseModel,
+    max_iterations: int = FEW_FRAMES_ITERATIONS,
+) -> torch.Tensor:
+    """Median of the coefficients of a few frames spread over a cube, each fitted by itself.
+
+    Parameters
+    ----------
+    model : PsfModel
+        With Noll 2 and 3 as its first modes.
+    images_e : tensor, (frames, rows, columns)
+
+    Returns
+    -------
+    tensor, (modes,), float64 [nm RMS]
+        Zero where no frame could be fitted.
+    """
+    chosen = torch.linspace(0, len(images_e) - 1, min(FEW_FRAMES, len(images_e))).round().long()
+    some = images_e[chosen]
+    start = torch.zeros(len(some), len(model.nolls), dtype=torch.float64)
+    scale, diameter = model.settings.pixel_scale_mas, model.settings.geometry.diameter_m
+    start[:, :2] = start_tilts_nm((some * pixel_mask).double(), scale, diameter)
+    options = LiftOptions(noise="data", max_iterations=max_iterations)
+    result = lift(ImageModel(model), some, pixel_mask, noise, start, options)
+    valid = torch.tensor([status != INVALID for status in result.solution.status])
+    estimates = result.zernike_nm[valid]
+    return estimates.median(dim=0).values if len(estimates) else start.new_zeros(len(model.nolls))
+
+
+def better(first: Solution, second: Solution) -> Solution:
+    """The solution of the same problem with the lower objective; a valid one before an invalid one."""
+    if second.status[0] == INVALID or first.status[0] == INVALID:
+        return first if second.status[0] == INVALID else second
+    return second if second.objective[0] < first.objective[0] else first
