@@ -17,7 +17,7 @@ from benchmarks.inputs import Inputs
 from benchmarks.lift_cases import prepared_lift
 from benchmarks.measure import stopwatch
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
-from irlos_pipe.numerics.parallel import set_workers
+from irlos_pipe.numerics.parallel import workers
 
 PRODUCTS = ("mm", "bmm", "addmm", "baddbmm")
 COMPLEX_PRODUCTS, REAL_PRODUCTS, DOUBLE_PRODUCTS, FFT, SOLVES, REST = (
@@ -61,13 +61,13 @@ class OperatorTimes(TorchDispatchMode):
 
 def measure_breakdown(inputs: Inputs, frames: int) -> dict:
     """Shares of the groups for `dip_global` and LIFT, and the floor of each."""
-    set_workers(1)
-    rate = product_rate_flops()
-    return {
-        "gflops": rate / 1e9,
-        "dip_global": _profile(lambda: _dip_global(inputs, frames), rate),
-        "lift": _profile(prepared_lift(inputs, RAMP_FRAMES, with_halo=True), rate),
-    }
+    with workers(1):
+        rate = product_rate_flops()
+        return {
+            "gflops": rate / 1e9,
+            "dip_global": _profile(lambda: _dip_global(inputs, frames), rate),
+            "lift": _profile(prepared_lift(inputs, RAMP_FRAMES, with_halo=True), rate),
+        }
 
 
 def product_rate_flops() -> float:

@@ -23,7 +23,7 @@ from benchmarks.measure import peak_mib, stopwatch
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.numerics.parallel import set_workers
+from irlos_pipe.numerics.parallel import workers
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.ingest.recordings import recordings_from_product
@@ -183,7 +183,7 @@ CASES: dict[str, Callable[[Inputs, int], dict]] = {
 
 if __name__ == "__main__":
     name, folder, frames, threads = sys.argv[1:]
-    set_workers(int(threads))
     imported_mib = peak_mib()
-    outcome = CASES[name](Inputs(Path(folder)), int(frames))
+    with workers(int(threads)):
+        outcome = CASES[name](Inputs(Path(folder)), int(frames))
     print(json.dumps(outcome | {"peak_mib": peak_mib(), "imported_mib": imported_mib}))

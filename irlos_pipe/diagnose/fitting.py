@@ -18,7 +18,9 @@ from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.parameters import Layout, ncpa_sigma_nm
 from irlos_pipe.estimate.starts import start_tilts_nm
 from irlos_pipe.estimate.twin import twin_of
-from irlos_pipe.numerics.levenberg_marquardt import CHI2_TOLERANCE, Solution, solve
+from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.problem import CHI2_TOLERANCE
+from irlos_pipe.numerics.solution import Solution
 
 PRIOR_SCALE = 3.0  # over the law of the NCPAs
 MAX_ITERATIONS = 60

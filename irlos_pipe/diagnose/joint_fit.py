@@ -12,13 +12,13 @@ from itertools import pairwise
 import torch
 
 from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.numerics.levenberg_marquardt import CHI2_TOLERANCE
+from irlos_pipe.numerics.problem import CHI2_TOLERANCE, CheapGradientProblem
 
 OWN = 4  # tip, tilt, flux and background
 
 
-class JointFit:
-    """Least-squares problem for the solver, see `estimate.solve.Problem`; one member.
+class JointFit(CheapGradientProblem):
+    """Least-squares problem for the solver; one member.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class JointFit:
             return value.detach(), torch.autograd.grad(value.sum(), x)[0]
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """Objective, gradient and Gauss–Newton Hessian, see `solve.Problem`."""
+        """Objective, gradient and Gauss–Newton Hessian, see `Problem`."""
         offset = x - self.prior_mean
         value = _half_chi2(offset, self.prior_precision)
         gradient, hessian = self.prior_precision * offset, torch.diag_embed(self.prior_precision)

@@ -29,8 +29,9 @@ from irlos_pipe.estimate.starts import (
 from irlos_pipe.estimate.total_wavefront import effects_in_modes_nm
 from irlos_pipe.estimate.twin import TwinCheck, check_twin
 from irlos_pipe.frames.blocks import blocks
-from irlos_pipe.numerics.levenberg_marquardt import Solution, solve
+from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.loss import LOSSES
+from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings
 

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from irlos_pipe.numerics.levenberg_marquardt import Solution, solve
+from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.parallel import joined_map
+from irlos_pipe.numerics.problem import Problem
+from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.psf import AS_BUILT, PsfModel
 
@@ -65,7 +67,7 @@ def diversity_angle_deg(diversity_nm: dict[int, float]) -> float:
     return float(np.rad2deg(np.arctan2(oblique, vertical)) / 2 % 90)
 
 
-class GaussianFit:
+class GaussianFit(Problem):
     """Rotated 2-D Gaussians fitted to images, for `solve`.
 
     Parameters are x, y [px], ln σ1, ln σ2 [px], amplitude, background; every image in units of
@@ -113,7 +115,7 @@ class GaussianFit:
         return 1e-6 * value.clamp_min(1e-6)
 
     def normal_equations(self, p: torch.Tensor, which: torch.Tensor):
-        """See `solve.Problem`."""
+        """See `Problem.normal_equations`."""
         first, second, gauss = self._shape(p)
         residual = self.images[which] - p[:, 4:5] * gauss - p[:, 5:6]
         body = p[:, 4:5] * gauss

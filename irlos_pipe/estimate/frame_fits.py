@@ -13,16 +13,10 @@ from dataclasses import replace
 import torch
 
 from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.numerics.levenberg_marquardt import (
-    CONVERGED,
-    INVALID,
-    MAX_ITERATIONS,
-    Solution,
-    scaled_inverse,
-    solve,
-)
+from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse, solve
 from irlos_pipe.numerics.loss import GAUSSIAN
 from irlos_pipe.numerics.quasi_newton import polish
+from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, Solution
 
 FEW = 10  # frames whose mean curvature stands for that of all
 LEAST_SQUARES_EVALUATIONS = 4

@@ -13,17 +13,16 @@ import torch
 
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.parameters import Layout
-from irlos_pipe.numerics.least_squares import normal_equations
-from irlos_pipe.numerics.levenberg_marquardt import CHI2_TOLERANCE
-from irlos_pipe.numerics.linearised import Linearised
 from irlos_pipe.numerics.loss import GAUSSIAN, Loss
+from irlos_pipe.numerics.normal_equations import Linearised, normal_equations
 from irlos_pipe.numerics.parallel import joined_map
+from irlos_pipe.numerics.problem import CHI2_TOLERANCE, Problem
 
 FRAMES_PER_CHUNK = 8
 FRAMES_PER_GRADIENT = 16
 
 
-class ImageFit:
+class ImageFit(Problem):
     """Images against those of an `ImageModel`.
 
     Parameters
@@ -51,7 +50,7 @@ class ImageFit:
         loss: Loss = GAUSSIAN,
     ):
         self.model, self.layout, self.loss = model, layout, loss
-        self.reweighted, self.tolerance, self.alike = not loss.quadratic, CHI2_TOLERANCE, layout.modes
+        self.reweighted, self.tolerance, self.same_unit = not loss.quadratic, CHI2_TOLERANCE, layout.modes
         self.images = images_e
         self.device = model.psf.device
         self.held = model.effects.starts
@@ -101,7 +100,7 @@ class ImageFit:
         return self._map(self._objective, x, which)[0] + self._prior_value(x, which)
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """Objective, gradient and Gauss–Newton Hessian, see `solve.Problem`."""
+        """Objective, gradient and Gauss–Newton Hessian, see `Problem`."""
         value, gradient, hessian = self._map(self._normal, x, which)
         return value + self._prior_value(x, which), gradient, hessian
 

@@ -8,13 +8,8 @@ from __future__ import annotations
 import torch
 
 from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.numerics.levenberg_marquardt import (
-    CONVERGED,
-    INVALID,
-    MAX_ITERATIONS,
-    Solution,
-    scaled_inverse,
-)
+from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
+from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, Solution
 
 HISTORY = 20
 GRADIENT_TOLERANCE = 1e-2  # in units of one standard error

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from irlos_pipe.effects import Effect, FixedEffect
+from irlos_pipe.effects import Effect
 
 MIN_OBSERVABILITY = 1e-6  # of a column's power beside the others
 

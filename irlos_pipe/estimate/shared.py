@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import torch
 
 from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.numerics.levenberg_marquardt import CONVERGED, MAX_ITERATIONS, solve
+from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.solution import CONVERGED, MAX_ITERATIONS
 
 OUTER_ITERATIONS = 12
 STEP_SIGMA = 0.02  # converged when no shared parameter moves by more than this part of its error

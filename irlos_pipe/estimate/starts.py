@@ -19,7 +19,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.lift import LiftOptions, lift
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.numerics.levenberg_marquardt import INVALID, Solution
+from irlos_pipe.numerics.solution import INVALID, Solution
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.psf import AS_BUILT, PsfModel
 

@@ -14,43 +14,19 @@ Welsch 1981, ACM TOMS 7, 348); whether a member has converged, and its covarianc
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 import torch
 
+from irlos_pipe.numerics.problem import ROUNDING, CheapGradientProblem, Problem
 from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, STALLED, Solution
 
-CHI2_TOLERANCE = 1e-3
-ROUNDING = 1e-6  # relative rounding of an objective whose images are propagated in float32
 DAMPING_START, DAMPING_MIN = 1e-3, 1e-9
 MEMBERS_AT_ONCE = 256  # whose matrices are solved: some ten copies of each are made on the way
 GOOD_STEP, POOR_STEP = 0.75, 0.25  # parts of the predicted fall that lower, or raise, the damping
-LEAST = 1e-3  # curvature along a parameter over the largest of those in the same unit
+MIN_CURVATURE = 1e-3  # curvature along a parameter over the largest of those in the same unit
 TRIALS = 12  # of a step, with ten times the damping each
 SPENT = 12  # steps of a problem with cheap gradients after which its Hessian is renewed
-
-
-class Problem(Protocol):
-    """A batch of least-squares problems; `which` selects members of the batch.
-
-    A problem may have ``reweighted = True``: its equations are those of a re-weighted problem, whose
-    quadratic model does not foretell the fall of the objective. It may say which parameters are ``alike``,
-    a slice: those have the same unit, and their curvatures compare. And it may have a method
-    ``cheap_gradient(x, which)``, the first two of its normal equations at a part of their cost.
-    """
-
-    lower: torch.Tensor
-    upper: torch.Tensor
-
-    def negligible(self, value: torch.Tensor) -> torch.Tensor:
-        """Predicted fall of twice the objective at which a member with this objective is done, (b,)."""
-
-    def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """Objective (b,), gradient (b, p) and Hessian (b, p, p), all float64."""
-
-    def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
-        """Objective (b,), comparable with that of the last `normal_equations` of the same members."""
 
 
 @torch.no_grad()
@@ -101,9 +77,8 @@ class _State:
         self.value, self.gradient = np.full(batch, np.nan), np.zeros((batch, size))
         self.hessian = np.tile(np.eye(size), (batch, 1, 1))
         self.neglected, self.moved = np.zeros_like(self.hessian), np.zeros_like(self.gradient)
-        self.reweighted = getattr(problem, "reweighted", False)
-        self.alike = getattr(problem, "alike", slice(0))
-        self.cheap_gradient = getattr(problem, "cheap_gradient", None)
+        self.reweighted = problem.reweighted
+        self.cheap_gradient = problem.cheap_gradient if isinstance(problem, CheapGradientProblem) else None
         self.age = np.zeros(batch, dtype=np.int64)  # steps since the Hessian was that of the place
         self.ahead: tuple[np.ndarray, ...] | None = None
 
@@ -270,7 +245,7 @@ class _State:
             free = ~held[:, :, None] & ~held[:, None, :]
             hessian = hessian * free + held[:, :, None] * np.eye(held.shape[1])
             gradient, neglected = gradient * ~held, neglected * free
-        return -_solve(hessian, gradient, damping, neglected, self.alike)
+        return -_solve(hessian, gradient, damping, neglected, self.problem.same_unit)
 
     def solution(self) -> Solution:
         """The batch as it stands."""
@@ -303,7 +278,7 @@ def _solve(
     gradient: np.ndarray,
     damping: np.ndarray,
     neglected: np.ndarray | float,
-    alike: slice,
+    same_unit: slice,
 ) -> np.ndarray:
     """Solve (H + neglected + damping · D) s = g in scaled variables; D is diag H, where that is no rounding.
 
@@ -311,8 +286,8 @@ def _solve(
     it would make steps of any length.
     """
     diagonal = np.diagonal(hessian, axis1=1, axis2=2).clip(min=1e-300)
-    same_unit = diagonal[:, alike]
-    diagonal[:, alike] = same_unit.clip(min=LEAST * same_unit.max(1, initial=0, keepdims=True))
+    compared = diagonal[:, same_unit]
+    diagonal[:, same_unit] = compared.clip(min=MIN_CURVATURE * compared.max(1, initial=0, keepdims=True))
     scale = np.sqrt(diagonal)
     scaled = (hessian + neglected) / (scale[:, :, None] * scale[:, None, :])
     scaled += (damping + 1e-12)[:, None, None] * np.eye(scale.shape[1])

@@ -7,9 +7,10 @@ the same to the bit for any number of workers.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TypeVar
 
 import torch
@@ -17,25 +18,30 @@ import torch
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_inside = threading.local()
-_pool: ThreadPoolExecutor | None = None
+# Threads begin with an empty context: a worker sees no pool, and does pieces of pieces itself.
+_pool: ContextVar[ThreadPoolExecutor | None] = ContextVar("pool", default=None)
 
 
-def set_workers(count: int) -> None:
-    """Use `count` threads for pieces of batches, and one inside every matrix product.
+@contextmanager
+def workers(count: int) -> Iterator[None]:
+    """Use `count` threads for pieces of batches while the block lasts, and one inside matrix products.
 
-    Like `torch.set_num_threads`, which it calls, this is a setting of the process.
+    The latter is a setting of the process, and stays.
     """
-    global _pool
     torch.set_num_threads(1)
-    if _pool is not None:
-        _pool.shutdown()
     # The number of threads inside a product is one of each thread as well as of the process.
-    _pool = ThreadPoolExecutor(count, "irlos", torch.set_num_threads, (1,)) if count > 1 else None
+    pool = ThreadPoolExecutor(count, "irlos", torch.set_num_threads, (1,)) if count > 1 else None
+    token = _pool.set(pool)
+    try:
+        yield
+    finally:
+        _pool.reset(token)
+        if pool is not None:
+            pool.shutdown()
 
 
 def ordered_map(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Results of `function` for every item, in order; side by side if there are workers.
+    """Return what `function` makes of all `items`, in order; side by side if there are workers.
 
     Called from a worker, it runs in that worker: pieces of pieces do not wait for each other.
     Where gradients are recorded it runs in the caller's thread: the transforms of `torch.func`
@@ -47,7 +53,7 @@ def ordered_map(function: Callable[[Item], Result], items: Iterable[Item]) -> li
 def joined_map(
     function: Callable[[Item], tuple[torch.Tensor, ...]], pieces: Iterable[Item], members: int
 ) -> tuple[torch.Tensor, ...]:
-    """Results of `function` for the pieces of a batch of so many members, put together along the first axis.
+    """Return what `function` makes of the `pieces` of a batch of `members`, joined along the first axis.
 
     As `ordered_map`, but every result is copied to its place as soon as it is there: kept until the end,
     thousands of small ones would lie between pieces of freed memory, which then stay unused.
@@ -55,7 +61,8 @@ def joined_map(
     results = _results(function, list(pieces))
     if torch.is_grad_enabled():
         return tuple(map(torch.cat, zip(*results, strict=True)))
-    wholes, done = (), 0
+    wholes: tuple[torch.Tensor, ...] = ()
+    done = 0
     for parts in results:
         wholes = wholes or tuple(part.new_empty(members, *part.shape[1:]) for part in parts)
         for whole, part in zip(wholes, parts, strict=True):
@@ -65,18 +72,7 @@ def joined_map(
 
 
 def _results(function: Callable[[Item], Result], items: list[Item]) -> Iterator[Result]:
-    alone = _pool is None or len(items) < 2 or getattr(_inside, "worker", False)
-    if alone or torch.is_grad_enabled():
+    pool = _pool.get()
+    if pool is None or len(items) < 2 or torch.is_grad_enabled():
         return map(function, items)
-    return _pool.map(_marked(function), items)
-
-
-def _marked(function: Callable[[Item], Result]) -> Callable[[Item], Result]:
-    """`function`, in a thread that knows it is a worker."""
-
-    def run(item: Item) -> Result:
-        _inside.worker = True
-        with torch.no_grad():
-            return function(item)
-
-    return run
+    return pool.map(torch.no_grad()(function), items)

@@ -8,19 +8,12 @@ ch. 6). Members are independent of each other; parameters have no bounds.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
 
 import torch
 
-from irlos_pipe.numerics.levenberg_marquardt import (
-    CONVERGED,
-    INVALID,
-    MAX_ITERATIONS,
-    ROUNDING,
-    STALLED,
-    Solution,
-)
 from irlos_pipe.numerics.parallel import ordered_map
+from irlos_pipe.numerics.problem import ROUNDING, Descent
+from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, STALLED, Solution
 
 FRAMES_PER_PIECE = 50
 ENOUGH = 1e-4  # part of the fall promised by the slope that a step must deliver (Armijo)
@@ -28,18 +21,8 @@ SHORTEST = 1e-3  # part of a step below which a member is stuck
 SHORTER = (0.1, 0.5)  # factors on the length of a step that went too far
 
 
-class Problem(Protocol):
-    """A batch of minimisations; `which` selects members of the batch."""
-
-    def negligible(self, value: torch.Tensor) -> torch.Tensor:
-        """Predicted fall of the objective at which a member with this objective is done, (b,)."""
-
-    def gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Objective (b,) and gradient (b, p), float64."""
-
-
 @torch.no_grad()
-def polish(problem: Problem, found: Solution, max_evaluations: int) -> Solution:
+def polish(problem: Descent, found: Solution, max_evaluations: int) -> Solution:
     """Continue from a solution, whose covariance is taken as the inverse Hessian to begin with.
 
     Returns
@@ -62,7 +45,7 @@ def polish(problem: Problem, found: Solution, max_evaluations: int) -> Solution:
     return replace(found, values=values, objective=objective, iterations=iterations, status=status)
 
 
-def _polished(problem: Problem, found: Solution, which: torch.Tensor, max_evaluations: int) -> _Descent:
+def _polished(problem: Descent, found: Solution, which: torch.Tensor, max_evaluations: int) -> _Descent:
     descent = _Descent(problem, found.values[which], found.covariance[which], which)
     moving = descent.moving()
     for _ in range(1, max_evaluations):
@@ -76,7 +59,7 @@ def _polished(problem: Problem, found: Solution, which: torch.Tensor, max_evalua
 class _Descent:
     """Some members while they are minimised."""
 
-    def __init__(self, problem: Problem, x: torch.Tensor, inverse: torch.Tensor, which: torch.Tensor):
+    def __init__(self, problem: Descent, x: torch.Tensor, inverse: torch.Tensor, which: torch.Tensor):
         self.problem, self.which, self.x, self.inverse = problem, which, x, inverse
         self.value, self.gradient = problem.gradient(x, which)
         self.evaluations = torch.ones(len(x), dtype=torch.int64)

@@ -13,7 +13,7 @@ from irlos_pipe.files.json import jsonable
 from irlos_pipe.pipeline.inputs import InputFile
 from irlos_pipe.pipeline.plan import Action, Step
 from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
-from irlos_pipe.pipeline.resources import Resources, limit_threads, one_blas_thread
+from irlos_pipe.pipeline.resources import Resources, limited_threads
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
 from irlos_pipe.product.product import Product, read_product, write_product
 from irlos_pipe.product.results import StageResults
@@ -62,10 +62,9 @@ class Job:
 
     def _run(self, step: Step) -> None:
         log = stage_logger(step.name)
-        limit_threads(self.resources.jobs)
         started, clock = now(), time.perf_counter()
         context = self._context(step, log)
-        with collected(log) as lines, one_blas_thread():
+        with collected(log) as lines, limited_threads(self.resources.jobs):
             output = STAGES[step.name].run(context)
         times = {
             "started": started,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,13 +70,13 @@ def resolve_device(wanted: str) -> str:
     return "cpu"
 
 
-def one_blas_thread() -> AbstractContextManager:
-    """While the block lasts NumPy and SciPy use one thread: sums of several differ in the last bits."""
-    return threadpool_limits(1, user_api="blas")
+@contextmanager
+def limited_threads(jobs: int) -> Iterator[None]:
+    """Use `jobs` threads while the block lasts; results do not depend on their number.
 
+    NumPy and SciPy use one: sums of several differ in the last bits.
+    """
+    from irlos_pipe.numerics.parallel import workers
 
-def limit_threads(jobs: int) -> None:
-    """Let the run use `jobs` threads; results do not depend on their number."""
-    from irlos_pipe.numerics.parallel import set_workers
-
-    set_workers(jobs)
+    with workers(jobs), threadpool_limits(1, user_api="blas"):
+        yield

@@ -29,7 +29,7 @@ from irlos_pipe.diagnose.sizes import public_sigma
 from irlos_pipe.diagnose.view import View
 from irlos_pipe.effects import CATALOGUE, PlateScale
 from irlos_pipe.effects.pixels import BackgroundGradient
-from irlos_pipe.numerics.parallel import set_workers
+from irlos_pipe.numerics.parallel import workers
 
 
 def fitter_of(stack) -> Fitter:
@@ -72,13 +72,9 @@ def test_fits_are_the_same_by_one_worker_and_by_two_and_the_best_ends_in_float64
     fitter = Fitter([View(model(), CONDITIONS)], at_rest.stack)
     present, _ = families(CONDITIONS, ["companion", "phase_bump", "pupil_misregistration"])
     both = []
-    try:
-        for workers in (1, 2):
-            set_workers(workers)
-            with torch.no_grad():
-                both.append(refits(fitter, at_rest, scores(at_rest, present)))
-    finally:
-        set_workers(1)
+    for count in (1, 2):
+        with workers(count), torch.no_grad():
+            both.append(refits(fitter, at_rest, scores(at_rest, present)))
     one, two = both
     assert [r.name for r in one] == [r.name for r in two] and len(one) > 1
     assert all(torch.equal(r.fitted.x, other.fitted.x) for r, other in zip(one, two, strict=True))

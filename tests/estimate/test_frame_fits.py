@@ -17,9 +17,9 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.frame_fits import fit_frames
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.parameters import Layout
-from irlos_pipe.numerics.levenberg_marquardt import CONVERGED, INVALID
 from irlos_pipe.numerics.loss import LOSSES
-from irlos_pipe.numerics.parallel import set_workers
+from irlos_pipe.numerics.parallel import workers
+from irlos_pipe.numerics.solution import CONVERGED, INVALID
 from irlos_pipe.optics.psf import PsfModel
 
 NOLLS = tuple(range(2, 12))
@@ -77,11 +77,8 @@ def minimum(fit: ImageFit, near: torch.Tensor, frame: int) -> float:
 
 def test_results_are_the_same_to_the_bit_for_any_number_of_workers(solved):
     fit, true, found = solved
-    set_workers(2)
-    try:
+    with workers(2):
         again = fit_frames(fit, start(fit, true), max_iterations=60)
-    finally:
-        set_workers(1)
     assert torch.equal(again.values, found.values)
     assert again.status == found.status
 

@@ -10,7 +10,7 @@ from irlos_pipe.estimate import calibration
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.starts import FEW_FRAMES, better, median_of_frames_nm
-from irlos_pipe.numerics.levenberg_marquardt import CONVERGED, INVALID, Solution
+from irlos_pipe.numerics.solution import CONVERGED, INVALID, Solution
 from irlos_pipe.optics.psf import PsfModel
 
 NOLLS, WINDOW, FLUX_E = tuple(range(2, 16)), 40, 1e6

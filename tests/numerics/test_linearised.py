@@ -11,9 +11,9 @@ import pytest
 import torch
 from scipy.optimize import minimize
 
-from irlos_pipe.numerics.levenberg_marquardt import CHI2_TOLERANCE
-from irlos_pipe.numerics.linearised import Linearised
 from irlos_pipe.numerics.loss import LOSSES
+from irlos_pipe.numerics.normal_equations import Linearised
+from irlos_pipe.numerics.problem import CHI2_TOLERANCE
 
 PARAMETERS, PIXELS = 3, 400
 

@@ -8,27 +8,21 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.parallel import ordered_map, set_workers
+from irlos_pipe.numerics.parallel import ordered_map, workers
 from irlos_pipe.optics.psf import PsfModel
 
 TTF = (2, 3, 4)
 
 
-@pytest.fixture(autouse=True)
-def one_worker_afterwards():
-    yield
-    set_workers(1)
-
-
-def fitted(workers: int) -> torch.Tensor:
-    set_workers(workers)
+def fitted(count: int) -> torch.Tensor:
     model = PsfModel(cases.settings(24, cases.J_AND_H), TTF)
     mean = model.images(torch.zeros(1, 3)).double().numpy() * 1e5
     frames = cases.draw_frames(mean[0], 11, seed=1)
     images = frames[:, None].flatten(2)
     variance = cases.READ_NOISE.variance_e2(images.mean(0, keepdim=True))
     problem = ImageFit(ImageModel(model), Layout(TTF), images, variance)
-    return solve(problem, problem.layout.start(images[:, 0])).values
+    with workers(count):
+        return solve(problem, problem.layout.start(images[:, 0])).values
 
 
 def test_fits_are_the_same_to_the_bit_for_any_number_of_workers():
@@ -37,23 +31,21 @@ def test_fits_are_the_same_to_the_bit_for_any_number_of_workers():
     assert all(torch.equal(alone, fitted(3)) for _ in range(20))
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_derivatives_by_torch_func_survive_the_workers(workers):
-    set_workers(workers)
+@pytest.mark.parametrize("count", [1, 2])
+def test_derivatives_by_torch_func_survive_the_workers(count):
     model = PsfModel(cases.settings(24, cases.J_AND_H), TTF, dtype=torch.float64)
     at = torch.tensor([[10.0, -20.0, 30.0]], dtype=torch.float64)
-    automatic = torch.func.jacfwd(lambda x: model.images(x)[0])(at)[:, :, 0]
-    _, jacobian = model.images_and_jacobian(at)
+    with workers(count):
+        automatic = torch.func.jacfwd(lambda x: model.images(x)[0])(at)[:, :, 0]
+        _, jacobian = model.images_and_jacobian(at)
     assert torch.allclose(automatic.permute(2, 0, 1), jacobian[0], rtol=1e-8, atol=1e-14)
 
 
 def test_results_come_in_the_order_of_the_items():
-    set_workers(3)
-    with torch.no_grad():
+    with workers(3), torch.no_grad():
         assert ordered_map(lambda n: n * n, range(50)) == [n * n for n in range(50)]
 
 
 def test_an_error_in_a_worker_reaches_the_caller():
-    set_workers(2)
-    with torch.no_grad(), pytest.raises(ZeroDivisionError):
+    with workers(2), torch.no_grad(), pytest.raises(ZeroDivisionError):
         ordered_map(lambda n: 1 / n, [1, 0])

@@ -10,16 +10,10 @@ import pytest
 import torch
 from scipy.optimize import minimize, rosen, rosen_der
 
-from irlos_pipe.numerics.levenberg_marquardt import (
-    CONVERGED,
-    INVALID,
-    MAX_ITERATIONS,
-    ROUNDING,
-    STALLED,
-    Solution,
-)
-from irlos_pipe.numerics.parallel import set_workers
+from irlos_pipe.numerics.parallel import workers
+from irlos_pipe.numerics.problem import ROUNDING
 from irlos_pipe.numerics.quasi_newton import FRAMES_PER_PIECE, polish
+from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS, STALLED, Solution
 
 SIZE = 4
 
@@ -75,11 +69,8 @@ def test_members_do_not_see_each_other():
     some = [0, FRAMES_PER_PIECE, len(many) - 1]
     alone = [polish(VALLEYS, started(many[i : i + 1]), 40).values[0] for i in some]
     assert torch.stack(alone).numpy() == pytest.approx(together.values[some].numpy())
-    set_workers(2)
-    try:
+    with workers(2):
         assert torch.equal(polish(VALLEYS, started(many), 40).values, together.values)
-    finally:
-        set_workers(1)
 
 
 def test_nothing_that_was_reached_is_worse_than_the_start():

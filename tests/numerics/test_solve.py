@@ -5,12 +5,14 @@ import pytest
 import torch
 from scipy.optimize import least_squares
 
-from irlos_pipe.numerics.levenberg_marquardt import CONVERGED, INVALID, MAX_ITERATIONS, solve
+from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.problem import CheapGradientProblem, Problem
+from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS
 
 X = np.linspace(0, 4, 40)
 
 
-class Decays:
+class Decays(Problem):
     """Curves ``a exp(-b x) + c`` with unit noise, one per member, for the solver."""
 
     def __init__(self, data, lower=-np.inf, upper=np.inf):
@@ -37,7 +39,7 @@ class Decays:
         return value, -(columns @ residual[..., None])[..., 0], columns @ columns.mT
 
 
-class Frugal(Decays):
+class Frugal(Decays, CheapGradientProblem):
     """The same, which also says the gradient alone, and counts what it is asked for."""
 
     def __init__(self, data):
@@ -133,7 +135,7 @@ def test_a_far_start_only_costs_iterations(far):
     assert np.allclose(solution.values, expected, rtol=1e-2, atol=0.05)
 
 
-class Bent:
+class Bent(Problem):
     """Residuals ``x``, ``1 + bend x²/2`` and a large constant, as noise makes it.
 
     At the minimum, x = 0, Gauss–Newton sees a curvature of 1, and there is one of 1 + bend: above
@@ -177,9 +179,9 @@ def test_the_neglected_curvature_is_learnt_from_the_gradients(bend):
 def test_a_start_where_nothing_can_be_learnt_of_a_parameter_is_not_left_in_a_leap():
     """Analysis: the slope of cos(x) vanishes at 0, and rounding of it must not send x anywhere."""
 
-    class Blind:
+    class Blind(Problem):
         lower, upper = torch.full((2,), -torch.inf), torch.full((2,), torch.inf)
-        alike = slice(0, 2)
+        same_unit = slice(0, 2)
 
         def negligible(self, value):
             return torch.full_like(value, 1e-3)

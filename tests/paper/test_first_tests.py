@@ -13,7 +13,7 @@ from helpers import optics_cases as cases
 from helpers.experiment_stage import run_stage, section_of
 
 from irlos_pipe.estimate.lift import LiftResult
-from irlos_pipe.numerics.levenberg_marquardt import Solution
+from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.paper.common.ramps import ping_pong
 from irlos_pipe.paper.first_tests import stage
 from irlos_pipe.paper.first_tests.experiment import (

@@ -10,7 +10,6 @@ import pytest
 from helpers import sparta_files
 from threadpoolctl import threadpool_limits
 
-from irlos_pipe.numerics.parallel import set_workers
 from irlos_pipe.pipeline import Resources, run_recipe
 from irlos_pipe.product.product import Product, read_product
 from irlos_pipe.recipe import load_recipe
@@ -48,7 +47,6 @@ def with_one_job(recipe) -> dict[str, Product]:
 def products(recipe: Path, name: str, jobs: int, seed: int | None = None) -> dict[str, Product]:
     folder = recipe.parent / name
     run_recipe(load_recipe(recipe, seed=seed), folder, resources=Resources(jobs=jobs))
-    set_workers(1)
     return {path.stem: read_product(path) for path in sorted(folder.glob("*.h5"))}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from irlos_pipe.numerics.least_squares import normal_equations
+from irlos_pipe.numerics.normal_equations import normal_equations
 
 PIXELS = 400
 

@@ -11,9 +11,9 @@ import torch
 from helpers.optics_cases import READ_NOISE, everything, ncpa_nm, settings
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.optics.psf_settings import FRAME_PUPIL_SAMPLES
 from irlos_pipe.estimate.lift import LiftOptions, lift
 from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.psf_settings import FRAME_PUPIL_SAMPLES
 
 SPECTRUM = ((1170.0, 0.5), (1625.0, 0.5))
 NOLLS = (2, 3, 4)

@@ -1,0 +1,63 @@
+"""What the solvers minimise: batches of problems, of which they know no more than this."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Protocol
+
+import torch
+
+CHI2_TOLERANCE = 1e-3  # fall of χ² that no longer matters, in units of χ²/ν where the model misfits
+ROUNDING = 1e-6  # relative rounding of an objective whose images are propagated in float32
+
+
+class Descent(Protocol):
+    """A batch of minimisations by exact gradients; `which` selects members of the batch."""
+
+    def negligible(self, value: torch.Tensor) -> torch.Tensor:
+        """Predicted fall of the objective at which a member with this `value` is done, (b,)."""
+
+    def gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Objective (b,) and gradient (b, p) at `x`, float64, of the members `which`."""
+
+
+class Problem(ABC):
+    """A batch of least-squares problems; `which` selects members of the batch.
+
+    Attributes
+    ----------
+    lower, upper : tensor, (p,) or (batch, p)
+        Bounds of the parameters.
+    reweighted : bool
+        Whether the equations are those of a re-weighted problem, whose quadratic model does not predict
+        the fall of the objective.
+    same_unit : slice
+        Parameters that have the same unit, so that their curvatures compare.
+    """
+
+    lower: torch.Tensor
+    upper: torch.Tensor
+    reweighted: bool = False
+    same_unit: slice = slice(0)
+
+    @abstractmethod
+    def negligible(self, value: torch.Tensor) -> torch.Tensor:
+        """Predicted fall of twice the objective at which a member with this `value` is done, (b,)."""
+
+    @abstractmethod
+    def normal_equations(
+        self, x: torch.Tensor, which: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Objective (b,), gradient (b, p) and Hessian (b, p, p) at `x` of the members `which`, float64."""
+
+    @abstractmethod
+    def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
+        """Objective (b,) at `x`, comparable with that of `normal_equations` of the same members `which`."""
+
+
+class CheapGradientProblem(Problem):
+    """A problem whose gradient costs a small part of its normal equations."""
+
+    @abstractmethod
+    def cheap_gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Objective and gradient of `normal_equations` at `x` of the members `which`."""
