@@ -15,13 +15,13 @@ from benchmarks.diagnose_suite.hidden import Hidden, drawn
 from benchmarks.diagnose_suite.levels import size_of
 from benchmarks.diagnose_suite.settings import OFFSETS_NM, RAMP_FRAMES, SKY_PUPIL_SAMPLES
 from irlos_pipe.files.yaml import yaml_text
+from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.recordings import load_spec
 from irlos_pipe.simulate.recordings.series import Planned, plan_recordings
 from irlos_pipe.simulate.scene import Scene
 
 CUBE, RAMP, CALIBRATION = "cube", "ramp", "calibration"
 SECTIONS, HIDDEN, OUTSIDE, ORDER = range(4)  # streams of random numbers of a case
-SEEING_OF_WFE = (104.27, 58.6)  # nm per arcsec, nm: GALACSI NFM test report, Oct 2019
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,9 @@ def _with_sky_of(sections: dict[str, Any], hidden: Hidden) -> dict[str, Any]:
     """The AO residual or the image motion itself is what is hidden."""
     if hidden.effect == "tip_tilt_jitter":
         return sections | {"motion": {"rms_mas": hidden.truth["sigma_mas"]}}
-    wfe_nm, (slope, offset_nm) = hidden.truth["wfe_nm"], SEEING_OF_WFE
-    sky = {**sections["sky"], "seeing_arcsec": (wfe_nm - offset_nm) / slope, "wfe_nm": wfe_nm}
+    wfe_nm, law = hidden.truth["wfe_nm"], load_instrument("irlos").facility.residual_law
+    seeing_arcsec = (wfe_nm - law.floor_nm) / law.nm_per_arcsec
+    sky = {**sections["sky"], "seeing_arcsec": seeing_arcsec, "wfe_nm": wfe_nm}
     return sections | {"sky": sky}
 
 
@@ -112,5 +113,5 @@ def _mixed_up(recordings: Sequence[Planned], rng: np.random.Generator) -> list[P
 
 def _with_patches(planned: Planned, foreign: Foreign) -> Planned:
     scene: Scene = planned.scene
-    vanes = (*scene.geometry.vanes, *foreign.patches)
-    return replace(planned, scene=replace(scene, geometry=replace(scene.geometry, vanes=vanes)))
+    pupil = replace(scene.geometry, vanes=(*scene.geometry.vanes, *foreign.patches))
+    return replace(planned, scene=replace(scene, facility=replace(scene.facility, pupil=pupil)))

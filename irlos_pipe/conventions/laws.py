@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irlos_pipe.conventions.seeing import Seeing
+
 
 @dataclass(frozen=True)
 class NcpaLaw:
@@ -46,12 +48,12 @@ class ResidualLaw:
     nm_per_arcsec: float
     floor_nm: float
 
-    def wfe_nm(self, seeing_arcsec: float) -> float:
+    def wfe_nm(self, seeing_arcsec: Seeing) -> Seeing:
         """Return the residual at a seeing on the scale of the law [nm RMS].
 
         Parameters
         ----------
-        seeing_arcsec : float
+        seeing_arcsec : float or ndarray
             At 500 nm.
         """
         return self.nm_per_arcsec * seeing_arcsec + self.floor_nm

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.optics.structure import ResidualBand
 
 INFINITE = float("inf")
@@ -72,6 +73,8 @@ class Conditions:
     ----------
     band : ResidualBand
         Spatial frequencies that the AO corrects.
+    residual_law : ResidualLaw
+        AO residual against seeing.
     seeing_arcsec : float
     diversity : dict of int to float
         Noll index to nm RMS, as introduced.
@@ -86,6 +89,7 @@ class Conditions:
     """
 
     band: ResidualBand
+    residual_law: ResidualLaw
     seeing_arcsec: float
     diversity: dict[int, float] = field(default_factory=dict)
     highest_noll: int = 30

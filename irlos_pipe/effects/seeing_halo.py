@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.effects.base import Effect, OtfEffect
 from irlos_pipe.effects.declaration import Conditions, Parameter, number
@@ -26,12 +27,10 @@ from irlos_pipe.optics.structure import (
     seeing_to_r0_m,
 )
 
-WFE_PER_ARCSEC_NM, WFE_FLOOR_NM = 104.27, 58.6  # total residual against seeing, GALACSI test report 2019
 
-
-def in_band_wfe_nm(band: ResidualBand, seeing_arcsec: float) -> float:
-    """Residual inside the correction band expected at a seeing [nm RMS]."""
-    total = WFE_PER_ARCSEC_NM * seeing_arcsec + WFE_FLOOR_NM
+def in_band_wfe_nm(band: ResidualBand, law: ResidualLaw, seeing_arcsec: float) -> float:
+    """Return the residual inside the correction `band` [nm RMS] that the `law` expects at `seeing_arcsec`."""
+    total = law.wfe_nm(seeing_arcsec)
     fitting = fitting_variance_nm2(band, seeing_to_r0_m(seeing_arcsec))
     return float(np.sqrt(max(total**2 - fitting, (0.3 * total) ** 2)))
 
@@ -42,6 +41,8 @@ class SeeingHalo(OtfEffect):
     Parameters
     ----------
     band : ResidualBand
+    law : ResidualLaw
+        AO residual against seeing.
     seeing_arcsec : float
         Sets the turbulence beyond the cut-off, and the in-band residual to start from.
     measured : bool
@@ -58,9 +59,10 @@ class SeeingHalo(OtfEffect):
     look_alike = "tip_tilt_jitter, which broadens the core instead of feeding a halo"
     reference = "Fétick et al. 2018, A&A 628, A99; Roddier 1981, Prog. Opt. 19, 281"
 
-    def __init__(self, band: ResidualBand, seeing_arcsec: float, measured: bool = True):
-        self.band, self.r0_m, self.measured = band, seeing_to_r0_m(seeing_arcsec), measured
-        expected = in_band_wfe_nm(band, seeing_arcsec) ** 2
+    def __init__(self, band: ResidualBand, law: ResidualLaw, seeing_arcsec: float, measured: bool = True):
+        self.band, self.law, self.measured = band, law, measured
+        self.r0_m = seeing_to_r0_m(seeing_arcsec)
+        expected = in_band_wfe_nm(band, law, seeing_arcsec) ** 2
         self.fitting_nm2 = fitting_variance_nm2(band, self.r0_m)
         self.expected_nm2 = expected + self.fitting_nm2
         # Turbulence beyond the cut-off, of what the seeing gives: fixed, or in proportion to the variance.
@@ -80,7 +82,9 @@ class SeeingHalo(OtfEffect):
     @classmethod
     def under(cls, conditions: Conditions) -> SeeingHalo:
         """See `Effect.under`."""
-        return cls(conditions.band, conditions.seeing_arcsec, conditions.seeing_measured)
+        return cls(
+            conditions.band, conditions.residual_law, conditions.seeing_arcsec, conditions.seeing_measured
+        )
 
     def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """``½ (2π/λ)² D(b)``, D in nm²."""

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.conventions.laws import NcpaLaw, ResidualLaw
 from irlos_pipe.conventions.pupil import PupilGeometry, Vane
 from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
 from irlos_pipe.conventions.text import suggestion
@@ -46,10 +48,10 @@ class Instrument:
 
     Attributes
     ----------
+    facility : Facility
+        Telescope, adaptive optics and site.
     defaults : dict of str to float
         Side-car keys that may be left out (``detector.`` keys dotted), and what stands in for them.
-    photons_per_s_m15 : float
-        Photons per second through the pupil at m_J = 15 [1/s].
     modes : dict of str to Mode
         By the mode string of the header.
     seeing_scales : dict of str to SeeingScale
@@ -59,12 +61,16 @@ class Instrument:
     """
 
     name: str
-    pupil: PupilGeometry
+    facility: Facility
     defaults: dict[str, float]
-    photons_per_s_m15: float
     modes: dict[str, Mode]
     seeing_scales: dict[str, SeeingScale]
     profile: Profile
+
+    @property
+    def pupil(self) -> PupilGeometry:
+        """The pupil of the telescope."""
+        return self.facility.pupil
 
     @property
     def facts(self) -> dict[str, list[Fact]]:
@@ -137,9 +143,8 @@ def _instrument(profile: Profile, day: str | None) -> Instrument:
     values = _Values(profile.facts, day)
     return Instrument(
         name=profile.name,
-        pupil=_pupil(values),
+        facility=_facility(values),
         defaults={key: values.resolve(reference) for key, reference in profile.defaults.items()},
-        photons_per_s_m15=float(values["photons_per_s_m15"]),
         modes={name: _mode(name, entry, values) for name, entry in profile.modes.items()},
         seeing_scales={SPARTA: SeeingScale()}
         | {name: _seeing_scale(name, entry, values) for name, entry in profile.seeing_scales.items()},
@@ -164,21 +169,44 @@ class _Values:
             )
         return holding[0].value
 
+    def get(self, name: str, default: Any) -> Any:
+        """Return the value of a fact, or `default` where the profile does not state it."""
+        return self[name] if name in self._facts else default
+
     def resolve(self, reference: str | Ratio) -> float:
         """Return the value of a fact, or the first one divided by the others."""
         if isinstance(reference, str):
-            return self._number(reference)
+            return self.number(reference)
         first, *others = reference.divide
-        divisor = prod(self._number(name) for name in others)
+        divisor = prod(self.number(name) for name in others)
         if divisor == 0:
             raise ConfigurationError(f"'{first}' cannot be divided by {', '.join(others)}, which make zero")
-        return self._number(first) / divisor
+        return self.number(first) / divisor
 
-    def _number(self, name: str) -> float:
+    def number(self, name: str) -> float:
         value = self[name]
         if not isinstance(value, (int, float)) or not math.isfinite(value):
             raise ConfigurationError(f"fact '{name}' = {value!r} should be a number")
         return float(value)
+
+
+def _facility(values: _Values) -> Facility:
+    amplitude_nm, decay, plateau_nm = map(
+        values.number, ("ncpa_amplitude_nm", "ncpa_decay", "ncpa_plateau_nm")
+    )
+    lines = tuple((float(hz), float(x), float(y)) for hz, x, y in values.get("vibration_lines", ()))
+    return Facility(
+        pupil=_pupil(values),
+        photons_per_s_m15=values.number("photons_per_s_m15"),
+        cutoff_per_m=values.number("ao_cutoff_per_m"),
+        outer_scale_m=values.number("outer_scale_m"),
+        residual_law=ResidualLaw(
+            values.number("ao_residual_nm_per_arcsec"), values.number("ao_residual_floor_nm")
+        ),
+        ncpa_law=NcpaLaw(amplitude_nm, decay, plateau_nm),
+        typical_seeing_arcsec=values.number("seeing_arcsec"),
+        vibration_lines=lines,
+    )
 
 
 def _pupil(values: _Values) -> PupilGeometry:

@@ -18,6 +18,14 @@ REQUIRED_FACTS = {
     "pupil_vane_width_m": (0, 10),
     "photons_per_s_m15": (1e-6, 1e12),
     "amplifier_e_per_adu": (1e-9, 1e6),
+    "ao_cutoff_per_m": (1e-3, 1e3),
+    "outer_scale_m": (1, 1000),
+    "ao_residual_nm_per_arcsec": (0, 1e4),
+    "ao_residual_floor_nm": (0, 1e4),
+    "ncpa_amplitude_nm": (0, 1e4),
+    "ncpa_decay": (0, 100),
+    "ncpa_plateau_nm": (0, 1e4),
+    "seeing_arcsec": (0.01, 10),
 }
 
 
@@ -90,6 +98,7 @@ class Profile(_Section):
         for name, (low, high) in REQUIRED_FACTS.items():
             _require_number(name, self.facts.get(name), low, high)
         _require_vanes(self.facts.get("pupil_vanes_m"))
+        _require_lines(self.facts.get("vibration_lines", []))
         return self
 
 
@@ -118,6 +127,16 @@ def _require_vanes(entries: list[Fact] | None) -> None:
     for entry in entries:
         if not isinstance(entry.value, list) or not all(map(_is_segment, entry.value)):
             raise ValueError("fact 'pupil_vanes_m' should be a list of [[x, y], [x, y]] in metres")
+
+
+def _require_lines(entries: list[Fact]) -> None:
+    for entry in entries:
+        if not isinstance(entry.value, list) or not all(map(_is_line, entry.value)):
+            raise ValueError("fact 'vibration_lines' should be a list of [Hz, share_x, share_y]")
+
+
+def _is_line(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 3 and _are_finite(value) and min(value) >= 0
 
 
 def _is_segment(value: Any) -> bool:

@@ -37,7 +37,7 @@ class ResidualBand:
 
     low_per_m: float
     cutoff_per_m: float
-    outer_scale_m: float = 25.0
+    outer_scale_m: float
 
 
 def seeing_to_r0_m(seeing_arcsec: float, wavelength_nm: float = 500.0) -> float:

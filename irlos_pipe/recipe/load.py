@@ -116,7 +116,7 @@ def _checked(path: Path, data: dict[str, Any], errors: ValidationErrors) -> Reci
         instrument,
         inputs,
         tuple(head.stages),
-        model,
+        model.completed(instrument.facility),
         {name: configs[name] for name in head.stages},
         head.seed,
     )

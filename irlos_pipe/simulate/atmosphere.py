@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.simulate.checks import SceneError, require_known
 
 VON_KARMAN = 0.0229  # rad² m^(-11/3) r0^(-5/3)
@@ -14,11 +16,6 @@ WIND_SCATTER = 0.3  # of the wind vectors of all layers about their mean, relati
 ALIASING_SHARE = 0.6  # of the in-band variance of the shape `aliasing`; the rest is servo lag
 ALIASES = 3  # folded bands on each side
 SHAPES = ("power_law", "servo_lag", "aliasing", "non_stationary")
-
-
-def residual_wfe_nm(seeing_arcsec: float) -> float:
-    """WFE of the AO residual without piston, tip and tilt [nm RMS]; GALACSI NFM test report, Oct 2019."""
-    return 104.27 * seeing_arcsec + 58.6
 
 
 @dataclass(frozen=True)
@@ -31,7 +28,7 @@ class Sky:
         At 500 nm.
     wfe_nm : float, optional
         Total residual over the pupil without piston, tip and tilt [nm RMS], a long-term average;
-        `residual_wfe_nm` of the seeing if None.
+        the facility's law of the residual gives it if None.
     shape : str
         Spectrum inside the correction band: ``power_law``; ``servo_lag``, stretched along the wind;
         ``aliasing``, rising towards the cut-off; ``non_stationary``, a power law whose strength drifts.
@@ -39,9 +36,6 @@ class Sky:
         The power law's PSD is ``f**-slope``.
     wind_m_s, wind_angle_deg : float
         Angle from +x towards +y.
-    cutoff_per_m : float
-        End of the correction band, 1 / (2 actuator pitch).
-    outer_scale_m : float
     delay_s : float
         Of the loop; sets the servo lag.
     drift_rms, drift_s : float
@@ -54,8 +48,6 @@ class Sky:
     slope: float = 2.0
     wind_m_s: float = 10.0
     wind_angle_deg: float = -20.0
-    cutoff_per_m: float = 2.5
-    outer_scale_m: float = 25.0
     delay_s: float = 0.003
     drift_rms: float = 0.25
     drift_s: float = 5.0
@@ -67,10 +59,9 @@ class Sky:
         if self.wind_m_s == 0 and self.shape in ("servo_lag", "aliasing"):
             raise SceneError(f"sky.wind_m_s: the shape {self.shape} needs wind; give a speed above 0")
 
-    @property
-    def total_nm(self) -> float:
-        """Total residual [nm RMS]."""
-        return residual_wfe_nm(self.seeing_arcsec) if self.wfe_nm is None else self.wfe_nm
+    def total_nm(self, law: ResidualLaw) -> float:
+        """Return the total residual [nm RMS], by the `law` unless it is given."""
+        return law.wfe_nm(self.seeing_arcsec) if self.wfe_nm is None else self.wfe_nm
 
     @property
     def wind(self) -> np.ndarray:
@@ -78,18 +69,24 @@ class Sky:
         angle = np.deg2rad(self.wind_angle_deg)
         return self.wind_m_s * np.array([np.cos(angle), np.sin(angle)])
 
-    def scaled(self, factor: float) -> Sky:
-        """The same residual, larger by a factor: the fitting error grows with seeing^(5/6)."""
-        return replace(self, seeing_arcsec=self.seeing_arcsec * factor**1.2, wfe_nm=self.total_nm * factor)
+    def scaled(self, factor: float, law: ResidualLaw) -> Sky:
+        """Return the `law`'s residual times `factor`; the fitting error grows as seeing^(5/6)."""
+        total_nm = self.total_nm(law) * factor
+        return replace(self, seeing_arcsec=self.seeing_arcsec * factor**1.2, wfe_nm=total_nm)
 
 
-def residual_psd(fx: np.ndarray, fy: np.ndarray, sky: Sky) -> tuple[np.ndarray, np.ndarray]:
+def residual_psd(
+    fx: np.ndarray, fy: np.ndarray, sky: Sky, facility: Facility
+) -> tuple[np.ndarray, np.ndarray]:
     """Power spectral densities inside and beyond the correction band.
 
     Parameters
     ----------
     fx, fy : ndarray, shapes that broadcast
         Spatial frequencies [1/m].
+    sky : Sky
+    facility : Facility
+        Gives cut-off and outer scale.
 
     Returns
     -------
@@ -100,30 +97,30 @@ def residual_psd(fx: np.ndarray, fy: np.ndarray, sky: Sky) -> tuple[np.ndarray, 
     """
     fx, fy = np.broadcast_arrays(fx, fy)
     f = np.hypot(fx, fy)
-    in_band, beyond_band = (f > 0) & (f < sky.cutoff_per_m), f >= sky.cutoff_per_m
+    in_band, beyond_band = (f > 0) & (f < facility.cutoff_per_m), f >= facility.cutoff_per_m
     inside, beyond = np.zeros(f.shape), np.zeros(f.shape)
-    inside[in_band] = _in_band(fx[in_band], fy[in_band], sky)
-    beyond[beyond_band] = von_karman_nm2_m2(f[beyond_band], sky)
+    inside[in_band] = _in_band(fx[in_band], fy[in_band], sky, facility)
+    beyond[beyond_band] = von_karman_nm2_m2(f[beyond_band], sky, facility)
     return inside, beyond
 
 
-def von_karman_nm2_m2(f_per_m: np.ndarray, sky: Sky) -> np.ndarray:
+def von_karman_nm2_m2(f_per_m: np.ndarray, sky: Sky, facility: Facility) -> np.ndarray:
     """Spectrum of the uncorrected turbulence [nm² m²]; r0 = 0.976 λ / seeing."""
     r0_m = 0.976 * SEEING_NM * 1e-9 / np.deg2rad(sky.seeing_arcsec / 3600)
     strength = VON_KARMAN * r0_m ** (-5 / 3) * (SEEING_NM / (2 * np.pi)) ** 2
-    return strength * (f_per_m**2 + sky.outer_scale_m**-2) ** (-11 / 6)
+    return strength * (f_per_m**2 + facility.outer_scale_m**-2) ** (-11 / 6)
 
 
-def _in_band(fx: np.ndarray, fy: np.ndarray, sky: Sky) -> np.ndarray:
+def _in_band(fx: np.ndarray, fy: np.ndarray, sky: Sky, facility: Facility) -> np.ndarray:
     if sky.shape == "servo_lag":
-        return servo_lag_psd(fx, fy, sky)
+        return servo_lag_psd(fx, fy, sky, facility)
     if sky.shape == "aliasing":
-        aliasing, lag = aliasing_psd(fx, fy, sky), servo_lag_psd(fx, fy, sky)
+        aliasing, lag = aliasing_psd(fx, fy, sky, facility), servo_lag_psd(fx, fy, sky, facility)
         return ALIASING_SHARE * aliasing / aliasing.sum() + (1 - ALIASING_SHARE) * lag / lag.sum()
     return np.hypot(fx, fy) ** -sky.slope
 
 
-def servo_lag_psd(fx: np.ndarray, fy: np.ndarray, sky: Sky) -> np.ndarray:
+def servo_lag_psd(fx: np.ndarray, fy: np.ndarray, sky: Sky, facility: Facility) -> np.ndarray:
     """Turbulence that moved on during the loop's delay [nm² m²].
 
     ``PSD = vK(f) q / (1 + q)`` with ``q = (2π τ)² <(f·v)²>``: for short delays the difference of the
@@ -133,22 +130,22 @@ def servo_lag_psd(fx: np.ndarray, fy: np.ndarray, sky: Sky) -> np.ndarray:
     along, f2 = fx * sky.wind[0] + fy * sky.wind[1], fx**2 + fy**2
     spread = (WIND_SCATTER * sky.wind_m_s) ** 2 * f2
     moved = (2 * np.pi * sky.delay_s) ** 2 * (along**2 + spread)
-    return von_karman_nm2_m2(np.sqrt(f2), sky) * moved / (1 + moved)
+    return von_karman_nm2_m2(np.sqrt(f2), sky, facility) * moved / (1 + moved)
 
 
-def aliasing_psd(fx: np.ndarray, fy: np.ndarray, sky: Sky) -> np.ndarray:
+def aliasing_psd(fx: np.ndarray, fy: np.ndarray, sky: Sky, facility: Facility) -> np.ndarray:
     """Turbulence beyond the cut-off that a Shack–Hartmann sensor takes for low frequencies [nm² m²].
 
     A sub-aperture of pitch d measures the gradient ``2πi f φ sinc(d fx) sinc(d fy)``. Sampled at d,
     the gradients at ``g = f + k/d`` appear at f, and the least-squares reconstructor returns
     ``φ(g) (f·g / f²) sinc(d g) / sinc(d f)`` for each k ≠ 0 (Rigaut et al. 1998; Jolissaint 2010).
     """
-    pitch_m, f2 = 1 / (2 * sky.cutoff_per_m), fx**2 + fy**2
+    pitch_m, f2 = 1 / (2 * facility.cutoff_per_m), fx**2 + fy**2
     total = np.zeros(f2.shape)
     for kx in range(-ALIASES, ALIASES + 1):
         for ky in range(-ALIASES, ALIASES + 1):
             if (kx, ky) != (0, 0):
                 gx, gy = fx + kx / pitch_m, fy + ky / pitch_m
                 seen = (fx * gx + fy * gy) / f2 * np.sinc(pitch_m * gx) * np.sinc(pitch_m * gy)
-                total += seen**2 * von_karman_nm2_m2(np.hypot(gx, gy), sky)
+                total += seen**2 * von_karman_nm2_m2(np.hypot(gx, gy), sky, facility)
     return total / (np.sinc(pitch_m * fx) * np.sinc(pitch_m * fy)) ** 2

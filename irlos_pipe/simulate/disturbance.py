@@ -54,8 +54,14 @@ class Disturbances:
     def __init__(self, scene: Scene, telescope: Telescope):
         self._times, self._exposure_s = scene.subexposures, scene.exposure_s
         self._idle_s = scene.period_s - scene.exposure_s
-        self._screens = ResidualScreens(scene.sky, telescope, scene.rng("sky")) if scene.sky else None
-        self._motion = MotionSeries(scene.motion, scene.rng("motion")) if scene.motion else None
+        self._screens = (
+            ResidualScreens(scene.sky, scene.facility, telescope, scene.rng("sky")) if scene.sky else None
+        )
+        self._motion = (
+            MotionSeries(scene.motion, scene.facility.vibration_lines, scene.rng("motion"))
+            if scene.motion
+            else None
+        )
 
     def next_frame(self) -> Disturbance:
         """What moves during the next frame."""

@@ -17,7 +17,6 @@ from irlos_pipe.simulate.telescope import Telescope
 from irlos_pipe.simulate.wavefront import StaticWavefront
 
 LAST_NOLL = 31  # of the coefficients kept per frame
-BENCH_SEEING_ARCSEC = 0.5  # shapes the halo that `seeing_halo` adds on the bench
 
 
 @dataclass(frozen=True)
@@ -141,11 +140,12 @@ def with_halo(scene: Scene) -> Scene:
 
     The residual is larger by the factor `scale`, or `wfe_nm` in total, its spectrum of the same shape.
     On the bench it is added to nothing: the factor then is one on the residual at
-    `BENCH_SEEING_ARCSEC`.
+    the facility's typical seeing.
     """
     effect = scene.effects.get("seeing_halo")
     if effect is None:
         return scene
-    sky = scene.sky or Sky(BENCH_SEEING_ARCSEC)
-    factor = effect["wfe_nm"] / sky.total_nm if "wfe_nm" in effect else effect.get("scale", 1.0)
-    return replace(scene, sky=sky.scaled(factor) if factor > 0 else None)
+    facility = scene.facility
+    sky, law = scene.sky or Sky(facility.typical_seeing_arcsec), facility.residual_law
+    factor = effect["wfe_nm"] / sky.total_nm(law) if "wfe_nm" in effect else effect.get("scale", 1.0)
+    return replace(scene, sky=sky.scaled(factor, law) if factor > 0 else None)

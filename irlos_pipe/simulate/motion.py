@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import lfilter
 
+from irlos_pipe.conventions.facility import VibrationLine
 from irlos_pipe.simulate.checks import SceneError
 
-# Lines of UT4: frequency [Hz] and share of the variance along x (tip) and y (tilt). Integrals of the
-# peaks over the local median in the ERIS telemetry PSD of 5-100 Hz that TIPTOP distributes, in parts
-# of the whole; what lies between the lines falls like the wander's PSD.
-UT4_LINES = (
-    (6.0, 0.139, 0.129),
-    (8.5, 0.064, 0.062),
-    (10.0, 0.049, 0.081),
-    (16.0, 0.018, 0.008),
-    (24.2, 0.0090, 0.0048),
-    (45.5, 0.0144, 0.0100),
-    (48.3, 0.0019, 0.0694),
-    (72.5, 0.0001, 0.0159),
-    (96.7, 0.0013, 0.0068),
-)
-SHORTEST_STEP_S = 1 / 800  # eight samples per period of the fastest line
+SHORTEST_STEP_S = 1 / 800  # eight samples per period of the fastest line of UT4
 
 
 @dataclass(frozen=True)
@@ -34,8 +22,8 @@ class Motion:
     ----------
     rms_mas : float
         Per axis, over a long time.
-    lines : tuple of (frequency_hz, share_x, share_y)
-        Vibrations; the wander has the rest of the variance.
+    lines : tuple of (frequency_hz, share_x, share_y), optional
+        Vibrations; the wander has the rest of the variance. By default those of the facility.
     wander_hz : float
         Corner frequency of the wander.
     line_coherence_s : float
@@ -43,7 +31,7 @@ class Motion:
     """
 
     rms_mas: float = 7.0
-    lines: tuple[tuple[float, float, float], ...] = UT4_LINES
+    lines: tuple[VibrationLine, ...] | None = None
     wander_hz: float = 4.0
     line_coherence_s: float = 1.0
 
@@ -57,11 +45,13 @@ class MotionSeries:
     Parameters
     ----------
     motion : Motion
+    lines : sequence of (frequency_hz, share_x, share_y)
+        Vibrations, unless the motion has its own.
     rng : numpy.random.Generator
     """
 
-    def __init__(self, motion: Motion, rng: np.random.Generator):
-        lines = np.array(motion.lines, float).reshape(-1, 3)
+    def __init__(self, motion: Motion, lines: Sequence[VibrationLine], rng: np.random.Generator):
+        lines = np.array(lines if motion.lines is None else motion.lines, float).reshape(-1, 3)
         shares = np.vstack([1 - lines[:, 1:].sum(axis=0), lines[:, 1:]])
         if np.any(shares < 0):
             raise SceneError("motion.lines: the shares of the variance exceed 1 along one axis; lower them")

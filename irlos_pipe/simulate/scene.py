@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.catalogue import check_effects
@@ -15,7 +16,6 @@ from irlos_pipe.simulate.checks import SceneError
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.motion import Motion
 
-PHOTONS_PER_S_AT_M15 = 150_000.0  # per UT4 aperture, whole sensor band
 STATIC_PUPIL_SAMPLES, MOVING_PUPIL_SAMPLES = 256, 128
 RANDOM_STREAMS = ("sky", "motion", "effects", "focus_stage")
 
@@ -60,14 +60,15 @@ class Scene:
 
     Attributes
     ----------
-    geometry : PupilGeometry
+    facility : Facility
+        Telescope, adaptive optics and site.
     bands : tuple of Band
     seed : tuple of int
         Of everything random in this recording.
     frames : int
     exposure_s, frame_rate_hz : float
     mag_j, throughput : float
-        The star, and the part of the photons of `PHOTONS_PER_S_AT_M15` that the bands pass.
+        The star, and the part of the facility's photons that the bands pass.
     window : (int, int)
         Rows and columns [px].
     ncpa_nm : mapping of int to float
@@ -87,7 +88,7 @@ class Scene:
     """
 
     name: str
-    geometry: PupilGeometry
+    facility: Facility
     bands: tuple[Band, ...]
     seed: tuple[int, ...]
     frames: int
@@ -120,9 +121,19 @@ class Scene:
             raise SceneError(f"introduced_nm: {told} values for {self.frames} frames; give one or as many")
 
     @property
+    def geometry(self) -> PupilGeometry:
+        """The pupil."""
+        return self.facility.pupil
+
+    @property
+    def residual_wfe_nm(self) -> float:
+        """Total AO residual [nm RMS]; 0 on the bench."""
+        return self.sky.total_nm(self.facility.residual_law) if self.sky else 0.0
+
+    @property
     def photons(self) -> float:
         """Photons per frame through the whole aperture."""
-        rate = PHOTONS_PER_S_AT_M15 * 10 ** (0.4 * (15 - self.mag_j)) * self.throughput
+        rate = self.facility.photons_per_s_m15 * 10 ** (0.4 * (15 - self.mag_j)) * self.throughput
         return rate * self.exposure_s
 
     @property

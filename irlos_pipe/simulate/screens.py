@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 
+from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.simulate.atmosphere import Sky, residual_psd
 from irlos_pipe.simulate.checks import SceneError
 from irlos_pipe.simulate.telescope import Telescope
@@ -24,6 +25,7 @@ class ResidualScreens:
     Parameters
     ----------
     sky : Sky
+    facility : Facility
     telescope : Telescope
     rng : numpy.random.Generator
 
@@ -33,8 +35,8 @@ class ResidualScreens:
         If the fitting error alone exceeds the total residual.
     """
 
-    def __init__(self, sky: Sky, telescope: Telescope, rng: np.random.Generator):
-        self._rng, self._sky, self._n = rng, sky, len(telescope.u_m)
+    def __init__(self, sky: Sky, facility: Facility, telescope: Telescope, rng: np.random.Generator):
+        self._rng, self._sky, self._facility, self._n = rng, sky, facility, len(telescope.u_m)
         self._size = scipy.fft.next_fast_len(int(SCREEN_OVER_PUPIL * self._n), real=True)
         self._fx = np.fft.rfftfreq(self._size, telescope.step_m)[None, :]
         self._fy = np.fft.fftfreq(self._size, telescope.step_m)[:, None]
@@ -66,7 +68,7 @@ class ResidualScreens:
     def _step(self, step_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Factor of every mode from one step to the next, and the size of its fresh noise."""
         if step_s not in self._steps:
-            in_band = np.hypot(self._fx, self._fy) < self._sky.cutoff_per_m
+            in_band = np.hypot(self._fx, self._fy) < self._facility.cutoff_per_m
             lifetime_s = np.where(in_band, IN_BAND_LIFETIME_S, FITTING_LIFETIME_S)
             drift_hz = self._fx * self._sky.wind[0] + self._fy * self._sky.wind[1]
             memory = np.exp((-2j * np.pi * drift_hz - 1 / lifetime_s) * step_s)
@@ -76,14 +78,15 @@ class ResidualScreens:
 
     def _variance_nm2(self, step_m: float) -> np.ndarray:
         """Variance of the real part of every kept mode [nm²]; in-band scaled to the total residual."""
-        inside, beyond = residual_psd(self._fx, self._fy, self._sky)
+        inside, beyond = residual_psd(self._fx, self._fy, self._sky, self._facility)
         beyond_nm2 = beyond / (self._size * step_m) ** 2
         stands_for = self._stands_for()
         seen = stands_for * self._seen_by_pupil()
-        inside_nm2 = self._sky.total_nm**2 - np.sum(seen * beyond_nm2)
+        total_nm = self._sky.total_nm(self._facility.residual_law)
+        inside_nm2 = total_nm**2 - np.sum(seen * beyond_nm2)
         if inside_nm2 <= 0:
             raise SceneError(
-                f"sky: wfe_nm = {self._sky.total_nm:.0f} is less than the fitting error that "
+                f"sky: wfe_nm = {total_nm:.0f} is less than the fitting error that "
                 f"{self._sky.seeing_arcsec:g} arcsec leave beyond the cut-off; raise it, or lower the seeing"
             )
         power_nm2 = beyond_nm2 + inside * inside_nm2 / np.sum(seen * inside)

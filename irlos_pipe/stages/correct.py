@@ -106,7 +106,7 @@ def _fits(table: fits.BinTableHDU) -> bytes:
 def _predict(ctx: StageContext[Config], nolls: list[int], zernike_nm: np.ndarray) -> Prediction:
     recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
     product = ctx.products["calibrate"]
-    seeing = seeing_arcsec(recording.acquisition)
+    seeing = seeing_arcsec(ctx.instrument, recording.acquisition)
     effects = calibrated_effects(product, ctx.instrument, ctx.model, recording, seeing, same_star=True)
     return predict_correction(
         psf_settings(ctx.instrument, ctx.model, recording),

@@ -11,6 +11,7 @@ from helpers.optics_cases import (
     BAND,
     J_AND_H,
     MAS_RAD,
+    RESIDUAL_LAW,
     SCALE_MAS,
     halo_and_jitter,
     ncpa_nm,
@@ -91,14 +92,14 @@ def test_an_asymmetric_kernel_is_convolved_not_correlated(model, wavefront):
 
 
 def test_a_residual_stretched_along_x_widens_the_image_along_x(model):
-    effects = EffectSet((SeeingHalo(BAND, 0.5),), model.grids)
+    effects = EffectSet((SeeingHalo(BAND, RESIDUAL_LAW, 0.5),), model.grids)
     factor = effects(torch.tensor([150.0**2, 2.0, 1.5, 0.0, 0.0, 0.0], dtype=torch.float64)).transfer
     along_x, along_y = float(factor[0, 0, 2]), float(factor[0, 2, 0])
     assert along_x < along_y < 1
 
 
 def test_the_residual_is_described_by_its_total_and_its_direction():
-    halo = SeeingHalo(BAND, 0.5)
+    halo = SeeingHalo(BAND, RESIDUAL_LAW, 0.5)
     variance = 120.0**2 - halo.fitting_nm2
     stretch = [0.8 * np.cos(2 * np.deg2rad(70)), 0.8 * np.sin(2 * np.deg2rad(70))]
     told = halo.describe(np.array([variance, 2.2, *stretch, 0.3, -0.4]))
@@ -111,7 +112,7 @@ def test_the_residual_is_described_by_its_total_and_its_direction():
 
 @pytest.mark.parametrize("measured", [True, False])
 def test_a_residual_of_known_size_is_given_in_nm_or_as_a_part_of_what_is_expected(measured):
-    halo = SeeingHalo(BAND, 0.5, measured)
+    halo = SeeingHalo(BAND, RESIDUAL_LAW, 0.5, measured)
     expected_nm = 104.27 * 0.5 + 58.6
     for values in (halo.values_of(wfe_nm=0.9 * expected_nm), halo.values_of(scale=0.9)):
         assert halo.describe(np.array(values))["wfe_nm"] == pytest.approx(0.9 * expected_nm)
@@ -121,7 +122,7 @@ def test_without_a_measured_seeing_the_whole_halo_grows_with_the_residual(model)
     grid = OtfGrid.of(model.grids.focal, model.grids.sampling)
     exponents = {}
     for measured in (True, False):
-        halo = SeeingHalo(BAND, 0.5, measured)
+        halo = SeeingHalo(BAND, RESIDUAL_LAW, 0.5, measured)
         weak, strong = (
             halo.exponent(torch.tensor([share * 80.0**2, 2, 0, 0, 0, 0]).double(), grid) for share in (1, 3)
         )
@@ -132,7 +133,7 @@ def test_without_a_measured_seeing_the_whole_halo_grows_with_the_residual(model)
 
 
 def test_a_halo_that_is_searched_for_is_told_by_its_total():
-    halo = SeeingHalo(BAND, 0.5, measured=False)
+    halo = SeeingHalo(BAND, RESIDUAL_LAW, 0.5, measured=False)
     (searched,) = halo.candidates((64, 64), 9.7)
     told = searched.describe([0.25])
     assert told == {"wfe_nm": pytest.approx((104.27 * 0.5 + 58.6) / 2)}
@@ -142,7 +143,7 @@ def test_a_halo_that_is_searched_for_is_told_by_its_total():
 @pytest.mark.parametrize(("seeing_arcsec", "wfe_nm"), [(0.35, 95.1), (1.0, 162.9)])
 def test_the_residual_to_start_from_follows_the_seeing_law(seeing_arcsec, wfe_nm):
     """104.27 nm/arcsec x seeing + 58.6 nm."""
-    halo = SeeingHalo(BAND, seeing_arcsec)
+    halo = SeeingHalo(BAND, RESIDUAL_LAW, seeing_arcsec)
     assert halo.describe([p.start for p in halo.parameters])["wfe_nm"] == pytest.approx(wfe_nm, abs=0.1)
 
 

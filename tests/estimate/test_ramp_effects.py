@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from helpers.optics_cases import BAND, NARROW_H, settings
+from helpers.optics_cases import BAND, NARROW_H, RESIDUAL_LAW, settings
 
 from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter, expected
 from irlos_pipe.effects.pixels import InterpixelCrosstalk
@@ -12,7 +12,7 @@ from irlos_pipe.estimate.ramp_fit import ramp_effects
 from irlos_pipe.optics.grids import Grids
 from irlos_pipe.optics.psf import PsfModel
 
-AVAILABLE = (SeeingHalo(BAND, 0.5), TipTiltJitter())
+AVAILABLE = (SeeingHalo(BAND, RESIDUAL_LAW, 0.5), TipTiltJitter())
 MEASURED = FixedEffect(AVAILABLE[0], AVAILABLE[0].values_of(wfe_nm=150.0))
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from helpers.optics_cases import BAND, READ_NOISE, draw_frames, everything, settings, vector
+from helpers.optics_cases import BAND, READ_NOISE, RESIDUAL_LAW, draw_frames, everything, settings, vector
 
 from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
 from irlos_pipe.effects.image_model import ImageModel
@@ -72,7 +72,7 @@ def test_an_absent_object_stays_at_its_bound(model):
 
 
 def test_the_residual_can_be_scaled_on_a_ramp(model):
-    halo = SeeingHalo(BAND, 0.5)
+    halo = SeeingHalo(BAND, RESIDUAL_LAW, 0.5)
     start = [p.start for p in halo.parameters]
     effects = EffectSet((FixedEffect(halo, start, free=("variance_nm2",)),), model.grids)
     true = 1.5 * start[0]

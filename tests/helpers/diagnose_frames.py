@@ -11,6 +11,7 @@ from helpers.optics_cases import (
     BAND,
     DIVERSITY,
     READ_NOISE,
+    RESIDUAL_LAW,
     draw_frames,
     everything,
     ncpa_nm,
@@ -29,7 +30,7 @@ from irlos_pipe.optics.psf import PsfModel
 
 WINDOW, NOLLS, FRAMES, FLUX_E = 32, tuple(range(2, 12)), 40, 3e5
 CASE = settings(WINDOW, margin_mas=100.0, halo_margin_mas=250.0)
-CONDITIONS = Conditions(BAND, 0.5, DIVERSITY, NOLLS[-1], CASE.window, 9.7, CASE.spectrum)
+CONDITIONS = Conditions(BAND, RESIDUAL_LAW, 0.5, DIVERSITY, NOLLS[-1], CASE.window, 9.7, CASE.spectrum)
 TRUE_NM = ncpa_nm(4, NOLLS[-1], 90.0)
 
 

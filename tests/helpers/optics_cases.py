@@ -12,13 +12,14 @@ from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.optics.structure import ResidualBand
 
-UT4 = load_instrument("irlos").pupil
+FACILITY = load_instrument("irlos").facility
+UT4, RESIDUAL_LAW = FACILITY.pupil, FACILITY.residual_law
 SCALE_MAS = 9.7
 MAS_RAD = np.deg2rad(1 / 3.6e6)
 DIVERSITY = {6: -170.0}
 NARROW_H = ((1600.0, 1.0),)
 J_AND_H = ((1170.0, 0.2), (1215.0, 0.3), (1260.0, 0.2), (1560.0, 0.3), (1625.0, 0.4), (1690.0, 0.3))
-BAND = ResidualBand(1 / 8, 2.5)
+BAND = ResidualBand(1 / 8, 2.5, 25.0)
 READ_NOISE = NoiseModel(1.0, 1.0)
 
 
@@ -59,7 +60,7 @@ def vector(zernike_nm: dict[int, float], nolls) -> torch.Tensor:
 
 def halo_and_jitter(model: PsfModel, seeing_arcsec: float = 0.5) -> EffectSet:
     """AO residual and image motion, all parameters free."""
-    return EffectSet((SeeingHalo(BAND, seeing_arcsec), TipTiltJitter()), model.grids)
+    return EffectSet((SeeingHalo(BAND, RESIDUAL_LAW, seeing_arcsec), TipTiltJitter()), model.grids)
 
 
 def photons(mag_j: float, exposure_s: float = 1.0) -> float:

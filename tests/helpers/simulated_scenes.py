@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.exposure import Exposed, expose
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Band, Sampling, Scene
 
-UT4 = load_instrument("irlos").pupil
+FACILITY = load_instrument("irlos").facility
+UT4 = FACILITY.pupil
 MAS_RAD = np.deg2rad(1 / 3.6e6)
 NARROW_H = (Band(1600.0, 1e-6),)
-NCPA_NM = draw_ncpa_nm(np.random.default_rng(11))
+NCPA_NM = draw_ncpa_nm(np.random.default_rng(11), FACILITY.ncpa_law, 142.0)
 FINE = Sampling(points_per_band=1)
 
 
-def scene(**changes) -> Scene:
-    """One frame of 0.1 s on the bench, monochromatic, unless told otherwise."""
+def scene(*, geometry: PupilGeometry = UT4, **changes) -> Scene:
+    """One frame of 0.1 s on the bench, monochromatic, unless changed; `geometry` replaces UT4's pupil."""
     usual = {
         "name": "test",
-        "geometry": UT4,
+        "facility": replace(FACILITY, pupil=geometry),
         "bands": NARROW_H,
         "seed": (20, 24),
         "frames": 1,

@@ -40,8 +40,29 @@ def test_the_vanes_of_a_pair_enclose_101_degrees():
 
 def test_photometry_and_scale_are_the_projects():
     irlos = load_instrument("irlos")
-    assert irlos.photons_per_s_m15 == 150000
+    assert irlos.facility.photons_per_s_m15 == 150000
     assert irlos.defaults["pixel_scale_mas"] == 9.7
+
+
+def test_adaptive_optics_and_laws_are_those_of_the_publications():
+    facility = load_instrument("irlos").facility
+    assert (facility.cutoff_per_m, facility.outer_scale_m) == (2.5, 25.0)
+    assert facility.residual_law.wfe_nm(0.5) == pytest.approx(110.7, abs=0.05)
+    assert facility.ncpa_law.sigma_nm([2, 7]) == pytest.approx([80, 10 + 70 / math.e])
+
+
+def test_the_vibration_lines_leave_most_of_the_variance_to_the_wander():
+    lines = load_instrument("irlos").facility.vibration_lines
+    assert [hz for hz, *_ in lines] == sorted(hz for hz, *_ in lines)
+    assert all(0 < sum(line[axis] for line in lines) < 0.5 for axis in (1, 2))
+
+
+def test_another_telescope_has_its_own_adaptive_optics(tmp_path, profile):
+    profile["facts"]["ao_cutoff_per_m"]["value"] = 6.0
+    profile["facts"]["ncpa_plateau_nm"]["value"] = 3.0
+    del profile["facts"]["vibration_lines"]
+    facility = load_instrument(written(tmp_path, profile)).facility
+    assert (facility.cutoff_per_m, facility.ncpa_law.plateau_nm, facility.vibration_lines) == (6.0, 3.0, ())
 
 
 def test_every_value_has_unit_source_and_status():
@@ -99,6 +120,14 @@ def break_vane(profile):
     profile["facts"]["pupil_vanes_m"]["value"] = [[0, 1, 2]]
 
 
+def remove_law(profile):
+    del profile["facts"]["ao_residual_floor_nm"]
+
+
+def break_line(profile):
+    profile["facts"]["vibration_lines"]["value"] = [[48.3, 0.1]]
+
+
 def turn_seeing_round(profile):
     profile["facts"]["seeing_ratio_mass_dimm"]["value"] = -1
 
@@ -122,6 +151,8 @@ def overlap_dates(profile):
         (remove_fact, "fact 'photons_per_s_m15' is missing"),
         (give_text, "fact 'pupil_diameter_m' = 'eight' should be a number"),
         (break_vane, r"fact 'pupil_vanes_m' should be a list of \[\[x, y\], \[x, y\]\]"),
+        (remove_law, "fact 'ao_residual_floor_nm' is missing"),
+        (break_line, r"fact 'vibration_lines' should be a list of \[Hz, share_x, share_y\]"),
         (turn_seeing_round, "seeing scale 'mass_dimm': ratio -1 should be positive"),
         (misspell_reference, "no fact 'seing_arcsec'; did you mean 'seeing_arcsec'"),
         (overlap_dates, "fact 'pixel_scale_small_mas' has 2 values on the present day"),

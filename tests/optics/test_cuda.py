@@ -36,7 +36,9 @@ from irlos_pipe.optics.psf import PsfModel
 
 SMALL, HIGHEST_NOLL, TTF = cases.settings(16, pupil_samples=48), 7, (2, 3, 4)
 TRUE_NM = cases.ncpa_nm(4, HIGHEST_NOLL, 60.0)
-CONDITIONS = Conditions(cases.BAND, 0.5, cases.DIVERSITY, HIGHEST_NOLL, SMALL.window, 9.7, SMALL.spectrum)
+CONDITIONS = Conditions(
+    cases.BAND, cases.RESIDUAL_LAW, 0.5, cases.DIVERSITY, HIGHEST_NOLL, SMALL.window, 9.7, SMALL.spectrum
+)
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="PyTorch finds no CUDA device")
 
 

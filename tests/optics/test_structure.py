@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from helpers.optics_cases import BAND, NARROW_H, halo_and_jitter, settings
+from helpers.optics_cases import BAND, NARROW_H, RESIDUAL_LAW, halo_and_jitter, settings
 from helpers.reference_psf import DIAMETER_M, reference
 from scipy.integrate import quad
 from scipy.special import gamma, j0, kv
@@ -160,7 +160,8 @@ def test_the_long_exposure_is_the_mean_of_images_through_random_screens():
         [imager.image(screen.ravel(), wavelength_nm, window, 9.7) for screen in screens_nm(150.0**2, seed=11)]
     )
     model = PsfModel(settings(window, diversity={}), (4,), dtype=torch.float64)
-    good_seeing = SeeingHalo(BAND, 0.01)  # leaves next to nothing beyond the cut-off, as in the screens
+    # Good seeing leaves next to nothing beyond the cut-off, as in the screens.
+    good_seeing = SeeingHalo(BAND, RESIDUAL_LAW, 0.01)
     halo = EffectSet((good_seeing,), model.grids)
     values = torch.tensor([150.0**2, 2.0, 0.0, 0.0], dtype=torch.float64)
     ours = model.images(torch.zeros(1, 1), halo(values))[0].numpy()
@@ -176,7 +177,9 @@ def test_turbulence_beyond_the_cut_off_adds_to_the_residual_inside():
     grids = PsfModel(settings(24), (4,)).grids
     grid = OtfGrid.of(grids.focal, grids.sampling)
     values = torch.tensor([100.0**2, 2.0, 0.0, 0.0], dtype=torch.float64)
-    inside, both = (SeeingHalo(BAND, seeing).exponent(values, grid)[0] for seeing in (1e-4, 0.8))
+    inside, both = (
+        SeeingHalo(BAND, RESIDUAL_LAW, seeing).exponent(values, grid)[0] for seeing in (1e-4, 0.8)
+    )
     lengths = np.hypot(grid.baseline_x_m[None], grid.baseline_y_m[:, None])
     beyond = 0.5 * (2 * np.pi / 1600) ** 2 * fitting_structure_nm2(lengths, BAND, seeing_to_r0_m(0.8))
     within = lengths < 8.0  # no two points of the pupil are further apart

@@ -20,7 +20,7 @@ from irlos_pipe.report.run_data import RunData
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.model.section import ModelConfig
 
-SAMPLE = CaptureSample("test", (20, 3), cases.UT4, 6, 800.0)
+SAMPLE = CaptureSample("test", (20, 3), cases.FACILITY, 6, 800.0)
 
 
 @pytest.fixture(scope="module")

@@ -21,12 +21,12 @@ from irlos_pipe.paper.derotator_series.experiment import (
 )
 from irlos_pipe.simulate.exposure import expose
 
-PUPIL = load_instrument("irlos").pupil
-TRUTH = draw_truth((5,), 30.0, 60.0)
+FACILITY = load_instrument("irlos").facility
+TRUTH = draw_truth((5,), FACILITY.ncpa_law, 30.0, 60.0)
 
 
 def sample(**changes) -> AngleSample:
-    values = {"name": "a", "seed": (5, 1), "geometry": PUPIL, "truth": TRUTH, "angle_deg": 46.0,
+    values = {"name": "a", "seed": (5, 1), "facility": FACILITY, "truth": TRUTH, "angle_deg": 46.0,
               "frames": {"long_exposure": 24, "dip_global": 3}, "seeing_arcsec": 0.5}  # fmt: skip
     return AngleSample(**values | changes)
 

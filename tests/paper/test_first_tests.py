@@ -35,7 +35,7 @@ TARGET_1, TARGET_2 = TARGETS["target_1"], TARGETS["target_2"]
 
 
 def sample(target: str) -> TargetSample:
-    return TargetSample("test", (32, 0), cases.UT4, target, 0.4, 3, 1, 40, 170.0)
+    return TargetSample("test", (32, 0), cases.FACILITY, target, 0.4, 3, 1, 40, 170.0)
 
 
 @pytest.fixture(scope="module")

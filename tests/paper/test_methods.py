@@ -18,13 +18,14 @@ from irlos_pipe.optics.structure import ResidualBand
 from irlos_pipe.paper.common.variants import DEFAULT, VARIANTS, partial_halo, sharpest_half
 from irlos_pipe.paper.methods.experiment import Distribution, Sample, compare, scene_of, speckle_floor_nm
 
+FACILITY = load_instrument("irlos").facility
+
 
 def sample(**changes) -> Sample:
-    pupil = load_instrument("irlos").pupil
     values = {
         "name": "a",
         "seed": (7, 0),
-        "geometry": pupil,
+        "facility": FACILITY,
         "seeing_arcsec": 0.5,
         "shape": "power_law",
         "frames": 24,
@@ -95,7 +96,9 @@ def test_the_sharpest_half_is_the_half_with_less_blur():
 
 
 def test_a_residual_without_direction_has_a_round_transfer_function():
-    halo = partial_halo(SeeingHalo.under(Conditions(ResidualBand(0.125, 2.5), 0.8)), 2)
+    halo = partial_halo(
+        SeeingHalo.under(Conditions(ResidualBand(0.125, 2.5, 25.0), FACILITY.residual_law, 0.8)), 2
+    )
     wavelength_m = torch.tensor(1.6e-6, dtype=torch.float64)
     grid = OtfGrid(FocalGrid(96, 9.0, 96), wavelength_m[None, None, None], wavelength_m)
     values = torch.tensor([1e4, 2.0], dtype=torch.float64)

@@ -13,7 +13,7 @@ from irlos_pipe.paper.mode_statistics.experiment import (
     estimate_modes,
 )
 
-CUBE = Sample("a", (3, 0), load_instrument("irlos").pupil, 0.5, "power_law", 32, ())
+CUBE = Sample("a", (3, 0), load_instrument("irlos").facility, 0.5, "power_law", 32, ())
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,6 @@ from irlos_pipe.paper.seeing_scales.experiment import (
     draw_seeing,
     log_normal_density,
     quantiles,
-    residual_wfe_nm,
 )
 from irlos_pipe.paper.seeing_scales.section import section as seeing_scales_section
 from irlos_pipe.pipeline.resources import silent_progress
@@ -30,6 +29,7 @@ from irlos_pipe.stages.model.section import ModelConfig
 
 SITE = Site(0.7, 0.35, 0.15)
 SCALE = SeeingScale(0.8, 0.0)
+LAW = load_instrument("irlos").facility.residual_law
 MANY = 200_000
 
 
@@ -81,21 +81,21 @@ def test_the_density_is_that_of_scipy_and_its_area_is_one():
 
 @pytest.mark.parametrize(("seeing_arcsec", "wfe_nm"), [(0.35, 95), (1.0, 163)])
 def test_the_residual_of_the_simulated_conditions_is_that_of_the_test_report(seeing_arcsec, wfe_nm):
-    assert residual_wfe_nm(seeing_arcsec) == pytest.approx(wfe_nm, abs=0.5)
+    assert LAW.wfe_nm(seeing_arcsec) == pytest.approx(wfe_nm, abs=0.5)
 
 
 def test_how_rare_a_condition_is_follows_from_its_law():
-    better = condition(1.0, SITE, SCALE, draws()).better
+    better = condition(1.0, SITE, SCALE, draws(), LAW).better
     expected = lognorm(np.hypot(0.35, 0.15), scale=0.56).cdf(1.0)
     assert better == pytest.approx(expected, abs=4 * np.sqrt(expected * (1 - expected) / MANY))
 
 
 def test_the_error_of_a_translated_residual_is_its_scatter_among_simultaneous_measurements():
     """Monte Carlo: among draws in which the monitor sees the same, SPARTA's residual scatters as told."""
-    told = condition(SCALE.to_sparta(0.8), SITE, SCALE, draws()).wfe_sigma_nm
+    told = condition(SCALE.to_sparta(0.8), SITE, SCALE, draws(), LAW).wfe_sigma_nm
     alike = draws(replace(SITE, median_arcsec=0.8, scatter=1e-9))
     # to first order in the disagreement, whose square is 2 %
-    assert residual_wfe_nm(alike.sparta_arcsec).std() == pytest.approx(told, rel=0.03)
+    assert LAW.wfe_nm(alike.sparta_arcsec).std() == pytest.approx(told, rel=0.03)
 
 
 def test_quantiles_are_those_of_a_normal_variable():
@@ -108,7 +108,7 @@ def test_a_pessimistic_monitor_taken_for_sparta_overestimates_the_residual_every
     rows = run().results["conditions"]
     assert [row["where"] for row in rows] == ["simulation", "simulation", "sky", "sky", "sky"]
     for row in rows:
-        excess = residual_wfe_nm(row["monitor_arcsec"]) - residual_wfe_nm(row["sparta_arcsec"])
+        excess = LAW.wfe_nm(row["monitor_arcsec"]) - LAW.wfe_nm(row["sparta_arcsec"])
         assert row["wfe_untranslated_nm"] - row["wfe_nm"] == pytest.approx(excess) and excess > 0
 
 

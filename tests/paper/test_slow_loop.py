@@ -162,7 +162,7 @@ def linear_table(frames: int) -> FrameTable:
 
 
 def scene(frames=1):
-    star = star_scene("test", cases.UT4, (5,), frames, 12.0, cases.ncpa_nm(1))
+    star = star_scene("test", cases.FACILITY, (5,), frames, 12.0, cases.ncpa_nm(1))
     return replace(star, sampling=Sampling(64, 1, 0.25))
 
 
@@ -245,7 +245,7 @@ LOOPS = (Loop("uncalibrated", 12.0, 0.4), Loop("uncalibrated", 25.0, 0.1), Loop(
 
 @pytest.fixture(scope="module")
 def found():
-    conditions = Conditions(cases.UT4, DRIFT)
+    conditions = Conditions(cases.FACILITY, DRIFT)
     return run_loops(LoopSample("test", (3, 1), conditions, ("uncalibrated",), LOOPS, 10, 1, 120.0, 6))
 
 
@@ -275,7 +275,7 @@ def test_the_bound_follows_photons(found):
 
 
 def test_the_expected_noise_is_near_the_bound_of_the_simulated_star(found):
-    noise = noise_law(Conditions(cases.UT4, DRIFT))
+    noise = noise_law(Conditions(cases.FACILITY, DRIFT))
     expected = np.sqrt(noise(25.0, 1) ** 2 - 5.0**2)
     assert expected == pytest.approx(found["bound_nm"][1], rel=0.3)  # whose NCPAs change it a little
 

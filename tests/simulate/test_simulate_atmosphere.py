@@ -6,7 +6,7 @@ the aliased spectrum a Shack–Hartmann sensor sampled numerically.
 
 import numpy as np
 import pytest
-from helpers.simulated_scenes import scene
+from helpers.simulated_scenes import FACILITY, scene
 
 from irlos_pipe.simulate.atmosphere import Sky, aliasing_psd, von_karman_nm2_m2
 from irlos_pipe.simulate.checks import SceneError
@@ -21,7 +21,7 @@ FAR_APART_S = 0.5  # longer than any lifetime of a stationary residual
 def screens(sky: Sky, count: int, step_s: float = FAR_APART_S, samples: int = COARSE, seed: int = 5):
     """Telescope and `count` successive screens of its pupil, (count, n, n) float64 [nm]."""
     pupil = pupil_of(scene(sampling=Sampling(pupil_samples=samples)))
-    series = ResidualScreens(sky, pupil, np.random.default_rng(seed))
+    series = ResidualScreens(sky, FACILITY, pupil, np.random.default_rng(seed))
     stack = np.array([series.next_nm(step_s) for _ in range(count)], float)
     return pupil.telescope, pupil.inside(stack)
 
@@ -93,7 +93,7 @@ def test_a_given_total_replaces_the_law():
 
 def test_piston_tip_and_tilt_are_removed_over_the_pupil():
     pupil = pupil_of(scene(sky=Sky(1.0)))
-    screen = ResidualScreens(Sky(1.0), pupil, np.random.default_rng(1)).next_nm(0.01).astype(float)
+    screen = ResidualScreens(Sky(1.0), FACILITY, pupil, np.random.default_rng(1)).next_nm(0.01).astype(float)
     weight = pupil.transmission / pupil.transmission.sum()
     moments = [np.sum(weight * screen * pupil.mode(noll)) for noll in (1, 2, 3)]
     assert np.allclose(moments, 0.0, atol=1e-3)
@@ -137,8 +137,11 @@ def test_the_aliased_spectrum_is_what_a_shack_hartmann_sensor_folds_back():
     f = np.array([0.9, -1.6])
     folded = [np.array([kx, ky]) for kx in range(-3, 4) for ky in range(-3, 4) if (kx, ky) != (0, 0)]
     aliases = [f + k / pitch_m for k in folded]
-    seen = [abs(_reconstructed(f, g, pitch_m)) ** 2 * von_karman_nm2_m2(np.hypot(*g), sky) for g in aliases]
-    assert np.isclose(aliasing_psd(f[:1], f[1:], sky)[0], sum(seen), rtol=1e-3)
+    seen = [
+        abs(_reconstructed(f, g, pitch_m)) ** 2 * von_karman_nm2_m2(np.hypot(*g), sky, FACILITY)
+        for g in aliases
+    ]
+    assert np.isclose(aliasing_psd(f[:1], f[1:], sky, FACILITY)[0], sum(seen), rtol=1e-3)
 
 
 def _reconstructed(f: np.ndarray, g: np.ndarray, pitch_m: float) -> complex:
@@ -182,7 +185,7 @@ def test_the_residual_inside_the_band_lives_ten_milliseconds():
 
 def test_a_larger_copy_of_a_residual_keeps_its_spectrum():
     small = periodogram(*screens(Sky(0.5), 300))
-    large = periodogram(*screens(Sky(0.5).scaled(1.7), 300))
+    large = periodogram(*screens(Sky(0.5).scaled(1.7, FACILITY.residual_law), 300))
     for low, high in ((0.5, 1.0), (1.5, 2.2), (2.9, 3.6)):
         ratio = mean_between(*large, low, high) / mean_between(*small, low, high)
         assert np.isclose(ratio, 1.7**2, rtol=0.02)

@@ -11,14 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.simulated_scenes import FACILITY
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.simulate.detector import DetectorModel, Readout, electrons
 from irlos_pipe.simulate.scene import Band, Scene
 
 WINDOW = (40, 48)
-BENIGN = Scene("test", PupilGeometry(8.0), (Band(1600.0, 20.0),), (0,), 1, 0.1, window=WINDOW)
+BENIGN = Scene("test", FACILITY, (Band(1600.0, 20.0),), (0,), 1, 0.1, window=WINDOW)
 
 
 def scene(effects: dict | None = None, **detector) -> Scene:

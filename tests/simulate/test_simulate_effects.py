@@ -139,7 +139,7 @@ def test_a_halo_on_the_bench_scatters_the_light_of_its_wavefront_error():
 )
 def test_a_halo_on_the_sky_rescales_the_residual(effect, expected_nm):
     happening = with_halo(scene(sky=Sky(0.5), effects={"seeing_halo": effect}))
-    assert np.isclose(happening.sky.total_nm, expected_nm)
+    assert np.isclose(happening.residual_wfe_nm, expected_nm)
 
 
 def test_dispersion_moves_wavelengths_apart_about_their_mean():

@@ -6,26 +6,29 @@ images for motion within a sub-exposure.
 
 import numpy as np
 import pytest
-from helpers.simulated_scenes import image, of_light, scene, worst
+from helpers.simulated_scenes import FACILITY, image, of_light, scene, worst
 from scipy.signal import welch
 
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.camera import Camera
 from irlos_pipe.simulate.checks import SceneError
 from irlos_pipe.simulate.exposure import expose
-from irlos_pipe.simulate.motion import UT4_LINES, Motion, MotionSeries
+from irlos_pipe.simulate.motion import Motion, MotionSeries
 from irlos_pipe.simulate.pupil import pupil_of
 from irlos_pipe.simulate.scene import Sampling
 
 RATE_HZ = 400.0
 COARSE = Sampling(pupil_samples=64, points_per_band=1)
+UT4_LINES = FACILITY.vibration_lines
 UT4_LINES_HZ = (6.0, 8.5, 10.0, 16.0, 24.2, 45.5, 48.3, 72.5, 96.7)  # telemetry of ERIS
 
 
 @pytest.fixture(scope="module")
 def series_mas():
     """Twenty minutes of the default motion, (steps, 2)."""
-    return MotionSeries(Motion(), np.random.default_rng(8)).next_mas(1 / RATE_HZ, int(1200 * RATE_HZ))
+    return MotionSeries(Motion(), UT4_LINES, np.random.default_rng(8)).next_mas(
+        1 / RATE_HZ, int(1200 * RATE_HZ)
+    )
 
 
 def test_the_long_term_rms_per_axis_is_seven_mas(series_mas):
@@ -62,7 +65,7 @@ def test_tip_and_tilt_vibrate_differently(series_mas):
 
 
 def test_the_wander_is_slower_than_its_corner():
-    series = MotionSeries(Motion(lines=(), wander_hz=4.0), np.random.default_rng(2))
+    series = MotionSeries(Motion(wander_hz=4.0), (), np.random.default_rng(2))
     f, power = welch(series.next_mas(1 / RATE_HZ, 200_000)[:, 0], RATE_HZ, nperseg=4096)
     plateau = power[(f > 0.1) & (f < 0.8)].mean()
     for hz in (4.0, 12.0, 40.0):
@@ -72,7 +75,7 @@ def test_the_wander_is_slower_than_its_corner():
 
 def test_motion_goes_on_while_nothing_is_exposed():
     line = Motion(rms_mas=5.0, lines=((10.0, 1.0, 1.0),), line_coherence_s=1e6)
-    series = MotionSeries(line, np.random.default_rng(3))
+    series = MotionSeries(line, UT4_LINES, np.random.default_rng(3))
     first = series.next_mas(0.001, 1)[-1]
     series.skip(0.25)
     assert np.allclose(series.next_mas(0.25, 1)[-1], first, atol=0.05)
@@ -82,7 +85,8 @@ def test_motion_goes_on_while_nothing_is_exposed():
 
 def test_the_step_between_samples_does_not_change_the_statistics():
     fast, slow = (
-        MotionSeries(Motion(), np.random.default_rng(4)).next_mas(step_s, 40_000) for step_s in (0.002, 0.1)
+        MotionSeries(Motion(), UT4_LINES, np.random.default_rng(4)).next_mas(step_s, 40_000)
+        for step_s in (0.002, 0.1)
     )
     assert np.allclose(fast.std(axis=0), 7.0, rtol=0.15)
     assert np.allclose(slow.std(axis=0), 7.0, rtol=0.03)
@@ -93,7 +97,7 @@ def test_motion_within_a_sub_exposure_blurs_it(sky):
     moving = scene(motion=Motion(rms_mas=10.0), sky=sky, sampling=COARSE, window=(32, 32))
     found = of_light(expose(moving), moving)
     pupil, times = pupil_of(moving), moving.subexposures
-    track_mas = MotionSeries(moving.motion, moving.rng("motion")).next_mas(0.1 / 80, 80)
+    track_mas = MotionSeries(moving.motion, UT4_LINES, moving.rng("motion")).next_mas(0.1 / 80, 80)
     static_nm = pupil.opd_nm(moving.ncpa_nm) + pupil.opd_nm(moving.diversity_nm)
     resting = Camera(scene(sampling=COARSE, window=(32, 32)), pupil)
     expected = resting.images(static_nm + pupil.tilts_nm(track_mas)).mean(axis=0)
@@ -106,7 +110,7 @@ def test_motion_within_a_sub_exposure_blurs_it(sky):
 def test_the_truth_follows_the_mean_position_of_every_frame():
     moving = scene(motion=Motion(), frames=3, ncpa_nm={}, sampling=COARSE)
     exposed = expose(moving)
-    track_mas = MotionSeries(moving.motion, moving.rng("motion")).next_mas(0.01 / 8, 240)
+    track_mas = MotionSeries(moving.motion, UT4_LINES, moving.rng("motion")).next_mas(0.01 / 8, 240)
     expected_mas = track_mas.reshape(3, 80, 2).mean(axis=1)
     nm_per_mas = np.deg2rad(1 / 3.6e6) * 8.0 / 4 * 1e9
     assert np.allclose(exposed.zernike_nm[:, :2], expected_mas * nm_per_mas, atol=1e-3)
@@ -124,4 +128,4 @@ def peak_of(frame: np.ndarray) -> np.ndarray:
 
 def test_shares_beyond_one_are_refused():
     with pytest.raises(SceneError, match="shares of the variance exceed 1"):
-        MotionSeries(Motion(lines=((10.0, 0.7, 0.1), (20.0, 0.6, 0.1))), np.random.default_rng(0))
+        MotionSeries(Motion(lines=((10.0, 0.7, 0.1), (20.0, 0.6, 0.1))), UT4_LINES, np.random.default_rng(0))

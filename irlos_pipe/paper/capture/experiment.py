@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects import expected
 from irlos_pipe.effects.image_model import ImageModel
@@ -49,7 +49,7 @@ class CaptureSample:
 
     name: str
     seed: tuple[int, ...]
-    geometry: PupilGeometry
+    facility: Facility
     frames: int
     reach_nm: float
     shift_px: float = 2.0
@@ -127,7 +127,7 @@ def _numbers(start_nm: torch.Tensor, result: LiftResult) -> dict[str, np.ndarray
 def simulate_ramp(sample: CaptureSample) -> Ramp:
     """Frames of a sample; every one has a sky of its own."""
     rng = np.random.default_rng(sample.seed)
-    ncpa_nm = draw_ncpa_nm(rng, NCPA_NM)
+    ncpa_nm = draw_ncpa_nm(rng, sample.facility.ncpa_law, NCPA_NM)
     introduced_nm = rng.uniform(-sample.reach_nm, sample.reach_nm, sample.frames)
     shifts_px = rng.uniform(-sample.shift_px, sample.shift_px, (sample.frames, 2))
     scenes = [
@@ -147,7 +147,7 @@ def _frame_scene(
 ) -> Scene:
     scene = star_scene(
         f"{sample.name}, frame {index}",
-        sample.geometry,
+        sample.facility,
         (*sample.seed, index),
         1,
         sample.mag_j,
@@ -155,7 +155,7 @@ def _frame_scene(
         defocus_nm,
         seeing_arcsec=sample.seeing_arcsec,
     )
-    pixel_nm = scene.pixel_scale_mas * MAS * sample.geometry.diameter_m * TILT_NM_PER_RAD
+    pixel_nm = scene.pixel_scale_mas * MAS * sample.facility.pupil.diameter_m * TILT_NM_PER_RAD
     tilts_nm = {noll: ncpa_nm[noll] + float(px) * pixel_nm for noll, px in zip((2, 3), shift_px, strict=True)}
     return replace(scene, ncpa_nm={**ncpa_nm, **tilts_nm})
 

@@ -64,7 +64,7 @@ def _samples(ctx: StageContext) -> list[CaptureSample]:
         CaptureSample(
             f"ramp {index}",
             (ctx.seed, index),
-            ctx.instrument.pupil,
+            ctx.instrument.facility,
             config.frames,
             config.reach_nm,
             config.shift_px,

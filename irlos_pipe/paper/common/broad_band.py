@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.paper.common.observation import settings_of
 from irlos_pipe.paper.methods.experiment import DIVERSITY_NM
@@ -27,7 +27,7 @@ FRAME_MARGIN_MAS = 100.0  # field beyond the window, enough for single frames
 
 def star_scene(
     name: str,
-    geometry: PupilGeometry,
+    facility: Facility,
     seed: tuple[int, ...],
     frames: int,
     mag_j: float,
@@ -40,7 +40,7 @@ def star_scene(
     """Frames of one second, one after the other, with the astigmatic lens."""
     return Scene(
         name,
-        geometry,
+        facility,
         J_AND_H,
         seed,
         frames,

@@ -26,7 +26,6 @@ from irlos_pipe.simulate.scene import Scene
 SIDE_CAR_POINTS = 3  # wavelengths per band that a side-car lists
 REPORTED = tuple(range(2, 31))  # the 29 modes
 PHOTON_STREAM = 1  # child of the scene's seed that the detector noise is drawn from
-BENCH_SEEING_ARCSEC = 0.5
 
 
 def settings_of(scene: Scene, ncpa_nm: Mapping[int, float] | None = None) -> PsfSettings:
@@ -38,10 +37,11 @@ def settings_of(scene: Scene, ncpa_nm: Mapping[int, float] | None = None) -> Psf
 
 def model_effects_of(scene: Scene) -> list[Effect]:
     """AO residual and jitter, starting from the seeing that a side-car tells."""
-    band = ResidualBand(1 / scene.geometry.diameter_m, 2.5, 25.0)
+    facility = scene.facility
     conditions = Conditions(
-        band,
-        scene.sky.seeing_arcsec if scene.sky else BENCH_SEEING_ARCSEC,
+        ResidualBand(1 / facility.pupil.diameter_m, facility.cutoff_per_m, facility.outer_scale_m),
+        facility.residual_law,
+        scene.sky.seeing_arcsec if scene.sky else facility.typical_seeing_arcsec,
         dict(scene.diversity_nm),
         window=scene.window,
         pixel_scale_mas=scene.pixel_scale_mas,

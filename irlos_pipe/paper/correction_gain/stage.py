@@ -56,7 +56,7 @@ def _star(ctx: StageContext, seeing: float, index: int) -> Star:
     sample = Sample(
         name,
         (ctx.seed, index),
-        ctx.instrument.pupil,
+        ctx.instrument.facility,
         seeing,
         "power_law",
         config.frames,

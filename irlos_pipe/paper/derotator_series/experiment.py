@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.estimate.derotation import Series, Split
 from irlos_pipe.optics.rotation import partner, rotation_matrix
 from irlos_pipe.paper.common.observation import (
@@ -52,10 +53,18 @@ class Truth:
         return _values(dict(zip(every, turned, strict=True)), nolls) + _values(self.fixed_nm, nolls)
 
 
-def draw_truth(seed: Sequence[int], rotating_nm: float, fixed_nm: float) -> Truth:
-    """Random NCPAs of given RMS on either side of the derotator, the phase bump before it."""
+def draw_truth(seed: Sequence[int], law: NcpaLaw, rotating_nm: float, fixed_nm: float) -> Truth:
+    """Draw NCPAs of the `law` on either side of the derotator, and put the phase bump before it.
+
+    Parameters
+    ----------
+    seed : sequence of int
+    law : NcpaLaw
+    rotating_nm, fixed_nm : float
+        RMS of those before and behind the derotator [nm].
+    """
     rng = np.random.default_rng(seed)
-    before, behind = draw_ncpa_nm(rng, rotating_nm), draw_ncpa_nm(rng, fixed_nm)
+    before, behind = (draw_ncpa_nm(rng, law, total_nm) for total_nm in (rotating_nm, fixed_nm))
     bump = phase_bump_nm()
     together = {noll: before.get(noll, 0.0) + bump.get(noll, 0.0) for noll in sorted({*before, *bump})}
     return Truth(together, behind)
@@ -78,7 +87,7 @@ class AngleSample:
 
     name: str
     seed: tuple[int, ...]
-    geometry: PupilGeometry
+    facility: Facility
     truth: Truth
     angle_deg: float
     frames: Mapping[str, int]
@@ -90,7 +99,7 @@ def scene_of(sample: AngleSample) -> Scene:
     """The recording at one angle: narrow H band, 0.1 s at 10 Hz."""
     return Scene(
         sample.name,
-        sample.geometry,
+        sample.facility,
         NARROW_H,
         sample.seed,
         max(sample.frames.values()),

@@ -48,7 +48,9 @@ class Config(StageConfig):
 
 def run(ctx: StageContext) -> StageOutput:
     """Simulate and calibrate the cube of every angle, and split the estimates of every method."""
-    truth = draw_truth((ctx.seed,), ctx.config.rotating_nm, ctx.config.fixed_nm)
+    truth = draw_truth(
+        (ctx.seed,), ctx.instrument.facility.ncpa_law, ctx.config.rotating_nm, ctx.config.fixed_nm
+    )
     numbers = run_samples(estimate, list(_samples(ctx, truth)), ctx, "angles")
     arrays = _truth_arrays(ctx, truth, numbers)
     methods, lines = {}, []
@@ -79,7 +81,7 @@ def _samples(ctx: StageContext, truth: Truth) -> Iterator[AngleSample]:
         yield AngleSample(
             f"{angle:g} deg",
             (ctx.seed, 1, index),
-            ctx.instrument.pupil,
+            ctx.instrument.facility,
             truth,
             angle,
             _frames(ctx.config),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, Curve, curve_of, scan
 from irlos_pipe.paper.common.ramps import DEFOCUS, ObservedRamp, calibrated, observe
@@ -48,7 +48,7 @@ class FaintSample:
 
     name: str
     seed: tuple[int, ...]
-    geometry: PupilGeometry
+    facility: Facility
     exposures: tuple[Exposures, ...]
     offsets_nm: tuple[float, ...]
     realisations: int
@@ -62,7 +62,7 @@ def scenes_of(sample: FaintSample) -> tuple[Scene, list[Scene]]:
     conditions = Sample(
         sample.name,
         sample.seed,
-        sample.geometry,
+        sample.facility,
         sample.seeing_arcsec,
         "power_law",
         sample.cube_frames,

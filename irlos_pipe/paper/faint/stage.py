@@ -90,7 +90,7 @@ def _sample(ctx: StageContext, index: int) -> FaintSample:
     return FaintSample(
         f"sample {index}",
         (ctx.seed, index),
-        ctx.instrument.pupil,
+        ctx.instrument.facility,
         config.scans(),
         tuple(offsets.tolist()),
         config.realisations,

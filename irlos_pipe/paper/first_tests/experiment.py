@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import LiftOptions, LiftResult, lift
 from irlos_pipe.estimate.ramp import summarise
@@ -125,7 +125,7 @@ class TargetSample:
 
     name: str
     seed: tuple[int, ...]
-    geometry: PupilGeometry
+    facility: Facility
     target: str
     seeing_arcsec: float
     offsets: int
@@ -137,11 +137,11 @@ class TargetSample:
 def scenes_of(sample: TargetSample) -> tuple[Scene, Scene]:
     """Calibration cube and ramp of a sample, both under the seeing of the target."""
     target = TARGETS[sample.target]
-    ncpa_nm = draw_ncpa_nm(np.random.default_rng(sample.seed), sample.ncpa_nm)
+    ncpa_nm = draw_ncpa_nm(np.random.default_rng(sample.seed), sample.facility.ncpa_law, sample.ncpa_nm)
     conditions = Sample(
         sample.name,
         sample.seed,
-        sample.geometry,
+        sample.facility,
         sample.seeing_arcsec,
         "power_law",
         sample.cube_frames,
@@ -151,7 +151,7 @@ def scenes_of(sample: TargetSample) -> tuple[Scene, Scene]:
     introduced_nm = tuple(np.repeat(target.order(sample.offsets), sample.frames_per_offset).tolist())
     ramp = star_scene(
         sample.name,
-        sample.geometry,
+        sample.facility,
         (*sample.seed, RAMP_STREAM),
         len(introduced_nm),
         target.mag_j,

@@ -68,7 +68,7 @@ def _sample(ctx: StageContext, place: int, index: int) -> TargetSample:
     return TargetSample(
         f"{TARGETS[key].label}, ramp {index}",
         (ctx.seed, place, index),
-        ctx.instrument.pupil,
+        ctx.instrument.facility,
         key,
         _seeing_arcsec(ctx, TARGETS[key]),
         config.offsets[place],

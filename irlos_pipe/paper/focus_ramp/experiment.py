@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.estimate.ramp import summarise
 from irlos_pipe.paper.common.broad_band import star_scene
 from irlos_pipe.paper.common.ramps import (
@@ -64,7 +64,7 @@ class RampSample:
 
     name: str
     seed: tuple[int, ...]
-    geometry: PupilGeometry
+    facility: Facility
     offsets_nm: tuple[float, ...]
     frames_per_offset: int
     cube_frames: int
@@ -79,7 +79,7 @@ def scenes_of(sample: RampSample) -> tuple[Scene, Scene]:
     conditions = Sample(
         sample.name,
         sample.seed,
-        sample.geometry,
+        sample.facility,
         sample.seeing_arcsec,
         "power_law",
         sample.cube_frames,
@@ -90,7 +90,7 @@ def scenes_of(sample: RampSample) -> tuple[Scene, Scene]:
     introduced_nm = tuple(np.repeat(sample.offsets_nm, sample.frames_per_offset).tolist())
     ramp = star_scene(
         sample.name,
-        sample.geometry,
+        sample.facility,
         (*sample.seed, RAMP_STREAM),
         len(introduced_nm),
         sample.ramp_mag_j,

@@ -57,7 +57,7 @@ def _sample(ctx: StageContext, index: int) -> RampSample:
     return RampSample(
         f"ramp {index}",
         (ctx.seed, index),
-        ctx.instrument.pupil,
+        ctx.instrument.facility,
         tuple(offsets.tolist()),
         config.frames_per_offset,
         config.cube_frames,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.paper.common.observation import (
     delta_wfe,
@@ -52,7 +52,7 @@ class Sample:
 
     name: str
     seed: tuple[int, ...]
-    geometry: PupilGeometry
+    facility: Facility
     seeing_arcsec: float
     shape: str
     frames: int
@@ -68,14 +68,14 @@ def scene_of(sample: Sample) -> Scene:
     total_nm = max(rng.normal(NCPA_NM, NCPA_SCATTER_NM), NCPA_SCATTER_NM)
     return Scene(
         sample.name,
-        sample.geometry,
+        sample.facility,
         NARROW_H,
         sample.seed,
         sample.frames,
         0.1,
         mag_j=sample.mag_j,
         throughput=NARROW_THROUGHPUT,
-        ncpa_nm=draw_ncpa_nm(rng, total_nm),
+        ncpa_nm=draw_ncpa_nm(rng, sample.facility.ncpa_law, total_nm),
         diversity_nm=DIVERSITY_NM,
         sky=Sky(seeing_arcsec=sample.seeing_arcsec, shape=sample.shape),
         motion=Motion(rms_mas=sample.jitter_mas),

@@ -76,7 +76,7 @@ def _cubes(
         yield Sample(
             f"{shape}, {seeing:g} arcsec, cube {index}",
             (ctx.seed, index),
-            ctx.instrument.pupil,
+            ctx.instrument.facility,
             seeing,
             shape,
             ctx.config.frames,

@@ -73,7 +73,7 @@ def _samples(ctx: StageContext) -> Iterator[StatisticsSample]:
         cube = Sample(
             f"cube {index}",
             (ctx.seed, index),
-            ctx.instrument.pupil,
+            ctx.instrument.facility,
             config.seeing_arcsec,
             "power_law",
             config.frames,

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.conventions.seeing import SeeingScale
-from irlos_pipe.effects.seeing_halo import WFE_FLOOR_NM, WFE_PER_ARCSEC_NM
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,6 @@ class Condition:
     wfe_untranslated_nm: float
 
 
-def residual_wfe_nm(sparta_arcsec: np.ndarray | float) -> np.ndarray | float:
-    """Return the AO residual [nm RMS] at a seeing on SPARTA's scale (GALACSI test report, 2019)."""
-    return WFE_PER_ARCSEC_NM * sparta_arcsec + WFE_FLOOR_NM
-
-
 def draw_seeing(site: Site, scale: SeeingScale, draws: int, rng: np.random.Generator) -> Draws:
     """Draw simultaneous measurements of both."""
     monitor = site.median_arcsec * np.exp(site.scatter * rng.standard_normal(draws))
@@ -87,14 +82,28 @@ def quantiles(values: np.ndarray) -> dict[str, float]:
     return {"median": median, "p16": p16, "p84": p84}
 
 
-def condition(sparta_arcsec: float, site: Site, scale: SeeingScale, draws: Draws) -> Condition:
-    """Return what a seeing by SPARTA is by the monitor, how rare it is, and which residual it means."""
+def condition(
+    sparta_arcsec: float, site: Site, scale: SeeingScale, draws: Draws, law: ResidualLaw
+) -> Condition:
+    """Return what a seeing by SPARTA is by the monitor, how rare it is, and which residual it means.
+
+    Parameters
+    ----------
+    sparta_arcsec : float
+    site : Site
+    scale : SeeingScale
+        From the monitor's seeing to SPARTA's.
+    draws : Draws
+        Simultaneous measurements, which say how rare a seeing is.
+    law : ResidualLaw
+        AO residual against SPARTA's seeing.
+    """
     monitor = scale.from_sparta(sparta_arcsec)
     return Condition(
         sparta_arcsec,
         monitor,
         float(np.mean(draws.sparta_arcsec < sparta_arcsec)),
-        residual_wfe_nm(sparta_arcsec),
-        WFE_PER_ARCSEC_NM * sparta_arcsec * site.disagreement,
-        residual_wfe_nm(monitor),
+        law.wfe_nm(sparta_arcsec),
+        law.nm_per_arcsec * sparta_arcsec * site.disagreement,
+        law.wfe_nm(monitor),
     )

@@ -8,8 +8,9 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
+from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.conventions.seeing import SeeingScale
-from irlos_pipe.paper.seeing_scales.experiment import log_normal_density, residual_wfe_nm
+from irlos_pipe.paper.seeing_scales.experiment import log_normal_density
 from irlos_pipe.report.content import Figure, Section, Table
 from irlos_pipe.report.drawing import BLUE, FAINT, INK, ORANGE, svg
 from irlos_pipe.report.run_data import RunData
@@ -38,7 +39,7 @@ def section(run: RunData) -> Section:
     blocks = [
         Figure(_distributions(monitor, sparta, config), "How often each sees what", DRAWN, "third"),
         Figure(_mapping(results, config), "From one scale to the other", MAPPED, "third"),
-        Figure(_residual(results, config), "What it means for the AO residual", LAW, "third"),
+        *_residual_figures(results, config),
         _table(results),
     ]
     return Section(STAGE, "Seeing by SPARTA and by a seeing monitor", _lead(results), blocks)
@@ -103,16 +104,24 @@ def _mapping(results: dict[str, Any], config: dict[str, Any]) -> Markup:
     return svg("seeing-mapping", SIZE_IN, draw)
 
 
-def _residual(results: dict[str, Any], config: dict[str, Any]) -> Markup:
+def _residual_figures(results: dict[str, Any], config: dict[str, Any]) -> list[Figure]:
+    """The residual against the seeing; products of earlier versions do not state its law."""
+    if "residual_law" not in results:
+        return []
+    drawn = _residual(results, config, ResidualLaw(**results["residual_law"]))
+    return [Figure(drawn, "What it means for the AO residual", LAW, "third")]
+
+
+def _residual(results: dict[str, Any], config: dict[str, Any], law: ResidualLaw) -> Markup:
     monitor = _range(results)
     sparta, factor = _scale(results).to_sparta(monitor), np.exp(config["disagreement"])
 
     def draw(figure: Canvas) -> None:
         axes = figure.subplots()
-        band = (residual_wfe_nm(sparta / factor), residual_wfe_nm(sparta * factor))
+        band = (law.wfe_nm(sparta / factor), law.wfe_nm(sparta * factor))
         axes.fill_between(monitor, *band, color=BLUE, alpha=0.2, linewidth=0)
-        axes.plot(monitor, residual_wfe_nm(sparta), color=BLUE, label="translated")
-        axes.plot(monitor, residual_wfe_nm(monitor), color=ORANGE, label="taken as it is")
+        axes.plot(monitor, law.wfe_nm(sparta), color=BLUE, label="translated")
+        axes.plot(monitor, law.wfe_nm(monitor), color=ORANGE, label="taken as it is")
         axes.set(xlabel=f'{config["monitor"]} ["]', ylabel="AO residual [nm RMS]")
         axes.legend()
 

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
 from irlos_pipe.paper.seeing_scales.experiment import (
     Draws,
@@ -17,13 +18,12 @@ from irlos_pipe.paper.seeing_scales.experiment import (
     condition,
     draw_seeing,
     quantiles,
-    residual_wfe_nm,
 )
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = "seeing_scales"
-VERSION = 2
+VERSION = 3
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 
@@ -47,7 +47,7 @@ class Config(StageConfig):
 def run(ctx: StageContext) -> StageOutput:
     """Draw simultaneous measurements, and translate the conditions of the paper."""
     config: Config = ctx.config
-    scale = _scale(ctx)
+    scale, law = _scale(ctx), ctx.instrument.facility.residual_law
     site = Site(config.median_arcsec, config.scatter, config.disagreement)
     draws = draw_seeing(site, scale, config.draws, np.random.default_rng(ctx.seed))
     if np.any(draws.sparta_arcsec <= 0):
@@ -56,14 +56,15 @@ def run(ctx: StageContext) -> StageOutput:
             "negative on SPARTA's scale; raise it"
         )
     rows = [
-        {"where": where, **asdict(condition(seeing, site, scale, draws))}
+        {"where": where, **asdict(condition(seeing, site, scale, draws, law))}
         for where, seeing in _wanted(config, scale)
     ]
     results = {
         "monitor": config.monitor,
         "relation": asdict(scale) | _origin(ctx),
+        "residual_law": asdict(law),
         "conditions": rows,
-        "distributions": _distributions(draws),
+        "distributions": _distributions(draws, law),
     }
     return StageOutput(_arrays(draws), results, summary=_summary(results))
 
@@ -99,14 +100,14 @@ def _wanted(config: Config, scale: SeeingScale) -> Iterator[tuple[str, float]]:
         yield "sky", scale.to_sparta(seeing)
 
 
-def _distributions(draws: Draws) -> dict[str, Any]:
+def _distributions(draws: Draws, law: ResidualLaw) -> dict[str, Any]:
     """Median and one-sigma range on both scales, and of the residual."""
     return {
         "draws": len(draws.sparta_arcsec),
         "monitor_arcsec": quantiles(draws.monitor_arcsec),
         "sparta_arcsec": quantiles(draws.sparta_arcsec),
-        "wfe_nm": quantiles(residual_wfe_nm(draws.sparta_arcsec)),
-        "wfe_untranslated_nm": quantiles(residual_wfe_nm(draws.monitor_arcsec)),
+        "wfe_nm": quantiles(law.wfe_nm(draws.sparta_arcsec)),
+        "wfe_untranslated_nm": quantiles(law.wfe_nm(draws.monitor_arcsec)),
     }
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.paper.common.broad_band import star_scene
 from irlos_pipe.paper.common.ramps import TTF, Knowledge, calibrated
 from irlos_pipe.paper.methods.experiment import Sample, scene_of
@@ -35,7 +35,7 @@ CUBE_SAMPLING = Sampling(points_per_band=3, step_s=0.02)
 class Conditions:
     """Telescope, sky and calibration that all loops share; `delay` as in `Integrator`."""
 
-    geometry: PupilGeometry
+    facility: Facility
     drift: Drift
     delay: int = 1
     seeing_arcsec: float = 0.5
@@ -105,7 +105,7 @@ def _cube(sample: LoopSample) -> Scene:
         Sample(
             f"{sample.name}, calibration",
             (*sample.seed, CUBE_STREAM),
-            conditions.geometry,
+            conditions.facility,
             conditions.seeing_arcsec,
             "power_law",
             conditions.calibration_frames,
@@ -122,7 +122,7 @@ def _star(sample: LoopSample, ncpa_nm: Mapping[int, float]) -> Scene:
     conditions = sample.conditions
     return star_scene(
         sample.name,
-        conditions.geometry,
+        conditions.facility,
         (*sample.seed, SKY_STREAM),
         sample.frames,
         min(loop.mag_j for loop in sample.loops),
@@ -158,7 +158,7 @@ def _bounds_nm(
 
 def noise_law(conditions: Conditions) -> Noise:
     """Expected noise of a measurement, for the choice of gains: photons, and the sky's own defocus."""
-    scene = star_scene("noise", conditions.geometry, (0,), 1, 0.0, {}, seeing_arcsec=conditions.seeing_arcsec)
+    scene = star_scene("noise", conditions.facility, (0,), 1, 0.0, {}, seeing_arcsec=conditions.seeing_arcsec)
     sensor = focus_sensor(scene, Knowledge())
 
     def noise_nm(mag_j: float, exposures: int) -> float:

@@ -75,10 +75,10 @@ def run(ctx: StageContext) -> StageOutput:
 
 
 def _conditions(ctx: StageContext) -> Conditions:
-    config, pupil = ctx.config, ctx.instrument.pupil
-    drift = SodiumLayer(**config.layer.model_dump()).drift(pupil.diameter_m)
+    config, facility = ctx.config, ctx.instrument.facility
+    drift = SodiumLayer(**config.layer.model_dump()).drift(facility.pupil.diameter_m)
     return Conditions(
-        pupil, drift, config.delay, config.seeing_arcsec, calibration_frames=config.calibration_frames
+        facility, drift, config.delay, config.seeing_arcsec, calibration_frames=config.calibration_frames
     )
 
 

@@ -68,8 +68,12 @@ class SkyKeys(Section):
     slope: float = Field(2.0, ge=0, le=6, description="the power law falls like f**-slope")
     wind_m_s: float = Field(10.0, ge=0, le=100, description="wind speed")
     wind_angle_deg: Degrees = Field(-20.0, description="from +x towards +y")
-    cutoff_per_m: float = Field(2.5, ge=0.2, le=10, description="1 / (2 actuator pitch)")
-    outer_scale_m: float = Field(25.0, ge=1, le=1000, description="outer scale of the turbulence")
+    cutoff_per_m: float | None = Field(
+        None, ge=0.2, le=10, description="1 / (2 actuator pitch); that of the instrument if left out"
+    )
+    outer_scale_m: float | None = Field(
+        None, ge=1, le=1000, description="outer scale of the turbulence; the instrument's if left out"
+    )
     delay_s: float = Field(0.003, gt=0, le=1, description="of the loop; sets the servo lag")
     drift_rms: float = Field(0.25, ge=0, le=1, description="relative, of the size in shape non_stationary")
     drift_s: float = Field(5.0, gt=0, le=1e4, description="correlation time of that drift")

@@ -11,7 +11,7 @@ from zlib import crc32
 import numpy as np
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.motion import Motion
@@ -19,7 +19,7 @@ from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.recordings.keys import AberrationKeys, BandKeys, DetectorKeys, MotionKeys, SkyKeys
 from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys
 from irlos_pipe.simulate.recordings.spec import Spec
-from irlos_pipe.simulate.scene import PHOTONS_PER_S_AT_M15, Band, Sampling, Scene
+from irlos_pipe.simulate.scene import Band, Sampling, Scene
 
 # Three-point Gauss-Legendre nodes of J and H lie at 1170, 1215, 1260 and 1560, 1625, 1690 nm.
 J = Band(1215.0, 45 / 0.6**0.5, 0.5)
@@ -31,6 +31,7 @@ BANDS = {
     "j_h": (J, H),
 }
 THROUGHPUT = {"narrow_h": 0.14, "j": 0.5, "h": 0.5, "j_h": 1.0}  # of the photons in J+H
+FACILITY_KEYS = ("cutoff_per_m", "outer_scale_m")  # of the section `sky`
 STAGE_EFFECTS = ("focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale")
 
 
@@ -45,7 +46,7 @@ def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
     diversity = keys.diversity
     scene = Scene(
         name=name,
-        geometry=spec.instrument.pupil,
+        facility=_facility(spec.instrument.facility, keys.sky),
         bands=_bands(keys.bands),
         seed=(spec.seed,),
         frames=keys.frames,
@@ -53,12 +54,12 @@ def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
         role=keys.role,
         target=keys.target,
         mag_j=keys.mag_j,
-        throughput=_throughput(keys, spec.instrument),
+        throughput=_throughput(keys),
         frame_rate_hz=keys.frame_rate_hz or 1 / keys.exposure_s,
         window=keys.window,
         pixel_scale_mas=keys.pixel_scale_mas or spec.instrument.defaults["pixel_scale_mas"],
-        ncpa_nm=_aberrations(keys.ncpa, spec.seed, "ncpa"),
-        rotating_nm=_aberrations(keys.rotating, spec.seed, "rotating"),
+        ncpa_nm=_aberrations(keys.ncpa, spec, "ncpa"),
+        rotating_nm=_aberrations(keys.rotating, spec, "rotating"),
         diversity_nm=dict(diversity.zernike) if diversity else {},
         diversity_source=diversity.source if diversity else "none",
         sky=_sky(keys.sky),
@@ -90,13 +91,14 @@ def _within_scene(keys: RecordingKeys) -> dict[str, Mapping[str, Any]]:
     return {name: parameters for name, parameters in given.items() if name not in STAGE_EFFECTS}
 
 
-def _aberrations(keys: AberrationKeys | None, seed: int, what: str) -> dict[int, float]:
+def _aberrations(keys: AberrationKeys | None, spec: Spec, what: str) -> dict[int, float]:
     """Coefficients; the draw is the same for all recordings of a spec."""
     if keys is None:
         return {}
     if keys.zernike_nm is not None:
         return dict(keys.zernike_nm)
-    return draw_ncpa_nm(np.random.default_rng([seed, number(what)]), keys.total_nm, keys.modes)
+    rng = np.random.default_rng([spec.seed, number(what)])
+    return draw_ncpa_nm(rng, spec.instrument.facility.ncpa_law, keys.total_nm, keys.modes)
 
 
 def _bands(bands: str | list[BandKeys]) -> tuple[Band, ...]:
@@ -106,15 +108,20 @@ def _bands(bands: str | list[BandKeys]) -> tuple[Band, ...]:
     return tuple(Band(band.centre_nm, band.half_width_nm, band.share / total) for band in bands)
 
 
-def _throughput(keys: RecordingKeys, instrument: Instrument) -> float:
-    """Part of the scene's photometric zero point that the bands pass, with this instrument's zero point."""
+def _throughput(keys: RecordingKeys) -> float:
+    """Part of the photons of the instrument's zero point that the bands pass."""
     default = THROUGHPUT[keys.bands] if isinstance(keys.bands, str) else 1.0
-    own = default if keys.throughput is None else keys.throughput
-    return own * instrument.photons_per_s_m15 / PHOTONS_PER_S_AT_M15
+    return default if keys.throughput is None else keys.throughput
+
+
+def _facility(facility: Facility, keys: SkyKeys | None) -> Facility:
+    """The instrument's facility with what the section `sky` changes of it."""
+    given = {name: getattr(keys, name) for name in FACILITY_KEYS} if keys else {}
+    return replace(facility, **{name: value for name, value in given.items() if value is not None})
 
 
 def _sky(keys: SkyKeys | None) -> Sky | None:
-    return None if keys is None else Sky(**dict(keys))
+    return None if keys is None else Sky(**keys.model_dump(exclude=set(FACILITY_KEYS)))
 
 
 def _motion(keys: MotionKeys | None) -> Motion | None:

@@ -79,7 +79,7 @@ def truth_content(planned: Planned, wavefront: WavefrontTruth) -> dict[str, Any]
         "reached_defocus_nm": scene.introduced_nm,
         "mean_zernike_nm": wavefront.mean_zernike_nm(),
         "photons_per_frame": scene.photons,
-        "residual_wfe_nm": scene.sky.total_nm if scene.sky else 0.0,
+        "residual_wfe_nm": scene.residual_wfe_nm,
         "simulation": made_from(planned),
     }
 

@@ -31,7 +31,6 @@ from irlos_pipe.stages.calibrate.output import (
 )
 from irlos_pipe.stages.calibrate.results import CalibrateResults, CubeRow
 from irlos_pipe.stages.model.effects import effect_arrays
-from irlos_pipe.stages.model.light_path import seeing_arcsec
 
 ROOT = "cubes"
 
@@ -42,6 +41,7 @@ class Cube:
 
     name: str
     acquisition: Acquisition
+    seeing_arcsec: float
     result: Calibration
 
 
@@ -130,7 +130,7 @@ class _Mean:
         self.modes_nm = np.mean([one.modes_nm for one in self.all], axis=0)
         self.covariance_nm2 = np.sum([one.covariance_nm2 for one in self.all], axis=0) / len(self.all) ** 2
         self.sigma_nm = np.sqrt(np.diag(self.covariance_nm2))
-        self.seeing_arcsec = float(np.mean([seeing_arcsec(cube.acquisition) for cube in cubes]))
+        self.seeing_arcsec = float(np.mean([cube.seeing_arcsec for cube in cubes]))
         self.effects = mean_of([one.effects for one in self.all])
 
     def arrays(self) -> dict[str, Quantity]:

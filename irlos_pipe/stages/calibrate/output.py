@@ -12,12 +12,10 @@ from pydantic import Field
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects.telling import rows_of
 from irlos_pipe.estimate.calibration import Calibration
-from irlos_pipe.frames.recording import Recording
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageOutput
 from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate, Twin
 from irlos_pipe.stages.model.effects import effect_arrays
-from irlos_pipe.stages.model.light_path import seeing_arcsec
 
 
 class Limits(StageConfig):
@@ -28,7 +26,7 @@ class Limits(StageConfig):
 
 
 def joint_output(
-    limits: Limits, result: Calibration, others: Sequence[Calibration], recordings: Sequence[Recording]
+    limits: Limits, result: Calibration, others: Sequence[Calibration], seeing_arcsec: float
 ) -> StageOutput:
     """Return the output of one estimate from all recordings.
 
@@ -39,14 +37,14 @@ def joint_output(
         The estimate that is adopted.
     others : sequence of Calibration
         Estimates with the methods to compare.
-    recordings : sequence of Recording
-        The first gives the seeing.
+    seeing_arcsec : float
+        Seeing of the first recording.
     """
     twin = result.twin
     results = CalibrateResults(
         **estimate_keys(result),
         effects=result.effects,
-        seeing_arcsec=seeing_arcsec(recordings[0].acquisition),
+        seeing_arcsec=seeing_arcsec,
         twin=None if twin is None else Twin(**asdict(twin), preferred=twin.preferred),
         compare=[Estimate(**estimate_keys(other)) for other in others],
     )

@@ -14,7 +14,7 @@ from irlos_pipe.stages.calibrate.each import Cube, each_output
 from irlos_pipe.stages.calibrate.input import cube_input
 from irlos_pipe.stages.calibrate.output import Limits, joint_output, wfe_nm
 from irlos_pipe.stages.ingest.recordings import recordings_from_product
-from irlos_pipe.stages.model.light_path import require_one_setup
+from irlos_pipe.stages.model.light_path import require_one_setup, seeing_arcsec
 
 NAME = "calibrate"
 VERSION = 7
@@ -81,7 +81,8 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
         for method in ctx.config.compare
         if method != ctx.config.method
     ]
-    return joint_output(ctx.config, result, others, recordings)
+    seeing = seeing_arcsec(ctx.instrument, recordings[0].acquisition)
+    return joint_output(ctx.config, result, others, seeing)
 
 
 def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
@@ -89,7 +90,15 @@ def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput
     failures = [_too_few(r) for r in recordings if r.frames < MIN_FRAMES]
     if not usable:
         raise InputDataError(failures[0])
-    cubes = [Cube(r.name, r.acquisition, _calibrate(ctx, [r], ctx.config.options())) for r in usable]
+    cubes = [
+        Cube(
+            r.name,
+            r.acquisition,
+            seeing_arcsec(ctx.instrument, r.acquisition),
+            _calibrate(ctx, [r], ctx.config.options()),
+        )
+        for r in usable
+    ]
     return each_output(ctx.config, cubes, failures)
 
 

@@ -28,7 +28,8 @@ def conditions_of(
     acquisition = recording.acquisition
     return Conditions(
         residual_band(instrument, model),
-        seeing_arcsec(acquisition),
+        instrument.facility.residual_law,
+        seeing_arcsec(instrument, acquisition),
         dict(acquisition.diversity),
         highest_noll,
         recording.window,
@@ -124,7 +125,9 @@ def calibrated_effects(
 
 def _scaled_with_seeing(halo: FixedEffect, now_arcsec: float, then_arcsec: float) -> FixedEffect:
     """The residual under another seeing."""
-    now, then = (in_band_wfe_nm(halo.base.band, seeing) for seeing in (now_arcsec, then_arcsec))
+    now, then = (
+        in_band_wfe_nm(halo.base.band, halo.base.law, seeing) for seeing in (now_arcsec, then_arcsec)
+    )
     variance, *shape = halo.values
     return FixedEffect(halo.base, [variance * (now / then) ** 2, *shape])
 

@@ -18,7 +18,6 @@ from irlos_pipe.product.product import Product
 from irlos_pipe.stages.ingest.recordings import recordings_from_product
 from irlos_pipe.stages.model.section import ModelConfig
 
-DEFAULT_SEEING_ARCSEC = 0.8
 SETUP_KEYS = {key: key for key in ("pixel_scale_mas", "spectrum", "diversity")}
 
 
@@ -77,12 +76,17 @@ def _require_samples(instrument: Instrument, model: ModelConfig, recording: Reco
 
 def residual_band(instrument: Instrument, model: ModelConfig) -> ResidualBand:
     """Spatial frequencies of the AO residual; below 1/D there is only tip and tilt."""
-    return ResidualBand(1 / instrument.pupil.diameter_m, model.cutoff_per_m, model.outer_scale_m)
+    facility = instrument.facility
+    return ResidualBand(
+        1 / facility.pupil.diameter_m,
+        model.cutoff_per_m or facility.cutoff_per_m,
+        model.outer_scale_m or facility.outer_scale_m,
+    )
 
 
-def seeing_arcsec(acquisition: Acquisition) -> float:
-    """Seeing of a recording, or a typical one where it is not known."""
-    return acquisition.seeing_arcsec or DEFAULT_SEEING_ARCSEC
+def seeing_arcsec(instrument: Instrument, acquisition: Acquisition) -> float:
+    """Seeing of a recording, or the instrument's typical one where it is not known."""
+    return acquisition.seeing_arcsec or instrument.facility.typical_seeing_arcsec
 
 
 # -- recordings that belong together -----------------------------------------------------------

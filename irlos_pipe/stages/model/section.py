@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.stages.model.effect_entry import EffectEntry
 
 
@@ -24,8 +25,12 @@ class ModelConfig(BaseModel):
         description="effects beyond the static wavefront, by name, or {name: {parameter: value}} to fix one",
     )
     pupil_samples: int = Field(128, ge=48, le=512, description="samples across the pupil diameter")
-    cutoff_per_m: float = Field(2.5, gt=0, le=5, description="AO cut-off, 1/(2 actuator pitch) [1/m]")
-    outer_scale_m: float = Field(25.0, gt=1, le=1000, description="outer scale of the turbulence [m]")
+    cutoff_per_m: float | None = Field(
+        None, gt=0, description="AO cut-off, 1/(2 actuator pitch) [1/m]; that of the instrument if left out"
+    )
+    outer_scale_m: float | None = Field(
+        None, gt=1, le=1000, description="outer scale of the turbulence [m]; the instrument's if left out"
+    )
 
     @field_validator("effects", mode="after")
     @classmethod
@@ -34,6 +39,11 @@ class ModelConfig(BaseModel):
         if len(set(names)) != len(names):
             raise ValueError("an effect is listed twice")
         return effects
+
+    def completed(self, facility: Facility) -> ModelConfig:
+        """Return the section with what it leaves out taken from the `facility`."""
+        absent = [name for name in ("cutoff_per_m", "outer_scale_m") if getattr(self, name) is None]
+        return self.model_copy(update={name: getattr(facility, name) for name in absent})
 
     def entries(self) -> list[EffectEntry]:
         """The effects one by one."""

@@ -1,0 +1,44 @@
+"""Telescope, adaptive optics and site of an instrument: the facts that its profile states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from irlos_pipe.conventions.laws import NcpaLaw, ResidualLaw
+from irlos_pipe.conventions.pupil import PupilGeometry
+
+VibrationLine = tuple[float, float, float]  # frequency [Hz], shares of the variance along x and along y
+
+
+@dataclass(frozen=True)
+class Facility:
+    """What the model and the simulator know about telescope, adaptive optics and site.
+
+    Attributes
+    ----------
+    pupil : PupilGeometry
+    photons_per_s_m15 : float
+        Photons per second through the whole aperture and sensor band at m_J = 15 [1/s].
+    cutoff_per_m : float
+        End of the AO correction band, 1 / (2 actuator pitch) [1/m].
+    outer_scale_m : float
+        Outer scale of the turbulence [m].
+    residual_law : ResidualLaw
+        AO residual against seeing.
+    ncpa_law : NcpaLaw
+        Standard deviation of the NCPAs against mode number. The simulator draws from it and the
+        estimators take it as their prior.
+    typical_seeing_arcsec : float
+        Seeing that is assumed where none was measured.
+    vibration_lines : tuple of (hz, share_x, share_y)
+        Vibrations of the telescope; the slow wander has the rest of the variance.
+    """
+
+    pupil: PupilGeometry
+    photons_per_s_m15: float
+    cutoff_per_m: float
+    outer_scale_m: float
+    residual_law: ResidualLaw
+    ncpa_law: NcpaLaw
+    typical_seeing_arcsec: float
+    vibration_lines: tuple[VibrationLine, ...] = ()
