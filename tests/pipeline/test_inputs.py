@@ -158,9 +158,8 @@ def test_a_product_is_out_of_date_when_a_file_changes_that_was_read(tmp_path, fi
     altered(tmp_path / "data" / case.file)
     reason = planned(tmp_path, given)
     if case.read:
-        assert reason.startswith("input file cube/") and reason.endswith(
-            f"{case.file.split('/')[-1]} changed"
-        )
+        name = case.file.split("/")[-1]
+        assert reason.startswith("input file cube/") and reason.endswith(f"{name} changed")
     else:
         assert reason == "up to date"
 
@@ -168,13 +167,9 @@ def test_a_product_is_out_of_date_when_a_file_changes_that_was_read(tmp_path, fi
 @pytest.mark.parametrize(
     ("make", "name", "expected"),
     [
-        (
-            lambda path: fits.writeto(path.with_name("IRAcq.DET1.DARK.fits"), LEVEL),
-            "IRAcq.DET1.DARK.fits",
-            "is new",
-        ),
-        (lambda path: loop_file(path.with_name("loop.fits")), "loop.fits", "is new"),
-        (lambda path: write_sidecar(path.with_suffix(".yaml")), "acquisition.yaml", "is gone"),
+        (lambda dark: fits.writeto(dark, LEVEL), "IRAcq.DET1.DARK.fits", "IRAcq.DET1.DARK.fits is new"),
+        (loop_file, "loop.fits", "loop.fits is new"),
+        (write_sidecar, "sky.yaml", "acquisition.yaml is gone"),
     ],
 )
 def test_a_file_that_will_be_read_and_was_not_there_makes_a_product_out_of_date(
