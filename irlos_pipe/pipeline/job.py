@@ -15,7 +15,7 @@ from irlos_pipe.pipeline.plan import Action, Step
 from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
 from irlos_pipe.pipeline.resources import Resources, limited_threads
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
-from irlos_pipe.product.product import Product, read_product, write_product
+from irlos_pipe.product.product import Product, open_product, read_product, write_product
 from irlos_pipe.product.results import StageResults
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.recipe import Recipe
@@ -95,7 +95,7 @@ class Job:
     def _product(self, name: str) -> Product:
         if name not in self._loaded:
             path = next(step.path for step in self.steps if step.name == name)
-            self._loaded[name] = read_product(path)
+            self._loaded[name] = open_product(path)
         return self._loaded[name]
 
     def _write(self, step: Step, output: StageOutput, times: dict[str, Any], log: list[str]) -> None:

@@ -11,14 +11,16 @@ Layout of the file::
     /provenance      JSON: inputs, versions, host, times, key
     /log             one line per message
 
-Nothing but ``provenance`` and ``log`` depends on when and where the file was made. A checksum of all
-stands in front (`irlos_pipe.seal`).
+Nothing but ``provenance`` and ``log`` depends on when and where the file was made. Checksums and a copy of
+everything but the arrays stand in front (`irlos_pipe.product.checksum`).
 """
 
 from __future__ import annotations
 
 import io
 import json
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,7 +32,13 @@ from pydantic import BaseModel
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import json_text
-from irlos_pipe.product.checksum import BLOCK_BYTES, require_self_contained, require_unchanged, seal
+from irlos_pipe.product.checksum import (
+    block_bytes,
+    require_self_contained,
+    require_unchanged,
+    seal,
+    sealed_metadata,
+)
 
 SCHEMA = "irlos-product"
 SCHEMA_VERSION = 1
@@ -103,14 +111,14 @@ class Product:
 
     Attributes
     ----------
-    arrays : dict of str to Quantity
+    arrays : mapping of str to Quantity
         Names may contain ``/``, which makes HDF5 groups.
     results : dict
         The stage's section of results.json.
     """
 
     stage: str
-    arrays: dict[str, Quantity]
+    arrays: Mapping[str, Quantity]
     results: dict[str, Any]
     checks: list[Check] = field(default_factory=list)
     config: dict[str, Any] = field(default_factory=dict)
@@ -164,44 +172,103 @@ class _Sections(BaseModel):
 
 
 def write_product(product: Product, path: Path) -> None:
-    """Write a product atomically.
+    """Write a `product` to `path` atomically.
 
     Raises
     ------
     IrlosError
         When the file cannot be written; an earlier file of that name is then unchanged.
     """
+    sections = _sections(product)
+    head = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, "stage": product.stage}
+    metadata = json_text(head | {"arrays": list(product.arrays)} | sections, indent=None).encode()
     # HDF5 builds the file in memory: it cannot recover from a disk that fills up half way.
     buffer = io.BytesIO()
-    with h5py.File(buffer, "w", userblock_size=BLOCK_BYTES) as file:
-        file.attrs.update(schema=SCHEMA, schema_version=SCHEMA_VERSION, stage=product.stage)
+    with h5py.File(buffer, "w", userblock_size=block_bytes(metadata)) as file:
+        file.attrs.update(head)
         for name, quantity in product.arrays.items():
             _write_quantity(file, name, quantity)
-        for section, content in _sections(product).items():
+        for section, content in sections.items():
             file.create_dataset(section, data=json_text(content), track_times=False)
-    seal(buffer.getbuffer())
+    seal(buffer.getbuffer(), metadata)
     write_bytes(Path(path), buffer.getbuffer())
 
 
 def read_product(path: Path, *, arrays: bool = True) -> Product:
-    """Read a product; with ``arrays=False`` everything but the arrays, which is quick.
+    """Read the product at `path`, without `arrays` only its metadata, which does not touch the rest.
 
     Strings come back as arrays of dtype ``str``.
 
     Raises
     ------
     InputDataError
-        When the file is missing, truncated, damaged or not a product.
+        When the file is missing, truncated, not a product, or what is read of it is damaged.
     """
-    path = Path(path)
-    if not path.is_file():
+    with _readable(path):
+        metadata = None if arrays else _front_metadata(path)
+        return _read_hdf5(path, arrays) if metadata is None else _product(metadata, {})
+
+
+def open_product(path: Path) -> Product:
+    """Return the product at `path` with `StoredArrays`, which are read when they are asked for.
+
+    Raises
+    ------
+    InputDataError
+        When the file is missing, truncated or not a product, or its metadata are damaged.
+    """
+    with _readable(path):
+        metadata = _front_metadata(path)
+        if metadata is None:
+            return _read_hdf5(path, arrays=True)
+        return _product(metadata, StoredArrays(Path(path), metadata["arrays"]))
+
+
+class StoredArrays(Mapping[str, Quantity]):
+    """The arrays of a product file, each read when it is first asked for.
+
+    Before the first is read, the file is compared with its checksum.
+
+    Parameters
+    ----------
+    path : Path
+        A product with metadata in front.
+    names : iterable of str
+        Names of its arrays.
+    """
+
+    def __init__(self, path: Path, names: Iterable[str]) -> None:
+        self._path, self._names = path, dict.fromkeys(names)
+        self._found: dict[str, Quantity] = {}
+
+    def __getitem__(self, name: str) -> Quantity:
+        if name not in self._names:
+            raise KeyError(name)
+        if name not in self._found:
+            with _readable(self._path):
+                if not self._found:
+                    require_unchanged(self._path)
+                with h5py.File(self._path, "r") as file:
+                    self._found[name] = _read_quantity(file, name)
+        return self._found[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Turn whatever goes wrong while a product is read into an `InputDataError`."""
+    if not Path(path).is_file():
         raise InputDataError(f"{path}: no such product")
     try:
-        require_unchanged(path)
-        with h5py.File(path, "r") as file:
-            _require_schema(file, path)
-            require_self_contained(file)
-            return _read_open_file(file, arrays)
+        yield
     except InputDataError:
         raise
     except Exception as error:  # a damaged file can raise nearly anything from inside HDF5
@@ -209,6 +276,32 @@ def read_product(path: Path, *, arrays: bool = True) -> Product:
         raise InputDataError(
             f"{path}: not a readable product, truncated or damaged ({reason}); remove it and run again"
         ) from error
+
+
+def _front_metadata(path: Path) -> dict[str, Any] | None:
+    """Return the metadata in front of a file; None where there are none."""
+    content = sealed_metadata(Path(path))
+    if content is None:
+        return None
+    metadata = json.loads(content)
+    _require_schema(metadata, path)
+    return metadata
+
+
+def _read_hdf5(path: Path, arrays: bool) -> Product:
+    require_unchanged(Path(path))
+    with h5py.File(path, "r") as file:
+        _require_schema(file.attrs, path)
+        require_self_contained(file)
+        sections = {name: json.loads(file[name].asstr()[()]) for name in _Sections.model_fields}
+        found = _read_arrays(file) if arrays else {}
+        return _product(sections | {"stage": str(file.attrs["stage"])}, found)
+
+
+def _product(metadata: Mapping[str, Any], arrays: Mapping[str, Quantity]) -> Product:
+    sections = {name: metadata[name] for name in _Sections.model_fields}
+    checks = [entry.check() for entry in _Sections.model_validate(sections).checks]
+    return Product(metadata["stage"], arrays, **sections | {"checks": checks})
 
 
 def _sections(product: Product) -> dict[str, Any]:
@@ -240,10 +333,10 @@ def _write_array(file: h5py.File, name: str, value: np.ndarray) -> h5py.Dataset:
     return file.create_dataset(name, data=value, track_times=False, **options)
 
 
-def _require_schema(file: h5py.File, path: Path) -> None:
-    if file.attrs.get("schema") != SCHEMA:
+def _require_schema(head: Mapping[str, Any], path: Path) -> None:
+    if head.get("schema") != SCHEMA:
         raise InputDataError(f"{path}: an HDF5 file, but not a product of irlos")
-    version = int(file.attrs["schema_version"])
+    version = int(head["schema_version"])
     if version > SCHEMA_VERSION:
         raise InputDataError(
             f"{path}: product format {version} is newer than this software "
@@ -251,27 +344,21 @@ def _require_schema(file: h5py.File, path: Path) -> None:
         )
 
 
-def _read_open_file(file: h5py.File, arrays: bool) -> Product:
-    found = {name: json.loads(file[name].asstr()[()]) for name in _Sections.model_fields}
-    checks = [entry.check() for entry in _Sections.model_validate(found).checks]
-    return Product(
-        stage=str(file.attrs["stage"]),
-        arrays=_read_arrays(file) if arrays else {},
-        **found | {"checks": checks},
-    )
-
-
 def _read_arrays(file: h5py.File) -> dict[str, Quantity]:
-    found: dict[str, Quantity] = {}
+    names: list[str] = []
 
     def visit(name: str, item: h5py.HLObject) -> None:
-        if isinstance(item, h5py.Dataset):
-            error = _read_array(file[f"errors/{name}"]) if f"errors/{name}" in file else None
-            found[name] = Quantity(_read_array(item), item.attrs["unit"], item.attrs["description"], error)
+        names.extend([name] if isinstance(item, h5py.Dataset) else [])
 
     if "arrays" in file:
         file["arrays"].visititems(visit)
-    return found
+    return {name: _read_quantity(file, name) for name in names}
+
+
+def _read_quantity(file: h5py.File, name: str) -> Quantity:
+    dataset = file[f"arrays/{name}"]
+    error = _read_array(file[f"errors/{name}"]) if f"errors/{name}" in file else None
+    return Quantity(_read_array(dataset), dataset.attrs["unit"], dataset.attrs["description"], error)
 
 
 def _read_array(dataset: h5py.Dataset) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The product file: what goes in comes out, whole or not at all."""
 
 import errno
+import hashlib
 from dataclasses import replace
 
 import h5py
@@ -12,7 +13,14 @@ from irlos_pipe.files import atomic
 from irlos_pipe.files.json import json_text, jsonable
 from irlos_pipe.product import checksum as seal
 from irlos_pipe.product import product
-from irlos_pipe.product.product import Check, Product, Quantity, read_product, write_product
+from irlos_pipe.product.product import (
+    Check,
+    Product,
+    Quantity,
+    open_product,
+    read_product,
+    write_product,
+)
 
 
 def make_product(**changes) -> Product:
@@ -84,17 +92,81 @@ def test_a_truncated_product_is_told_with_its_name(path, share):
         read_product(path)
 
 
+def flipped(path, place):
+    changed = bytearray(path.read_bytes())
+    changed[place] ^= 1
+    path.write_bytes(changed)
+
+
 def test_a_flipped_bit_anywhere_is_noticed(path):
     write_product(make_product(), path)
     content = path.read_bytes()
-    for place in np.random.default_rng(3).integers(len(content), size=200):
-        changed = bytearray(content)
-        changed[place] ^= 1
-        path.write_bytes(changed)
-        if place < seal.BLOCK_BYTES:
-            continue  # the checksum itself, or the padding behind it
+    # what comes before is the checksum itself, or the padding behind it
+    for place in np.random.default_rng(3).integers(seal.HEAD_BYTES, len(content), size=200):
+        path.write_bytes(content)
+        flipped(path, place)
+        with pytest.raises(InputDataError, match="does not fit its checksum"):
+            read_product(path)
+        with pytest.raises(InputDataError, match="does not fit its checksum"):
+            open_product(path).arrays["zernike_nm"]
+
+
+def test_a_flipped_bit_in_the_metadata_is_noticed_when_nothing_else_is_read(path):
+    write_product(make_product(), path)
+    content = path.read_bytes()
+    length = int(content.split(b"metadata ")[1].split()[0])
+    for place in range(seal.HEAD_BYTES, seal.HEAD_BYTES + length):
+        path.write_bytes(content)
+        flipped(path, place)
         with pytest.raises(InputDataError, match="does not fit its checksum"):
             read_product(path, arrays=False)
+
+
+def test_reading_the_metadata_does_not_touch_the_arrays(path, monkeypatch):
+    write_product(make_product(), path)
+    whole = read_product(path)
+    monkeypatch.setattr(product, "h5py", None)
+    monkeypatch.setattr(product, "require_unchanged", None)
+    assert read_product(path, arrays=False) == replace(whole, arrays={})
+    assert list(open_product(path).arrays) == list(make_product().arrays)
+
+
+def test_arrays_are_read_when_they_are_asked_for(path, monkeypatch):
+    write_product(make_product(), path)
+    opened, whole = open_product(path), read_product(path)
+    read = []
+    real = product._read_array
+    monkeypatch.setattr(product, "_read_array", lambda dataset: read.append(dataset.name) or real(dataset))
+    for _ in range(2):
+        assert np.array_equal(opened.arrays["zernike_nm"].error, whole.arrays["zernike_nm"].error)
+    assert sorted(read) == ["/arrays/zernike_nm", "/errors/zernike_nm"]
+    assert dict(opened.arrays).keys() == whole.arrays.keys() and "gone" not in opened.arrays
+
+
+@pytest.mark.parametrize("change", [lambda content: content[:-1], lambda content: content + b"x"])
+def test_a_file_of_another_length_is_noticed_by_its_metadata(path, change):
+    write_product(make_product(), path)
+    path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(InputDataError, match="does not fit its checksum"):
+        read_product(path, arrays=False)
+
+
+def test_a_product_of_an_earlier_version_without_metadata_in_front_is_read(path):
+    """The checksum of all alone, as it was written before."""
+    write_product(make_product(), path)
+    whole = read_product(path)
+    hdf5 = path.read_bytes()[block_of(path) :]
+    line = seal.MARK + hashlib.sha256(hdf5).hexdigest().encode() + b"\n"
+    path.write_bytes(line.ljust(seal.HEAD_BYTES, b"\0") + hdf5)
+    assert read_product(path, arrays=False) == replace(whole, arrays={})
+    assert open_product(path).arrays.keys() == whole.arrays.keys()
+    flipped(path, len(hdf5))
+    with pytest.raises(InputDataError, match="does not fit its checksum"):
+        read_product(path, arrays=False)
+
+
+def block_of(path):
+    return path.read_bytes().index(b"\x89HDF\r\n\x1a\n")
 
 
 def test_a_flipped_bit_in_the_checksum_does_not_change_what_is_read(path):
@@ -107,7 +179,7 @@ def test_a_flipped_bit_in_the_checksum_does_not_change_what_is_read(path):
 
 def test_a_product_without_a_checksum_is_read(path):
     write_product(make_product(), path)
-    path.write_bytes(path.read_bytes()[seal.BLOCK_BYTES :])
+    path.write_bytes(path.read_bytes()[block_of(path) :])
     assert read_product(path).results["frames"] == 5
 
 
@@ -129,7 +201,7 @@ def test_a_product_without_a_checksum_is_read(path):
 )
 def test_what_leads_out_of_a_product_or_is_not_in_it_is_refused(path, forge, reason):
     write_product(make_product(), path)
-    path.write_bytes(path.read_bytes()[seal.BLOCK_BYTES :])
+    path.write_bytes(path.read_bytes()[block_of(path) :])
     with h5py.File(path, "r+") as file:
         forge(file)
     with pytest.raises(InputDataError, match=reason):
