@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
 NM = 1e-9  # one nanometre [m]
 MAS = math.pi / 180 / 3600e3  # one milliarcsecond [rad]
+Angle = TypeVar("Angle")
 
 
-def resolution_px(wavelength_m: float, diameter_m: float, pixel_scale_mas: float) -> float:
-    """Return the resolution element λ/D in pixels.
+def cutoff_per_px(wavelength_m: float, diameter_m: float, pixel_scale_mas: float) -> float:
+    """Return D/λ in cycles per pixel: the highest spatial frequency of an image.
 
     Parameters
     ----------
@@ -18,4 +20,22 @@ def resolution_px(wavelength_m: float, diameter_m: float, pixel_scale_mas: float
     pixel_scale_mas : float
         Side of a pixel on the sky [mas].
     """
-    return wavelength_m / diameter_m / (pixel_scale_mas * MAS)
+    return pixel_scale_mas * MAS * diameter_m / wavelength_m
+
+
+def resolution_px(wavelength_m: float, diameter_m: float, pixel_scale_mas: float) -> float:
+    """Return the resolution element λ/D in pixels; `wavelength_m`, `diameter_m` and `pixel_scale_mas`
+    are those of `cutoff_per_px`."""
+    return 1 / cutoff_per_px(wavelength_m, diameter_m, pixel_scale_mas)
+
+
+def tilt_nm(angle_mas: Angle, diameter_m: float) -> Angle:
+    """Return Noll 2 or 3 [nm RMS] that moves the image by an angle θ: an OPD of θ D/4 RMS.
+
+    Parameters
+    ----------
+    angle_mas : float or tensor
+    diameter_m : float
+        Of the pupil [m].
+    """
+    return angle_mas * MAS * diameter_m * (1e9 / 4)

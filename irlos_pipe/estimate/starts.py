@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.units import MAS
+from irlos_pipe.conventions.units import tilt_nm
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.lift import LiftOptions, lift
@@ -23,7 +23,6 @@ from irlos_pipe.numerics.solution import INVALID, Solution
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.psf import AS_BUILT, PsfModel
 
-TILT_NM_PER_RAD = 1e9 / 4  # a tilt θ over the diameter D is θ D/4 RMS
 SCAN_NM = np.linspace(-700.0, 700.0, 15)  # defocus of the templates
 PLAUSIBLE_CHI2 = 4.0  # χ²/ν of right solutions stays below 3, that of wrong ones is 10 and more
 FEW_FRAMES = 10  # whose median is a start
@@ -45,7 +44,7 @@ def start_tilts_nm(images_e: torch.Tensor, pixel_scale_mas: float, diameter_m: f
     rows, columns = images_e.shape[1:]
     y = (bright.sum(2) @ (torch.arange(rows, dtype=bright.dtype) - (rows - 1) / 2)) / total
     x = (bright.sum(1) @ (torch.arange(columns, dtype=bright.dtype) - (columns - 1) / 2)) / total
-    return torch.stack([x, y], dim=1).double() * pixel_scale_mas * MAS * diameter_m * TILT_NM_PER_RAD
+    return tilt_nm(torch.stack([x, y], dim=1).double() * pixel_scale_mas, diameter_m)
 
 
 def scan_start_nm(
@@ -70,7 +69,7 @@ def scan_start_nm(
     best, shift_px = _most_alike(templates, images_e, pixel_mask)
     start = torch.zeros(len(images_e), len(model.nolls), dtype=torch.float64)
     start[:, focus] = torch.as_tensor(SCAN_NM)[best]
-    pixel_nm = model.settings.pixel_scale_mas * MAS * model.settings.geometry.diameter_m * TILT_NM_PER_RAD
+    pixel_nm = tilt_nm(model.settings.pixel_scale_mas, model.settings.geometry.diameter_m)
     for axis, noll in ((1, 2), (0, 3)):
         start[:, model.nolls.index(noll)] = shift_px[:, axis] * pixel_nm
     return start

@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from scipy.special import jv
 
-from irlos_pipe.conventions.units import MAS, NM
+from irlos_pipe.conventions.units import NM, cutoff_per_px, tilt_nm
 from irlos_pipe.optics.grids import Optics, Tangents
 from irlos_pipe.optics.psf import AS_BUILT, NO_TANGENTS, PsfModel
 from irlos_pipe.optics.shift import ShiftMatrices, kernel_half_length
@@ -172,17 +172,18 @@ def _pixels_beyond(psf: PsfModel, optics: Optics, reach: Reach) -> int:
 
 
 def _pixel_nm(psf: PsfModel, optics: Optics) -> float:
-    """Tip or tilt that moves the image by a pixel [nm RMS]: an angle θ is a quarter of θ D."""
-    return _pixel_rad(psf, optics) * psf.settings.geometry.diameter_m / 4 / NM
+    """Tip or tilt that moves the image by a pixel [nm RMS]."""
+    return tilt_nm(_pixel_mas(psf, optics), psf.settings.geometry.diameter_m)
 
 
 def _band_per_px(psf: PsfModel, optics: Optics) -> float:
-    """Highest frequency of the images, D/λ [cycles/px]."""
-    return _pixel_rad(psf, optics) * psf.settings.geometry.diameter_m / _shortest_m(psf, optics)
+    """Highest frequency of the images [cycles/px]."""
+    diameter_m = psf.settings.geometry.diameter_m
+    return cutoff_per_px(_shortest_m(psf, optics), diameter_m, _pixel_mas(psf, optics))
 
 
-def _pixel_rad(psf: PsfModel, optics: Optics) -> float:
-    return float((optics.sampling or psf.grids.sampling).pixel_scale_mas) * MAS
+def _pixel_mas(psf: PsfModel, optics: Optics) -> float:
+    return float((optics.sampling or psf.grids.sampling).pixel_scale_mas)
 
 
 def _shortest_m(psf: PsfModel, optics: Optics) -> float:

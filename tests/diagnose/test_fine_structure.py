@@ -5,6 +5,7 @@ Truth: HCIPy's images, what was put into the frames, Monte Carlo, and D/λ by ha
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +14,12 @@ import torch
 from helpers.diagnose_cases import CASE, FLUX_E, WAVELENGTH_NM, WINDOW, opd_nm, plain, reference
 from helpers.optics_cases import READ_NOISE, draw_frames, everything
 
-from irlos_pipe.diagnose.checks.fine_structure import Beyond, FineStructure, cut_off_per_px, fine_structure
+from irlos_pipe.diagnose.checks.fine_structure import (
+    Beyond,
+    FineStructure,
+    fine_structure,
+    highest_frequency_per_px,
+)
 from irlos_pipe.diagnose.cube import Stack
 from irlos_pipe.estimate.cube import Frames
 
@@ -37,14 +43,14 @@ def drawn(mean_e: np.ndarray, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
 def test_the_image_of_a_telescope_has_nothing_beyond_the_cut_off():
     image = torch.as_tensor(plain())[None]
     mask = torch.ones(CASE.window, dtype=torch.bool)
-    beyond, within = (Beyond(mask, part * cut_off_per_px(CASE)) for part in (1.0, 0.5))
+    beyond, within = (Beyond(mask, part * highest_frequency_per_px(CASE)) for part in (1.0, 0.5))
     assert float(beyond(image).abs().max()) < 2e-5 * float(image.max())
     assert float(within(image).abs().max()) > 2e-3 * float(image.max())
 
 
 def test_the_cut_off_is_that_of_the_aperture():
     """D/λ by hand: 8 m, 1600 nm, 9.7 mas."""
-    assert cut_off_per_px(CASE) == pytest.approx(8.0 / 1600e-9 * 9.7e-3 / 206264.806, rel=1e-6)
+    assert highest_frequency_per_px(CASE) == pytest.approx(8.0 / 1600e-9 * 9.7e-3 / 206264.806, rel=1e-6)
 
 
 def test_noise_alone_is_not_significant():
@@ -76,6 +82,6 @@ def test_masked_pixels_do_not_pass_for_structure():
 
 
 def test_pixels_that_are_too_coarse_tell_nothing():
-    coarse = SimpleNamespace(**{**vars(CASE), "pixel_scale_mas": 30.0})
+    coarse = replace(CASE, pixel_scale_mas=30.0)
     expected = plain() * FLUX_E
     assert found(*drawn(expected, 5), expected, coarse) == FineStructure(1.0, 0.0)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.units import MAS, NM
+from irlos_pipe.conventions.units import cutoff_per_px
 from irlos_pipe.diagnose.cube import Stack
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.estimate.cube import local_mean
@@ -52,7 +52,7 @@ def fine_structure(optimum: Optimum) -> FineStructure:
 
 
 def _of_recording(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings) -> FineStructure:
-    beyond = Beyond(stack.frames.pixel_mask, cut_off_per_px(settings))
+    beyond = Beyond(stack.frames.pixel_mask, highest_frequency_per_px(settings))
     if beyond.share < FEWEST:
         return FineStructure()
     deviations_e = torch.where(stack.root > 0, stack.deviations / stack.root, 0.0)
@@ -65,10 +65,9 @@ def _of_recording(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings)
     return FineStructure(ratio, (ratio - 1) * float(noise.mean() / noise.std()))
 
 
-def cut_off_per_px(settings: PsfSettings) -> float:
+def highest_frequency_per_px(settings: PsfSettings) -> float:
     """Highest spatial frequency of an image, D/λ of the shortest wavelength [cycles/px]."""
-    shortest_m = min(wavelength_nm for wavelength_nm, _ in settings.spectrum) * NM
-    return settings.geometry.diameter_m / shortest_m * settings.pixel_scale_mas * MAS
+    return cutoff_per_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
 
 
 class Beyond:

@@ -13,13 +13,13 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.facility import Facility
-from irlos_pipe.conventions.units import MAS
+from irlos_pipe.conventions.units import tilt_nm
 from irlos_pipe.effects import expected
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import LiftOptions, LiftResult, lift
 from irlos_pipe.estimate.methods import METHODS
 from irlos_pipe.estimate.ramp_fit import RampData, second_try, start_from_defocus
-from irlos_pipe.estimate.starts import TILT_NM_PER_RAD, scan_start_nm
+from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.paper.common.broad_band import frame_settings, star_scene
 from irlos_pipe.paper.common.observation import images_of, model_effects_of, noise_of
@@ -155,7 +155,7 @@ def _frame_scene(
         defocus_nm,
         seeing_arcsec=sample.seeing_arcsec,
     )
-    pixel_nm = scene.pixel_scale_mas * MAS * sample.facility.pupil.diameter_m * TILT_NM_PER_RAD
+    pixel_nm = tilt_nm(scene.pixel_scale_mas, sample.facility.pupil.diameter_m)
     tilts_nm = {noll: ncpa_nm[noll] + float(px) * pixel_nm for noll, px in zip((2, 3), shift_px, strict=True)}
     return replace(scene, ncpa_nm={**ncpa_nm, **tilts_nm})
 

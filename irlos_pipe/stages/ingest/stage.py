@@ -11,6 +11,7 @@ from pydantic import Field
 
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.conventions.text import and_more
+from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.blocks import picked
 from irlos_pipe.frames.cleaning import Cleaned, clean
@@ -33,7 +34,6 @@ NAME = "ingest"
 VERSION = 3
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})
-MAS_PER_RADIAN = np.degrees(1) * 3.6e6
 
 
 class Config(StageConfig):
@@ -162,10 +162,8 @@ def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Reco
 def sampling_px(acquisition: Acquisition, instrument: Instrument) -> float:
     """Pixels per lambda/D at the shortest wavelength; D is that of a lenslet in 2x2 modes."""
     lenslets = 1 if acquisition.subaperture is None else 2
-    wavelength_m = 1e-9 * min(wavelength for wavelength, weight in acquisition.spectrum if weight > 0)
-    return (
-        MAS_PER_RADIAN * wavelength_m * lenslets / instrument.pupil.diameter_m / acquisition.pixel_scale_mas
-    )
+    wavelength_m = NM * min(wavelength for wavelength, weight in acquisition.spectrum if weight > 0)
+    return resolution_px(wavelength_m, instrument.pupil.diameter_m / lenslets, acquisition.pixel_scale_mas)
 
 
 def _recording(source: Source, cleaned: Cleaned) -> Recording:
