@@ -96,7 +96,8 @@ def _profile(fit, rate: float) -> dict:
 
 
 def _dip_global(inputs: Inputs, frames: int) -> None:
-    calibrate(inputs.calibration_frames(frames), inputs.settings, CalibrationOptions("dip_global"))
+    options = CalibrationOptions("dip_global", prior=inputs.prior)
+    calibrate(inputs.calibration_frames(frames), inputs.settings, options)
 
 
 def _group(name: str, args) -> str:

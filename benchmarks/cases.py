@@ -37,7 +37,7 @@ def _calibrated(
     inputs: Inputs, count: int, method: str, highest_noll: int = NOLLS[-1], device: str = "cpu"
 ) -> dict:
     """A method of `calibrate` on the drawn frames."""
-    options = CalibrationOptions(method, highest_noll=highest_noll)
+    options = CalibrationOptions(method, highest_noll=highest_noll, prior=inputs.prior)
     calibrate(inputs.calibration_frames(2), inputs.settings, options, device=device)  # libraries start up
     with stopwatch() as watch:
         result = calibrate(inputs.calibration_frames(count), inputs.settings, options, device=device)
@@ -115,7 +115,7 @@ def long_exposure(inputs: Inputs, count: int) -> dict:
         result = calibrate(
             frames,
             psf_settings(context.instrument, context.model, recording),
-            CalibrationOptions(),
+            CalibrationOptions(prior=inputs.prior),
             model_effects(context.instrument, context.model, recording),
         )
     truth = true_zernike_nm("calibration-sky")

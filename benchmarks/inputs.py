@@ -25,11 +25,13 @@ from benchmarks.frames import (
     draw,
 )
 from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.parameters import NcpaPrior
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.product.product import Product, read_product
 from irlos_pipe.stages.base import StageContext
+from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.lift import stage as lift
 from irlos_pipe.stages.model.section import ModelConfig
 
@@ -85,6 +87,11 @@ class Inputs:
             ((WAVELENGTH_NM, 1.0),),
             KnownWavefront(DIVERSITY_NM),
         )
+
+    @property
+    def prior(self) -> NcpaPrior | None:
+        """Prior that the stage `calibrate` gives the modes."""
+        return CalibrateConfig().options(load_instrument("irlos").facility.ncpa_law).prior
 
     def calibration_frames(self, count: int) -> Frames:
         """The first drawn frames as `calibrate` takes them."""

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 NM = 1e-9  # one nanometre [m]
 MAS = math.pi / 180 / 3600e3  # one milliarcsecond [rad]
+MAS_PER_RAD = math.degrees(1) * 3600e3
 Angle = TypeVar("Angle")
 
 
@@ -24,9 +25,14 @@ def cutoff_per_px(wavelength_m: float, diameter_m: float, pixel_scale_mas: float
 
 
 def resolution_px(wavelength_m: float, diameter_m: float, pixel_scale_mas: float) -> float:
-    """Return the resolution element λ/D in pixels; `wavelength_m`, `diameter_m` and `pixel_scale_mas`
-    are those of `cutoff_per_px`."""
-    return 1 / cutoff_per_px(wavelength_m, diameter_m, pixel_scale_mas)
+    """Return the resolution element λ/D in pixels, the inverse of `cutoff_per_px`.
+
+    Parameters
+    ----------
+    wavelength_m, diameter_m, pixel_scale_mas : float
+        As of `cutoff_per_px`.
+    """
+    return MAS_PER_RAD * wavelength_m / diameter_m / pixel_scale_mas
 
 
 def tilt_nm(angle_mas: Angle, diameter_m: float) -> Angle:

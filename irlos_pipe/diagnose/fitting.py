@@ -15,7 +15,7 @@ from irlos_pipe.diagnose.view import View
 from irlos_pipe.effects import Effect, FixedEffect, Parameter
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.estimate.parameters import Layout, ncpa_sigma_nm
+from irlos_pipe.estimate.parameters import Layout, NcpaPrior
 from irlos_pipe.estimate.starts import start_tilts_nm
 from irlos_pipe.estimate.twin import twin_of
 from irlos_pipe.numerics.levenberg_marquardt import solve
@@ -240,7 +240,8 @@ def _part(stack: Stack, view: View, first: View, effects: Sequence[Effect]) -> I
     """The problem of one recording by itself, with effects as stated for the first."""
     psf = view.psf
     model = ImageModel(psf, [view.seen(effect, first) for effect in effects])
-    prior = ncpa_sigma_nm(psf.nolls, PRIOR_SCALE)
+    law = view.conditions.ncpa_law
+    prior = None if law is None else NcpaPrior(law, PRIOR_SCALE).sigma_nm(psf.nolls)
     layout = Layout(psf.nolls, model.effects.parameters, prior_sigma_nm=prior)
     data = (one[None, None].to(psf.device) for one in (stack.mean_e, stack.variance_e2))
     return ImageFit(model, layout, *data)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from irlos_pipe.conventions.laws import ResidualLaw
+from irlos_pipe.conventions.laws import NcpaLaw, ResidualLaw
 from irlos_pipe.optics.structure import ResidualBand
 
 INFINITE = float("inf")
@@ -86,6 +86,8 @@ class Conditions:
     spectrum : tuple of (wavelength_nm, weight)
     seeing_measured : bool
         Otherwise the seeing is a typical one.
+    ncpa_law : NcpaLaw, optional
+        Prior of the modes.
     """
 
     band: ResidualBand
@@ -97,6 +99,7 @@ class Conditions:
     pixel_scale_mas: float = 9.7
     spectrum: tuple[tuple[float, float], ...] = ((1600.0, 1.0),)
     seeing_measured: bool = True
+    ncpa_law: NcpaLaw | None = None
 
 
 def number(name: str, unit: str, lower: float = -INFINITE, upper: float = INFINITE, **more: Any) -> Public:

@@ -17,7 +17,7 @@ from irlos_pipe.estimate.frame_fits import fit_frames
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
 from irlos_pipe.estimate.lbfgs import solve_lbfgs
 from irlos_pipe.estimate.methods import METHODS, Method
-from irlos_pipe.estimate.parameters import Layout, ncpa_sigma_nm
+from irlos_pipe.estimate.parameters import Layout, NcpaPrior
 from irlos_pipe.estimate.search import located
 from irlos_pipe.estimate.starts import (
     START_HIGHEST_NOLL,
@@ -51,15 +51,14 @@ class CalibrationOptions:
     optimiser : {"lm", "lbfgs"}
     highest_noll : int or None
         Modes Noll 2 to this are estimated.
-    prior_scale : float or None
-        Width of the prior in units of the NCPA law; None means no prior.
+    prior : NcpaPrior or None
     """
 
     method: str = "long_exposure"
     loss: str | None = None
     optimiser: str = "lm"
     highest_noll: int | None = None
-    prior_scale: float | None = 3.0
+    prior: NcpaPrior | None = None
     max_iterations: int = 60
 
     def resolved(self) -> tuple[Method, CalibrationOptions]:
@@ -212,7 +211,7 @@ def _psf_model(settings: PsfSettings, method: Method, nolls: Sequence[int], devi
 
 def _problem(frames: Frames, model: ImageModel, method: Method, options: CalibrationOptions) -> ImageFit:
     nolls, device = model.psf.nolls, model.psf.device
-    prior = None if options.prior_scale is None else ncpa_sigma_nm(nolls, options.prior_scale)
+    prior = None if options.prior is None else options.prior.sigma_nm(nolls)
     layout = Layout(nolls, model.effects.parameters, prior_sigma_nm=prior)
     images, variance = _data(frames, method)
     variance = masked_variance(variance, frames.pixel_mask).flatten(-2)

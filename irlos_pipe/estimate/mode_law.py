@@ -17,7 +17,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import digamma
 
-START = (70.0, 0.2, 10.0)
+from irlos_pipe.conventions.laws import NcpaLaw
+
 LIMITS = ((1e-2, 1e-3, 1e-3), (1e4, 3.0, 1e3))
 SMALL_PART = 0.1  # of C: an exponential below it has vanished in the plateau
 CURVATURE_STEP = 1e-3  # of the logarithm of a parameter
@@ -117,13 +118,16 @@ def equalised_tilts(scatter: ModeScatter) -> ModeScatter:
     return ModeScatter(scatter.nolls, equal(scatter.std_nm), equal(scatter.noise_nm), scatter.draws)
 
 
-def fit_mode_law(scatter: ModeScatter, keep: np.ndarray, *, remove_noise: bool) -> ModeLaw:
+def fit_mode_law(scatter: ModeScatter, keep: np.ndarray, start: NcpaLaw, *, remove_noise: bool) -> ModeLaw:
     """Fit the law by maximum likelihood.
 
     Parameters
     ----------
+    scatter : ModeScatter
     keep : ndarray of bool, (modes,)
         Modes that are used.
+    start : NcpaLaw
+        Where the search begins.
     remove_noise : bool
         Law of the NCPAs, with the noise in the likelihood; otherwise that of the estimates.
 
@@ -143,7 +147,12 @@ def fit_mode_law(scatter: ModeScatter, keep: np.ndarray, *, remove_noise: bool) 
         return np.sign(ratio - 1) * np.sqrt(np.maximum(deviance, 0))
 
     low, high = np.log(LIMITS)
-    fit = least_squares(root_deviance, np.log(START), bounds=(low, high), x_scale=0.1)
+    fit = least_squares(
+        root_deviance,
+        np.log([start.amplitude_nm, start.decay, start.plateau_nm]),
+        bounds=(low, high),
+        x_scale=0.1,
+    )
     covariance = np.linalg.pinv(_information(fit.x, nolls, noise2, scatter.draws))
     expected = _mean_deviance(scatter.draws) * (len(nolls) - 3)
     return ModeLaw(*np.exp(fit.x), covariance, float(np.sum(fit.fun**2) / expected))

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 import torch
 
+from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.effects.declaration import Parameter
 
 INFINITE = float("inf")
-LAW_NM, LAW_DECAY, LAW_PLATEAU_NM = 70.0, 0.2, 10.0  # std(i) = A exp(-B i) + C, i = 0 for Noll 2
 POINTING_NM = 5000.0  # tip and tilt: where the star lies in the window says nothing about the optics
 FOCUS_NM = 400.0  # an uncontrolled focus bias is common
 
@@ -87,17 +87,24 @@ class Layout:
         return x
 
 
-def ncpa_sigma_nm(nolls, scale: float) -> torch.Tensor:
-    """Prior standard deviation of every mode [nm RMS]: the law of IRLOS's low-order NCPAs, widened.
+@dataclass(frozen=True)
+class NcpaPrior:
+    """Gaussian prior of the modes about zero: the instrument's law of NCPAs, widened.
 
-    Parameters
+    Attributes
     ----------
-    nolls : sequence of int
+    law : NcpaLaw
     scale : float
         Factor on the law; above 1 the prior only steadies what the data do not determine.
     """
-    index = torch.as_tensor(list(nolls), dtype=torch.float64) - 2
-    sigma = scale * (LAW_NM * torch.exp(-LAW_DECAY * index) + LAW_PLATEAU_NM)
-    sigma[index < 2] = POINTING_NM
-    sigma[index == 2] = FOCUS_NM
-    return sigma
+
+    law: NcpaLaw
+    scale: float
+
+    def sigma_nm(self, nolls: Sequence[int]) -> torch.Tensor:
+        """Standard deviation of every mode, (modes,) [nm RMS]; tip, tilt and focus are left almost free."""
+        sigma = torch.as_tensor(self.scale * self.law.sigma_nm(nolls))
+        noll = torch.as_tensor(list(nolls))
+        sigma[noll < 4] = POINTING_NM
+        sigma[noll == 4] = FOCUS_NM
+        return sigma

@@ -139,9 +139,10 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         raise ConfigurationError("modes needs the cubes one by one: set calibrate.each to true")
     scatter = _scatter(cubes, ctx.config.same_ncpas)
     fitted = _fitted(scatter, ctx.config.law_highest_noll)
+    start = ctx.instrument.facility.ncpa_law
     laws = {
-        "estimates": fit_mode_law(scatter, fitted, remove_noise=False),
-        "ncpas": fit_mode_law(scatter, fitted, remove_noise=True),
+        "estimates": fit_mode_law(scatter, fitted, start, remove_noise=False),
+        "ncpas": fit_mode_law(scatter, fitted, start, remove_noise=True),
     }
     arrays = _scatter_arrays(cubes, scatter, laws)
     lines = _law_lines(scatter.draws, int(fitted.sum()), laws)
@@ -236,7 +237,7 @@ def _scan(
     stored: CalibrateConfig,
     report: Callable[[int], None],
 ) -> ModeScan:
-    options = stored.options()
+    options = stored.options(ctx.instrument.facility.ncpa_law)
     cube = cube_input(ctx, [recording], options)
     return scan_mode_numbers(
         cube.frames,

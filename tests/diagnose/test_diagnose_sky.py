@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from helpers.optics_cases import BAND, DIVERSITY, RESIDUAL_LAW, draw_frames, everything
+from helpers.optics_cases import BAND, DIVERSITY, NCPA_LAW, RESIDUAL_LAW, draw_frames, everything
 from helpers.simulated_scenes import FINE, NARROW_H, NCPA_NM, UT4, scene
 
 from irlos_pipe.diagnose.decide import Options
@@ -47,7 +47,9 @@ def on_sky() -> tuple[Diagnosis, dict[int, float]]:
     )
     spectrum = tuple((band.centre_nm, 1.0) for band in NARROW_H)
     settings = PsfSettings(UT4, WINDOW, 9.7, spectrum, KnownWavefront(DIVERSITY))
-    conditions = Conditions(BAND, RESIDUAL_LAW, SEEING_ARCSEC, DIVERSITY, HIGHEST_NOLL, WINDOW, 9.7, spectrum)
+    conditions = Conditions(
+        BAND, RESIDUAL_LAW, SEEING_ARCSEC, DIVERSITY, HIGHEST_NOLL, WINDOW, 9.7, spectrum, ncpa_law=NCPA_LAW
+    )
     frames = Frames(images, everything(images), NOISE)
     options = Options(HIGHEST_NOLL, most_names=1)
     return diagnose([Exposures(frames, settings, conditions)], [], options), exposed.mean_zernike_nm()

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 import torch
-from helpers.optics_cases import READ_NOISE, draw_frames, everything, ncpa_nm, settings, vector
+from helpers.optics_cases import PRIOR, READ_NOISE, draw_frames, everything, ncpa_nm, settings, vector
 from helpers.paths import REPOSITORY
 
 from irlos_pipe.effects.image_model import ImageModel
@@ -58,6 +58,8 @@ def test_the_example_is_searched_for_and_fitted(dark_spot, psf):
     mean = ImageModel(psf, [dark_spot]).predict(vector(true_nm, NOLLS), 3e6 * ONE, NONE, SPOT)[0].numpy()
     images = draw_frames(mean, 20, seed=8)
     cube = Frames(images, everything(images), READ_NOISE)
-    result = calibrate(cube, settings((32, 32)), CalibrationOptions(highest_noll=11), [dark_spot])
+    result = calibrate(
+        cube, settings((32, 32)), CalibrationOptions(highest_noll=11, prior=PRIOR), [dark_spot]
+    )
     assert list(result.effect_values["dark_spot"]) == pytest.approx(SPOT.tolist(), rel=0.05)
     assert result.chi2_nu < 1.3

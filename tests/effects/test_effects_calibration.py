@@ -10,6 +10,7 @@ from helpers.optics_cases import (
     DIVERSITY,
     MAS_RAD,
     NARROW_H,
+    PRIOR,
     READ_NOISE,
     SCALE_MAS,
     draw_frames,
@@ -40,7 +41,7 @@ def calibrated(means: np.ndarray, *names: str, **options) -> Calibration:
     """Calibration of noisy frames about the means (rows, columns), or (frames, rows, columns)."""
     images = draw_frames(np.asarray(means) * FLUX_E, COUNT, seed=4)
     effects = [CATALOGUE[name].under(CONDITIONS, **options) for name in names]
-    choice = CalibrationOptions(highest_noll=LAST)
+    choice = CalibrationOptions(highest_noll=LAST, prior=PRIOR)
     return calibrate(Frames(images, everything(images), READ_NOISE), settings(WINDOW), choice, effects)
 
 

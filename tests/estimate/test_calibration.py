@@ -30,7 +30,7 @@ def cube() -> tuple[Frames, np.ndarray]:
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_finds_the_aberrations_of_noise_limited_frames(cube, method):
     frames, true = cube
-    options = CalibrationOptions(method, highest_noll=15, prior_scale=None)
+    options = CalibrationOptions(method, highest_noll=15)
     result = calibrate(frames, cases.settings(), options)
     assert set(result.frame_status) == {"converged"}
     assert np.linalg.norm(result.zernike_nm - true) < 0.6  # L1 fits are less efficient than weighted ones
@@ -40,7 +40,7 @@ def test_every_method_finds_the_aberrations_of_noise_limited_frames(cube, method
 
 def test_weighted_fits_err_as_much_as_they_say(cube):
     frames, true = cube
-    result = calibrate(frames, cases.settings(), CalibrationOptions(highest_noll=15))
+    result = calibrate(frames, cases.settings(), CalibrationOptions(highest_noll=15, prior=cases.PRIOR))
     pull = (result.zernike_nm - true) / result.sigma_nm
     # Twelve frames: the scatter itself is uncertain by 20 %, so the pulls follow Student's t.
     assert 0.5 < np.sqrt(np.mean(pull**2)) < 1.7
@@ -60,7 +60,7 @@ def test_one_invalid_frame_is_flagged_and_left_out(cube):
     result = calibrate(
         Frames(images, frames.pixel_mask, frames.noise),
         cases.settings(),
-        CalibrationOptions("lift_slices", highest_noll=15),
+        CalibrationOptions("lift_slices", highest_noll=15, prior=cases.PRIOR),
     )
     assert [i for i, status in enumerate(result.frame_status) if status == "invalid"] == [3]
     assert np.isnan(result.frames_nm[3]).all()
@@ -71,7 +71,7 @@ def test_a_single_frame_is_refused(cube):
     frames, _ = cube
     single = Frames(frames.images_e[:1], frames.pixel_mask, frames.noise)
     with pytest.raises(ValueError, match="at least two frames"):
-        calibrate(single, cases.settings(), CalibrationOptions())
+        calibrate(single, cases.settings(), CalibrationOptions(prior=cases.PRIOR))
 
 
 def test_a_centro_symmetric_pupil_gives_the_twin_the_same_image():
@@ -84,7 +84,7 @@ def test_a_centro_symmetric_pupil_gives_the_twin_the_same_image():
 
 def test_the_twin_needs_the_larger_aberration_and_loses(cube):
     frames, _ = cube
-    twin = calibrate(frames, cases.settings(), CalibrationOptions(highest_noll=15)).twin
+    twin = calibrate(frames, cases.settings(), CalibrationOptions(highest_noll=15, prior=cases.PRIOR)).twin
     assert twin.preferred == "solution"
     assert twin.distance_nm > 100
     assert twin.twin_rms_nm > twin.rms_nm

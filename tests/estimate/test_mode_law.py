@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.estimate.mode_law import ModeScatter, equalised_tilts, fit_mode_law, mode_scatter
 
 NOLLS = tuple(range(2, 102))
 A_NM, DECAY, C_NM = 70.0, 0.2, 10.0
+START = NcpaLaw(100.0, 0.3, 5.0)
 LAW_NM = A_NM * np.exp(-DECAY * np.arange(100)) + C_NM
 NOISE_NM = 6.0
 ALL = np.ones(100, bool)
@@ -23,7 +25,7 @@ def scatter_of(draws: int, seed: int, noise_nm: float = NOISE_NM) -> ModeScatter
 
 def test_an_exact_law_is_returned():
     scatter = ModeScatter(NOLLS, LAW_NM, np.zeros(100), 10)
-    law = fit_mode_law(scatter, ALL, remove_noise=False)
+    law = fit_mode_law(scatter, ALL, START, remove_noise=False)
     assert (law.a_nm, law.decay, law.plateau_nm) == pytest.approx((A_NM, DECAY, C_NM), rel=1e-5)
     assert law(NOLLS) == pytest.approx(LAW_NM, rel=1e-5)
     # 70 exp(−0.2 i) < 1 from i = ln(70) / 0.2 = 21.2 on
@@ -34,7 +36,7 @@ def test_an_exact_law_is_returned():
 def test_parameters_scatter_as_their_errors_say(draws):
     pulls, deviances = [], []
     for seed in range(150):
-        law = fit_mode_law(scatter_of(draws, seed), ALL, remove_noise=True)
+        law = fit_mode_law(scatter_of(draws, seed), ALL, START, remove_noise=True)
         logs = np.log([law.a_nm / A_NM, law.decay / DECAY, law.plateau_nm / C_NM])
         pulls.append(logs / np.sqrt(np.diag(law.covariance)))
         deviances.append(law.deviance_nu)
@@ -45,8 +47,8 @@ def test_parameters_scatter_as_their_errors_say(draws):
 
 def test_noise_raises_the_plateau_unless_it_is_taken_out():
     scatter = scatter_of(200, 1)
-    raw = fit_mode_law(scatter, ALL, remove_noise=False)
-    clean = fit_mode_law(scatter, ALL, remove_noise=True)
+    raw = fit_mode_law(scatter, ALL, START, remove_noise=False)
+    clean = fit_mode_law(scatter, ALL, START, remove_noise=True)
     assert raw.plateau_nm == pytest.approx(np.hypot(C_NM, NOISE_NM), rel=0.03)
     assert clean.plateau_nm == pytest.approx(C_NM, rel=0.03)
 
@@ -70,4 +72,4 @@ def test_tip_and_tilt_get_their_common_variance():
 
 def test_three_parameters_need_more_than_three_modes():
     with pytest.raises(ValueError, match="at least four modes"):
-        fit_mode_law(scatter_of(1, 1), np.arange(100) < 3, remove_noise=True)
+        fit_mode_law(scatter_of(1, 1), np.arange(100) < 3, START, remove_noise=True)

@@ -27,7 +27,7 @@ def scan(truth_nm):
     image = PsfModel(cases.settings(WINDOW), NOLLS).images(cases.vector(truth_nm, NOLLS))
     images = cases.draw_frames(image[0].double().numpy() * FLUX, FRAMES, seed=1)
     frames = Frames(images, cases.everything(images), cases.READ_NOISE)
-    return scan_mode_numbers(frames, cases.settings(WINDOW), CalibrationOptions(prior_scale=None), NUMBERS)
+    return scan_mode_numbers(frames, cases.settings(WINDOW), CalibrationOptions(), NUMBERS)
 
 
 def test_the_simulated_number_is_recommended(scan):
@@ -90,6 +90,6 @@ def test_masked_pixels_do_not_count(scan, truth_nm):
     mask = torch.ones(WINDOW, WINDOW, dtype=torch.bool)
     mask[3, 4] = False
     frames = Frames(images, mask, cases.READ_NOISE)
-    options = CalibrationOptions(prior_scale=None)
+    options = CalibrationOptions()
     masked = scan_mode_numbers(frames, cases.settings(WINDOW), options, NUMBERS[2:3])
     assert masked.misfit.mean() == pytest.approx(scan.misfit[2].mean(), rel=0.02)

@@ -60,7 +60,7 @@ def test_a_fit_that_ended_wrong_is_tried_again(frames, truth_nm, monkeypatch):
         return start
 
     monkeypatch.setattr(calibration, "_start", far_off)
-    options = CalibrationOptions(highest_noll=15, prior_scale=None)
+    options = CalibrationOptions(highest_noll=15)
     found = calibrate(frames, cases.settings(WINDOW), options)
     assert np.linalg.norm(found.zernike_nm - truth_nm[0].numpy()) < 2
     assert found.chi2_nu < 1.2
@@ -74,7 +74,7 @@ def test_a_good_fit_is_left_alone(frames, monkeypatch):
         raise AssertionError("a second start was made")
 
     monkeypatch.setattr(calibration, "median_of_frames_nm", refuse)
-    calibrate(frames, cases.settings(WINDOW), CalibrationOptions(highest_noll=15))
+    calibrate(frames, cases.settings(WINDOW), CalibrationOptions(highest_noll=15, prior=cases.PRIOR))
 
 
 def test_the_lower_objective_wins_and_an_invalid_fit_loses():

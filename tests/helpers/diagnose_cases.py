@@ -9,6 +9,7 @@ import numpy as np
 from helpers.optics_cases import (
     BAND,
     DIVERSITY,
+    NCPA_LAW,
     READ_NOISE,
     RESIDUAL_LAW,
     draw_frames,
@@ -28,7 +29,9 @@ from irlos_pipe.estimate.cube import Frames
 WINDOW, HIGHEST_NOLL, FRAMES, FLUX_E, WAVELENGTH_NM = 40, 15, 32, 1e6, 1600.0
 TRUE_NM = ncpa_nm(5, HIGHEST_NOLL, 100.0)
 CASE = settings(WINDOW)
-CONDITIONS = Conditions(BAND, RESIDUAL_LAW, 0.5, DIVERSITY, HIGHEST_NOLL, CASE.window, 9.7, CASE.spectrum)
+CONDITIONS = Conditions(
+    BAND, RESIDUAL_LAW, 0.5, DIVERSITY, HIGHEST_NOLL, CASE.window, 9.7, CASE.spectrum, ncpa_law=NCPA_LAW
+)
 COMPANION = {"flux_ratio": 0.03, "x_px": -9.3, "y_px": 6.1}
 
 

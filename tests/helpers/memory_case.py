@@ -75,7 +75,7 @@ def main(frames: int) -> dict[str, int]:
         axis_ratios(cube(count).images_e, cube(count).pixel_mask, 0.0)
 
     def calibration(method: str) -> Callable[[int], None]:
-        options = CalibrationOptions(method, highest_noll=HIGHEST_NOLL, max_iterations=1)
+        options = CalibrationOptions(method, highest_noll=HIGHEST_NOLL, max_iterations=1, prior=cases.PRIOR)
         return lambda count: calibrate(cube(count), SETTINGS, options) and None
 
     methods = {method: calibration(method) for method in ("long_exposure", "dip_global")}

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects import EffectSet, SeeingHalo, TipTiltJitter
+from irlos_pipe.estimate.parameters import NcpaPrior
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
@@ -13,7 +14,8 @@ from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.optics.structure import ResidualBand
 
 FACILITY = load_instrument("irlos").facility
-UT4, RESIDUAL_LAW = FACILITY.pupil, FACILITY.residual_law
+UT4, RESIDUAL_LAW, NCPA_LAW = FACILITY.pupil, FACILITY.residual_law, FACILITY.ncpa_law
+PRIOR = NcpaPrior(NCPA_LAW, 3.0)
 SCALE_MAS = 9.7
 MAS_RAD = np.deg2rad(1 / 3.6e6)
 DIVERSITY = {6: -170.0}

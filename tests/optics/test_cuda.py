@@ -53,14 +53,14 @@ def cube() -> Frames:
 def calibrated(method: str, device: str) -> np.ndarray:
     """NCPAs and, where the method has effects, the jitter."""
     effects = [TipTiltJitter()] if method == "long_exposure" else []
-    options = CalibrationOptions(method, highest_noll=HIGHEST_NOLL, max_iterations=8)
+    options = CalibrationOptions(method, highest_noll=HIGHEST_NOLL, max_iterations=8, prior=cases.PRIOR)
     result = calibrate(cube(), SMALL, options, effects, device=device)
     return np.concatenate([result.zernike_nm, result.sigma_nm, *result.effect_values.values()])
 
 
 def calibrated_beside_a_companion(device: str) -> np.ndarray:
     """NCPAs beside an effect whose place is searched for."""
-    options = CalibrationOptions(highest_noll=HIGHEST_NOLL, max_iterations=3)
+    options = CalibrationOptions(highest_noll=HIGHEST_NOLL, max_iterations=3, prior=cases.PRIOR)
     return calibrate(cube(), SMALL, options, [made("companion")[0]], device=device).zernike_nm
 
 

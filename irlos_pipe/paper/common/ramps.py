@@ -142,7 +142,10 @@ def calibrated(cube: Scene, methods: Sequence[str]) -> dict[str, Knowledge]:
     frames = frames_of(cube, expose(cube))
     return {
         method: knowledge_of(
-            cube, VARIANTS[method].calibrate(frames, settings_of(cube), model_effects_of(cube))
+            cube,
+            VARIANTS[method].calibrate(
+                frames, settings_of(cube), model_effects_of(cube), cube.facility.ncpa_law
+            ),
         )
         for method in methods
     }

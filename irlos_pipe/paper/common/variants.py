@@ -6,10 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.effects import Effect, FixedEffect, SeeingHalo, expected
 from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 
 DEFAULT = "long_exposure"
 PUBLISHED = ("lift_avg", "dip_avg", "dip_joint", "lift_slices", "dip_global")
@@ -37,21 +39,35 @@ class Variant:
         From the default's effects to those of the variant.
     frames : callable
         From the cube to the frames used.
+    prior : bool
+        Whether the modes have the prior that the stage `calibrate` gives them.
     """
 
     label: str
     options: CalibrationOptions = field(default_factory=CalibrationOptions)
     effects: Callable[[Effects], Effects] = list
     frames: Callable[[Frames], Frames] = lambda frames: frames
+    prior: bool = True
 
-    def calibrate(self, frames: Frames, settings: PsfSettings, effects: Effects) -> Calibration:
-        """Estimate the NCPAs of a cube this way."""
-        return calibrate(self.frames(frames), settings, self.options, self.effects(effects))
+    def calibrate(
+        self, frames: Frames, settings: PsfSettings, effects: Effects, ncpa_law: NcpaLaw
+    ) -> Calibration:
+        """Estimate the NCPAs of the cube `frames` this way.
+
+        `settings` and `effects` make the model, and `ncpa_law` is that of the prior.
+        """
+        options = with_prior(self.options, ncpa_law) if self.prior else self.options
+        return calibrate(self.frames(frames), settings, options, self.effects(effects))
+
+
+def with_prior(options: CalibrationOptions, ncpa_law: NcpaLaw) -> CalibrationOptions:
+    """The `options` with the prior that the stage `calibrate` makes of `ncpa_law`."""
+    return replace(options, prior=CalibrateConfig().options(ncpa_law).prior)
 
 
 def published(method: str) -> Variant:
     """A method as published: 29 modes, its own loss, no prior, no AO residual in the model."""
-    return Variant(method, CalibrationOptions(method=method, highest_noll=PUBLISHED_MODES, prior_scale=None))
+    return Variant(method, CalibrationOptions(method=method, highest_noll=PUBLISHED_MODES), prior=False)
 
 
 def _partial(effects: Effects, count: int) -> Effects:
@@ -70,10 +86,6 @@ def sharpest_half(frames: Frames) -> Frames:
     return replace(frames, images_e=frames.images_e[sharpest])
 
 
-def _options(**changes) -> CalibrationOptions:
-    return replace(CalibrationOptions(), **changes)
-
-
 # The default first; then what each of its parts buys.
 VARIANTS = {
     DEFAULT: Variant("default: mean image, AO residual and jitter, 65 modes, prior"),
@@ -81,9 +93,9 @@ VARIANTS = {
     "expected_residual": Variant("AO residual held at the seeing law", effects=_expected_residual),
     "round_residual": Variant("AO residual without direction", effects=partial(_partial, count=2)),
     "elliptic_residual": Variant("AO residual with one axis only", effects=partial(_partial, count=4)),
-    "few_modes": Variant("29 modes", _options(highest_noll=PUBLISHED_MODES)),
-    "many_modes": Variant("104 modes", _options(highest_noll=105)),
-    "no_prior": Variant("no prior of the modes", _options(prior_scale=None)),
+    "few_modes": Variant("29 modes", CalibrationOptions(highest_noll=PUBLISHED_MODES)),
+    "many_modes": Variant("104 modes", CalibrationOptions(highest_noll=105)),
+    "no_prior": Variant("no prior of the modes", prior=False),
     "sharp_half": Variant("sharpest half of the frames", frames=sharpest_half),
     **{method: published(method) for method in PUBLISHED},
 }

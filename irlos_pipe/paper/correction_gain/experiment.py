@@ -62,7 +62,9 @@ def correct(star: Star) -> dict[str, np.ndarray]:
 
 
 def _corrected(name: str, scene: Scene, exposed: Exposed, frames: int) -> dict[str, np.ndarray]:
-    result = VARIANTS[name].calibrate(frames_of(scene, exposed), settings_of(scene), model_effects_of(scene))
+    result = VARIANTS[name].calibrate(
+        frames_of(scene, exposed), settings_of(scene), model_effects_of(scene), scene.facility.ncpa_law
+    )
     estimate_nm = dict(zip(result.nolls, result.zernike_nm, strict=True))
     removed_nm = {noll: estimate_nm[noll] for noll in CORRECTED if noll in estimate_nm}
     return {

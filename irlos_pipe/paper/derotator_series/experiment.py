@@ -132,7 +132,9 @@ def estimate(sample: AngleSample) -> dict[str, np.ndarray]:
     numbers = {"mean_image_e": cube.mean_e.numpy()}
     for method, count in sample.frames.items():
         own = replace(cube, images_e=cube.images_e[:count])
-        result = VARIANTS[method].calibrate(own, settings_of(scene), model_effects_of(scene))
+        result = VARIANTS[method].calibrate(
+            own, settings_of(scene), model_effects_of(scene), scene.facility.ncpa_law
+        )
         numbers |= {
             f"{method}/noll": np.array(result.nolls),
             f"{method}/zernike_nm": result.zernike_nm,

@@ -105,7 +105,9 @@ def compare(sample: Sample) -> dict[str, float]:
 
 
 def _numbers(name: str, scene: Scene, exposed: Exposed, frames: Frames) -> dict[str, float]:
-    result = VARIANTS[name].calibrate(frames, settings_of(scene), model_effects_of(scene))
+    result = VARIANTS[name].calibrate(
+        frames, settings_of(scene), model_effects_of(scene), scene.facility.ncpa_law
+    )
     wrong = delta_wfe(exposed, result.nolls, result.zernike_nm)
     return {
         f"{name}/modes_nm": wrong.modes_nm,
@@ -118,7 +120,9 @@ def _error_of_part(scene: Scene, exposed: Exposed, frames: Frames, part: float) 
     """Δ-WFE of the default in Noll 2–30 from the first frames of a cube, against their own mean wavefront."""
     count = max(2, round(part * len(frames.images_e)))
     fewer = replace(frames, images_e=frames.images_e[:count])
-    result = VARIANTS[DEFAULT].calibrate(fewer, settings_of(scene), model_effects_of(scene))
+    result = VARIANTS[DEFAULT].calibrate(
+        fewer, settings_of(scene), model_effects_of(scene), scene.facility.ncpa_law
+    )
     return modes_delta_nm(exposed, result.nolls, result.zernike_nm, first_frames=count)
 
 

@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.mode_number import choose, fit_mode_numbers, scan_mode_numbers
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.paper.common.observation import frames_of, model_effects_of, modes_delta_nm, settings_of
+from irlos_pipe.paper.common.variants import with_prior
 from irlos_pipe.paper.methods.experiment import Sample, scene_of
 from irlos_pipe.simulate.exposure import Exposed, expose
 from irlos_pipe.simulate.scene import Scene
@@ -60,7 +62,11 @@ def errors_by_number(sample: NumberSample) -> dict[str, np.ndarray]:
     }
     cube, bright = _cube(scene, exposed, sample.magnitudes[DEFAULT][0])
     scan = scan_mode_numbers(
-        cube, settings_of(bright), _options(DEFAULT), sample.highest_nolls, model_effects_of(bright)
+        cube,
+        settings_of(bright),
+        _options(DEFAULT, scene.facility.ncpa_law),
+        sample.highest_nolls,
+        model_effects_of(bright),
     )
     choice = choose(scan.misfit)
     return numbers | {
@@ -77,7 +83,8 @@ def _errors(
     count = sample.frames[method]
     own = replace(cube, images_e=cube.images_e[:count])
     fit = fit_mode_numbers if method == DEFAULT else _from_none
-    fits = fit(own, settings_of(dimmed), _options(method), sample.highest_nolls, model_effects_of(dimmed))
+    options = _options(method, scene.facility.ncpa_law)
+    fits = fit(own, settings_of(dimmed), options, sample.highest_nolls, model_effects_of(dimmed))
     return [modes_delta_nm(exposed, one.nolls, one.zernike_nm, first_frames=count) for one in fits]
 
 
@@ -91,9 +98,10 @@ def _from_none(
     ]
 
 
-def _options(method: str) -> CalibrationOptions:
-    """The default keeps its prior; the others have none, as published."""
-    return CalibrationOptions(method) if method == DEFAULT else CalibrationOptions(method, prior_scale=None)
+def _options(method: str, ncpa_law: NcpaLaw) -> CalibrationOptions:
+    """The default has its prior; the others have none, as published."""
+    options = CalibrationOptions(method)
+    return with_prior(options, ncpa_law) if method == DEFAULT else options
 
 
 def _cube(scene: Scene, exposed: Exposed, mag_j: float) -> tuple[Frames, Scene]:

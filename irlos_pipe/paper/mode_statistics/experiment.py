@@ -50,7 +50,7 @@ def estimate_modes(sample: StatisticsSample) -> dict[str, np.ndarray]:
     nolls = range(2, sample.highest_noll + 1)
     numbers = {"introduced_nm": np.array([scene.ncpa_nm.get(noll, 0.0) for noll in nolls])}
     for method, count in sample.frames.items():
-        options = CalibrationOptions(method, highest_noll=sample.highest_noll, prior_scale=None)
+        options = CalibrationOptions(method, highest_noll=sample.highest_noll)
         own = replace(cube, images_e=cube.images_e[:count])
         result = calibrate(own, settings_of(scene), options, model_effects_of(scene))
         numbers |= {

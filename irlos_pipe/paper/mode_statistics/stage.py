@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from pydantic import Field
 
+from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter, equalised_tilts, fit_mode_law, mode_scatter
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.methods.experiment import Sample
@@ -52,8 +53,9 @@ def run(ctx: StageContext) -> StageOutput:
         TRUTH: _scatter(nolls, [one["introduced_nm"] for one in numbers], 0.0 * nolls),
         **{method: _estimated(nolls, numbers, method) for method in (DEFAULT, PUBLISHED)},
     }
-    laws = {name: _law(scatter, last=None) for name, scatter in scatters.items() if name != TRUTH}
-    introduced = {name: _law(scatter, last=INTRODUCED) for name, scatter in scatters.items()}
+    start = ctx.instrument.facility.ncpa_law
+    laws = {name: _law(scatter, start, last=None) for name, scatter in scatters.items() if name != TRUTH}
+    introduced = {name: _law(scatter, start, last=INTRODUCED) for name, scatter in scatters.items()}
     results = {
         "cubes": len(numbers),
         "modes_introduced": INTRODUCED - 1,
@@ -93,11 +95,11 @@ def _estimated(nolls: np.ndarray, numbers: Sequence[Arrays], method: str) -> Mod
     return _scatter(nolls, estimates, np.stack(errors))
 
 
-def _law(scatter: ModeScatter, last: int | None) -> ModeLaw:
+def _law(scatter: ModeScatter, start: NcpaLaw, last: int | None) -> ModeLaw:
     """Law of the estimates as they are, like the paper's; up to Noll `last`."""
     nolls = np.array(scatter.nolls)
     fitted = (nolls >= FIRST_FITTED) & (nolls <= (last or nolls[-1]))
-    return fit_mode_law(scatter, fitted, remove_noise=False)
+    return fit_mode_law(scatter, fitted, start, remove_noise=False)
 
 
 def _errors_nm(numbers: Sequence[Arrays], method: str) -> list[float]:

@@ -7,7 +7,9 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
+from irlos_pipe.estimate.parameters import NcpaPrior
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.each import Cube, each_output
@@ -51,16 +53,19 @@ class Config(Limits):
             raise ValueError("'compare' works on all recordings together; leave it out with 'each: true'")
         return self
 
-    def options(self, method: str | None = None) -> CalibrationOptions:
-        """Options of the configured method, or of another as published: own loss, own modes, no prior."""
+    def options(self, ncpa_law: NcpaLaw, method: str | None = None) -> CalibrationOptions:
+        """Options of the configured method with a prior from `ncpa_law`.
+
+        Or those of another `method` as published: own loss, own modes, no prior.
+        """
         if method is not None:
-            return CalibrationOptions(method, prior_scale=None, max_iterations=self.max_iterations)
+            return CalibrationOptions(method, max_iterations=self.max_iterations)
         return CalibrationOptions(
             self.method,
             self.loss,
             self.optimiser,
             self.highest_noll,
-            self.prior_scale,
+            None if self.prior_scale is None else NcpaPrior(ncpa_law, self.prior_scale),
             self.max_iterations,
         )
 
@@ -75,9 +80,9 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
     require_one_setup(recordings)
     if sum(r.frames for r in recordings) < MIN_FRAMES:
         raise InputDataError(_too_few(recordings[0]))
-    result = _calibrate(ctx, recordings, ctx.config.options())
+    result = _calibrate(ctx, recordings, ctx.config.options(ctx.instrument.facility.ncpa_law))
     others = [
-        _calibrate(ctx, recordings, ctx.config.options(method))
+        _calibrate(ctx, recordings, ctx.config.options(ctx.instrument.facility.ncpa_law, method))
         for method in ctx.config.compare
         if method != ctx.config.method
     ]
@@ -95,7 +100,7 @@ def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput
             r.name,
             r.acquisition,
             seeing_arcsec(ctx.instrument, r.acquisition),
-            _calibrate(ctx, [r], ctx.config.options()),
+            _calibrate(ctx, [r], ctx.config.options(ctx.instrument.facility.ncpa_law)),
         )
         for r in usable
     ]

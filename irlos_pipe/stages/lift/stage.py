@@ -10,8 +10,9 @@ import torch
 from pydantic import BeforeValidator, Field
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.estimate.lift import LiftOptions
-from irlos_pipe.estimate.parameters import ncpa_sigma_nm
+from irlos_pipe.estimate.parameters import NcpaPrior
 from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise
 from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
 from irlos_pipe.product.product import Check, Quantity
@@ -98,7 +99,14 @@ def _fit(ctx: StageContext[Config], ramp: Ramp, *, calibrated: bool, halo: str) 
     effects = effects_for_lift(ctx, recording, halo, kernel, calibrated=calibrated)
     start = ramp_start(ctx, model, ramp, ncpa_nm, ctx.config.start)
     with ctx.progress(total=len(ramp.names), desc="lift") as bar:
-        return fit_ramp(model, ramp.data, start, _options(ctx.config, start), effects, report=bar.update)
+        return fit_ramp(
+            model,
+            ramp.data,
+            start,
+            _options(ctx.config, ctx.instrument.facility.ncpa_law, start),
+            effects,
+            report=bar.update,
+        )
 
 
 def _focus_stage(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> FocusStage:
@@ -111,16 +119,15 @@ def _focus_stage(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> FocusSt
         raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
 
 
-def _options(config: Config, start_nm: torch.Tensor) -> LiftOptions:
+def _options(config: Config, ncpa_law: NcpaLaw, start_nm: torch.Tensor) -> LiftOptions:
     """ML, or MAP about the start's defocus and zero for the other modes."""
     if config.estimator == "ml":
         return LiftOptions(config.noise, max_iterations=config.max_iterations)
     mean = torch.zeros_like(start_nm)
     focus = config.modes.index(4)
     mean[:, focus] = start_nm[:, focus]
-    return LiftOptions(
-        config.noise, mean, ncpa_sigma_nm(config.modes, config.prior_scale), config.max_iterations
-    )
+    sigma_nm = NcpaPrior(ncpa_law, config.prior_scale).sigma_nm(config.modes)
+    return LiftOptions(config.noise, mean, sigma_nm, config.max_iterations)
 
 
 def _comparison(ctx: StageContext[Config], ramp: Ramp) -> dict[str, RampSummary]:

@@ -36,6 +36,7 @@ def conditions_of(
         acquisition.pixel_scale_mas,
         acquisition.spectrum,
         seeing_measured=acquisition.seeing_measured,
+        ncpa_law=instrument.facility.ncpa_law,
     )
 
 
