@@ -86,25 +86,25 @@ def night(
       trend.sqlite               the numbers of all nights (irlos trend TREE)
       night.log                  what happened
     """
-    from irlos_pipe.night.run import Order, plan_night, run_night
+    from irlos_pipe.night.run import Request, plan_night, run_night
     from irlos_pipe.night.settings import load_settings
-    from irlos_pipe.night.text import concern, plan_text, ran_json, ran_text
+    from irlos_pipe.night.terminal import attention_line, night_json, night_text, plan_text
     from irlos_pipe.pipeline.terminal import messages
 
     resources = resources_of(device, jobs, quiet=True)
     runner = _runner(engine, scheduler, resources.jobs)
-    order = Order(folders, output, load_settings(config, recipes), _date(since), resources.device)
+    request = Request(folders, output, load_settings(config, recipes), _date(since), resources.device)
     if dry_run:
         with _nothing_told(verbose, as_json):
-            click.echo(plan_text(*plan_night(order), as_json))
+            click.echo(plan_text(*plan_night(request), as_json))
         return
     with _nothing_told(verbose, as_json), terminated_like_interrupted(), messages(verbose - 1):
-        ran = run_night(order, runner)
+        state = run_night(request, runner)
     if as_json or verbose:
-        click.echo(ran_json(ran, output) if as_json else ran_text(ran, output))
-    if concern(ran, output):
-        tell(concern(ran, output))
-    sys.exit(ran.exit_code)
+        click.echo(night_json(state, output) if as_json else night_text(state, output))
+    if line := attention_line(state, output):
+        tell(line)
+    sys.exit(state.exit_code)
 
 
 @click.command(epilog=EXIT_CODES)
@@ -136,8 +136,8 @@ def trend(
       irlos trend /data/irlos/reduced --json > trend.json
     """
     from irlos_pipe.night.settings import load_settings
+    from irlos_pipe.night.terminal import alarms_line, trend_json, trend_text
     from irlos_pipe.night.trend import read_trend
-    from irlos_pipe.night.trend_text import alarms_line, trend_json, trend_text
 
     found = read_trend(tree, load_settings(config).band, names, _date(until))
     if plot is not None:
@@ -153,12 +153,12 @@ def trend(
 def _runner(engine: str, scheduler: str | None, jobs: int) -> Runner:
     """What works on the tasks."""
     if engine == "dask" and scheduler:
-        from irlos_pipe.night.dask_engine import dask_runner
+        from irlos_pipe.night.engines import dask_runner
 
         return dask_runner(scheduler)
     if engine == "dask" or scheduler:
         raise click.UsageError("--engine dask and --scheduler ADDRESS need each other")
-    from irlos_pipe.night.local import local_runner
+    from irlos_pipe.night.engines import local_runner
 
     return local_runner(jobs)
 
@@ -170,7 +170,7 @@ def _nothing_told(verbose: int, as_json: bool) -> Iterator[None]:
         yield
     except NothingToDo as nothing:
         if as_json:
-            from irlos_pipe.night.text import nothing_json
+            from irlos_pipe.night.terminal import nothing_json
 
             click.echo(nothing_json(str(nothing)))
         if verbose or sys.stderr.isatty():

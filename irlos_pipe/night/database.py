@@ -1,20 +1,29 @@
-"""The SQLite file of a tree: descriptions of recordings, and the numbers of all nights."""
+"""The SQLite file of a tree: descriptions of recordings, and the numbers and verdicts of all runs.
+
+The products hold everything that stands here: without the file the next `irlos night` makes it again.
+"""
 
 from __future__ import annotations
 
+import json
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
+from irlos_pipe.files.json import json_text
+from irlos_pipe.night.description import Description
+from irlos_pipe.night.grouping import Group
+from irlos_pipe.night.measurements import Measurements
 
 NAME = "trend.sqlite"
 SCHEMA_VERSION = 1
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS recordings (
     file TEXT PRIMARY KEY,      -- absolute path of the data file
-    stamp TEXT NOT NULL,        -- its size and time, those of its side-car
+    stamp TEXT NOT NULL,        -- sizes and times of the files that the description depends on
     description TEXT NOT NULL   -- JSON
 );
 CREATE TABLE IF NOT EXISTS runs (
@@ -22,15 +31,15 @@ CREATE TABLE IF NOT EXISTS runs (
     night TEXT NOT NULL,        -- date of the evening, ISO
     kind TEXT NOT NULL,         -- calibration, ramp, derotator, psf
     recipe TEXT NOT NULL,
-    start_unix_s REAL,          -- begin of the first recording
+    start_unix_s REAL,          -- start of the first recording
     configuration TEXT NOT NULL,
     target TEXT NOT NULL,
     status TEXT NOT NULL,       -- ok, qc_failed, partial
     checks_failed TEXT NOT NULL,-- JSON list
     verdict TEXT,               -- of diagnose: none, effect, unknown
-    effects TEXT NOT NULL,      -- JSON list of the names found by diagnose
+    effects TEXT NOT NULL,      -- JSON list of the effects found by diagnose
     model TEXT NOT NULL,        -- versions of software and stages
-    key TEXT NOT NULL           -- of the last product: all that it depends on
+    key TEXT NOT NULL           -- of the last product: checksum of everything it depends on
 );
 CREATE TABLE IF NOT EXISTS numbers (
     run TEXT NOT NULL REFERENCES runs(run) ON DELETE CASCADE,
@@ -41,50 +50,168 @@ CREATE TABLE IF NOT EXISTS numbers (
 );
 CREATE INDEX IF NOT EXISTS numbers_by_name ON numbers (name);
 """
+# For a night without times: local midnight of Paranal, which comes after that of its date.
+MIDNIGHT = "CAST(strftime('%s', night, '+1 day', '+282 minutes') AS REAL)"
+
+
+@dataclass(frozen=True)
+class Point:
+    """One number of one run.
+
+    Attributes
+    ----------
+    unix_s : float
+        Start of the recording [s since 1970]; the middle of the night where it is not known.
+    sigma : float or None
+        Standard error.
+    """
+
+    run: str
+    night: str
+    unix_s: float
+    name: str
+    recipe: str
+    configuration: str
+    value: float
+    sigma: float | None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The verdict of `diagnose` on a recording, and the effects it found."""
+
+    run: str
+    night: str
+    target: str
+    verdict: str
+    effects: tuple[str, ...]
+
+    @property
+    def group(self) -> str:
+        """Name of the group in its night."""
+        return self.run.split("/")[1]
+
+
+class Database:
+    """The tables of one tree, see `SCHEMA`; opened with `opened`, `copied` or `existing`."""
+
+    def __init__(self, connection: sqlite3.Connection):
+        self._connection = connection
+
+    def description(self, file: Path, stamp: str) -> Description | None:
+        """Return the description of a `file`; None when the file is new or has another `stamp`."""
+        query = "SELECT description FROM recordings WHERE file = ? AND stamp = ?"
+        row = self._connection.execute(query, (str(file), stamp)).fetchone()
+        return None if row is None else _description(row[0])
+
+    def descriptions(self) -> list[Description]:
+        """Return the descriptions of all nights whose files still exist."""
+        rows = self._connection.execute("SELECT file, description FROM recordings ORDER BY file")
+        return [_description(content) for file, content in rows if Path(file).is_file()]
+
+    def add_description(self, file: Path, stamp: str, description: Description) -> None:
+        """Store the `description` of a `file` under its `stamp`.
+
+        It is committed at once: reading an archive takes long and may be interrupted.
+        """
+        self._connection.execute(
+            "INSERT OR REPLACE INTO recordings VALUES (?, ?, ?)",
+            (str(file), stamp, json_text(asdict(description), None)),
+        )
+        self._connection.commit()
+
+    def run_key(self, run: str) -> str:
+        """Return the key of the products whose numbers are stored; "" when there are none."""
+        row = self._connection.execute("SELECT key FROM runs WHERE run = ?", (run,)).fetchone()
+        return row[0] if row else ""
+
+    def store_run(self, run: str, group: Group, recipe: str, measured: Measurements) -> None:
+        """Store the numbers of a run in place of those it had before.
+
+        Parameters
+        ----------
+        run : str
+            ``<night>/<group>/<recipe>``.
+        group : Group
+            The recordings.
+        recipe : str
+            Name of the recipe.
+        measured : Measurements
+            Status, numbers and verdict.
+        """
+        first = group.first
+        self._connection.execute("DELETE FROM runs WHERE run = ?", (run,))  # its numbers go with it
+        self._connection.execute(
+            "INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            (
+                run,
+                group.night,
+                group.kind,
+                recipe,
+                first.start_unix_s,
+                first.configuration,
+                first.target,
+                measured.status,
+                json.dumps(measured.checks_failed),
+                measured.verdict,
+                json.dumps(measured.effects),
+                measured.model,
+                measured.key,
+            ),
+        )
+        rows = [(run, name, value, sigma) for name, (value, sigma) in measured.numbers.items()]
+        self._connection.executemany("INSERT INTO numbers VALUES (?, ?, ?, ?)", rows)
+
+    def points(self, until: str = "") -> list[Point]:
+        """Return all numbers in order of time, up to the night `until` (ISO date; all if empty)."""
+        rows = self._connection.execute(
+            f"SELECT run, night, coalesce(start_unix_s, {MIDNIGHT}), name, recipe,"
+            " configuration, value, sigma FROM numbers JOIN runs USING (run) ORDER BY 3, run, name"
+        )
+        return [one for one in (Point(*row) for row in rows) if not until or one.night <= until]
+
+    def verdicts(self, until: str = "") -> list[Verdict]:
+        """Return the verdicts of `diagnose` in order of time, up to the night `until` (all if empty)."""
+        rows = self._connection.execute(
+            "SELECT run, night, target, verdict, effects FROM runs"
+            " WHERE verdict IS NOT NULL ORDER BY night, start_unix_s, run"
+        )
+        found = (
+            Verdict(run, night, target, verdict, tuple(json.loads(effects)))
+            for run, night, target, verdict, effects in rows
+        )
+        return [one for one in found if not until or one.night <= until]
 
 
 @contextmanager
-def opened(tree: Path) -> Iterator[sqlite3.Connection]:
-    """Open the database of a tree, which is made if need be; the block is one transaction.
+def opened(tree: Path) -> Iterator[Database]:
+    """Open the database of a tree, creating it if necessary; the block is one transaction.
 
     Raises
     ------
     IrlosError
-        When it cannot be read or written, or is not what it should be; nothing is changed then.
+        When the file cannot be read or written, or is not such a database; it is unchanged then.
     """
-    path = tree / NAME
-    try:
-        connection = sqlite3.connect(path, timeout=30)
-        try:
-            _require_own(connection, path)
-            connection.execute("PRAGMA foreign_keys = ON")
-            with connection:
-                yield connection
-        finally:
-            connection.close()
-    except sqlite3.Error as error:
-        raise IrlosError(
-            f"{path}: {error}; the products hold all of it: move the file away and run irlos "
-            "night again to have it made anew"
-        ) from error
+    with _connected(tree) as connection:
+        yield Database(connection)
 
 
 @contextmanager
-def copied(tree: Path) -> Iterator[sqlite3.Connection]:
-    """Give a copy in memory of the database of a tree, an empty one if there is none; nothing is written."""
+def copied(tree: Path) -> Iterator[Database]:
+    """Give a copy in memory of the database of a tree, empty if there is none; nothing is written."""
     connection = sqlite3.connect(":memory:")
     try:
         if (tree / NAME).is_file():
-            with opened(tree) as stored:
+            with _connected(tree) as stored:
                 stored.backup(connection)
-        _require_own(connection, tree / NAME)
-        yield connection
+        _require_schema(connection, tree / NAME)
+        yield Database(connection)
     finally:
         connection.close()
 
 
 @contextmanager
-def existing(tree: Path) -> Iterator[sqlite3.Connection]:
+def existing(tree: Path) -> Iterator[Database]:
     """Open the database of a tree for reading.
 
     Raises
@@ -97,14 +224,39 @@ def existing(tree: Path) -> Iterator[sqlite3.Connection]:
             f"{tree}: not the tree of irlos night (no {NAME}); make one with: "
             "irlos night NIGHT_DIR --output TREE"
         )
-    with opened(tree) as connection:
-        yield connection
+    with opened(tree) as database:
+        yield database
 
 
-def _require_own(connection: sqlite3.Connection, path: Path) -> None:
+@contextmanager
+def _connected(tree: Path) -> Iterator[sqlite3.Connection]:
+    path = tree / NAME
+    try:
+        connection = sqlite3.connect(path, timeout=30)
+        try:
+            _require_schema(connection, path)
+            connection.execute("PRAGMA foreign_keys = ON")
+            with connection:
+                yield connection
+        finally:
+            connection.close()
+    except sqlite3.Error as error:
+        raise IrlosError(
+            f"{path}: {error}; the products hold everything in it: move the file away, and the next "
+            "irlos night makes it again"
+        ) from error
+
+
+def _require_schema(connection: sqlite3.Connection, path: Path) -> None:
+    """Create the tables of a new file; refuse those of a newer version."""
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version > SCHEMA_VERSION:
-        raise IrlosError(f"{path}: written by a newer irlos_pipe (schema {version}); use that one")
+        raise IrlosError(f"{path}: written by a newer irlos_pipe (schema {version}); use that version")
     if version < SCHEMA_VERSION:
         connection.executescript(SCHEMA)
         connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+
+
+def _description(content: str) -> Description:
+    values = json.loads(content)
+    return Description(**values | {"path": Path(values["path"]), "window": tuple(values["window"])})

@@ -1,4 +1,4 @@
-"""What the night has to know of a recording to decide what becomes of it: a few plain values."""
+"""What is known of a recording before it is reduced: enough to assign it to a night and a group."""
 
 from __future__ import annotations
 
@@ -18,18 +18,20 @@ class Description:
     Attributes
     ----------
     path : Path
-        What a recipe is given: the recorder's folder, or the file.
+        The recorder's folder, or the file: the input that a recipe is given.
     night : str
         Date of its evening, ISO.
     start_unix_s : float or None
-        Begin since 1970 [s]; None where the recording does not tell.
+        Start time since 1970 [s]; None where the recording does not state it.
     mode : str
-        Read-out mode, empty where the layout has none.
+        Read-out mode, empty where the file layout has none.
     configuration : str
-        What the NCPAs depend on, in words: read-out mode, pixel scale, diversity. Recordings of the
-        same text were taken through the same optics.
+        What the NCPAs depend on: read-out mode, pixel scale, diversity. Recordings with equal text
+        were taken through the same optics.
     spectrum : str
-        Wavelengths and weights in words.
+        Wavelengths and weights.
+    window : tuple of int
+        Rows and columns [px].
     full_pupil : bool
         False for the images of a 2x2 mode.
     """
@@ -51,16 +53,16 @@ class Description:
 
 
 def night_of(unix_s: float) -> str:
-    """Return the night a moment belongs to, as the ISO date of its evening."""
+    """Return the night of a time [s since 1970], as the ISO date of its evening."""
     return (datetime.fromtimestamp(unix_s, UTC) - NOON_UTC).date().isoformat()
 
 
-def clock(unix_s: float | None, pattern: str = "%H:%M:%S") -> str:
-    """Return the UTC time of day; nothing when it is not known."""
+def utc_time(unix_s: float | None, pattern: str = "%H:%M:%S") -> str:
+    """Format the time of day of `unix_s` with a strftime `pattern`; return "" if it is not known."""
     return "" if unix_s is None else datetime.fromtimestamp(unix_s, UTC).strftime(pattern)
 
 
-def common_depth(one: Path, other: Path) -> int:
-    """Return how many folders two paths have in common."""
-    pairs = zip(one.parts, other.parts, strict=False)
+def common_depth(path: Path, other: Path) -> int:
+    """Return how many leading folders `path` and `other` have in common."""
+    pairs = zip(path.parts, other.parts, strict=False)
     return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))

@@ -1,4 +1,4 @@
-"""Find the recordings under some folders, and describe them."""
+"""Find the recordings under some folders and describe them; known ones are not read again."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.files.json import canonical_json
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.night.catalogue import Catalogue
+from irlos_pipe.night.database import Database
 from irlos_pipe.night.description import Description, common_depth, night_of
 from irlos_pipe.readers import recorder
 from irlos_pipe.readers.find import recording_files
@@ -22,13 +23,13 @@ from irlos_pipe.readers.sidecar import AcquisitionKeys, sidecar_path
 from irlos_pipe.stages.ingest.sources import Source, read_sources
 
 DATED = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?!\d)")
-# What the readers remark is told when the recording is reduced.
+# Warnings of the readers are reported when the recording is reduced.
 SILENT = logging.Logger("describe", logging.CRITICAL + 1)
 
 
 @dataclass(frozen=True)
 class Unusable:
-    """A file or folder that cannot be used, the night it belongs to as far as can be told, and why."""
+    """A file or folder that cannot be used, the night that it most likely belongs to, and why."""
 
     path: Path
     night: str
@@ -37,21 +38,27 @@ class Unusable:
 
 @dataclass(frozen=True)
 class Discovered:
-    """What was found."""
+    """The recordings found, and what cannot be used."""
 
     recordings: list[Description] = field(default_factory=list)
     unusable: list[Unusable] = field(default_factory=list)
 
 
 def discover(
-    folders: Sequence[Path], keys: AcquisitionKeys, instrument: Instrument, catalogue: Catalogue
+    folders: Sequence[Path], keys: AcquisitionKeys, instrument: Instrument, database: Database
 ) -> Discovered:
     """Describe every recording under the folders; one that cannot be read does not stop the others.
 
     Parameters
     ----------
+    folders : sequence of Path
+        Searched through all their depth.
     keys : AcquisitionKeys
-        Side-car keys that win over the side-cars.
+        Side-car keys that override the side-cars.
+    instrument : Instrument
+        Values of the keys that no side-car has.
+    database : Database
+        Descriptions of earlier runs; new ones are added.
 
     Raises
     ------
@@ -64,17 +71,17 @@ def discover(
     alone = _alone(files)
     for file in files:
         try:
-            recordings.append(_describe(file, alone, keys, instrument, catalogue))
+            recordings.append(_describe(file, alone, keys, instrument, database))
         except InputDataError as error:
             problems.append((file, str(error)))
-        except Exception as error:  # whatever a damaged file brings about, the others are read
+        except Exception as error:  # a damaged file must not keep the others from being read
             problems.append((file, f"{file}: unexpected {type(error).__name__}: {error}"))
     unusable = [Unusable(path, _night_of_unusable(path, recordings), problem) for path, problem in problems]
     return Discovered(recordings, unusable)
 
 
-def dated(path: Path) -> str:
-    """Return the date that stands in the name of a folder or of one above it, ISO; nothing without one."""
+def date_in_path(path: Path) -> str:
+    """Return the date in the name of a folder, or of the nearest one above that has one (ISO); else ""."""
     for part in reversed(path.parts):
         for year, month, day in DATED.findall(part):
             try:
@@ -95,7 +102,7 @@ def _files(folders: Sequence[Path], problems: list[tuple[Path, str]]) -> list[Pa
 
 
 def _alone(files: Iterable[Path]) -> set[Path]:
-    """Folders that hold one recording and nothing else of that kind below."""
+    """Folders with exactly one recording in or below them."""
     counts: dict[Path, int] = {}
     for file in files:
         for folder in file.parents:
@@ -104,17 +111,17 @@ def _alone(files: Iterable[Path]) -> set[Path]:
 
 
 def _describe(
-    file: Path, alone: set[Path], keys: AcquisitionKeys, instrument: Instrument, catalogue: Catalogue
+    file: Path, alone: set[Path], keys: AcquisitionKeys, instrument: Instrument, database: Database
 ) -> Description:
     stamp = _stamp(file, keys, alone)
-    known = catalogue.known(file, stamp)
+    known = database.description(file, stamp)
     if known is not None:
         return known
     sources, failures = read_sources({"night": [file]}, lambda _: keys, instrument, SILENT)
     if failures:
         raise InputDataError(failures[0][1])
     description = _described(file, sources[0], alone)
-    catalogue.remember(file, stamp, description)
+    database.add_description(file, stamp, description)
     return description
 
 
@@ -143,19 +150,19 @@ def _described(file: Path, source: Source, alone: set[Path]) -> Description:
 
 
 def _night_of_file(path: Path) -> str:
-    """The date in its name or a folder's, else the night when it was written."""
-    return dated(path) or night_of(path.stat().st_mtime)
+    """The date in the path, else the night when the file was written."""
+    return date_in_path(path) or night_of(path.stat().st_mtime)
 
 
 def _night_of_unusable(path: Path, recordings: Sequence[Description]) -> str:
-    """The date in its name or a folder's, else that of the recording that lies nearest, else of the file."""
+    """The date in the path, else the night of the recording nearest in the folder tree, else of the file."""
     nearest = max(recordings, key=lambda one: common_depth(one.path, path), default=None)
-    return dated(path) or (nearest.night if nearest else _night_of_file(path))
+    return date_in_path(path) or (nearest.night if nearest else _night_of_file(path))
 
 
 def _stamp(file: Path, keys: AcquisitionKeys, alone: set[Path]) -> str:
-    """What the description depends on, in short."""
-    parts: list = [file.parent in alone, keys]
+    """Everything that the description depends on: settings, and sizes and times of the files."""
+    parts: list[Any] = [file.parent in alone, keys]
     for path in (file, sidecar_path(file)):
         status = path.stat() if path.is_file() else None
         parts += [path, status and status.st_size, status and status.st_mtime_ns]

@@ -1,4 +1,4 @@
-"""night_<date>.html: what came in, what became of it, how it fits the nights before."""
+"""The page of a night, night_<date>.html: recordings, reductions, trend."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from irlos_pipe.night.page_sections import (
     trend_section,
     verdicts_section,
 )
-from irlos_pipe.night.settings import BandKeys
+from irlos_pipe.night.settings import BandSettings
 from irlos_pipe.night.state import Night
 from irlos_pipe.night.trend import Trend, make_trend
 from irlos_pipe.report.render import rendered
@@ -26,12 +26,12 @@ RUNNING = "not finished"
 
 
 def page_path(tree: Path, date: str) -> Path:
-    """Where the page of a night is."""
+    """Return the path in `tree` of the page of the night of a `date`."""
     return tree / f"night_{date}.html"
 
 
 def begin_page(tree: Path, night: Night) -> None:
-    """Say that the night is in work, for those who look in, and in case this process is killed.
+    """Write in `tree` that `night` is being reduced, for readers, and in case this process is killed.
 
     Raises
     ------
@@ -46,8 +46,12 @@ def write_page(tree: Path, night: Night, trend: Trend | None) -> None:
 
     Parameters
     ----------
+    tree : Path
+        Folder of all results.
+    night : Night
+        What was found and done.
     trend : Trend or None
-        As it stood after the night; None leaves the trends out.
+        The trend as it was after the night; None leaves it out.
 
     Raises
     ------
@@ -58,7 +62,7 @@ def write_page(tree: Path, night: Night, trend: Trend | None) -> None:
 
 
 def is_finished(tree: Path, date: str) -> bool:
-    """Whether the page of a night is there, and not left by a run that was killed or stopped."""
+    """Whether the page in `tree` of a `date` exists and is not that of a run that was killed or stopped."""
     path = page_path(tree, date)
     return path.is_file() and FINISHED in path.read_text(encoding="utf-8")
 
@@ -72,7 +76,7 @@ def _status(night: Night) -> str:
 
 
 def _write(tree: Path, night: Night, trend: Trend | None, status: str) -> None:
-    shown = trend or make_trend((), (), BandKeys())
+    shown = trend or make_trend((), (), BandSettings())
     sections = [
         reductions_section(night),
         verdicts_section(shown, night.date),
@@ -96,7 +100,7 @@ def _write(tree: Path, night: Night, trend: Trend | None, status: str) -> None:
 
 
 def _summary(night: Night) -> str:
-    """What was done, in a few words."""
+    """Counts of recordings, reductions and actions."""
     actions = [one.action for one in night.reduced.values()]
     counts = {action: actions.count(action) for action in dict.fromkeys(actions)}
     done = [f"{count} {action}" for action, count in counts.items()]

@@ -1,4 +1,4 @@
-"""The parts of a night's page."""
+"""The sections and key numbers of a night's page."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from collections.abc import Iterator
 
 from markupsafe import Markup
 
-from irlos_pipe.night.description import Description, clock
-from irlos_pipe.night.jobs import Job
+from irlos_pipe.night.database import Verdict
+from irlos_pipe.night.description import Description, utc_time
 from irlos_pipe.night.reduce import UNCHANGED, Reduced
 from irlos_pipe.night.state import Night
+from irlos_pipe.night.tasks import Job
 from irlos_pipe.night.trend import Series, Trend
-from irlos_pipe.night.trend_db import Verdict
 from irlos_pipe.night.trend_plots import series_drawing, structure_drawing
 from irlos_pipe.product.runfolder import RunFolder
-from irlos_pipe.report.content import Figure, KeyNumber, Section, Stack, Table
+from irlos_pipe.report.content import Figure, KeyNumber, Section, Stack, Table, Text
 from irlos_pipe.report.text import MISSING, duration, number, plural, with_error
 
 # (label, name of the number, pattern, unit)
@@ -40,12 +40,12 @@ MODES_CAPTION = (
     "Coefficients with errors; shaded: the band that the nights before allow; circled: outside "
     "it. Modes that left their band are shown beside Noll 4 to 11."
 )
-OTHERS_CAPTION = "The same for other numbers; those of the sky do not alarm."
+OTHERS_CAPTION = "Other numbers in the same way; those that depend on the sky do not alarm."
 STRUCTURE_CAPTION = (
     "RMS change of the wavefront in Noll 4 and up between two calibrations, against the "
     "time between them: flat where the NCPAs are stable, 0 where noise explains the change."
 )
-VERDICT_NIGHTS, MOST_VERDICTS = 30, 4  # rows of the table, and numbers at the top
+MAX_VERDICT_ROWS, MAX_VERDICTS = 30, 4  # rows of the table, and numbers at the top
 FEW_ROWS = 12
 RECORDING_COLUMNS = (
     "recording",
@@ -60,11 +60,11 @@ RECORDING_COLUMNS = (
 
 
 def numbers_of_night(night: Night, trend: Trend) -> list[KeyNumber]:
-    """The numbers to see first: the last of each in this night."""
+    """Return the numbers at the top of the page: the last of each in `night`, from the `trend`."""
     found = [KeyNumber(*one) for one in _measured(night.date, trend)]
     gaps = _gaps(trend)
     verdicts = [one for one in trend.verdicts if one.night == night.date]
-    return found + [_verdict_number(one, gaps) for one in verdicts[-MOST_VERDICTS:]]
+    return found + [_verdict_number(one, gaps) for one in verdicts[-MAX_VERDICTS:]]
 
 
 def _verdict_number(verdict: Verdict, gaps: dict[tuple[str, str], float]) -> KeyNumber:
@@ -74,7 +74,7 @@ def _verdict_number(verdict: Verdict, gaps: dict[tuple[str, str], float]) -> Key
 
 
 def _gaps(trend: Trend) -> dict[tuple[str, str], float]:
-    """Numbers by run and name."""
+    """Values by run and name."""
     return {(point.run, one.name): point.value for one in trend.series for point in one.points}
 
 
@@ -87,7 +87,7 @@ def _measured(date: str, trend: Trend) -> Iterator[tuple[str, str, str]]:
 
 
 def reductions_section(night: Night) -> Section | None:
-    """One row per job: what was done, why, where its report is."""
+    """Return one row per job: what was done, why, and a link to its report."""
     if not night.jobs:
         return None
     rows = [_row(job, night.reduced.get(job.task.name)) for job in night.jobs]
@@ -117,7 +117,7 @@ def _report_link(reduced: Reduced) -> str:
 
 
 def _wrapped(text: str) -> Markup:
-    """Long text that may go over several lines of a cell."""
+    """Long text that may be broken into several lines of a cell."""
     return Markup('<span class="why">{}</span>').format(text)
 
 
@@ -128,8 +128,8 @@ def _mark(reduced: Reduced | None) -> str:
 
 
 def verdicts_section(trend: Trend, date: str) -> Section | None:
-    """What `diagnose` found missing, in this night and those before."""
-    latest = [one for one in trend.verdicts if one.night <= date][-VERDICT_NIGHTS:]
+    """Return the verdicts of `diagnose` up to the night of `date`, from the `trend`."""
+    latest = [one for one in trend.verdicts if one.night <= date][-MAX_VERDICT_ROWS:]
     if not latest:
         return None
     gaps = _gaps(trend)
@@ -150,9 +150,10 @@ def verdicts_section(trend: Trend, date: str) -> Section | None:
 
 
 def trend_section(trend: Trend) -> Section | None:
-    """Numbers against time, and how stable the NCPAs are."""
+    """Return plots of numbers against time, and of the stability of the NCPAs."""
     modes, others = drawn(trend, DRAWN_MODES), drawn(trend, DRAWN_OTHERS)
-    blocks, beside = [], []
+    blocks: list[Figure | Table | Text | Stack] = []
+    beside: list[Figure] = []
     if modes:
         blocks.append(Figure(series_drawing("modes", modes), "NCPAs", MODES_CAPTION))
     if others:
@@ -165,7 +166,7 @@ def trend_section(trend: Trend) -> Section | None:
 
 
 def drawn(trend: Trend, names: tuple[str, ...]) -> list[Series]:
-    """The main series of the given numbers, then others of their kind that left their band."""
+    """Return the main series of `names` in a `trend`, then others of their kind that left their band."""
     found = [main_series(trend, name) for name in names]
     out = [
         one
@@ -178,16 +179,16 @@ def drawn(trend: Trend, names: tuple[str, ...]) -> list[Series]:
 
 
 def main_series(trend: Trend, name: str) -> Series | None:
-    """Of a number that several recipes or configurations have, the series with most points.
+    """Return the longest series in a `trend` of the number `name`, which several recipes may measure.
 
-    Of as many, the one whose last point has the smaller error.
+    Among series of equal length it is the one whose last point has the smallest error.
     """
     found = (one for one in trend.series if one.name == name)
     return max(found, key=lambda one: (len(one.points), -(one.points[-1].sigma or 0.0)), default=None)
 
 
 def left_out_section(night: Night) -> Section | None:
-    """Recordings that nothing was made of."""
+    """Return the recordings that were not reduced, and why."""
     rows = [(one.recording.name, one.recording.role, _wrapped(one.reason)) for one in night.left_out]
     rows += [(one.path.name, MISSING, _wrapped(one.problem)) for one in night.unusable]
     marks = ["bad" if one.alarming else "" for one in night.left_out] + ["bad"] * len(night.unusable)
@@ -196,7 +197,7 @@ def left_out_section(night: Night) -> Section | None:
 
 
 def recordings_section(night: Night) -> Section | None:
-    """What came in, in order of time."""
+    """Return the recordings in order of time."""
     if not night.recordings:
         return None
     ordered = sorted(night.recordings, key=lambda one: (one.start_unix_s or 0.0, one.name))
@@ -211,7 +212,7 @@ def _recording_row(one: Description) -> tuple[str, ...]:
     return (
         one.name,
         one.role,
-        clock(one.start_unix_s) or MISSING,
+        utc_time(one.start_unix_s) or MISSING,
         one.target or MISSING,
         str(one.frames),
         f"{rows}x{columns}",

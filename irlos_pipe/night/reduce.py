@@ -1,82 +1,46 @@
-"""Reduce one group of recordings with one recipe; whatever goes wrong with it stays with it."""
+"""Reduce one group of recordings with one recipe; an error concerns this reduction only."""
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
-from irlos_pipe.night.place import Place
+from irlos_pipe.night.published_run import PublishedRun
+from irlos_pipe.night.tasks import Task
 from irlos_pipe.pipeline import Resources, Selection, Step, plan_run, run_recipe
+from irlos_pipe.product.results import ResultsPart, read_run_results
 from irlos_pipe.product.runfolder import RunFolder
-from irlos_pipe.recipe import Recipe, load_recipe
+from irlos_pipe.recipe import Recipe
 
 NEW, REDONE, UNCHANGED, FAILED = "new", "redone", "up to date", "failed"
 
 
 @dataclass(frozen=True)
-class Task:
-    """A recipe and the recordings it is to be run on: small, and the same in any process on any machine.
-
-    Attributes
-    ----------
-    name : str
-        ``<night>/<group>/<recipe>``, unique in the tree.
-    folder : Path
-        Where the products are found when they are complete, see `Place`.
-    recipe, settings, inputs :
-        As `load_recipe` takes them.
-    device : str
-        ``cpu`` or ``cuda``.
-    threads : int
-        For the process that works on it; results do not depend on it.
-    """
-
-    name: str
-    folder: Path
-    recipe: Path
-    settings: tuple[str, ...] = ()
-    inputs: tuple[str, ...] = ()
-    device: str = "cpu"
-    threads: int = 1
-
-    def load(self) -> Recipe:
-        """Return the recipe, checked.
-
-        Raises
-        ------
-        ConfigurationError
-            When it is not valid.
-        """
-        return load_recipe(self.recipe, self.settings, self.inputs)
-
-
-@dataclass(frozen=True)
 class Reduced:
-    """What became of a task.
+    """The outcome of a task.
 
     Attributes
     ----------
-    name, folder :
+    name, folder : str, Path
         As in the task.
     action : str
         ``new``, ``redone``, ``up to date`` or ``failed``.
     status : str
         As in results.json; ``failed`` also when nothing was written.
     checks_failed : tuple of str
-        What the QC checks that failed say.
+        Messages of the QC checks that failed.
     reasons : tuple of str
         One line per stage that was redone: which, and why.
     problem : str
-        What stopped it, or what is wrong beside the results, in one line.
+        The error that stopped it, or a problem beside the results, in one line.
     key : str
-        Of the last product, where it is known; see `Step`.
+        Key of the last product, where it is known; see `Step`.
     log : Path
-        Where more is told.
+        The log of the run.
     seconds : float
         Wall time.
     """
@@ -98,8 +62,18 @@ class Reduced:
         return self.action == FAILED
 
 
-Runner = Callable[[Callable[[Task], Reduced], Sequence[Task]], Iterable[Reduced]]
-"""Calls a function with every task, anywhere and in any order; returns one result per task, as they come."""
+class Work(Protocol):
+    """The function that a runner calls with every task: `reduce_group`."""
+
+    def __call__(self, task: Task, last: str | None = None, before: Reduced | None = None) -> Reduced:
+        """See `reduce_group`."""
+
+
+class Runner(Protocol):
+    """Calls a function with every task, anywhere and in any order."""
+
+    def __call__(self, work: Work, tasks: Sequence[Task]) -> Iterable[Reduced]:
+        """Return one outcome of `work` per task of `tasks`, as they are ready."""
 
 
 def reduce_group(task: Task, last: str | None = None, before: Reduced | None = None) -> Reduced:
@@ -107,80 +81,110 @@ def reduce_group(task: Task, last: str | None = None, before: Reduced | None = N
 
     Parameters
     ----------
+    task : Task
+        The recipe and its recordings.
     last : str, optional
-        The stage to stop at, for engines that send stage after stage; products appear with the recipe's
-        last stage, or without `last`.
+        The stage to stop at, for engines that run stage after stage; products are published with the
+        recipe's last stage, or without `last`.
     before : Reduced, optional
-        What became of the stage before; if that failed, this one is not tried.
+        Outcome of the stage before; if that failed, this one is not tried.
 
     Returns
     -------
     Reduced
-        Also for everything that can go wrong; only interruptions are raised.
+        For every error as well; only interruptions are raised.
     """
     if before is not None and before.failed:
         return before
-    clock = time.perf_counter()
+    start = time.perf_counter()
     try:
-        done = _reduce(task, last)
+        reduced = _reduce(task, last)
     except Exception as error:
-        done = failure(task, _told(error))
+        reduced = failure(task, _message(error))
     spent = before.seconds if before is not None else 0.0
-    return replace(done, seconds=round(spent + time.perf_counter() - clock, 3))
+    return replace(reduced, seconds=round(spent + time.perf_counter() - start, 3))
 
 
 def failure(task: Task, problem: str) -> Reduced:
-    """Return what a task came to that was stopped by a problem."""
-    log = RunFolder(Place(task.folder).workplace).log
+    """Return the outcome of a `task` that was stopped by a `problem`."""
+    log = RunFolder(PublishedRun(task.folder).work_folder).log
     return Reduced(task.name, task.folder, FAILED, "failed", problem=problem, log=log)
 
 
 def planned(task: Task, recipe: Recipe) -> list[Step] | None:
-    """Return what would be done about every stage; None when there are no products at all.
+    """Return the plan of every stage of the `recipe` of a `task`; None when there are no products at all.
 
     Raises
     ------
     IrlosError
         When the inputs cannot be read.
     """
-    if not Place(task.folder).published:
+    if not PublishedRun(task.folder).published:
         return None
     return plan_run(recipe, task.folder, Selection())[1]
 
 
-def unchanged(task: Task, steps: Sequence[Step]) -> Reduced:
-    """Return what a task came to whose products are up to date; others that were begun are removed."""
-    Place(task.folder).discard()
-    return _ended(task, RunFolder(task.folder), UNCHANGED, key=steps[-1].key)
+def unchanged(task: Task) -> Reduced | None:
+    """Return the outcome if all products are up to date, else None; an unfinished set is removed then.
+
+    Raises
+    ------
+    IrlosError
+        When the recipe, the inputs or the products cannot be read.
+    """
+    return _unchanged(task, planned(task, task.load()))
+
+
+def _unchanged(task: Task, steps: Sequence[Step] | None) -> Reduced | None:
+    if steps is None or not all(step.current for step in steps):
+        return None
+    PublishedRun(task.folder).discard()
+    return replace(_outcome(task, RunFolder(task.folder), UNCHANGED), key=steps[-1].key)
 
 
 def _reduce(task: Task, last: str | None) -> Reduced:
-    recipe, place = task.load(), Place(task.folder)
+    recipe, published = task.load(), PublishedRun(task.folder)
     steps = planned(task, recipe)
-    if steps is not None and all(step.current for step in steps):
-        return unchanged(task, steps)
-    run = RunFolder(place.prepare())
+    current = _unchanged(task, steps)
+    if current is not None:
+        return current
+    run = RunFolder(published.prepare())
     outcome = run_recipe(recipe, run.path, Selection(last=last), Resources(task.device, task.threads))
     if last in (None, recipe.stages[-1]):
-        place.publish()
+        published.publish()
         run = RunFolder(task.folder)
     reasons = tuple(step.describe() for step in steps or () if not step.current)
-    action = NEW if steps is None else REDONE
-    return _ended(task, run, action, reasons=reasons, problem=outcome.report_error)
+    reduced = _outcome(task, run, NEW if steps is None else REDONE)
+    return replace(reduced, reasons=reasons, problem=outcome.report_error)
 
 
-def _ended(task: Task, run: RunFolder, action: str, **more: Any) -> Reduced:
-    """What the files of a run say about its end."""
+class _Check(ResultsPart):
+    """What is read of a check of qc.json."""
+
+    stage: str
+    message: str
+    passed: bool
+
+
+class _Quality(ResultsPart):
+    """What is read of qc.json."""
+
+    checks: list[_Check]
+
+
+def _outcome(task: Task, run: RunFolder, action: str) -> Reduced:
+    """Read status and failed checks from the files of a run."""
     try:
-        status = json.loads(run.results.read_text())["status"]
-        checks = json.loads(run.quality.read_text())["checks"]
-        failed = tuple(f"{check['stage']}: {check['message']}" for check in checks if not check["passed"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputDataError(f"{run.path}: cannot be read ({error}); remove it and run again") from error
-    return Reduced(task.name, task.folder, action, status, failed, log=run.log, **more)
+        status = read_run_results(run.results).status
+        checks = _Quality.model_validate_json(run.quality.read_bytes()).checks
+    except (OSError, ValueError, InputDataError) as error:
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        raise InputDataError(f"{run.path}: cannot be read ({reason}); remove it and run again") from error
+    failed = tuple(f"{check.stage}: {check.message}" for check in checks if not check.passed)
+    return Reduced(task.name, task.folder, action, status, failed, log=run.log)
 
 
-def _told(error: Exception) -> str:
+def _message(error: Exception) -> str:
     if isinstance(error, IrlosError):
         return next(iter(str(error).splitlines()), type(error).__name__)
     return f"unexpected {type(error).__name__}: {error}"

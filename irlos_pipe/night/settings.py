@@ -1,10 +1,10 @@
-"""What `irlos night` can be told: which recipe serves which kind of group, and when a trend is alarming."""
+"""Settings of `irlos night`: recipes by kind of group, how recordings are grouped, when a number alarms."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -12,11 +12,11 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.overrides import absolute
 from irlos_pipe.files.validation import read_validated
-from irlos_pipe.night.grouping import KINDS
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
 Kind = Literal["calibration", "ramp", "derotator", "psf"]
-RECIPES = {
+KINDS: tuple[Kind, ...] = get_args(Kind)
+RECIPES: dict[Kind, list[str]] = {
     "calibration": ["recipes/ncpa_calibration.yaml", "recipes/diagnose.yaml"],
     "ramp": ["recipes/defocus_ramp.yaml"],
     "derotator": ["recipes/derotator.yaml"],
@@ -28,48 +28,58 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class BandKeys(_Section):
-    """When a number counts as out of its band, which is that of the nights before; see `stability`."""
+class BandSettings(_Section):
+    """When a number counts as out of its band; see `trend_statistics.bands`."""
 
-    false_alarm: float = Field(1e-4, gt=0, lt=0.5, description="probability per number")
-    nights: int = Field(60, ge=3, le=10000, description="earlier nights that make the band, the latest ones")
-    least_nights: int = Field(5, ge=3, le=1000, description="nights below which there is no band")
+    false_alarm: float = Field(default=1e-4, gt=0, lt=0.5, description="false-alarm probability per number")
+    nights: int = Field(default=60, ge=3, le=10000, description="number of latest earlier nights used")
+    least_nights: int = Field(default=5, ge=3, le=1000, description="fewest earlier nights that give a band")
 
 
 class NightSettings(_Section):
-    """The file given with --config; all may be left out."""
+    """The file given with ``--config``; every key is optional."""
 
-    instrument: str = Field("irlos", description="instrument profile for reading the recordings")
-    acquisition: AcquisitionKeys = Field(AcquisitionKeys(), description="side-car keys that win")
-    recipes: dict[Kind, list[str]] = Field({}, description="recipes by kind of group, relative to this file")
-    settings: dict[str, dict[str, Any]] = Field({}, description="recipe name: {stage.key: value}")
-    series_gap_min: float = Field(30.0, gt=0, le=1440, description="longest pause within a ramp or series")
-    calibration_nights: int = Field(7, ge=0, le=400, description="nights a calibration serves ramps")
-    band: BandKeys = BandKeys()
+    instrument: str = Field(default="irlos", description="instrument profile for reading the recordings")
+    acquisition: AcquisitionKeys = Field(
+        default=AcquisitionKeys(), description="side-car keys that override the side-cars"
+    )
+    recipes: dict[Kind, list[str]] = Field(
+        default={}, description="recipes by kind of group, relative to this file"
+    )
+    settings: dict[str, dict[str, Any]] = Field(default={}, description="recipe name: {stage.key: value}")
+    series_gap_min: float = Field(
+        default=30.0, gt=0, le=1440, description="longest time between two recordings of a series [min]"
+    )
+    calibration_nights: int = Field(
+        default=7, ge=0, le=400, description="a ramp may use a calibration up to this many nights away"
+    )
+    band: BandSettings = Field(default=BandSettings())
 
-    def recipes_of(self, kind: str) -> list[Path]:
-        """Return the recipes that serve a kind of group."""
+    def recipes_of(self, kind: Kind) -> list[Path]:
+        """Return the recipes that reduce a kind of group."""
         return [Path(path) for path in self.recipes[kind]]
 
 
 def load_settings(path: Path | None = None, recipes: Iterable[str] = ()) -> NightSettings:
-    """Read the file, if there is one, and what the command line says about recipes.
+    """Read the settings file, if there is one, and the recipes named on the command line.
 
     Parameters
     ----------
+    path : Path, optional
+        The YAML file.
     recipes : iterable of str
         ``KIND=PATH``, relative to the current folder; a kind given again makes a list.
 
     Raises
     ------
     ConfigurationError
-        With one line ``where: message`` for everything that is wrong.
+        With one line ``where: message`` for every validation error.
     """
-    settings = NightSettings() if path is None else _read(path)
+    settings = NightSettings() if path is None else read_validated(path, NightSettings)
     folder = None if path is None else absolute(path).parent
     chosen = {kind: [absolute(name) for name in names] for kind, names in RECIPES.items()}
     chosen |= {kind: [absolute(name, folder) for name in names] for kind, names in settings.recipes.items()}
-    chosen |= _given(recipes)
+    chosen |= _by_kind(recipes)
     known = {recipe.stem for paths in chosen.values() for recipe in paths}
     for name in settings.settings:
         if name not in known:
@@ -78,19 +88,17 @@ def load_settings(path: Path | None = None, recipes: Iterable[str] = ()) -> Nigh
     return settings.model_copy(update={"recipes": absolute_recipes})
 
 
-def _read(path: Path) -> NightSettings:
-    return read_validated(path, NightSettings)
-
-
-def _given(recipes: Iterable[str]) -> dict[str, list[Path]]:
-    given: dict[str, list[Path]] = {}
-    for text in recipes:
-        kind, equals, path = text.partition("=")
+def _by_kind(recipes: Iterable[str]) -> dict[Kind, list[Path]]:
+    """Sort ``KIND=PATH`` options by kind."""
+    found: dict[Kind, list[Path]] = {}
+    for option in recipes:
+        name, equals, path = option.partition("=")
         if not equals or not path:
             raise ConfigurationError(
-                f"--recipe {text}: expected KIND=PATH, for example ramp=recipes/full_reduction.yaml"
+                f"--recipe {option}: expected KIND=PATH, for example ramp=recipes/full_reduction.yaml"
             )
-        if kind not in KINDS:
-            raise ConfigurationError(f"--recipe {text}: no such kind of group{suggestion(kind, KINDS)}")
-        given.setdefault(kind, []).append(absolute(path))
-    return given
+        kind = next((one for one in KINDS if one == name), None)
+        if kind is None:
+            raise ConfigurationError(f"--recipe {option}: no such kind of group{suggestion(name, KINDS)}")
+        found.setdefault(kind, []).append(absolute(path))
+    return found

@@ -1,4 +1,4 @@
-"""What a run of `irlos night` found and did, night by night."""
+"""What a run of `irlos night` found and did, night by night; filled in as the run goes on."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from irlos_pipe.conventions.errors import ExitCode
 from irlos_pipe.night.description import Description
 from irlos_pipe.night.discover import Unusable
 from irlos_pipe.night.grouping import LeftOut
-from irlos_pipe.night.jobs import Job
 from irlos_pipe.night.reduce import UNCHANGED, Reduced
+from irlos_pipe.night.tasks import Job
 
 DOUBTS = {"qc_failed": "a QC limit failed", "partial": "some exposures failed"}
 
@@ -21,9 +21,9 @@ class Night:
     Attributes
     ----------
     date : str
-        Of its evening, ISO.
+        Date of its evening, ISO.
     reduced : dict of str to Reduced
-        What became of the jobs, by the name of their task.
+        Outcomes of the jobs, by the name of their task.
     alarms : list of str
         Numbers of this night that left their band, one line each.
     nothing : str
@@ -44,21 +44,21 @@ class Night:
 
     @property
     def unfinished(self) -> list[Job]:
-        """Jobs that nothing is known of yet."""
+        """Jobs without an outcome so far."""
         return [job for job in self.jobs if job.task.name not in self.reduced]
 
     @property
     def changed(self) -> bool:
-        """Whether anything was done, or anything is wrong: then the page is written anew."""
+        """Whether anything was done or is wrong, so that the page has to be written again."""
         worked = any(one.action != UNCHANGED for one in self.reduced.values())
         return worked or bool(self.failures or self.alarms or self.stopped or self.unfinished)
 
     @property
     def failures(self) -> list[str]:
         """What could not be reduced, one line each."""
-        lost = [f"{one.name}: {one.problem}" for one in self.reduced.values() if one.problem]
-        alone = [f"{one.recording.name}: {one.reason}" for one in self.left_out if one.alarming]
-        return [*(one.problem for one in self.unusable), *lost, *alone]
+        failed = [f"{one.name}: {one.problem}" for one in self.reduced.values() if one.problem]
+        alarming = [f"{one.recording.name}: {one.reason}" for one in self.left_out if one.alarming]
+        return [*(one.problem for one in self.unusable), *failed, *alarming]
 
     @property
     def doubts(self) -> list[str]:
@@ -71,7 +71,7 @@ class Night:
 
     @property
     def exit_code(self) -> int:
-        """By the contract: 5 when a part failed, 3 when all did, 4 when a limit or a band did."""
+        """5 when a part failed, 3 when everything did, 4 when a number left its limits or its band."""
         succeeded = any(not one.failed for one in self.reduced.values())
         if self.failures:
             return ExitCode.PARTIAL if succeeded else ExitCode.BAD_DATA
@@ -81,18 +81,18 @@ class Night:
 
 
 @dataclass
-class Ran:
+class RunState:
     """All nights of a run, by date."""
 
     nights: dict[str, Night] = field(default_factory=dict)
 
     def night(self, date: str) -> Night:
-        """Return a night, which is new when it was not met before."""
+        """Return the night of a date, a new one if there was none."""
         return self.nights.setdefault(date, Night(date))
 
     @property
     def exit_code(self) -> int:
-        """That of the night if there is one; of several, 5 as soon as one failed."""
+        """The exit code of a single night; of several nights, 5 as soon as one failed."""
         codes = {night.exit_code for night in self.nights.values()}
         partly = len(codes) > 1 and codes & {ExitCode.BAD_DATA, ExitCode.PARTIAL}
         return ExitCode.PARTIAL if partly else max(codes, default=ExitCode.DONE)

@@ -1,4 +1,4 @@
-"""How the numbers went from night to night, which of them left their band, and how stable the NCPAs are."""
+"""Numbers from night to night: their series, the alarms, and the stability of the NCPAs."""
 
 from __future__ import annotations
 
@@ -12,24 +12,23 @@ import numpy as np
 
 from irlos_pipe.conventions.errors import ConfigurationError, NothingToDo
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.night.database import existing
-from irlos_pipe.night.settings import BandKeys
-from irlos_pipe.night.stability import Band, BandRule, Structure, bands, structure_function
-from irlos_pipe.night.trend_db import Point, Verdict, points, verdicts
+from irlos_pipe.night.database import Point, Verdict, existing
+from irlos_pipe.night.settings import BandSettings
+from irlos_pipe.night.trend_statistics import Band, Structure, bands, structure_function
 
-TIP_TILT = ("noll_2_nm", "noll_3_nm")  # where the star stood, nothing of the instrument
-# What tells of the sky is followed but does not alarm.
+TIP_TILT = ("noll_2_nm", "noll_3_nm")  # the position of the star, not the instrument
+# Numbers that depend on the sky are followed but do not alarm.
 OF_THE_SKY = ("seeing_arcsec", "ao_residual_nm", "jitter_mas", "ncpa_nm", "ramp_error_nm", *TIP_TILT)
 
 
 @dataclass(frozen=True)
 class Series:
-    """One number of one recipe and one configuration in time.
+    """One number of one recipe and one configuration in order of time.
 
     Attributes
     ----------
     bands : tuple of Band or None
-        Of every point, from the nights before it; None where these are too few.
+        Band of every point, from the nights before it; None where these are too few.
     """
 
     name: str
@@ -40,12 +39,14 @@ class Series:
 
     @property
     def alarms(self) -> list[tuple[Point, Band]]:
-        """The points out of their bands."""
-        judged = [(point, band) for point, band in zip(self.points, self.bands, strict=True) if band]
-        return [] if self.name in OF_THE_SKY else [one for one in judged if not one[1].holds(one[0].value)]
+        """The points out of their bands, with these; none for a number that depends on the sky."""
+        if self.name in OF_THE_SKY:
+            return []
+        pairs = zip(self.points, self.bands, strict=True)
+        return [(point, band) for point, band in pairs if band and not band.holds(point.value)]
 
     def until(self, night: str) -> Series | None:
-        """Return what there was of it after a night; None when there was nothing."""
+        """Return the series as it was after a night; None when it had no point."""
         count = sum(point.night <= night for point in self.points)
         return replace(self, points=self.points[:count], bands=self.bands[:count]) if count else None
 
@@ -59,26 +60,30 @@ class Trend:
     verdicts: tuple[Verdict, ...]
 
     def alarms(self, night: str = "") -> list[tuple[Point, Band]]:
-        """Return the points out of their bands, of one night or of all."""
+        """Return the points out of their bands, of one night or of all (empty date)."""
         found = [alarm for series in self.series for alarm in series.alarms]
         return [alarm for alarm in found if not night or alarm[0].night == night]
 
     def until(self, night: str) -> Trend:
-        """Return the trend as it stood after a night."""
+        """Return the trend as it was after a night."""
         series = tuple(filter(None, (one.until(night) for one in self.series)))
         return Trend(series, _structures(series), tuple(one for one in self.verdicts if one.night <= night))
 
     @property
     def last_night(self) -> str:
-        """The latest night with a number; empty without one."""
+        """The latest night with a number; "" without one."""
         return max((series.points[-1].night for series in self.series), default="")
 
 
-def read_trend(tree: Path, keys: BandKeys, names: Sequence[str] = (), until: str = "") -> Trend:
+def read_trend(tree: Path, rule: BandSettings, names: Sequence[str] = (), until: str = "") -> Trend:
     """Read the trend of a tree of nights.
 
     Parameters
     ----------
+    tree : Path
+        Folder of all results.
+    rule : BandSettings
+        When a number counts as out of its band.
     names : sequence of str
         Numbers to keep, without verdicts then; all if empty.
     until : str
@@ -87,12 +92,12 @@ def read_trend(tree: Path, keys: BandKeys, names: Sequence[str] = (), until: str
     Raises
     ------
     InputDataError, NothingToDo
-        When it is no such tree, or holds no numbers.
+        When it is no such tree, or has no numbers.
     ConfigurationError
         When a name is unknown.
     """
-    with existing(tree) as connection:
-        trend = make_trend(points(connection, until), verdicts(connection, until), keys)
+    with existing(tree) as database:
+        trend = make_trend(database.points(until), database.verdicts(until), rule)
     if not trend.series:
         raise NothingToDo(f"{tree}: no numbers yet" + (f" until {until}" if until else ""))
     known = sorted({one.name for one in trend.series}, key=_natural)
@@ -104,23 +109,30 @@ def read_trend(tree: Path, keys: BandKeys, names: Sequence[str] = (), until: str
     return replace(trend, series=tuple(one for one in trend.series if one.name in names), verdicts=())
 
 
-def make_trend(found: Sequence[Point], told: Sequence[Verdict], keys: BandKeys) -> Trend:
-    """Sort points, which come in order of time, into series, and judge them."""
-    parts = groupby(sorted(found, key=_owner), _owner)
-    series = tuple(_series(tuple(members), keys) for _, members in parts)
-    return Trend(series, _structures(series), tuple(told))
+def make_trend(points: Sequence[Point], verdicts: Sequence[Verdict], rule: BandSettings) -> Trend:
+    """Sort points into series with their bands.
+
+    Parameters
+    ----------
+    points, verdicts : sequence of Point, sequence of Verdict
+        In order of time.
+    rule : BandSettings
+        When a number counts as out of its band.
+    """
+    parts = groupby(sorted(points, key=_owner), _owner)
+    series = tuple(_series(tuple(members), rule) for _, members in parts)
+    return Trend(series, _structures(series), tuple(verdicts))
 
 
 def alarm_text(point: Point, band: Band) -> str:
-    """Say in one line what left its band."""
+    """Return one line on a `point` that left its `band`."""
     return (
         f"{point.run}: {point.name} = {point.value:.4g} outside {band.low:.4g} to {band.high:.4g} "
         f"({band.nights} earlier nights)"
     )
 
 
-def _series(members: tuple[Point, ...], keys: BandKeys) -> Series:
-    rule = BandRule(keys.false_alarm, keys.nights, keys.least_nights)
+def _series(members: tuple[Point, ...], rule: BandSettings) -> Series:
     found = bands(
         [one.night for one in members], [one.value for one in members], [one.sigma for one in members], rule
     )
@@ -134,7 +146,7 @@ def _structures(series: Sequence[Series]) -> dict[tuple[str, str], Structure]:
 
 
 def _structure(series: Sequence[Series], recipe: str, configuration: str) -> Structure | None:
-    """Structure function of the modes that every run of a recipe has, without tip and tilt."""
+    """Structure function of the modes that all runs of a recipe have, without tip and tilt."""
     modes = {
         one.name: {point.run: point for point in one.points}
         for one in series
@@ -155,7 +167,7 @@ def _structure(series: Sequence[Series], recipe: str, configuration: str) -> Str
 
 
 def _owner(one: Point) -> tuple[Any, ...]:
-    """What the points of a series have in common; sorts them by number."""
+    """What the points of a series have in common; sorts Noll modes by index."""
     return (*_natural(one.name), one.recipe, one.configuration)
 
 

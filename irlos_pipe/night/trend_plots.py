@@ -1,4 +1,4 @@
-"""Drawings of a trend: numbers against time with their bands, and the structure function of the NCPAs."""
+"""Plots of a trend: numbers against time with their bands, and the structure function of the NCPAs."""
 
 from __future__ import annotations
 
@@ -6,57 +6,55 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from markupsafe import Markup
+from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure, SubFigure
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.atomic import atomic_file
-from irlos_pipe.night.stability import DAY_S, Structure
 from irlos_pipe.night.trend import Series, Trend
+from irlos_pipe.night.trend_statistics import DAY_S, Structure
 from irlos_pipe.report.drawing import BLUE, CYCLE, ORANGE, SKY, STYLE, svg
 
-WIDTH_IN, PANEL_IN = 5.6, 0.95
+WIDTH_IN, PANEL_IN, STRUCTURE_IN = 5.6, 0.95, 3.2
 UNITS = ("nm", "arcsec", "mas")
-SPELT = {"noll": "Noll", "ncpa": "NCPAs", "ao": "AO"}
-MOST_PANELS = 16
+SPELLING = {"noll": "Noll", "ncpa": "NCPAs", "ao": "AO"}
+MAX_PANELS = 16
 FORMATS = (".svg", ".png", ".pdf")
 
 
 def series_drawing(name: str, shown: Sequence[Series]) -> Markup:
-    """Draw numbers against time, one below the other, as SVG for a page."""
+    """Return SVG, under the id `name`, of the series in `shown` against time, one below the other."""
     return svg(name, (WIDTH_IN, 0.6 + PANEL_IN * len(shown)), lambda figure: draw_series(figure, shown))
 
 
 def structure_drawing(name: str, trend: Trend) -> Markup:
-    """Draw the structure functions as SVG for a page."""
-    return svg(name, (WIDTH_IN, 3.2), lambda figure: draw_structures(figure, trend))
+    """Return SVG, under the id `name`, of the structure functions of a `trend`."""
+    return svg(name, (WIDTH_IN, STRUCTURE_IN), lambda figure: draw_structures(figure, trend))
 
 
 def save_plot(trend: Trend, path: Path) -> None:
-    """Write numbers against time, up to `MOST_PANELS` of them, and structure functions to a file.
+    """Plot the first `MAX_PANELS` series of a `trend` and its structure functions to the file `path`.
 
     Raises
     ------
     ConfigurationError
-        When the ending of the name is of no kind of file that can be written.
+        When the name does not end in one of `FORMATS`.
     IrlosError
         When it cannot be written.
     """
     kind = path.suffix.lower()
     if kind not in FORMATS:
         raise ConfigurationError(f"--plot {path}: give a name that ends in {', '.join(FORMATS)}")
-    shown = trend.series[:MOST_PANELS]
-    heights = (0.6 + PANEL_IN * len(shown), 3.2 if trend.structures else 0.0)
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(STYLE | {"figure.facecolor": "white"})
+    shown = trend.series[:MAX_PANELS]
+    heights = (0.6 + PANEL_IN * len(shown), STRUCTURE_IN if trend.structures else 0.0)
+    with style.context(STYLE | {"figure.facecolor": "white"}, after_reset=True):
         figure = Figure(figsize=(1.3 * WIDTH_IN, sum(heights)))
         if trend.structures:
-            upper, lower = figure.subfigures(2, height_ratios=heights)
+            upper, lower = figure.subfigures(2, squeeze=False, height_ratios=heights)[:, 0]
             draw_structures(lower, trend)
         else:
             upper = figure
@@ -66,7 +64,7 @@ def save_plot(trend: Trend, path: Path) -> None:
 
 
 def draw_series(figure: Figure | SubFigure, shown: Sequence[Series]) -> None:
-    """Fill a figure with one panel per series, over a common time axis."""
+    """Fill `figure` with one panel per series of `shown`, over a common time axis."""
     stack = figure.subplots(len(shown), sharex=True, squeeze=False)[:, 0]
     names = [series.name for series in shown]
     for axes, series in zip(stack, shown, strict=True):
@@ -83,7 +81,7 @@ def draw_series(figure: Figure | SubFigure, shown: Sequence[Series]) -> None:
 
 
 def _panel(axes: Axes, series: Series) -> None:
-    """Values with errors, the band in which each was expected, and those outside."""
+    """Plot values with errors, the band in which each was expected, and circles around those outside."""
     times = np.array([_moment(one.unix_s) for one in series.points])
     values = np.array([one.value for one in series.points])
     errors = np.array([one.sigma or 0.0 for one in series.points])
@@ -94,21 +92,21 @@ def _panel(axes: Axes, series: Series) -> None:
         axes.fill_between(times[known], centre - half, centre + half, color=SKY, alpha=0.3, linewidth=0)
     axes.errorbar(times, values, errors, fmt=".-", color=BLUE, markersize=4, linewidth=0.7, elinewidth=0.7)
     out = {point.run for point, _ in series.alarms}
-    places = [place for place, one in enumerate(series.points) if one.run in out]
-    axes.plot(times[places], values[places], "o", color=ORANGE, markersize=8, fillstyle="none")
+    marked = [index for index, one in enumerate(series.points) if one.run in out]
+    axes.plot(times[marked], values[marked], "o", color=ORANGE, markersize=8, fillstyle="none")
     _limit(axes, values, errors)
     axes.locator_params(axis="y", nbins=4)
 
 
 def _limit(axes: Axes, values: np.ndarray, errors: np.ndarray) -> None:
-    """Let the values set the scale: over few nights the band is far wider."""
+    """Scale the axis to the values: over few nights the band is far wider."""
     low, high = float(np.min(values - errors)), float(np.max(values + errors))
     room = 0.15 * (high - low) or 0.05 * abs(high) or 1.0
     axes.set_ylim(low - room, high + room)
 
 
 def draw_structures(figure: Figure | SubFigure, trend: Trend) -> None:
-    """Fill a figure with the RMS change of the NCPAs against the lag, and the noise taken off."""
+    """Fill `figure` with the RMS change of the NCPAs of a `trend` against the lag, and the noise."""
     axes = figure.subplots()
     for colour, ((recipe, _), structure) in zip(CYCLE * 9, trend.structures.items(), strict=False):
         _structure(axes, recipe, structure, colour)
@@ -120,8 +118,8 @@ def draw_structures(figure: Figure | SubFigure, trend: Trend) -> None:
 
 def _structure(axes: Axes, recipe: str, structure: Structure, colour: str) -> None:
     days = np.maximum(structure.lag_s / DAY_S, 1e-4)
-    axes.plot(days, structure.change_nm, "o-", color=colour, label=f"{recipe}: NCPAs, noise taken off")
-    axes.plot(days, np.sqrt(structure.noise_nm2), "--", color=colour, label="what noise alone would show")
+    axes.plot(days, structure.change_nm, "o-", color=colour, label=f"{recipe}: NCPAs, noise subtracted")
+    axes.plot(days, np.sqrt(structure.noise_nm2), "--", color=colour, label="noise alone")
 
 
 def _moment(unix_s: float) -> datetime:
@@ -129,9 +127,9 @@ def _moment(unix_s: float) -> datetime:
 
 
 def label(name: str) -> str:
-    """Name of a number with its unit in brackets, as an axis has it."""
+    """Return the name of a number as a label, with its unit in brackets."""
     plain, _, unit = name.rpartition("_")
     if unit not in UNITS:
         return name.replace("_", " ")
-    words = [SPELT.get(word, word) for word in plain.split("_")]
+    words = [SPELLING.get(word, word) for word in plain.split("_")]
     return f"{' '.join(words)} [{unit}]"

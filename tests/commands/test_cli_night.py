@@ -6,7 +6,7 @@ import pytest
 from conftest import invoke
 from helpers import night_bench
 
-from irlos_pipe.night import local
+from irlos_pipe.night import engines
 from irlos_pipe.product.runfolder import owned_folder
 
 MORNING = "2024-02-11T03:00:00"
@@ -15,7 +15,7 @@ MORNING = "2024-02-11T03:00:00"
 @pytest.fixture
 def bench(tmp_path, monkeypatch) -> night_bench.NightBench:
     night_bench.without_drawings(monkeypatch)
-    monkeypatch.setattr(local, "local_runner", lambda jobs: map)
+    monkeypatch.setattr(engines, "local_runner", lambda jobs: map)
     return night_bench.make(tmp_path, monkeypatch)
 
 
@@ -157,11 +157,11 @@ def test_a_mistake_in_a_recipe_option_is_told_in_one_line(bench, recipe, told):
     assert result.exit_code == 2 and told in result.stderr and result.stderr.count("\n") == 1
 
 
-def test_a_recipe_that_wants_what_its_group_does_not_have_is_refused(bench):
+def test_a_recipe_with_an_input_that_its_group_does_not_have_is_refused(bench):
     bench.record(MORNING)
     result = night(bench, "--recipe", f"calibration={bench.folder / 'ramp.yaml'}")
     assert result.exit_code == 2
-    assert "wants input 'ramp'; a group of kind 'calibration' offers" in result.stderr
+    assert "needs input 'ramp', but a group of kind 'calibration' has only" in result.stderr
 
 
 def test_the_help_shows_how_to_begin():

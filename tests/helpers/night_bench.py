@@ -17,9 +17,9 @@ from helpers.fake_stages import COUNTS
 from helpers.sparta_files import counts, star, write_recorder
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.night import page_sections
-from irlos_pipe.night.run import Order, run_night
+from irlos_pipe.night.run import Request, run_night
 from irlos_pipe.night.settings import load_settings
-from irlos_pipe.night.state import Ran
+from irlos_pipe.night.state import RunState
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
@@ -63,11 +63,12 @@ def ingest(ctx: StageContext) -> StageOutput:
 
 
 def calibrate(ctx: StageContext) -> StageOutput:
-    """Tell the numbers that stand beside the recording."""
+    """Report the numbers in the file beside the recording."""
     _begin("calibrate", ctx)
-    told = json.loads((_folder(ctx) / "numbers.json").read_text())
-    results = {"zernike_nm": told, "sigma_nm": dict.fromkeys(told, 0.5), "wfe_nm": 50.0, "seeing_arcsec": 0.5}
-    largest = max(told.values())
+    numbers = json.loads((_folder(ctx) / "numbers.json").read_text())
+    results = {"zernike_nm": numbers, "sigma_nm": dict.fromkeys(numbers, 0.5)}
+    results |= {"wfe_nm": 50.0, "seeing_arcsec": 0.5}
+    largest = max(numbers.values())
     return StageOutput({}, results, [Check("largest", largest, "nm", None, ctx.config.limit, "small")])
 
 
@@ -110,11 +111,11 @@ class NightBench:
         (folder / "numbers.json").write_text(json.dumps(numbers or FLAT_NUMBERS))
         return folder
 
-    def order(self, *folders: Path, since: str = "") -> Order:
-        return Order(folders or [self.archive], self.tree, load_settings(None, self.recipes), since)
+    def request(self, *folders: Path, since: str = "") -> Request:
+        return Request(folders or [self.archive], self.tree, load_settings(None, self.recipes), since)
 
-    def run(self, *folders: Path, since: str = "") -> Ran:
-        return run_night(self.order(*folders, since=since), lambda work, tasks: map(work, tasks))
+    def run(self, *folders: Path, since: str = "") -> RunState:
+        return run_night(self.request(*folders, since=since), lambda work, tasks: map(work, tasks))
 
     def run_folder(self, night: str = "2024-02-10", group: str = "030000_cube", recipe: str = "cube") -> Path:
         return self.tree / night / group / recipe

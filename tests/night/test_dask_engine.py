@@ -18,7 +18,8 @@ from conftest import invoke
 from helpers import sparta_files
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.night.reduce import Reduced, Task, reduce_group
+from irlos_pipe.night.reduce import Reduced, reduce_group
+from irlos_pipe.night.tasks import Task
 from irlos_pipe.pipeline import provenance, run_recipe
 from irlos_pipe.product.product import read_product
 
@@ -65,7 +66,7 @@ def tasks(tmp_path) -> list[Task]:
 
 
 def on_dask(address: str, work, tasks: list[Task]) -> dict[str, Reduced]:
-    from irlos_pipe.night.dask_engine import dask_runner
+    from irlos_pipe.night.engines import dask_runner
 
     return {one.name: one for one in dask_runner(address)(work, tasks)}
 
@@ -165,9 +166,9 @@ def test_a_worker_with_other_software_is_refused(address, tasks, monkeypatch):
 
 def test_an_address_where_nobody_answers_is_told(tasks, monkeypatch):
     pytest.importorskip("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
-    from irlos_pipe.night import dask_engine
+    from irlos_pipe.night import engines
 
-    monkeypatch.setattr(dask_engine, "CONNECT_S", 0.5)
+    monkeypatch.setattr(engines, "CONNECT_S", 0.5)
     with pytest.raises(ConfigurationError, match="no Dask scheduler answers there"):
         on_dask("tcp://127.0.0.1:9", told_stages, tasks)
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import sqlite3
 import sys
 
 import pytest
@@ -10,7 +11,7 @@ from helpers import night_bench
 from helpers.fake_stages import COUNTS
 
 from irlos_pipe.conventions.errors import InputDataError, Locked, NothingToDo
-from irlos_pipe.night.database import opened
+from irlos_pipe.night.database import NAME, opened
 from irlos_pipe.night.run import plan_night, run_night
 from irlos_pipe.product.runfolder import owned_folder
 
@@ -127,7 +128,7 @@ def test_an_empty_night_is_64_and_has_a_page_of_its_own(bench):
 
 def test_recordings_that_no_recipe_serves_are_nothing_to_process_but_listed(bench):
     bench.record(MORNING, "science", role="psf")
-    with pytest.raises(NothingToDo, match="nothing to reduce; science: no recipe serves"):
+    with pytest.raises(NothingToDo, match="nothing to reduce; science: no recipe for groups of kind psf"):
         bench.run()
     assert "science" in bench.page()
 
@@ -158,7 +159,7 @@ def test_a_crash_leaves_a_page_that_says_so_and_the_next_run_puts_it_right(bench
         raise error
 
     with pytest.raises(type(error)):
-        run_night(bench.order(), runner)
+        run_night(bench.request(), runner)
     assert told in bench.page() and ">stopped<" in bench.page() and "not finished" in bench.page()
     assert bench.run().exit_code == 0 and ">ok<" in bench.page()
 
@@ -171,19 +172,19 @@ def test_the_page_of_a_run_that_is_killed_says_that_it_is_not_finished(bench):
         seen.append(bench.page())
         return map(work, tasks)
 
-    run_night(bench.order(), runner)
-    assert "goes on where it was" in seen[0] and ">not finished<" in seen[0]
+    run_night(bench.request(), runner)
+    assert "continues where it stopped" in seen[0] and ">not finished<" in seen[0]
 
 
 def test_numbers_that_a_kill_kept_from_the_file_are_put_in_by_the_next_run(bench):
     bench.record(MORNING)
     bench.run()
-    with opened(bench.tree) as connection:
+    with sqlite3.connect(bench.tree / NAME) as connection:
         connection.execute("UPDATE runs SET key = 'old'")
         connection.execute("DELETE FROM numbers")
     bench.run()
-    with opened(bench.tree) as connection:
-        found = dict(connection.execute("SELECT name, value FROM numbers WHERE name LIKE 'noll%'"))
+    with opened(bench.tree) as database:
+        found = {one.name: one.value for one in database.points() if one.name.startswith("noll")}
     assert found == {"noll_4_nm": 30.0, "noll_5_nm": -10.0}
 
 
@@ -228,12 +229,12 @@ def test_a_changed_recording_redoes_its_group_only(bench):
 
 def test_a_dry_run_lists_what_would_be_done_and_why_and_touches_nothing(bench, monkeypatch):
     bench.record(MORNING)
-    plan, failures = plan_night(bench.order())
+    plan, failures = plan_night(bench.request())
     assert [steps for _, steps in plan] == [None] and failures == [] and not bench.tree.exists()
     bench.run()
     before = contents(bench.run_folder())
     change_model(monkeypatch)
-    ((job, steps),), _ = plan_night(bench.order())
+    ((job, steps),), _ = plan_night(bench.request())
     assert job.task.name == "2024-02-10/030000_cube/cube"
     assert [(step.name, step.reason) for step in steps if not step.current] == [
         ("calibrate", "stage version 1 -> 2")
@@ -315,7 +316,7 @@ def test_stages_sent_one_by_one_leave_what_one_task_leaves(bench):
                 done = work(task, last=stage, before=done)
             yield done
 
-    run_night(bench.order(), stage_by_stage)
+    run_night(bench.request(), stage_by_stage)
     by_stages = json.loads((bench.run_folder() / "results.json").read_text())
     assert COUNTS["ingest"] == COUNTS["calibrate"] == COUNTS["lift"] == 1
     assert list(by_stages["stages"]) == ["ingest", "calibrate", "lift"]

@@ -11,7 +11,7 @@ from conftest import invoke
 from helpers.campaign_specs import CUBE, RAMP, simulated, spec_of, written
 from helpers.paths import RECIPES
 
-from irlos_pipe.night.settings import BandKeys
+from irlos_pipe.night.settings import BandSettings
 from irlos_pipe.night.trend import read_trend
 
 TRUTH_NM = {4: 40.0, 7: -30.0, 11: 20.0}
@@ -69,7 +69,7 @@ def test_one_line_names_the_bad_recording_and_the_rest_is_reduced(night):
 
 def test_the_trend_holds_the_ncpas_that_were_put_in(night):
     tree, _ = night
-    found = {one.name: one.points[0] for one in read_trend(tree, BandKeys()).series}
+    found = {one.name: one.points[0] for one in read_trend(tree, BandSettings()).series}
     for noll, truth_nm in TRUTH_NM.items():
         point = found[f"noll_{noll}_nm"]
         assert abs(point.value - truth_nm) < 3 and 0 < point.sigma < 3

@@ -6,11 +6,13 @@ from pathlib import Path
 import pytest
 
 from irlos_pipe.night.description import Description, night_of
-from irlos_pipe.night.grouping import Rules, group_recordings
+from irlos_pipe.night.grouping import group_recordings
+from irlos_pipe.night.settings import NightSettings
 
 LENS, MIRROR = "9.7 mas per pixel, lens, Noll 6 -170 nm", "9.7 mas per pixel, mirror, Noll 6 -170 nm"
 EVENING_S = 1707609600.0  # 2024-02-11 00:00 UTC
 NIGHT = "2024-02-10"
+SETTINGS = NightSettings()
 
 
 def recording(name: str, role: str, minute: float | None = 0.0, folder: str = "night", **more) -> Description:
@@ -29,7 +31,7 @@ def offset(name: str, minute: float | None, folder: str = "ramp", **changes) -> 
 
 def served(*found: Description) -> dict[str, str]:
     """Name of the calibration by that of the ramp's first recording."""
-    groups = [one for one in group_recordings(found).groups if one.kind == "ramp"]
+    groups = [one for one in group_recordings(found, SETTINGS).groups if one.kind == "ramp"]
     return {one.inputs["ramp"][0].name: one.inputs["calibration"][0].name for one in groups}
 
 
@@ -38,26 +40,29 @@ def names(found) -> list[tuple[str, list[str]]]:
 
 
 def test_every_calibration_cube_is_a_group_that_recipes_may_call_by_either_name():
-    found = group_recordings([cube("b", 5), cube("a", 9)])
+    found = group_recordings([cube("b", 5), cube("a", 9)], SETTINGS)
     assert names(found) == [("calibration", ["b"]), ("calibration", ["a"])]
     assert all(one.inputs["calibration"] == one.inputs["cube"] for one in found.groups)
 
 
 def test_offsets_of_one_folder_that_follow_one_another_are_one_ramp_in_order_of_time():
-    found = group_recordings([cube("c"), offset("o2", 12), offset("o0", 10), offset("o1", 11)])
+    found = group_recordings([cube("c"), offset("o2", 12), offset("o0", 10), offset("o1", 11)], SETTINGS)
     assert names(found)[1] == ("ramp", ["o0", "o1", "o2"])
 
 
 @pytest.mark.parametrize("changes", [{"target": "other"}, {"spectrum": "1600 nm (1)"}, {"folder": "ramp2"}])
 def test_another_star_band_or_folder_is_another_ramp(changes):
-    found = group_recordings([cube("c"), offset("o0", 10), offset("o1", 11, **changes)])
+    found = group_recordings([cube("c"), offset("o0", 10), offset("o1", 11, **changes)], SETTINGS)
     assert names(found)[1:] == [("ramp", ["o0"]), ("ramp", ["o1"])]
 
 
 def test_a_pause_longer_than_the_gap_ends_a_ramp():
     offsets = [offset("o0", 10), offset("o1", 39), offset("o2", 70)]
-    assert names(group_recordings([cube("c"), *offsets]))[1:] == [("ramp", ["o0", "o1"]), ("ramp", ["o2"])]
-    longer = group_recordings([cube("c"), *offsets], Rules(gap_s=3600))
+    assert names(group_recordings([cube("c"), *offsets], SETTINGS))[1:] == [
+        ("ramp", ["o0", "o1"]),
+        ("ramp", ["o2"]),
+    ]
+    longer = group_recordings([cube("c"), *offsets], NightSettings(series_gap_min=60))
     assert names(longer)[1:] == [("ramp", ["o0", "o1", "o2"])]
 
 
@@ -79,7 +84,7 @@ def test_where_no_times_are_known_the_folders_decide():
 
 
 def test_a_ramp_without_calibration_of_its_configuration_is_left_out_and_that_is_alarming():
-    found = group_recordings([cube("c", configuration=MIRROR), offset("o", 5)])
+    found = group_recordings([cube("c", configuration=MIRROR), offset("o", 5)], SETTINGS)
     assert [(one.recording.name, one.alarming) for one in found.left_out] == [("o", True)]
     assert LENS in found.left_out[0].reason
 
@@ -95,20 +100,20 @@ def test_the_same_night_comes_before_an_earlier_one_and_that_before_a_later_one(
 
 def test_a_calibration_serves_for_so_many_nights_and_may_be_known_from_earlier():
     old = cube("old", -1440 * 7, night="2024-02-03")
-    found = group_recordings([offset("o", 0)], Rules(nights=7), others=[old])
+    found = group_recordings([offset("o", 0)], SETTINGS, others=[old])
     assert names(found) == [("ramp", ["o"])] and found.groups[0].inputs["calibration"] == (old,)
-    assert group_recordings([offset("o", 0)], Rules(nights=6), others=[old]).groups == []
+    assert group_recordings([offset("o", 0)], NightSettings(calibration_nights=6), others=[old]).groups == []
 
 
 def test_recordings_of_one_ramp_are_of_one_night():
     later = offset("p", 10, night="2024-02-11")
-    found = group_recordings([cube("c"), offset("o", 5), later])
+    found = group_recordings([cube("c"), offset("o", 5), later], SETTINGS)
     assert names(found)[1:] == [("ramp", ["o"]), ("ramp", ["p"])]
 
 
 def test_derotator_cubes_are_one_series_and_others_are_alone():
     angles = [recording(f"angle_{i}", "derotator", 3.0 * i) for i in range(3)]
-    found = group_recordings([*angles, recording("star", "psf", 50), recording("star2", "psf", 51)])
+    found = group_recordings([*angles, recording("star", "psf", 50), recording("star2", "psf", 51)], SETTINGS)
     series = ("derotator", ["angle_0", "angle_1", "angle_2"])
     assert names(found) == [series, ("psf", ["star"]), ("psf", ["star2"])]
 
@@ -119,7 +124,7 @@ def test_darks_go_with_every_recording_of_their_mode_and_window():
         recording("small", "dark", 91, window=(32, 32)),
         recording("other", "dark", 92, mode="slow"),
     ]
-    found = group_recordings([cube("c"), offset("o", 5), *darks])
+    found = group_recordings([cube("c"), offset("o", 5), *darks], SETTINGS)
     for group in found.groups:
         for members in group.inputs.values():
             assert [one.name for one in members][-1] == "dark" and len(members) == 2
@@ -127,21 +132,21 @@ def test_darks_go_with_every_recording_of_their_mode_and_window():
 
 
 def test_images_of_single_lenslets_are_left_out_without_alarm():
-    found = group_recordings([cube("c", full_pupil=False)])
+    found = group_recordings([cube("c", full_pupil=False)], SETTINGS)
     assert found.groups == [] and [one.alarming for one in found.left_out] == [False]
 
 
 def test_groups_are_named_by_time_and_name_and_keep_the_name_when_they_grow():
     first, later = offset("offset_00", 10), offset("offset_01", 11)
-    grown = group_recordings([cube("sky cal"), first, later])
+    grown = group_recordings([cube("sky cal"), first, later], SETTINGS)
     assert [one.name for one in grown.groups] == ["000000_sky_cal", "001000_ramp"]
-    longer = group_recordings([cube("sky cal"), first, later, offset("offset_02", 12)])
+    longer = group_recordings([cube("sky cal"), first, later, offset("offset_02", 12)], SETTINGS)
     assert [one.name for one in longer.groups] == ["000000_sky_cal", "001000_ramp"]
 
 
 def test_groups_that_would_share_a_folder_are_numbered():
     timed = [cube("c", folder="a"), cube("c", folder="b")]
-    found = group_recordings([*timed, cube("c", None), cube("../..", None)])
+    found = group_recordings([*timed, cube("c", None), cube("../..", None)], SETTINGS)
     assert [one.name for one in found.groups] == ["recording", "c", "000000_c", "000000_c-2"]
 
 

@@ -4,8 +4,9 @@ import os
 import signal
 from pathlib import Path
 
-from irlos_pipe.night.local import local_runner
-from irlos_pipe.night.reduce import Reduced, Task
+from irlos_pipe.night.engines import local_runner
+from irlos_pipe.night.reduce import Reduced
+from irlos_pipe.night.tasks import Task
 
 
 def reduce_or_die(task: Task) -> Reduced:

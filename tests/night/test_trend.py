@@ -11,12 +11,11 @@ from conftest import invoke
 from irlos_pipe.night.database import NAME, opened
 from irlos_pipe.night.description import Description
 from irlos_pipe.night.grouping import Group
-from irlos_pipe.night.measures import Measured
+from irlos_pipe.night.measurements import Measurements
 from irlos_pipe.night.page_sections import main_series, numbers_of_night
-from irlos_pipe.night.settings import BandKeys
+from irlos_pipe.night.settings import BandSettings
 from irlos_pipe.night.state import Night
 from irlos_pipe.night.trend import make_trend, read_trend
-from irlos_pipe.night.trend_db import points, store, stored_key, verdicts
 
 DAY_S = 86400.0
 FIRST_S = 1707620400.0  # 2024-02-11 03:00 UTC, night of 2024-02-10
@@ -27,12 +26,12 @@ def night(day: int) -> str:
     return (datetime(2024, 2, 10, tzinfo=UTC) + timedelta(days=day)).date().isoformat()
 
 
-def measured(key: str = "k", verdict: str | None = None, **numbers: float) -> Measured:
+def measured(key: str = "k", verdict: str | None = None, **numbers: float) -> Measurements:
     given = {name: (value, 0.5) for name, value in numbers.items()}
-    return Measured("ok", given, [], verdict, [], "irlos_pipe 1", key)
+    return Measurements("ok", given, [], verdict, [], "irlos_pipe 1", key)
 
 
-def put(tree: Path, day: int, content: Measured, start: bool = True, recipe: str = "cube") -> str:
+def put(tree: Path, day: int, content: Measurements, start: bool = True, recipe: str = "cube") -> str:
     """Store the run of a night."""
     description = Description(
         Path("/data/cube"),
@@ -45,8 +44,8 @@ def put(tree: Path, day: int, content: Measured, start: bool = True, recipe: str
     )
     group = Group("calibration", night(day), "030000_cube", {"cube": (description,)})
     run = f"{night(day)}/030000_cube/{recipe}"
-    with opened(tree) as connection:
-        store(connection, run, group, recipe, content)
+    with opened(tree) as database:
+        database.store_run(run, group, recipe, content)
     return run
 
 
@@ -64,34 +63,34 @@ def tree(tmp_path) -> Path:
 def test_a_run_put_in_again_replaces_its_numbers(tmp_path):
     run = put(tmp_path, 0, measured("old", noll_4_nm=1.0, noll_5_nm=2.0))
     put(tmp_path, 0, measured("new", noll_4_nm=3.0))
-    with opened(tmp_path) as connection:
-        assert [(one.name, one.value) for one in points(connection)] == [("noll_4_nm", 3.0)]
-        assert stored_key(connection, run) == "new" and stored_key(connection, "other") == ""
+    with opened(tmp_path) as database:
+        assert [(one.name, one.value) for one in database.points()] == [("noll_4_nm", 3.0)]
+        assert database.run_key(run) == "new" and database.run_key("other") == ""
 
 
 def test_a_run_without_a_time_stands_at_midnight_of_its_night(tmp_path):
     put(tmp_path, 0, measured(noll_4_nm=1.0), start=False)
-    with opened(tmp_path) as connection:
-        (point,) = points(connection)
+    with opened(tmp_path) as database:
+        (point,) = database.points()
     assert datetime.fromtimestamp(point.unix_s, UTC).isoformat() == "2024-02-11T04:42:00+00:00"
 
 
 def test_numbers_come_in_order_of_time_with_modes_in_order_of_their_index(tree):
-    trend = read_trend(tree, BandKeys())
+    trend = read_trend(tree, BandSettings())
     assert [one.name for one in trend.series] == ["noll_2_nm", "noll_4_nm", "noll_11_nm", "seeing_arcsec"]
     assert all(np.all(np.diff([point.unix_s for point in one.points]) == DAY_S) for one in trend.series)
 
 
 def test_a_coefficient_that_leaves_its_band_alarms_and_the_sky_does_not(tree):
-    alarms = read_trend(tree, BandKeys()).alarms()
+    alarms = read_trend(tree, BandSettings()).alarms()
     assert [(point.night, point.name) for point, _ in alarms] == [(night(19), "noll_4_nm")]
 
 
 def test_the_trend_as_of_a_night_is_that_of_what_was_there_then(tree):
-    keys = BandKeys()
-    with opened(tree) as connection:
-        then = make_trend(points(connection, night(12)), verdicts(connection, night(12)), keys)
-    late = read_trend(tree, keys).until(night(12))
+    rule = BandSettings()
+    with opened(tree) as database:
+        then = make_trend(database.points(night(12)), database.verdicts(night(12)), rule)
+    late = read_trend(tree, rule).until(night(12))
     assert late.series == then.series and late.verdicts == then.verdicts and len(then.verdicts) == 13
     for one, other in zip(late.structures.values(), then.structures.values(), strict=True):
         assert np.array_equal(one.change_nm2, other.change_nm2)
@@ -99,7 +98,7 @@ def test_the_trend_as_of_a_night_is_that_of_what_was_there_then(tree):
 
 def test_stability_is_that_of_the_modes_beyond_tip_and_tilt(tree):
     """Against a sum over all pairs; 0.5 nm of noise in two modes is taken off."""
-    trend = read_trend(tree, BandKeys(), until=night(18))
+    trend = read_trend(tree, BandSettings(), until=night(18))
     (structure,) = trend.structures.values()
     modes = np.array(
         [
@@ -117,13 +116,13 @@ def test_stability_is_that_of_the_modes_beyond_tip_and_tilt(tree):
 def test_two_recipes_make_two_series(tmp_path):
     for recipe in ("cube", "dip"):
         put(tmp_path, 0, measured(noll_4_nm=1.0), recipe=recipe)
-    assert [one.recipe for one in read_trend(tmp_path, BandKeys()).series] == ["cube", "dip"]
+    assert [one.recipe for one in read_trend(tmp_path, BandSettings()).series] == ["cube", "dip"]
 
 
 def test_the_page_tells_every_verdict_of_the_night_with_the_gap_of_its_own_recording(tmp_path):
     for recipe, gap in (("cube", 0.02), ("muse", 0.05)):
         put(tmp_path, 0, measured(verdict="effect", gap_before=gap, gap_after=gap / 2), recipe=recipe)
-    trend = read_trend(tmp_path, BandKeys())
+    trend = read_trend(tmp_path, BandSettings())
     notes = [one.note for one in numbers_of_night(Night(night(0)), trend) if one.label.startswith("Missing")]
     assert [note.partition(": ")[2] for note in notes] == ["gap 0.020 → 0.010", "gap 0.050 → 0.025"]
 
@@ -133,7 +132,7 @@ def test_of_several_series_the_longest_is_shown_then_the_more_precise(tmp_path):
     for recipe in ("many", "few"):
         put(tmp_path, 1, measured(noll_4_nm=2.0), recipe=recipe)
     put(tmp_path, 2, measured(noll_4_nm=2.0), recipe="many")
-    trend = read_trend(tmp_path, BandKeys())
+    trend = read_trend(tmp_path, BandSettings())
     assert main_series(trend, "noll_4_nm").recipe == "many"
     assert main_series(trend.until(night(0)), "noll_4_nm").recipe == "one"
 

@@ -9,9 +9,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from irlos_pipe.night.stability import DAY_S, LAG_EDGES_S, BandRule, bands, structure_function
+from irlos_pipe.night.settings import BandSettings
+from irlos_pipe.night.trend_statistics import DAY_S, LAG_EDGES_S, bands, structure_function
 
-RULE = BandRule(false_alarm=1e-2, most=60, least=5)
+RULE = BandSettings(false_alarm=1e-2, nights=60, least_nights=5)
 
 
 def dates(count: int) -> list[str]:
@@ -35,9 +36,9 @@ def test_every_pair_is_counted_once_in_the_bin_of_its_lag():
         lags.append(times[j] - times[i])
         noises.append(np.sum(sigma[i] ** 2 + sigma[j] ** 2))
         changes.append(np.sum((modes[j] - modes[i]) ** 2) - noises[-1])
-    place = np.digitize(lags, LAG_EDGES_S)
-    for row, number in enumerate(np.unique(place)):
-        within = place == number
+    bins = np.digitize(lags, LAG_EDGES_S)
+    for row, number in enumerate(np.unique(bins)):
+        within = bins == number
         assert found.pairs[row] == within.sum()
         for name, values in (("lag_s", lags), ("change_nm2", changes), ("noise_nm2", noises)):
             assert getattr(found, name)[row] == pytest.approx(np.mean(np.array(values)[within]), rel=1e-12)
@@ -82,7 +83,7 @@ def test_what_noise_explains_shows_as_no_change():
 @pytest.mark.parametrize("probability", [0.05, 0.01])
 def test_false_alarms_are_no_more_frequent_than_asked_for(nights, probability):
     rng, trials = np.random.default_rng(nights), 2000
-    rule = BandRule(probability, 60, nights)
+    rule = BandSettings(false_alarm=probability, least_nights=nights)
     draws = rng.normal(size=(trials, nights + 1))
     alarms = sum(not band_of_last(values, rule=rule).holds(values[-1]) for values in draws)
     allowed = trials * probability + 3 * np.sqrt(trials * probability)
@@ -92,7 +93,7 @@ def test_false_alarms_are_no_more_frequent_than_asked_for(nights, probability):
 def test_a_jump_is_seen_against_forty_quiet_nights():
     values = np.random.default_rng(5).normal(30, 1, 41)
     values[-1] = 45.0
-    band = bands(dates(41), values, [0.5] * 41, BandRule(1e-4, 60, 5))[-1]
+    band = bands(dates(41), values, [0.5] * 41, BandSettings())[-1]
     assert not band.holds(45.0) and band.holds(30.0) and band.nights == 40
 
 
@@ -113,7 +114,7 @@ def test_several_recordings_of_a_night_count_once_and_are_not_judged_by_one_anot
 
 def test_only_the_latest_nights_make_the_band_and_too_few_make_none():
     values = [*[0.0] * 10, *np.arange(100.0, 120.0), 0.0]
-    rule = BandRule(1e-2, 20, 5)
+    rule = BandSettings(false_alarm=1e-2, nights=20)
     assert band_of_last(values, rule=rule).centre == 109.5
     assert band_of_last(values[:5]) is None
 

@@ -18,9 +18,8 @@ from helpers.sparta_files import (
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.night import discover as module
-from irlos_pipe.night.catalogue import Catalogue
 from irlos_pipe.night.database import opened
-from irlos_pipe.night.discover import dated, discover
+from irlos_pipe.night.discover import date_in_path, discover
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
 PIXELS = counts(star(12, 12), frames=3)
@@ -28,8 +27,8 @@ TIMES = {"Seconds": 1707620400 + np.arange(3), "USeconds": np.zeros(3, int)}  # 
 
 
 def found(folder, tree=None, keys=None):
-    with opened(tree or folder.parent) as connection:
-        return discover([folder], keys or AcquisitionKeys(), load_instrument("irlos"), Catalogue(connection))
+    with opened(tree or folder.parent) as database:
+        return discover([folder], keys or AcquisitionKeys(), load_instrument("irlos"), database)
 
 
 def test_a_recorder_folder_is_described_by_side_car_and_table(tmp_path):
@@ -128,4 +127,4 @@ def test_an_empty_folder_has_nothing_and_an_absent_one_is_an_error(tmp_path):
 
 
 def test_the_nearest_dated_folder_counts(tmp_path):
-    assert dated(tmp_path / "2020-01-01/2023-07-13/cube_12345678") == "2023-07-13"
+    assert date_in_path(tmp_path / "2020-01-01/2023-07-13/cube_12345678") == "2023-07-13"

@@ -1,4 +1,4 @@
-"""From groups to tasks: which recipe on which recordings, and where its products go."""
+"""From groups to tasks: which recipe runs on which recordings, and where its products go."""
 
 from __future__ import annotations
 
@@ -11,25 +11,73 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.night.grouping import Group
-from irlos_pipe.night.reduce import Task
 from irlos_pipe.night.settings import NightSettings
+from irlos_pipe.recipe import Recipe, load_recipe
+
+
+@dataclass(frozen=True)
+class Task:
+    """A recipe and the recordings to run it on: small, and the same in any process on any machine.
+
+    Attributes
+    ----------
+    name : str
+        ``<night>/<group>/<recipe>``, unique in the tree.
+    folder : Path
+        Where the products are found when they are complete, see `PublishedRun`.
+    recipe, settings, inputs :
+        Arguments of `load_recipe`.
+    device : str
+        ``cpu`` or ``cuda``.
+    threads : int
+        Threads of the process that works on it; results do not depend on it.
+    """
+
+    name: str
+    folder: Path
+    recipe: Path
+    settings: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    device: str = "cpu"
+    threads: int = 1
+
+    def load(self) -> Recipe:
+        """Return the validated recipe.
+
+        Raises
+        ------
+        ConfigurationError
+            When it is not valid.
+        """
+        return load_recipe(self.recipe, self.settings, self.inputs)
 
 
 @dataclass(frozen=True)
 class Job:
-    """A task and the group it is for."""
+    """A task and the group whose recordings it reduces."""
 
     group: Group
     task: Task
 
 
 def jobs_of(groups: Iterable[Group], settings: NightSettings, tree: Path, device: str = "cpu") -> list[Job]:
-    """Return what there is to do, up to date or not; the products go to ``tree/<night>/<group>/<recipe>``.
+    """Return one job per group and recipe, whether or not its products are up to date.
+
+    Parameters
+    ----------
+    groups : iterable of Group
+        Recordings that are reduced together.
+    settings : NightSettings
+        Recipes by kind of group, and changes of their settings.
+    tree : Path
+        Products go to ``tree/<night>/<group>/<recipe>``.
+    device : str
+        ``cpu`` or ``cuda``.
 
     Raises
     ------
     ConfigurationError
-        When a recipe is not valid, or wants an input that its kind of group does not have.
+        When a recipe is not valid, or declares an input that its kind of group does not have.
     """
     tree = tree.absolute()  # tasks may be worked on elsewhere
     jobs = [Job(group, task) for group in groups for task in _tasks(group, settings, tree, device)]
@@ -52,14 +100,14 @@ def _inputs(recipe: Path, group: Group) -> tuple[str, ...]:
         if name not in group.inputs:
             offered = " and ".join(f"'{one}'" for one in group.inputs)
             raise ConfigurationError(
-                f"{recipe}: wants input '{name}'; a group of kind '{group.kind}' offers "
+                f"{recipe}: needs input '{name}', but a group of kind '{group.kind}' has only "
                 f"{offered}; choose another recipe with --recipe {group.kind}=PATH"
             )
     return tuple(f"{name}={recording.path}" for name in names for recording in group.inputs[name])
 
 
 def _settings(recipe: Path, settings: NightSettings) -> tuple[str, ...]:
-    """``stage.key=VALUE`` for everything that is changed in the recipe."""
+    """``stage.key=VALUE`` for every setting of the recipe that is changed."""
     changed = dict(settings.settings.get(recipe.stem, {}))
     keys = settings.acquisition.model_dump(mode="json", exclude_none=True)
     if keys:

@@ -1,7 +1,7 @@
-"""Where a reduction stands: the old products can be read until all the new ones are there.
+"""Products that can be read until all the new ones are complete.
 
-``<recipe>`` is a link to one of two hidden folders beside it, ``.<recipe>.a`` and ``.<recipe>.b``. Work is
-done in the other one; the link is replaced, in one step of the file system, when that is complete.
+``<recipe>`` is a symbolic link to one of two hidden folders beside it, ``.<recipe>.a`` and ``.<recipe>.b``.
+Work is done in the other one; when that is complete the link is replaced in one step of the file system.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ SLOTS = ("a", "b")
 
 
 @dataclass(frozen=True)
-class Place:
-    """The place of one reduction.
+class PublishedRun:
+    """The two product folders of one reduction.
 
     Attributes
     ----------
     path : Path
-        The link under which its latest complete products are found.
+        The link under which the latest complete products are found.
     """
 
     path: Path
@@ -35,30 +35,30 @@ class Place:
         return self.path.is_symlink() and self.path.is_dir()
 
     @property
-    def workplace(self) -> Path:
-        """The folder for the next set of products; may not exist, or hold what an interruption left."""
+    def work_folder(self) -> Path:
+        """The folder of the next set of products; it may not exist, or hold what an interruption left."""
         target = os.readlink(self.path) if self.path.is_symlink() else ""
         return next(slot for slot in map(self._hidden, SLOTS) if slot.name != target)
 
     def prepare(self) -> Path:
-        """Return the workplace; when nothing was begun there, the published products are in it.
+        """Return the work folder; it starts with the published products unless work has begun there.
 
         Raises
         ------
         IrlosError
-            When the place is taken by something else, or cannot be written.
+            When something else has this name, or the folder cannot be written.
         """
         if self.path.exists() and not self.path.is_symlink():
             raise IrlosError(f"{self.path}: is in the way; it was not made by irlos night, move it elsewhere")
         try:
-            self._begin()
+            self._fill_work_folder()
         except OSError as error:
             raise IrlosError(f"{self.path}: cannot be written: {error.strerror or error}") from error
-        return self.workplace
+        return self.work_folder
 
     def publish(self) -> None:
-        """Let the products of the workplace take the place of those before, which are then removed."""
-        new, old = self.workplace, self.path.resolve() if self.published else None
+        """Replace the published products by those of the work folder, and remove the old ones."""
+        new, old = self.work_folder, self.path.resolve() if self.published else None
         link = self._hidden("link")
         link.unlink(missing_ok=True)
         link.symlink_to(new.name)
@@ -67,22 +67,22 @@ class Place:
             self._remove(old)
 
     def discard(self) -> None:
-        """Remove what was begun and is not wanted any more."""
-        self._remove(self.workplace)
+        """Remove the work folder."""
+        self._remove(self.work_folder)
 
-    def _begin(self) -> None:
-        """Fill an absent workplace in one step, so that a half filled one is never gone on with."""
+    def _fill_work_folder(self) -> None:
+        """Fill an absent work folder in one step, so that a half filled one is never continued."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        if self.workplace.exists() or not self.published:
+        if self.work_folder.exists() or not self.published:
             return
         copy = self._hidden("copy")
         self._remove(copy)
         others = shutil.ignore_patterns(LOCK_NAME)
         shutil.copytree(self.path.resolve(), copy, ignore=others, copy_function=_link_or_copy)
-        os.rename(copy, self.workplace)
+        os.rename(copy, self.work_folder)
 
     def _remove(self, folder: Path) -> None:
-        """Move away first: a folder half removed must not look like one half made."""
+        """Rename before removing: a half removed folder must not look like a half filled one."""
         rubbish = self._hidden("rubbish")
         shutil.rmtree(rubbish, ignore_errors=True)
         if folder.exists():
@@ -94,7 +94,7 @@ class Place:
 
 
 def _link_or_copy(source: str, target: str) -> None:
-    """Products are never changed in place, so both sets may share a file; the log grows, and may not."""
+    """Products are never changed in place, so both sets may share a file; the log grows and must not."""
     if Path(source).name == RunFolder(Path(source).parent).log.name:
         shutil.copy2(source, target)
         return

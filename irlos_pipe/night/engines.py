@@ -1,0 +1,206 @@
+"""Where tasks are worked on: in processes of this machine, or in the workers of a Dask cluster.
+
+On a cluster every stage of a task is one Dask task. The stages are chained, so that a worker that dies
+costs the stage it was working on, and the scheduler gives that stage to another worker. Workers need the
+same software and the same paths. A process or worker that dies takes other tasks with it; these are tried
+again, each by itself, so that only the one at fault is lost.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
+from irlos_pipe.files.processes import in_processes
+from irlos_pipe.night.reduce import Reduced, Runner, Work, failure
+from irlos_pipe.night.tasks import Task
+from irlos_pipe.pipeline.provenance import software_versions
+from irlos_pipe.pipeline.runlog import RUN
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+KILLED = "its process was killed, perhaps because memory ran out; run again with fewer --jobs"
+CONNECT_S = 30
+WORKERS_S = 600  # a batch system may need this long to start the first
+IN_FLIGHT = 2000  # tasks known to the scheduler at a time, which bounds its memory
+_one_at_a_time = threading.Lock()
+
+
+def local_runner(jobs: int) -> Runner:
+    """Return a runner of up to `jobs` processes of one thread each."""
+
+    def run(work: Work, tasks: Sequence[Task]) -> Iterator[Reduced]:
+        lost = list(tasks)
+        for reduced in _in_processes(work, tasks, jobs):
+            lost = [task for task in lost if task.name != reduced.name]
+            yield reduced
+        for task in lost:
+            yield next(_in_processes(work, [task], 1), failure(task, KILLED))
+
+    return run
+
+
+def _in_processes(work: Work, tasks: Sequence[Task], jobs: int) -> Iterator[Reduced]:
+    """Yield the outcomes as they are ready, until a process dies."""
+    if not tasks:
+        return
+    with in_processes(min(jobs, len(tasks)), work, [(task,) for task in tasks]) as futures:
+        for future in as_completed(futures):
+            if isinstance(future.exception(), BrokenProcessPool):
+                return
+            yield future.result()
+
+
+def dask_runner(scheduler: str) -> Runner:
+    """Return a runner on an existing cluster.
+
+    Parameters
+    ----------
+    scheduler : str
+        Address such as ``tcp://10.0.0.1:8786``.
+
+    Raises
+    ------
+    ConfigurationError
+        When Dask is not installed; when the runner starts, also if no scheduler answers at the address
+        or a worker has other software.
+    IrlosError
+        When no worker joins the cluster.
+    """
+    _distributed()
+
+    def run(work: Work, tasks: Sequence[Task]) -> Iterator[Reduced]:
+        with _connected(scheduler) as client:
+            yield from _on_cluster(client, work, tasks)
+
+    return run
+
+
+def _on_cluster(client: Client, work: Work, tasks: Sequence[Task]) -> Iterator[Reduced]:
+    """Yield the outcomes as they are ready; Dask blames the death of a worker on all tasks it held."""
+    lost = []
+    for future, task in _futures(client, work, tasks, IN_FLIGHT):
+        if isinstance(future.exception(), _distributed().scheduler.KilledWorker):
+            lost.append(task)
+        else:
+            yield _outcome(future, task)
+    for future, task in _futures(client, work, lost, 1):
+        yield _outcome(future, task)
+
+
+def _futures(
+    client: Client, work: Work, tasks: Sequence[Task], in_flight: int
+) -> Iterator[tuple[Future[Reduced], Task]]:
+    """Yield the last stage of every task as it ends; at most `in_flight` tasks are under way at a time."""
+    waiting = iter(tasks)
+    owners: dict[str, Task] = {}
+
+    def submitted(count: int) -> list[Future[Reduced]]:
+        chains = [(_chain(client, work, task), task) for task in islice(waiting, count)]
+        owners.update((str(future.key), task) for future, task in chains)
+        return [future for future, _ in chains]
+
+    done = _distributed().as_completed(submitted(in_flight), loop=client.loop)
+    for future in done:
+        yield future, owners.pop(str(future.key))
+        done.update(submitted(1))
+
+
+def _chain(client: Client, work: Work, task: Task) -> Future[Reduced]:
+    """Submit the stages of a task, each waiting for the one before; return the last."""
+    first, *others = task.load().stages
+    future = _submit(client, work, task, first, None)
+    for stage in others:
+        future = _submit(client, work, task, stage, future)
+    return future
+
+
+def _submit(
+    client: Client, work: Work, task: Task, stage: str, before: Future[Reduced] | None
+) -> Future[Reduced]:
+    return client.submit(_stage, work, task, stage, before, key=f"{task.name}/{stage}", pure=False)
+
+
+def _stage(work: Work, task: Task, stage: str, before: Reduced | None) -> Reduced:
+    """Work on one stage at a time: threads and logs belong to the process."""
+    with _one_at_a_time:
+        return work(task, stage, before)
+
+
+def _outcome(future: Future[Reduced], task: Task) -> Reduced:
+    error = future.exception()
+    if error is None:
+        return future.result()
+    reason = next(iter(str(error).splitlines()), "")
+    return failure(task, f"lost on the cluster: {type(error).__name__}: {reason}")
+
+
+@contextmanager
+def _connected(scheduler: str) -> Iterator[Client]:
+    """Connect to a cluster that has a worker; all workers have the software of this process."""
+    try:
+        _require_port(scheduler)
+        client = _distributed().Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:  # a timeout is an OSError
+        raise ConfigurationError(
+            f"--scheduler {scheduler}: no Dask scheduler answers there "
+            f"({next(iter(str(error).splitlines()), type(error).__name__)})"
+        ) from error
+    with client:
+        _require_workers(client, scheduler)
+        yield client
+
+
+def _require_port(scheduler: str) -> None:
+    """Raise ValueError for an address without a port; the client would raise it again when it is deleted."""
+    scheme, location = _distributed().comm.parse_address(scheduler)
+    if scheme in ("tcp", "tls"):
+        _distributed().comm.parse_host_port(location)
+
+
+def _require_workers(client: Client, scheduler: str) -> None:
+    if not client.scheduler_info()["workers"]:
+        RUN.info("waiting for workers at %s", scheduler)
+    try:
+        client.wait_for_workers(1, timeout=WORKERS_S)
+    except TimeoutError:
+        raise IrlosError(
+            f"--scheduler {scheduler}: no worker within {WORKERS_S // 60} minutes; "
+            f"start some with: dask worker {scheduler} --nthreads 1"
+        ) from None
+    _require_same_software(client)
+
+
+def _require_same_software(client: Client) -> None:
+    own = software_versions()
+    for address, versions in client.run(software_versions).items():
+        if versions != own:
+            raise ConfigurationError(
+                f"worker {address}: {_difference(versions, own)}; "
+                "results would not be the same: install the same versions"
+            )
+
+
+def _difference(theirs: dict[str, str], own: dict[str, str]) -> str:
+    return ", ".join(
+        f"{name} {theirs.get(name, 'missing')} instead of {own.get(name, 'none')}"
+        for name in own | theirs
+        if theirs.get(name) != own.get(name)
+    )
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise ConfigurationError(
+            "--engine dask: Dask is not installed; pip install 'irlos-pipe[dask]'"
+        ) from None
+    return distributed

@@ -1,0 +1,201 @@
+"""Text and JSON that `irlos night` and `irlos trend` print."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from irlos_pipe.conventions.errors import ExitCode
+from irlos_pipe.conventions.text import aligned, and_more
+from irlos_pipe.files.json import json_text
+from irlos_pipe.night.database import Point
+from irlos_pipe.night.page import page_path
+from irlos_pipe.night.state import Night, RunState
+from irlos_pipe.night.tasks import Job
+from irlos_pipe.night.trend import Series, Trend, alarm_text
+from irlos_pipe.night.trend_statistics import DAY_S, Band, Structure
+from irlos_pipe.pipeline import Step
+from irlos_pipe.report.text import number, plural
+
+NEW_STEP = ("all stages", "run", "no products yet")
+SERIES_COLUMNS = ("number", "recipe", "night", "value", "±", "band", "nights", "", "configuration")
+STRUCTURE_COLUMNS = ("lag [days]", "change [nm RMS]", "noise alone [nm RMS]", "pairs")
+VERDICT_COLUMNS = ("night", "group", "verdict", "effects")
+
+
+def attention_line(state: RunState, tree: Path) -> str:
+    """Return one line on the nights of a run that need a look; "" when none does.
+
+    Parameters
+    ----------
+    state : RunState
+        The run.
+    tree : Path
+        Folder of all results.
+    """
+    nights = [night for night in state.nights.values() if night.failures or night.doubts]
+    if not nights:
+        return ""
+    if len(nights) == 1:
+        return f"night {nights[0].date}: {_first_problem(nights[0])}; see {page_path(tree, nights[0].date)}"
+    dates = ", ".join(night.date for night in nights[:3]) + (" ..." if len(nights) > 3 else "")
+    return f"{len(nights)} of {len(state.nights)} nights need a look ({dates}); see {tree}/night_*.html"
+
+
+def _first_problem(night: Night) -> str:
+    problems = [*night.failures, *night.doubts]
+    return problems[0] + and_more(problems)
+
+
+def night_text(state: RunState, tree: Path) -> str:
+    """Return one line per job and per page, for a `state` of a run and the `tree` of its results."""
+    rows = [
+        (
+            night.date,
+            one.name.partition("/")[2],
+            one.status.replace("_", " "),
+            one.action,
+            "; ".join(one.reasons) or one.problem,
+        )
+        for night in state.nights.values()
+        for one in night.reduced.values()
+    ]
+    rows += [
+        (night.date, "page", "", "", str(page_path(tree, night.date))) for night in state.nights.values()
+    ]
+    return aligned(sorted(rows, key=lambda row: row[0]))
+
+
+def night_json(state: RunState, tree: Path) -> str:
+    """Return the outcome of a run as JSON, for its `state` and the `tree` of its results."""
+    return _json(
+        "irlos-night", exit_code=state.exit_code, nights=[_night(one, tree) for one in state.nights.values()]
+    )
+
+
+def nothing_json(reason: str) -> str:
+    """Return the JSON of a run that had nothing to do."""
+    return _json("irlos-night", exit_code=ExitCode.NOTHING_TO_DO, nights=[], nothing=reason)
+
+
+def _json(schema: str, **content: Any) -> str:
+    return json_text({"schema": schema, "schema_version": 1} | content).rstrip()
+
+
+def _night(night: Night, tree: Path) -> dict[str, Any]:
+    return {
+        "night": night.date,
+        "page": page_path(tree, night.date),
+        "recordings": len(night.recordings),
+        "reductions": [asdict(one) for one in night.reduced.values()],
+        "left_out": [{"path": one.recording.path, "reason": one.reason} for one in night.left_out],
+        "unusable": [asdict(one) for one in night.unusable],
+        "failures": night.failures,
+        "doubts": night.doubts,
+    }
+
+
+def plan_text(plan: Sequence[tuple[Job, list[Step] | None]], failures: Sequence[str], as_json: bool) -> str:
+    """Return what a run would do, one line per stage, and why.
+
+    Parameters
+    ----------
+    plan, failures :
+        From `plan_night`.
+    as_json : bool
+        Return a JSON list instead of a table.
+    """
+    rows = [(job.task.name, *row) for job, steps in plan for row in _step_rows(steps)]
+    rows += [("left out", "", "", failure) for failure in failures]
+    if as_json:
+        return json_text(
+            [dict(zip(("run", "stage", "action", "reason"), row, strict=True)) for row in rows]
+        ).rstrip()
+    return aligned(rows)
+
+
+def _step_rows(steps: list[Step] | None) -> list[tuple[str, str, str]]:
+    if steps is None:
+        return [NEW_STEP]
+    return [(step.name, step.action.value, step.reason) for step in steps]
+
+
+def trend_text(trend: Trend) -> str:
+    """Return the last value of every number with its band, the stability of the NCPAs, and the verdicts."""
+    several = len({one.configuration for one in trend.series}) > 1
+    rows = [SERIES_COLUMNS, *map(_series_row, trend.series)]
+    parts = [aligned(rows if several else [row[:-1] for row in rows])]
+    for (recipe, configuration), structure in trend.structures.items():
+        title = f"Stability of the NCPAs, Noll 4 and up, {recipe} ({configuration}):"
+        parts.append(f"{title}\n{aligned([STRUCTURE_COLUMNS, *_structure_rows(structure)])}")
+    verdicts = [(one.night, one.group, one.verdict, ", ".join(one.effects)) for one in trend.verdicts]
+    if verdicts:
+        parts.append("What the model lacks:\n" + aligned([VERDICT_COLUMNS, *verdicts]))
+    return "\n\n".join(parts)
+
+
+def trend_json(trend: Trend) -> str:
+    """Return all points, bands, verdicts and alarms as JSON."""
+    return _json(
+        "irlos-trend",
+        series=list(map(_series, trend.series)),
+        stability=[
+            {"recipe": recipe, "configuration": configuration, **asdict(structure)}
+            for (recipe, configuration), structure in trend.structures.items()
+        ],
+        verdicts=[asdict(one) for one in trend.verdicts],
+        alarms=[alarm_text(*alarm) for alarm in trend.alarms(trend.last_night)],
+    )
+
+
+def alarms_line(trend: Trend) -> str:
+    """Return one line on the alarms of the last night; "" without one."""
+    found = [alarm_text(*alarm) for alarm in trend.alarms(trend.last_night)]
+    return f"{plural(len(found), 'number')} out of band: {found[0]}{and_more(found)}" if found else ""
+
+
+def _series_row(series: Series) -> tuple[str, ...]:
+    last, band = series.points[-1], series.bands[-1]
+    out = any(point.run == last.run for point, _ in series.alarms)
+    return (
+        series.name,
+        series.recipe,
+        last.night,
+        f"{last.value:.4g}",
+        number(last.sigma, ".2g"),
+        f"{band.low:.4g} to {band.high:.4g}" if band else "too few nights",
+        str(len({point.night for point in series.points})),
+        "ALARM" if out else "",
+        series.configuration,
+    )
+
+
+def _structure_rows(structure: Structure) -> list[tuple[str, ...]]:
+    columns = (structure.lag_s / DAY_S, structure.change_nm, structure.noise_nm2**0.5, structure.pairs)
+    return [
+        (f"{lag_days:.3g}", f"{change:.2f}", f"{noise:.2f}", str(pairs))
+        for lag_days, change, noise, pairs in zip(*columns, strict=True)
+    ]
+
+
+def _series(series: Series) -> dict[str, Any]:
+    points = [_point(point, band) for point, band in zip(series.points, series.bands, strict=True)]
+    return {
+        "name": series.name,
+        "recipe": series.recipe,
+        "configuration": series.configuration,
+        "points": points,
+    }
+
+
+def _point(point: Point, band: Band | None) -> dict[str, Any]:
+    return {
+        "run": point.run,
+        "night": point.night,
+        "unix_s": point.unix_s,
+        "value": point.value,
+        "sigma": point.sigma,
+        "band": band and [band.low, band.high],
+    }
