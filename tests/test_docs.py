@@ -26,7 +26,7 @@ INLINE = re.compile(r"`([^`\n]+)`")
 OF_THE_TREE = re.compile(r"(?:irlos_pipe|docs|recipes|tests|benchmarks|data_samples)/[\w./-]*")
 
 # Pages whose long lines and old file names are about to go.
-LATE = {"architecture.md", "night.md", "reliability.md", "scale_out.md"}
+LATE = {"night.md", "reliability.md", "scale_out.md"}
 
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(REPOSITORY).as_posix())
 each_text = pytest.mark.parametrize(
