@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 from helpers.paths import PACKAGE
 
-LEAST_DOCUMENTED = 0.9
+MIN_DOCUMENTED = 0.9
 PACKAGES = sorted(path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists())
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -58,20 +58,20 @@ def asked(package: str) -> list[tuple[str, bool]]:
 def test_nine_in_ten_public_functions_document_their_parameters(package):
     functions = asked(package)
     missing = [name for name, documented in functions if not documented]
-    assert len(missing) <= (1 - LEAST_DOCUMENTED) * len(functions), "\n".join(missing)
+    assert len(missing) <= (1 - MIN_DOCUMENTED) * len(functions), "\n".join(missing)
 
 
 def test_every_public_function_has_a_docstring():
-    bare = [
+    undocumented = [
         f"{path.relative_to(PACKAGE)}:{function.lineno} {function.name}"
         for path in PACKAGE.rglob("*.py")
         for function, docstring in public_functions(ast.parse(path.read_text()))
         if not docstring
     ]
-    assert bare == []
+    assert undocumented == []
 
 
-def test_the_check_tells_documented_from_undocumented():
+def test_the_check_distinguishes_documented_from_undocumented():
     source = '''
 def good(a_nm, b):
     """Add.

@@ -45,7 +45,7 @@ def test_after_a_kill_nothing_partial_is_seen_and_the_next_run_makes_the_same_bi
 
 
 @pytest.mark.parametrize("size", [300, 20_000])
-def test_a_full_disk_is_told_in_a_line_and_costs_nothing_once_there_is_room(harness, tree, size):
+def test_a_full_disk_is_reported_in_one_line_and_costs_nothing_once_there_is_room(harness, tree, size):
     end = harness.filled(tree, size)
     assert end.code == 1 and after_harm(tree, end) == []
     assert [line for line in end.told.splitlines() if "cannot be written" in line or "disk" in line]
@@ -53,7 +53,7 @@ def test_a_full_disk_is_told_in_a_line_and_costs_nothing_once_there_is_room(harn
 
 
 @pytest.mark.parametrize("options", ["size=200k", "ro"])
-def test_a_small_or_read_only_file_system_is_told_in_a_line(harness, tree, options):
+def test_a_small_or_read_only_file_system_is_reported_in_one_line(harness, tree, options):
     tree.mkdir()
     if subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", tree], capture_output=True).returncode:
         pytest.skip("mounting a file system is not permitted here")
@@ -88,7 +88,7 @@ def test_a_signal_ends_a_night_with_130_and_one_line_and_the_next_run_completes_
 
 
 @pytest.mark.parametrize("jump", [timedelta(days=-400), timedelta(days=4000)])
-def test_a_clock_that_jumps_during_a_run_changes_nothing_but_the_times_told(harness, tree, jump):
+def test_a_clock_that_jumps_during_a_run_changes_only_the_reported_times(harness, tree, jump):
     def jumping() -> None:
         """The clock jumps at the third look at it."""
         looks, now = iter(range(10**9)), time.time

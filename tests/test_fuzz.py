@@ -1,4 +1,4 @@
-"""A sample of the damaged and hostile inputs of ``make fuzz``; and that their judge sees what it must see.
+"""A sample of the damaged and hostile inputs of ``make fuzz``, and checks of the judge that assesses them.
 
 Truth: the result of the same recording without damage, and the exit codes of the contract.
 """
@@ -16,7 +16,7 @@ SEEDS = range(5)
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_no_spoiled_input_brings_about_more_than_a_line_that_says_what_is_wrong(kind):
+def test_damaged_input_causes_at_most_one_line_that_says_what_is_wrong(kind):
     verdicts = [judge.judged(kind, seed) for seed in SEEDS]
     assert [(verdict.seed, verdict.told, verdict.finding) for verdict in verdicts if verdict.finding] == []
 

@@ -13,7 +13,7 @@ from fuzz.case import Case, kind, pick
 from fuzz.damage import damaged
 
 ROOT = Path(__file__).parents[2]
-PROFILE = ROOT / "irlos_pipe" / "instruments" / "irlos.yaml"
+PROFILE = ROOT / "irlos_pipe" / "instrument" / "irlos.yaml"
 RECIPES = sorted((ROOT / "recipes").glob("*.yaml"))
 SPECS = sorted((ROOT / "recipes" / "simulations").glob("*.yaml"))
 WORD = re.compile(r"[\w.+-]+")
