@@ -8,6 +8,8 @@ from typing import ClassVar, Literal
 
 from markupsafe import Markup
 
+Width = Literal["third", "half", "full"]
+
 
 @dataclass(frozen=True)
 class Figure:
@@ -15,7 +17,7 @@ class Figure:
 
     Attributes
     ----------
-    width : str
+    width : Width
         Room it takes on a wide screen: a third or half of the page, or all of it. A telephone shows
         one after the other; ``full`` can be pushed sideways there.
     """
@@ -24,7 +26,7 @@ class Figure:
     svg: Markup
     title: str
     caption: str = ""
-    width: Literal["third", "half", "full"] = "half"
+    width: Width = "half"
 
 
 @dataclass(frozen=True)

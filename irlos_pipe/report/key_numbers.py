@@ -8,8 +8,12 @@ from collections.abc import Iterator
 from irlos_pipe.report.content import KeyNumber
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_quality import quality_text
-from irlos_pipe.report.sensitivity_plot import limit_text
+from irlos_pipe.report.section_sensitivity import curve_label, limit_text
 from irlos_pipe.report.text import MISSING, number, with_error
+from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.correct import CorrectResults
+from irlos_pipe.stages.lift.results import LiftResults
+from irlos_pipe.stages.sensitivity import SensitivityResults
 
 
 def key_numbers(run: RunData) -> list[KeyNumber]:
@@ -19,55 +23,44 @@ def key_numbers(run: RunData) -> list[KeyNumber]:
 
 
 def _calibration(run: RunData) -> Iterator[KeyNumber]:
-    results = run.results("calibrate")
-    sigmas = [sigma for sigma in results.get("sigma_nm", {}).values() if sigma is not None]
-    nolls = sorted(int(noll) for noll in results.get("zernike_nm", {}))
+    results = run.results(CalibrateResults)
+    sigma_nm = math.hypot(*(sigma for sigma in results.sigma_nm.values() if math.isfinite(sigma)))
+    nolls = sorted(results.zernike_nm)
     modes = f"Noll {nolls[0]}–{nolls[-1]}" if nolls else ""
     yield KeyNumber(
-        "NCPAs",
-        with_error(results.get("wfe_nm"), math.hypot(*sigmas), ".1f", "nm"),
-        f"RMS, {modes}, {results.get('method')}",
+        "NCPAs", with_error(results.wfe_nm, sigma_nm, ".1f", "nm"), f"RMS, {modes}, {results.method}"
     )
-    yield KeyNumber("Calibration fit", number(results.get("chi2_nu"), ".2f"), "χ²/ν of the mean image")
+    yield KeyNumber("Calibration fit", number(results.chi2_nu, ".2f"), "χ²/ν of the mean image")
 
 
 def _ramp(run: RunData) -> Iterator[KeyNumber]:
-    summary = run.results("lift").get("summary", {})
-    line = number(summary.get("residual_rms_nm"), ".1f", "nm")
-    yield KeyNumber("Ramp slope", with_error(summary.get("slope"), summary.get("slope_sigma"), ".3f"))
-    yield KeyNumber("Ramp offset", number(summary.get("offset_nm"), "+.1f", "nm"))
-    yield KeyNumber("Ramp error", number(summary.get("rms_nm"), ".1f", "nm RMS"), f"{line} about the line")
+    line = run.results(LiftResults).summary
+    scatter = number(line.residual_rms_nm, ".1f", "nm")
+    yield KeyNumber("Ramp slope", with_error(line.slope, line.slope_sigma, ".3f"))
+    yield KeyNumber("Ramp offset", number(line.offset_nm, "+.1f", "nm"))
+    yield KeyNumber("Ramp error", number(line.rms_nm, ".1f", "nm RMS"), f"{scatter} about the line")
 
 
 def _limit(run: RunData) -> Iterator[KeyNumber]:
-    for curve in run.results("sensitivity").get("curves", [])[:1]:
-        ncpas = "with" if curve.get("calibrated") else "without"
-        limit = "not reached" if curve.get("limit_mag") is None else f"{limit_text(curve)} mag"
-        yield KeyNumber("Limiting magnitude", limit, f"J, {ncpas} NCPAs, {len(curve.get('modes', []))} modes")
+    for curve in run.results(SensitivityResults).curves[:1]:
+        limit = f"{limit_text(curve)} mag" if math.isfinite(curve.limit_mag) else "not reached"
+        yield KeyNumber("Limiting magnitude", limit, f"J, {curve_label(curve)}")
 
 
 def _strehl(run: RunData) -> Iterator[KeyNumber]:
-    results = run.results("correct")
-    after = number(results.get("strehl_after"), ".3f")
-    yield KeyNumber(
-        "Strehl",
-        f"{number(results.get('strehl_before'), '.3f')} → {after}",
-        "predicted, before → after correction",
-    )
+    results = run.results(CorrectResults)
+    before, after = number(results.strehl_before, ".3f"), number(results.strehl_after, ".3f")
+    yield KeyNumber("Strehl", f"{before} → {after}", "predicted, before → after correction")
 
 
 def _sky(run: RunData) -> Iterator[KeyNumber]:
-    results = run.results("calibrate")
-    effects = results.get("effects") or {}
-    halo, jitter = effects.get("seeing_halo", {}), effects.get("tip_tilt_jitter", {})
-    in_band = number(halo.get("in_band_wfe_nm"), ".0f", "nm")
-    yield KeyNumber(
-        "Seeing", number(results.get("seeing_arcsec"), ".2f", "arcsec"), "taken for the calibration"
-    )
-    yield KeyNumber(
-        "AO residual", number(halo.get("wfe_nm"), ".0f", "nm RMS"), f"estimated; {in_band} within the band"
-    )
-    yield KeyNumber("Image motion", number(jitter.get("sigma_mas"), ".1f", "mas RMS"), "estimated, per axis")
+    results = run.results(CalibrateResults)
+    total, in_band = (results.effect_number("seeing_halo", key) for key in ("wfe_nm", "in_band_wfe_nm"))
+    inside = f"estimated; {number(in_band, '.0f', 'nm')} within the band"
+    jitter_mas = results.effect_number("tip_tilt_jitter", "sigma_mas")
+    yield KeyNumber("Seeing", number(results.seeing_arcsec, ".2f", "arcsec"), "taken for the calibration")
+    yield KeyNumber("AO residual", number(total, ".0f", "nm RMS"), inside)
+    yield KeyNumber("Image motion", number(jitter_mas, ".1f", "mas RMS"), "estimated, per axis")
 
 
 def _quality(run: RunData) -> Iterator[KeyNumber]:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from markupsafe import Markup
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.effects.telling import rows_of
 from irlos_pipe.frames.detector import star_position
 from irlos_pipe.report.content import Figure, Section, Stack, Table
-from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE
+from irlos_pipe.report.drawing import BLUE, CYCLE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.images import SIGMA_LIMIT, SIGNED, brightness_scale, image_panel, symmetric_scale
-from irlos_pipe.report.ncpa_plots import coefficient_bars, coefficients_in_time, wavefront_map
 from irlos_pipe.report.radial import profile_plot, ring_means
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.text import number, plural, with_error
+from irlos_pipe.report.text import mode_label, number, plural, with_error
+from irlos_pipe.report.wavefront_plots import wavefront_map
+from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate
 
 STAGE = "calibrate"
 BRIGHTNESS_UNIT = "e⁻ (asinh scale)"
@@ -30,32 +34,34 @@ METHOD_COLUMNS = (
     "converged",
     "time [s]",
 )
+WIDTH_IN, BAR_IN = 4.4, 0.165
+MARKERS = ("o", "s", "D", "^", "v")
 CUBE_COLUMNS = ("recording", "derotator [°]", "NCPA [nm RMS]", "defocus [nm]", "χ²/ν", "frames")
 
 
 def calibrate_section(run: RunData) -> Section:
     """Build the section."""
+    results = run.results(CalibrateResults)
     blocks = [
-        *_images(run),
-        *_bars(run),
+        *_images(run, results),
+        *_bars(results),
         Stack([*_profile(run), *_maps(run)]),
         *_in_time(run),
-        Stack([*_effects(run), *_cubes(run), *_methods(run)]),
+        Stack([*_effects(results), *_cubes(results), *_methods(results)]),
     ]
-    return Section(STAGE, "NCPA calibration", _lead(run), blocks)
+    return Section(STAGE, "NCPA calibration", _lead(run, results), blocks)
 
 
-def _lead(run: RunData) -> str:
-    results = run.results(STAGE)
+def _lead(run: RunData, results: CalibrateResults) -> str:
     names = ", ".join(recording.name for recording in run.recordings_of(STAGE))
-    mean = "; every recording by itself, mean over them" if results.get("cubes") else ""
+    mean = "; every recording by itself, mean over them" if results.cubes else ""
     return (
-        f"{results.get('method', '')} on {plural(results.get('frames', 0), 'used frame')}"
+        f"{results.method} on {plural(results.frames, 'used frame')}"
         f"{f' of {names}' if names else ''}{mean}; diversity not included in the coefficients."
     )
 
 
-def _images(run: RunData) -> list[Figure]:
+def _images(run: RunData, results: CalibrateResults) -> list[Figure]:
     measured, model = run.array(STAGE, "mean_image_e"), run.array(STAGE, "model_image_e")
     if measured is None or model is None:
         return []
@@ -67,17 +73,17 @@ def _images(run: RunData) -> list[Figure]:
     return [
         Figure(pictures[0], "Measured", "Mean of the used frames; crosses: masked pixels.", "third"),
         Figure(pictures[1], "Model", "Same scale.", "third"),
-        *_residual(run, measured - model),
+        *_residual(run, results, measured - model),
     ]
 
 
-def _residual(run: RunData, residual_e: np.ndarray) -> list[Figure]:
+def _residual(run: RunData, results: CalibrateResults, residual_e: np.ndarray) -> list[Figure]:
     sigma_e = run.error_of(STAGE, "mean_image_e")
     if sigma_e is None:
         return []
     image, scale = _in_sigma(residual_e, sigma_e, _pixel_mask(run)), symmetric_scale(SIGMA_LIMIT)
     panel = image_panel("cal-residual", image, scale, run.pixel_scale_mas(STAGE), "σ", SIGNED)
-    return [Figure(panel, "Residual", f"Measured − model; χ²/ν {_chi2(run.results(STAGE))}.", "third")]
+    return [Figure(panel, "Residual", f"Measured − model; χ²/ν {_chi2(results)}.", "third")]
 
 
 def _pixel_mask(run: RunData) -> np.ndarray | None:
@@ -90,8 +96,8 @@ def _in_sigma(residual: np.ndarray, sigma: np.ndarray, good: np.ndarray | None) 
     return np.divide(residual, sigma, out=np.full(residual.shape, np.nan), where=usable)
 
 
-def _chi2(results: dict[str, Any]) -> str:
-    return number(results.get("chi2_nu"), ".2f")
+def _chi2(results: Estimate) -> str:
+    return number(results.chi2_nu, ".2f")
 
 
 def _profile(run: RunData) -> list[Figure]:
@@ -121,26 +127,20 @@ def _profile(run: RunData) -> list[Figure]:
     ]
 
 
-def _bars(run: RunData) -> list[Figure]:
-    results = run.results(STAGE)
-    nolls = sorted(int(noll) for noll in results.get("zernike_nm", {}))
+def _bars(results: CalibrateResults) -> list[Figure]:
+    nolls = sorted(results.zernike_nm)
     if not nolls:
         return []
-    others = {other["method"]: _by_noll(other, "zernike_nm", nolls) for other in results.get("compare", [])}
-    bars = coefficient_bars(
-        "cal-ncpa",
-        nolls,
-        _by_noll(results, "zernike_nm", nolls),
-        _by_noll(results, "sigma_nm", nolls),
-        others,
-    )
+    others = {other.method: _in_order(other.zernike_nm, nolls) for other in results.compare}
+    values, sigma = (_in_order(one, nolls) for one in (results.zernike_nm, results.sigma_nm))
+    bars = coefficient_bars("cal-ncpa", nolls, values, sigma, others)
     symbols = "; symbols: other methods" if others else ""
-    return [Figure(bars, "NCPAs by Noll mode", f"Bars: {results.get('method')} with 1σ{symbols}.")]
+    return [Figure(bars, "NCPAs by Noll mode", f"Bars: {results.method} with 1σ{symbols}.")]
 
 
-def _by_noll(results: dict[str, Any], key: str, nolls: list[int]) -> np.ndarray:
+def _in_order(values: Mapping[int, float], nolls: Sequence[int]) -> np.ndarray:
     """Values in the order of `nolls`; NaN for modes that were not estimated."""
-    return np.array([results.get(key, {}).get(str(noll)) for noll in nolls], dtype=float)
+    return np.array([values.get(noll, np.nan) for noll in nolls])
 
 
 def _maps(run: RunData) -> list[Figure]:
@@ -174,48 +174,114 @@ def _in_time(run: RunData) -> list[Figure]:
     return [Figure(drawing, "Largest modes frame by frame", "Orange: adopted value.")]
 
 
-def _effects(run: RunData) -> list[Table]:
-    effects = run.results(STAGE).get("effects") or {}
+def _effects(results: CalibrateResults) -> list[Table]:
     rows = [
         ("" if place else effect, name, number(value, ".4g"))
-        for effect, values in effects.items()
+        for effect, values in results.effects.items()
         for place, (name, value) in enumerate(rows_of(values))
     ]
     return [Table(("effect", "parameter", "value"), rows, "Estimated with the NCPAs")] if rows else []
 
 
-def _cubes(run: RunData) -> list[Table]:
+def _cubes(results: CalibrateResults) -> list[Table]:
     rows = [
         (
-            cube["name"],
-            number(cube.get("derotator_angle_deg"), "g"),
-            with_error(cube.get("wfe_nm"), cube.get("wfe_sigma_nm")),
-            number(cube.get("zernike_nm", {}).get("4"), "+.1f"),
+            cube.name,
+            number(cube.derotator_angle_deg, "g"),
+            with_error(cube.wfe_nm, cube.wfe_sigma_nm),
+            number(cube.zernike_nm.get(4), "+.1f"),
             _chi2(cube),
-            number(cube.get("frames"), "d"),
+            number(cube.frames, "d"),
         )
-        for cube in run.results(STAGE).get("cubes", [])
+        for cube in results.cubes
     ]
     return [Table(CUBE_COLUMNS, rows, "Recordings one by one")] if rows else []
 
 
-def _methods(run: RunData) -> list[Table]:
-    results = run.results(STAGE)
-    if not results.get("compare"):
+def _methods(results: CalibrateResults) -> list[Table]:
+    if not results.compare:
         return []
-    return [Table(METHOD_COLUMNS, [_method_row(one) for one in (results, *results["compare"])], "Methods")]
+    return [Table(METHOD_COLUMNS, [_method_row(one) for one in (results, *results.compare)], "Methods")]
 
 
-def _method_row(one: dict[str, Any]) -> tuple[str, ...]:
-    fits = one.get("status", {})
-    converged = f"{fits.get('converged', 0)} of {sum(fits.values())}"
+def _method_row(one: Estimate) -> tuple[str, ...]:
     return (
-        one["method"],
-        number(one.get("wfe_nm")),
-        number(one.get("zernike_nm", {}).get("4"), "+.1f"),
+        one.method,
+        number(one.wfe_nm),
+        number(one.zernike_nm.get(4), "+.1f"),
         _chi2(one),
-        number(one.get("modes_estimated"), "d"),
-        f"{one.get('loss', '')}, {one.get('optimiser', '')}",
-        converged,
-        number(one.get("seconds")),
+        number(one.modes_estimated, "d"),
+        f"{one.loss}, {one.optimiser}",
+        f"{one.status.get('converged', 0)} of {sum(one.status.values())}",
+        number(one.seconds),
     )
+
+
+# -- drawings ----------------------------------------------------------------------------------
+
+
+def coefficient_bars(
+    name: str,
+    nolls: Sequence[int],
+    values_nm: np.ndarray,
+    sigma_nm: np.ndarray,
+    others_nm: Mapping[str, np.ndarray],
+) -> Markup:
+    """Draw one bar with its error per mode, and other methods as symbols.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page.
+    nolls : sequence of int
+    values_nm, sigma_nm : ndarray, (modes,)
+    others_nm : mapping of str to ndarray, (modes,)
+        Coefficients of other methods.
+    """
+    rows = np.arange(len(nolls))
+
+    def draw(figure: Canvas) -> None:
+        axes = figure.subplots()
+        error_look = {"ecolor": INK, "elinewidth": 0.9}
+        axes.barh(rows, values_nm, 0.75, color=BLUE, xerr=np.nan_to_num(sigma_nm), error_kw=error_look)
+        _draw_others(axes, rows, others_nm)
+        axes.axvline(0, color=INK, linewidth=0.7)
+        axes.set(yticks=rows, yticklabels=[mode_label(noll) for noll in nolls], ylim=(len(nolls) - 0.4, -0.6))
+        axes.set_xlabel("coefficient [nm RMS]")
+        axes.grid(axis="y", visible=False)
+
+    return svg(name, (WIDTH_IN, 0.7 + BAR_IN * len(nolls)), draw)
+
+
+def _draw_others(axes: Axes, rows: np.ndarray, others_nm: Mapping[str, np.ndarray]) -> None:
+    for place, (name, values_nm) in enumerate(others_nm.items()):
+        colour, marker = CYCLE[1 + place % (len(CYCLE) - 1)], MARKERS[place % len(MARKERS)]
+        axes.plot(values_nm, rows, marker, color=colour, markersize=3.5, label=name)
+    if others_nm:
+        axes.legend(loc="lower right")
+
+
+def coefficients_in_time(
+    name: str, nolls: Sequence[int], frames_nm: np.ndarray, mean_nm: np.ndarray
+) -> Markup:
+    """Draw the coefficients of every frame, one row per mode, with the adopted value.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page.
+    nolls : sequence of int
+    frames_nm : ndarray, (frames, modes)
+    mean_nm : ndarray, (modes,)
+    """
+
+    def draw(figure: Canvas) -> None:
+        stack = figure.subplots(len(nolls), sharex=True, squeeze=False)[:, 0]
+        for axes, noll, values, mean in zip(stack, nolls, frames_nm.T, mean_nm, strict=True):
+            axes.plot(values, ".-", color=BLUE, markersize=2, linewidth=0.5)
+            axes.axhline(mean, color=ORANGE, linewidth=1.2)
+            axes.set_title(f"{mode_label(noll)} [nm]", loc="left", pad=2)
+            axes.locator_params(axis="y", nbins=4)
+        stack[-1].set_xlabel("used frame")
+
+    return svg(name, (WIDTH_IN, 0.5 + 0.85 * len(nolls)), draw)

@@ -7,10 +7,10 @@ import numpy as np
 from irlos_pipe.report.content import Figure, Section, Table, Text
 from irlos_pipe.report.drawing import BLUE, ORANGE
 from irlos_pipe.report.images import PANEL_IN, image_panel, log_scale
-from irlos_pipe.report.modes import mode_name
 from irlos_pipe.report.radial import profile_plot
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.text import MISSING, number
+from irlos_pipe.report.text import MISSING, mode_name, number
+from irlos_pipe.stages.correct import CorrectResults
 
 STAGE = "correct"
 ROWS_PER_TABLE = 10
@@ -20,15 +20,16 @@ IMAGES = {"before": "Before", "after": "After"}
 
 def correct_section(run: RunData) -> Section:
     """Build the section."""
-    return Section(STAGE, "Correction", _lead(run), [*_images(run), *_profile(run), *_offsets(run)])
+    results = run.results(CorrectResults)
+    blocks = [*_images(run), *_profile(run), *_offsets(run, results.sign)]
+    return Section(STAGE, "Correction", _lead(run, results), blocks)
 
 
-def _lead(run: RunData) -> str:
-    results = run.results(STAGE)
+def _lead(run: RunData, results: CorrectResults) -> str:
     files = ", ".join(run.products[STAGE].provenance.get("files", []))
     return (
-        f"Predicted Strehl {number(results.get('strehl_before'), '.3f')} → "
-        f"{number(results.get('strehl_after'), '.3f')}{f'; offsets in {files}' if files else ''}."
+        f"Predicted Strehl {number(results.strehl_before, '.3f')} → "
+        f"{number(results.strehl_after, '.3f')}{f'; offsets in {files}' if files else ''}."
     )
 
 
@@ -67,7 +68,7 @@ def _profile(run: RunData) -> list[Figure]:
     ]
 
 
-def _offsets(run: RunData) -> list[Table | Text]:
+def _offsets(run: RunData, sign: str) -> list[Table | Text]:
     nolls, offsets = run.array(STAGE, "noll"), run.array(STAGE, "offset_nm")
     if nolls is None or offsets is None:
         return []
@@ -81,5 +82,4 @@ def _offsets(run: RunData) -> list[Table | Text]:
     tables = [
         Table(OFFSET_COLUMNS, part, f"Modal offsets, Noll {part[0][0]}–{part[-1][0]}") for part in parts
     ]
-    sign = run.results(STAGE).get("sign", "")
     return [*tables, Text(f"{sign}. {MISSING} as error: mode not estimated, offset 0.")]

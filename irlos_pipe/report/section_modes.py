@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure as Canvas
 
+from irlos_pipe.conventions.modes import REPORTED_TEXT
 from irlos_pipe.report.content import Figure, Section, Stack, Table
-from irlos_pipe.report.mode_plots import Points, error_plot, misfit_plot, strength_plot
+from irlos_pipe.report.drawing import CYCLE, INK, log_y, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number, plural, with_error
+from irlos_pipe.stages.modes import LawRow, ModesResults, NumberScan
 
 STAGE = "modes"
+SIZE_IN = (5.2, 3.6)
+MARKERS = ("o", "s", "D", "^", "v", "P")
 LAWS = {"estimates": "of the estimates", "ncpas": "without their errors"}
 LAW_COLUMNS = ("law", "A [nm]", "B", "C [nm]", "deviance/ν", "plateau from Noll")
 NUMBER_COLUMNS = (
@@ -19,30 +26,31 @@ NUMBER_COLUMNS = (
     "χ²/ν unseen",
     "above the least",
     "χ²/ν fitted",
-    "change in Noll 2–30 [nm]",
+    f"change in {REPORTED_TEXT} [nm]",
     "error from the halves [nm]",
 )
 
 
 def modes_section(run: RunData) -> Section:
     """Build the section."""
-    results = run.results(STAGE)
-    blocks = [*_strength(run, results), Stack([law_table(results.get("laws", {}), LAWS)]), *_numbers(run)]
+    results = run.results(ModesResults)
+    blocks = [*_strength(run, results), Stack([law_table(results.laws, LAWS)]), *_numbers(results.numbers)]
     return Section(STAGE, "Strength and number of modes", _lead(results), blocks)
 
 
-def _lead(results: dict[str, Any]) -> str:
-    cubes, draws = results.get("cubes", 0), results.get("draws", 0)
-    text = f"{results.get('method')} on {plural(cubes, 'cube')}, each by itself; {plural(draws, 'draw')}"
-    rest = ": enough for a law, not for the standard deviation of a single mode" if draws == 1 else ""
+def _lead(results: ModesResults) -> str:
+    draws = plural(results.draws, "draw")
+    text = f"{results.method} on {plural(results.cubes, 'cube')}, each by itself; {draws}"
+    single = ": enough for a law, not for the standard deviation of a single mode"
+    rest = single if results.draws == 1 else ""
     return f"{text} of every mode{rest}."
 
 
-def _strength(run: RunData, results: dict[str, Any]) -> list[Figure]:
+def _strength(run: RunData, results: ModesResults) -> list[Figure]:
     noll, std, frames = (run.array(STAGE, name) for name in ("noll", "std_nm", "frame_std_nm"))
-    if noll is None or std is None:
+    if noll is None or std is None or frames is None:
         return []
-    several = results.get("draws", 1) > 1
+    several = results.draws > 1
     label = "RMS over the cubes" if several else "|coefficient|"
     sigma = run.error_of(STAGE, "std_nm") if several else None
     points = {
@@ -58,16 +66,16 @@ def _strength(run: RunData, results: dict[str, Any]) -> list[Figure]:
     return [Figure(strength_plot("modes-strength", points, lines), "Strength of the modes", caption)]
 
 
-def law_table(laws: dict[str, dict[str, Any]], names: dict[str, str]) -> Table:
+def law_table(laws: Mapping[str, LawRow], names: Mapping[str, str]) -> Table:
     """Tabulate fitted laws; `names` says what each was fitted to."""
     rows = [
         (
             names.get(name, name),
-            with_error(law.get("A_nm"), law.get("A_sigma_nm"), ".1f"),
-            with_error(law.get("B"), law.get("B_sigma"), ".3f"),
-            with_error(law.get("C_nm"), law.get("C_sigma_nm"), ".1f"),
-            number(law.get("deviance_nu"), ".2f"),
-            number(law.get("plateau_noll"), "d"),
+            with_error(law.A_nm, law.A_sigma_nm, ".1f"),
+            with_error(law.B, law.B_sigma, ".3f"),
+            with_error(law.C_nm, law.C_sigma_nm, ".1f"),
+            number(law.deviance_nu, ".2f"),
+            number(law.plateau_noll, "d"),
         )
         for name, law in laws.items()
     ]
@@ -78,18 +86,16 @@ def law_table(laws: dict[str, dict[str, Any]], names: dict[str, str]) -> Table:
     return Table(LAW_COLUMNS, rows, "Law of the standard deviation", caption)
 
 
-def _numbers(run: RunData) -> list[Figure | Table]:
-    numbers = run.results(STAGE).get("numbers")
-    if not numbers:
+def _numbers(numbers: NumberScan | None) -> list[Figure | Stack]:
+    if numbers is None:
         return []
-    highest = numbers["highest_noll"]
-    excess, sigma = (np.array(numbers[key], dtype=float) for key in ("excess", "excess_sigma"))
-    change = np.array(numbers["change_nm"], dtype=float)
+    highest, excess, sigma = numbers.highest_noll, np.array(numbers.excess), np.array(numbers.excess_sigma)
+    change = np.array(numbers.change_nm)
     curves = {
         "change from the recommended number": np.where(change > 0, change, np.nan),
-        "error from the difference of the halves": np.array(numbers["halves_nm"], dtype=float),
+        "error from the difference of the halves": np.array(numbers.halves_nm),
     }
-    recommended = numbers["recommended"]
+    recommended = numbers.recommended
     return [
         Figure(
             misfit_plot("modes-misfit", highest, excess, sigma, recommended),
@@ -98,19 +104,18 @@ def _numbers(run: RunData) -> list[Figure | Table]:
             "modes that predict them as well as any, within the error.",
         ),
         Figure(
-            error_plot("modes-change", highest, curves, "RMS in Noll 2–30 [nm]", recommended),
+            error_plot("modes-change", highest, curves, f"RMS in {REPORTED_TEXT} [nm]", recommended),
             "Change of the estimate",
-            "RMS of the difference in Noll 2–30; modes that are not estimated count as zero.",
+            f"RMS of the difference in {REPORTED_TEXT}; modes that are not estimated count as zero.",
         ),
-        Stack([Table(NUMBER_COLUMNS, _number_rows(numbers), "Number of modes", _told(numbers))]),
+        Stack([Table(NUMBER_COLUMNS, _number_rows(numbers), "Number of modes", _number_caption(numbers))]),
     ]
 
 
-def _number_rows(numbers: dict[str, Any]) -> list[tuple[str, ...]]:
-    keys = ("held_out_chi2_nu", "excess", "excess_sigma", "fitted_chi2_nu", "change_nm", "halves_nm")
+def _number_rows(numbers: NumberScan) -> list[tuple[str, ...]]:
     return [
         (
-            str(highest) + (" *" if highest == numbers["recommended"] else ""),
+            str(highest) + (" *" if highest == numbers.recommended else ""),
             number(seen, ".3f"),
             with_error(above, sigma, "+.4f"),
             number(fitted, ".2f"),
@@ -118,10 +123,138 @@ def _number_rows(numbers: dict[str, Any]) -> list[tuple[str, ...]]:
             number(half),
         )
         for highest, seen, above, sigma, fitted, change, half in zip(
-            numbers["highest_noll"], *(numbers[key] for key in keys), strict=True
+            numbers.highest_noll,
+            numbers.held_out_chi2_nu,
+            numbers.excess,
+            numbers.excess_sigma,
+            numbers.fitted_chi2_nu,
+            numbers.change_nm,
+            numbers.halves_nm,
+            strict=True,
         )
     ]
 
 
-def _told(numbers: dict[str, Any]) -> str:
-    return f"{plural(numbers['cubes'], 'cube')}; *: recommended."
+def _number_caption(numbers: NumberScan) -> str:
+    return f"{plural(numbers.cubes, 'cube')}; *: recommended."
+
+
+# -- drawings ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Points:
+    """Standard deviations of the modes, with a law through them.
+
+    Attributes
+    ----------
+    noll, std_nm : ndarray, (modes,)
+    law_nm : ndarray, (modes,), optional
+    sigma_nm : ndarray, (modes,), optional
+    """
+
+    noll: np.ndarray
+    std_nm: np.ndarray
+    law_nm: np.ndarray | None = None
+    sigma_nm: np.ndarray | None = None
+
+
+def strength_plot(
+    name: str, points: Mapping[str, Points], lines: Mapping[str, np.ndarray] | None = None
+) -> Markup:
+    """Draw standard deviations against Noll index.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page.
+    points : mapping of str to Points
+        By label.
+    lines : mapping of str to ndarray, (2, modes), optional
+        Noll index and value, by label.
+    """
+
+    def draw(figure: Canvas) -> None:
+        axes = figure.subplots()
+        for place, (label, one) in enumerate(points.items()):
+            colour, marker = CYCLE[place % len(CYCLE)], MARKERS[place % len(MARKERS)]
+            axes.errorbar(
+                one.noll,
+                one.std_nm,
+                one.sigma_nm,
+                fmt=marker,
+                color=colour,
+                markersize=3,
+                linewidth=0.6,
+                label=label,
+            )
+            if one.law_nm is not None:
+                axes.plot(one.noll, one.law_nm, color=colour)
+        for label, (noll, value_nm) in (lines or {}).items():
+            axes.plot(noll, value_nm, "--", color=INK, linewidth=0.9, label=label)
+        axes.set(xlabel="Noll index", ylabel="standard deviation [nm RMS]")
+        log_y(axes, *(one.std_nm for one in points.values()))
+        figure.legend(loc="outside upper center", ncols=2)
+
+    return svg(name, SIZE_IN, draw)
+
+
+def misfit_plot(
+    name: str, numbers: Sequence[int], excess: np.ndarray, sigma: np.ndarray, recommended: int
+) -> Markup:
+    """Draw the misfit of unseen frames above the least one against the number of modes.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page.
+    numbers : sequence of int
+        Highest Noll indices.
+    excess, sigma : ndarray, (numbers,)
+        χ²/ν above the least, with its error.
+    recommended : int
+        Number to be marked.
+    """
+
+    def draw(figure: Canvas) -> None:
+        axes = figure.subplots()
+        axes.errorbar(numbers, excess, sigma, fmt="o-", markersize=4)
+        axes.axvline(recommended, color=INK, linewidth=0.8, linestyle=":")
+        smallest = np.min(excess[excess > 0], initial=np.inf)
+        axes.set_yscale("symlog", linthresh=smallest if np.isfinite(smallest) else 1.0)
+        axes.set(xlabel="highest Noll mode estimated", ylabel="χ²/ν of unseen frames above the least")
+
+    return svg(name, SIZE_IN, draw)
+
+
+def error_plot(
+    name: str, numbers: Sequence[int], curves: Mapping[str, np.ndarray], ylabel: str, mark: int | None = None
+) -> Markup:
+    """Draw one curve per label against the number of modes.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page.
+    numbers : sequence of int
+        Highest Noll indices.
+    curves : mapping of str to ndarray, (numbers,)
+    ylabel : str
+    mark : int, optional
+        Number that gets a line.
+    """
+
+    def draw(figure: Canvas) -> None:
+        axes = figure.subplots()
+        for place, (label, values) in enumerate(curves.items()):
+            marker = MARKERS[place % len(MARKERS)]
+            axes.plot(
+                numbers, values, f"{marker}-", color=CYCLE[place % len(CYCLE)], markersize=4, label=label
+            )
+        if mark is not None:
+            axes.axvline(mark, color=INK, linewidth=0.8, linestyle=":")
+        log_y(axes, *curves.values())
+        axes.set(xlabel="highest Noll mode estimated", ylabel=ylabel)
+        figure.legend(loc="outside upper center", ncols=2)
+
+    return svg(name, SIZE_IN, draw)

@@ -7,10 +7,11 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.report.content import Figure, Section
+from irlos_pipe.report.content import Figure, Section, Stack, Table, Text
 from irlos_pipe.report.drawing import BLUE, INK, MANY, ORANGE, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number
+from irlos_pipe.stages.prior import PriorResults
 
 STAGE = "prior"
 SIZE_IN = (4.4, 2.9)
@@ -19,11 +20,12 @@ SIZE_IN = (4.4, 2.9)
 def prior_section(run: RunData) -> Section:
     """Build the section."""
     ratio, prior, introduced = (run.array(STAGE, name) for name in ("ratio", "defocus_nm", "introduced_nm"))
-    law, blocks = _law(run.results(STAGE)), []
+    results = run.results(PriorResults)
+    blocks: list[Figure | Table | Text | Stack] = []
     if ratio is not None and introduced is not None:
         blocks.append(
             Figure(
-                _ratio_plot(ratio, introduced, law),
+                _ratio_plot(ratio, introduced, _law(results)),
                 "Axis ratio against introduced defocus",
                 "The elongation sees the introduced defocus and that of the NCPAs together, "
                 "so frames may stand beside the law.",
@@ -37,26 +39,25 @@ def prior_section(run: RunData) -> Section:
                 "Defocus from the law; that of the NCPAs is in it.",
             )
         )
-    return Section(STAGE, "Elongation prior", _lead(run), blocks)
+    return Section(STAGE, "Elongation prior", _lead(results), blocks)
 
 
-def _lead(run: RunData) -> str:
-    results = run.results(STAGE)
-    low, high = results.get("valid_nm") or (None, None)
-    scatter = number(results.get("law_residual_nm"), ".0f", "nm")
-    slope, offset = number(results.get("A"), ".0f", "nm"), number(results.get("B"), "+.0f", "nm")
+def _lead(results: PriorResults) -> str:
+    low, high = results.valid_nm
+    scatter = number(results.law_residual_nm, ".0f", "nm")
+    slope, offset = number(results.A, ".0f", "nm"), number(results.B, "+.0f", "nm")
     return (
         f"defocus = {slope} · (σ₁/σ₂ − 1) {offset}, from {number(low, '.0f')} to {number(high, '.0f', 'nm')}"
         + (f"; the law departs {scatter} RMS from the model." if scatter != MISSING else ".")
     )
 
 
-def _law(results: dict) -> tuple[np.ndarray, np.ndarray] | None:
+def _law(results: PriorResults) -> tuple[np.ndarray, np.ndarray] | None:
     """Defocus and ratio along the law, over its range."""
-    if not results.get("A") or results.get("B") is None or None in (results.get("valid_nm") or [None]):
+    if not results.A or not np.isfinite([results.A, results.B, *results.valid_nm]).all():
         return None
-    defocus = np.array(results["valid_nm"], dtype=float)
-    return defocus, 1 + (defocus - results["B"]) / results["A"]
+    defocus = np.array(results.valid_nm)
+    return defocus, 1 + (defocus - results.B) / results.A
 
 
 def _ratio_plot(

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL
-from irlos_pipe.report.content import Figure, Section, Stack, Table
+from irlos_pipe.report.content import Figure, Section, Stack, Table, Text
+from irlos_pipe.report.drawing import CYCLE, INK, log_y, svg
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.sensitivity_plot import Curve, criterion_text, limit_text, sensitivity_plot
 from irlos_pipe.report.text import MISSING, number
+from irlos_pipe.stages.sensitivity import CriterionRow, CurveRow, SensitivityResults
 
 STAGE = "sensitivity"
+MARKERS = ("o", "s", "^", "D", "v", "P")
 CAPTION = (
     f"Bands: 16th to 84th percentile. Dashed: Cramér–Rao bound times {MEDIAN_OF_NORMAL}, the median "
     "|error| of an efficient estimate. Horizontal and vertical lines: criterion and limiting magnitudes."
@@ -20,31 +28,157 @@ COLUMNS = ("NCPAs", "modes", "limit [J mag]", "error at the bright end [nm]")
 
 def sensitivity_section(run: RunData) -> Section:
     """Build the section."""
-    results = run.results(STAGE)
-    rows, criterion = results.get("curves", []), results.get("criterion") or {}
-    curves = [Curve.of(row, _label(row)) for row in rows]
-    blocks = []
-    if curves:
-        drawing = sensitivity_plot("sensitivity", curves, criterion)
-        limits = Table(COLUMNS, [_row(row) for row in rows], "Limiting magnitude", criterion_text(criterion))
-        blocks = [Figure(drawing, "Defocus error against magnitude", CAPTION), Stack([limits])]
-    return Section(STAGE, "Sensitivity", _lead(results), blocks)
+    results = run.results(SensitivityResults)
+    return Section(STAGE, "Sensitivity", _lead(results.curves), _blocks(results))
 
 
-def _lead(results: dict[str, Any]) -> str:
-    trials = {row.get("trials") for row in results.get("curves", [])} - {None}
+def _blocks(results: SensitivityResults) -> list[Figure | Table | Text | Stack]:
+    rows, criterion = results.curves, results.criterion
+    if not rows:
+        return []
+    drawing = sensitivity_plot("sensitivity", [Curve.of(row, curve_label(row)) for row in rows], criterion)
+    limits = Table(COLUMNS, [_row(row) for row in rows], "Limiting magnitude", criterion_text(criterion))
+    return [Figure(drawing, "Defocus error against magnitude", CAPTION), Stack([limits])]
+
+
+def _lead(rows: Sequence[CurveRow]) -> str:
+    trials = [row.trials for row in rows if row.trials is not None]
     return f"Frames dimmed to fainter stars, {max(trials)} estimates per magnitude." if trials else ""
 
 
-def _label(row: dict[str, Any]) -> str:
-    return f"{'with' if row.get('calibrated') else 'without'} NCPAs, {len(row.get('modes', []))} modes"
+def curve_label(row: CurveRow) -> str:
+    """Return how the frames of a curve were estimated."""
+    return f"{'with' if row.calibrated else 'without'} NCPAs, {len(row.modes)} modes"
 
 
-def _row(row: dict[str, Any]) -> tuple[str, ...]:
-    median_nm = Curve.of(row, "").median_nm
+def _row(row: CurveRow) -> tuple[str, ...]:
     return (
-        "added" if row.get("calibrated") else "left out",
-        ", ".join(map(str, row.get("modes", []))),
+        "added" if row.calibrated else "left out",
+        ", ".join(map(str, row.modes)),
         limit_text(row),
-        number(median_nm[0]) if median_nm.size else MISSING,
+        number(row.median_abs_error_nm[0]) if row.median_abs_error_nm else MISSING,
     )
+
+
+# -- drawings ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a curve is drawn; only a `main` one has its spread, its bound and its limit drawn too."""
+
+    colour: str
+    marker: str
+    main: bool = True
+
+
+LOOKS = tuple(Look(colour, marker) for colour, marker in zip(CYCLE, MARKERS, strict=True))
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One curve as arrays over magnitude; NaN where a value is missing."""
+
+    label: str
+    mag_j: np.ndarray
+    median_nm: np.ndarray
+    p16_nm: np.ndarray
+    p84_nm: np.ndarray
+    crb_nm: np.ndarray
+    failed: np.ndarray
+    limit_mag: float
+
+    @classmethod
+    def of(cls, row: CurveRow, label: str) -> Curve:
+        """Return the curve of a `row` of the results, to be shown as `label`."""
+
+        def values(found: Sequence[float]) -> np.ndarray:
+            return np.array(found, dtype=float) if found else np.full(len(row.mag_j), np.nan)
+
+        return cls(
+            label,
+            values(row.mag_j),
+            values(row.median_abs_error_nm),
+            values(row.p16_nm),
+            values(row.p84_nm),
+            values(row.crb_nm),
+            values(row.failures) / (row.trials or np.nan),
+            row.limit_mag,
+        )
+
+
+def limit_text(row: CurveRow) -> str:
+    """Return the limiting magnitude of a curve; with ``≥`` where the magnitudes end before."""
+    return ("≥ " if row.at_the_end else "") + number(row.limit_mag)
+
+
+def criterion_text(criterion: CriterionRow) -> str:
+    """Return what a limiting magnitude means."""
+    error = number(criterion.median_abs_error_nm, ".0f", "nm")
+    failures = number(criterion.failures, ".0%")
+    return (
+        f"Faintest magnitude with median |error| ≤ {error} and ≤ {failures} failures; "
+        f"≥: the magnitudes end before. {MISSING}: met at no magnitude."
+    )
+
+
+def sensitivity_plot(
+    name: str,
+    curves: Sequence[Curve],
+    criterion: CriterionRow,
+    looks: Sequence[Look] = LOOKS,
+    floor_nm: float | None = None,
+) -> Markup:
+    """Draw median errors above and failures below.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page.
+    curves : sequence of Curve
+    criterion : CriterionRow
+        Drawn as levels.
+    looks : sequence of Look
+        One per curve; repeated if there are fewer.
+    floor_nm : float, optional
+        Median error of a perfect sensor.
+    """
+
+    def draw(figure: Canvas) -> None:
+        top, bottom = figure.subplots(2, sharex=True, height_ratios=(3, 1))
+        for place, curve in enumerate(curves):
+            look = looks[place % len(looks)]
+            _draw_errors(top, curve, look)
+            bottom.plot(curve.mag_j, 100 * curve.failed, f"{look.marker}-", color=look.colour, markersize=3.5)
+        _draw_level(top, floor_nm, 1, ":", "AO residual's own defocus")
+        _draw_level(top, criterion.median_abs_error_nm, 1, "-.")
+        _draw_level(bottom, criterion.failures, 100, "-.")
+        top.set_ylabel("median |error| [nm RMS]")
+        log_y(top, *(curve.median_nm for curve in curves))
+        figure.legend(loc="outside upper center", ncols=2)
+        bottom.set(xlabel="J magnitude", ylabel="failures [%]")
+        bottom.set_ylim(bottom=-2)
+
+    return svg(name, (5.2, 4.8), draw)
+
+
+def _draw_errors(axes: Axes, curve: Curve, look: Look) -> None:
+    axes.plot(
+        curve.mag_j,
+        curve.median_nm,
+        f"{look.marker}-",
+        color=look.colour,
+        markersize=3.5,
+        linewidth=1.4 if look.main else 0.8,
+        label=curve.label,
+    )
+    if look.main:
+        axes.fill_between(curve.mag_j, curve.p16_nm, curve.p84_nm, color=look.colour, alpha=0.15, linewidth=0)
+        axes.plot(curve.mag_j, MEDIAN_OF_NORMAL * curve.crb_nm, "--", color=look.colour, linewidth=0.9)
+    if look.main and np.isfinite(curve.limit_mag):
+        axes.axvline(curve.limit_mag, color=look.colour, linewidth=0.8, linestyle=":")
+
+
+def _draw_level(axes: Axes, level: float | None, factor: float, style: str, label: str | None = None) -> None:
+    if level is not None and np.isfinite(level):
+        axes.axhline(factor * level, color=INK, linewidth=0.8, linestyle=style, label=label)

@@ -1,21 +1,35 @@
-"""Numbers as text for people; what is missing becomes a dash."""
+"""Numbers and modes as text for people; what is missing becomes a dash."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+
+from irlos_pipe.optics.zernike import noll_to_nm
 
 MISSING = "–"
+FAMILIES = {
+    0: "spherical",
+    1: "coma",
+    2: "astigmatism",
+    3: "trefoil",
+    4: "quadrafoil",
+    5: "pentafoil",
+    6: "hexafoil",
+}
+LOW_ORDER = {1: "piston", 2: "tilt x", 3: "tilt y", 4: "defocus"}
+# Modes of an azimuthal order that have names of their own, before the family begins.
+NAMED_APART = {0: 2, 1: 1}
+ORDINALS = ("", "2nd ", "3rd ", "4th ", "5th ", "6th ")
 
 
-def number(value: Any, pattern: str = ".1f", unit: str = "") -> str:
+def number(value: float | None, pattern: str = ".1f", unit: str = "") -> str:
     """Format a number with its unit; None, NaN and infinity give a dash."""
     if value is None or not math.isfinite(value):
         return MISSING
     return f"{value:{pattern}}" + (f" {unit}" if unit else "")
 
 
-def with_error(value: Any, error: Any, pattern: str = ".1f", unit: str = "") -> str:
+def with_error(value: float | None, error: float | None, pattern: str = ".1f", unit: str = "") -> str:
     """Format ``value ± error unit``; without an error the value alone."""
     if number(value) == MISSING or number(error) == MISSING:
         return number(value, pattern, unit)
@@ -44,3 +58,30 @@ def duration(seconds: float | None) -> str:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def mode_name(noll: int) -> str:
+    """Return the name of a mode: ``coma x``, ``2nd astigmatism 45°``.
+
+    Odd azimuthal orders end in the axis they lie along, even ones in the angle of their first
+    maximum from +x.
+    """
+    if noll in LOW_ORDER:
+        return LOW_ORDER[noll]
+    n, m = noll_to_nm(noll)
+    family = FAMILIES.get(abs(m), f"{abs(m)}-foil")
+    order = (n - abs(m)) // 2 - NAMED_APART.get(abs(m), 0)
+    return f"{ORDINALS[order] if order < len(ORDINALS) else f'{order + 1}th '}{family}{_direction(m)}"
+
+
+def mode_label(noll: int) -> str:
+    """Return Noll index and name: ``4 defocus``."""
+    return f"{noll} {mode_name(noll)}"
+
+
+def _direction(m: int) -> str:
+    if m == 0:
+        return ""
+    if m % 2:
+        return " x" if m > 0 else " y"
+    return " 0°" if m > 0 else f" {90 / -m:g}°"

@@ -1,4 +1,4 @@
-"""Many wavefronts side by side, on one scale."""
+"""Maps of wavefronts: one, or many side by side on one scale."""
 
 from __future__ import annotations
 
@@ -8,9 +8,17 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 
-from irlos_pipe.report.drawing import svg
-from irlos_pipe.report.images import BRIGHTNESS, SIGNED, brightness_scale, symmetric_scale
+from irlos_pipe.report.drawing import FAINT, svg
+from irlos_pipe.report.images import (
+    BRIGHTNESS,
+    PANEL_IN,
+    SIGNED,
+    brightness_scale,
+    panel_axes,
+    symmetric_scale,
+)
 
 CELL_IN, LARGE_CELL_IN = 1.05, 1.9
 PAGE_IN = 10.0
@@ -20,7 +28,7 @@ MAP_PERCENTILE = 99.5  # the very edge of the pupil would swallow the scale
 
 
 def common_limit_nm(*maps: np.ndarray) -> float:
-    """End of a colour scale that suits all maps."""
+    """Return the end of a colour scale that suits all `maps` [nm]."""
     values = np.abs(np.concatenate([np.ravel(one) for one in maps]))
     values = values[np.isfinite(values)]
     return (float(np.percentile(values, MAP_PERCENTILE)) if values.size else 0.0) or 1.0
@@ -37,6 +45,8 @@ def wavefront_grid(
 
     Parameters
     ----------
+    name : str
+        Unique in the page.
     titles : sequence of str
         Of the columns.
     rows : mapping of str to ndarray, (columns, samples, samples)
@@ -72,7 +82,36 @@ def wavefront_grid(
     return svg(name, size, draw)
 
 
-def _draw_map(axes: Axes, opd_nm: np.ndarray, limit_nm: float):
+def _draw_map(axes: Axes, opd_nm: np.ndarray, limit_nm: float) -> AxesImage:
     return axes.imshow(
         opd_nm, norm=symmetric_scale(limit_nm), cmap=SIGNED, origin="lower", interpolation="none"
     )
+
+
+def wavefront_map(name: str, opd_nm: np.ndarray, limit_nm: float) -> Markup:
+    """Draw a wavefront over the pupil, which NaN outside it show.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page.
+    opd_nm : ndarray, (samples, samples)
+    limit_nm : float
+        End of the colour scale, the same for maps to be compared.
+    """
+
+    def draw(figure: Figure) -> None:
+        axes, bar = panel_axes(figure)
+        shown = axes.imshow(
+            opd_nm,
+            norm=symmetric_scale(limit_nm),
+            cmap=SIGNED,
+            origin="lower",
+            interpolation="none",
+            extent=(-1, 1, -1, 1),
+        )
+        axes.set_facecolor(FAINT)
+        axes.set(xlabel="x [pupil radii]", ylabel="y [pupil radii]", xticks=(-1, 0, 1), yticks=(-1, 0, 1))
+        figure.colorbar(shown, cax=bar, label="OPD [nm]", extend="both")
+
+    return svg(name, PANEL_IN, draw)

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import matplotlib
 import numpy as np
 import pytest
 
 from irlos_pipe.optics.zernike import zernike
+from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.report.drawing import BLUE, CYCLE, INK, log_y, svg
 from irlos_pipe.report.images import brightness_scale, image_panel, log_scale, thumbnail
-from irlos_pipe.report.modes import label, mode_name
 from irlos_pipe.report.radial import ring_means
-from irlos_pipe.report.ramp_plots import RampPoints, image_strip, ramp_plot, residual_limit
+from irlos_pipe.report.run_data import RunData
+from irlos_pipe.report.section_lift import RampPoints, image_strip, ramp_plot, residual_limit
 from irlos_pipe.report.section_prior import prior_section
-from irlos_pipe.report.sensitivity_plot import limit_text
-from irlos_pipe.report.text import MISSING, number, plural, rounded_by_error, with_error
+from irlos_pipe.report.section_sensitivity import limit_text
+from irlos_pipe.report.text import (
+    MISSING,
+    mode_label,
+    mode_name,
+    number,
+    plural,
+    rounded_by_error,
+    with_error,
+)
+from irlos_pipe.stages.sensitivity import CurveRow
 
 NAN = float("nan")
 
@@ -66,7 +74,7 @@ def test_one_is_no_plural():
 
 @pytest.mark.parametrize(("limit", "expected"), [(16.0, "≥ 16.0"), (15.2, "15.2"), (None, MISSING)])
 def test_a_limit_at_the_end_of_the_grid_is_a_lower_limit(limit, expected):
-    assert limit_text({"limit_mag": limit, "mag_j": [12.0, 16.0]}) == expected
+    assert limit_text(CurveRow(limit_mag=limit, mag_j=[12.0, 16.0])) == expected
 
 
 # -- modes -------------------------------------------------------------------------------------
@@ -111,7 +119,7 @@ def test_the_direction_in_a_name_is_where_the_mode_is_extreme(noll):
 
 
 def test_a_label_begins_with_the_noll_index():
-    assert label(4) == "4 defocus"
+    assert mode_label(4) == "4 defocus"
 
 
 # -- rings -------------------------------------------------------------------------------------
@@ -226,7 +234,8 @@ def test_a_perfect_model_leaves_a_usable_residual_scale():
 def test_the_prior_of_ten_thousand_frames_takes_little_more_room_than_that_of_some_hundred():
     def drawn(frames: int) -> int:
         values = np.random.default_rng(1).standard_normal(frames)
-        run = SimpleNamespace(array=lambda stage, name: values, results=lambda stage: {})
+        arrays = {name: Quantity(values, "nm") for name in ("ratio", "defocus_nm", "introduced_nm")}
+        run = RunData({}, "", "ok", "", {"prior": Product("prior", arrays, {})}, [])
         return sum(len(block.svg) for block in prior_section(run).blocks)
 
     assert drawn(10_000) < 2 * drawn(300)

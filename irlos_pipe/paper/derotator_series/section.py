@@ -8,7 +8,7 @@ import numpy as np
 
 from irlos_pipe.report.content import Figure, Section, Table
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.split_blocks import angle_titles, maps_figure
+from irlos_pipe.report.section_derotator import angle_titles, maps_figure
 from irlos_pipe.report.text import number
 from irlos_pipe.report.wavefront_plots import common_limit_nm, wavefront_grid
 

@@ -8,8 +8,9 @@ from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL
 from irlos_pipe.report.content import Figure, Section, Table
 from irlos_pipe.report.drawing import BLUE, GREEN, ORANGE
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.sensitivity_plot import Curve, Look, criterion_text, limit_text, sensitivity_plot
+from irlos_pipe.report.section_sensitivity import Curve, Look, criterion_text, limit_text, sensitivity_plot
 from irlos_pipe.report.text import number
+from irlos_pipe.stages.sensitivity import CriterionRow, CurveRow
 
 STAGE = "faint"
 LABELS = {"none": "no NCPAs", "published": "NCPAs by DIP global", "default": "this pipeline"}
@@ -38,7 +39,7 @@ def _lead(results: dict[str, Any]) -> str:
 
 
 def _limits(group: dict[str, Any]) -> str:
-    limits = {row["key"]: limit_text(row) for row in group["curves"]}
+    limits = {row["key"]: limit_text(CurveRow.model_validate(row)) for row in group["curves"]}
     told = " → ".join(limits[f"{kind}_3"] for kind in LABELS)
     return f"{told} at {group['exposure_s']:g} s"
 
@@ -47,8 +48,8 @@ def _figure(group: dict[str, Any], criterion: dict[str, Any]) -> Figure:
     rows = group["curves"]
     drawing = sensitivity_plot(
         f"faint-{group['exposure_s']:g}".replace(".", "-"),
-        [Curve.of(row, _label(row)) for row in rows],
-        criterion,
+        [Curve.of(CurveRow.model_validate(row), _label(row)) for row in rows],
+        CriterionRow.model_validate(criterion),
         [_look(row) for row in rows],
         group["residual_floor_nm"],
     )
@@ -76,13 +77,19 @@ def _table(groups: list[dict[str, Any]], criterion: dict[str, Any]) -> Table:
     marks = (
         ["good" if row["key"].startswith("default") else "" for row in groups[0]["curves"]] if groups else []
     )
-    return Table(columns, rows, "Limiting magnitude", f"{criterion_text(criterion)} {_sizes(groups)}", marks)
+    return Table(
+        columns,
+        rows,
+        "Limiting magnitude",
+        f"{criterion_text(CriterionRow.model_validate(criterion))} {_sizes(groups)}",
+        marks,
+    )
 
 
 def _row(together: tuple[dict[str, Any], ...]) -> list[str]:
     cells = [together[0]["label"], str(len(together[0]["modes"]))]
     for row in together:
-        cells += [limit_text(row), number(row["median_abs_error_nm"][0])]
+        cells += [limit_text(CurveRow.model_validate(row)), number(row["median_abs_error_nm"][0])]
     return cells
 
 

@@ -12,9 +12,8 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from irlos_pipe.report.content import Figure, Section, Table
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, YELLOW, svg
-from irlos_pipe.report.modes import label
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.text import number, plural
+from irlos_pipe.report.text import mode_label, number, plural
 
 STAGE = "focus_ramp"
 DRAWN = {  # the ramps drawn side by side, where they were run
@@ -105,7 +104,7 @@ def _draw_way(
     for noll, colour in zip(drawn, COLOURS, strict=False):
         estimated, there = modes[:, way["modes"].index(noll)], true[:, noll - 2]
         offsets, median = _medians(introduced, estimated)
-        upper.plot(offsets, median, "o-", color=colour, markersize=3, label=label(noll))
+        upper.plot(offsets, median, "o-", color=colour, markersize=3, label=mode_label(noll))
         upper.plot(offsets, _medians(introduced, there)[1], "--", color=colour, linewidth=0.9)
         lower.plot(offsets, _medians(introduced, estimated - there)[1], "o-", color=colour, markersize=3)
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.report.content import Figure, Section, Stack, Table
-from irlos_pipe.report.mode_plots import error_plot
 from irlos_pipe.report.run_data import RunData
+from irlos_pipe.report.section_modes import error_plot
 from irlos_pipe.report.text import number, plural
 
 STAGE = "mode_number"

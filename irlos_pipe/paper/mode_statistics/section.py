@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.report.content import Figure, Section, Stack, Table
-from irlos_pipe.report.mode_plots import Points, strength_plot
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.section_modes import law_table
+from irlos_pipe.report.section_modes import Points, law_table, strength_plot
 from irlos_pipe.report.text import number, plural
+from irlos_pipe.stages.modes import LawRow
 
 STAGE = "mode_statistics"
 NAMES = {
@@ -35,7 +35,10 @@ def _laws(results: dict[str, Any]) -> Table:
     rows, names = {}, {}
     for kind, which in (("laws_of_introduced_modes", f"Noll 4–{last}"), ("laws", "all from Noll 4 on")):
         for method, law in results[kind].items():
-            rows[f"{kind}/{method}"], names[f"{kind}/{method}"] = law, f"{NAMES[method]}, {which}"
+            rows[f"{kind}/{method}"], names[f"{kind}/{method}"] = (
+                LawRow.model_validate(law),
+                f"{NAMES[method]}, {which}",
+            )
     return law_table(rows, names)
 
 
