@@ -11,12 +11,15 @@ from helpers.paths import REPOSITORY
 
 import irlos_pipe
 from irlos_pipe.commands.main import cli
+from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar
 from irlos_pipe.recipe import load_recipe
+from irlos_pipe.stages import LIGHT_PATH
 
 PAGES = sorted(
     [*REPOSITORY.glob("*.md"), *REPOSITORY.glob("docs/*.md"), *REPOSITORY.glob("data_samples/*.md")]
 )
 RECIPES = sorted(REPOSITORY.glob("recipes/**/*.yaml"))
+DATA_PAGE = REPOSITORY / "docs" / "data.md"
 README_LINES, LINE_LENGTH = 150, 120
 FENCE = re.compile(r"^```\w*\n.*?^```", re.DOTALL | re.MULTILINE)
 SHELL = re.compile(r"^```sh\n(.*?)^```", re.DOTALL | re.MULTILINE)
@@ -94,6 +97,25 @@ def test_lines_are_short(page):
     text = re.sub(r"^<!-- .*?^<!-- ", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
     lines = [line for line in FENCE.sub("", text).splitlines() if not line.startswith("|")]
     assert [line for line in lines if len(line) > LINE_LENGTH] == []
+
+
+def test_the_documented_side_car_is_valid_and_has_every_key(tmp_path):
+    (block,) = re.findall(r"^```yaml\n(.*?)^```", DATA_PAGE.read_text(), re.DOTALL | re.MULTILINE)
+    side_car = tmp_path / "acquisition.yaml"
+    side_car.write_text(block)
+    assert read_sidecar(side_car).model_fields_set == set(AcquisitionKeys.model_fields)
+
+
+def test_every_stage_of_the_light_path_and_every_specification_is_documented():
+    text = DATA_PAGE.read_text()
+    specifications = [path.stem for path in (REPOSITORY / "recipes" / "simulations").glob("*.yaml")]
+    assert [name for name in [*LIGHT_PATH, *specifications] if f"\n| `{name}` |" not in text] == []
+
+
+def test_every_recipe_is_in_the_readme():
+    text = (REPOSITORY / "README.md").read_text()
+    recipes = [path.name for path in (REPOSITORY / "recipes").glob("*.yaml")]
+    assert [name for name in recipes if f"`irlos run recipes/{name} " not in text] == []
 
 
 def test_the_readme_stays_one_page():
