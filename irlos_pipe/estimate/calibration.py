@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,29 +13,26 @@ from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.drift import drifts, measured_drift
-from irlos_pipe.estimate.frame_fits import fit_frames
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
 from irlos_pipe.estimate.lbfgs import solve_lbfgs
-from irlos_pipe.estimate.methods import METHODS, Method
+from irlos_pipe.estimate.methods import (
+    EVERY_FRAME,
+    METHODS,
+    Report,
+    Scheme,
+    linear_estimates,
+    start_at_centroids,
+)
 from irlos_pipe.estimate.parameters import Layout, NcpaPrior
 from irlos_pipe.estimate.search import located
-from irlos_pipe.estimate.starts import (
-    START_HIGHEST_NOLL,
-    better,
-    is_plausible,
-    median_of_frames_nm,
-    start_tilts_nm,
-)
-from irlos_pipe.estimate.total_wavefront import effects_in_modes_nm
-from irlos_pipe.estimate.twin import TwinCheck, check_twin
-from irlos_pipe.frames.blocks import blocks
-from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.loss import LOSSES
+from irlos_pipe.estimate.starts import START_HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
+from irlos_pipe.estimate.twin import TwinCheck
+from irlos_pipe.numerics.loss import LOSSES, Loss
 from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings
 
-ROUGH_ITERATIONS = 6  # of the few frames whose median all others start from
+Fit = tuple[ImageFit, Solution]
 
 
 @dataclass(frozen=True)
@@ -61,12 +58,24 @@ class CalibrationOptions:
     prior: NcpaPrior | None = None
     max_iterations: int = 60
 
-    def resolved(self) -> tuple[Method, CalibrationOptions]:
-        """The method, and the options with its defaults filled in."""
-        method = METHODS[self.method]
-        return method, replace(
-            self, loss=self.loss or method.loss, highest_noll=self.highest_noll or method.highest_noll
-        )
+    @property
+    def last_noll(self) -> int:
+        """Modes Noll 2 to this are estimated; the method's own choice filled in."""
+        return self.highest_noll or METHODS[self.method].highest_noll
+
+    @property
+    def loss_function(self) -> Loss:
+        """The loss, the method's own choice filled in."""
+        return LOSSES[self.loss or METHODS[self.method].loss]
+
+    @property
+    def scheme(self) -> Scheme:
+        """What the method fits to what."""
+        return METHODS[self.method].scheme
+
+    def resolved(self) -> CalibrationOptions:
+        """The same with the method's defaults filled in."""
+        return replace(self, loss=self.loss_function.name, highest_noll=self.last_noll)
 
 
 @dataclass(frozen=True)
@@ -75,10 +84,12 @@ class Calibration:
 
     Attributes
     ----------
+    options : CalibrationOptions
+        The method's defaults filled in.
     nolls : tuple of int
     zernike_nm : ndarray, (modes,)
-        Static wavefront without the diversity, the part of effects in the pupil included.
-    modes_nm : ndarray, (modes,)
+        Total static wavefront beyond the known one, the part of effects in the pupil included.
+    fitted_modes_nm : ndarray, (modes,)
         The same without that part: what goes with the effects in a model.
     covariance_nm2 : ndarray, (modes, modes)
         From the scatter over frames, autocorrelation included.
@@ -98,7 +109,7 @@ class Calibration:
     options: CalibrationOptions
     nolls: tuple[int, ...]
     zernike_nm: np.ndarray
-    modes_nm: np.ndarray
+    fitted_modes_nm: np.ndarray
     covariance_nm2: np.ndarray
     effects: dict[str, dict]
     effect_values: dict[str, np.ndarray]
@@ -126,7 +137,7 @@ def calibrate(
     *,
     start_nm: np.ndarray | None = None,
     device: str = "cpu",
-    report: Callable[[int], None] | None = None,
+    report: Report | None = None,
 ) -> Calibration:
     """Estimate the static aberrations of a cube.
 
@@ -148,17 +159,16 @@ def calibrate(
     if len(frames.images_e) < 2:
         raise ValueError("a calibration needs at least two frames")
     began = time.perf_counter()
-    method, options = options.resolved()
-    effects = tuple(effects) if method.effects else ()
-    psf = _psf_model(settings, method, range(2, options.highest_noll + 1), device)
-    task = _Task(frames, psf, method, options, start_nm, report)
-    steady = [effect for effect in effects if not drifts(effect)]
-    fit = _fit_steady(task, steady)
+    options = options.resolved()
+    effects = tuple(effects) if METHODS[options.method].effects else ()
+    psf = options.scheme.psf_model(settings, range(2, options.last_noll + 1), device)
+    task = _Task(frames, psf, options, start_nm, report)
+    fit = _fit_steady(task, [effect for effect in effects if not drifts(effect)])
     for effect in effects:
         if drifts(effect):
-            frames_nm = _linear_estimates(frames, *fit)[1]
+            frames_nm = linear_estimates(frames, *fit).frames_nm
             fit = task.fit([*fit[0].model.effects.effects, measured_drift(effect, psf.nolls, frames_nm)], fit)
-    return _result(task, *fit, time.perf_counter() - began)
+    return _result(frames, options, *fit, time.perf_counter() - began)
 
 
 @dataclass(frozen=True)
@@ -167,31 +177,49 @@ class _Task:
 
     frames: Frames
     psf: PsfModel
-    method: Method
     options: CalibrationOptions
     start_nm: np.ndarray | None
-    report: Callable[[int], None] | None
+    report: Report | None
 
-    def fit(
-        self, effects: Sequence[Effect], near: tuple[ImageFit, Solution] | None = None
-    ) -> tuple[ImageFit, Solution]:
+    def fit(self, effects: Sequence[Effect], near: Fit | None = None) -> Fit:
         """Fit with these effects, from scratch or from the modes of another fit."""
-        problem = _problem(self.frames, ImageModel(self.psf, effects), self.method, self.options)
-        if self.method.images == "frames" and self.start_nm is None:
-            start = _frames_start(self.frames, problem)
+        problem = self._problem(ImageModel(self.psf, effects))
+        if self.start_nm is None:
+            start = self.options.scheme.start(self.frames, problem)
         else:
-            start = _start(self.frames, problem, self.psf.settings, self.start_nm)
+            start = start_at_centroids(self.frames, problem, self.start_nm)
         if near is not None:
             start[:, problem.layout.modes] = near[1].values[:, near[0].layout.modes]
-        solution = _solve(problem, start, self.options, self.report)
+        solution = self._solve(problem, start, self.report)
         alone = near is None and self.start_nm is None
-        if alone and self.method.effects and not is_plausible(problem, solution):
-            again = _second_start(self.frames, problem, self.psf)
-            solution = better(solution, _solve(problem, again, self.options))
+        if alone and METHODS[self.options.method].effects and not is_plausible(problem, solution):
+            solution = better(solution, self._solve(problem, self._second_start(problem)))
         return problem, solution
 
+    def _problem(self, model: ImageModel) -> ImageFit:
+        nolls, prior = self.psf.nolls, self.options.prior
+        sigma_nm = None if prior is None else prior.sigma_nm(nolls)
+        layout = Layout(nolls, model.effects.parameters, prior_sigma_nm=sigma_nm)
+        images, variance = self.options.scheme.data(self.frames)
+        variance = masked_variance(variance, self.frames.pixel_mask)
+        data = (one.flatten(-2).to(self.psf.device) for one in (images, variance))
+        return ImageFit(model, layout, *data, loss=self.options.loss_function)
 
-def _fit_steady(task: _Task, effects: Sequence[Effect]) -> tuple[ImageFit, Solution]:
+    def _second_start(self, problem: ImageFit) -> torch.Tensor:
+        """The start with the low modes of single frames."""
+        nolls = [noll for noll in self.psf.nolls if noll <= START_HIGHEST_NOLL]
+        model, cube = EVERY_FRAME.psf_model(self.psf.settings, nolls, self.psf.device), self.frames
+        median_nm = median_of_frames_nm(model, cube.images_e, cube.pixel_mask, cube.noise)
+        return start_at_centroids(cube, problem, median_nm)
+
+    def _solve(self, problem: ImageFit, start: torch.Tensor, report: Report | None = None) -> Solution:
+        limit = self.options.max_iterations
+        if self.options.optimiser == "lbfgs":
+            return solve_lbfgs(problem, start, max_iterations=5 * limit)
+        return self.options.scheme.solve(problem, start, limit, report)
+
+
+def _fit_steady(task: _Task, effects: Sequence[Effect]) -> Fit:
     """Fit with all effects; those whose place is unknown are searched for in what the others leave."""
     fit = task.fit([effect for effect in effects if not effect.needs_search])
     if not any(effect.needs_search for effect in effects):
@@ -199,143 +227,30 @@ def _fit_steady(task: _Task, effects: Sequence[Effect]) -> tuple[ImageFit, Solut
     return task.fit(located(fit[0], fit[1].values[:1], effects), fit)
 
 
-def _psf_model(settings: PsfSettings, method: Method, nolls: Sequence[int], device: str) -> PsfModel:
-    """PSF model: quick for single frames, exact for the mean; rounding of float32 would stall its fit."""
-    if method.images == "mean":
-        return PsfModel(settings, nolls, device=device, dtype=torch.float64)
-    return PsfModel(settings.for_single_frames(), nolls, device=device)
-
-
-# -- the problem -----------------------------------------------------------------------------
-
-
-def _problem(frames: Frames, model: ImageModel, method: Method, options: CalibrationOptions) -> ImageFit:
-    nolls, device = model.psf.nolls, model.psf.device
-    prior = None if options.prior is None else options.prior.sigma_nm(nolls)
-    layout = Layout(nolls, model.effects.parameters, prior_sigma_nm=prior)
-    images, variance = _data(frames, method)
-    variance = masked_variance(variance, frames.pixel_mask).flatten(-2)
-    return ImageFit(
-        model, layout, images.flatten(2).to(device), variance.to(device), loss=LOSSES[options.loss]
-    )
-
-
-def _data(frames: Frames, method: Method) -> tuple[torch.Tensor, torch.Tensor]:
-    """Images (batch, repeats, rows, columns) and their variance, as the method wants them."""
-    images = frames.images_e
-    if method.images == "mean":
-        return frames.mean_e[None, None], mean_variance_e2(frames)[None, None]
-    variance = frames.noise.variance_e2(frames.mean_e)
-    if method.images == "frames":
-        return images[:, None], variance[None, None]
-    flux = frames.flux_e
-    return (images * (flux.mean() / flux)[:, None, None].to(images.dtype))[None], variance[None, None]
-
-
-def _start(frames: Frames, problem: ImageFit, settings: PsfSettings, start_nm=None) -> torch.Tensor:
-    """Tip and tilt from the centroids and no aberrations, or the first modes of `start_nm`."""
-    x = torch.empty(len(problem.images), problem.layout.size, dtype=torch.float64)
-    for block in blocks(len(x)):
-        x[block] = _centred(problem.images[block], frames.pixel_mask, problem.layout, settings)
-    if start_nm is not None:
-        common = min(len(start_nm), len(problem.layout.nolls))
-        x[:, :common] = torch.as_tensor(start_nm[:common])
-    return x
-
-
-def _centred(images, pixel_mask, layout: Layout, settings: PsfSettings) -> torch.Tensor:
-    """Start of members from images (b, repeats, pixels): flux, and tip and tilt of the centroid."""
-    first = images.double().mean(1).cpu()
-    x = layout.start(first)
-    masked = first.reshape(-1, *settings.window) * pixel_mask
-    x[:, :2] = start_tilts_nm(masked, settings.pixel_scale_mas, settings.geometry.diameter_m)
-    return x
-
-
-def _frames_start(frames: Frames, problem: ImageFit) -> torch.Tensor:
-    """What a few frames agree on, which is close for all; tip and tilt of every frame by itself."""
-    model = problem.model.psf
-    median_nm = median_of_frames_nm(model, frames.images_e, frames.pixel_mask, frames.noise, ROUGH_ITERATIONS)
-    x = _start(frames, problem, model.settings)
-    scale, diameter = model.settings.pixel_scale_mas, model.settings.geometry.diameter_m
-    modelled = start_tilts_nm(model.images(median_nm[None]).double().cpu(), scale, diameter)
-    x[:, :2] += median_nm[:2] - modelled
-    x[:, 2 : len(median_nm)] = median_nm[2:]
-    return x
-
-
-def _second_start(frames: Frames, problem: ImageFit, psf: PsfModel) -> torch.Tensor:
-    """The start with what single frames tell of the low modes."""
-    nolls = [noll for noll in psf.nolls if noll <= START_HIGHEST_NOLL]
-    model = _psf_model(psf.settings, METHODS["lift_slices"], nolls, psf.device)
-    median_nm = median_of_frames_nm(model, frames.images_e, frames.pixel_mask, frames.noise)
-    return _start(frames, problem, psf.settings, median_nm)
-
-
-def _solve(problem: ImageFit, start: torch.Tensor, options: CalibrationOptions, report=None) -> Solution:
-    if options.optimiser == "lbfgs":
-        return solve_lbfgs(problem, start, max_iterations=5 * options.max_iterations)
-    fit = fit_frames if METHODS[options.method].images == "frames" else solve
-    return fit(problem, start, max_iterations=options.max_iterations, report=report)
-
-
-# -- the result ------------------------------------------------------------------------------
-
-
-def _result(task: _Task, problem: ImageFit, solution: Solution, seconds: float) -> Calibration:
-    frames, method = task.frames, task.method
+def _result(
+    frames: Frames, options: CalibrationOptions, problem: ImageFit, solution: Solution, seconds: float
+) -> Calibration:
     layout, effects = problem.layout, problem.model.effects
-    modes = layout.modes
-    usable = np.array([status != "invalid" for status in solution.status])
-    if method.images == "frames":
-        per_frame = solution.values[:, modes].numpy()
-        per_frame = np.where(usable[:, None], per_frame, np.nan)
-        values = solution.values[torch.as_tensor(usable)].mean(0, keepdim=True)
-        total_nm = values[0, modes].numpy()
-    else:
-        values = solution.values[:1]
-        total_nm, per_frame = _linear_estimates(frames, problem, solution)
+    found = options.scheme.estimates(frames, problem, solution)
     mean, sigma = frames.mean_e, mean_variance_e2(frames).sqrt()
-    model_image = problem.predict(values)[0].reshape(mean.shape).cpu()
+    model_image = problem.predict(found.values)[0].reshape(mean.shape).cpu()
     pull = ((mean - model_image) / sigma)[frames.pixel_mask]
-    effect_values = values[0, layout.effect_values]
+    effect_values = found.values[0, layout.effect_values]
     return Calibration(
-        task.options,
+        options,
         layout.nolls,
-        total_nm,
-        values[0, modes].numpy(),
-        covariance_of_mean(per_frame[np.isfinite(per_frame).all(1)]),
+        found.zernike_nm,
+        found.values[0, layout.modes].numpy(),
+        covariance_of_mean(found.frames_nm[np.isfinite(found.frames_nm).all(1)]),
         effects.describe(effect_values),
         effects.split(effect_values),
-        per_frame,
+        found.frames_nm,
         solution.status,
         solution.iterations.numpy(),
         mean.numpy(),
         model_image.numpy(),
         sigma.numpy(),
         float((pull**2).sum() / (len(pull) - layout.size)),
-        check_twin(problem, solution.values[:1], solution.objective[0]) if method.images == "mean" else None,
+        options.scheme.twin(problem, solution),
         seconds,
     )
-
-
-def _linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients of the whole wavefront, (modes,), and per frame, (frames, modes).
-
-    The latter by one linear step from the shared solution: their mean is the solution, their scatter
-    carries photon noise, speckle and real changes.
-    """
-    x, layout = solution.values[:1], problem.layout
-    added, slopes = effects_in_modes_nm(problem.model.effects, x[0, layout.effect_values], layout.nolls)
-    read = torch.zeros(len(layout.nolls), layout.size, dtype=torch.float64)
-    read[:, layout.modes] = torch.eye(len(layout.nolls), dtype=torch.float64)
-    read[:, layout.effect_values] = slopes.double()
-    _, jacobian = problem.predict_and_jacobian(x)
-    weight = problem.root_weight[0].double().mean(0) ** 2
-    gain = read @ solution.covariance[0] @ (jacobian[0].double() * weight).cpu()
-    images, mean, flux = frames.images_e.flatten(1), frames.mean_e.flatten(), frames.flux_e[:, None]
-    total = x[0, layout.modes] + added
-    per_frame = torch.empty(len(images), len(total), dtype=torch.float64)
-    for block in blocks(len(images)):
-        per_frame[block] = total + (images[block] * (flux.mean() / flux[block]) - mean) @ gain.mT
-    return total.numpy(), per_frame.numpy()

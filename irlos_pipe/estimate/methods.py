@@ -6,8 +6,211 @@ into the model and needs the mean image only.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+
+import numpy as np
+import torch
+
+from irlos_pipe.estimate.cube import Frames, mean_variance_e2
+from irlos_pipe.estimate.frame_fits import fit_frames
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.starts import median_of_frames_nm, start_tilts_nm
+from irlos_pipe.estimate.total_wavefront import effects_in_modes_nm
+from irlos_pipe.estimate.twin import TwinCheck, check_twin
+from irlos_pipe.frames.blocks import blocks
+from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.solution import INVALID, Solution
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.psf_settings import PsfSettings
+
+ROUGH_ITERATIONS = 6  # of the few frames whose median all others start from
+Report = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """What a fit says of the modes.
+
+    Attributes
+    ----------
+    values : tensor, (1, parameters)
+        The fitted parameters, of all frames together.
+    zernike_nm : ndarray, (modes,)
+        The whole static wavefront.
+    frames_nm : ndarray, (frames, modes)
+        The same of every frame; NaN where its fit failed.
+    """
+
+    values: torch.Tensor
+    zernike_nm: np.ndarray
+    frames_nm: np.ndarray
+
+
+class Scheme(ABC):
+    """Which images of a cube are fitted, and how many coefficient vectors there are."""
+
+    @abstractmethod
+    def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
+        """Images (batch, repeats, rows, columns) [e-], and their variance, which broadcasts to them."""
+
+    def fits(self, frames: Frames) -> int:
+        """Number of fits."""
+        return 1
+
+    def psf_model(self, settings: PsfSettings, nolls: Sequence[int], device: str) -> PsfModel:
+        """PSF model for `settings` with the modes `nolls` on a `device`, as precise as the images need."""
+        return PsfModel(settings.for_single_frames(), nolls, device=device)
+
+    def start(self, frames: Frames, problem: ImageFit) -> torch.Tensor:
+        """Start of the `problem` of these `frames` when nothing is known, (batch, parameters)."""
+        return start_at_centroids(frames, problem)
+
+    def solve(
+        self, problem: ImageFit, start: torch.Tensor, max_iterations: int, report: Report | None
+    ) -> Solution:
+        """Minimise the `problem` from a `start` in `max_iterations`; see `solve` for `report`."""
+        return solve(problem, start, max_iterations=max_iterations, report=report)
+
+    def estimates(self, frames: Frames, problem: ImageFit, solution: Solution) -> Estimates:
+        """What the `solution` of the `problem` of these `frames` says of the modes."""
+        return linear_estimates(frames, problem, solution)
+
+    def twin(self, problem: ImageFit, solution: Solution) -> TwinCheck | None:
+        """Compare the `solution` of a `problem` with its twin, where that is of use."""
+        return None
+
+
+class MeanImage(Scheme):
+    """The mean image by one vector; it is so precise that rounding of float32 would stall its fit."""
+
+    def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `Scheme.data`."""
+        return frames.mean_e[None, None], mean_variance_e2(frames)[None, None]
+
+    def psf_model(self, settings: PsfSettings, nolls: Sequence[int], device: str) -> PsfModel:
+        """See `Scheme.psf_model`."""
+        return PsfModel(settings, nolls, device=device, dtype=torch.float64)
+
+    def twin(self, problem: ImageFit, solution: Solution) -> TwinCheck | None:
+        """See `Scheme.twin`."""
+        return check_twin(problem, solution.values[:1], float(solution.objective[0]))
+
+
+class EveryFrame(Scheme):
+    """Every frame by a vector of its own, and the coefficients averaged."""
+
+    def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `Scheme.data`."""
+        return frames.images_e[:, None], frames.noise.variance_e2(frames.mean_e)[None, None]
+
+    def fits(self, frames: Frames) -> int:
+        """See `Scheme.fits`."""
+        return len(frames.images_e)
+
+    def start(self, frames: Frames, problem: ImageFit) -> torch.Tensor:
+        """What a few frames agree on, which is close for all; tip and tilt of every frame by itself."""
+        model = problem.model.psf
+        median_nm = median_of_frames_nm(
+            model, frames.images_e, frames.pixel_mask, frames.noise, ROUGH_ITERATIONS
+        )
+        x = start_at_centroids(frames, problem)
+        scale, diameter = model.settings.pixel_scale_mas, model.settings.geometry.diameter_m
+        modelled = start_tilts_nm(model.images(median_nm[None]).double().cpu(), scale, diameter)
+        x[:, :2] += median_nm[:2] - modelled
+        x[:, 2 : len(median_nm)] = median_nm[2:]
+        return x
+
+    def solve(
+        self, problem: ImageFit, start: torch.Tensor, max_iterations: int, report: Report | None
+    ) -> Solution:
+        """See `Scheme.solve`."""
+        return fit_frames(problem, start, max_iterations=max_iterations, report=report)
+
+    def estimates(self, frames: Frames, problem: ImageFit, solution: Solution) -> Estimates:
+        """See `Scheme.estimates`."""
+        modes = problem.layout.modes
+        usable = np.array([status != INVALID for status in solution.status])
+        values = solution.values[torch.as_tensor(usable)].mean(0, keepdim=True)
+        frames_nm = np.where(usable[:, None], solution.values[:, modes].numpy(), np.nan)
+        return Estimates(values, values[0, modes].numpy(), frames_nm)
+
+
+class AllFrames(Scheme):
+    """All frames, brought to the same flux, by one vector."""
+
+    def data(self, frames: Frames) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `Scheme.data`."""
+        images, flux = frames.images_e, frames.flux_e
+        variance = frames.noise.variance_e2(frames.mean_e)
+        return (images * (flux.mean() / flux)[:, None, None].to(images.dtype))[None], variance[None, None]
+
+
+def start_at_centroids(
+    frames: Frames, problem: ImageFit, start_nm: torch.Tensor | np.ndarray | None = None
+) -> torch.Tensor:
+    """Start with tip and tilt from the centroids and no aberrations, or with given first modes.
+
+    Parameters
+    ----------
+    frames : Frames
+    problem : ImageFit
+        Of these frames.
+    start_nm : tensor or ndarray, (modes,), optional
+        From Noll 2 on.
+
+    Returns
+    -------
+    tensor, (batch, parameters)
+    """
+    x = torch.empty(len(problem.images), problem.layout.size, dtype=torch.float64)
+    for block in blocks(len(x)):
+        x[block] = _centred(problem.images[block], frames.pixel_mask, problem)
+    if start_nm is not None:
+        common = min(len(start_nm), len(problem.layout.nolls))
+        x[:, :common] = torch.as_tensor(start_nm[:common])
+    return x
+
+
+def _centred(images: torch.Tensor, pixel_mask: torch.Tensor, problem: ImageFit) -> torch.Tensor:
+    """Start of members from images (b, repeats, pixels): flux, and tip and tilt of the centroid."""
+    settings, first = problem.model.psf.settings, images.double().mean(1).cpu()
+    x = problem.layout.start(first)
+    masked = first.reshape(-1, *settings.window) * pixel_mask
+    x[:, :2] = start_tilts_nm(masked, settings.pixel_scale_mas, settings.geometry.diameter_m)
+    return x
+
+
+def linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> Estimates:
+    """Estimates of one vector for all frames, and of every frame by one linear step from it.
+
+    The mean of the latter is the solution, their scatter carries photon noise, speckle and real changes.
+
+    Parameters
+    ----------
+    frames : Frames
+    problem : ImageFit
+        Of these frames, with one member.
+    solution : Solution
+    """
+    x, layout = solution.values[:1], problem.layout
+    added, slopes = effects_in_modes_nm(problem.model.effects, x[0, layout.effect_values], layout.nolls)
+    read = torch.zeros(len(layout.nolls), layout.size, dtype=torch.float64)
+    read[:, layout.modes] = torch.eye(len(layout.nolls), dtype=torch.float64)
+    read[:, layout.effect_values] = slopes.double()
+    _, jacobian = problem.predict_and_jacobian(x)
+    weight = problem.root_weight[0].double().mean(0) ** 2
+    gain = read @ solution.covariance[0] @ (jacobian[0].double() * weight).cpu()
+    images, mean, flux = frames.images_e.flatten(1), frames.mean_e.flatten(), frames.flux_e[:, None]
+    total = x[0, layout.modes] + added
+    per_frame = torch.empty(len(images), len(total), dtype=torch.float64)
+    for block in blocks(len(images)):
+        per_frame[block] = total + (images[block] * (flux.mean() / flux[block]) - mean) @ gain.mT
+    return Estimates(x, total.numpy(), per_frame.numpy())
+
+
+MEAN_IMAGE, EVERY_FRAME, ALL_FRAMES = MeanImage(), EveryFrame(), AllFrames()
 
 
 @dataclass(frozen=True)
@@ -17,19 +220,19 @@ class Method:
     Attributes
     ----------
     name : str
-    images : {"mean", "frames", "joint"}
-        Fit the mean image; every frame by itself and average the coefficients; or all
-        frames with one coefficient vector.
+    scheme : Scheme
+        What is fitted to what.
     loss : str
         Default loss.
     highest_noll : int
         Default number of modes, Noll 2 to this.
     effects : bool
         Whether the AO residual and jitter belong to the model.
+    description : str
     """
 
     name: str
-    images: Literal["mean", "frames", "joint"]
+    scheme: Scheme
     loss: str
     highest_noll: int
     effects: bool
@@ -41,7 +244,7 @@ METHODS = {
     for method in (
         Method(
             "long_exposure",
-            "mean",
+            MEAN_IMAGE,
             "gaussian",
             66,
             True,
@@ -49,19 +252,24 @@ METHODS = {
         ),
         Method(
             "dip_global",
-            "frames",
+            EVERY_FRAME,
             "l1",
             30,
             False,
             "every frame by itself, coefficients averaged (paper, method 3)",
         ),
-        Method("dip_avg", "mean", "l1", 30, False, "mean image, L1 loss (paper, method 1)"),
+        Method("dip_avg", MEAN_IMAGE, "l1", 30, False, "mean image, L1 loss (paper, method 1)"),
         Method(
-            "dip_joint", "joint", "l1", 30, False, "one coefficient vector for all frames (paper, method 2)"
+            "dip_joint",
+            ALL_FRAMES,
+            "l1",
+            30,
+            False,
+            "one coefficient vector for all frames (paper, method 2)",
         ),
         Method(
             "lift_avg",
-            "mean",
+            MEAN_IMAGE,
             "gaussian",
             30,
             False,
@@ -69,7 +277,7 @@ METHODS = {
         ),
         Method(
             "lift_slices",
-            "frames",
+            EVERY_FRAME,
             "gaussian",
             30,
             False,

@@ -9,6 +9,7 @@ from helpers import optics_cases as cases
 from irlos_pipe.estimate import calibration
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.methods import MeanImage, start_at_centroids
 from irlos_pipe.estimate.starts import FEW_FRAMES, better, median_of_frames_nm
 from irlos_pipe.numerics.solution import CONVERGED, INVALID, Solution
 from irlos_pipe.optics.psf import PsfModel
@@ -51,15 +52,12 @@ def test_frames_that_cannot_be_fitted_do_not_count(frames, truth_nm):
 
 
 def test_a_fit_that_ended_wrong_is_tried_again(frames, truth_nm, monkeypatch):
-    honest = calibration._start
-
-    def far_off(*arguments):
-        start = honest(*arguments)
-        if arguments[-1] is None:
-            start[0, 5:9] = torch.tensor([600.0, -500.0, 500.0, 400.0], dtype=torch.float64)  # coma
+    def far_off(scheme, frames, problem):
+        start = start_at_centroids(frames, problem)
+        start[0, 5:9] = torch.tensor([600.0, -500.0, 500.0, 400.0], dtype=torch.float64)  # coma
         return start
 
-    monkeypatch.setattr(calibration, "_start", far_off)
+    monkeypatch.setattr(MeanImage, "start", far_off)
     options = CalibrationOptions(highest_noll=15)
     found = calibrate(frames, cases.settings(WINDOW), options)
     assert np.linalg.norm(found.zernike_nm - truth_nm[0].numpy()) < 2

@@ -67,7 +67,7 @@ class Knowledge:
 
 def knowledge_of(scene: Scene, calibration: Calibration) -> Knowledge:
     """NCPAs and effects of a calibration of `scene`."""
-    ncpa_nm = dict(zip(calibration.nolls, calibration.modes_nm.tolist(), strict=True))
+    ncpa_nm = dict(zip(calibration.nolls, calibration.fitted_modes_nm.tolist(), strict=True))
     effects = {
         effect.name: FixedEffect(effect, calibration.effect_values[effect.name])
         for effect in model_effects_of(scene)

@@ -127,7 +127,7 @@ class _Mean:
         self.first = self.all[0]
         self.nolls = self.first.nolls
         self.zernike_nm = np.mean([one.zernike_nm for one in self.all], axis=0)
-        self.modes_nm = np.mean([one.modes_nm for one in self.all], axis=0)
+        self.modes_nm = np.mean([one.fitted_modes_nm for one in self.all], axis=0)
         self.covariance_nm2 = np.sum([one.covariance_nm2 for one in self.all], axis=0) / len(self.all) ** 2
         self.sigma_nm = np.sqrt(np.diag(self.covariance_nm2))
         self.seeing_arcsec = float(np.mean([cube.seeing_arcsec for cube in cubes]))

@@ -36,7 +36,7 @@ class CubeInput:
 
 def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: CalibrationOptions) -> CubeInput:
     """All frames of the recordings and the model for the first."""
-    first, highest_noll = recordings[0], options.resolved()[1].highest_noll
+    first, highest_noll = recordings[0], options.last_noll
     effects = model_effects(ctx.instrument, ctx.model, first, highest_noll)
     images_e, pixel_mask, noise = pooled_images(recordings)
     good = pixel_mask & torch.as_tensor(good_pixels(effects, first.window))

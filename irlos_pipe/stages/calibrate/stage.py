@@ -116,7 +116,7 @@ def _calibrate(
 ) -> Calibration:
     """One method on all frames of the recordings."""
     first, cube = recordings[0], cube_input(ctx, recordings, options)
-    total = len(cube.frames.images_e) if options.resolved()[0].images == "frames" else 1
+    total = options.scheme.fits(cube.frames)
     with ctx.progress(total=total, desc=f"calibrate {options.method}") as bar:
         result = calibrate(
             cube.frames, cube.settings, options, cube.effects, device=ctx.device, report=bar.update
