@@ -18,8 +18,8 @@ from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.night.database import Database
 from irlos_pipe.night.description import Description, common_depth, night_of
 from irlos_pipe.readers import recorder
-from irlos_pipe.readers.find import recording_files
-from irlos_pipe.readers.sidecar import AcquisitionKeys, sidecar_path
+from irlos_pipe.readers.find import files_of, recording_files
+from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.stages.ingest.sources import Source, read_sources
 
 DATED = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?!\d)")
@@ -92,8 +92,8 @@ def date_in_path(path: Path) -> str:
 
 
 def _files(folders: Sequence[Path], problems: list[tuple[Path, str]]) -> list[Path]:
-    def refused(error: InputDataError) -> None:
-        problems.append((Path(str(error).partition(": no permission")[0]), str(error)))
+    def refused(folder: Path, error: InputDataError) -> None:
+        problems.append((folder, str(error)))
 
     try:
         return list(dict.fromkeys(recording_files([folder.absolute() for folder in folders], refused)))
@@ -163,7 +163,7 @@ def _night_of_unusable(path: Path, recordings: Sequence[Description]) -> str:
 def _stamp(file: Path, keys: AcquisitionKeys, alone: set[Path]) -> str:
     """Everything that the description depends on: settings, and sizes and times of the files."""
     parts: list[Any] = [file.parent in alone, keys]
-    for path in (file, sidecar_path(file)):
-        status = path.stat() if path.is_file() else None
-        parts += [path, status and status.st_size, status and status.st_mtime_ns]
+    for path in files_of(file):
+        status = path.stat()
+        parts += [path, status.st_size, status.st_mtime_ns]
     return canonical_json(parts)

@@ -57,7 +57,7 @@ COMPUTER_FILE = re.compile(r"\w*(Acq|Ctr|Monitor|RTC|Recn)\.[\w.]+\.fits", re.AS
 
 
 def recording_files(
-    paths: Sequence[Path], refused: Callable[[InputDataError], None] | None = None
+    paths: Sequence[Path], refused: Callable[[Path, InputDataError], None] | None = None
 ) -> list[Path]:
     """Find the files with recordings among the given files and folders.
 
@@ -69,7 +69,7 @@ def recording_files(
     paths : sequence of Path
         Files and folders.
     refused : callable, optional
-        Called with the error for each folder below that may not be read; raised otherwise.
+        Called with each folder below that may not be read, and the error; raised otherwise.
 
     Raises
     ------
@@ -124,11 +124,11 @@ def _reader_of(path: Path) -> Reader | None:
         return _recognised(hdus)
 
 
-def _raise(error: InputDataError) -> None:
+def _raise(folder: Path, error: InputDataError) -> None:
     raise error
 
 
-def _files_under(path: Path, refused: Callable[[InputDataError], None]) -> Iterator[Path]:
+def _files_under(path: Path, refused: Callable[[Path, InputDataError], None]) -> Iterator[Path]:
     if not path.exists():
         raise InputDataError(f"{path}: no such file or folder")
     if path.is_dir():
@@ -139,10 +139,10 @@ def _files_under(path: Path, refused: Callable[[InputDataError], None]) -> Itera
         yield path
 
 
-def _files_in_folder(folder: Path, refused: Callable[[InputDataError], None]) -> Iterator[Path]:
+def _files_in_folder(folder: Path, refused: Callable[[Path, InputDataError], None]) -> Iterator[Path]:
     """Data files of a folder, then those of its subfolders; hidden ones are left out."""
     if not os.access(folder, os.R_OK | os.X_OK):
-        refused(InputDataError(f"{folder}: no permission to read the folder"))
+        refused(folder, InputDataError(f"{folder}: no permission to read the folder"))
         return
     entries = sorted(
         (entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=natural_order

@@ -8,6 +8,7 @@ from helpers.sparta_files import (
     FULL_PUPIL,
     TWO_BY_TWO,
     counts,
+    loop_table,
     quadrants,
     star,
     write_muse,
@@ -117,6 +118,13 @@ def test_a_recording_is_read_once_and_again_when_it_or_its_side_car_changes(tmp_
     assert found(tmp_path / "n").recordings == first and not reads
     write_sidecar(path.with_name("acquisition.yaml"), role="psf", mag_j=9.25)
     assert found(tmp_path / "n").recordings[0].role == "psf" and len(reads) == 1
+
+
+def test_times_that_come_later_in_a_table_of_the_loop_are_read(tmp_path):
+    path = write_recorder(tmp_path / "n/cube", PIXELS)
+    assert found(tmp_path / "n").recordings[0].start_unix_s is None
+    loop_table(20 * np.arange(3), TIMES["Seconds"], TIMES["USeconds"]).writeto(path.with_name("loop.fits"))
+    assert found(tmp_path / "n").recordings[0].start_unix_s == TIMES["Seconds"][0]
 
 
 def test_an_empty_folder_has_nothing_and_an_absent_one_is_an_error(tmp_path):
