@@ -165,8 +165,12 @@ def _require_content(path: Path) -> None:
 
 def _require_countable(path: Path) -> None:
     """Refuse headers with more axes or columns than FITS allows: astropy would count up to any number."""
-    for found in COUNTS.finditer(_beginning(path)):
-        if found.start() % CARD_BYTES == 0:
+    content = _beginning(path)
+    # Looking at the beginnings of cards only is a hundred times faster than a search through all bytes.
+    first_letters = np.frombuffer(content, np.uint8)[::CARD_BYTES]
+    for card in np.flatnonzero(np.isin(first_letters, list(b"NTZ"))):
+        found = COUNTS.match(content, int(card) * CARD_BYTES)
+        if found is not None:
             key, number = (group.decode().strip() for group in found.groups())
             raise InputDataError(f"{path}: {key} = {number} in a header, FITS allows 999: damaged")
 
