@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from irlos_pipe.diagnose.checks.bad_pixels import smallest_excess_e
+from irlos_pipe.diagnose.checks.bad_pixels import smallest_excess
 from irlos_pipe.diagnose.checks.fine_structure import FineStructure, fine_structure
 from irlos_pipe.diagnose.checks.motion import motion_ratio
 from irlos_pipe.diagnose.checks.noise import PHOTONS, SPECKLES, NoiseVerdict
@@ -24,9 +24,6 @@ from irlos_pipe.diagnose.sizes import detectable, determined, parameter_covarian
 from irlos_pipe.diagnose.verdict import EFFECT, NONE, UNKNOWN, Diagnosis, Pictures, Step
 from irlos_pipe.diagnose.view import Screened
 from irlos_pipe.effects import FixedEffect
-from irlos_pipe.effects.drift import NcpaDrift
-from irlos_pipe.effects.pixels import BadPixels
-from irlos_pipe.effects.seeing_halo import SeeingHalo
 from irlos_pipe.estimate.total_wavefront import effects_in_modes_nm
 
 # Part of the excess, and χ² over its expectation, from which much is left. With known noise a right name
@@ -91,7 +88,7 @@ def why_unknown(search: Search, noise: NoiseVerdict, fine: FineStructure, option
     for one in search.accepted:
         if one.refit.implausible:
             return f"{one.name} would need {', '.join(one.refit.implausible)} beyond what is plausible"
-        if one.name == SeeingHalo.name and noise.kind == PHOTONS:
+        if one.refit.effect.speckles and noise.kind == PHOTONS:
             return "a halo without the speckles that an AO residual makes from frame to frame"
     if fine.significance > options.sure and not search.accepted:
         return f"the mean image has structure finer than the telescope can make, {fine.ratio:.1f} × its noise"
@@ -122,12 +119,13 @@ def _smallest(score: Score) -> dict:
 
 
 def _elsewhere(search: Search, options: Options) -> dict[str, dict]:
-    """The same of what is not found by a score: drift from the frames, pixels one by one."""
+    """Smallest detectable drift and excess of bad pixels; these two have no score test."""
     limits = {}
     if search.drift and search.drift.significance < options.sure:
-        limits[NcpaDrift.name] = search.drift.effect().base.describe(search.drift.detectable_nm(options.sure))
-    if not any(one.name == BadPixels.name for one in search.accepted):
-        limits[BadPixels.name] = {"excess_e": smallest_excess_e(search.final)}
+        drift = search.drift.effect().base
+        limits[drift.name] = drift.describe(search.drift.detectable_nm(options.sure))
+    if not any(one.refit.effect.found_by == "pixels" for one in search.accepted):
+        limits |= smallest_excess(search.final)
     return limits
 
 

@@ -19,7 +19,6 @@ from irlos_pipe.diagnose.search.detect import Score
 from irlos_pipe.diagnose.verdict import Ranked
 from irlos_pipe.numerics.parallel import ordered_map
 
-MOTIONS, BLURS = ("tip_tilt_jitter", "vibration"), ("interpixel_crosstalk",)
 MUST_EXPLAIN = 0.8  # of what is left, for a further name
 PLAINLY = 10.0  # times its price, by which χ² grows without a name that is needed
 PREFERRED = 3.0  # Vuong's statistic on held-out frames whose noise is known
@@ -127,10 +126,12 @@ def by_motion(
 ) -> tuple[Sequence[Refit], Sequence[Judge]]:
     """Between motion and a detector that blurs, which the mean image hardly tells apart, frames decide."""
     rivals = _rivals(ranked, judges)
-    if ranked[0].name not in (*MOTIONS, *BLURS) or not rivals & {*MOTIONS, *BLURS}:
+    if not ranked[0].effect.blurs or not any(one.effect.blurs and one.name in rivals for one in ranked):
         return ranked, judges
-    right = MOTIONS if motion_ratio(cube.training, ranked[0].fitted) > MOVING else BLURS
-    allowed = [i for i, one in enumerate(ranked) if one.name in right and (i == 0 or one.name in rivals)]
+    right = "motion" if motion_ratio(cube.training, ranked[0].fitted) > MOVING else "detector"
+    allowed = [
+        i for i, one in enumerate(ranked) if one.effect.blurs == right and (i == 0 or one.name in rivals)
+    ]
     return _led_by(allowed, ranked, judges)
 
 

@@ -71,6 +71,11 @@ class Fitted:
         return self.x[0, self.problem.layout.effect_values]
 
     @property
+    def recordings(self) -> list[tuple[ImageFit, torch.Tensor]]:
+        """Problem and parameters (1, its parameters) of every recording by itself."""
+        return [(part, self.problem.part(self.x, number)) for number, part in enumerate(self.problem.parts)]
+
+    @property
     def image_e(self) -> torch.Tensor:
         """Predicted mean images, (pixels,)."""
         return self.problem.predict(self.x)
@@ -100,7 +105,7 @@ class Fitted:
         pieces = self.problem.model.effects.split(self.effect_values)
         return [_begun_at(effect, pieces[effect.name]) for effect in self.effects]
 
-    def anew(self) -> list[Effect]:
+    def restarted(self) -> list[Effect]:
         """The effects with the same freedom, to start from where nothing is known of them."""
         return [_begun_at(effect, [p.start for p in _free(effect)]) for effect in self.effects]
 
@@ -208,7 +213,7 @@ class Fitter:
         """
         problem = self._problem(fitted.continued(), self.views)
         x = torch.zeros(1, problem.size, dtype=torch.float64)
-        known = [fitted.problem.part(fitted.x, n) for n in range(len(fitted.problem.parts))]
+        known = [own for _, own in fitted.recordings]
         for number, columns in reversed(list(enumerate(problem.columns))):
             x[:, columns] = known[number] if number < len(known) else known[0]
         solution = replace(fitted.solution, values=x)

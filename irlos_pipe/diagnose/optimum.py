@@ -1,7 +1,5 @@
-"""The residual of a fitted model, and what is left of a shape that the fitted parameters cannot imitate.
+"""The residual of a fitted model: the null model of score tests, and what is left of χ².
 
-Everything is in units of the standard error of the mean image. At the optimum the residual is orthogonal
-to the derivatives B of the fitted parameters; of another shape D only the part ``D - B(BᵀB)⁻¹BᵀD`` counts.
 Priors are rows of B whose data are what the parameters miss of the prior's mean. How uncertain any
 projection is comes from its scatter between frames and from the noise of the dark that they share, so the
 same numbers hold for photons and for speckles.
@@ -17,7 +15,8 @@ import torch
 from irlos_pipe.diagnose.cube import Stack, Stacks
 from irlos_pipe.diagnose.fitting import Fitted
 from irlos_pipe.effects import Effect
-from irlos_pipe.estimate.search import frozen
+from irlos_pipe.estimate.score_test import NullModel, frozen_effects
+from irlos_pipe.optics.psf_settings import PsfSettings
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class Excess:
         return (self.chi2 + self.expected) / self.expected
 
 
-class Optimum:
+class Optimum(NullModel):
     """Whitened residual of the mean training images and of their frames.
 
     Parameters
@@ -59,42 +58,33 @@ class Optimum:
 
     def __init__(self, stack: Stack | Stacks, fitted: Fitted):
         self.stack, self.fitted = stack, fitted
-        problem, x = fitted.problem, fitted.x
-        self.root = stack.root
+        problem, x, root = fitted.problem, fitted.x, stack.root
         image, columns = problem.predict_and_jacobian(x)
-        self.residual = (stack.mean_e - image) * self.root
+        residual = (stack.mean_e - image) * root
         precision = problem.prior_precision[0].sqrt()
-        design = torch.cat([(columns * self.root).mT, torch.diag(precision)])
+        design = torch.cat([(columns * root).mT, torch.diag(precision)])
         design = design / design.norm(dim=0).clamp_min(1e-300)
-        basis = torch.linalg.qr(design)[0]
-        self.basis = basis[: len(self.residual)]
+        whole = torch.linalg.qr(design)[0]
+        basis = whole[: len(residual)]
         prior = -(x[0] - problem.prior_mean[0]) * precision
-        self._unconverged = self.basis.mT @ self.residual + basis[len(self.residual) :].mT @ prior
+        unconverged = basis.mT @ residual + whole[len(residual) :].mT @ prior
+        super().__init__(residual, root, basis, unconverged)
+
+    @property
+    def settings(self) -> PsfSettings:
+        """Settings of the first recording; the window is that of all."""
+        return self.fitted.problem.model.psf.settings
 
     @cached_property
     def frozen(self) -> list[list[Effect]]:
         """The effects as fitted for each recording, to try others beside them."""
-        problem = self.fitted.problem
         values = self.fitted.effect_values
-        return [frozen(part.model.effects, values) for part in problem.parts]
+        return [frozen_effects(part.model.effects, values) for part, _ in self.fitted.recordings]
 
     @property
     def deviations(self) -> torch.Tensor:
-        """Of the frames, whitened, (frames, pixels)."""
+        """Deviations of the frames, whitened, (frames, pixels)."""
         return self.stack.deviations
-
-    def project(self, shapes: torch.Tensor) -> torch.Tensor:
-        """What is left of whitened shapes (pixels, m)."""
-        return shapes - self.basis @ (self.basis.mT @ shapes)
-
-    def norm2(self, shapes: torch.Tensor) -> torch.Tensor:
-        """Gram matrix of what is left, priors included, (m, m)."""
-        inside = self.basis.mT @ shapes
-        return shapes.mT @ shapes - inside.mT @ inside
-
-    def meeting(self, shapes: torch.Tensor) -> torch.Tensor:
-        """Scalar products of the residual with what is left of shapes, (m,)."""
-        return shapes.mT @ self.residual - (self.basis.mT @ shapes).mT @ self._unconverged
 
     @cached_property
     def excess(self) -> Excess:

@@ -10,9 +10,9 @@ import numpy as np
 
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.optimum import Excess, Optimum
-from irlos_pipe.diagnose.search.detect import Score, gaussian_sigma
+from irlos_pipe.diagnose.search.detect import Score
+from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.effects import Effect, FixedEffect
-from irlos_pipe.effects.seeing_halo import ScaledHalo
 from irlos_pipe.numerics.parallel import ordered_map
 
 PROPOSALS = 8
@@ -24,7 +24,6 @@ SIDE_BY_SIDE = 2  # fits, after which it is asked whether others are hopeless
 PER_PARAMETER = 8.0  # of χ², that a parameter has to earn
 EXPLAINS_AS_MUCH = 0.97  # part of the best's fall of χ²
 CLEARLY_LESS = 25.0  # of calibrated χ²
-FULL_HALO = 0.1  # of the expected residual, from which the halo's shape is fitted as well
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +87,7 @@ class Refit:
             return gaussian_sigma(max(self.gain, 0.0), self.parameters, np.inf, self.score.trials)
         change = ((self.fitted.image_e - origin.fitted.image_e) * origin.root)[:, None]
         variance = stack.covariance_of(origin.project(change))[0, 0]
-        hotelling = float(origin.meeting(change)[0] ** 2 / variance.clamp_min(1e-300))
+        hotelling = float(origin.projection(change)[0] ** 2 / variance.clamp_min(1e-300))
         return gaussian_sigma(hotelling, self.parameters, stack.independent, self.score.trials)
 
     @property
@@ -227,7 +226,7 @@ def _from_zero(fitter: Fitter, one: Refit) -> list[Fitted]:
     A model that misses something large can fit it with a wavefront far from the true one, from where
     little seems to help.
     """
-    return [fitter.explored([*one.origin.fitted.anew(), _whole(one.score, one.score.anew())])]
+    return [fitter.explored([*one.origin.fitted.restarted(), _whole(one.score, one.score.restart())])]
 
 
 def _from_elsewhere(fitter: Fitter, one: Refit) -> list[Fitted]:
@@ -242,8 +241,5 @@ def proposals(scores: Sequence[Score]) -> list[Score]:
 
 
 def _whole(score: Score, start: FixedEffect) -> FixedEffect:
-    """The effect to be fitted: the halo with its shape free, if there is enough of it."""
-    if not isinstance(start.base, ScaledHalo) or score.sizes[0] < FULL_HALO:
-        return start
-    halo = start.base.halo
-    return FixedEffect(halo, [p.start for p in halo.parameters], [p.name for p in halo.parameters])
+    """The effect to be fitted, which may have more parameters than the one that was searched for."""
+    return start.base.whole(start, score.sizes)

@@ -18,12 +18,10 @@ from irlos_pipe.diagnose.cube import Stack, Stacks
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.refit import Refit
-from irlos_pipe.diagnose.search.detect import ABSORBED, NOTHING, Score, whitened_shapes
+from irlos_pipe.diagnose.search.detect import Score, whitened_shapes
 from irlos_pipe.diagnose.sizes import detectable, within_reach
-from irlos_pipe.diagnose.view import View
 from irlos_pipe.effects import Conditions
-from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.estimate.score_test import ABSORBED, MEANINGLESS
 
 OUT_OF_FOCUS_NM = 200.0
 BANDS_NM = {"J": (1157.0, 1273.0), "H": (1541.0, 1709.0)}
@@ -38,14 +36,14 @@ class Advice:
     ----------
     recording : str
         How it differs from the first.
-    survival : float
-        Part of the power of the effect's derivative that the fitted parameters cannot imitate then.
+    observability : float
+        Part of the power of the effect's derivative that the fitted parameters cannot imitate then, 1 − R².
     smallest : dict
         Public size that would be seen then.
     """
 
     recording: str
-    survival: float
+    observability: float
     smallest: dict[str, Any]
 
 
@@ -61,10 +59,7 @@ class SecondRecordings:
     def __init__(self, optimum: Optimum):
         self.optimum, self.present = optimum, optimum.stack
         first = optimum.fitted.views[0]
-        self.views = {
-            words: View(replaced(first.psf, settings), conditions)
-            for words, settings, conditions in variants(first.psf.settings, first.conditions)
-        }
+        self.views = {words: first.under(conditions) for words, conditions in variants(first.conditions)}
         self.beside = {words: self._beside(optimum.fitted, words) for words in self.views}
 
     def showing(self, score: Score, gain: float) -> Advice | None:
@@ -83,8 +78,8 @@ class SecondRecordings:
         ]
         if not useful:
             return None
-        words, best = max(useful, key=lambda pair: pair[1].survival)
-        return Advice(words, best.survival, detectable(best, gain))
+        words, best = max(useful, key=lambda pair: pair[1].observability)
+        return Advice(words, best.observability, detectable(best, gain))
 
     def separating(self, one: Refit, other: Refit) -> tuple[str, float]:
         """The recording with which two names are least alike, and how much they still are."""
@@ -95,9 +90,9 @@ class SecondRecordings:
     def _score(self, score: Score, optimum: Optimum) -> Score:
         shapes = whitened_shapes(optimum, [score.candidate])[0]
         power, left = (shapes**2).sum(0), torch.diagonal(optimum.norm2(shapes)).clamp_min(1e-300)
-        survival = torch.where(power > NOTHING * power.max(), left / power.clamp_min(1e-300), 0.0)
-        smallest = torch.where(survival > ABSORBED, left**-0.5, torch.inf).numpy()
-        return replace(score, survival=float(survival.max()), smallest=smallest)
+        seen = torch.where(power > MEANINGLESS * power.max(), left / power.clamp_min(1e-300), 0.0)
+        smallest = torch.where(seen > ABSORBED, left**-0.5, torch.inf).numpy()
+        return replace(score, observability=float(seen.max()), smallest=smallest)
 
     def _likeness(self, words: str, one: Refit, other: Refit) -> float:
         models = (one.fitted, other.fitted, one.origin.fitted)
@@ -121,23 +116,17 @@ def _expected(like: Stack, image_e: torch.Tensor) -> Stack:
     return Stack(like.frames, like.when, image_e, variance, like.photon_limited)
 
 
-def replaced(psf: PsfModel, settings: PsfSettings) -> PsfModel:
-    """A model of the same modes for other settings."""
-    return PsfModel(settings, psf.nolls, device=psf.device, dtype=psf.dtype)
-
-
-def variants(settings: PsfSettings, conditions: Conditions) -> list[tuple[str, PsfSettings, Conditions]]:
-    """Recordings that differ from one by focus, diversity or band."""
-    known = settings.known
+def variants(conditions: Conditions) -> list[tuple[str, Conditions]]:
+    """Recordings that differ from one taken under `conditions` by focus, diversity or band."""
+    settings, known = conditions.settings, conditions.settings.known
     focus = {**known.introduced_nm, 4: known.introduced_nm.get(4, 0.0) + OUT_OF_FOCUS_NM}
-    defocused = replace(settings, known=replace(known, introduced_nm=focus))
-    found = [(f"{OUT_OF_FOCUS_NM:+.0f} nm out of focus", defocused, conditions)]
+    found = [(f"{OUT_OF_FOCUS_NM:+.0f} nm out of focus", replace(known, introduced_nm=focus))]
     if any(known.diversity_nm.values()):
-        plain = replace(settings, known=replace(known, diversity_nm={}))
-        found.append(("without the diversity", plain, replace(conditions, diversity={})))
+        found.append(("without the diversity", replace(known, diversity_nm={})))
+    others = [(words, replace(settings, known=one)) for words, one in found]
     for name, limits in BANDS_NM.items():
         if not any(limits[0] <= nm <= limits[1] for nm, _ in settings.spectrum):
             spectrum = tuple((float(nm), 1.0) for nm in np.linspace(*limits, COLOURS))
-            other = replace(settings, spectrum=spectrum), replace(conditions, spectrum=spectrum)
-            found.append((f"in the band {name}, {limits[0]:.0f} to {limits[1]:.0f} nm", *other))
-    return found
+            words = f"in the band {name}, {limits[0]:.0f} to {limits[1]:.0f} nm"
+            others.append((words, replace(settings, spectrum=spectrum)))
+    return [(words, replace(conditions, settings=one)) for words, one in others]

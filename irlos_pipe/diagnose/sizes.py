@@ -16,9 +16,6 @@ STEP = 1e-3  # of a standard error, in derivatives of public values
 FAR = 1e3  # standard errors, in place of a prior that there is none of
 UNDETERMINED = 0.5  # of the prior's variance that is left, from which the data tell nothing
 NOTHING = 1e-9
-ANGLES = ("angle_deg", "pa_deg", "stretch_angle_deg")
-DIRECTIONS = (*ANGLES, "sep_mas")
-COMPONENTS = ({"dx_m", "dy_m"},)
 
 
 def parameter_covariance(stack: Stack | Stacks, fitted: Fitted) -> np.ndarray:
@@ -37,8 +34,7 @@ def public_sigma(base: Effect, values: np.ndarray, covariance: np.ndarray) -> di
     """Standard errors of the public values, by linear propagation of the solver's covariance."""
     steps = np.sqrt(np.diag(covariance)) * STEP
     slopes = [
-        _difference(base.describe(values + one), base.describe(values - one))
-        for one in np.diag(np.where(steps > 0, steps, 1e-9))
+        _difference(base, values + one, values - one) for one in np.diag(np.where(steps > 0, steps, 1e-9))
     ]
     return _combined(slopes, covariance, 2 * np.where(steps > 0, steps, 1e-9))
 
@@ -65,14 +61,16 @@ def detectable(score: Score, gain: float) -> dict[str, Any]:
     """
     null = np.array(score.candidate.null_values, float)
     sizes = np.where(np.isfinite(score.smallest), score.smallest, 0.0) * np.sqrt(gain)
-    absent = score.candidate.describe(null)
+    effect, absent = score.candidate, score.candidate.describe(null)
     alone = np.diag(sizes) if not _is_table(absent) else [sizes]
-    changes = [_difference(score.candidate.describe(null + one), absent) for one in alone]
+    changes = [_difference(effect, null + one, null) for one in alone]
     largest = {key: max((one[key] for one in changes), key=_size) for key in absent}
-    for pair in COMPONENTS:
-        if pair <= largest.keys():
-            largest |= dict.fromkeys(pair, float(np.hypot(*(largest[key] for key in pair))))
-    return {key: v for key, v in largest.items() if key not in DIRECTIONS and _size(v) > NOTHING}
+    roles = {key: effect.role_of(key) for key in absent}
+    components = [key for key, role in roles.items() if role == "component"]
+    if components:
+        largest |= dict.fromkeys(components, float(np.hypot(*(largest[key] for key in components))))
+    moving = {key for key, role in roles.items() if role in ("position", "direction")}
+    return {key: v for key, v in largest.items() if key not in moving and _size(v) > NOTHING}
 
 
 def within_reach(score: Score, gain: float, *, plausible: bool = False) -> bool:
@@ -115,10 +113,11 @@ def _map(function: Callable, *values: Any) -> Any:
     return function(*values)
 
 
-def _difference(one: Mapping, other: Mapping) -> dict[str, Any]:
-    """Of public values that are close to each other; angles may lie on both sides of 0 or 180°."""
-    change = _map(lambda a, b: float(a - b), one, other)
-    return change | {key: (change[key] + 90.0) % 180.0 - 90.0 for key in ANGLES if key in change}
+def _difference(effect: Effect, one: np.ndarray, other: np.ndarray) -> dict[str, Any]:
+    """Difference of public values that are close to each other; angles may lie on both sides of 0 or 180°."""
+    change = _map(lambda a, b: float(a - b), effect.describe(one), effect.describe(other))
+    angles = [key for key in change if effect.role_of(key) == "direction"]
+    return change | {key: (change[key] + 90.0) % 180.0 - 90.0 for key in angles}
 
 
 def _combined(differences: Sequence[dict], covariance: np.ndarray, widths: np.ndarray) -> dict[str, Any]:

@@ -18,12 +18,10 @@ from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.refit import Refit, refits
 from irlos_pipe.diagnose.search.detect import Score, scores
-from irlos_pipe.diagnose.search.families import families, names_of
+from irlos_pipe.diagnose.search.families import families
 from irlos_pipe.diagnose.verdict import Diagnosis
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.effects import Conditions, Effect
-from irlos_pipe.effects.drift import NcpaDrift
-from irlos_pipe.effects.pixels import BadPixels
 
 Report = Callable[[int], None]
 
@@ -117,7 +115,7 @@ class Task:
 
     def _with_drift(self, null: Optimum) -> tuple[Drift | None, Optimum]:
         """The drift of the frames, and the model with it if it is significant."""
-        if NcpaDrift.name in names_of(null.fitted.effects):
+        if any(effect.found_by == "frames" for effect in null.fitted.effects):
             return None, null
         drift = measure_drift(self.cube.training, null.fitted, self.options.sure)
         if drift.significance < self.options.sure:
@@ -127,9 +125,10 @@ class Task:
 
     def _scores(self, current: Optimum) -> tuple[list[Score], list[str]]:
         """Scores of all families that the model lacks."""
-        present = names_of(current.fitted.effects)
-        missing, meaningless = families(self.conditions, present)
-        pixels = [] if BadPixels.name in present else bad_pixel_family(current)
+        present = current.fitted.effects
+        missing, meaningless = families(self.conditions, [effect.name for effect in present])
+        listed = any(effect.found_by == "pixels" for effect in present)
+        pixels = [] if listed else bad_pixel_family(current)
         return scores(current, [*missing, *pixels]), meaningless
 
     def _next_name(self, current: Optimum, found: list[Score], *, first: bool) -> Accepted | None:

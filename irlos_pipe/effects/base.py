@@ -7,16 +7,26 @@ unless an effect knows a quicker way.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import torch
 
-from irlos_pipe.effects.declaration import Conditions, Parameter, Plane, Public
+from irlos_pipe.effects.declaration import (
+    Calibrated,
+    Conditions,
+    FoundBy,
+    Parameter,
+    Plane,
+    Public,
+    Role,
+)
 from irlos_pipe.numerics.forward_mode import along, along_all
 from irlos_pipe.optics.grids import OtfGrid, PupilGrid, Sampling
+
+Values = Sequence[float] | np.ndarray | torch.Tensor
 
 
 class Effect:
@@ -27,16 +37,35 @@ class Effect:
     name : str
         As recipes and results have it.
     plane : str
+        Plane of the light path on which it acts.
+    order : int
+        Among effects of the same plane.
     public : tuple of Public
         Numbers under their public names and units.
     options : tuple of Public
         Choices that are not estimated, arguments of the constructor.
+    derived : tuple of Public
+        What results report besides `public`.
     usual : bool
         Whether every on-sky recording has it, so that a model without a measurement takes it as expected.
     instrumental : bool
         Whether a calibration can hand it on to a recording of another star at another time.
     aberration : bool
         Whether it is a part of the static wavefront, which a calibration of NCPAs hands on.
+    in_image : bool
+        Whether the model of an image contains it.
+    found_by : {"score", "frames", "pixels", "ramp"}
+        How a diagnosis finds it: by a score test of the mean image, from estimates of single frames, pixel
+        by pixel, or from the offsets of a ramp.
+    blurs : {"", "motion", "detector"}
+        What blurs the image, of effects that the mean image hardly tells apart.
+    speckles : bool
+        Whether it makes frames scatter by more than photon noise.
+    copies_star : bool
+        Whether it adds a displaced image of the star, for which a diagnosis searches the whole window.
+    sentence, limit : str
+        What a diagnosis says of one that it found, and of the smallest one that it would have seen; format
+        strings of the public values.
     look_alike : str
         The effect it is most easily mistaken for, and what tells them apart.
     reference : str
@@ -44,12 +73,20 @@ class Effect:
 
     name: str
     plane: Plane
-    order: int = 0  # among effects of the same plane
+    order: int = 0
     public: tuple[Public, ...] = ()
     options: tuple[Public, ...] = ()
+    derived: tuple[Public, ...] = ()
     usual: bool = False
     instrumental: bool = True
     aberration: bool = False
+    in_image: bool = True
+    found_by: FoundBy = "score"
+    blurs: Literal["", "motion", "detector"] = ""
+    speckles: bool = False
+    copies_star: bool = False
+    sentence: str = ""
+    limit: str = ""
     look_alike: str = ""
     reference: str = ""
     parameters: tuple[Parameter, ...] = ()
@@ -66,6 +103,11 @@ class Effect:
         return cls(**options)
 
     @classmethod
+    def variants(cls, conditions: Conditions) -> tuple[Effect, ...]:
+        """Shapes of the effect that a diagnosis tries under `conditions`."""
+        return (cls.under(conditions),)
+
+    @classmethod
     def options_for(cls, **public: Any) -> dict[str, Any]:
         """Options under which the effect has the parameters that given public values need."""
         return {}
@@ -74,7 +116,7 @@ class Effect:
         """Solver's parameters for given values of the public ones; here they are the same."""
         return [float(public.get(p.name, p.null)) for p in self.parameters]
 
-    def describe(self, values: Sequence[float]) -> dict[str, Any]:
+    def describe(self, values: Values) -> dict[str, Any]:
         """Parameters under the public names and units of the effect catalogue."""
         return {p.name: float(v) for p, v in zip(self.parameters, values, strict=True)}
 
@@ -106,6 +148,36 @@ class Effect:
         """The effect's part of the wavefront, (n, n) [nm]; None if it is none."""
         return None
 
+    def good_pixels(self, window: tuple[int, int]) -> np.ndarray:
+        """False for pixels of the `window` that the effect masks, (rows, columns)."""
+        return np.ones(window, dtype=bool)
+
+    def seen_in(self, here: Conditions, first: Conditions) -> Effect:
+        """The effect, stated for a `first` recording, as it acts in another one taken under `here`."""
+        return self
+
+    def handed_on(self, values: np.ndarray, now: Conditions, then: Calibrated) -> FixedEffect:
+        """The effect for a recording taken under `now`, as a calibration found it under `then`."""
+        return FixedEffect(self, values)
+
+    def whole(self, start: FixedEffect, sizes: np.ndarray) -> FixedEffect:
+        """What a fit begins with whose search found `start` with these `sizes`; here the same."""
+        return start
+
+    def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
+        """Of an effect that copies the star: a candidate with its copy at a position."""
+        raise NotImplementedError(f"{self.name} adds no copy of the star")
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """The effect with its size, as a sentence names it; `public`: as `describe` has them."""
+        if self.sentence:
+            return self.sentence.format(**public)
+        return f"{self.name} with " + ", ".join(f"{key} {value:.3g}" for key, value in public.items())
+
+    def role_of(self, name: str) -> Role:
+        """Role of a public value, see `Public`."""
+        return next((one.role for one in (*self.public, *self.derived) if one.name == name), "size")
+
     @property
     def base(self) -> Effect:
         """The effect itself; of a `FixedEffect`, the effect whose parameters are held."""
@@ -122,7 +194,7 @@ class Effect:
             return self
         return FixedEffect(self, [p.start for p in self.parameters] if self.usual else self.null_values)
 
-    def all_values(self, values: Sequence[float]) -> torch.Tensor:
+    def all_values(self, values: Values) -> torch.Tensor:
         """Values of all parameters from those of the free ones, float64; here all are free."""
         return torch.as_tensor(values, dtype=torch.float64)
 
@@ -145,11 +217,11 @@ class FixedEffect(Effect):
     free : sequence of str
     """
 
-    def __init__(self, base: Effect, values: Sequence[float], free: Sequence[str] = ()):
+    def __init__(self, base: Effect, values: Values, free: Sequence[str] = ()):
         for declared in Effect.__annotations__:
             setattr(self, declared, getattr(base, declared))
         self._base = base
-        self.values = np.array(values, float)
+        self.values = np.array(np.asarray(values), float)
         self.free = [i for i, p in enumerate(base.parameters) if p.name in free]
         self.parameters = tuple(replace(base.parameters[i], start=float(self.values[i])) for i in self.free)
 
@@ -158,7 +230,7 @@ class FixedEffect(Effect):
         """See `Effect.base`."""
         return self._base
 
-    def all_values(self, values: Sequence[float]) -> torch.Tensor:
+    def all_values(self, values: Values) -> torch.Tensor:
         """See `Effect.all_values`."""
         full = torch.as_tensor(self.values, dtype=torch.float64)
         if not self.free:
@@ -190,7 +262,20 @@ class FixedEffect(Effect):
         """See `Effect.opd_nm`."""
         return self.base.opd_nm(self.all_values(values), grid)
 
-    def describe(self, values: Sequence[float]) -> dict[str, Any]:
+    def good_pixels(self, window: tuple[int, int]) -> np.ndarray:
+        """See `Effect.good_pixels`."""
+        return self.base.good_pixels(window)
+
+    def seen_in(self, here: Conditions, first: Conditions) -> Effect:
+        """See `Effect.seen_in`."""
+        free = [self.base.parameters[i].name for i in self.free]
+        return FixedEffect(self.base.seen_in(here, first), self.values, free)
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`."""
+        return self.base.phrase(public)
+
+    def describe(self, values: Values) -> dict[str, Any]:
         """See `Effect.describe`."""
         return self.base.describe(self.all_values(values).numpy())
 
@@ -252,6 +337,7 @@ class TimeEffect(Effect):
     """Changes the wavefront during the recording."""
 
     plane = "time"
+    found_by = "frames"
 
     def apply(
         self, values: torch.Tensor, modes_nm: torch.Tensor, nolls: tuple[int, ...], when: torch.Tensor
@@ -271,9 +357,38 @@ class DetectorEffect(Effect):
 
 
 class RampEffect(Effect):
-    """Changes the defocus that a focus stage really introduces."""
+    """Changes the defocus that a focus stage really introduces.
+
+    Class attributes
+    ----------------
+    separated_by : str
+        Ramp that tells it from other errors of the stage.
+    """
 
     plane = "ramp"
+    in_image = False
+    found_by = "ramp"
+    separated_by: str = ""
+
+    @classmethod
+    def on_whole_ramp(cls, *, turns: bool) -> list[RampEffect]:
+        """The error of a whole ramp, of which `turns` says whether the stage moves both ways."""
+        return [cls()]
+
+    @classmethod
+    def on_parts(cls, offsets_nm: np.ndarray) -> list[RampEffect]:
+        """Errors that concern a part of a ramp with these offsets; here none."""
+        return []
+
+    @property
+    def part(self) -> dict[str, float]:
+        """Options that limit it to a part of the ramp; empty where it concerns all of it."""
+        return {}
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`."""
+        part = ", ".join(f"{key.removesuffix('_nm')} {nm:+.0f} nm" for key, nm in self.part.items())
+        return super().phrase(public) + (f" ({part})" if part else "")
 
     def apply(
         self, values: torch.Tensor, introduced_nm: torch.Tensor, commanded_nm: np.ndarray

@@ -12,9 +12,9 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import MAS, NM
-from irlos_pipe.effects.base import OtfEffect, SamplingEffect
-from irlos_pipe.effects.declaration import Conditions, Parameter, number
-from irlos_pipe.effects.polar import components, size_and_angle
+from irlos_pipe.effects.base import Effect, OtfEffect, SamplingEffect
+from irlos_pipe.effects.declaration import Conditions, Parameter, direction, number
+from irlos_pipe.effects.public_values import components, size_and_angle
 from irlos_pipe.optics.grids import OtfGrid, Sampling
 from irlos_pipe.optics.phasor import phasor
 
@@ -33,8 +33,9 @@ class AtmosphericDispersion(OtfEffect):
     instrumental = False
     public = (
         number("mas_per_um", "mas/µm towards longer waves", 0.0, 5000.0),
-        number("angle_deg", "deg from +x towards +y"),
+        direction("angle_deg"),
     )
+    sentence = "a chromatic elongation of {mas_per_um:.0f} mas/µm along {angle_deg:.0f}°"
     look_alike = "vibration, which is as long at every wavelength"
     reference = "Filippenko 1982, PASP 94, 715; Edlén 1966, Metrologia 2, 71"
     parameters = (
@@ -75,6 +76,7 @@ class Spectrum(SamplingEffect):
         number("slope", "1/µm, relative change of the weight", -5.0, 5.0, required=False),
         number("width", "in units of the assumed one", 0.01, 10.0, required=False),
     )
+    sentence = "a spectrum about {wavelength_nm:.1f} nm, {width:.2f} times as wide"
     look_alike = "plate_scale in a narrow band; a second filter tells them apart"
     reference = "Filter curve of the recording; Goodman 2005, Introduction to Fourier Optics, section 6.2"
     parameters = (
@@ -83,14 +85,18 @@ class Spectrum(SamplingEffect):
         Parameter("stretch", "", 0.0, 0.0, 0.3, -0.9, 3.0, plausible=(-0.6, 1.0)),
     )
 
-    def __init__(self, mean_nm: float = 1600.0):
+    def __init__(self, mean_nm: float):
         self.mean_nm = mean_nm
 
     @classmethod
     def under(cls, conditions: Conditions) -> Spectrum:
         """See `Effect.under`."""
-        wavelengths_nm, weights = np.array(conditions.spectrum, float).T
+        wavelengths_nm, weights = np.array(conditions.settings.spectrum, float).T
         return cls(float(np.average(wavelengths_nm, weights=weights)))
+
+    def seen_in(self, here: Conditions, first: Conditions) -> Effect:
+        """See `Effect.seen_in`: it belongs to its filter, so that another band shows nothing of it."""
+        return self if here.settings.spectrum == first.settings.spectrum else Unseen(self)
 
     def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
         """See `SamplingEffect.apply`."""
@@ -112,6 +118,22 @@ class Spectrum(SamplingEffect):
         return [0.0 if wavelength_nm is None else wavelength_nm - self.mean_nm, slope, width - 1]
 
 
+class Unseen(SamplingEffect):
+    """An effect of another recording, of which this one shows nothing.
+
+    Parameters
+    ----------
+    effect : SamplingEffect
+    """
+
+    def __init__(self, effect: SamplingEffect):
+        self.name, self.order, self.parameters = effect.name, effect.order, effect.parameters
+
+    def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
+        """`sampling` as it is."""
+        return sampling
+
+
 class PlateScale(SamplingEffect):
     """The pixels are larger on the sky than assumed, by a fraction.
 
@@ -120,6 +142,7 @@ class PlateScale(SamplingEffect):
 
     name = "plate_scale"
     public = (number("fraction", "of the assumed scale", -0.05, 0.05),)
+    sentence = "pixels larger by {fraction:.2%}"
     look_alike = "spectrum in a narrow band; two stars of known distance tell them apart"
     reference = "Goodman 2005, Introduction to Fourier Optics, section 5.2"
     parameters = (

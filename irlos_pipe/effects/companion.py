@@ -7,8 +7,8 @@ import torch
 
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects.base import Effect, FixedEffect, OtfEffect
-from irlos_pipe.effects.declaration import Conditions, Parameter, number
-from irlos_pipe.effects.polar import components, size_and_angle
+from irlos_pipe.effects.declaration import Conditions, Parameter, direction, number
+from irlos_pipe.effects.public_values import components, size_and_angle
 from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.phasor import phasor
 
@@ -32,9 +32,12 @@ class Companion(OtfEffect):
     instrumental = False
     public = (
         number("flux_ratio", "secondary over primary", 0.0, 1.0),
-        number("sep_mas", "mas", 0.0, 5000.0),
-        number("pa_deg", "deg from +x towards +y"),
+        number("sep_mas", "mas", 0.0, 5000.0, role="position"),
+        direction("pa_deg"),
     )
+    copies_star = True
+    sentence = "a second source of {flux_ratio:.2%} at {sep_mas:.0f} mas, PA {pa_deg:.0f}°"
+    limit = "a companion of {flux_ratio:.1g}"
     look_alike = "vibration when closer than λ/D; a ghost, which moves with focus"
     reference = "Labeyrie 1970, A&A 6, 85"
 
@@ -50,8 +53,7 @@ class Companion(OtfEffect):
     @classmethod
     def under(cls, conditions: Conditions) -> Companion:
         """Within half the window's width of the star on every side."""
-        reach_mas = max(conditions.window) / 2 * conditions.pixel_scale_mas
-        return cls((0.01, reach_mas / 3, 0.0), reach_mas)
+        return cls((0.01, conditions.reach_mas / 3, 0.0), conditions.reach_mas)
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
@@ -69,13 +71,12 @@ class Companion(OtfEffect):
         """Solver's parameters for a known companion."""
         return [flux_ratio, *components(sep_mas, pa_deg)]
 
+    def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
+        """See `Effect.displaced`."""
+        return FixedEffect(self, [0.0, x_mas, y_mas], free=("flux_ratio",))
+
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
         """One per position on a grid over half the window about the star."""
         reach = (n / 2 * pixel_scale_mas for n in window[::-1])
         columns, rows = (STEP_MAS * np.arange(-(r // STEP_MAS), r // STEP_MAS + 1) for r in reach)
-        return [
-            FixedEffect(self, [0.0, x, y], free=("flux_ratio",))
-            for y in rows
-            for x in columns
-            if np.hypot(x, y) >= INNER_MAS
-        ]
+        return [self.displaced(x, y) for y in rows for x in columns if np.hypot(x, y) >= INNER_MAS]

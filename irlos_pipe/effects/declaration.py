@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
 
 from irlos_pipe.conventions.laws import NcpaLaw, ResidualLaw
+from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.structure import ResidualBand
 
 INFINITE = float("inf")
 Plane = Literal["pupil", "otf", "sampling", "time", "detector", "ramp"]
+Kind = Literal["number", "zernike", "petals", "pixels", "nolls", "word"]
+Role = Literal["size", "position", "direction", "component"]
+FoundBy = Literal["score", "frames", "pixels", "ramp"]
 
 
 @dataclass(frozen=True)
@@ -55,14 +60,21 @@ class Public:
         Limits of every number in it.
     required : bool
         Whether an effect held at known values must be given it.
+    role : {"size", "position", "direction", "component"}
+        A size grows with the effect; a position or a direction, which is an angle, does not; a component is
+        that of a displacement whose direction does not matter.
+    choices : tuple of str
+        What a name may be.
     """
 
     name: str
     unit: str
-    kind: Literal["number", "zernike", "petals", "pixels", "nolls", "word"] = "number"
+    kind: Kind = "number"
     lower: float = -INFINITE
     upper: float = INFINITE
     required: bool = True
+    role: Role = "size"
+    choices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -71,37 +83,68 @@ class Conditions:
 
     Attributes
     ----------
+    settings : PsfSettings
+        Window, pixel scale, spectrum and known wavefront.
     band : ResidualBand
         Spatial frequencies that the AO corrects.
     residual_law : ResidualLaw
         AO residual against seeing.
     seeing_arcsec : float
-    diversity : dict of int to float
-        Noll index to nm RMS, as introduced.
     highest_noll : int
         Last mode that is estimated as such.
-    window : (int, int)
-        Rows and columns [px].
-    pixel_scale_mas : float
-    spectrum : tuple of (wavelength_nm, weight)
     seeing_measured : bool
         Otherwise the seeing is a typical one.
     ncpa_law : NcpaLaw, optional
         Prior of the modes.
     """
 
+    settings: PsfSettings
     band: ResidualBand
     residual_law: ResidualLaw
     seeing_arcsec: float
-    diversity: dict[int, float] = field(default_factory=dict)
-    highest_noll: int = 30
-    window: tuple[int, int] = (64, 64)
-    pixel_scale_mas: float = 9.7
-    spectrum: tuple[tuple[float, float], ...] = ((1600.0, 1.0),)
+    highest_noll: int
     seeing_measured: bool = True
     ncpa_law: NcpaLaw | None = None
 
+    @property
+    def diversity_nm(self) -> Mapping[int, float]:
+        """The introduced diversity by Noll index [nm RMS]."""
+        return self.settings.known.diversity_nm
 
-def number(name: str, unit: str, lower: float = -INFINITE, upper: float = INFINITE, **more: Any) -> Public:
-    """A public number."""
-    return Public(name, unit, "number", lower, upper, **more)
+    @property
+    def reach_mas(self) -> float:
+        """Half the larger side of the window."""
+        return max(self.settings.window) / 2 * self.settings.pixel_scale_mas
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """Circumstances under which a calibration found the effects that it hands on.
+
+    Attributes
+    ----------
+    seeing_arcsec : float
+    brightest_e : float
+        Brightest pixel of the modelled mean image, of several cubes the mean of theirs [e-].
+    """
+
+    seeing_arcsec: float
+    brightest_e: float
+
+
+def number(
+    name: str,
+    unit: str,
+    lower: float = -INFINITE,
+    upper: float = INFINITE,
+    *,
+    required: bool = True,
+    role: Role = "size",
+) -> Public:
+    """A public number, see `Public` for `name`, `unit`, `lower`, `upper`, `required` and `role`."""
+    return Public(name, unit, "number", lower, upper, required, role)
+
+
+def direction(name: str, unit: str = "deg from +x towards +y") -> Public:
+    """A public angle, see `Public` for `name` and `unit`."""
+    return number(name, unit, role="direction")

@@ -28,7 +28,8 @@ class NcpaDrift(ZernikeTable, TimeEffect):
     instrumental = False
     public = (Public(table, "Noll index: nm RMS from the first frame to the last", "zernike", -1e4, 1e4),)
     options = (Public("nolls", "Noll indices to estimate", "nolls"),)
-    template = Parameter("", "nm", 0.0, 0.0, 50.0, plausible=(-300.0, 300.0))
+    coefficient = Parameter("", "nm", 0.0, 0.0, 50.0, plausible=(-300.0, 300.0))
+    sentence = "a drift of the wavefront of {size:.0f} nm RMS from the first frame to the last"
     look_alike = "tip_tilt_jitter and seeing_halo in the mean image; none in the frames"
     reference = "Vigan et al. 2022, A&A 660, A140"
 
@@ -50,7 +51,7 @@ class NcpaDrift(ZernikeTable, TimeEffect):
         missing = sorted(set(self.nolls) - set(nolls))
         if missing:
             raise ValueError(f"ncpa_drift of Noll {missing}: only modes that are estimated can drift")
-        place = torch.zeros(len(self.nolls), len(nolls), dtype=torch.float64)
+        where = torch.zeros(len(self.nolls), len(nolls), dtype=torch.float64)
         for row, noll in enumerate(self.nolls):
-            place[row, nolls.index(noll)] = 1
-        return modes_nm + (when.double() - 0.5)[:, None] * (values @ place)
+            where[row, nolls.index(noll)] = 1
+        return modes_nm + (when.double() - 0.5)[:, None] * (values @ where)

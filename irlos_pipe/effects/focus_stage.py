@@ -30,6 +30,8 @@ class FocusStageHysteresis(RampEffect):
 
     name = "focus_stage_hysteresis"
     public = (number("nm", "nm RMS, half the width of the loop", -1000.0, 1000.0),)
+    sentence = "a focus stage hysteresis of {nm:+.0f} nm"
+    separated_by = "every offset reached from both sides"
     look_alike = "a drift of focus; every offset from both sides tells them apart"
     reference = "Saw-tooth of the first target in the on-sky experiment of LIFT for IRLOS"
     parameters = (Parameter("nm", "nm", 0.0, plausible=(-150.0, 150.0)),)
@@ -39,6 +41,11 @@ class FocusStageHysteresis(RampEffect):
     ) -> torch.Tensor:
         """See `RampEffect.apply`."""
         return introduced_nm + values[0] * torch.as_tensor(travel_direction(commanded_nm))
+
+    @classmethod
+    def on_whole_ramp(cls, *, turns: bool) -> list[RampEffect]:
+        """See `RampEffect.on_whole_ramp`: a ramp in one direction does not show it."""
+        return [cls()] if turns else []
 
 
 class FocusStageOffset(RampEffect):
@@ -53,12 +60,29 @@ class FocusStageOffset(RampEffect):
     name = "focus_stage_offset"
     public = (number("nm", "nm RMS", -2000.0, 2000.0),)
     options = (number("above_nm", "nm RMS"), number("below_nm", "nm RMS"))
+    sentence = "a focus stage offset of {nm:+.0f} nm"
+    separated_by = "the same offsets in another order, and a calibration at one of them"
     look_alike = "defocus among the NCPAs, exactly, unless it concerns a part of the ramp"
     reference = "Constant bias of the second target in the on-sky experiment of LIFT for IRLOS"
     parameters = (Parameter("nm", "nm", 0.0, plausible=(-300.0, 300.0)),)
 
     def __init__(self, above_nm: float = -np.inf, below_nm: float = np.inf):
         self.above_nm, self.below_nm = above_nm, below_nm
+
+    @classmethod
+    def on_parts(cls, offsets_nm: np.ndarray) -> list[RampEffect]:
+        """See `RampEffect.on_parts`: on either side of an edge between two offsets."""
+        edges = (offsets_nm[1:] + offsets_nm[:-1]) / 2 if len(offsets_nm) > 3 else []
+        return [
+            *(cls(above_nm=float(edge)) for edge in edges),
+            *(cls(below_nm=float(edge)) for edge in edges),
+        ]
+
+    @property
+    def part(self) -> dict[str, float]:
+        """See `RampEffect.part`."""
+        limits = {"above_nm": float(self.above_nm), "below_nm": float(self.below_nm)}
+        return {name: limit for name, limit in limits.items() if np.isfinite(limit)}
 
     def apply(
         self, values: torch.Tensor, introduced_nm: torch.Tensor, commanded_nm: np.ndarray
@@ -69,7 +93,7 @@ class FocusStageOffset(RampEffect):
 
 
 class FocusStageScale(RampEffect):
-    """The stage moves by more than it is told, by a fraction.
+    """The stage moves by more than it is commanded, by a fraction.
 
     Its calibration is off, or the optics behind it turn the same step into more defocus; the estimates
     then lie on a straight line of another slope than one.
@@ -77,6 +101,8 @@ class FocusStageScale(RampEffect):
 
     name = "focus_stage_scale"
     public = (number("fraction", "", -0.9, 10.0),)
+    sentence = "a focus stage scale of {fraction:+.1%}"
+    separated_by = "larger offsets on both sides; a known lens"
     look_alike = "wrong wavelength or pixel scale, which scale all modes alike"
     reference = "Straight line through a ramp's estimates"
     parameters = (Parameter("fraction", "", 0.0, plausible=(-0.4, 0.4)),)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -78,6 +79,12 @@ class LowWindEffect(PupilEffect):
         """Four numbers each."""
         table = np.asarray(values, float).reshape(len(KINDS), PETALS)
         return {kind: row.tolist() for kind, row in zip(KINDS, table, strict=True)}
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`: how much petals differ; what they have in common is no low-wind effect."""
+        piston_nm, *slopes_nm = (float(np.std(public[kind])) for kind in KINDS)
+        differ = f"{piston_nm:.0f} nm RMS in piston and {np.hypot(*slopes_nm):.0f} nm in tip and tilt"
+        return f"petals that differ by {differ}"
 
     def values_of(
         self, piston_nm: Sequence[float], tip_nm: Sequence[float], tilt_nm: Sequence[float]

@@ -14,12 +14,13 @@ import torch
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects.base import Effect, FixedEffect, OtfEffect
 from irlos_pipe.effects.bessel import j0_of_twice_root
-from irlos_pipe.effects.declaration import Parameter, Public, number
+from irlos_pipe.effects.declaration import Conditions, Parameter, Public, direction, number
 from irlos_pipe.optics.grids import OtfGrid
 
 LARGEST_MAS = 60.0
 PLAUSIBLE_MAS2 = (0.0, 40.0**2)
 DIRECTIONS = 8
+SHAPES = ("sinusoidal", "gaussian")
 
 
 def _variance(start_mas: float) -> Parameter:
@@ -41,6 +42,8 @@ class TipTiltJitter(OtfEffect):
     name = "tip_tilt_jitter"
     usual = True
     public = (number("sigma_mas", "mas RMS per axis", 0.0, LARGEST_MAS),)
+    blurs = "motion"
+    sentence = "image motion of {sigma_mas:.1f} mas RMS per axis"
     look_alike = "interpixel_crosstalk, which does not move the centroids of single frames"
     reference = "Goodman 1985, Statistical Optics, section 8.4"
 
@@ -73,19 +76,27 @@ class Vibration(OtfEffect):
     """
 
     name = "vibration"
-    public = (number("sigma_mas", "mas RMS", 0.0, LARGEST_MAS), number("angle_deg", "deg from +x towards +y"))
-    options = (Public("shape", "sinusoidal or gaussian", "word"),)
+    public = (number("sigma_mas", "mas RMS", 0.0, LARGEST_MAS), direction("angle_deg"))
+    options = (Public("shape", "course of the motion", "word", choices=SHAPES),)
+    blurs = "motion"
+    sentence = "a vibration of {sigma_mas:.1f} mas RMS along {angle_deg:.0f}°"
+    limit = "a vibration of {sigma_mas:.1f} mas"
     look_alike = "a companion closer than λ/D, which is one-sided; Noll 5 and 6, which have other rings"
     reference = "Goodman 1985, Statistical Optics, section 8.4; lines of UT4 in ERIS telemetry"
 
     def __init__(self, shape: str = "sinusoidal", start_mas: float = 7.0, start_angle_deg: float = 0.0):
-        if shape not in ("sinusoidal", "gaussian"):
+        if shape not in SHAPES:
             raise ValueError(f"the shape of a vibration is sinusoidal or gaussian, not {shape!r}")
         self.shape = shape
         self.parameters = (
             _variance(start_mas),
             Parameter("angle_rad", "rad", np.deg2rad(start_angle_deg), null=None),
         )
+
+    @classmethod
+    def variants(cls, conditions: Conditions) -> tuple[Effect, ...]:
+        """See `Effect.variants`: one per shape."""
+        return tuple(cls.under(conditions, shape=shape) for shape in SHAPES)
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from irlos_pipe.effects.base import DetectorEffect
-from irlos_pipe.effects.declaration import Conditions, Parameter, Public, number
-from irlos_pipe.effects.polar import components, size_and_angle
+from irlos_pipe.effects.base import DetectorEffect, FixedEffect
+from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, Public, direction, number
+from irlos_pipe.effects.public_values import components, size_and_angle
 
 NEIGHBOURS = ((0, 1), (2, 1), (1, 0), (1, 2))  # offsets in an image padded by one pixel
 
@@ -25,6 +25,8 @@ class InterpixelCrosstalk(DetectorEffect):
     name = "interpixel_crosstalk"
     order = 0
     public = (number("fraction", "shared with the four neighbours together", 0.0, 0.8),)
+    blurs = "detector"
+    sentence = "charge shared between pixels, {fraction:.2%}"
     look_alike = "tip_tilt_jitter, which moves the centroids of single frames"
     reference = "Moore, Ninkov & Forrest 2006, Opt. Eng. 45, 076402; Finger et al. 2006, SPIE 6276, 62760F"
     parameters = (Parameter("fraction", "", 0.02, lower=0.0, upper=0.8, plausible=(0.0, 0.2)),)
@@ -50,12 +52,17 @@ class DetectorNonlinearity(DetectorEffect):
     name = "detector_nonlinearity"
     order = 1
     public = (number("fraction_at_peak", "lost at the brightest pixel of the mean image", -0.4, 0.4),)
+    sentence = "a loss of {fraction_at_peak:.1%} at the brightest pixel"
     look_alike = "tip_tilt_jitter, which conserves the light; a fainter star tells them apart"
     reference = "Plazas et al. 2017, JINST 12, C04009"
     parameters = (Parameter("fraction_at_peak", "", 0.0, 0.0, 0.1, -0.4, 0.4, plausible=(-0.05, 0.35)),)
 
     def __init__(self, peak_e: float | None = None):
         self.peak_e = peak_e
+
+    def handed_on(self, values: np.ndarray, now: Conditions, then: Calibrated) -> FixedEffect:
+        """See `Effect.handed_on`: stated at the brightest pixel of the calibration, before it was bent."""
+        return FixedEffect(DetectorNonlinearity(then.brightest_e / (1 - values[0])), values)
 
     def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
         """See `DetectorEffect.apply`."""
@@ -74,8 +81,9 @@ class BackgroundGradient(DetectorEffect):
     instrumental = False
     public = (
         number("e_per_pixel", "e-/px", 0.0, 1e6),
-        number("angle_deg", "deg from +x towards +y, uphill"),
+        direction("angle_deg", "deg from +x towards +y, uphill"),
     )
+    sentence = "a background slope of {e_per_pixel:.2g} e⁻/px towards {angle_deg:.0f}°"
     look_alike = "seeing_halo stretched by coma, which falls off with distance"
     reference = "Bertin & Arnouts 1996, A&AS 117, 393"
     parameters = (
@@ -114,6 +122,9 @@ class BadPixels(DetectorEffect):
     name = "bad_pixels"
     order = 3
     public = (Public("pixels", "[row, column]", "pixels"),)
+    in_image = False
+    found_by = "pixels"
+    sentence = "bad pixels at {pixels}"
     look_alike = "a companion, or whatever else a single pixel pulls at; its course in time is not the star's"
     reference = "Baarda 1968, A testing procedure for use in geodetic networks (data snooping)"
 
@@ -131,7 +142,7 @@ class BadPixels(DetectorEffect):
     @classmethod
     def under(cls, conditions: Conditions, pixels: Sequence[Sequence[int]] = ()) -> BadPixels:
         """See `Effect.under`."""
-        rows, columns = conditions.window
+        rows, columns = conditions.settings.window
         outside = [list(pixel) for pixel in pixels if not (pixel[0] < rows and pixel[1] < columns)]
         if outside:
             raise ValueError(f"pixels {outside} lie outside the window of {rows} x {columns}")
@@ -146,8 +157,8 @@ class BadPixels(DetectorEffect):
             images_e = images_e + value * there
         return images_e
 
-    def mask(self, window: tuple[int, int]) -> np.ndarray:
-        """True for pixels that are good, (rows, columns)."""
+    def good_pixels(self, window: tuple[int, int]) -> np.ndarray:
+        """See `Effect.good_pixels`."""
         good = np.ones(window, dtype=bool)
         for pixel in self.pixels:
             good[pixel] = False

@@ -38,10 +38,11 @@ class PupilMisregistration(PupilEffect):
     name = "pupil_misregistration"
     order = 0  # changes where there is light, before what multiplies it
     public = (
-        number("dx_m", "m", -1.0, 1.0),
-        number("dy_m", "m", -1.0, 1.0),
+        number("dx_m", "m", -1.0, 1.0, role="component"),
+        number("dy_m", "m", -1.0, 1.0, role="component"),
         number("rotation_deg", "deg of the vanes, anticlockwise", -180.0, 180.0),
     )
+    sentence = "a stop {dx_m:.3f}, {dy_m:.3f} m off, vanes turned by {rotation_deg:.1f}°"
     look_alike = "amplitude_aberration of Noll 2 and 3, which has no sharp edges"
     reference = "Dohlen et al. 2006, SPIE 6269, 62690Q; VLT pupil stops"
 
@@ -162,7 +163,8 @@ class AmplitudeAberration(ZernikeTable, PupilEffect):
     name, table = "amplitude_aberration", "zernike"
     public = (Public(table, "Noll index: relative amplitude", "zernike", -1.0, 1.0),)
     options = (Public("nolls", "Noll indices to estimate", "nolls"),)
-    template = Parameter("", "", 0.0, 0.0, 0.1, -0.5, 0.5, plausible=(-0.3, 0.3))
+    coefficient = Parameter("", "", 0.0, 0.0, 0.1, -0.5, 0.5, plausible=(-0.3, 0.3))
+    sentence = "a pupil whose amplitude is uneven by {size:.1%} RMS"
     look_alike = "pupil_misregistration, which has sharp edges; the halo, which is not static"
     reference = "Jolissaint et al. 2006, JOSA A 23, 382"
 

@@ -8,15 +8,16 @@ from flux and background: the seeing fixes it, and where that was not measured, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
 
 from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.conventions.units import NM
-from irlos_pipe.effects.base import Effect, OtfEffect
-from irlos_pipe.effects.declaration import Conditions, Parameter, number
+from irlos_pipe.effects.base import Effect, FixedEffect, OtfEffect
+from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, direction, number
 from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.propagate import FocalGrid
 from irlos_pipe.optics.structure import (
@@ -26,6 +27,8 @@ from irlos_pipe.optics.structure import (
     fitting_variance_nm2,
     seeing_to_r0_m,
 )
+
+FULL_HALO = 0.1  # of the expected variance, from which the shape of the halo is fitted as well
 
 
 def in_band_wfe_nm(band: ResidualBand, law: ResidualLaw, seeing_arcsec: float) -> float:
@@ -56,6 +59,14 @@ class SeeingHalo(OtfEffect):
         number("wfe_nm", "nm RMS in all", 0.0, 1000.0, required=False),
         number("scale", "of the WFE expected at the seeing", 0.0, 10.0, required=False),
     )
+    derived = (
+        number("in_band_wfe_nm", "nm RMS inside the correction band"),
+        number("slope", "exponent of the spectrum inside the band"),
+        number("stretch", "two-fold anisotropy"),
+        direction("stretch_angle_deg"),
+        number("cross", "four-fold anisotropy"),
+    )
+    speckles = True
     look_alike = "tip_tilt_jitter, which broadens the core instead of feeding a halo"
     reference = "Fétick et al. 2018, A&A 628, A99; Roddier 1981, Prog. Opt. 19, 281"
 
@@ -85,6 +96,20 @@ class SeeingHalo(OtfEffect):
         return cls(
             conditions.band, conditions.residual_law, conditions.seeing_arcsec, conditions.seeing_measured
         )
+
+    def seen_in(self, here: Conditions, first: Conditions) -> Effect:
+        """See `Effect.seen_in`: it keeps numbers per wavelength, so each band has its own."""
+        return self if here.settings.spectrum == first.settings.spectrum else SeeingHalo.under(here)
+
+    def handed_on(self, values: np.ndarray, now: Conditions, then: Calibrated) -> FixedEffect:
+        """See `Effect.handed_on`: the residual inside the band follows the seeing."""
+        now_nm, then_nm = (in_band_wfe_nm(self.band, self.law, one.seeing_arcsec) for one in (now, then))
+        variance, *shape = values
+        return FixedEffect(self, [variance * (now_nm / then_nm) ** 2, *shape])
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`."""
+        return f"an AO residual of {public['wfe_nm']:.0f} nm RMS"
 
     def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """``½ (2π/λ)² D(b)``, D in nm²."""
@@ -166,11 +191,28 @@ class ScaledHalo(OtfEffect):
         What it stands for; a fit then goes on with this.
     """
 
-    name = SeeingHalo.name
+    name, public, speckles = SeeingHalo.name, SeeingHalo.public, True
+    look_alike = SeeingHalo.look_alike
     parameters = (Parameter("share", "of the variance", 1.0, lower=0.0, upper=100.0, plausible=(0.0, 10.0)),)
 
     def __init__(self, halo: SeeingHalo):
         self.halo = halo
+
+    def seen_in(self, here: Conditions, first: Conditions) -> Effect:
+        """See `Effect.seen_in`."""
+        same = here.settings.spectrum == first.settings.spectrum
+        return self if same else ScaledHalo(SeeingHalo.under(here))
+
+    def whole(self, start: FixedEffect, sizes: np.ndarray) -> FixedEffect:
+        """See `Effect.whole`: the halo with its shape free, if there is enough of it."""
+        if sizes[0] < FULL_HALO:
+            return start
+        parameters = self.halo.parameters
+        return FixedEffect(self.halo, [p.start for p in parameters], [p.name for p in parameters])
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`."""
+        return self.halo.phrase(public)
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -54,33 +54,58 @@ class DiversityError(_Map):
 
     Parameters
     ----------
-    diversity : dict of int to float
+    diversity_nm : mapping of int to float
         As introduced, Noll: nm RMS.
     """
 
     name = "diversity_error"
     public = (number("nm", "nm RMS, more than introduced", -500.0, 500.0),)
+    sentence = "{nm:.0f} nm more diversity"
     look_alike = "an NCPA of the same Noll index, exactly, but for a recording with another diversity"
     reference = "Gonsalves 1982, Opt. Eng. 21, 829; Blanc et al. 2003, A&A 399, 373"
     parameters = (Parameter("nm", "nm", 0.0, prior_sigma=50.0, plausible=(-150.0, 150.0)),)
 
-    def __init__(self, diversity: dict[int, float]):
-        if not any(diversity.values()):
+    def __init__(self, diversity_nm: Mapping[int, float]):
+        if not any(diversity_nm.values()):
             raise ValueError("there is no diversity that could be wrong")
-        self.diversity = dict(diversity)
+        self.diversity_nm = dict(diversity_nm)
 
     @classmethod
     def under(cls, conditions: Conditions) -> DiversityError:
         """See `Effect.under`."""
-        return cls(conditions.diversity)
+        return cls(conditions.diversity_nm)
+
+    def seen_in(self, here: Conditions, first: Conditions) -> Effect:
+        """See `Effect.seen_in`: the same fraction of another diversity."""
+        return _SameFraction(here.diversity_nm, self.diversity_nm)
 
     def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        shape = np.array(list(self.diversity.values()))
+        shape = np.array(list(self.diversity_nm.values()))
         direction = shape / np.linalg.norm(shape)
-        return values[0] * torch.as_tensor(np.tensordot(direction, grid.modes(list(self.diversity)), 1))
+        return values[0] * torch.as_tensor(np.tensordot(direction, grid.modes(list(self.diversity_nm)), 1))
 
     def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> None:
         """Nothing: it belongs to the diversity, not to the aberrations."""
+
+
+class _SameFraction(DiversityError):
+    """The error in another recording; without diversity there is none.
+
+    Parameters
+    ----------
+    diversity_nm, first_nm : mapping of int to float
+        As introduced in this recording, and in the one for which the error is stated, Noll: nm RMS.
+    """
+
+    def __init__(self, diversity_nm: Mapping[int, float], first_nm: Mapping[int, float]):
+        self.diversity_nm = dict(diversity_nm)
+        self.first_rms_nm = float(np.linalg.norm(list(first_nm.values())))
+
+    def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        total = np.zeros_like(grid.amplitude)
+        for noll, nm in self.diversity_nm.items():
+            total = total + nm / self.first_rms_nm * grid.modes([noll])[0]
+        return values[0] * torch.as_tensor(total)
 
 
 class HighOrderNcpa(ZernikeTable, _Map):
@@ -98,7 +123,8 @@ class HighOrderNcpa(ZernikeTable, _Map):
     aberration = True
     public = (Public(table, "Noll index: nm RMS", "zernike", -1000.0, 1000.0),)
     options = (Public("nolls", "Noll indices to estimate", "nolls"),)
-    template = Parameter("", "nm", 0.0, 0.0, HIGH_ORDER_SIGMA_NM, plausible=(-200.0, 200.0))
+    coefficient = Parameter("", "nm", 0.0, 0.0, HIGH_ORDER_SIGMA_NM, plausible=(-200.0, 200.0))
+    sentence = "{size:.0f} nm RMS of modes beyond those of the model"
     look_alike = "phase_bump and low_wind_effect, of which each mode takes a part"
     reference = "Noll 1976, JOSA 66, 207"
 
@@ -132,10 +158,11 @@ class PhaseBump(_Map):
     aberration = True
     public = (
         number("nm", "nm, peak", -2000.0, 2000.0),
-        number("x_m", "m", -5.0, 5.0),
-        number("y_m", "m", -5.0, 5.0),
-        number("width_m", "m, sigma", 0.01, 5.0),
+        number("x_m", "m", -5.0, 5.0, role="position"),
+        number("y_m", "m", -5.0, 5.0, role="position"),
+        number("width_m", "m, sigma", 0.01, 5.0, role="position"),
     )
+    sentence = "a bump of {nm:.0f} nm at ({x_m:.1f}, {y_m:.1f}) m in the pupil, {width_m:.1f} m wide"
     look_alike = "high_order_ncpa, of which every mode takes a part of the bump"
     reference = "MUSE-NFM phase bump, 206 nm RMS in all"
 

@@ -12,24 +12,25 @@ from irlos_pipe.effects.declaration import Parameter
 
 
 class ZernikeTable:
-    """One parameter per mode; a base class beside that of the place.
+    """One parameter per mode; a base class beside that of the plane.
 
     Class attributes
     ----------------
     table : str
         Name of the public table.
-    template : Parameter
+    coefficient : Parameter
         Of one mode, except its name.
     """
 
     table: ClassVar[str]
-    template: ClassVar[Parameter]
+    sentence: str
+    coefficient: ClassVar[Parameter]
 
     def __init__(self, nolls: Sequence[int]):
         self.nolls = tuple(int(noll) for noll in nolls)
         if len(set(self.nolls)) != len(self.nolls):
             raise ValueError(f"a Noll index occurs twice in {list(self.nolls)}")
-        self.parameters = tuple(replace(self.template, name=f"noll_{noll}") for noll in self.nolls)
+        self.parameters = tuple(replace(self.coefficient, name=f"noll_{noll}") for noll in self.nolls)
 
     @classmethod
     def options_for(cls, **public: Any) -> dict[str, Any]:
@@ -39,6 +40,10 @@ class ZernikeTable:
     def describe(self, values: Sequence[float]) -> dict[str, dict[str, float]]:
         """Coefficients by Noll index."""
         return {self.table: {str(n): float(v) for n, v in zip(self.nolls, np.asarray(values), strict=True)}}
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`; the size is the RMS of all modes together."""
+        return self.sentence.format(size=float(np.linalg.norm(list(public[self.table].values()))))
 
     def values_of(self, **public: Mapping) -> list[float]:
         """Solver's parameters for a table of coefficients; modes that it lacks are 0."""

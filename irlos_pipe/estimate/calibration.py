@@ -24,7 +24,7 @@ from irlos_pipe.estimate.methods import (
     start_at_centroids,
 )
 from irlos_pipe.estimate.parameters import Layout, NcpaPrior
-from irlos_pipe.estimate.search import located
+from irlos_pipe.estimate.score_test import located
 from irlos_pipe.estimate.starts import START_HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.numerics.loss import LOSSES, Loss

@@ -9,7 +9,7 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.effects.telling import rows_of
+from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.frames.detector import star_position
 from irlos_pipe.report.content import Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import BLUE, CYCLE, GREEN, INK, ORANGE, svg

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.effects.telling import rows_of
+from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.frames.detector import star_position
 from irlos_pipe.report.content import Figure, Section, Stack, Table, Text
 from irlos_pipe.report.diagnose_plots import gap_bars, pupil_map, ranking_bars

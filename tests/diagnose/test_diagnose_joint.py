@@ -35,8 +35,7 @@ def recording(diversity: dict[int, float], real: dict[int, float], seed: int) ->
     images = draw_frames(image * FLUX_E, FRAMES, seed=seed)
     return Exposures(
         Frames(images, everything(images), READ_NOISE),
-        replace(CASE, known=KnownWavefront(diversity)),
-        replace(CONDITIONS, diversity=diversity),
+        replace(CONDITIONS, settings=replace(CASE, known=KnownWavefront(diversity))),
     )
 
 

@@ -34,25 +34,19 @@ from irlos_pipe.diagnose.checks.screened_pixels import screened_step
 from irlos_pipe.diagnose.cube import split
 from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.held_out import Gap, Judge, noise_floor, preference
-from irlos_pipe.diagnose.search.companion_search import brightest_companions
-from irlos_pipe.diagnose.search.detect import Score, gaussian_sigma, score_family, scores, whitened_shapes
+from irlos_pipe.diagnose.search.companion_search import brightest_copies
+from irlos_pipe.diagnose.search.detect import Score, score_family, scores, whitened_shapes
 from irlos_pipe.diagnose.search.families import Family, families
-from irlos_pipe.diagnose.sentence import phrase
+from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.diagnose.sizes import detectable, determined, public_sigma
 from irlos_pipe.diagnose.view import Screened
-from irlos_pipe.effects import (
-    CATALOGUE,
-    AmplitudeAberration,
-    FixedEffect,
-    HighOrderNcpa,
-    LowWindEffect,
-    TipTiltJitter,
-)
+from irlos_pipe.effects import CATALOGUE, FixedEffect, TipTiltJitter
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.effects.motion import Vibration
-from irlos_pipe.effects.pupil_stop import PupilMisregistration
-from irlos_pipe.effects.wavefront import PhaseBump
+from irlos_pipe.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
+from irlos_pipe.effects.wavefront import HighOrderNcpa, PhaseBump
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel
 
@@ -135,7 +129,7 @@ def test_the_noise_of_the_dark_is_no_excess_and_no_significance():
     shape[3:9, 4:8] = 1.0
     shape = shape.flatten()[:, None]
     deviates = [
-        float(one.meeting(shape) / one.stack.covariance_of(one.project(shape))[0, 0] ** 0.5)
+        float(one.projection(shape) / one.stack.covariance_of(one.project(shape))[0, 0] ** 0.5)
         for one, _ in found
     ]
     assert np.abs(deviates).max() < 4
@@ -201,21 +195,20 @@ def test_a_fit_begins_within_half_the_prior_if_there_is_one(effect, at, estimate
 def test_the_quick_search_finds_the_companion_that_the_exact_score_prefers():
     place = (-58.2, 77.6)  # whole pixels
     stack = cube(image(effect=Companion(), values=[0.02, *place])).training
-    candidates = Companion.under(CONDITIONS).candidates(CASE.window, 9.7)
-    best = brightest_companions(optimum(stack), candidates)[0]
+    best = brightest_copies(optimum(stack), Companion.under(CONDITIONS))[0]
     assert best.values[1:] == pytest.approx(place, abs=9.8)
 
 
 def test_a_linear_size_is_near_the_true_one_when_the_effect_is_weak():
     stack = cube(image(effect=TipTiltJitter(), values=[4.0])).training
-    score = score_family(optimum(stack), Family("tip_tilt_jitter", (TipTiltJitter(),)))
+    score = score_family(optimum(stack), Family((TipTiltJitter(),)))
     assert score.sizes[0] == pytest.approx(4.0, abs=5 * score.smallest[0])
     assert score.significance > 3
 
 
 def test_the_smallest_detectable_size_is_detected_half_of_the_time():
     """Gain of 30 expected at the size told for 30: Monte Carlo over 10 cubes, ±1 of its mean."""
-    jitter = Family("tip_tilt_jitter", (TipTiltJitter(),))
+    jitter = Family((TipTiltJitter(),))
     null = score_family(optimum(cube(image(), 3).training), jitter)
     size = detectable(null, 30.0)["sigma_mas"]
     stacks = [cube(image(effect=TipTiltJitter(), values=[size**2]), seed).training for seed in range(10)]
@@ -231,7 +224,7 @@ def test_a_hot_pixel_stands_out_and_nothing_else():
 
 
 def test_a_stop_that_is_off_is_fitted_with_its_turn_although_either_is_searched_for_alone():
-    score = score_family(optimum(cube(image()).training), Family("pupil_misregistration", (STOP,)))
+    score = score_family(optimum(cube(image()).training), Family((STOP,)))
     assert {p.name for p in score.start().parameters} == {"distance_m", "direction_rad", "rotation_deg"}
     sizes = [detectable(one, 30.0).keys() for one in (score, *score.besides)]
     assert sorted(key for keys in sizes for key in keys) == ["dx_m", "dy_m", "rotation_deg"]
@@ -332,4 +325,4 @@ def test_errors_of_public_values_follow_from_those_of_the_solver():
 )
 def test_a_table_of_numbers_is_said_as_one_size_in_its_unit(effect, values, words):
     public = effect.describe(np.array(values, float))
-    assert words in phrase(SimpleNamespace(name=effect.name, public=public))
+    assert words in effect.phrase(public)

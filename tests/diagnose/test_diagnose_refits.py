@@ -27,7 +27,8 @@ from irlos_pipe.diagnose.search.detect import gaussian_sigma, score_family, scor
 from irlos_pipe.diagnose.search.families import Family, families
 from irlos_pipe.diagnose.sizes import public_sigma
 from irlos_pipe.diagnose.view import View
-from irlos_pipe.effects import CATALOGUE, PlateScale
+from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects.colour import PlateScale
 from irlos_pipe.effects.pixels import BackgroundGradient
 from irlos_pipe.numerics.parallel import workers
 
@@ -58,7 +59,7 @@ def test_a_name_is_fitted_from_zero_as_well_where_the_model_lies_in_a_false_mini
     wrong[:, right.problem.layout.modes] += vector({5: 400.0, 9: -450.0}, NOLLS)
     solution = replace(right.solution, values=wrong)
     lost = Optimum(stack, replace(right, solution=solution, chi2=float(right.problem.chi2(wrong))))
-    score = score_family(lost, Family("background_gradient", (BackgroundGradient(),)))
+    score = score_family(lost, Family((BackgroundGradient(),)))
     fitter = Fitter([View(model(), CONDITIONS)], stack)
     found = refits(fitter, lost, [score])[0]
     assert found.public["e_per_pixel"] == pytest.approx(6.0, rel=0.01)

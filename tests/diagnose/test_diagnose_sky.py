@@ -47,12 +47,10 @@ def on_sky() -> tuple[Diagnosis, dict[int, float]]:
     )
     spectrum = tuple((band.centre_nm, 1.0) for band in NARROW_H)
     settings = PsfSettings(UT4, WINDOW, 9.7, spectrum, KnownWavefront(DIVERSITY))
-    conditions = Conditions(
-        BAND, RESIDUAL_LAW, SEEING_ARCSEC, DIVERSITY, HIGHEST_NOLL, WINDOW, 9.7, spectrum, ncpa_law=NCPA_LAW
-    )
+    conditions = Conditions(settings, BAND, RESIDUAL_LAW, SEEING_ARCSEC, HIGHEST_NOLL, ncpa_law=NCPA_LAW)
     frames = Frames(images, everything(images), NOISE)
     options = Options(HIGHEST_NOLL, most_names=1)
-    return diagnose([Exposures(frames, settings, conditions)], [], options), exposed.mean_zernike_nm()
+    return diagnose([Exposures(frames, conditions)], [], options), exposed.mean_zernike_nm()
 
 
 def error_nm(modes_nm: np.ndarray, nolls: tuple[int, ...]) -> float:

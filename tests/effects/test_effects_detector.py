@@ -62,7 +62,7 @@ def test_a_gradient_rises_towards_its_angle_and_averages_out(images):
 
 def test_bad_pixels_are_masked_or_have_an_offset_of_their_own(images):
     effect = BadPixels([(4, 7), (2, 0)])
-    assert np.argwhere(~effect.mask((12, 9))).tolist() == [[2, 0], [4, 7]]
+    assert np.argwhere(~effect.good_pixels((12, 9))).tolist() == [[2, 0], [4, 7]]
     added = effect.apply(torch.tensor([50.0, -30.0]).double(), torch.as_tensor(images)).numpy() - images
     assert (added[:, 4, 7], added[:, 2, 0]) == (pytest.approx([50, 50]), pytest.approx([-30, -30]))
     assert np.count_nonzero(np.abs(added) > 1e-9) == 4

@@ -29,9 +29,7 @@ from irlos_pipe.estimate.cube import Frames
 WINDOW, HIGHEST_NOLL, FRAMES, FLUX_E, WAVELENGTH_NM = 40, 15, 32, 1e6, 1600.0
 TRUE_NM = ncpa_nm(5, HIGHEST_NOLL, 100.0)
 CASE = settings(WINDOW)
-CONDITIONS = Conditions(
-    BAND, RESIDUAL_LAW, 0.5, DIVERSITY, HIGHEST_NOLL, CASE.window, 9.7, CASE.spectrum, ncpa_law=NCPA_LAW
-)
+CONDITIONS = Conditions(CASE, BAND, RESIDUAL_LAW, 0.5, HIGHEST_NOLL, ncpa_law=NCPA_LAW)
 COMPANION = {"flux_ratio": 0.03, "x_px": -9.3, "y_px": 6.1}
 
 
@@ -77,4 +75,4 @@ def cube(image: np.ndarray, seed: int = 3) -> Frames:
 def diagnosis_of(kind: str) -> Diagnosis:
     """Diagnosis of one of the images above, made once per test process."""
     image = {"plain": plain, "companion": with_companion, "spot": with_opaque_spot}[kind]()
-    return diagnose([Exposures(cube(image), CASE, CONDITIONS)], [], Options(HIGHEST_NOLL))
+    return diagnose([Exposures(cube(image), CONDITIONS)], [], Options(HIGHEST_NOLL))

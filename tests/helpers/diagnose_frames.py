@@ -9,7 +9,6 @@ import torch
 
 from helpers.optics_cases import (
     BAND,
-    DIVERSITY,
     NCPA_LAW,
     READ_NOISE,
     RESIDUAL_LAW,
@@ -31,9 +30,7 @@ from irlos_pipe.optics.psf import PsfModel
 
 WINDOW, NOLLS, FRAMES, FLUX_E = 32, tuple(range(2, 12)), 40, 3e5
 CASE = settings(WINDOW, margin_mas=100.0, halo_margin_mas=250.0)
-CONDITIONS = Conditions(
-    BAND, RESIDUAL_LAW, 0.5, DIVERSITY, NOLLS[-1], CASE.window, 9.7, CASE.spectrum, ncpa_law=NCPA_LAW
-)
+CONDITIONS = Conditions(CASE, BAND, RESIDUAL_LAW, 0.5, NOLLS[-1], ncpa_law=NCPA_LAW)
 TRUE_NM = ncpa_nm(4, NOLLS[-1], 90.0)
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import torch
 
-from helpers.optics_cases import BAND, DIVERSITY, J_AND_H, RESIDUAL_LAW
+from helpers.optics_cases import BAND, J_AND_H, RESIDUAL_LAW, settings
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, EffectSet
 from irlos_pipe.optics.psf import PsfModel
 
 SPECTRUM = J_AND_H[1::3]
 WINDOW = (36, 33)
 NOLLS = tuple(range(2, 16))
-CONDITIONS = Conditions(BAND, RESIDUAL_LAW, 0.5, DIVERSITY, NOLLS[-1], WINDOW, 9.7, SPECTRUM)
+CONDITIONS = Conditions(settings(WINDOW, SPECTRUM), BAND, RESIDUAL_LAW, 0.5, NOLLS[-1])
 STRONG = {
     "tip_tilt_jitter": {"sigma_mas": 12.0},
     "vibration": {"sigma_mas": 14.0, "angle_deg": 35.0},

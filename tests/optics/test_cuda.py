@@ -36,9 +36,7 @@ from irlos_pipe.optics.psf import PsfModel
 
 SMALL, HIGHEST_NOLL, TTF = cases.settings(16, pupil_samples=48), 7, (2, 3, 4)
 TRUE_NM = cases.ncpa_nm(4, HIGHEST_NOLL, 60.0)
-CONDITIONS = Conditions(
-    cases.BAND, cases.RESIDUAL_LAW, 0.5, cases.DIVERSITY, HIGHEST_NOLL, SMALL.window, 9.7, SMALL.spectrum
-)
+CONDITIONS = Conditions(SMALL, cases.BAND, cases.RESIDUAL_LAW, 0.5, HIGHEST_NOLL)
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="PyTorch finds no CUDA device")
 
 
@@ -86,7 +84,7 @@ def bounded(device: str) -> np.ndarray:
 
 def diagnosed(device: str) -> np.ndarray:
     """A fit of the mean image, what two families, companions and a drift would add, and the gap held out."""
-    parts, view = split(cube()), Exposures(cube(), SMALL, CONDITIONS).view(range(2, HIGHEST_NOLL + 1), device)
+    parts, view = split(cube()), Exposures(cube(), CONDITIONS).view(range(2, HIGHEST_NOLL + 1), device)
     fitted = Fitter([view], parts.training).fit([TipTiltJitter()])
     optimum = Optimum(parts.training, fitted)
     some = [one for one in families(CONDITIONS, [])[0] if one.name in ("plate_scale", "diversity_error")]

@@ -8,7 +8,7 @@ import torch
 from helpers.effect_cases import STRONG
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.effects.telling import mean_of, rows_of
+from irlos_pipe.effects.public_values import mean_of, rows_of
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.stages.model.effect_entry import EffectEntry

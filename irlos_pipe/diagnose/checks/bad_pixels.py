@@ -21,21 +21,21 @@ def outstanding_pixels(optimum: Optimum) -> list[tuple[int, int]]:
     pull = pulls.amax(0)
     around = _largest_neighbour(pull)
     chosen = (pull**2 > OUTSTANDING) & (pull > ALONE * around)
-    places = torch.nonzero(chosen)[pull[chosen].argsort(descending=True)]
-    return [(int(row), int(column)) for row, column in places[:MOST]]
+    found = torch.nonzero(chosen)[pull[chosen].argsort(descending=True)]
+    return [(int(row), int(column)) for row, column in found[:MOST]]
 
 
-def smallest_excess_e(optimum: Optimum) -> float:
-    """Excess of a single pixel that would stand out, median over the window [e-]."""
+def smallest_excess(optimum: Optimum) -> dict[str, dict[str, float]]:
+    """Excess of a single pixel that would stand out, median over the window [e-], under the effect's name."""
     error = optimum.stack.variance_e2.sqrt()
-    return float(OUTSTANDING**0.5 * error[error.isfinite()].median())
+    return {BadPixels.name: {"excess_e": float(OUTSTANDING**0.5 * error[error.isfinite()].median())}}
 
 
 def bad_pixel_family(optimum: Optimum) -> list[Family]:
     """The family of these pixels together; none where there are none."""
     pixels = outstanding_pixels(optimum)
     looked_at = int((optimum.root > 0).sum())
-    return [Family(BadPixels.name, (BadPixels(pixels),), looked_at)] if pixels else []
+    return [Family((BadPixels(pixels),), looked_at)] if pixels else []
 
 
 def _largest_neighbour(image: torch.Tensor) -> torch.Tensor:

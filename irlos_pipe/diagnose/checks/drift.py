@@ -15,7 +15,7 @@ from scipy import stats
 
 from irlos_pipe.diagnose.cube import Stack, Stacks
 from irlos_pipe.diagnose.fitting import Fitted
-from irlos_pipe.diagnose.search.detect import gaussian_sigma
+from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.drift import NcpaDrift
 from irlos_pipe.effects.image_model import ImageModel

@@ -13,7 +13,7 @@ import numpy as np
 from irlos_pipe.diagnose.checks.bad_pixels import OUTSTANDING
 from irlos_pipe.diagnose.held_out import Gap
 from irlos_pipe.diagnose.optimum import Optimum
-from irlos_pipe.diagnose.search.detect import gaussian_sigma
+from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.diagnose.verdict import Step
 from irlos_pipe.diagnose.view import Screened
 from irlos_pipe.effects import FixedEffect

@@ -13,10 +13,10 @@ from itertools import chain, combinations
 import numpy as np
 
 from irlos_pipe.diagnose.ramp.visits import Visits, candidates, course
-from irlos_pipe.diagnose.search.detect import gaussian_sigma
+from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.diagnose.verdict import EFFECT, NONE, UNKNOWN
+from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.base import RampEffect
-from irlos_pipe.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
 
 PER_PARAMETER = 8.0  # of χ², that a size or an edge has to earn
 CLOSE = 6.0  # of χ², by which two names differ that are not told apart
@@ -24,13 +24,6 @@ WORST_CONDITION = 1e3
 SEEN_SIGMA = 5.2  # from which an error counts as seen
 LEFT, LEFT_CHI2_NU = 0.1, 3.0  # part of χ², and χ²/ν, from which something is left
 FAR_OFF_CHI2_NU = 10.0  # visits then miss by three times their errors, whatever part of χ² it is
-SEPARATION = {
-    FocusStageHysteresis.name: "every offset reached from both sides",
-    FocusStageOffset.name: "the same offsets in another order, and a calibration at one of them",
-    FocusStageScale.name: "larger offsets on both sides; a known lens",
-}
-
-
 Shapes = dict[RampEffect, np.ndarray]  # course of every error over the visits, whitened
 
 
@@ -46,8 +39,8 @@ class RampName:
         In Gaussian σ, trials counted.
     explained : float
         Part of the excess over noise.
-    alternatives : sequence of str
-        Names whose courses are the same on this ramp.
+    alternatives : sequence of RampEffect
+        Errors whose courses are the same on this ramp.
     """
 
     effect: RampEffect
@@ -55,12 +48,22 @@ class RampName:
     sigma: float
     significance: float
     explained: float
-    alternatives: Sequence[str]
+    alternatives: Sequence[RampEffect]
 
     @property
     def name(self) -> str:
-        """Of the effect."""
+        """Name of the effect."""
         return self.effect.name
+
+    @property
+    def public(self) -> dict[str, float]:
+        """Size, and the part of the ramp that is concerned, under public names."""
+        return self.effect.describe([self.size]) | self.effect.part
+
+    @property
+    def phrase(self) -> str:
+        """The error with its size, as a sentence names it."""
+        return self.effect.phrase(self.public)
 
     @property
     def plausible(self) -> bool:
@@ -81,8 +84,8 @@ class RampDiagnosis:
         What comes nearest, where the verdict is unknown.
     chi2_nu : (float, float)
         Of the visits, before and after.
-    smallest : dict of str to float
-        Size of each error not found at which it would have been.
+    smallest : dict of str to dict
+        Public size of each error not found at which it would have been.
     untestable : sequence of str
     """
 
@@ -90,7 +93,7 @@ class RampDiagnosis:
     names: Sequence[RampName]
     nearest: Sequence[RampName]
     chi2_nu: tuple[float, float]
-    smallest: dict[str, float]
+    smallest: dict[str, dict[str, float]]
     untestable: Sequence[str]
 
     def introduced_nm(self, commanded_nm: np.ndarray) -> np.ndarray:
@@ -151,7 +154,7 @@ class _Fit:
     @property
     def price(self) -> float:
         """χ² after a price per size and per edge of a part of the ramp."""
-        return self.chi2 + PER_PARAMETER * (len(self.effects) + sum(map(_edges, self.effects)))
+        return self.chi2 + PER_PARAMETER * (len(self.effects) + sum(len(one.part) for one in self.effects))
 
 
 def _all_fits(data: np.ndarray, shapes: Shapes, most: int) -> list[_Fit]:
@@ -167,36 +170,32 @@ def _all_fits(data: np.ndarray, shapes: Shapes, most: int) -> list[_Fit]:
 
 def _significance(fit: _Fit, effect: RampEffect, shapes: Shapes) -> float:
     """Of one error beside the others, in Gaussian σ."""
-    place = fit.effects.index(effect)
-    fall = fit.sizes[place] ** 2 / fit.covariance[place, place]
+    at = fit.effects.index(effect)
+    fall = fit.sizes[at] ** 2 / fit.covariance[at, at]
     return gaussian_sigma(float(fall), 1, np.inf, len(shapes))
 
 
 def _named(effect: RampEffect, fit: _Fit, fits: Sequence[_Fit], data: np.ndarray, shapes: Shapes) -> RampName:
     """One of the chosen errors with its numbers."""
-    place, excess = fit.effects.index(effect), float(data @ data) - len(data)
-    rest = _Fit.of(data, shapes, tuple(one for one in fit.effects if one is not effect))
-    others = {one.name for one in rest.effects}
-    rivals = {
-        next(iter(names))
-        for other in fits
-        if len(other.effects) == len(fit.effects) and other.price - fit.price < CLOSE
-        if len(names := {one.name for one in other.effects} - others) == 1
-    }
+    at, excess = fit.effects.index(effect), float(data @ data) - len(data)
+    kept = tuple(one for one in fit.effects if one is not effect)
+    rest_chi2 = next(other for other in fits if other.effects == kept).chi2
+    known = {one.name for one in kept}
+    rivals: dict[str, RampEffect] = {}
+    for other in fits:
+        new = {one.name: one for one in other.effects if one.name not in known}
+        alike = len(other.effects) == len(fit.effects) and other.price - fit.price < CLOSE
+        if alike and len(new) == 1:
+            rivals |= new
     scatter = max(fit.chi2 / max(len(data) - len(fit.effects), 1), 1.0)
     return RampName(
         effect,
-        float(fit.sizes[place]),
-        float(np.sqrt(scatter * fit.covariance[place, place])),
+        float(fit.sizes[at]),
+        float(np.sqrt(scatter * fit.covariance[at, at])),
         _significance(fit, effect, shapes),
-        float(min((rest.chi2 - fit.chi2) / max(excess, 1e-9), 1.0)),
-        sorted(rivals - {effect.name}),
+        float(min((rest_chi2 - fit.chi2) / max(excess, 1e-9), 1.0)),
+        [rivals[name] for name in sorted(rivals.keys() - {effect.name})],
     )
-
-
-def _edges(effect: RampEffect) -> int:
-    """Number of edges that a bias of a part of the ramp chooses."""
-    return int(np.isfinite([getattr(effect, "above_nm", np.inf), getattr(effect, "below_nm", np.inf)]).sum())
 
 
 def _verdict(data: np.ndarray, shapes: Shapes, fit: _Fit, names: list[RampName]) -> RampDiagnosis:
@@ -205,13 +204,14 @@ def _verdict(data: np.ndarray, shapes: Shapes, fit: _Fit, names: list[RampName])
     unexplained = unexplained or not all(one.plausible for one in names)
     seen = {one.name for one in names}
     smallest = {
-        one.name: float(SEEN_SIGMA * np.sqrt(beside.covariance[-1, -1]))
+        one.name: one.describe([SEEN_SIGMA * np.sqrt(beside.covariance[-1, -1])])
         for one in shapes
-        if _edges(one) == 0 and one.name not in seen
+        if not one.part and one.name not in seen
         if (beside := _Fit.of(data, shapes, (*fit.effects, one))) is not None
     }
     verdict = UNKNOWN if unexplained else EFFECT if names else NONE
-    untestable = sorted(SEPARATION.keys() - seen - set(smallest))
+    ramp_effects = {name for name, kind in CATALOGUE.items() if kind.found_by == "ramp"}
+    untestable = sorted(ramp_effects - seen - set(smallest))
     known, nearest = ([], names) if unexplained else (names, [])
     chi2_nu = (float(data @ data) / len(data), after)
     return RampDiagnosis(verdict, known, nearest, chi2_nu, smallest, untestable)

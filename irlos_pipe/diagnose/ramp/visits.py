@@ -11,13 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.base import RampEffect
-from irlos_pipe.effects.focus_stage import (
-    FocusStageHysteresis,
-    FocusStageOffset,
-    FocusStageScale,
-    travel_direction,
-)
+from irlos_pipe.effects.focus_stage import travel_direction
 
 MODEL_NM = 4.0  # error of a visit's mean that no number of frames lowers
 
@@ -28,15 +24,15 @@ class Visits:
 
     Attributes
     ----------
-    told_nm : ndarray, (all visits,)
+    all_nm : ndarray, (all visits,)
         Offsets in order of recording.
     good : ndarray of bool, (all visits,)
-        Those with estimates; where the stage turns, the first is left out, as nobody knows from where
+        Those with estimates; where the stage turns, the first is left out, as it is not known from where
         its offset was reached.
     mean_nm, sigma_nm : ndarray, (good visits,)
     """
 
-    told_nm: np.ndarray
+    all_nm: np.ndarray
     good: np.ndarray
     mean_nm: np.ndarray
     sigma_nm: np.ndarray
@@ -51,22 +47,22 @@ class Visits:
             With fewer than three visits.
         """
         starts = np.flatnonzero(np.diff(commanded_nm, prepend=np.nan) != 0)
-        told = commanded_nm[starts]
+        offsets = commanded_nm[starts]
         groups = [g[np.isfinite(g)] for g in np.split(np.where(used, estimated_nm, np.nan), starts[1:])]
-        good = np.array([len(group) > 0 for group in groups]) & ~_of_unknown_history(told)
+        good = np.array([len(group) > 0 for group in groups]) & ~_of_unknown_history(offsets)
         if good.sum() < 3:
             raise ValueError("a diagnosis of a ramp needs three visits to offsets, with estimates")
         means, errors = np.array([_mean(groups[i]) for i in np.flatnonzero(good)]).T
-        return cls(told, good, means, np.hypot(errors, MODEL_NM))
+        return cls(offsets, good, means, np.hypot(errors, MODEL_NM))
 
     @property
     def commanded_nm(self) -> np.ndarray:
         """Offsets of the good visits."""
-        return self.told_nm[self.good]
+        return self.all_nm[self.good]
 
     def course(self, effect: RampEffect) -> np.ndarray:
         """What a unit of the effect adds, over its standard error, (good visits,)."""
-        return course(effect, self.told_nm)[self.good] / self.sigma_nm
+        return course(effect, self.all_nm)[self.good] / self.sigma_nm
 
 
 def _mean(values: np.ndarray) -> tuple[float, float]:
@@ -75,14 +71,14 @@ def _mean(values: np.ndarray) -> tuple[float, float]:
     return float(np.mean(values)), float(error)
 
 
-def _turns(told_nm: np.ndarray) -> bool:
+def _turns(offsets_nm: np.ndarray) -> bool:
     """Whether the stage moves both ways."""
-    return len(set(travel_direction(told_nm)) - {0}) > 1
+    return len(set(travel_direction(offsets_nm)) - {0}) > 1
 
 
-def _of_unknown_history(told_nm: np.ndarray) -> np.ndarray:
+def _of_unknown_history(offsets_nm: np.ndarray) -> np.ndarray:
     """Visits before the first move, where the direction matters because it changes later."""
-    return (travel_direction(told_nm) == 0) & _turns(told_nm)
+    return (travel_direction(offsets_nm) == 0) & _turns(offsets_nm)
 
 
 def course(effect: RampEffect, commanded_nm: np.ndarray) -> np.ndarray:
@@ -92,10 +88,10 @@ def course(effect: RampEffect, commanded_nm: np.ndarray) -> np.ndarray:
 
 
 def candidates(visits: Visits) -> list[RampEffect]:
-    """All errors, biases of a part of the ramp included."""
-    offsets = np.unique(visits.commanded_nm)
-    halves = (offsets[1:] + offsets[:-1]) / 2 if len(offsets) > 3 else []
-    parts = [FocusStageOffset(above_nm=float(edge)) for edge in halves]
-    parts += [FocusStageOffset(below_nm=float(edge)) for edge in halves]
-    hysteresis = [FocusStageHysteresis()] if _turns(visits.told_nm) else []
-    return [FocusStageOffset(), FocusStageScale(), *hysteresis, *parts]
+    """All errors of the stage, those of a part of the ramp included."""
+    kinds = [kind for kind in CATALOGUE.values() if issubclass(kind, RampEffect)]
+    offsets_nm = np.unique(visits.commanded_nm)
+    return [
+        *(one for kind in kinds for one in kind.on_whole_ramp(turns=_turns(visits.all_nm))),
+        *(one for kind in kinds for one in kind.on_parts(offsets_nm)),
+    ]

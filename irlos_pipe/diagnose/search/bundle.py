@@ -23,13 +23,13 @@ class Bundle(PupilEffect):
     name = "bundle"
 
     def __init__(self, candidates: Sequence[Effect]):
-        self.candidates, self.order = tuple(candidates), candidates[0].order
+        self.bundled, self.order = tuple(candidates), candidates[0].order
         self.parameters = tuple(p for one in candidates for p in one.parameters)
 
     @property
     def null_values(self) -> list[float]:
         """See `Effect.null_values`."""
-        return [value for one in self.candidates for value in one.null_values]
+        return [value for one in self.bundled for value in one.null_values]
 
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         """See `PupilEffect.apply`."""
@@ -39,10 +39,10 @@ class Bundle(PupilEffect):
         self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
         """See `PupilEffect.slopes`."""
-        every = [slope for one in self.candidates for slope in _slopes(one, field, grid)]
+        every = [slope for one in self.bundled for slope in _slopes(one, field, grid)]
         return [every[index] for index in wanted]
 
 
-def _slopes(candidate: Effect, field: torch.Tensor, grid: PupilGrid) -> list[torch.Tensor]:
+def _slopes(candidate: Effect, field: torch.Tensor, grid: PupilGrid) -> Sequence[torch.Tensor]:
     null = torch.tensor(candidate.null_values, dtype=torch.float64)
     return candidate.slopes(null, field, grid, range(len(null)))

@@ -1,15 +1,11 @@
-"""The families of effects that a cube can show, and where to look for each."""
+"""The families of effects that a cube can show."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect
-from irlos_pipe.effects.motion import Vibration
-
-NOT_IN_A_CUBE = ("focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale")
-ELSEWHERE = ("bad_pixels", "ncpa_drift")  # looked for by themselves: pixel by pixel, frame by frame
 
 
 @dataclass(frozen=True)
@@ -18,36 +14,42 @@ class Family:
 
     Attributes
     ----------
-    name : str
     variants : tuple of Effect
         Shapes of the same effect that are tried.
-    places : int
+    positions : int
         Where the effect was looked for before, of which these are the best.
     """
 
-    name: str
     variants: tuple[Effect, ...]
-    places: int = 1
+    positions: int = 1
+
+    @property
+    def effect(self) -> Effect:
+        """The first of the variants."""
+        return self.variants[0]
 
 
 def families(conditions: Conditions, present: Iterable[str]) -> tuple[list[Family], list[str]]:
-    """Families to test beside the effects that the model has, and names that mean nothing here."""
-    absent = [n for n in CATALOGUE if n not in {*present, *ELSEWHERE, *NOT_IN_A_CUBE}]
-    found, meaningless = [], []
-    for name in absent:
+    """Families that a score test finds, beside the effects that the model has.
+
+    Parameters
+    ----------
+    conditions : Conditions
+    present : iterable of str
+        Names of the effects of the model.
+
+    Returns
+    -------
+    list of Family
+    list of str
+        Effects that mean nothing under these conditions.
+    """
+    model, found, meaningless = {*present}, [], []
+    for name, kind in CATALOGUE.items():
+        if kind.found_by != "score" or name in model:
+            continue
         try:
-            found.append(Family(name, _variants(name, conditions)))
+            found.append(Family(kind.variants(conditions)))
         except ValueError:
             meaningless.append(name)
     return found, meaningless
-
-
-def _variants(name: str, conditions: Conditions) -> tuple[Effect, ...]:
-    if name == Vibration.name:
-        return tuple(Vibration.under(conditions, shape=shape) for shape in ("sinusoidal", "gaussian"))
-    return (CATALOGUE[name].under(conditions),)
-
-
-def names_of(effects: Sequence[Effect]) -> list[str]:
-    """Names of effects."""
-    return [effect.name for effect in effects]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects import Conditions, Effect, SeeingHalo, TipTiltJitter
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel
@@ -39,13 +40,11 @@ def model_effects_of(scene: Scene) -> list[Effect]:
     """AO residual and jitter, starting from the seeing that a side-car tells."""
     facility = scene.facility
     conditions = Conditions(
+        settings_of(scene),
         ResidualBand(1 / facility.pupil.diameter_m, facility.cutoff_per_m, facility.outer_scale_m),
         facility.residual_law,
         scene.sky.seeing_arcsec if scene.sky else facility.typical_seeing_arcsec,
-        dict(scene.diversity_nm),
-        window=scene.window,
-        pixel_scale_mas=scene.pixel_scale_mas,
-        spectrum=tuple(scene.spectrum(SIDE_CAR_POINTS)),
+        HIGHEST_REPORTED_NOLL,
     )
     return [SeeingHalo.under(conditions), TipTiltJitter.under(conditions)]
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.effects.telling import mean_of
+from irlos_pipe.effects.public_values import mean_of
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.frames.recording import Acquisition
 from irlos_pipe.product.product import Product, Quantity

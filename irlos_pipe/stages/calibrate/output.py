@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
-from irlos_pipe.effects.telling import rows_of
+from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageOutput

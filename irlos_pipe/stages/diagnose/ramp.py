@@ -10,7 +10,7 @@ import torch
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.diagnose.held_out import Gap
-from irlos_pipe.diagnose.ramp.diagnosis import SEPARATION, RampDiagnosis, RampName, diagnose_ramp
+from irlos_pipe.diagnose.ramp.diagnosis import RampDiagnosis, RampName, diagnose_ramp
 from irlos_pipe.diagnose.ramp.gap import ramp_gap
 from irlos_pipe.effects import EffectSet
 from irlos_pipe.effects.effect_set import NOTHING
@@ -18,9 +18,6 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.lift.input import Ramp, calibrated_ncpa_nm, effects_for_lift, ramp_model, read_ramp
-
-OPTIONS = ("above_nm", "below_nm")
-KEYS = {"focus_stage_scale": "fraction"}  # others: nm
 
 
 def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[str, Any]]]:
@@ -83,7 +80,7 @@ def _results(
         "gap": {"before": gap.before, "after": gap.after, "floor": gap.floor, "shrink": gap.shrink},
         "unexplained": result.verdict == "unknown",
         "untestable": list(result.untestable),
-        "mdb": {name: {_key(name): size} for name, size in result.smallest.items()},
+        "mdb": result.smallest,
         "model": "model.yaml",
         "chi2_nu": dict(zip(("before", "after"), result.chi2_nu, strict=True)),
         "defocus_error_nm": dict(zip(("before", "after"), errors, strict=True)),
@@ -92,19 +89,20 @@ def _results(
 
 def entry(one: RampName) -> dict[str, Any]:
     """The effect as the section `model` of a recipe has it."""
-    return {one.name: {_key(one.name): one.size} | _part(one)}
+    return {one.name: one.public}
 
 
 def _step(one: RampName, gap: Gap) -> dict[str, Any]:
     reason = "their courses over the visits are alike"
     return {
         "effect": one.name,
-        "indistinguishable": list(one.alternatives),
+        "indistinguishable": [other.name for other in one.alternatives],
         "alternatives": [
-            {"name": other, "reason": reason, "separated_by": SEPARATION[other]} for other in one.alternatives
+            {"name": other.name, "reason": reason, "separated_by": other.separated_by}
+            for other in one.alternatives
         ],
-        "parameters": {_key(one.name): one.size} | _part(one),
-        "sigma": {_key(one.name): one.sigma},
+        "parameters": one.public,
+        "sigma": one.effect.describe([one.sigma]),
         "significance": one.significance,
         "explained": one.explained,
         "gap_before": gap.before,
@@ -113,31 +111,15 @@ def _step(one: RampName, gap: Gap) -> dict[str, Any]:
     }
 
 
-def _key(name: str) -> str:
-    return KEYS.get(name, "nm")
-
-
-def _part(one: RampName) -> dict[str, float]:
-    """Limits of the part of the ramp that is concerned."""
-    limits = {key: float(getattr(one.effect, key, np.inf)) for key in OPTIONS}
-    return {key: limit for key, limit in limits.items() if np.isfinite(limit)}
-
-
 def sentence(result: RampDiagnosis) -> str:
     """The verdict in the words of an engineer."""
     if result.verdict == "unknown":
-        near = " and ".join(_phrase(one) for one in result.nearest)
-        told = f"; the nearest is {near}" if near else ""
-        return f"The ramp does not follow its offsets, and no error of the focus stage explains it{told}."
+        near = " and ".join(one.phrase for one in result.nearest)
+        nearest = f"; the nearest is {near}" if near else ""
+        return f"The ramp does not follow its offsets, and no error of the focus stage explains it{nearest}."
     if not result.names:
         return "The focus stage does what it is told."
-    return f"The ramp wants {' and '.join(_phrase(one) for one in result.names)}; nothing else is missing."
-
-
-def _phrase(one: RampName) -> str:
-    size = f"{one.size:+.1%}" if one.name in KEYS else f"{one.size:+.0f} nm"
-    part = ", ".join(f"{key.removesuffix('_nm')} {limit:+.0f} nm" for key, limit in _part(one).items())
-    return f"a {one.name.replace('_', ' ')} of {size}" + (f" ({part})" if part else "")
+    return f"The ramp wants {' and '.join(one.phrase for one in result.names)}; nothing else is missing."
 
 
 def _arrays(ramp: Ramp, estimated: np.ndarray, corrected: np.ndarray) -> dict[str, Quantity]:

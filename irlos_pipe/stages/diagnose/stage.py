@@ -12,6 +12,8 @@ from pydantic import Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.diagnose.decide import Options
+from irlos_pipe.diagnose.held_out import Gap
+from irlos_pipe.diagnose.second_recording import Advice
 from irlos_pipe.diagnose.sentence import sentence
 from irlos_pipe.diagnose.verdict import Diagnosis, Step
 from irlos_pipe.diagnose.view import Exposures
@@ -24,7 +26,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.diagnose.input import by_setting, introduced_nm, screened_pixels
 from irlos_pipe.stages.diagnose.ramp import run_on_ramp
 from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects
-from irlos_pipe.stages.model.light_path import pooled_images, psf_settings
+from irlos_pipe.stages.model.light_path import pooled_images
 
 NAME = "diagnose"
 VERSION = 8
@@ -34,8 +36,6 @@ MODEL_FILE = "model.yaml"
 FEWEST_FRAMES = 16  # scatter means nothing with less
 REPORTED = 30  # highest Noll mode in the results
 EXPECTED_FITS = 11  # of one cube, for the progress bar
-# Sizes that a later fit does not improve: found otherwise, or no parameters at all.
-HELD = ("bad_pixels", "ncpa_drift")
 
 
 class Config(StageConfig):
@@ -74,8 +74,13 @@ def _exposures(ctx: StageContext, alike: list[Recording], effects: list[Effect])
     first = alike[0]
     return Exposures(
         _frames(alike, good_pixels(effects, first.window)),
-        psf_settings(ctx.instrument, ctx.model, first, introduced_nm={4: introduced_nm(first)}),
-        conditions_of(ctx.instrument, ctx.model, first, ctx.config.highest_noll),
+        conditions_of(
+            ctx.instrument,
+            ctx.model,
+            first,
+            ctx.config.highest_noll,
+            introduced_nm={4: introduced_nm(first)},
+        ),
         screened_pixels(ctx.products["ingest"], first),
     )
 
@@ -103,7 +108,7 @@ def _results(result: Diagnosis) -> dict[str, Any]:
         "unexplained": result.unexplained,
         "why_unknown": result.why_unknown,
         "untestable": list(result.untestable),
-        "second_recording": {name: asdict(advice) for name, advice in result.advice.items()},
+        "second_recording": {name: _advice(advice) for name, advice in result.advice.items()},
         "mdb": result.mdb,
         "model": MODEL_FILE,
         "noise": asdict(result.noise) | {"holds": result.noise.holds, "text": result.noise.text},
@@ -137,7 +142,11 @@ def _step(step: Step) -> dict[str, Any]:
     }
 
 
-def _gap(gap) -> dict[str, float]:
+def _advice(advice: Advice) -> dict[str, Any]:
+    return {"recording": advice.recording, "survival": advice.observability, "smallest": advice.smallest}
+
+
+def _gap(gap: Gap) -> dict[str, float]:
     return {"before": gap.before, "after": gap.after, "floor": gap.floor, "shrink": gap.shrink}
 
 
@@ -201,11 +210,11 @@ def _with_one_list_of_pixels(effects: list[Any]) -> list[Any]:
 
 
 def _entry(step: Step) -> dict[str, Any]:
-    """A name as the section has it: values to start from, and to be fitted."""
+    """A name as the section has it: values to start from, and to be fitted where a fit improves them."""
     kind, public = CATALOGUE[step.name], step.public
     values = {p.name: _plain(public[p.name]) for p in kind.public if p.name in public}
     options = {o.name: getattr(step.effect.base, o.name) for o in kind.options if o.kind == "word"}
-    return {step.name: values | options | ({} if step.name in HELD else {"fit": True})}
+    return {step.name: values | options | ({"fit": True} if kind.found_by == "score" else {})}
 
 
 def _plain(value: Any) -> Any:

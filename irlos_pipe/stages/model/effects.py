@@ -2,48 +2,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
-from irlos_pipe.effects.pixels import BadPixels, DetectorNonlinearity
-from irlos_pipe.effects.seeing_halo import SeeingHalo, in_band_wfe_nm
+from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
+from irlos_pipe.effects import CATALOGUE, Calibrated, Conditions, Effect, FixedEffect
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.stages.model.effect_entry import EffectEntry
-from irlos_pipe.stages.model.light_path import residual_band, seeing_arcsec
+from irlos_pipe.stages.model.light_path import psf_settings, residual_band, seeing_arcsec
 from irlos_pipe.stages.model.section import ModelConfig
-
-REPORTED_NOLL = 30  # SPARTA takes 29 modal offsets
 
 
 def conditions_of(
-    instrument: Instrument, model: ModelConfig, recording: Recording, highest_noll: int = REPORTED_NOLL
+    instrument: Instrument,
+    model: ModelConfig,
+    recording: Recording,
+    highest_noll: int = HIGHEST_REPORTED_NOLL,
+    *,
+    introduced_nm: Mapping[int, float] | None = None,
 ) -> Conditions:
-    """What effects may start from."""
-    acquisition = recording.acquisition
+    """What effects may start from.
+
+    Parameters
+    ----------
+    instrument, model, recording
+    highest_noll : int
+        Last mode that is estimated as such.
+    introduced_nm : mapping of int to float, optional
+        See `psf_settings`.
+    """
     return Conditions(
+        psf_settings(instrument, model, recording, introduced_nm=introduced_nm),
         residual_band(instrument, model),
         instrument.facility.residual_law,
-        seeing_arcsec(instrument, acquisition),
-        dict(acquisition.diversity),
+        seeing_arcsec(instrument, recording.acquisition),
         highest_noll,
-        recording.window,
-        acquisition.pixel_scale_mas,
-        acquisition.spectrum,
-        seeing_measured=acquisition.seeing_measured,
+        seeing_measured=recording.acquisition.seeing_measured,
         ncpa_law=instrument.facility.ncpa_law,
     )
 
 
 def model_effects(
-    instrument: Instrument, model: ModelConfig, recording: Recording, highest_noll: int = REPORTED_NOLL
+    instrument: Instrument,
+    model: ModelConfig,
+    recording: Recording,
+    highest_noll: int = HIGHEST_REPORTED_NOLL,
 ) -> list[Effect]:
-    """The effects of the recipe's model for one recording, fixed ones pinned.
+    """The effects of the recipe's model for one recording, see `conditions_of` for the parameters.
 
     Raises
     ------
@@ -75,13 +86,12 @@ def _under(entry: EffectEntry, conditions: Conditions, public: dict[str, Any]) -
 
 def image_effects(effects: Sequence[Effect]) -> list[Effect]:
     """Those that the model of an image contains: neither masks of pixels nor errors of the focus stage."""
-    return [e for e in effects if e.plane != "ramp" and e.name != BadPixels.name]
+    return [effect for effect in effects if effect.in_image]
 
 
 def good_pixels(effects: Sequence[Effect], window: tuple[int, int]) -> np.ndarray:
     """False for the bad pixels that the model lists, (rows, columns)."""
-    masks = [e.base.mask(window) for e in effects if e.name == BadPixels.name]
-    return np.all([np.ones(window, bool), *masks], axis=0)
+    return np.all([np.ones(window, bool), *(effect.good_pixels(window) for effect in effects)], axis=0)
 
 
 # -- handing estimated effects from one product to the next ------------------------------------
@@ -110,37 +120,26 @@ def calibrated_effects(
     the rest is taken as it is. What belongs to the star, its light or the moment stays behind, unless
     the recipe gives it or the recording is of the `same_star`.
     """
-    conditions, known = conditions_of(instrument, model, recording), {}
+    conditions = conditions_of(instrument, model, recording)
+    known: dict[str, FixedEffect] = {}
+    then = Calibrated(calibration_seeing_arcsec, _brightest_e(product))
     for entry in model.entries():
-        effect = _effect(entry, conditions, recording.name)
-        if effect.parameters:
-            effect = _measured(product, entry, conditions) if same_star or effect.instrumental else None
-            if effect is not None and entry.name == SeeingHalo.name:
-                effect = _scaled_with_seeing(effect, conditions.seeing_arcsec, calibration_seeing_arcsec)
+        effect, under = _effect(entry, conditions, recording.name), then
+        if not effect.parameters:  # the recipe states what it is under the present seeing
+            under = replace(then, seeing_arcsec=conditions.seeing_arcsec)
+        elif same_star or effect.instrumental:
+            effect = _measured(product, entry, conditions)
+        else:
+            continue
         if effect is not None:
-            known[entry.name] = effect
-    if DetectorNonlinearity.name in known:
-        known[DetectorNonlinearity.name] = _bent_as_before(product, known[DetectorNonlinearity.name])
+            known[entry.name] = effect.base.handed_on(effect.all_values(()).numpy(), conditions, under)
     return known
 
 
-def _scaled_with_seeing(halo: FixedEffect, now_arcsec: float, then_arcsec: float) -> FixedEffect:
-    """The residual under another seeing."""
-    now, then = (
-        in_band_wfe_nm(halo.base.band, halo.base.law, seeing) for seeing in (now_arcsec, then_arcsec)
-    )
-    variance, *shape = halo.values
-    return FixedEffect(halo.base, [variance * (now / then) ** 2, *shape])
-
-
-def _bent_as_before(product: Product, bend: FixedEffect) -> FixedEffect:
-    """The non-linearity stated at the brightest pixel of the calibration's mean image, before it was bent.
-
-    Of cubes that were reduced one by one, at the mean over their brightest pixels.
-    """
+def _brightest_e(product: Product) -> float:
+    """Brightest pixel of the modelled mean image; the mean over cubes that were reduced one by one."""
     models = [one.value for name, one in product.arrays.items() if name.endswith("model_image_e")]
-    brightest_e = float(np.mean([np.max(image) for image in models]))
-    return FixedEffect(DetectorNonlinearity(brightest_e / (1 - bend.values[0])), bend.values)
+    return float(np.mean([np.max(image) for image in models])) if models else float("nan")
 
 
 def _measured(product: Product, entry: EffectEntry, conditions: Conditions) -> FixedEffect | None:

@@ -1,4 +1,4 @@
-"""Public values of an effect for people: tables and lists unrolled, means over several estimates."""
+"""Public values of effects: sizes and directions, tables unrolled into rows, means over estimates."""
 
 from __future__ import annotations
 
@@ -6,6 +6,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+
+
+def size_and_angle(x: float, y: float) -> tuple[float, float]:
+    """Size, and direction from +x towards +y in [0, 360) [deg]."""
+    return float(np.hypot(x, y)), float(np.rad2deg(np.arctan2(y, x)) % 360)
+
+
+def components(size: float, angle_deg: float) -> list[float]:
+    """The components x and y again."""
+    angle = np.deg2rad(angle_deg)
+    return [float(size * np.cos(angle)), float(size * np.sin(angle))]
 
 
 def rows_of(public: Mapping[str, Any]) -> list[tuple[str, float]]:
@@ -27,5 +38,5 @@ def _rows(name: str, value: Any) -> list[tuple[str, float]]:
     if isinstance(value, Mapping):
         return [row for key, one in value.items() for row in _rows(f"{name} {key}", one)]
     if isinstance(value, Sequence) and not isinstance(value, str):
-        return [row for place, one in enumerate(value, start=1) for row in _rows(f"{name} {place}", one)]
+        return [row for number, one in enumerate(value, start=1) for row in _rows(f"{name} {number}", one)]
     return [(name, value)]

@@ -1,0 +1,226 @@
+"""Score test: what a candidate effect would do at the optimum of the model without it.
+
+There the derivative of the images with respect to the effect's parameters is the shape D that it would
+add. Of D only the part counts that the fitted parameters, with derivatives B, cannot imitate,
+``D - B(BᵀB)⁻¹BᵀD``: its norm says how well the effect can be seen, its projection on the residual r how
+large it is. One linear step lowers χ² by ``2 s·p - s·N s``, with the sizes s, the projections p and the
+normal matrix N (Rao 1948, Proc. Camb. Phil. Soc. 44, 50). Everything is in units of the standard error of
+the images; the last word has a fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from irlos_pipe.effects import Effect, EffectSet, FixedEffect
+from irlos_pipe.effects.base import OtfEffect, PupilEffect
+from irlos_pipe.effects.effect_set import NOTHING
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.optics.grids import OtfGrid, PupilGrid
+
+ABSORBED = 0.003  # part of a derivative's power below which the fitted parameters imitate the effect
+MEANINGLESS = 1e-9  # of the largest derivative: a parameter without meaning here, a colour of one wavelength
+
+
+class NullModel:
+    """The optimum of a model without the candidates.
+
+    Parameters
+    ----------
+    residual, root : tensor, (pixels,)
+        Whitened residual, and one over the standard errors of the pixels.
+    basis : tensor, (pixels, parameters)
+        Whitened derivatives of the fitted parameters, orthonormal; with priors, their rows are left out.
+    unconverged : tensor, (parameters,)
+        What the derivatives, priors included, have in common with the residual: nothing at the very optimum.
+    """
+
+    def __init__(
+        self, residual: torch.Tensor, root: torch.Tensor, basis: torch.Tensor, unconverged: torch.Tensor
+    ):
+        self.residual, self.root, self.basis, self.unconverged = residual, root, basis, unconverged
+
+    def project(self, shapes: torch.Tensor) -> torch.Tensor:
+        """What is left of whitened shapes (pixels, m)."""
+        return shapes - self.basis @ (self.basis.mT @ shapes)
+
+    def norm2(self, shapes: torch.Tensor) -> torch.Tensor:
+        """Gram matrix of what is left, priors included, (m, m)."""
+        inside = self.basis.mT @ shapes
+        return shapes.mT @ shapes - inside.mT @ inside
+
+    def projection(self, shapes: torch.Tensor) -> torch.Tensor:
+        """Scalar products of the residual with what is left of shapes, (m,)."""
+        return shapes.mT @ self.residual - (self.basis.mT @ shapes).mT @ self.unconverged
+
+
+@dataclass(frozen=True, eq=False)
+class LinearEstimate:
+    """One linear step along the parameters of a candidate.
+
+    Attributes
+    ----------
+    candidate : Effect
+        Its free parameters at their null values.
+    usable : tensor of bool, (parameters,)
+        Parameters that the data determine.
+    observability : float
+        Part of a derivative's power that the fitted parameters cannot imitate, 1 − R², of the best parameter.
+    left : tensor, (parameters,)
+        Power that is left of each derivative.
+    sizes : ndarray, (parameters,)
+        Within the bounds.
+    gain : float
+        Predicted fall of χ².
+    used, normal, projection : tensor
+        Shapes (pixels, m), normal matrix (m, m) and projections (m,) of the usable parameters.
+    """
+
+    candidate: Effect
+    usable: torch.Tensor
+    observability: float
+    left: torch.Tensor
+    sizes: np.ndarray
+    gain: float
+    used: torch.Tensor
+    normal: torch.Tensor
+    projection: torch.Tensor
+
+    @classmethod
+    def of(cls, null: NullModel, candidate: Effect, shapes: torch.Tensor) -> LinearEstimate:
+        """The estimate of `candidate` from its whitened derivatives `shapes`, (pixels, parameters)."""
+        power, left = (shapes**2).sum(0), torch.diagonal(null.norm2(shapes))
+        seen = left / power.clamp_min(1e-300)
+        usable = (power > MEANINGLESS * power.max()) & (seen > ABSORBED)
+        sigma = torch.tensor([p.prior_sigma for p in candidate.parameters], dtype=torch.float64)[usable]
+        used = shapes[:, usable]
+        normal, projection = null.norm2(used) + torch.diag(sigma**-2), null.projection(used)
+        start = torch.tensor(candidate.null_values, dtype=torch.float64)
+        change = torch.zeros_like(start)
+        change[usable] = torch.linalg.solve(normal, projection)
+        sizes = _within(candidate, start + change)
+        step = (sizes - start)[usable]
+        gain = float(2 * step @ projection - step @ normal @ step)
+        best = float(seen[usable].max() if usable.any() else seen.max())
+        return cls(candidate, usable, best, left, sizes.numpy(), gain, used, normal, projection)
+
+
+def _within(candidate: Effect, values: torch.Tensor) -> torch.Tensor:
+    limits = torch.tensor([[p.lower, p.upper] for p in candidate.parameters], dtype=torch.float64)
+    return values.clamp(limits[:, 0], limits[:, 1])
+
+
+def derivatives(
+    problem: ImageFit, x: torch.Tensor, frozen: Sequence[Effect], candidate: Effect
+) -> torch.Tensor:
+    """Derivatives of the mean image with respect to a candidate's parameters at null, (m, pixels).
+
+    Parameters
+    ----------
+    problem : ImageFit
+        One member.
+    x : tensor, (1, parameters)
+        Its optimum.
+    frozen : sequence of Effect
+        Effects of the problem there, see `frozen_effects`.
+    candidate : Effect
+    """
+    model, layout = problem.model, problem.layout
+    sampling = candidate.plane == "sampling"
+    own = model.effects.held(x[0, layout.effect_values]).effects if sampling else frozen
+    whole = ImageModel(model.psf, [*own, candidate])
+    null = torch.tensor(candidate.null_values, dtype=torch.float64)
+    modal = candidate.plane not in ("pupil", "otf")  # with nothing else there is nothing to propagate
+    at = x[:, layout.modes], x[:, -2], x[:, -1], null
+    columns = whole.predict_and_jacobian(*at, modal=modal)[1][0].cpu().double().flatten(1)
+    return columns[len(columns) - 2 - len(null) : -2]
+
+
+# -- where to begin a fit ----------------------------------------------------------------------
+
+
+def located(problem: ImageFit, x: torch.Tensor, effects: Sequence[Effect]) -> list[Effect]:
+    """Effects with a start for those that must be searched for.
+
+    Parameters
+    ----------
+    problem : ImageFit
+        With the effects that need no search; its layout holds their free parameters.
+    x : tensor, (1, parameters)
+        Its optimum.
+    effects : sequence of Effect
+    """
+    return [best_start(problem, x, effect) if effect.needs_search else effect for effect in effects]
+
+
+def best_start(problem: ImageFit, x: torch.Tensor, effect: Effect) -> FixedEffect:
+    """`effect` with all its parameters free, at its best candidate beside `problem` at its optimum `x`."""
+    settings = problem.model.psf.settings
+    null = _null_model(problem, x)
+    frozen = frozen_effects(problem.model.effects, x[0, problem.layout.effect_values])
+    estimates = [
+        LinearEstimate.of(null, one, (derivatives(problem, x, frozen, one) * null.root).mT)
+        for one in effect.candidates(settings.window, settings.pixel_scale_mas)
+    ]
+    best = max(estimates, key=lambda one: one.gain)
+    values = best.candidate.all_values(best.sizes).numpy()
+    return FixedEffect(effect, values, free=[p.name for p in effect.parameters])
+
+
+def _null_model(problem: ImageFit, x: torch.Tensor) -> NullModel:
+    """The optimum of a fit to the mean of a member's images, priors left out."""
+    image, columns = problem.predict_and_jacobian(x)
+    root = problem.root_weight[0].double().square().mean(0).sqrt().cpu()
+    residual = (problem.images[0].double().mean(0) - image[0]).cpu() * root
+    basis = torch.linalg.qr((columns[0].cpu().double() * root).mT)[0]
+    return NullModel(residual, root, basis, basis.mT @ residual)
+
+
+# -- effects that do not change while candidates are tried ---------------------------------------
+
+
+class _FrozenTransfer(OtfEffect):
+    """OTF factors that do not change while candidates are tried, computed once."""
+
+    name = "frozen"
+
+    def __init__(self, factor: torch.Tensor):
+        self.factor = factor
+
+    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+        """See `OtfEffect.apply`."""
+        return factor * self.factor
+
+
+class _FrozenPupil(PupilEffect):
+    """An effect in the pupil that does not change, as what it multiplies the field by and what it adds."""
+
+    name = "frozen"
+
+    def __init__(self, effect: Effect, grid: PupilGrid):
+        dark = torch.zeros(len(grid.wavelengths_m), *grid.amplitude.shape, dtype=torch.complex128)
+        self.order = effect.order
+        self.added = effect.apply(NOTHING, dark, grid)
+        self.factor = effect.apply(NOTHING, dark + 1, grid) - self.added
+
+    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.apply`."""
+        return field * self.factor + self.added
+
+
+def frozen_effects(effects: EffectSet, values: torch.Tensor) -> list[Effect]:
+    """`effects` held at `values`, computed once; all as they are where wavelengths may move."""
+    held = effects.held(values)
+    if held.at("sampling"):
+        return list(held.effects)
+    grids = held.grids
+    grid = grids.pupil.at(grids.sampling.wavelengths_m)
+    fixed = [effect for effect in held.effects if effect.plane not in ("pupil", "otf")]
+    fixed += [_FrozenPupil(effect, grid) for effect, _ in held.at("pupil")]
+    transfer = held().transfer
+    return fixed if transfer is None else [*fixed, _FrozenTransfer(transfer)]
