@@ -23,8 +23,9 @@ from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.held_out import Judge
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.refit import is_rival, refits
-from irlos_pipe.diagnose.search.detect import gaussian_sigma, score_family, scores
+from irlos_pipe.diagnose.search.detect import score_family, scores
 from irlos_pipe.diagnose.search.families import Family, families
+from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.diagnose.sizes import public_sigma
 from irlos_pipe.diagnose.view import View
 from irlos_pipe.effects import CATALOGUE
