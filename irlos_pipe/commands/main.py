@@ -269,7 +269,7 @@ def score(folder: Path, truth: Path) -> None:
     Example:
       irlos score demo --truth data_samples/truth
     """
-    from irlos_pipe.product.score import score_run
+    from irlos_pipe.report.score import score_run
 
     click.echo(score_run(folder, truth))
 

@@ -12,7 +12,7 @@ from conftest import invoke
 from helpers import made_run
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.product.score import score_run
+from irlos_pipe.report.score import score_run
 
 
 def write_truth(folder: Path, **truths: dict[str, Any]) -> Path:

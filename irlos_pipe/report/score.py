@@ -1,0 +1,240 @@
+"""How far the results of a run are from the truth of simulated data."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.modes import REPORTED_NOLLS, REPORTED_TEXT
+from irlos_pipe.conventions.text import aligned
+from irlos_pipe.product.product import Product, read_product
+from irlos_pipe.product.results import ByNoll, ResultsPart, results_of
+from irlos_pipe.product.runfolder import existing_run
+from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate
+from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
+from irlos_pipe.stages.lift.results import LiftResults, Point
+
+DEFOCUS = 4  # Noll
+Table = list[tuple[str, ...]]
+
+
+class Truth(ResultsPart):
+    """What a simulation states of a recording; further keys are not used here.
+
+    Attributes
+    ----------
+    mean_zernike_nm : dict of int to float or None
+        Time-averaged wavefront without the diversity (Noll: nm RMS).
+    ncpa_nm : dict of int to float
+        Its static part.
+    """
+
+    mean_zernike_nm: ByNoll | None = None
+    ncpa_nm: ByNoll = {}
+
+    @property
+    def defocus_beyond_ncpa_nm(self) -> float:
+        """Mean defocus without that of the NCPAs; NaN where either is not known."""
+        mean_nm = (self.mean_zernike_nm or {}).get(DEFOCUS, math.nan)
+        return mean_nm - self.ncpa_nm.get(DEFOCUS, math.nan)
+
+
+Truths = Mapping[str, Truth]
+
+
+def score_run(run_folder: Path, truth: Path) -> str:
+    """Compare the calibration and the ramp of a run with the truth.
+
+    Parameters
+    ----------
+    run_folder : Path
+        Folder of a run.
+    truth : Path
+        A JSON file, or a folder of them, one per recording and named like it; ``/`` in a name is
+        written ``__``, and what stands before ``__`` need not match. Its keys are those of `Truth`.
+
+    Returns
+    -------
+    str
+        A short table.
+
+    Raises
+    ------
+    InputDataError
+        When the run has nothing to compare, or the truth cannot be read or belongs to other recordings.
+    """
+    run, truths = _read_scored(run_folder), _read_truths(Path(truth))
+    tables = _calibration_table(run, truths), _ramp_table(run, truths)
+    if not any(tables):
+        names = [row.name for row in (*run.calibrated, *run.of_the_ramp)]
+        raise InputDataError(f"{truth}: no truth for {', '.join(names)}; it holds {', '.join(truths)}")
+    return "\n\n".join(aligned(table, numbers=True) for table in tables if table)
+
+
+@dataclass(frozen=True)
+class _Scored:
+    """What of a run is compared; None for a stage that was not run.
+
+    Attributes
+    ----------
+    calibrated, of_the_ramp : list of RecordingRow
+        Recordings that went into the calibration and into the ramp.
+    """
+
+    calibration: CalibrateResults | None
+    ramp: LiftResults | None
+    calibrated: list[RecordingRow]
+    of_the_ramp: list[RecordingRow]
+
+
+def _read_scored(folder: Path) -> _Scored:
+    paths = existing_run(folder).products()
+    products = {stage: read_product(path, arrays=False) for stage, path in paths.items()}
+    calibrate, lift = products.get("calibrate"), products.get("lift")
+    if calibrate is None and lift is None:
+        raise InputDataError(f"{folder}: neither 'calibrate' nor 'lift' was run, nothing to compare")
+    rows = results_of(IngestResults, products["ingest"]).inputs if "ingest" in products else []
+    return _Scored(
+        results_of(CalibrateResults, calibrate) if calibrate else None,
+        results_of(LiftResults, lift) if lift else None,
+        _recordings_of(calibrate, rows),
+        _recordings_of(lift, rows),
+    )
+
+
+def _recordings_of(product: Product | None, rows: Sequence[RecordingRow]) -> list[RecordingRow]:
+    """Recordings of the recipe input that a stage worked on."""
+    wanted = product.config.get("input") if product else None
+    return [row for row in rows if product and row.input == wanted and row.role != "dark"]
+
+
+# -- calibration -------------------------------------------------------------------------------
+
+
+def _calibration_table(run: _Scored, truths: Truths) -> Table:
+    """One row per method; empty without truth for every recording that was fitted."""
+    rows, results = run.calibrated, run.calibration
+    found = [truth.mean_zernike_nm if (truth := _truth_of(row.name, truths)) else None for row in rows]
+    each_nm = [_vector(mean_nm) for mean_nm in found if mean_nm is not None]
+    if results is None or not rows or len(each_nm) < len(rows):
+        return []
+    true_nm = np.average(each_nm, axis=0, weights=[row.frames_used for row in rows])
+    names = ", ".join(row.name for row in rows)
+    return [
+        (f"calibration ({names})", f"error, {REPORTED_TEXT}", "defocus", "time"),
+        *(_method_row(one, true_nm) for one in (results, *results.compare)),
+    ]
+
+
+def _method_row(estimate: Estimate, true_nm: np.ndarray) -> tuple[str, ...]:
+    error_nm = _vector(estimate.zernike_nm) - true_nm
+    return (
+        estimate.method,
+        f"{np.linalg.norm(error_nm):.1f} nm RMS",
+        f"{error_nm[REPORTED_NOLLS.index(DEFOCUS)]:+.1f} nm",
+        f"{estimate.seconds:.1f} s",
+    )
+
+
+def _vector(zernike_nm: Mapping[int, float]) -> np.ndarray:
+    """Coefficients of the reported modes; modes that are not there count as zero."""
+    return np.array([zernike_nm.get(noll, 0.0) for noll in REPORTED_NOLLS])
+
+
+# -- ramp --------------------------------------------------------------------------------------
+
+
+def _ramp_table(run: _Scored, truths: Truths) -> Table:
+    """Errors of the ramp against the introduced and against the present defocus; empty without truth."""
+    points = run.ramp.points if run.ramp else []
+    known = [(point, truth) for point in points if (truth := _truth_of(point.name, truths))]
+    if not known:
+        return []
+    estimated, introduced, present = np.array([_defocus_nm(*one) for one in known]).T
+    names = np.array([point.name for point, _ in known])
+    rows = [
+        ("frames against the introduced defocus", _rms(estimated - introduced)),
+        ("frames against the true mean defocus", _rms(estimated - present)),
+        ("means of recordings against the true mean defocus", _rms(_means(estimated - present, names))),
+    ]
+    return [
+        (f"ramp ({len(set(names))} recordings, {len(known)} frames)", "error"),
+        *((name, f"{rms:.1f} nm RMS") for name, rms in rows if math.isfinite(rms)),
+    ]
+
+
+def _defocus_nm(point: Point, truth: Truth) -> tuple[float, float, float]:
+    """Estimated, introduced, and truly present defocus without that of the NCPAs."""
+    return point.defocus_nm, point.introduced_nm, truth.defocus_beyond_ncpa_nm
+
+
+def _means(values: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """Mean of every group of what is known."""
+    known = np.isfinite(values)
+    return np.array([values[known & (groups == group)].mean() for group in np.unique(groups[known])])
+
+
+def _rms(values: np.ndarray) -> float:
+    """RMS of what is known; NaN when nothing is."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else math.nan
+
+
+# -- truth -------------------------------------------------------------------------------------
+
+
+def _read_truths(path: Path) -> dict[str, Truth]:
+    """Content of the truth files by name of the file without ``.json``."""
+    truths = {file.name.removesuffix(".json"): _read_truth(file) for file in _truth_files(path)}
+    if not truths:
+        raise InputDataError(f"{path}: no *.json in this folder; give the folder of the truth files")
+    return truths
+
+
+def _truth_files(path: Path) -> Iterator[Path]:
+    if path.is_file():
+        yield path
+    elif path.is_dir():
+        yield from sorted(path.glob("*.json"))
+    else:
+        raise InputDataError(f"{path}: no such file or folder")
+
+
+def _read_truth(path: Path) -> Truth:
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputDataError(f"{path}: not a readable JSON file ({error})") from error
+    if not isinstance(content, dict):
+        raise InputDataError(f"{path}: holds a {type(content).__name__}, not an object with mean_zernike_nm")
+    try:
+        return Truth.model_validate(content)
+    except ValidationError as error:
+        key = ".".join(map(str, error.errors()[0]["loc"]))
+        raise InputDataError(f"{path}: {key}: {error.errors()[0]['msg']}") from error
+
+
+def _truth_of(name: str, truths: Truths) -> Truth | None:
+    """Truth of a recording: by its full name, else by what follows ``__``; None if there is none.
+
+    Raises
+    ------
+    InputDataError
+        When several fit.
+    """
+    exact = [key for key in truths if key == name]
+    own = name.rpartition("__")[2]
+    fitting = exact or [key for key in truths if key.rpartition("__")[2] == own]
+    if len(fitting) > 1:
+        raise InputDataError(
+            f"recording '{name}' fits several truth files: {', '.join(fitting)}; "
+            "give a folder with one of them"
+        )
+    return truths[fitting[0]] if fitting else None
