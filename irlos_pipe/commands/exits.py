@@ -16,10 +16,10 @@ from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, IrlosErr
 EXIT_CODES = """\b
 Exit codes:
   0    done, or already up to date
-  1    unexpected error (the message says where the traceback is), or no place to write
+  1    unexpected error (the message names the file with the traceback), or no space to write
   2    usage or configuration
   3    bad input data
-  4    a QC limit failed (products are written)
+  4    a QC check failed (products are written)
   5    partial: some exposures failed (products are written)
   64   nothing to process
   75   the output folder is in use by another run
@@ -28,29 +28,31 @@ Exit codes:
 
 
 class IrlosGroup(click.Group):
-    """Tells every error in one line per problem and exits with the code of the error."""
+    """A group that reports every error in one line per problem and exits with the code of the error."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the commands in the order in which people meet them."""
+        """See `click.Group.list_commands`; here in the order in which they are used."""
         return list(self.commands)
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run the command."""
+        """See `click.Group.invoke`."""
         try:
             return super().invoke(ctx)
         except IrlosError as error:
-            tell(_lines(error))
+            report_error(_lines(error))
             ctx.exit(error.exit_code)
         except KeyboardInterrupt:
-            tell("interrupted; finished products stay, run the same command to go on")
+            report_error("interrupted; finished products are kept, run the same command to continue")
             ctx.exit(ExitCode.INTERRUPTED)
         except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
         except Exception as error:
             if isinstance(error, OSError) and error.filename:  # a path that was given
-                tell(f"{error.filename}: {error.strerror}")
+                report_error(f"{error.filename}: {error.strerror}")
                 ctx.exit(ExitCode.BAD_DATA)
-            tell(f"unexpected {type(error).__name__}: {error}; the traceback is in {_saved_traceback()}")
+            report_error(
+                f"unexpected {type(error).__name__}: {error}; the traceback is in {_saved_traceback()}"
+            )
             ctx.exit(ExitCode.UNEXPECTED)
 
 
@@ -60,15 +62,15 @@ def _lines(error: IrlosError) -> str:
     return text if isinstance(error, ConfigurationError) else " ".join(text.splitlines())
 
 
-def tell(message: str) -> None:
-    """Write error lines to stderr."""
+def report_error(message: str) -> None:
+    """Write the lines of an error `message` to stderr."""
     for line in message.splitlines():
         click.echo(f"irlos: error: {line}", err=True)
 
 
 @contextmanager
 def terminated_like_interrupted() -> Iterator[None]:
-    """Let SIGTERM end the block as Ctrl-C does, so that nothing half done stays behind."""
+    """End the block on SIGTERM as on Ctrl-C, so that no unfinished files are left."""
     previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield

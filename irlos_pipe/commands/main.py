@@ -1,4 +1,4 @@
-"""The commands: parse, call, exit code. Nothing else."""
+"""The commands: each parses its options, calls the work and ends with its exit code."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 import irlos_pipe
-from irlos_pipe.commands.exits import EXIT_CODES, IrlosGroup, tell, terminated_like_interrupted
+from irlos_pipe.commands.exits import EXIT_CODES, IrlosGroup, report_error, terminated_like_interrupted
 from irlos_pipe.commands.night import night, trend
 from irlos_pipe.commands.options import FOLDER, recipe_options, resources_of
 
@@ -30,40 +30,65 @@ def cli() -> None:
       irlos status demo
       irlos show demo/03_calibrate.h5
 
-    Each command explains itself: irlos COMMAND --help
+    irlos COMMAND --help explains each command.
     """
 
 
 @cli.command(epilog=EXIT_CODES)
 @recipe_options
-@click.option("--output", type=FOLDER, required=True, metavar="DIR", help="Folder of the run.")
-@click.option("--from", "first", metavar="STAGE", help="First stage to run; earlier products are used as is.")
-@click.option("--to", "last", metavar="STAGE", help="Last stage to run.")
-@click.option("--force", is_flag=True, help="Run stages that are up to date as well.")
-@click.option("--dry-run", is_flag=True, help="Say what would be done and why; touch nothing.")
-@click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Threads (default: all processors).")
-@click.option("--device", type=click.Choice(["cpu", "cuda", "auto"]), default="auto", show_default=True)
-@click.option("-v", "--verbose", count=True, help="Tell more; -vv for debugging.")
-@click.option("-q", "--quiet", is_flag=True, help="Tell errors only.")
-@click.option("--json", "as_json", is_flag=True, help="Print results.json (or the plan), no table.")
+@click.option(
+    "--output",
+    type=FOLDER,
+    required=True,
+    metavar="DIR",
+    help="Folder for the products; it is made if it does not exist.",
+)
+@click.option(
+    "--from",
+    "first",
+    metavar="STAGE",
+    help="First stage to run; products of earlier stages are used as they are.",
+)
+@click.option("--to", "last", metavar="STAGE", help="Last stage to run; later stages are left alone.")
+@click.option("--force", is_flag=True, help="Run stages even if their products are up to date.")
+@click.option("--dry-run", is_flag=True, help="Print what would be done and why; change nothing.")
+@click.option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="Number of threads (default: all processors)."
+)
+@click.option(
+    "--device",
+    type=click.Choice(["cpu", "cuda", "auto"]),
+    default="auto",
+    show_default=True,
+    help="Processor or graphics card; auto takes the graphics card if there is one.",
+)
+@click.option(
+    "-v", "--verbose", count=True, help="Print more messages; -vv prints debugging messages as well."
+)
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@click.option(
+    "--json", "as_json", is_flag=True, help="Print results.json (or the plan) instead of the table."
+)
 def run(
     recipe: Path,
     output: Path,
-    first: str,
-    last: str,
+    first: str | None,
+    last: str | None,
     force: bool,
     dry_run: bool,
-    jobs: int,
+    jobs: int | None,
     device: str,
     verbose: int,
     quiet: bool,
     as_json: bool,
-    **changes: object,
+    inputs: tuple[str, ...],
+    settings: tuple[str, ...],
+    seed: int | None,
 ) -> None:
-    """Run RECIPE into the folder DIR.
+    """Run the stages of RECIPE and write their products to the folder DIR.
 
-    Running again into the same folder skips what is up to date, and says why anything is redone:
-    a changed setting, input file, instrument profile or software.
+    A second run into the same folder skips the products that are up to date, and states why others
+    are made again: a setting, an input file, the instrument profile or the software has changed.
 
     \b
     Examples:
@@ -80,7 +105,7 @@ def run(
       results.json          results of all stages, for scripts
       qc.json               quality control
       report.html           report for people
-      run.log               what happened
+      run.log               messages of all runs into this folder
       recipe.resolved.yaml  the recipe with every default; can be run again
     """
     from irlos_pipe.pipeline import Selection, plan_run, run_recipe
@@ -89,7 +114,8 @@ def run(
 
     if verbose and quiet:
         raise click.UsageError("-v and -q exclude each other")
-    checked, selection = load_recipe(recipe, **changes), Selection(first, last, force)
+    checked = load_recipe(recipe, settings, inputs, seed)
+    selection = Selection(first, last, force)
     if dry_run:
         click.echo(plan_text(plan_run(checked, output, selection)[1], as_json))
         return
@@ -100,10 +126,10 @@ def run(
 
 @cli.command()
 @recipe_options
-def validate(recipe: Path, **changes: object) -> None:
+def validate(recipe: Path, inputs: tuple[str, ...], settings: tuple[str, ...], seed: int | None) -> None:
     """Check RECIPE, its options and its inputs without running anything.
 
-    All errors are told at once, each as file:line: message (or --set KEY: message).
+    All errors are reported at once, each as file:line: message (or --set KEY: message).
 
     \b
     Examples:
@@ -112,14 +138,14 @@ def validate(recipe: Path, **changes: object) -> None:
     """
     from irlos_pipe.recipe import load_recipe
 
-    checked = load_recipe(recipe, **changes)
+    checked = load_recipe(recipe, settings, inputs, seed)
     click.echo(f"{recipe}: recipe '{checked.name}' is valid: {', '.join(checked.stages)}")
 
 
 @cli.command()
 @click.argument("folder", metavar="DIR", type=FOLDER)
 def status(folder: Path) -> None:
-    """Say for each product of the run in DIR whether it is up to date, and why not.
+    """Show for each product of the run in DIR whether it is up to date, and if not, why.
 
     \b
     Example:
@@ -133,7 +159,7 @@ def status(folder: Path) -> None:
 @cli.command()
 @click.argument("product", metavar="PRODUCT.h5", type=FOLDER)
 def show(product: Path) -> None:
-    """Show what PRODUCT.h5 holds: arrays with units, results, configuration, QC, provenance, log.
+    """Show what PRODUCT.h5 contains: arrays with units, results, configuration, QC, provenance, log.
 
     \b
     Example:
@@ -147,7 +173,7 @@ def show(product: Path) -> None:
 @cli.command()
 @click.argument("folder", metavar="DIR", type=FOLDER)
 def report(folder: Path) -> None:
-    """Build DIR/report.html again from the products of a run.
+    """Write DIR/report.html again from the products of a run.
 
     \b
     Example:
@@ -169,15 +195,15 @@ def report(folder: Path) -> None:
     metavar="NAME",
     multiple=True,
     required=True,
-    help="Array to copy (names: irlos show PRODUCT.h5). May be repeated.",
+    help="Array to copy; irlos show PRODUCT.h5 lists the names. May be repeated.",
 )
-@click.option("--output", type=FOLDER, required=True, metavar="FILE", help="A .fits or .csv file.")
+@click.option("--output", type=FOLDER, required=True, metavar="FILE", help="File to write, .fits or .csv.")
 @click.option("--force", is_flag=True, help="Replace FILE if it exists.")
 def export(product: Path, arrays: tuple[str, ...], output: Path, force: bool) -> None:
     """Copy arrays out of PRODUCT.h5 into a FITS or CSV file.
 
-    FITS holds arrays of any shape, one extension each, with the unit in BUNIT and errors in
-    extensions of their own. CSV holds columns of equal length, or one matrix.
+    A FITS file holds arrays of any shape, one extension each, with the unit in BUNIT and errors in
+    extensions of their own. A CSV file holds columns of equal length, or one matrix.
 
     \b
     Examples:
@@ -193,19 +219,28 @@ def export(product: Path, arrays: tuple[str, ...], output: Path, force: bool) ->
 
 @cli.command(epilog=EXIT_CODES)
 @click.argument("spec", metavar="SPEC.yaml", type=FOLDER)
-@click.option("--output", type=FOLDER, required=True, metavar="DIR", help="Folder of the simulation.")
+@click.option(
+    "--output", type=FOLDER, required=True, metavar="DIR", help="Folder for the recordings and their truth."
+)
 @click.option(
     "--set",
     "settings",
     metavar="KEY=VALUE",
     multiple=True,
-    help="Change a value of the spec; VALUE is YAML. May be repeated.",
+    help="Change a value of the specification; VALUE is YAML. May be repeated.",
 )
-@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed in place of the spec's.")
-@click.option("--force", is_flag=True, help="Make recordings again that are up to date.")
-@click.option("--dry-run", is_flag=True, help="Say what would be made and why; touch nothing.")
-@click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes (default: all processors).")
-@click.option("-q", "--quiet", is_flag=True, help="Tell errors only.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    metavar="N",
+    help="Seed of the random numbers (default: that of the specification).",
+)
+@click.option("--force", is_flag=True, help="Make recordings again even if they are up to date.")
+@click.option("--dry-run", is_flag=True, help="Print what would be made and why; change nothing.")
+@click.option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="Number of processes (default: all processors)."
+)
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def simulate(
     spec: Path,
     output: Path,
@@ -216,12 +251,12 @@ def simulate(
     jobs: int | None,
     quiet: bool,
 ) -> None:
-    """Simulate the recordings of SPEC.yaml into the folder DIR.
+    """Simulate the recordings that SPEC.yaml specifies and write them to the folder DIR.
 
-    The spec says star, aberrations, sky, image motion, detector and what else disturbs the
-    recordings; those in recipes/simulations are commented and meant to be copied. The same spec
-    and seed give the same data, whatever --jobs; a recording that is there already is not made
-    again. A recording appears when it is complete.
+    The specification states star, aberrations, sky, image motion, detector and other disturbances;
+    those in recipes/simulations have comments and are meant to be copied. The same specification
+    and seed give the same data for any --jobs. A recording that exists already is not made again;
+    a recording appears only when it is complete.
 
     \b
     Examples:
@@ -239,9 +274,9 @@ def simulate(
     \b
     DIR will hold:
       data/<recording>/         what an observer gets: frames, darks, side-car
-      truth/<recording>.json    what there really was: wavefront, hidden effects, all parameters
+      truth/<recording>.json    the truth: wavefront, hidden effects, all parameters
       truth/*_wavefront.fits    mean wavefront, pupil, Zernikes per frame
-      simulation.resolved.yaml  the spec with every default; can be simulated again
+      simulation.resolved.yaml  the specification with every default; can be simulated again
     """
     from irlos_pipe.conventions.text import aligned
     from irlos_pipe.pipeline.terminal import messages
@@ -261,9 +296,17 @@ def simulate(
 
 @cli.command()
 @click.argument("folder", metavar="DIR", type=FOLDER)
-@click.option("--truth", type=FOLDER, required=True, metavar="PATH", help="Folder or file with the truth.")
+@click.option(
+    "--truth",
+    type=FOLDER,
+    required=True,
+    metavar="PATH",
+    help="Truth of the recordings: a JSON file, or a folder of them.",
+)
 def score(folder: Path, truth: Path) -> None:
-    """Compare the run in DIR with the truth of simulated data.
+    """Compare the results of the run in DIR with the truth of simulated data.
+
+    The table lists the errors of every calibration method and of the ramp.
 
     \b
     Example:
@@ -275,8 +318,14 @@ def score(folder: Path, truth: Path) -> None:
 
 
 @cli.command(epilog=EXIT_CODES)
-@click.option("--output", type=FOLDER, required=True, metavar="DIR", help="Folder of all experiments.")
-@click.option("--quick", is_flag=True, help="Small samples (recipes/paper/quick.yaml): minutes, not hours.")
+@click.option(
+    "--output", type=FOLDER, required=True, metavar="DIR", help="Folder for the runs of all experiments."
+)
+@click.option(
+    "--quick",
+    is_flag=True,
+    help="Use small samples (recipes/paper/quick.yaml), which takes minutes instead of hours.",
+)
 @click.option("--only", metavar="NAME", multiple=True, help="Run only this experiment. May be repeated.")
 @click.option(
     "--recipes",
@@ -284,12 +333,21 @@ def score(folder: Path, truth: Path) -> None:
     default=Path("recipes/paper"),
     show_default=True,
     metavar="DIR",
-    help="Folder of the experiments' recipes.",
+    help="Folder with the recipes of the experiments.",
 )
-@click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes (default: all processors).")
-@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Seed in place of the recipes'.")
-@click.option("-v", "--verbose", count=True, help="Tell more; -vv for debugging.")
-@click.option("-q", "--quiet", is_flag=True, help="Tell errors only.")
+@click.option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="Number of processes (default: all processors)."
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    metavar="N",
+    help="Seed of the random numbers (default: those of the recipes).",
+)
+@click.option(
+    "-v", "--verbose", count=True, help="Print more messages; -vv prints debugging messages as well."
+)
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def paper(
     output: Path,
     quick: bool,
@@ -300,11 +358,11 @@ def paper(
     verbose: int,
     quiet: bool,
 ) -> None:
-    """Run every experiment of the paper on simulated data, and sum up all of them in DIR.
+    """Run every experiment of the paper on simulated data and summarise all of them in DIR.
 
-    What is up to date is skipped, and an interrupted run goes on where it stopped, in the middle of
-    an experiment too. An experiment that fails does not stop the others (exit code 5). Results do
-    not depend on --jobs. Run it in the source tree, where recipes/paper is.
+    Experiments that are up to date are skipped, and an interrupted run continues where it stopped,
+    even in the middle of an experiment. An experiment that fails does not stop the others (exit
+    code 5). Results do not depend on --jobs.
 
     \b
     Examples:
@@ -331,7 +389,7 @@ def paper(
     if not quiet:
         click.echo(ran_text(ran))
     for name, problem in ran.problems.items():
-        tell(f"{name}: {problem}")
+        report_error(f"{name}: {problem}")
     sys.exit(ran.exit_code)
 
 
@@ -342,7 +400,7 @@ def _finish(outcome: Outcome, as_json: bool, quiet: bool) -> NoReturn:
     if as_json or not quiet:
         click.echo(outcome_text(outcome, as_json))
     if outcome.report_error:
-        tell(outcome.report_error)
+        report_error(outcome.report_error)
     sys.exit(outcome.exit_code)
 
 

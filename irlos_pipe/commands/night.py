@@ -1,4 +1,4 @@
-"""The commands for nights: parse, call, exit code. Nothing else."""
+"""The commands for nights: each parses its options, calls the work and ends with its exit code."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from irlos_pipe.commands.exits import EXIT_CODES, tell, terminated_like_interrupted
+from irlos_pipe.commands.exits import EXIT_CODES, report_error, terminated_like_interrupted
 from irlos_pipe.commands.options import FOLDER, resources_of
 from irlos_pipe.conventions.errors import ExitCode, NothingToDo
 
@@ -19,34 +19,51 @@ if TYPE_CHECKING:
 
 DATE = click.DateTime(["%Y-%m-%d"])
 CONFIG = click.option(
-    "--config", type=FOLDER, metavar="FILE", help="YAML with recipes, settings and bands (docs/night.md)."
+    "--config",
+    type=FOLDER,
+    metavar="FILE",
+    help="YAML file with recipes, settings and bands (docs/night.md).",
 )
 
 
 @click.command(epilog=EXIT_CODES)
 @click.argument("folders", metavar="NIGHT_DIR...", type=FOLDER, nargs=-1, required=True)
-@click.option("--output", type=FOLDER, required=True, metavar="TREE", help="Folder of all nights.")
+@click.option(
+    "--output", type=FOLDER, required=True, metavar="TREE", help="Folder for the products of all nights."
+)
 @CONFIG
 @click.option(
     "--recipe",
     "recipes",
     metavar="KIND=PATH",
     multiple=True,
-    help="Recipe for calibration, ramp, derotator or psf; a KIND given again makes a list.",
+    help="Recipe for groups of KIND calibration, ramp, derotator or psf. A KIND given again makes a list.",
 )
-@click.option("--since", type=DATE, metavar="DATE", help="First night to look at, YYYY-MM-DD.")
-@click.option("--dry-run", is_flag=True, help="Say what would be done and why; touch nothing.")
-@click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes (default: all processors).")
-@click.option("--device", type=click.Choice(["cpu", "cuda", "auto"]), default="cpu", show_default=True)
+@click.option("--since", type=DATE, metavar="DATE", help="First night to be looked at, YYYY-MM-DD.")
+@click.option("--dry-run", is_flag=True, help="Print what would be done and why; change nothing.")
+@click.option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="Number of processes (default: all processors)."
+)
+@click.option(
+    "--device",
+    type=click.Choice(["cpu", "cuda", "auto"]),
+    default="cpu",
+    show_default=True,
+    help="Processor or graphics card; auto takes the graphics card if there is one.",
+)
 @click.option(
     "--engine",
     type=click.Choice(["local", "dask"]),
     default="local",
     show_default=True,
-    help="Processes of this machine, or a Dask cluster (docs/scale_out.md).",
+    help="Work in processes of this machine, or on a Dask cluster (docs/scale_out.md).",
 )
-@click.option("--scheduler", metavar="ADDRESS", help="Scheduler of the cluster, e.g. tcp://10.0.0.1:8786.")
-@click.option("-v", "--verbose", count=True, help="Tell what is done; -vv all that is told.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Address of the scheduler of the cluster, for example tcp://10.0.0.1:8786.",
+)
+@click.option("-v", "--verbose", count=True, help="Print what is done; -vv prints all messages.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done (or the plan) as JSON.")
 def night(
     folders: tuple[Path, ...],
@@ -67,10 +84,10 @@ def night(
     NIGHT_DIR is a night, or an archive of many. Recordings are grouped by role, time and
     configuration: a calibration cube by itself, a ramp with the calibration that serves it, a
     series of derotator angles. A recording that cannot be reduced is named and does not stop the
-    others. What is up to date is left alone; after a change of model, recipe or settings exactly
-    what depends on it is redone, and the old products stay until all the new ones are there.
+    others. Products that are up to date are left alone; after a change of model, recipe or settings
+    exactly what depends on it is made again, and the old products stay until all new ones are there.
 
-    Nothing is printed when all is well, one line when somebody should have a look.
+    Nothing is printed when all is well, and one line when somebody should have a look.
 
     \b
     Examples:
@@ -84,7 +101,7 @@ def night(
       night_<date>.html          what came in, what became of it, the trends
       <date>/<group>/<recipe>/   the run of each: report.html, results.json, products (irlos show)
       trend.sqlite               the numbers of all nights (irlos trend TREE)
-      night.log                  what happened
+      night.log                  messages of all runs into this folder
     """
     from irlos_pipe.night.run import Request, plan_night, run_night
     from irlos_pipe.night.settings import load_settings
@@ -95,15 +112,15 @@ def night(
     runner = _runner(engine, scheduler, resources.jobs)
     request = Request(folders, output, load_settings(config, recipes), _date(since), resources.device)
     if dry_run:
-        with _nothing_told(verbose, as_json):
+        with _nothing_to_do_is_silent(verbose, as_json):
             click.echo(plan_text(*plan_night(request), as_json))
         return
-    with _nothing_told(verbose, as_json), terminated_like_interrupted(), messages(verbose - 1):
+    with _nothing_to_do_is_silent(verbose, as_json), terminated_like_interrupted(), messages(verbose - 1):
         state = run_night(request, runner)
     if as_json or verbose:
         click.echo(night_json(state, output) if as_json else night_text(state, output))
     if line := attention_line(state, output):
-        tell(line)
+        report_error(line)
     sys.exit(state.exit_code)
 
 
@@ -114,20 +131,21 @@ def night(
     "names",
     metavar="NAME",
     multiple=True,
-    help="Number to show, e.g. noll_4_nm; may be repeated (default: all, in a plot the first 16).",
+    help="Number to show, for example noll_4_nm. May be repeated (default: all, in a plot the first 16).",
 )
 @CONFIG
-@click.option("--until", type=DATE, metavar="DATE", help="Last night to look at, YYYY-MM-DD.")
+@click.option("--until", type=DATE, metavar="DATE", help="Last night to be looked at, YYYY-MM-DD.")
 @click.option("--json", "as_json", is_flag=True, help="Print all points, bands and alarms as JSON.")
-@click.option("--plot", type=FOLDER, metavar="FILE", help="Draw to FILE, a .svg, .png or .pdf.")
+@click.option("--plot", type=FOLDER, metavar="FILE", help="Draw a plot to FILE, a .svg, .png or .pdf.")
 def trend(
     tree: Path, names: tuple[str, ...], config: Path | None, until: object, as_json: bool, plot: Path | None
 ) -> None:
-    """Show how NCPAs, defocus bias, seeing and the verdicts of diagnose went from night to night.
+    """Show how NCPAs, defocus bias, seeing and the verdicts of diagnose changed from night to night.
 
     Every number is compared with the band of the nights before it; a number of the last night
-    outside its band is told and makes the exit code 4. The stability of the NCPAs is their
-    structure function: the RMS change of the wavefront against the time between two calibrations.
+    outside its band is reported and makes the exit code 4. The stability of the NCPAs is shown by
+    their structure function: the RMS change of the wavefront against the time between two
+    calibrations.
 
     \b
     Examples:
@@ -146,12 +164,12 @@ def trend(
         save_plot(found, plot)
     click.echo(trend_json(found) if as_json else trend_text(found))
     if alarms_line(found):
-        tell(alarms_line(found))
+        report_error(alarms_line(found))
         sys.exit(ExitCode.QUALITY)
 
 
 def _runner(engine: str, scheduler: str | None, jobs: int) -> Runner:
-    """What works on the tasks."""
+    """Return what works on the tasks."""
     if engine == "dask" and scheduler:
         from irlos_pipe.night.engines import dask_runner
 
@@ -164,8 +182,8 @@ def _runner(engine: str, scheduler: str | None, jobs: int) -> Runner:
 
 
 @contextmanager
-def _nothing_told(verbose: int, as_json: bool) -> Iterator[None]:
-    """A night without recordings is no reason for cron to send a letter; the page and the code say so."""
+def _nothing_to_do_is_silent(verbose: int, as_json: bool) -> Iterator[None]:
+    """End quietly without recordings, so that cron sends no mail; the page and the exit code state it."""
     try:
         yield
     except NothingToDo as nothing:

@@ -1,29 +1,30 @@
-"""What several commands share."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 if TYPE_CHECKING:
     from irlos_pipe.pipeline import Resources
 
-# Whether a path can be read is told by what reads it, in one line.
+# Whether a path can be read is reported, in one line, by the code that reads it.
+Command = TypeVar("Command", bound=Callable[..., Any])
 FOLDER = click.Path(path_type=Path, readable=False)
 
 
-def recipe_options(command: Callable) -> Callable:
-    """Add the recipe and the options that change it."""
+def recipe_options(command: Command) -> Command:
+    """Add the argument RECIPE and the options that change it to a `command`."""
     for decorate in (
         click.option(
             "--seed",
             type=click.IntRange(min=0),
             metavar="N",
-            help="Seed of random draws (default: the recipe's).",
+            help="Seed of the random numbers (default: that of the recipe).",
         ),
         click.option(
             "--set",
@@ -37,7 +38,7 @@ def recipe_options(command: Callable) -> Callable:
             "inputs",
             metavar="NAME=PATH",
             multiple=True,
-            help="File or folder for an input of the recipe; a NAME given again makes a list.",
+            help="File or folder for an input of the recipe. A NAME given again makes a list.",
         ),
         click.argument("recipe", type=FOLDER),
     ):
@@ -46,7 +47,16 @@ def recipe_options(command: Callable) -> Callable:
 
 
 def resources_of(device: str, jobs: int | None, quiet: bool) -> Resources:
-    """Device, threads and progress bars as the options have them."""
+    """Return the resources that the options state.
+
+    Parameters
+    ----------
+    device : {"cpu", "cuda", "auto"}
+    jobs : int or None
+        Threads or processes; None for all processors.
+    quiet : bool
+        Show no progress bars, as when stderr is not a terminal.
+    """
     from irlos_pipe.pipeline import resources
 
     show_bars = sys.stderr.isatty() and not quiet

@@ -1,4 +1,4 @@
-"""Products and run folders as text for people."""
+"""Products and run folders as text."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from irlos_pipe.recipe import load_recipe
 
 
 def product_text(path: Path) -> str:
-    """Return what a product holds: provenance, arrays, results, configuration, QC and log."""
+    """Return what the product at `path` contains: provenance, arrays, results, configuration, QC and log."""
     product = read_product(path)
     arrays = [_array_row(name, quantity) for name, quantity in product.arrays.items()]
     parts = {

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from irlos_pipe.report.build import stage_sections
-from irlos_pipe.report.content import Figure, Section, Stack, Table
+from irlos_pipe.report.content import Block, Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import renamed
 from irlos_pipe.report.run_data import RunData, read_run
 from irlos_pipe.report.section_origin import finished, warnings
@@ -91,9 +91,9 @@ def _own(section: Section, name: str) -> Section:
     return replace(section, name=f"{name}-{section.name}", blocks=blocks)
 
 
-def _own_block(block: Any, name: str) -> Any:
+def _own_block(block: Block, name: str) -> Block:
     if isinstance(block, Stack):
-        return replace(block, blocks=[_own_block(inner, name) for inner in block.blocks])
+        return Stack([_own_block(inner, name) for inner in block.blocks])
     return replace(block, svg=renamed(block.svg, name)) if isinstance(block, Figure) else block
 
 

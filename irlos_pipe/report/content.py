@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 from markupsafe import Markup
@@ -66,7 +66,10 @@ class Stack:
     """Blocks below one another that together take half of the page."""
 
     kind: ClassVar[str] = "stack"
-    blocks: Sequence[Figure | Table | Text]
+    blocks: Sequence[Block]
+
+
+Block = Figure | Table | Text | Stack
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,7 @@ class Section:
     name: str
     title: str
     lead: str = ""
-    blocks: list[Figure | Table | Text | Stack] = field(default_factory=list)
+    blocks: Sequence[Block] = ()
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
+from typing import Any
 
 import matplotlib
 import numpy as np
 from markupsafe import Markup
+from matplotlib import rcsetup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -28,7 +30,7 @@ PAGE_COLOURS = {
     SKY: "var(--sky)",
     YELLOW: "var(--yellow)",
 }
-STYLE = {
+STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "irlos",
     "font.size": 9,
@@ -47,7 +49,7 @@ STYLE = {
     "axes.spines.right": False,
     "axes.facecolor": "none",
     "figure.facecolor": "none",
-    "axes.prop_cycle": matplotlib.cycler(color=CYCLE),
+    "axes.prop_cycle": rcsetup.cycler(color=CYCLE),
     "lines.linewidth": 1.4,
     "legend.frameon": False,
     "legend.fontsize": 8,
@@ -91,13 +93,13 @@ def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None])
 
 
 def renamed(drawing: Markup, prefix: str) -> Markup:
-    """Return the drawing with other identifiers, for a page that holds several of the same name."""
+    """Return a `drawing` whose identifiers begin with `prefix`, for a page with several of the same name."""
     text = IDENTIFIER.sub(lambda found: f' id="{prefix}-{found[1]}"', str(drawing))
     return Markup(REFERENCE.sub(lambda found: f"{prefix}-{found[0]}", text))
 
 
 def log_y(axes: Axes, *values: np.ndarray) -> None:
-    """Make the y axis logarithmic, unless nothing positive is drawn, which matplotlib cannot."""
+    """Make the y axis of `axes` logarithmic, unless none of the `values` drawn is positive."""
     if any(np.any(value > 0) for value in values):
         axes.set_yscale("log")
 

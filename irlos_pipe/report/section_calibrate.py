@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.frames.detector import star_position
-from irlos_pipe.report.content import Figure, Section, Stack, Table
+from irlos_pipe.report.content import Block, Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import BLUE, CYCLE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.images import SIGMA_LIMIT, SIGNED, brightness_scale, image_panel, symmetric_scale
 from irlos_pipe.report.radial import profile_plot, ring_means
@@ -42,7 +42,7 @@ CUBE_COLUMNS = ("recording", "derotator [°]", "NCPA [nm RMS]", "defocus [nm]", 
 def calibrate_section(run: RunData) -> Section:
     """Build the section."""
     results = run.results(CalibrateResults)
-    blocks = [
+    blocks: list[Block] = [
         *_images(run, results),
         *_bars(results),
         Stack([*_profile(run), *_maps(run)]),
@@ -144,8 +144,9 @@ def _in_order(values: Mapping[int, float], nolls: Sequence[int]) -> np.ndarray:
 
 
 def _maps(run: RunData) -> list[Figure]:
-    maps = {when: run.array("correct", f"wavefront_{when}_nm") for when in ("before", "after")}
-    if any(opd is None or not np.isfinite(opd).any() for opd in maps.values()):
+    stored = {when: run.array("correct", f"wavefront_{when}_nm") for when in ("before", "after")}
+    maps = {when: opd for when, opd in stored.items() if opd is not None and np.isfinite(opd).any()}
+    if len(maps) < len(stored):
         return []
     limit = max(float(np.nanpercentile(np.abs(opd), MAP_PERCENTILE)) for opd in maps.values()) or 1.0
     captions = {

@@ -34,8 +34,9 @@ def _lead(run: RunData, results: CorrectResults) -> str:
 
 
 def _images(run: RunData) -> list[Figure]:
-    images = {name: run.array(STAGE, name) for name in IMAGES}
-    if any(image is None for image in images.values()):
+    stored = {name: run.array(STAGE, name) for name in IMAGES}
+    images = {name: image for name, image in stored.items() if image is not None}
+    if len(images) < len(IMAGES):
         return []
     scale = log_scale(*images.values())
     return [
@@ -53,8 +54,9 @@ def _images(run: RunData) -> list[Figure]:
 
 def _profile(run: RunData) -> list[Figure]:
     radius = run.array(STAGE, "radius_mas")
-    profiles = {name: run.array(STAGE, f"profile_{name}") for name in IMAGES}
-    if radius is None or any(profile is None for profile in profiles.values()):
+    stored = {name: run.array(STAGE, f"profile_{name}") for name in IMAGES}
+    profiles = {name: profile for name, profile in stored.items() if profile is not None}
+    if radius is None or len(profiles) < len(IMAGES):
         return []
     looks = {"before": (ORANGE, "--"), "after": (BLUE, "-")}
     curves = {name: (radius, profile, *looks[name]) for name, profile in profiles.items()}

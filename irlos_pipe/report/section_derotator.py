@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from irlos_pipe.report.content import Figure, Section, Stack, Table, Text, Width
+from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Width
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number, plural, with_error
 from irlos_pipe.report.wavefront_plots import FEW_COLUMNS, common_limit_nm, wavefront_grid
@@ -27,7 +27,7 @@ def derotator_section(run: RunData) -> Section:
     results = run.results(DerotatorResults)
     names = [cube.name for cube in results.cubes]
     angles = angles_table(names, angle_titles(run, STAGE), results)
-    blocks: list[Figure | Table | Text | Stack] = []
+    blocks: list[Block] = []
     blocks += maps_figure(run, STAGE, "Wavefront at every angle", _images(run, names))
     if results.parts:
         blocks += [

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.estimate.ramp import travel_direction
-from irlos_pipe.report.content import Figure, Section, Stack, Table
+from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Width
 from irlos_pipe.report.drawing import BLUE, INK, ORANGE, PURPLE, svg
 from irlos_pipe.report.images import BRIGHTNESS, SIGNED, brightness_scale, symmetric_scale
 from irlos_pipe.report.run_data import RunData
@@ -49,7 +49,7 @@ def lift_section(run: RunData) -> Section:
     """Build the section."""
     results = run.results(LiftResults)
     tables = Stack([_variants(results), *_offsets(results.offsets)])
-    blocks = [*_ramp(results.points), tables, *_strip(run)]
+    blocks: list[Block] = [*_ramp(results.points), tables, *_strip(run)]
     return Section(STAGE, "Defocus ramp (LIFT)", _lead(results), blocks)
 
 
@@ -103,7 +103,7 @@ def _strip(run: RunData) -> list[Figure]:
         f"Asinh scale to the peak of each offset; residual ±{limit:.1%} of the model's peak "
         "(red: brighter than the model, blue: fainter)."
     )
-    width = "full" if len(offsets) > FEW_OFFSETS else "half"
+    width: Width = "full" if len(offsets) > FEW_OFFSETS else "half"
     return [Figure(image_strip(offsets, measured, model, limit), "Mean image per offset", caption, width)]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from irlos_pipe.product.product import Product
-from irlos_pipe.report.content import Section, Table, Text
+from irlos_pipe.report.content import Block, Section, Table, Text
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number
 
@@ -15,7 +15,7 @@ CHECKSUM_DIGITS = 12
 def origin_section(run: RunData) -> Section:
     """Build the section."""
     last = _latest(run)
-    blocks = [
+    blocks: list[Block] = [
         _stages(run),
         *_inputs(last),
         Text(run.recipe_text, "Resolved recipe", verbatim=True, folded=True),

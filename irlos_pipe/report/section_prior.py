@@ -7,7 +7,7 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.report.content import Figure, Section, Stack, Table, Text
+from irlos_pipe.report.content import Block, Figure, Section
 from irlos_pipe.report.drawing import BLUE, INK, MANY, ORANGE, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number
@@ -21,7 +21,7 @@ def prior_section(run: RunData) -> Section:
     """Build the section."""
     ratio, prior, introduced = (run.array(STAGE, name) for name in ("ratio", "defocus_nm", "introduced_nm"))
     results = run.results(PriorResults)
-    blocks: list[Figure | Table | Text | Stack] = []
+    blocks: list[Block] = []
     if ratio is not None and introduced is not None:
         blocks.append(
             Figure(

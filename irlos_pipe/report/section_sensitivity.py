@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL
-from irlos_pipe.report.content import Figure, Section, Stack, Table, Text
+from irlos_pipe.report.content import Block, Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import CYCLE, INK, log_y, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number
@@ -32,7 +32,7 @@ def sensitivity_section(run: RunData) -> Section:
     return Section(STAGE, "Sensitivity", _lead(results.curves), _blocks(results))
 
 
-def _blocks(results: SensitivityResults) -> list[Figure | Table | Text | Stack]:
+def _blocks(results: SensitivityResults) -> list[Block]:
     rows, criterion = results.curves, results.criterion
     if not rows:
         return []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TypeGuard
 
 from irlos_pipe.optics.zernike import noll_to_nm
 
@@ -22,23 +23,28 @@ NAMED_APART = {0: 2, 1: 1}
 ORDINALS = ("", "2nd ", "3rd ", "4th ", "5th ", "6th ")
 
 
+def is_known(value: float | None) -> TypeGuard[float]:
+    """Return whether a number is there and finite."""
+    return value is not None and math.isfinite(value)
+
+
 def number(value: float | None, pattern: str = ".1f", unit: str = "") -> str:
-    """Format a number with its unit; None, NaN and infinity give a dash."""
-    if value is None or not math.isfinite(value):
+    """Format `value` by `pattern` with its `unit`; None, NaN and infinity give a dash."""
+    if not is_known(value):
         return MISSING
     return f"{value:{pattern}}" + (f" {unit}" if unit else "")
 
 
 def with_error(value: float | None, error: float | None, pattern: str = ".1f", unit: str = "") -> str:
-    """Format ``value ± error unit``; without an error the value alone."""
-    if number(value) == MISSING or number(error) == MISSING:
+    """Format ``value ± error unit`` by `pattern`; the `value` alone without an `error`."""
+    if not is_known(value) or not is_known(error):
         return number(value, pattern, unit)
     return f"{value:{pattern}} ± {error:{pattern.lstrip('+')}}" + (f" {unit}" if unit else "")
 
 
 def rounded_by_error(value: float, error: float | None) -> str:
-    """Format ``value ± error`` to the second digit of the error; four digits without an error."""
-    if MISSING in (number(value), number(error)) or error <= 0:
+    """Format `value` ± `error` to the second digit of the error; four digits without an error."""
+    if not is_known(value) or not is_known(error) or error <= 0:
         return number(value, ".4g")
     decimals = 1 - math.floor(math.log10(error))
     value, error = (round(one, decimals) for one in (value, error))
@@ -46,13 +52,13 @@ def rounded_by_error(value: float, error: float | None) -> str:
 
 
 def plural(count: int, noun: str) -> str:
-    """Format a count with its noun: ``1 frame``, ``2 frames``."""
+    """Format a `count` with its `noun`: ``1 frame``, ``2 frames``."""
     return f"{count} {noun}" + ("" if count == 1 else "s")
 
 
 def duration(seconds: float | None) -> str:
     """Format a time to two units: ``4.2 s``, ``3 min 20 s``, ``2 h 05 min``."""
-    if number(seconds) == MISSING:
+    if not is_known(seconds):
         return MISSING
     if seconds < 60:
         return f"{seconds:.1f} s"

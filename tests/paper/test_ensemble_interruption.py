@@ -93,7 +93,7 @@ def test_a_signal_to_all_processes_ends_them_with_one_line_and_the_next_run_goes
     _, errors = process.communicate(timeout=30)
     assert process.returncode == 130 and "Traceback" not in errors
     assert [line for line in errors.splitlines() if "error" in line] == [
-        "irlos: error: interrupted; finished products stay, run the same command to go on"
+        "irlos: error: interrupted; finished products are kept, run the same command to continue"
     ]
     until(lambda: members(process.pid) == [])
     assert "03_lift.h5" not in products(bench.output)

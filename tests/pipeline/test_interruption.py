@@ -49,7 +49,7 @@ def test_a_signal_ends_a_run_with_130_one_line_and_no_half_product(bench, number
     _, errors = process.communicate(timeout=20)
     assert process.returncode == 130 and products(bench.output) == ["01_ingest.h5"]
     assert [line for line in errors.splitlines() if "error" in line] == [
-        "irlos: error: interrupted; finished products stay, run the same command to go on"
+        "irlos: error: interrupted; finished products are kept, run the same command to continue"
     ]
     assert not list(bench.output.glob(".*.part"))
 
