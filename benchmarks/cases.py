@@ -108,7 +108,7 @@ def long_exposure(inputs: Inputs, count: int) -> dict:
     recording = recordings_from_product(context.products["ingest"], CalibrateConfig().input)[0].accepted()
     frames = Frames(
         torch.as_tensor(recording.images_e[:count]),
-        torch.as_tensor(recording.pixel_mask),
+        torch.as_tensor(recording.good),
         NoiseModel.of(recording),
     )
     with stopwatch() as watch:

@@ -8,13 +8,11 @@ import numpy as np
 from scipy.ndimage import maximum_filter, median_filter
 from scipy.stats import chi2
 
-from irlos_pipe.frames.blocks import blocks
-from irlos_pipe.frames.detector import pixel_variance_e2
+from irlos_pipe.frames.blocks import SAMPLE_FRAMES, blocks, sample_frames
 from irlos_pipe.frames.neighbour_prediction import Prediction, neighbour_prediction
+from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE, NoiseModel
 from irlos_pipe.frames.recording import Detector
 
-SAMPLE_FRAMES = 200  # frames that suffice for statistics over time
-MIN_FRAMES_FOR_NOISE = 10  # fewer tell little about the noise of a single pixel
 FALSE_ALARM = 1e-4  # chance that statistics alone make one good pixel of the window look stuck
 HOT_OVER_PATTERN = 20.0  # sigma of the dark's own pattern, which may be a bias without shot noise
 MAX_ROUNDS = 60
@@ -22,7 +20,7 @@ MAX_ROUNDS = 60
 
 @dataclass(frozen=True)
 class Thresholds:
-    """From when on a pixel is not believed.
+    """Limits beyond which a pixel counts as bad.
 
     Attributes
     ----------
@@ -38,16 +36,11 @@ class Thresholds:
         Fraction of the frames in which a pixel may be hit before it counts as bad.
     """
 
-    sigma: float = 8.0
-    fraction: float = 0.1
-    stuck_ratio: float = 0.3
-    noisy_ratio: float = 3.0
-    flicker_fraction: float = 0.05
-
-
-def sample_frames(frames: int, at_most: int = SAMPLE_FRAMES) -> np.ndarray:
-    """Indices of evenly spread frames."""
-    return np.unique(np.linspace(0, frames - 1, min(frames, at_most)).astype(int))
+    sigma: float
+    fraction: float
+    stuck_ratio: float
+    noisy_ratio: float
+    flicker_fraction: float
 
 
 def stuck_pixels(adu: np.ndarray, read_noise_adu: float, ratio: float) -> np.ndarray:
@@ -77,7 +70,7 @@ def stuck_pixels(adu: np.ndarray, read_noise_adu: float, ratio: float) -> np.nda
 
 
 def deviant_pixels(
-    images_e: np.ndarray, good: np.ndarray, sampling_px: float, detector: Detector, thresholds: Thresholds
+    images_e: np.ndarray, good: np.ndarray, sampling_px: float, noise: NoiseModel, thresholds: Thresholds
 ) -> np.ndarray:
     """Pixels that differ from what their neighbours predict, in the median over the frames.
 
@@ -99,7 +92,7 @@ def deviant_pixels(
     sample = images_e[sample_frames(len(images_e))]
     found = np.zeros(good.shape, dtype=bool)
     for _ in range(MAX_ROUNDS):
-        deviation, limit = _deviation(sample, good & ~found, sampling_px, detector, thresholds)
+        deviation, limit = _deviation(sample, good & ~found, sampling_px, noise, thresholds)
         worst = _local_maxima(np.where(good & ~found & (deviation > limit), deviation, 0.0))
         if not worst.any():
             break
@@ -109,7 +102,7 @@ def deviant_pixels(
 
 
 def _deviation(
-    sample: np.ndarray, good: np.ndarray, sampling_px: float, detector: Detector, thresholds: Thresholds
+    sample: np.ndarray, good: np.ndarray, sampling_px: float, noise: NoiseModel, thresholds: Thresholds
 ) -> tuple[np.ndarray, np.ndarray]:
     """Absolute deviation from the neighbours, and what is tolerated [e-]."""
     prediction = neighbour_prediction(good, sampling_px)
@@ -117,10 +110,10 @@ def _deviation(
     deviation = np.abs(np.median(residual, axis=0))
     mean = sample.mean(axis=0, dtype=np.float64)
     # a hot pixel must not excuse itself by its own photon noise
-    expected = prediction.variance(pixel_variance_e2(np.minimum(mean, prediction.of(mean)), detector))
-    noise = np.sqrt(np.maximum(expected, _seen_variance(residual)) * _variance_of_median(len(sample)))
-    scale = max(1.0, 1.4826 * float(np.median((deviation / noise)[good])))
-    limit = np.maximum(thresholds.sigma * scale * noise, thresholds.fraction * prediction.local_rms(mean))
+    expected = prediction.variance(noise.variance_e2(np.minimum(mean, prediction.of(mean))))
+    sigma = np.sqrt(np.maximum(expected, _seen_variance(residual)) * _variance_of_median(len(sample)))
+    scale = max(1.0, 1.4826 * float(np.median((deviation / sigma)[good])))
+    limit = np.maximum(thresholds.sigma * scale * sigma, thresholds.fraction * prediction.local_rms(mean))
     return deviation, limit
 
 
@@ -142,7 +135,7 @@ def _local_maxima(values: np.ndarray) -> np.ndarray:
 
 
 def noisy_pixels(
-    images_e: np.ndarray, good: np.ndarray, sampling_px: float, detector: Detector, thresholds: Thresholds
+    images_e: np.ndarray, good: np.ndarray, sampling_px: float, noise: NoiseModel, thresholds: Thresholds
 ) -> np.ndarray:
     """Pixels that scatter over time far more than their brightness and their surroundings explain.
 
@@ -161,7 +154,7 @@ def noisy_pixels(
         return found
     sample = images_e[sample_frames(len(images_e))]
     for _ in range(MAX_ROUNDS):
-        ratio = _noise_ratio(sample, neighbour_prediction(good & ~found, sampling_px), detector, thresholds)
+        ratio = _noise_ratio(sample, neighbour_prediction(good & ~found, sampling_px), noise, thresholds)
         suspect = np.where(good & ~found, ratio, 0.0)
         worst = _local_maxima(np.where(suspect > thresholds.noisy_ratio, suspect, 0.0))
         if not worst.any():
@@ -171,12 +164,12 @@ def noisy_pixels(
 
 
 def _noise_ratio(
-    sample: np.ndarray, prediction: Prediction, detector: Detector, thresholds: Thresholds
+    sample: np.ndarray, prediction: Prediction, noise: NoiseModel, thresholds: Thresholds
 ) -> np.ndarray:
     """Scatter over time of (pixel - prediction), over what noise and nearby pixels let expect."""
     mean = sample.mean(axis=0, dtype=np.float64)
     scatter = _inner_scatter(sample - prediction.of(sample))
-    expected = np.sqrt(prediction.variance(pixel_variance_e2(mean, detector)))
+    expected = np.sqrt(prediction.variance(noise.variance_e2(mean)))
     tolerated = np.hypot(expected, thresholds.fraction * prediction.local_rms(mean) / thresholds.sigma)
     ratio = scatter / tolerated
     return ratio / np.maximum(1.0, median_filter(ratio, size=9, mode="nearest"))
@@ -235,7 +228,7 @@ def cosmic_hits(
     frames: np.ndarray,
     good: np.ndarray,
     sampling_px: float,
-    detector: Detector,
+    noise: NoiseModel,
     thresholds: Thresholds,
 ) -> Hits:
     """Find pixels that jump in single frames.
@@ -250,9 +243,9 @@ def cosmic_hits(
     prediction = neighbour_prediction(good, sampling_px)
     hits = [
         (frame, row, column)
-        for frame in _suspicious_frames(images_e, frames, good, prediction, detector, thresholds)
+        for frame in _suspicious_frames(images_e, frames, good, prediction, noise, thresholds)
         for row, column in np.argwhere(
-            deviant_pixels(images_e[frame][None], good, sampling_px, detector, thresholds)
+            deviant_pixels(images_e[frame][None], good, sampling_px, noise, thresholds)
         )
     ]
     return Hits(*np.array(hits, dtype=int).reshape(-1, 3).T)
@@ -263,15 +256,15 @@ def _suspicious_frames(
     frames: np.ndarray,
     good: np.ndarray,
     prediction: Prediction,
-    detector: Detector,
+    noise: NoiseModel,
     thresholds: Thresholds,
 ) -> list[int]:
     """Frames in which any good pixel leaves its usual relation to its neighbours by more than the limit."""
     sample = images_e[frames[sample_frames(len(frames))]]
     usual = np.median(sample - prediction.of(sample), axis=0)
     mean = sample.mean(axis=0, dtype=np.float64)
-    noise = np.sqrt(prediction.variance(pixel_variance_e2(mean, detector)))
-    limit = np.maximum(thresholds.sigma * noise, thresholds.fraction * prediction.local_rms(mean))
+    sigma = np.sqrt(prediction.variance(noise.variance_e2(mean)))
+    limit = np.maximum(thresholds.sigma * sigma, thresholds.fraction * prediction.local_rms(mean))
     suspicious = []
     for block in blocks(len(frames)):
         searched = images_e[frames[block]]

@@ -11,31 +11,37 @@ from collections.abc import Iterator
 import numpy as np
 
 BLOCK_FRAMES = 256  # 8 MiB of float64 in a window of 64x64
+SAMPLE_FRAMES = 200  # frames that suffice for statistics over time
 
 
 def blocks(frames: int) -> Iterator[slice]:
-    """Consecutive slices of at most `BLOCK_FRAMES` frames."""
+    """Yield consecutive slices of at most `BLOCK_FRAMES` frames."""
     return (slice(start, start + BLOCK_FRAMES) for start in range(0, frames, BLOCK_FRAMES))
 
 
+def sample_frames(frames: int, at_most: int = SAMPLE_FRAMES) -> np.ndarray:
+    """Return indices of evenly spread ones of so many `frames`, `at_most` of them."""
+    return np.unique(np.linspace(0, frames - 1, min(frames, at_most)).astype(int))
+
+
 def picked(frames: np.ndarray, keep: np.ndarray) -> np.ndarray:
-    """``frames[keep]``, without a copy where all are kept."""
+    """Return those of the `frames` that a mask says to `keep`, without a copy where all are kept."""
     return frames if keep.all() else frames[keep]
 
 
 def mean_frame(images: np.ndarray) -> np.ndarray:
-    """Mean of images (frames, rows, columns), float64."""
+    """Return the mean of images (frames, rows, columns), float64."""
     total = sum(images[block].sum(axis=0, dtype=np.float64) for block in blocks(len(images)))
     return total / len(images)
 
 
 def frame_variance(images: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Sample variance between two images or more (frames, rows, columns) about their `mean`, float64."""
+    """Return the sample variance of two `images` or more (frames, rows, columns) about their `mean`."""
     with np.errstate(invalid="ignore"):  # of an infinite pixel: it is NaN
         squares = sum(np.square(images[block] - mean).sum(axis=0) for block in blocks(len(images)))
     return squares / (len(images) - 1)
 
 
 def frame_flux(images_e: np.ndarray) -> np.ndarray:
-    """Signal of each image (frames, rows, columns), summed over the window [e-]."""
+    """Return the signal of each image (frames, rows, columns), summed over the window [e-]."""
     return images_e.sum(axis=(1, 2), dtype=np.float64)

@@ -15,16 +15,16 @@ from irlos_pipe.frames.bad_pixels import (
     flickering_pixels,
     hot_in_dark,
     noisy_pixels,
-    sample_frames,
     stuck_pixels,
     without_bad_pixels,
     without_hits,
 )
-from irlos_pipe.frames.blocks import mean_frame, picked
+from irlos_pipe.frames.blocks import mean_frame, picked, sample_frames
 from irlos_pipe.frames.detector import estimate_pedestal, relative_flat, saturation_level, to_electrons
+from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2, measure_noise
 from irlos_pipe.frames.neighbour_prediction import MIN_SAMPLING_PX, is_well_sampled, neighbour_prediction
-from irlos_pipe.frames.photon_transfer import MeasuredNoise, measure_noise
-from irlos_pipe.frames.raw import CalibrationMaps, RawRecording
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.frames.raw import CalibrationMaps, RawFrames
 from irlos_pipe.frames.recording import Detector
 from irlos_pipe.frames.screening import (
     COSMIC,
@@ -73,23 +73,32 @@ class Cleaned:
         Finite everywhere [e-].
     reasons : ndarray of str, (frames,)
         Why a frame cannot be used; empty if it can.
-    pixel_mask : ndarray of bool, (rows, columns)
+    good : ndarray of bool, (rows, columns)
         True for good pixels.
     hits : Hits
         Cosmic hits, already replaced in the images.
+    background_variance_e2, dark_variance_e2 : float
+        Variance per pixel beyond read noise and star, and of the dark image, see `Recording` [e-²].
     """
 
     images_e: np.ndarray
     reasons: np.ndarray
-    pixel_mask: np.ndarray
+    good: np.ndarray
     background: Background
     hits: Hits
     noise: MeasuredNoise
     saturation_adu: float | None
+    background_variance_e2: float = 0.0
+    dark_variance_e2: float = 0.0
+
+    @property
+    def used(self) -> np.ndarray:
+        """Whether each frame can be used, (frames,)."""
+        return self.reasons == ""
 
 
 def clean(
-    raw: RawRecording,
+    raw: RawFrames,
     detector: Detector,
     sampling_px: float,
     thresholds: Thresholds,
@@ -99,6 +108,12 @@ def clean(
 
     Parameters
     ----------
+    raw : RawFrames
+        Counts and calibration images.
+    detector : Detector
+        Declared constants of the detector.
+    thresholds, limits : Thresholds, Limits
+        From when on a pixel is bad, and a frame is not used.
     sampling_px : float
         Pixels per lambda/D at the shortest wavelength. Undersampled images (2x2 modes) are not
         searched for hits and deviant pixels, since a star is as sharp as those.
@@ -119,7 +134,37 @@ def clean(
     good, images, hits = search.hits(images, good, reasons)
     in_core = hit_in_core(hits, _mean(images, reasons), len(images), limits.core_fraction)
     reasons = also(reasons, in_core, COSMIC)
-    return Cleaned(images, reasons, good, background, hits, search.noise(images, good, reasons), level)
+    noise = search.noise(images, good, reasons)
+    return Cleaned(
+        images,
+        reasons,
+        good,
+        background,
+        hits,
+        noise,
+        level,
+        _background_variance_e2(raw.calibration, detector, noise),
+        _dark_variance_e2(raw.calibration, detector, picked(images, reasons == ""), good),
+    )
+
+
+def _background_variance_e2(maps: CalibrationMaps, detector: Detector, noise: MeasuredNoise) -> float:
+    """Variance beyond read noise and star: measured, else from the sky."""
+    sky = maps.background_adu
+    sky_e = 0.0 if sky is None else max(0.0, float(np.nanmedian(sky)) * detector.e_per_adu)
+    return max(noise.beyond_e2(detector.read_noise_e**2), sky_e * detector.excess_noise_factor)
+
+
+def _dark_variance_e2(
+    maps: CalibrationMaps, detector: Detector, images_e: np.ndarray, good: np.ndarray
+) -> float:
+    """Noise of the dark: not more than the dark itself says, nor than the mean of the frames shows.
+
+    Where neither dark nor sky was taken, the detector's own pattern is in the frames and counts instead.
+    """
+    taken = maps.dark_adu is not None or maps.background_adu is not None
+    at_most_e2 = maps.dark_variance_adu2 * detector.e_per_adu**2 if taken else np.inf
+    return dark_variance_e2(images_e, good, at_most_e2)
 
 
 def find_background(valid_adu: np.ndarray, maps: CalibrationMaps, good: np.ndarray) -> Background:
@@ -134,7 +179,7 @@ def find_background(valid_adu: np.ndarray, maps: CalibrationMaps, good: np.ndarr
     flat, bad = relative_flat(maps.flat, window)
     given = [level for level in (maps.dark_adu, maps.background_adu) if level is not None]
     if given:
-        total = np.sum(given, axis=0, dtype=np.float64)
+        total = np.asarray(np.sum(given, axis=0, dtype=np.float64))
         return Background(np.nan_to_num(total), flat, bad | ~np.isfinite(total))
     mean = mean_frame(valid_adu)
     level, error = estimate_pedestal(np.where(good & ~bad, mean, np.nan))
@@ -147,7 +192,7 @@ class _Search:
     def __init__(self, sampling_px: float, detector: Detector, thresholds: Thresholds) -> None:
         self._well_sampled = is_well_sampled(sampling_px)
         self._sampling_px = max(sampling_px, MIN_SAMPLING_PX)
-        self._detector, self._thresholds = detector, thresholds
+        self._noise, self._thresholds = NoiseModel.of_detector(detector), thresholds
 
     def bad_pixels(
         self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray
@@ -178,11 +223,11 @@ class _Search:
         if not self._well_sampled:
             return MeasuredNoise()
         prediction = neighbour_prediction(good, self._sampling_px)
-        return measure_noise(_sample(images, reasons), good, prediction, self._detector)
+        return measure_noise(_sample(images, reasons), good, prediction, self._noise)
 
     @property
-    def _settings(self) -> tuple[float, Detector, Thresholds]:
-        return self._sampling_px, self._detector, self._thresholds
+    def _settings(self) -> tuple[float, NoiseModel, Thresholds]:
+        return self._sampling_px, self._noise, self._thresholds
 
     def _filled(self, images: np.ndarray, good: np.ndarray) -> np.ndarray:
         return without_bad_pixels(images, good, self._sampling_px)
@@ -228,7 +273,7 @@ def _mean(images: np.ndarray, reasons: np.ndarray) -> np.ndarray:
     return mean_frame(picked(images, used) if used.any() else images)
 
 
-def _unusable(raw: RawRecording, reasons: np.ndarray) -> Cleaned:
+def _unusable(raw: RawFrames, reasons: np.ndarray) -> Cleaned:
     zeros = np.zeros(raw.window)
     background = Background(zeros, np.ones(raw.window), np.zeros(raw.window, dtype=bool))
     return Cleaned(

@@ -137,8 +137,3 @@ def _piles_up(adu: np.ndarray, top: float, band_adu: float) -> bool:
     below = int(np.sum(adu >= top - band_adu)) - int(at_top.sum())
     # a single pixel that always reads the same is stuck, not saturated
     return at_top.sum() > CLIP_EXCESS * (below + 1) and at_top.any(axis=0).sum() >= CLIP_MIN_PIXELS
-
-
-def pixel_variance_e2(signal_e: np.ndarray, detector: Detector) -> np.ndarray:
-    """Variance of each pixel of one frame [e-²]: read noise, and photons with their excess noise."""
-    return detector.read_noise_e**2 + detector.excess_noise_factor * np.maximum(signal_e, 0.0)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import torch
 
-from irlos_pipe.frames.recording import Recording
+from irlos_pipe.frames.recording import Detector, Recording
+
+Signal = TypeVar("Signal", float, np.ndarray, torch.Tensor)
+MIN_FRAMES_FOR_NOISE = 10  # with fewer, the scatter of a single pixel over time means little
 
 
 @dataclass(frozen=True)
@@ -33,13 +37,18 @@ class NoiseModel:
 
     @classmethod
     def of(cls, recording: Recording) -> NoiseModel:
-        """Noise model of one recording, from its detector constants and measured background."""
-        detector = recording.acquisition.detector
-        floor = detector.read_noise_e**2 + recording.background_variance_e2
-        return cls(detector.excess_noise_factor, floor, recording.dark_variance_e2)
+        """Return the noise of one recording, from its detector constants and measured background."""
+        own = cls.of_detector(recording.acquisition.detector)
+        floor_e2 = own.floor_e2 + recording.background_variance_e2
+        return cls(own.excess_noise_factor, floor_e2, recording.dark_variance_e2)
 
-    def variance_e2(self, signal_e):
-        """Variance [e-²] of pixels with the mean signal `signal_e` [e-]; array or tensor alike."""
+    @classmethod
+    def of_detector(cls, detector: Detector) -> NoiseModel:
+        """Return the noise of photons and read-out alone, without that of background and dark."""
+        return cls(detector.excess_noise_factor, detector.read_noise_e**2)
+
+    def variance_e2(self, signal_e: Signal) -> Signal:
+        """Return the variance [e-²] of pixels with the mean signal `signal_e` [e-]."""
         return self.scatter_e2(signal_e) + self.shared_e2
 
     def minus_quasi_likelihood(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
@@ -67,11 +76,11 @@ class NoiseModel:
         below = model_e.clamp_max(0)
         return bright + (0.5 * below - images_e) * below / floor
 
-    def mean_variance_e2(self, signal_e, frames: int):
-        """Variance of the mean of so many frames [e-²]."""
+    def mean_variance_e2(self, signal_e: Signal, frames: int) -> Signal:
+        """Return the variance of the mean of so many `frames` of the mean signal `signal_e` [e-²]."""
         return self.scatter_e2(signal_e) / frames + self.shared_e2
 
-    def scatter_e2(self, signal_e):
-        """The part of the variance by which frames differ from each other [e-²]."""
+    def scatter_e2(self, signal_e: Signal) -> Signal:
+        """Return the part of the variance by which frames differ from each other [e-²]."""
         positive = signal_e.clamp_min(0) if isinstance(signal_e, torch.Tensor) else np.maximum(signal_e, 0)
         return self.excess_noise_factor * positive + self.floor_e2

@@ -1,10 +1,8 @@
-"""A recording as it stands in its files: counts, counters, times, calibration images."""
+"""Frames as a recorder left them: counts, counters, calibration images."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,43 +32,22 @@ class CalibrationMaps:
     bad: np.ndarray | None = None
 
 
-@dataclass(frozen=True)
-class RawRecording:
-    """One recording as read from its files.
+@dataclass(frozen=True, kw_only=True)
+class RawFrames:
+    """Counts of one recording, and the calibration images that came with it.
 
     Attributes
     ----------
-    layout : str
-        ``sparta_recorder``, ``muse_raw``, ``fits_cube`` or ``aot``.
     adu : ndarray, (frames, rows, columns)
         Counts in the type they were recorded in.
     frame_counter : ndarray of int, (frames,)
-    unix_s : ndarray of float, (frames,), or None
-        Time of each frame, NaN where it is not known [s since 1970]; None when no frame has one.
-    header : dict
-        Side-car keys (``detector.`` ones dotted) that the file itself knows.
-    mode : str
-        Read-out mode string, empty where the layout has none.
-    subaperture : int or None
-        Number of the lenslet, from 1, row by row from the lowest; None in full-pupil modes.
-    start_unix_s : float
-        Begin of the recording, NaN if not known [s since 1970].
-    notes : tuple of str
-        Remarks for the log.
+        Counter of the recorder.
+    calibration : CalibrationMaps
     """
 
-    name: str
-    path: Path
-    layout: str
     adu: np.ndarray
     frame_counter: np.ndarray
-    unix_s: np.ndarray | None = None
-    header: dict[str, Any] = field(default_factory=dict)
     calibration: CalibrationMaps = CalibrationMaps()
-    mode: str = ""
-    subaperture: int | None = None
-    start_unix_s: float = float("nan")
-    notes: tuple[str, ...] = ()
 
     @property
     def frames(self) -> int:
@@ -80,4 +57,5 @@ class RawRecording:
     @property
     def window(self) -> tuple[int, int]:
         """Rows and columns [px]."""
-        return self.adu.shape[1:]
+        _, rows, columns = self.adu.shape
+        return rows, columns

@@ -1,16 +1,16 @@
 """One recording after cleaning: frames in electrons and what is known about them.
 
-This is the only form in which images reach the science code; the readers in
-``irlos_pipe.sparta`` make it from files, simulators may make it from nothing.
+This is the only form in which images reach the science code: ingest makes it from files.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from irlos_pipe.frames.blocks import picked
+from irlos_pipe.frames.blocks import mean_frame, picked
 
 RECIPE, SIDECAR, HEADER, PROFILE = "recipe", "side-car", "header", "instrument profile"  # sources of values
 
@@ -51,6 +51,8 @@ class Acquisition:
         Read-out mode string of the sensor; empty if the layout has none.
     subaperture : int or None
         Number of the lenslet, from 1, lower left to upper right; None for the full pupil.
+    parallactic_angle_deg, altitude_deg : float or None
+        Direction of the zenith in the image and height of the star, from the header of MUSE; not used yet.
     sources : dict of str to str
         For every key, where its value came from.
     """
@@ -95,7 +97,7 @@ class Recording:
         False for rejected frames.
     reason : ndarray of str, (frames,)
         Why a frame was rejected; empty for used frames.
-    pixel_mask : ndarray of bool, (rows, columns)
+    good : ndarray of bool, (rows, columns)
         True for good pixels.
     time_s, frame_counter, introduced_defocus_nm : ndarray, (frames,)
         Time since the first frame, counter of the recorder, introduced defocus [nm RMS].
@@ -114,7 +116,7 @@ class Recording:
     images_e: np.ndarray
     used: np.ndarray
     reason: np.ndarray
-    pixel_mask: np.ndarray
+    good: np.ndarray
     time_s: np.ndarray
     frame_counter: np.ndarray
     introduced_defocus_nm: np.ndarray
@@ -132,12 +134,22 @@ class Recording:
     @property
     def window(self) -> tuple[int, int]:
         """Rows and columns of the window [px]."""
-        return self.images_e.shape[1:]
+        _, rows, columns = self.images_e.shape
+        return rows, columns
+
+    @cached_property
+    def mean_e(self) -> np.ndarray:
+        """Mean of the used frames (rows, columns) [e-]; zeros where none is used."""
+        return mean_frame(picked(self.images_e, self.used)) if self.used.any() else np.zeros(self.window)
 
     def accepted(self) -> Recording:
         """Return the recording with the used frames only."""
-        kept = {
-            name: picked(getattr(self, name), self.used)
-            for name in ("images_e", "used", "reason", "time_s", "frame_counter", "introduced_defocus_nm")
-        }
-        return replace(self, **kept)
+        return replace(
+            self,
+            images_e=picked(self.images_e, self.used),
+            used=picked(self.used, self.used),
+            reason=picked(self.reason, self.used),
+            time_s=picked(self.time_s, self.used),
+            frame_counter=picked(self.frame_counter, self.used),
+            introduced_defocus_nm=picked(self.introduced_defocus_nm, self.used),
+        )

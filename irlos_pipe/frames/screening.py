@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from irlos_pipe.frames.bad_pixels import Hits, sample_frames
-from irlos_pipe.frames.blocks import blocks, frame_flux
+from irlos_pipe.frames.bad_pixels import Hits
+from irlos_pipe.frames.blocks import blocks, frame_flux, sample_frames
 
 REPEATED_COUNTER = "frame counter repeated"
 REPEATED_IMAGE = "image repeated"
@@ -26,7 +26,7 @@ MIN_FRAMES_FOR_FLUX = 5
 
 @dataclass(frozen=True)
 class Limits:
-    """From when on a frame is not used.
+    """Limits beyond which a frame is not used.
 
     Attributes
     ----------
@@ -42,12 +42,12 @@ class Limits:
         Pixels brighter than this fraction of the peak are the core.
     """
 
-    saturated_px: int = 0
-    star_snr: float = 8.0
-    edge_px: float = 2.0
-    flux_sigma: float = 8.0
-    flux_fraction: float = 0.3
-    core_fraction: float = 0.1
+    saturated_px: int
+    star_snr: float
+    edge_px: float
+    flux_sigma: float
+    flux_fraction: float
+    core_fraction: float
 
 
 def no_reasons(frames: int) -> np.ndarray:

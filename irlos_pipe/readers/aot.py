@@ -12,9 +12,10 @@ from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.units import MAS
-from irlos_pipe.frames.raw import CalibrationMaps, RawRecording
+from irlos_pipe.frames.raw import CalibrationMaps
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.fitsfile import native, require_cube, stem
+from irlos_pipe.readers.raw import RawRecording
 
 LAYOUT = "aot"
 VERSION_KEY = "AOT-VERS"
@@ -86,12 +87,12 @@ def _recording(detector: Any, name: str, path: Path) -> RawRecording:
     times = _per_frame(pixels.time, "timestamps", len(adu))
     counter = _per_frame(pixels.time, "frame_numbers", len(adu))
     return RawRecording(
-        name,
-        path,
-        LAYOUT,
-        adu,
-        np.arange(len(adu)) if counter is None else counter.astype(np.int64),
-        times,
+        name=name,
+        path=path,
+        layout=LAYOUT,
+        adu=adu,
+        frame_counter=np.arange(len(adu)) if counter is None else counter.astype(np.int64),
+        unix_s=times,
         header=_known(detector),
         calibration=_maps(detector, adu.shape[1:], where),
         start_unix_s=float("nan") if times is None else float(times[0]),

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from astropy.io import fits
 
-from irlos_pipe.frames.raw import RawRecording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.fitsfile import first_image, has_image, hdu_label, image_array, stem
+from irlos_pipe.readers.raw import RawRecording
 
 LAYOUT = "fits_cube"
 
@@ -28,4 +28,5 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
     """See `irlos_pipe.readers.find.Reader.read`."""
     index, hdu = first_image(path, hdus)
     adu = image_array(hdu, hdu_label(path, index, hdu))
-    return [RawRecording(stem(path), path, LAYOUT, adu, np.arange(len(adu)))]
+    counter = np.arange(len(adu))
+    return [RawRecording(name=stem(path), path=path, layout=LAYOUT, adu=adu, frame_counter=counter)]

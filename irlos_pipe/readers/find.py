@@ -13,10 +13,10 @@ from typing import Protocol
 from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
-from irlos_pipe.frames.raw import RawRecording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers import aot, cube, muse_raw, recorder
 from irlos_pipe.readers.fitsfile import has_fits_name, open_fits
+from irlos_pipe.readers.raw import RawRecording
 from irlos_pipe.readers.sidecar import sidecar_path
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,10 @@ from astropy.time import Time
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.seeing import SPARTA
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.frames.raw import RawRecording
 from irlos_pipe.instrument.instrument import Instrument, Mode
 from irlos_pipe.readers.fitsfile import hdu_label, header_number, image_array, stem
 from irlos_pipe.readers.quadrants import split_quadrants
+from irlos_pipe.readers.raw import RawRecording
 from irlos_pipe.readers.times import unix_seconds
 
 LAYOUT = "muse_raw"
@@ -56,20 +57,20 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
     adu = image_array(hdus[index], where)
     header = hdus[0].header
     mode = _mode(header, instrument, path)
-    start = _start(hdus, header)
-    known = _from_mode(mode) | _from_header(header) | _from_atmosphere(hdus)
-    common = {
-        "path": path,
-        "layout": LAYOUT,
-        "frame_counter": np.arange(len(adu)),
-        "header": known,
-        "mode": mode.name,
-        "start_unix_s": start,
-    }
+    whole = RawRecording(
+        name=stem(path),
+        path=path,
+        layout=LAYOUT,
+        adu=adu,
+        frame_counter=np.arange(len(adu)),
+        header=_from_mode(mode) | _from_header(header) | _from_atmosphere(hdus),
+        mode=mode.name,
+        start_unix_s=_start(hdus, header),
+    )
     if mode.lenslets == 1:
-        return [RawRecording(stem(path), adu=adu, **common)]
+        return [whole]
     return [
-        RawRecording(f"{stem(path)}-q{number}", adu=images, subaperture=number, **common)
+        replace(whole, name=f"{whole.name}-q{number}", adu=images, subaperture=number)
         for number, images in enumerate(split_quadrants(adu, where), start=1)
     ]
 

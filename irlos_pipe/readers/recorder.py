@@ -9,10 +9,10 @@ import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.frames.raw import RawRecording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.calibration_files import PREFIX, calibration_files, read_calibration_maps
 from irlos_pipe.readers.fitsfile import has_fits_name, hdu_label, native, open_fits, require_cube, stem
+from irlos_pipe.readers.raw import RawRecording
 from irlos_pipe.readers.times import column, pair_by_counter, unix_seconds
 
 LAYOUT = "sparta_recorder"
@@ -58,13 +58,13 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
     times, time_notes = _times(path, hdus, folders, counter)
     return [
         RawRecording(
-            stem(path),
-            path,
-            LAYOUT,
-            adu,
-            counter,
-            times,
+            name=stem(path),
+            path=path,
+            layout=LAYOUT,
+            adu=adu,
+            frame_counter=counter,
             calibration=maps,
+            unix_s=times,
             start_unix_s=float(times[0]) if times is not None else float("nan"),
             notes=notes + time_notes,
         )

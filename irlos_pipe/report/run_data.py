@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, overload
@@ -11,11 +10,10 @@ import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.frames.recording import Recording
-from irlos_pipe.product.product import Product, read_product
-from irlos_pipe.product.results import Results, results_of
+from irlos_pipe.product.product import Product, open_product
+from irlos_pipe.product.results import Results, read_run_results, results_of
 from irlos_pipe.product.runfolder import existing_run
-from irlos_pipe.stages.ingest.recordings import recordings_from_product
+from irlos_pipe.stages.ingest.recordings import Overview, overviews_from_product
 
 
 @dataclass(frozen=True)
@@ -25,13 +23,13 @@ class RunData:
     Attributes
     ----------
     recipe : dict
-        The resolved recipe; `recipe_text` is the file.
+        The resolved recipe; `recipe_text` is its file.
     status, error : str
         As in results.json.
     products : dict of str to Product
-        By stage name, in the order of the recipe.
-    recordings : list of Recording
-        As ingest left them; empty without ingest.
+        By stage name, in the order of the recipe; their arrays are read when they are asked for.
+    recordings : list of Overview
+        What ingest left, without frames; empty without ingest.
     """
 
     recipe: dict[str, Any]
@@ -39,7 +37,7 @@ class RunData:
     status: str
     error: str
     products: dict[str, Product]
-    recordings: list[Recording]
+    recordings: list[Overview]
 
     @overload
     def results(self, stage: type[Results]) -> Results: ...
@@ -53,16 +51,16 @@ class RunData:
         return results_of(stage, self.products[stage.stage]) if stage.stage in self.products else stage()
 
     def array(self, stage: str, name: str) -> np.ndarray | None:
-        """Return an array of a product, or None where there is none."""
+        """Return the array `name` of the product of `stage`, or None where there is none."""
         quantity = self.products[stage].arrays.get(name) if stage in self.products else None
         return None if quantity is None else np.asarray(quantity.value)
 
     def error_of(self, stage: str, name: str) -> np.ndarray | None:
-        """Return the 1-sigma error of an array of a product, or None where there is none."""
+        """Return the 1-sigma error of the array `name` of the product of `stage`, or None if it has none."""
         quantity = self.products[stage].arrays.get(name) if stage in self.products else None
         return None if quantity is None else quantity.error
 
-    def recordings_of(self, stage: str) -> list[Recording]:
+    def recordings_of(self, stage: str) -> list[Overview]:
         """Return the recordings of the recipe input that a stage works on."""
         wanted = self.products[stage].config.get("input") if stage in self.products else None
         return [recording for recording in self.recordings if recording.input == wanted]
@@ -81,19 +79,14 @@ def read_run(folder: Path) -> RunData:
         When it is not the folder of a run, or a file of it cannot be read.
     """
     run = existing_run(folder)
-    products = {stage: read_product(path) for stage, path in run.products().items()}
-    told = json.loads(run.results.read_text())
+    products = {stage: open_product(path) for stage, path in run.products().items()}
+    results = read_run_results(run.results)
     recipe = load_yaml(run.recipe, InputDataError)[0]
     return RunData(
         recipe,
         run.recipe.read_text(),
-        told.get("status", ""),
-        told.get("error", ""),
+        results.status,
+        results.error,
         products,
-        _recordings(products.get("ingest")),
+        overviews_from_product(products["ingest"]) if "ingest" in products else [],
     )
-
-
-def _recordings(ingest: Product | None) -> list[Recording]:
-    holds_some = ingest is not None and any(name.endswith("/images_e") for name in ingest.arrays)
-    return recordings_from_product(ingest) if holds_some else []

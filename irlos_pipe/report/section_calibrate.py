@@ -87,7 +87,7 @@ def _residual(run: RunData, results: CalibrateResults, residual_e: np.ndarray) -
 
 
 def _pixel_mask(run: RunData) -> np.ndarray | None:
-    masks = [recording.pixel_mask for recording in run.recordings_of(STAGE)]
+    masks = [recording.good for recording in run.recordings_of(STAGE)]
     return np.all(masks, axis=0) if masks and len({mask.shape for mask in masks}) == 1 else None
 
 

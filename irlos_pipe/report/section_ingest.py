@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
-from irlos_pipe.frames.blocks import mean_frame, picked
-from irlos_pipe.frames.recording import Recording
+from irlos_pipe.frames.recording import PROFILE
 from irlos_pipe.report.content import Section, Table, Text
 from irlos_pipe.report.images import thumbnail
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number, plural
+from irlos_pipe.stages.ingest.recordings import Overview
+from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
 
 STAGE = "ingest"
 MOST_THUMBNAILS = 60
-ASSUMED = "instrument profile"
 COLUMNS = (
     "mean frame",
     "recording",
@@ -36,10 +35,10 @@ COLUMNS = (
 
 def ingest_section(run: RunData) -> Section:
     """Build the section."""
-    rows = run.results(STAGE).get("inputs", [])
+    rows = run.results(IngestResults).inputs
     pictures = {(r.input, r.name): _picture(r) for r in run.recordings[:MOST_THUMBNAILS]}
     table = Table(COLUMNS, [_row(row, pictures) for row in rows])
-    frames = sum(row.get("frames") or 0 for row in rows)
+    frames = sum(row.frames for row in rows)
     return Section(
         STAGE,
         "Recordings",
@@ -48,44 +47,36 @@ def ingest_section(run: RunData) -> Section:
     )
 
 
-def _picture(recording: Recording) -> Markup:
-    frames = picked(recording.images_e, recording.used)
-    mean = mean_frame(frames) if len(frames) else np.zeros(recording.window)
-    return thumbnail(np.where(recording.pixel_mask, mean, np.nan))
+def _picture(recording: Overview) -> Markup:
+    return thumbnail(np.where(recording.good, recording.mean_e, np.nan))
 
 
-def _row(row: dict[str, Any], pictures: dict[tuple[str, str], Markup]) -> tuple[str, ...]:
-    counts = (number(row.get(key), "d") for key in ("frames", "frames_rejected", "frames_missing"))
-    window = "×".join(str(side) for side in row.get("window") or [])
+def _row(row: RecordingRow, pictures: dict[tuple[str, str], Markup]) -> tuple[str, ...]:
     return (
-        pictures.get((row.get("input"), row.get("name")), ""),
-        row.get("name", ""),
-        row.get("input", ""),
-        row.get("role", ""),
-        *counts,
-        window,
-        number(row.get("flux_e"), ".3g"),
-        number(row.get("mag_j"), "g"),
-        str(len(row.get("bad_pixels") or [])),
-        number(row.get("cosmic_hits"), "d"),
+        pictures.get((row.input, row.name), ""),
+        row.name,
+        row.input,
+        row.role,
+        number(row.frames, "d"),
+        number(row.frames_rejected, "d"),
+        number(row.frames_missing, "d"),
+        "×".join(map(str, row.window)),
+        number(row.flux_e, ".3g"),
+        number(row.mag_j, "g"),
+        str(len(row.bad_pixels)),
+        number(row.cosmic_hits, "d"),
     )
 
 
-def _reasons(rows: list[dict[str, Any]]) -> list[Table]:
-    found = [
-        (row.get("name", ""), str(count), reason)
-        for row in rows
-        for reason, count in (row.get("reasons") or {}).items()
-    ]
+def _reasons(rows: list[RecordingRow]) -> list[Table]:
+    found = [(row.name, str(count), reason) for row in rows for reason, count in row.reasons.items()]
     return [Table(("recording", "frames", "reason"), found, "Rejected frames")] if found else []
 
 
-def _assumed(rows: list[dict[str, Any]]) -> list[Text]:
+def _assumed(rows: list[RecordingRow]) -> list[Text]:
     """Values that no file gave."""
-    keys = Counter(
-        key for row in rows for key, source in (row.get("sources") or {}).items() if source == ASSUMED
-    )
+    keys = Counter(key for row in rows for key, source in row.sources.items() if source == PROFILE)
     if not keys:
         return []
-    told = ", ".join(f"{key} ({plural(count, 'recording')})" for key, count in sorted(keys.items()))
-    return [Text(f"Not in the data, taken from the instrument profile: {told}.")]
+    listed = ", ".join(f"{key} ({plural(count, 'recording')})" for key, count in sorted(keys.items()))
+    return [Text(f"Not in the data, taken from the instrument profile: {listed}.")]

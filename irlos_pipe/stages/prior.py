@@ -74,7 +74,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             f"{recordings[0].name}: {problem}; leave the stage `prior` out for such data"
         ) from None
     listed = good_pixels(model_effects(ctx.instrument, ctx.model, recordings[0]), recordings[0].window)
-    ratios = [_ratios(recording, recording.pixel_mask & listed, law) for recording in recordings]
+    ratios = [_ratios(recording, recording.good & listed, law) for recording in recordings]
     ctx.log.info(
         "elongation law: defocus = %.1f (ratio - 1) %+.1f nm, valid %s nm", law.A, law.B, law.valid_nm
     )

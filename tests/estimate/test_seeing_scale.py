@@ -9,10 +9,10 @@ from helpers.sparta_files import write_muse, write_sidecar
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.seeing import SeeingScale
-from irlos_pipe.frames.raw import RawRecording
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers import muse_raw
 from irlos_pipe.readers.acquisition import resolve
+from irlos_pipe.readers.raw import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
 IRLOS = load_instrument("irlos")
@@ -24,7 +24,12 @@ def seeing(folder: Path, recipe: AcquisitionKeys = NOTHING, header: dict | None 
     """Seeing that a recording is taken to have, and the warnings."""
     write_sidecar(folder / "acquisition.yaml", *(["seeing_arcsec"] if header else []), **keys)
     raw = RawRecording(
-        "rec", folder / "rec.fits", "fits_cube", np.zeros((3, 8, 8)), np.arange(3), header=header or {}
+        name="rec",
+        path=folder / "rec.fits",
+        layout="fits_cube",
+        adu=np.zeros((3, 8, 8)),
+        frame_counter=np.arange(3),
+        header=header or {},
     )
     resolved = resolve(raw, recipe, SCALED)
     return resolved.acquisition.seeing_arcsec, resolved.warnings

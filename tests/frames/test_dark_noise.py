@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from irlos_pipe.frames.dark_noise import dark_variance_e2
+from irlos_pipe.frames.measured_noise import dark_variance_e2
 from irlos_pipe.frames.noise import NoiseModel
 
 ALL_GOOD = np.ones((64, 64), dtype=bool)

@@ -5,7 +5,6 @@ import pytest
 from helpers.sparta_files import SAMPLING_PX, frames_e, star
 
 from irlos_pipe.frames.bad_pixels import (
-    Thresholds,
     cosmic_hits,
     deviant_pixels,
     flickering_pixels,
@@ -16,12 +15,14 @@ from irlos_pipe.frames.bad_pixels import (
     without_hits,
 )
 from irlos_pipe.frames.neighbour_prediction import is_well_sampled, neighbour_prediction
+from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Detector
+from irlos_pipe.stages.ingest.stage import Config
 
 DETECTOR = Detector(e_per_adu=0.5, read_noise_e=1.0)
-THRESHOLDS = Thresholds()
+THRESHOLDS = Config().thresholds()
 ALL = np.ones((48, 44), bool)
-SETTINGS = (ALL, SAMPLING_PX, DETECTOR, THRESHOLDS)
+SETTINGS = (ALL, SAMPLING_PX, NoiseModel.of_detector(DETECTOR), THRESHOLDS)
 IMAGE = star(48, 44, flux_e=1e6)
 PEAK = np.unravel_index(IMAGE.argmax(), IMAGE.shape)
 

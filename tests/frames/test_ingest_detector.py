@@ -12,8 +12,9 @@ from irlos_pipe.frames.detector import (
     star_position,
     to_electrons,
 )
+from irlos_pipe.frames.measured_noise import MeasuredNoise, measure_noise
 from irlos_pipe.frames.neighbour_prediction import neighbour_prediction
-from irlos_pipe.frames.photon_transfer import MeasuredNoise, measure_noise
+from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.raw import CalibrationMaps
 from irlos_pipe.frames.recording import Detector
 
@@ -106,7 +107,12 @@ def test_a_star_that_is_not_clipped_shows_no_level(flux_e):
 
 def measured(images, detector=DETECTOR):
     good = np.ones(images.shape[1:], bool)
-    return measure_noise(images.astype(np.float32), good, neighbour_prediction(good, SAMPLING_PX), detector)
+    return measure_noise(
+        images.astype(np.float32),
+        good,
+        neighbour_prediction(good, SAMPLING_PX),
+        NoiseModel.of_detector(detector),
+    )
 
 
 @pytest.mark.parametrize("read_noise_e", [1.0, 3.0])

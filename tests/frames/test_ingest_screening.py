@@ -7,7 +7,6 @@ from helpers.sparta_files import counts, frames_e, star
 from irlos_pipe.frames import screening
 from irlos_pipe.frames.bad_pixels import Hits
 from irlos_pipe.frames.screening import (
-    Limits,
     hit_in_core,
     no_reasons,
     recorder_faults,
@@ -15,8 +14,9 @@ from irlos_pipe.frames.screening import (
     star_faults,
     tally,
 )
+from irlos_pipe.stages.ingest.stage import Config
 
-LIMITS = Limits()
+LIMITS = Config().limits()
 IMAGE = star(32, 32, flux_e=1e5)
 
 

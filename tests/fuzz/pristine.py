@@ -76,7 +76,7 @@ def measured(product: Path) -> Measured:
     """Read what ingest made of the only recording in its product."""
     (recording,) = recordings_from_product(read_product(product))
     images = recording.accepted().images_e
-    return Measured(images.mean(axis=0, dtype=np.float64), recording.pixel_mask)
+    return Measured(images.mean(axis=0, dtype=np.float64), recording.good)
 
 
 @cache

@@ -84,7 +84,7 @@ def ingest() -> Product:
     recordings += [recording(f"offset_{i:02d}", "ramp", FRAMES, nm) for i, nm in enumerate(OFFSETS_NM)]
     arrays = {}
     for one in recordings:
-        arrays |= arrays_from_recording(one, f"recordings/{one.input}/{one.name}")
+        arrays |= arrays_from_recording(one)
     rows = [row(one.name, one.input, one.frames) for one in recordings]
     return Product(
         "ingest", arrays, {"inputs": rows}, [Check("ingest/rejected", 0.0, "1", None, 0.2, "none")]

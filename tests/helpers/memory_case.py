@@ -18,13 +18,12 @@ from helpers import optics_cases as cases
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.elongation import axis_ratios
-from irlos_pipe.frames.bad_pixels import Thresholds
 from irlos_pipe.frames.cleaning import clean
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.frames.raw import RawRecording
+from irlos_pipe.frames.raw import RawFrames
 from irlos_pipe.frames.recording import Detector
-from irlos_pipe.frames.screening import Limits
 from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.stages.ingest.stage import Config
 
 SETTINGS = cases.settings(64, pupil_samples=48)
 HIGHEST_NOLL, PEDESTAL_ADU, FLUX_E, DRAWN = 4, 200.0, 1e6, 40
@@ -43,6 +42,9 @@ def rise_bytes(step: Callable[[], object]) -> int:
 def _status(key: str) -> int:
     line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(key))
     return int(line.split()[1]) * 1024
+
+
+CONFIG = Config()
 
 
 def recorded(frames: int) -> np.ndarray:
@@ -64,8 +66,9 @@ def main(frames: int) -> dict[str, int]:
     adu, kept = recorded(frames), {}
 
     def ingest(count: int) -> None:
-        raw = RawRecording("long", Path("long.fits"), "fits_cube", adu[:count], np.arange(count))
-        kept["images"] = clean(raw, Detector(1.0, 1.0), SAMPLING_PX, Thresholds(), Limits()).images_e
+        raw = RawFrames(adu=adu[:count], frame_counter=np.arange(count))
+        limits = CONFIG.thresholds(), CONFIG.limits()
+        kept["images"] = clean(raw, Detector(1.0, 1.0), SAMPLING_PX, *limits).images_e
 
     def cube(count: int) -> Frames:
         images = torch.as_tensor(kept["images"][:count])

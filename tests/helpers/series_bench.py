@@ -18,7 +18,7 @@ from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.rotation import rotation_matrix
 from irlos_pipe.product.product import Product
 from irlos_pipe.stages.base import Stage, StageContext, StageOutput
-from irlos_pipe.stages.ingest.recordings import arrays_from_recording, prefix_of
+from irlos_pipe.stages.ingest.recordings import arrays_from_recording
 from irlos_pipe.stages.model.section import ModelConfig
 
 WINDOW, FLUX_E, FRAMES = 40, 1e6, 36
@@ -62,7 +62,7 @@ def ingest_product(recordings: Sequence[Recording]) -> Product:
     """What ingest would have left."""
     arrays = {}
     for one in recordings:
-        arrays |= arrays_from_recording(one, prefix_of(one))
+        arrays |= arrays_from_recording(one)
     rows = [{"name": one.name, "input": one.input} for one in recordings]
     return Product("ingest", arrays, {"inputs": rows})
 

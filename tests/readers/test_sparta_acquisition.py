@@ -7,9 +7,9 @@ import pytest
 from helpers.sparta_files import sidecar, write_sidecar
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.frames.raw import RawRecording
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.acquisition import resolve
+from irlos_pipe.readers.raw import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
 
 IRLOS = load_instrument("irlos")
@@ -18,11 +18,11 @@ NOTHING = AcquisitionKeys()
 
 def recording(folder: Path, frames: int = 3, header: dict | None = None) -> RawRecording:
     return RawRecording(
-        "rec",
-        folder / "rec.fits",
-        "fits_cube",
-        np.zeros((frames, 8, 8)),
-        np.arange(frames),
+        name="rec",
+        path=folder / "rec.fits",
+        layout="fits_cube",
+        adu=np.zeros((frames, 8, 8)),
+        frame_counter=np.arange(frames),
         header=header or {},
     )
 

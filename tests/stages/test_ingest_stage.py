@@ -55,7 +55,7 @@ def run(*paths, config=None, **inputs):
 
 
 def product_of(output):
-    return Product("ingest", output.arrays, output.results)
+    return Product("ingest", output.arrays, output.results.as_json())
 
 
 def only_recording(output):
@@ -70,7 +70,7 @@ def test_counts_become_the_electrons_that_were_put_in(tmp_path):
     noise = np.sqrt((IMAGE + 1) / recording.frames)
     assert np.std((mean - IMAGE) / noise) == pytest.approx(1, abs=0.1)
     assert mean.sum() == pytest.approx(IMAGE.sum(), rel=1e-3)
-    assert recording.used.all() and recording.pixel_mask.all()
+    assert recording.used.all() and recording.good.all()
 
 
 def test_the_results_describe_every_recording(tmp_path):
@@ -81,7 +81,7 @@ def test_the_results_describe_every_recording(tmp_path):
         maps={"DARK": np.full(IMAGE.shape, 50)},
     )
     output = run(tmp_path)
-    (row,) = output.results["inputs"]
+    (row,) = output.results.as_json()["inputs"]
     expected = {
         "name": "rec",
         "input": "cube",
@@ -96,7 +96,7 @@ def test_the_results_describe_every_recording(tmp_path):
     }
     assert {key: row[key] for key in expected} == expected
     assert row["flux_e"] == pytest.approx(1e6, rel=0.01)
-    assert json.loads(json_text(output.results))
+    assert json.loads(json_text(output.results.as_json()))
     assert len(output.summary) == 1
 
 
@@ -185,7 +185,7 @@ def test_spoilt_frames_are_kept_with_their_reason(tmp_path):
     ]
     assert recording.accepted().frames == 16
     assert np.isfinite(recording.images_e).all()
-    assert output.results["inputs"][0]["frames_rejected"] == 4
+    assert output.results.as_json()["inputs"][0]["frames_rejected"] == 4
 
 
 def test_a_bad_pixel_and_a_hit_leave_the_rest_alone(tmp_path):
@@ -195,7 +195,7 @@ def test_a_bad_pixel_and_a_hit_leave_the_rest_alone(tmp_path):
     write_recorder(tmp_path / "rec", adu, maps={"DARK": np.full(IMAGE.shape, 50)})
     output = run(tmp_path)
     recording = only_recording(output)
-    assert np.argwhere(~recording.pixel_mask).tolist() == [[4, 5]]
+    assert np.argwhere(~recording.good).tolist() == [[4, 5]]
     assert output.arrays["recordings/cube/rec/cosmic_hits"].value.tolist() == [[7, 25, 6]]
     assert recording.used.all()
     assert np.abs(recording.images_e[:, 4, 5] - IMAGE[4, 5]).max() < 100
@@ -224,7 +224,7 @@ def test_a_dark_recording_serves_the_others_of_its_input(tmp_path):
     write_recorder(tmp_path / "dark", (pattern + noise).astype(np.float32), keys={"role": "dark"})
     write_recorder(tmp_path / "rec", (counts(IMAGE, pedestal_adu=0) + pattern).astype(np.float32))
     output = run(tmp_path)
-    assert [row["role"] for row in output.results["inputs"]] == ["ncpa_calibration", "dark"]
+    assert [row["role"] for row in output.results.as_json()["inputs"]] == ["ncpa_calibration", "dark"]
     background = output.arrays["recordings/cube/rec/background_adu"].value
     assert background == pytest.approx(pattern, abs=1.5)
     assert only_recording(output).dark_variance_e2 <= 4 / 50 * 0.25 * 1.2
@@ -245,7 +245,7 @@ def test_the_recipe_may_differ_per_input(tmp_path):
     for name in ("a", "b"):
         write_recorder(tmp_path / name, counts(IMAGE), keys={"mag_j": 5.0})
     config = {"acquisition": {"target": "Vega"}, "acquisition_of": {"two": {"mag_j": 9.0}}}
-    rows = run(one=[tmp_path / "a"], two=[tmp_path / "b"], config=config).results["inputs"]
+    rows = run(one=[tmp_path / "a"], two=[tmp_path / "b"], config=config).results.as_json()["inputs"]
     assert [row["mag_j"] for row in rows] == [5.0, 9.0]
 
 
@@ -253,7 +253,7 @@ def test_one_bad_recording_does_not_cost_the_others(tmp_path):
     write_recorder(tmp_path / "a", counts(IMAGE))
     write_sidecar(write_recorder(tmp_path / "b", counts(IMAGE)).with_name("acquisition.yaml"), "role")
     output = run(tmp_path)
-    assert [row["name"] for row in output.results["inputs"]] == ["a"]
+    assert [row["name"] for row in output.results.as_json()["inputs"]] == ["a"]
     assert len(output.failures) == 1
     assert "'role'" in output.failures[0]
 
@@ -295,7 +295,7 @@ def test_equal_names_in_one_input_stay_apart(tmp_path):
     for night in ("a", "b"):
         write_recorder(tmp_path / night / "offset_00", counts(IMAGE))
     output = run(tmp_path)
-    assert len({row["name"] for row in output.results["inputs"]}) == 2
+    assert len({row["name"] for row in output.results.as_json()["inputs"]}) == 2
     assert len(recordings_from_product(product_of(output))) == 2
 
 
@@ -313,8 +313,8 @@ needs_samples = pytest.mark.skipif(not SHARED.is_dir(), reason="the shared sampl
 def test_the_shared_samples_are_clean():
     output = run(SHARED)
     assert output.failures == []
-    assert len(output.results["inputs"]) == 14
-    for row in output.results["inputs"]:
+    assert len(output.results.as_json()["inputs"]) == 14
+    for row in output.results.as_json()["inputs"]:
         assert (row["frames_rejected"], row["bad_pixels"], row["cosmic_hits"]) == (0, [], 0), row["name"]
     assert all(check.passed for check in output.checks)
 
@@ -331,7 +331,7 @@ def test_the_shared_samples_are_clean():
 )
 def test_the_flux_of_the_samples_is_that_of_their_magnitude(name, mag_j, exposure_s):
     photons = 150000 * 10 ** (0.4 * (15 - mag_j)) * exposure_s
-    (row,) = run(SHARED / name).results["inputs"]
+    (row,) = run(SHARED / name).results.as_json()["inputs"]
     # the window holds most of the light, never more than all of it
     assert 0.85 * photons < row["flux_e"] < photons
 

@@ -6,10 +6,9 @@ import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.diagnose.view import Screened
-from irlos_pipe.frames.blocks import mean_frame, picked
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.product.product import Product
-from irlos_pipe.stages.ingest.recordings import prefix_of, recordings_from_product
+from irlos_pipe.stages.ingest.recordings import recordings_from_product, screened_e
 from irlos_pipe.stages.model.light_path import differences, in_time_order
 
 COMMON = {"pixel_scale_mas": "pixel scale", "derotator_angle_deg": "derotator angle"}
@@ -52,22 +51,8 @@ def introduced_nm(recording: Recording) -> float:
 
 def screened_pixels(ingest: Product, recording: Recording) -> list[Screened]:
     """Pixels that ingest found bad by what they showed, with the mean of it over the used frames."""
-    row = next(r for r in ingest.results["inputs"] if (r["input"], r["name"]) == _key(recording))
-    found = [tuple(pixel) for pixel in row.get("bad_pixels_found", [])]
-    if not found:
-        return []
-    raw_adu, background_adu, flat = (
-        ingest.arrays[f"{prefix_of(recording)}/{name}"].value
-        for name in ("raw_adu", "background_adu", "flat")
-    )
-    used = ingest.arrays[f"{prefix_of(recording)}/used"].value
-    mean_adu = mean_frame(picked(raw_adu, np.asarray(used, bool)))
-    mean_e = (mean_adu - background_adu) / flat * recording.acquisition.detector.e_per_adu
-    return [Screened(*pixel, float(mean_e[pixel])) for pixel in found if np.isfinite(mean_e[pixel])]
-
-
-def _key(recording: Recording) -> tuple[str, str]:
-    return recording.input, recording.name
+    shown_e = screened_e(ingest, recording)
+    return [Screened(*pixel, value_e) for pixel, value_e in shown_e.items() if np.isfinite(value_e)]
 
 
 def _setting(recording: Recording) -> tuple:

@@ -1,87 +1,92 @@
-"""What ingest says about each recording: its row in results.json, its QC checks, its line on the terminal."""
+"""What ingest reports of each recording: its row in results.json, its QC checks, its line on the terminal."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
 
 import numpy as np
 
-from irlos_pipe.frames.blocks import frame_flux, mean_frame, picked
+from irlos_pipe.frames.blocks import frame_flux
 from irlos_pipe.frames.cleaning import Cleaned
 from irlos_pipe.frames.detector import star_position
-from irlos_pipe.frames.raw import RawRecording
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.frames.screening import SATURATED, tally
 from irlos_pipe.product.product import Check
+from irlos_pipe.readers.raw import RawRecording
+from irlos_pipe.stages.ingest.config import Config
+from irlos_pipe.stages.ingest.recordings import found_bad
+from irlos_pipe.stages.ingest.results import RecordingRow
 from irlos_pipe.stages.ingest.sources import Source
 
-if TYPE_CHECKING:
-    from irlos_pipe.stages.ingest.stage import Config
 
+def row(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> RecordingRow:
+    """Return the entry of a `recording` in the results.
 
-def row(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> dict[str, Any]:
-    """Return the entry of a recording in the results."""
+    Parameters
+    ----------
+    recording : Recording
+        Its clean frames.
+    cleaned : Cleaned
+        What was found on the way.
+    raw : RawRecording
+        What it was made from.
+    """
     acquisition = recording.acquisition
-    return _head(recording.name, recording.input, acquisition.role, raw) | {
-        "frames_rejected": int(np.sum(~recording.used)),
-        "frames_missing": recording.frames_missing,
-        "flux_e": float(np.median(frame_flux(recording.images_e)[recording.used])),
-        "mag_j": acquisition.mag_j,
-        "reasons": tally(recording.reason),
-        "saturated_frames": int(np.sum(recording.reason == SATURATED)),
-        "bad_pixels": np.argwhere(~recording.pixel_mask).tolist(),
-        "bad_pixels_found": np.argwhere(~recording.pixel_mask & ~_listed(recording, raw)).tolist(),
-        "cosmic_hits": int(cleaned.hits.frame.size),
-        "centre_offset_px": list(centre_offset_px(recording)),
-        "pedestal_adu": cleaned.background.pedestal_adu,
-        "pedestal_error_adu": cleaned.background.pedestal_error_adu,
-        "noise_floor_e2": cleaned.noise.floor_e2,
-        "excess_noise_measured": cleaned.noise.excess_noise_factor,
-        "background_variance_e2": recording.background_variance_e2,
-        "dark_variance_e2": recording.dark_variance_e2,
-        "sources": acquisition.sources,
-    }
+    return RecordingRow(
+        name=recording.name,
+        input=recording.input,
+        role=acquisition.role,
+        layout=raw.layout,
+        mode=raw.mode,
+        frames=raw.frames,
+        window=raw.window,
+        frames_rejected=int(np.sum(~recording.used)),
+        frames_missing=recording.frames_missing,
+        flux_e=float(np.median(frame_flux(recording.images_e)[recording.used])),
+        mag_j=acquisition.mag_j,
+        reasons=tally(recording.reason),
+        saturated_frames=int(np.sum(recording.reason == SATURATED)),
+        bad_pixels=np.argwhere(~recording.good).tolist(),
+        bad_pixels_found=found_bad(recording, raw).tolist(),
+        cosmic_hits=int(cleaned.hits.frame.size),
+        centre_offset_px=centre_offset_px(recording),
+        pedestal_adu=cleaned.background.pedestal_adu,
+        pedestal_error_adu=cleaned.background.pedestal_error_adu,
+        noise_floor_e2=cleaned.noise.floor_e2,
+        excess_noise_measured=cleaned.noise.excess_noise_factor,
+        background_variance_e2=recording.background_variance_e2,
+        dark_variance_e2=recording.dark_variance_e2,
+        sources=acquisition.sources,
+    )
 
 
-def _listed(recording: Recording, raw: RawRecording) -> np.ndarray:
-    """Pixels that the map of dead pixels lists, (rows, columns)."""
-    bad = raw.calibration.bad
-    return np.zeros(recording.window, bool) if bad is None else np.asarray(bad, bool)
-
-
-def dark_row(source: Source) -> dict[str, Any]:
+def dark_row(source: Source) -> RecordingRow:
     """Return the entry of a dark recording, which has no star."""
     raw = source.raw
-    return _head(raw.name, source.input, "dark", raw) | {
-        "frames_rejected": 0,
-        "frames_missing": 0,
-        "flux_e": None,
-        "mag_j": None,
-    }
-
-
-def _head(name: str, owner: str, role: str, raw: RawRecording) -> dict[str, Any]:
-    return {
-        "name": name,
-        "input": owner,
-        "role": role,
-        "layout": raw.layout,
-        "mode": raw.mode,
-        "frames": raw.frames,
-        "window": list(raw.window),
-    }
+    return RecordingRow(
+        name=raw.name,
+        input=source.input,
+        role="dark",
+        layout=raw.layout,
+        mode=raw.mode,
+        frames=raw.frames,
+        window=raw.window,
+        frames_rejected=0,
+        frames_missing=0,
+        flux_e=None,
+        mag_j=None,
+    )
 
 
 def centre_offset_px(recording: Recording) -> tuple[float, float]:
-    """Position (x, y) of the star in the mean image against the window's centre [px]."""
-    mean = mean_frame(picked(recording.images_e, recording.used))
-    row_px, column_px = star_position(mean)
+    """Return the position (x, y) of the star in the mean image against the window's centre [px]."""
+    row_px, column_px = star_position(recording.mean_e)
     rows, columns = recording.window
     return column_px - (columns - 1) / 2, row_px - (rows - 1) / 2
 
 
 def checks(recording: Recording, config: Config) -> list[Check]:
-    """Return the QC checks of a recording."""
+    """Return the QC checks of a `recording`, with the limits of `config`."""
     saturated = np.mean(recording.reason == SATURATED)
     missing = recording.frames_missing / (recording.frames + recording.frames_missing)
     offset_px = np.hypot(*centre_offset_px(recording))
@@ -90,7 +95,7 @@ def checks(recording: Recording, config: Config) -> list[Check]:
         ("rejected", np.mean(~recording.used), "1", config.max_rejected_fraction, _list_reasons(recording)),
         ("saturated", saturated, "1", config.max_saturated_fraction, "frames that are saturated"),
         ("missing", missing, "1", config.max_missing_fraction, "frames that the recorder lost"),
-        ("bad_pixels", np.mean(~recording.pixel_mask), "1", config.max_bad_pixel_fraction, "masked pixels"),
+        ("bad_pixels", np.mean(~recording.good), "1", config.max_bad_pixel_fraction, "masked pixels"),
         ("centring", offset_px, "px", offset_limit_px, "distance of the star from the window's centre"),
     ]
     prefix = f"ingest/{recording.input}/{recording.name}"
@@ -105,17 +110,16 @@ def _list_reasons(recording: Recording) -> str:
     return f"frames that are rejected ({found or 'none'})"
 
 
-def summary(rows: list[dict[str, Any]]) -> list[str]:
+def summary(rows: Sequence[RecordingRow]) -> list[str]:
     """Return one line per recording for the terminal."""
-    return [_line(entry) for entry in rows if entry["role"] != "dark"]
+    return [_line(entry) for entry in rows]
 
 
-def _line(entry: dict[str, Any]) -> str:
-    rows, columns = entry["window"]
-    used = entry["frames"] - entry["frames_rejected"]
-    missing = f", {entry['frames_missing']} missing" if entry["frames_missing"] else ""
-    bad = f", {len(entry['bad_pixels'])} bad pixels" if entry["bad_pixels"] else ""
+def _line(entry: RecordingRow) -> str:
+    rows, columns = entry.window
+    missing = f", {entry.frames_missing} missing" if entry.frames_missing else ""
+    bad = f", {len(entry.bad_pixels)} bad pixels" if entry.bad_pixels else ""
     return (
-        f"{entry['input']} {entry['name']}: {used} of {entry['frames']} frames{missing}{bad}, "
-        f"{rows}x{columns} px, {entry['flux_e']:.3g} e- per frame"
+        f"{entry.input} {entry.name}: {entry.frames_used} of {entry.frames} frames{missing}{bad}, "
+        f"{rows}x{columns} px, {entry.flux_e:.3g} e- per frame"
     )

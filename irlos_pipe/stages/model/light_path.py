@@ -121,7 +121,7 @@ def pooled_images(recordings: Sequence[Recording]) -> tuple[torch.Tensor, torch.
     """Frames of all recordings one after the other, pixels good in all of them, and their noise."""
     return (
         torch.as_tensor(_joined([r.images_e for r in recordings])),
-        torch.as_tensor(np.all([r.pixel_mask for r in recordings], axis=0)),
+        torch.as_tensor(np.all([r.good for r in recordings], axis=0)),
         NoiseModel.of(recordings[0]),
     )
 

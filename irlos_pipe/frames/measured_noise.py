@@ -1,0 +1,131 @@
+"""Noise measured in the frames of the star itself: read noise, excess noise, and the noise of the dark.
+
+The noise of a dark image that is taken from every frame is the same in all frames and does not average
+out. A single dark image cannot tell it from the detector's own pattern, which is taken out with it and does
+no harm; the mean of the frames can: what the dark left there varies from pixel to pixel, faster than the
+image of any star, which ends at the cut-off of the telescope, D/λ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import convolve1d
+
+from irlos_pipe.frames.blocks import frame_variance, mean_frame, sample_frames
+from irlos_pipe.frames.neighbour_prediction import Prediction
+from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE, NoiseModel
+
+PREDICTION_ERROR = 0.01  # of the local brightness; where it rivals the noise a pixel tells nothing
+MIN_PIXELS = 100
+ROUNDS = 5
+SIGNIFICANT = 5.0  # sigma
+FINE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # along both axes: leaves what is finer than 3 pixels
+FAINT = 0.25  # part of the window, the faintest, where the star's own structure is least
+CHI2_MEDIAN = 0.4549  # of one degree of freedom
+
+
+@dataclass(frozen=True)
+class MeasuredNoise:
+    """Noise found in the frames; NaN where it could not be measured.
+
+    Attributes
+    ----------
+    floor_e2, floor_error_e2 : float
+        Variance per pixel and frame at zero signal above the background, and its 1-sigma error [e-²].
+    excess_noise_factor : float
+        Slope of variance against signal (1 = Poisson).
+    """
+
+    floor_e2: float = float("nan")
+    floor_error_e2: float = float("nan")
+    excess_noise_factor: float = float("nan")
+
+    def beyond_e2(self, known_e2: float) -> float:
+        """Return the part of the floor that `known_e2` leaves unexplained; 0 unless significant [e-²]."""
+        extra = self.floor_e2 - known_e2
+        return float(extra) if extra > SIGNIFICANT * self.floor_error_e2 else 0.0
+
+
+def measure_noise(
+    images_e: np.ndarray, good: np.ndarray, prediction: Prediction, declared: NoiseModel
+) -> MeasuredNoise:
+    """Fit variance = floor + F·signal to the scatter of (pixel - prediction by its neighbours).
+
+    That difference is blind to speckles and image motion, so that the photon-transfer method
+    works on sky. The floor holds the read noise and the photon noise of dark current and sky.
+
+    Parameters
+    ----------
+    images_e : ndarray, (frames, rows, columns)
+        Finite [e-].
+    good : ndarray of bool, (rows, columns)
+        True for good pixels.
+    prediction : Prediction
+        Of each pixel by its good neighbours.
+    declared : NoiseModel
+        Where the weights start from.
+    """
+    if len(images_e) < MIN_FRAMES_FOR_NOISE:
+        return MeasuredNoise()
+    sample = images_e[sample_frames(len(images_e))]
+    signal = np.maximum(sample.mean(axis=0, dtype=np.float64), 0)
+    expected = prediction.variance(declared.variance_e2(signal))
+    usable = good & ((PREDICTION_ERROR * prediction.local_rms(signal)) ** 2 < 0.1 * expected)
+    if usable.sum() < MIN_PIXELS:
+        return MeasuredNoise()
+    variance = (sample - prediction.of(sample)).var(axis=0, ddof=1)
+    terms = np.stack([prediction.variance(np.ones_like(signal)), prediction.variance(signal)], axis=-1)
+    return _fit(terms[usable], variance[usable], expected[usable], len(sample) - 1)
+
+
+def _fit(terms: np.ndarray, variance: np.ndarray, expected: np.ndarray, degrees: int) -> MeasuredNoise:
+    """Linear fit whose weights follow the fitted variance: a variance scatters in proportion to itself."""
+    for _ in range(ROUNDS):
+        weighted = terms / expected[:, None]
+        (floor, slope), *_ = np.linalg.lstsq(weighted, variance / expected, rcond=None)
+        expected = np.maximum(terms @ (floor, slope), 0.05 * expected)
+    covariance = np.linalg.inv(weighted.T @ weighted) * 2 / degrees
+    return MeasuredNoise(float(floor), float(np.sqrt(covariance[0, 0])), float(slope))
+
+
+def dark_variance_e2(images_e: np.ndarray, good: np.ndarray, at_most_e2: float) -> float:
+    """Measure the variance per pixel of the dark image in the frames that it was taken from.
+
+    Parameters
+    ----------
+    images_e : ndarray, (frames, rows, columns)
+        Signal above the dark [e-].
+    good : ndarray of bool, (rows, columns)
+        True for good pixels.
+    at_most_e2 : float
+        Variance of the dark as judged from the dark itself, the detector's pattern included [e-²]; infinite
+        if none was taken.
+
+    Returns
+    -------
+    float
+        Variance of the mean frame from pixel to pixel beyond the scatter between frames [e-²]; a star that
+        is sharper than the pixels can show raises it, up to `at_most_e2`. Where frames cannot tell, that, or
+        0 if it is infinite.
+    """
+    unknown_e2 = at_most_e2 if np.isfinite(at_most_e2) else 0.0
+    if at_most_e2 == 0 or len(images_e) < 2 or min(good.shape) < 2 * len(FINE):
+        return unknown_e2
+    mean_e = mean_frame(images_e)
+    scatter_e2 = frame_variance(images_e, mean_e) / len(images_e)
+    mean_e = np.where(good, mean_e, np.nan)
+    fine, by_scatter = _both_ways(mean_e, FINE) ** 2, _both_ways(scatter_e2, FINE**2)
+    seen = np.isfinite(fine) & (mean_e <= np.nanquantile(mean_e, FAINT))
+    if not seen.any():
+        return unknown_e2
+    beyond = np.median(fine[seen]) / CHI2_MEDIAN - np.median(by_scatter[seen])
+    return float(np.clip(beyond / np.sum(FINE**2) ** 2, 0.0, at_most_e2))
+
+
+def _both_ways(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
+    """Convolution along rows and columns; NaN near edges and bad pixels."""
+    for axis in (0, 1):
+        image = convolve1d(image, kernel, axis=axis, mode="constant", cval=np.nan)
+    return image
