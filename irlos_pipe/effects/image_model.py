@@ -19,7 +19,7 @@ from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.effect_set import NOTHING, EffectSet
 from irlos_pipe.numerics.forward_mode import along, pushed_all
 from irlos_pipe.optics.grids import Optics
-from irlos_pipe.optics.psf import NO_TANGENTS, PsfModel
+from irlos_pipe.optics.light_path import NO_TANGENTS, LightPath
 
 TIMES = 3  # nodes of the average over a recording: exact for images of 5th order in time
 
@@ -29,11 +29,11 @@ class ImageModel:
 
     Parameters
     ----------
-    psf : PsfModel
+    psf : LightPath
     effects : sequence of Effect, or EffectSet
     """
 
-    def __init__(self, psf: PsfModel, effects: Sequence[Effect] | EffectSet = ()):
+    def __init__(self, psf: LightPath, effects: Sequence[Effect] | EffectSet = ()):
         self.psf = psf
         self.effects = effects if isinstance(effects, EffectSet) else EffectSet(effects, psf.grids)
         self._last: tuple[torch.Tensor, Optics] | None = None

@@ -17,7 +17,8 @@ from irlos_pipe.numerics.parallel import joined_map
 from irlos_pipe.numerics.problem import Problem
 from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.grids import Optics
-from irlos_pipe.optics.psf import AS_BUILT, PsfModel
+from irlos_pipe.optics.light_path import AS_BUILT
+from irlos_pipe.optics.psf import PsfModel
 
 SPAN_NM = np.linspace(-400.0, 400.0, 33)  # defocus scanned for the calibration of A and B
 IMAGES_AT_ONCE = 16  # their derivatives, 3 MiB, stay in the cache, and the allocator keeps such pieces

@@ -8,6 +8,9 @@ methods), or many images by one vector (`dip_joint`).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from copy import copy
+from typing import Any, Self
 
 import torch
 
@@ -20,10 +23,11 @@ from irlos_pipe.numerics.problem import CHI2_TOLERANCE, Problem
 
 FRAMES_PER_CHUNK = 8
 FRAMES_PER_GRADIENT = 16
+Piece = Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, ...]]
 
 
 class ImageFit(Problem):
-    """Images against those of an `ImageModel`.
+    """Images against those of an `ImageModel`; never changed, methods return changed copies.
 
     Parameters
     ----------
@@ -75,17 +79,25 @@ class ImageFit(Problem):
             root = torch.where(good, root[good].median(), 0.0)
         return root.to(self.images.dtype).expand(self.images.shape[0], -1, self.images.shape[2])
 
-    def with_loss(self, loss: Loss) -> ImageFit:
+    def with_loss(self, loss: Loss) -> Self:
         """The same images and weights with another loss, whitened or not as the present one."""
         return self._with(loss=loss, reweighted=not loss.quadratic)
 
-    def members(self, which: torch.Tensor) -> ImageFit:
+    def members(self, which: torch.Tensor) -> Self:
         """The fits of some members only."""
         return self._with(**{name: getattr(self, name)[which] for name in self.per_member})
 
-    def _with(self, **changes) -> ImageFit:
-        other = object.__new__(type(self))
-        vars(other).update(vars(self) | changes)
+    def holding(self, values: torch.Tensor) -> Self:
+        """The same fits with the effects that are not fitted held at `values`."""
+        return self._with(held=values)
+
+    def with_tolerance(self, tolerance: float) -> Self:
+        """The same fits, done where less than this fall of χ² is ahead, see `negligible`."""
+        return self._with(tolerance=tolerance)
+
+    def _with(self, **changes: Any) -> Self:
+        other = copy(self)
+        vars(other).update(changes)
         return other
 
     # -- Problem -----------------------------------------------------------------------------
@@ -110,7 +122,9 @@ class ImageFit(Problem):
         offset = x - self.prior_mean[which]
         return value + self._prior_value(x, which), gradient + self.prior_precision[which] * offset
 
-    def _map(self, function, x, which, size: int = FRAMES_PER_CHUNK):
+    def _map(
+        self, function: Piece, x: torch.Tensor, which: torch.Tensor, size: int = FRAMES_PER_CHUNK
+    ) -> tuple[torch.Tensor, ...]:
         """What `function` makes of pieces of a few members, small enough for the processor's cache."""
         if len(x) <= size:
             return function(x, which)

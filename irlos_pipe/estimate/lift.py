@@ -166,8 +166,8 @@ def _lift(model: ImageModel, images_e, pixel_mask, noise, start_nm, options, rep
     variance = noise.variance_e2(smooth(images_e))
     problem = image_problem(model, layout, images_e, variance, pixel_mask, options.alike)
     if options.noise != "data":
-        problem.tolerance = COARSE_TOLERANCE if options.noise == "iterative" else ROUGH_TOLERANCE
-        x = _finite(solve(problem, x, max_iterations=options.max_iterations, report=report), x)
+        rough = problem.with_tolerance(COARSE_TOLERANCE if options.noise == "iterative" else ROUGH_TOLERANCE)
+        x = _finite(solve(rough, x, max_iterations=options.max_iterations, report=report), x)
         report = None
         problem = _with_model_variance(problem, x, images_e, pixel_mask, noise, options)
     solution = solve(problem, x, max_iterations=options.max_iterations, report=report)

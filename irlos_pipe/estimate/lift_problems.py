@@ -8,15 +8,16 @@ a Jacobian; what the curvature lacks the solver learns.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import torch
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.image_fit import FRAMES_PER_CHUNK, FRAMES_PER_GRADIENT, ImageFit
+from irlos_pipe.estimate.image_fit import FRAMES_PER_CHUNK, FRAMES_PER_GRADIENT, ImageFit, Piece
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.frames.noise import NoiseModel
 
-LEAST_FRAMES = 4  # in a piece
+MIN_FRAMES = 4  # in a piece
 
 
 @dataclass(frozen=True)
@@ -66,19 +67,21 @@ class AlikeFit(ImageFit):
         super().__init__(*arguments)
         self._alike = alike
 
-    def members(self, which: torch.Tensor) -> AlikeFit:
+    def members(self, which: torch.Tensor) -> Self:
         """See `ImageFit.members`."""
         return super().members(which)._with(_alike=self._alike.of(which))
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """Objective, exact gradient and approximate Hessian, see `solve.Problem`."""
+        """Objective, exact gradient and approximate Hessian, see `Problem`."""
         value, gradient = self.gradient(x, which)
         (hessian,) = self._map(self._curvature, x, which, FRAMES_PER_GRADIENT)
         return value, gradient, hessian + torch.diag_embed(self.prior_precision[which])
 
-    def _map(self, function, x, which, size: int = FRAMES_PER_CHUNK):
-        """As in `ImageFit`, but two pieces of what is left when most members are done, lest workers idle."""
-        return super()._map(function, x, which, min(size, max(LEAST_FRAMES, -(-len(x) // 2))))
+    def _map(
+        self, function: Piece, x: torch.Tensor, which: torch.Tensor, size: int = FRAMES_PER_CHUNK
+    ) -> tuple[torch.Tensor, ...]:
+        """As in `ImageFit`, but two pieces at least when most members are done: no worker idles."""
+        return super()._map(function, x, which, min(size, max(MIN_FRAMES, -(-len(x) // 2))))
 
     def _curvature(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor]:
         columns = self._alike.columns[self._alike.frame[which]] * self.root_weight[which.to(self.device)]

@@ -45,8 +45,7 @@ def fit_shared(problem: ImageFit, x: torch.Tensor) -> SharedFit:
     Parameters
     ----------
     problem : ImageFit
-        One parameter vector per image; its effects have free parameters, which start at `problem.held`
-        and are left there at the result.
+        One parameter vector per image; its effects have free parameters, which start at `problem.held`.
     x : tensor, (images, parameters)
         Start of the per-image parameters.
 
@@ -65,7 +64,7 @@ def fit_shared(problem: ImageFit, x: torch.Tensor) -> SharedFit:
         covariance = torch.linalg.inv(information)
         trial = (values - covariance @ gradient).clamp(limits[:, 0], limits[:, 1])
         small = ((trial - values).abs() / torch.diagonal(covariance).sqrt()).max() < STEP_SIGMA
-        values = problem.held = trial
+        values, problem = trial, problem.holding(trial)
         if small:
             status = CONVERGED
             break

@@ -21,7 +21,8 @@ from irlos_pipe.estimate.lift import LiftOptions, lift
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.solution import INVALID, Solution
 from irlos_pipe.optics.grids import Optics
-from irlos_pipe.optics.psf import AS_BUILT, PsfModel
+from irlos_pipe.optics.light_path import AS_BUILT
+from irlos_pipe.optics.psf import PsfModel
 
 SCAN_NM = np.linspace(-700.0, 700.0, 15)  # defocus of the templates
 PLAUSIBLE_CHI2 = 4.0  # χ²/ν of right solutions stays below 3, that of wrong ones is 10 and more

@@ -8,7 +8,6 @@ from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.starts import SCAN_NM
 from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate, is_family, place_of_focus
-from irlos_pipe.optics.psf import PsfModel
 
 FOCUS_REACH_NM = 400.0  # beyond the starts; few fits move further
 TILT_REACH_NM = 250.0  # between two and three pixels
@@ -41,7 +40,7 @@ def tabulated(model: ImageModel, start_nm: torch.Tensor) -> ImageModel:
     There is one if the modes are tip, tilt and one more, if no effect is free or changes with time, and
     if the images are well sampled.
     """
-    if not isinstance(model.psf, PsfModel) or model.effects.parameters or model.effects.at("time"):
+    if model.general is not model or model.effects.parameters or model.effects.at("time"):
         return model
     if not is_family(model.psf.nolls):
         return model

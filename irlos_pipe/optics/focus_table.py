@@ -25,7 +25,7 @@ from scipy.special import jv
 
 from irlos_pipe.conventions.units import NM, cutoff_per_px, tilt_nm
 from irlos_pipe.optics.grids import Optics, Tangents
-from irlos_pipe.optics.psf import AS_BUILT, NO_TANGENTS, PsfModel
+from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, LightPath, Pullback
 from irlos_pipe.optics.shift import ShiftMatrices, kernel_half_length
 
 TRUNCATION = 1e-7  # the largest Bessel function left out
@@ -44,11 +44,11 @@ class Reach:
 
 
 class FocusTable:
-    """Stands in for a `PsfModel` with three modes: tip, tilt and one more, called focus.
+    """A `LightPath` with three modes: tip, tilt and one more, called focus.
 
     Parameters
     ----------
-    psf : PsfModel
+    psf : LightPath
         Whose images are tabulated; see `is_family` and `can_tabulate`.
     optics : Optics
         What effects make of its light path. They are in the table then.
@@ -56,17 +56,18 @@ class FocusTable:
         Beyond it images mean nothing; solvers keep to `limits_nm`.
     """
 
-    def __init__(self, psf: PsfModel, optics: Optics, reach: Reach):
+    def __init__(self, psf: LightPath, optics: Optics, reach: Reach):
         self.settings, self.nolls, self.device, self.dtype = psf.settings, psf.nolls, psf.device, psf.dtype
-        self.grids, self.reach = psf.grids, reach
+        self.grids, self.reach, self._tabulated = psf.grids, reach, (psf, optics)
         self.tilts, self.focus = [self.nolls.index(2), self.nolls.index(3)], place_of_focus(self.nolls)
         beyond, band = _pixels_beyond(psf, optics, reach), _band_per_px(psf, optics)
         window, pixel_nm = self.settings.window, _pixel_nm(psf, optics)
-        self.shift = ShiftMatrices(window, beyond, band, pixel_nm, psf.amplitude)
+        like = torch.empty(0, dtype=self.dtype, device=self.device)
+        self.shift = ShiftMatrices(window, beyond, band, pixel_nm, like)
         self.middle_nm, self.half_nm = np.mean(reach.focus_nm), OPEN_END * np.ptp(reach.focus_nm) / 2
         self._tabulate(psf.in_window(*_wider(psf, beyond)), optics)
 
-    def _tabulate(self, wide: PsfModel, optics: Optics) -> None:
+    def _tabulate(self, wide: LightPath, optics: Optics) -> None:
         """Chebyshev coefficients (terms, pixels), reversed along both axes as `ShiftMatrices` wants them."""
         terms = self._terms(wide, optics)
         angle = np.pi * (np.arange(terms) + 0.5) / terms
@@ -78,26 +79,26 @@ class FocusTable:
         self.table, self.shape = series.flip(1).to(self.dtype), images.shape[1:]
         self.orders = torch.arange(terms, device=self.device, dtype=torch.float64)
 
-    def _terms(self, psf: PsfModel, optics: Optics) -> int:
+    def _terms(self, psf: LightPath, optics: Optics) -> int:
         """Length of the series."""
-        grid = psf.pupil_grid
+        grid = psf.grids.pupil
         mode = grid.modes([self.nolls[self.focus]])[0][np.hypot(*grid.xy) <= 1]
         phase = 2 * np.pi * NM / _shortest_m(psf, optics) * self.half_nm * np.ptp(mode)
         orders = np.arange(int(2 * phase) + 40)
         return int(orders[np.abs(jv(orders, phase)) > TRUNCATION].max()) + 1
 
-    # -- in place of a PsfModel --------------------------------------------------------------
+    # -- LightPath ---------------------------------------------------------------------------
 
     @property
     def limits_nm(self) -> torch.Tensor:
-        """Least and largest coefficients that the table holds, (2, modes)."""
+        """See `LightPath.limits_nm`: what the table holds."""
         limits = torch.full((2, len(self.nolls)), self.reach.tilt_nm, dtype=torch.float64)
         limits[0] *= -1
         limits[:, self.focus] = torch.tensor(self.reach.focus_nm, dtype=torch.float64)
         return limits
 
     def images(self, coefficients_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
-        """See `PsfModel.images`; `optics` are in the table already."""
+        """See `LightPath.images`; `optics` are in the table already."""
         x, (height, width) = coefficients_nm.to(self.device, torch.float64), self.settings.window
         rows, columns = self.shift(x[:, self.tilts])
         weights = (self._angle(x) * self.orders).cos().to(self.dtype)
@@ -113,7 +114,7 @@ class FocusTable:
         *,
         modal: bool = True,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `PsfModel.images_and_jacobian`; there are no parameters but the modes."""
+        """See `LightPath.images_and_jacobian`; there are no parameters but the modes."""
         x, (height, width) = coefficients_nm.to(self.device, torch.float64), self.settings.window
         rows, columns = self.shift(x[:, self.tilts])
         images, slopes = self._series(x)
@@ -124,6 +125,18 @@ class FocusTable:
         jacobian[:, self.tilts[1]] = both[:, height:]
         jacobian[:, self.focus] = torch.bmm(rows[:, :height], torch.bmm(slopes, columns[:, :width].mT))
         return both[:, :height], jacobian[:, : 3 * modal]
+
+    def images_and_pullback(
+        self, coefficients_nm: torch.Tensor, optics: Optics = AS_BUILT
+    ) -> tuple[torch.Tensor, Pullback]:
+        """See `LightPath.images_and_pullback`."""
+        images, jacobian = self.images_and_jacobian(coefficients_nm)
+        return images, lambda factors: (jacobian * factors[:, None]).sum((2, 3))
+
+    def in_window(self, window: tuple[int, int], margin_mas: float, halo_margin_mas: float) -> FocusTable:
+        """See `LightPath.in_window`."""
+        psf, optics = self._tabulated
+        return FocusTable(psf.in_window(window, margin_mas, halo_margin_mas), optics, self.reach)
 
     def _angle(self, x: torch.Tensor) -> torch.Tensor:
         """The focus as θ, ``T_n = cos nθ``, (images, 1)."""
@@ -149,7 +162,7 @@ def place_of_focus(nolls: tuple[int, ...]) -> int:
     return place
 
 
-def can_tabulate(psf: PsfModel, optics: Optics, reach: Reach) -> bool:
+def can_tabulate(psf: LightPath, optics: Optics, reach: Reach) -> bool:
     """Whether images can be tabulated: they must be well sampled, and the shifts must fit into the field."""
     if _band_per_px(psf, optics) > WELL_SAMPLED:
         return False
@@ -157,7 +170,7 @@ def can_tabulate(psf: PsfModel, optics: Optics, reach: Reach) -> bool:
     return _pixels_beyond(psf, optics, reach) * psf.settings.pixel_scale_mas <= room_mas
 
 
-def _wider(psf: PsfModel, beyond: int) -> tuple[tuple[int, int], float, float]:
+def _wider(psf: LightPath, beyond: int) -> tuple[tuple[int, int], float, float]:
     """Window with further pixels on each side, and margins that leave the period of the OTF factors."""
     settings, more_mas = psf.settings, beyond * psf.settings.pixel_scale_mas
     rows, columns = settings.window
@@ -165,26 +178,26 @@ def _wider(psf: PsfModel, beyond: int) -> tuple[tuple[int, int], float, float]:
     return (rows + 2 * beyond, columns + 2 * beyond), margin_mas, settings.halo_margin_mas - more_mas
 
 
-def _pixels_beyond(psf: PsfModel, optics: Optics, reach: Reach) -> int:
+def _pixels_beyond(psf: LightPath, optics: Optics, reach: Reach) -> int:
     """Pixels that are tabulated on each side of the window."""
     shifts = int(np.ceil(reach.tilt_nm / _pixel_nm(psf, optics)))
     return shifts + kernel_half_length(_band_per_px(psf, optics))
 
 
-def _pixel_nm(psf: PsfModel, optics: Optics) -> float:
+def _pixel_nm(psf: LightPath, optics: Optics) -> float:
     """Tip or tilt that moves the image by a pixel [nm RMS]."""
     return tilt_nm(_pixel_mas(psf, optics), psf.settings.geometry.diameter_m)
 
 
-def _band_per_px(psf: PsfModel, optics: Optics) -> float:
+def _band_per_px(psf: LightPath, optics: Optics) -> float:
     """Highest frequency of the images [cycles/px]."""
     diameter_m = psf.settings.geometry.diameter_m
     return cutoff_per_px(_shortest_m(psf, optics), diameter_m, _pixel_mas(psf, optics))
 
 
-def _pixel_mas(psf: PsfModel, optics: Optics) -> float:
+def _pixel_mas(psf: LightPath, optics: Optics) -> float:
     return float((optics.sampling or psf.grids.sampling).pixel_scale_mas)
 
 
-def _shortest_m(psf: PsfModel, optics: Optics) -> float:
+def _shortest_m(psf: LightPath, optics: Optics) -> float:
     return float((optics.sampling or psf.grids.sampling).wavelengths_m.min())

@@ -62,7 +62,7 @@ def test_jitter_is_the_average_over_gaussian_image_motion(model, wavefront):
 
 def curvature_at_zero(model: PsfModel, factor: torch.Tensor, wavelength: int) -> float:
     """Variance [mas²] along x that an OTF factor adds: -ln T = 2π² σ² b² / λ² at the shortest baseline."""
-    baseline = model.grid.baseline_x_m[1] / model.wavelengths_m[wavelength]
+    baseline = model.grids.focal.baseline_x_m[1] / model.wavelengths_m[wavelength]
     return float(-torch.log(factor[wavelength, 0, 1])) / (2 * np.pi**2 * baseline**2) / MAS_RAD**2
 
 
@@ -80,7 +80,7 @@ def test_no_jitter_changes_nothing(model, wavefront):
 
 def test_an_asymmetric_kernel_is_convolved_not_correlated(model, wavefront):
     """A kernel with 30 % of its light at +3 columns, -2 rows leaves 30 % of the image there."""
-    grid, wavelengths = model.grid, torch.as_tensor(model.wavelengths_m)
+    grid, wavelengths = model.grids.focal, torch.as_tensor(model.wavelengths_m)
     angle_x, angle_y = 3 * SCALE_MAS * MAS_RAD, -2 * SCALE_MAS * MAS_RAD
     path = torch.as_tensor(grid.baseline_x_m[None] * angle_x + grid.baseline_y_m[:, None] * angle_y)
     kernel = 0.7 + 0.3 * torch.exp(-2j * np.pi * path / wavelengths[:, None, None])

@@ -200,7 +200,7 @@ def test_variances_that_follow_lead_where_endless_re_weighting_does(model):
     for _ in range(6):
         signal = complete.predict(x[:, :3], x[:, 3], x[:, 4])
         problem = image_problem(complete, layout, data, NOISE.variance_e2(signal), cases.everything(data))
-        problem.tolerance = 1e-6
+        problem = problem.with_tolerance(1e-6)
         x = solve(problem, x).values
     assert ((x - found.solution.values)[:, :3].abs() < 0.02 * found.sigma_nm).all()
 

@@ -10,7 +10,8 @@ import pytest
 import torch
 from helpers.optics_cases import J_AND_H, NARROW_H, halo_and_jitter, ncpa_nm, settings, vector
 
-from irlos_pipe.optics.psf import AS_BUILT, PsfModel
+from irlos_pipe.optics.light_path import AS_BUILT
+from irlos_pipe.optics.psf import PsfModel
 
 NOLLS = tuple(range(2, 22))
 SPECTRA = {"mono": NARROW_H, "polychromatic": J_AND_H[::2]}

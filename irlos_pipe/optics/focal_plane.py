@@ -1,0 +1,114 @@
+"""From the pupil to the pixels of a window: focal grids, transforms and pixel matrices by wavelength."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from irlos_pipe.optics.grids import Sampling
+from irlos_pipe.optics.matrix_dft import MatrixDft
+from irlos_pipe.optics.propagate import (
+    FocalGrid,
+    baseline_to_pixels,
+    focal_samples_for,
+    focal_to_pixels,
+    quick_fft_length,
+    require_resolved,
+)
+from irlos_pipe.optics.psf_settings import PsfSettings
+
+COMPLEX = {torch.float32: torch.complex64, torch.float64: torch.complex128}
+Matrices = tuple[torch.Tensor, torch.Tensor]
+
+
+class FocalPlane:
+    """Where light of every wavelength falls on the pixels of one window.
+
+    Parameters
+    ----------
+    settings : PsfSettings
+        Window, pixel scale and margins.
+    sampling : Sampling
+        Wavelengths and weights as built.
+    u_m : ndarray, (n,)
+        Samples of the pupil along either axis [m].
+    polynomials : ndarray, (degree + 1, n)
+        See `MatrixDft`.
+    like : tensor
+        Of the precision and on the device that matrices are to have.
+
+    Attributes
+    ----------
+    grids : list of FocalGrid
+        One per wavelength: long waves need fewer samples; the baselines are common.
+    """
+
+    def __init__(
+        self,
+        settings: PsfSettings,
+        sampling: Sampling,
+        u_m: np.ndarray,
+        polynomials: np.ndarray,
+        like: torch.Tensor,
+    ):
+        self.window, self.sampling, self.like = settings.window, sampling, like
+        self.grids = _focal_grids(settings, sampling.wavelengths_m.numpy(), u_m)
+        self.dfts = [MatrixDft(u_m, focal, polynomials, like) for focal in self.grids]
+
+    @property
+    def widest(self) -> FocalGrid:
+        """The grid with most samples."""
+        return max(self.grids, key=lambda grid: grid.samples)
+
+    def to_pixels(self, index: int, sampling: Sampling | None, *, filtered: bool) -> Matrices:
+        """Matrices to rows, weighted, and to columns.
+
+        Parameters
+        ----------
+        index : int
+            Of the wavelength.
+        sampling : Sampling or None
+            Where effects change it.
+        filtered : bool
+            From the real FFT of the focal intensity instead of the intensity itself.
+        """
+        if sampling is None:
+            return (self._filtered if filtered else self._plain)[index]
+        return (self._filtered_matrices if filtered else self._plain_matrices)(index, sampling)
+
+    @cached_property
+    def _plain(self) -> list[Matrices]:
+        return [self._plain_matrices(index, self.sampling) for index in range(len(self.grids))]
+
+    @cached_property
+    def _filtered(self) -> list[Matrices]:
+        return [self._filtered_matrices(index, self.sampling) for index in range(len(self.grids))]
+
+    def _plain_matrices(self, index: int, sampling: Sampling) -> Matrices:
+        sky = sampling.pixel_scale_mas, sampling.wavelengths_m[index], self.grids[index]
+        made = {px: focal_to_pixels(px, *sky) for px in {*self.window}}
+        rows, columns = (made[px] for px in self.window)
+        return (sampling.weights[index] * rows).to(self.like), columns.to(self.like)
+
+    def _filtered_matrices(self, index: int, sampling: Sampling) -> Matrices:
+        grid = self.grids[index]
+        (rows, columns), sky = self.window, (sampling.pixel_scale_mas, sampling.wavelengths_m[index], grid)
+        along_y = baseline_to_pixels(grid.baseline_y_m, rows, *sky, half=False)
+        along_x = baseline_to_pixels(grid.baseline_x_m, columns, *sky, half=True)
+        kind = {"dtype": COMPLEX[self.like.dtype], "device": self.like.device}
+        return (sampling.weights[index] * along_y).to(**kind), along_x.to(**kind)
+
+
+def _focal_grids(settings: PsfSettings, wavelengths_m: np.ndarray, u_m: np.ndarray) -> list[FocalGrid]:
+    step_m, scale_mas, window_px = u_m[1] - u_m[0], settings.pixel_scale_mas, max(settings.window)
+    require_resolved(window_px, scale_mas, wavelengths_m.min(), step_m)
+
+    def samples(margin_mas: float, wavelength_m: float) -> int:
+        return focal_samples_for(window_px, scale_mas, margin_mas, wavelength_m, len(u_m) * step_m)
+
+    needed = [samples(settings.margin_mas, wavelength_m) for wavelength_m in wavelengths_m]
+    period = samples(settings.halo_margin_mas, wavelengths_m.min())
+    padded = quick_fft_length(max(*needed, period))
+    return [FocalGrid(count, len(u_m) * step_m, padded) for count in needed]
