@@ -72,6 +72,9 @@ class Stack:
 Block = Figure | Table | Text | Stack
 
 
+Block = Figure | Table | Text | Stack
+
+
 @dataclass(frozen=True)
 class Section:
     """A part of the report with a heading; `lead` says in one line what was done."""

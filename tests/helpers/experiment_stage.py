@@ -32,14 +32,15 @@ def context(config, seed: int = 5) -> StageContext:
 
 
 def run_stage(monkeypatch, stage, config, found_of: Callable) -> StageOutput:
-    """Output of a stage whose samples give ``found_of(sample)``."""
+    """Return the output of a stage whose samples give ``found_of(sample)``."""
     monkeypatch.setattr(
         stage, "run_samples", lambda function, samples, ctx, desc: [found_of(sample) for sample in samples]
     )
     return stage.run(context(config))
 
 
-def section_of(output: StageOutput, name: str, build: Callable[[RunData], Section]) -> Section:
+def section_of(output: StageOutput, name: str, build: Callable[[RunData], Section], config=None) -> Section:
+    """Build the section of a stage's output as it is read back from its product."""
     results = output.results if isinstance(output.results, dict) else output.results.as_json()
-    product = Product(name, output.arrays, results)
+    product = Product(name, output.arrays, results, config=config.model_dump() if config else {})
     return build(RunData({}, "", "ok", "", {name: product}, []))

@@ -1,24 +1,19 @@
 """The capture range. Truth: the simulator, which shares no optics with LIFT's model; counting by hand."""
 
-import logging
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from helpers import optics_cases as cases
+from helpers.experiment_stage import run_stage, section_of
 
-from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.paper.capture import stage
-from irlos_pipe.paper.capture.experiment import STARTS, CaptureSample, capture, simulate_ramp
+from irlos_pipe.paper.capture.experiment import CaptureSample, capture, simulate_ramp
 from irlos_pipe.paper.capture.outcome import Estimates, success_per_bin
+from irlos_pipe.paper.capture.results import Counts
 from irlos_pipe.paper.capture.section import section as capture_section
-from irlos_pipe.pipeline.resources import silent_progress
-from irlos_pipe.product.product import Product
-from irlos_pipe.report.run_data import RunData
-from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.model.section import ModelConfig
+from irlos_pipe.paper.common.ramps import STARTS
 
 SAMPLE = CaptureSample("test", (20, 3), cases.FACILITY, 6, 800.0)
 
@@ -86,8 +81,8 @@ COUNTED = Estimates(
 
 
 def test_right_wrong_and_flagged_are_told_apart():
-    assert COUNTED.counts() == {"cases": 6, "captured": 4, "wrong": 1, "flagged": 1}
-    assert COUNTED.within(450).counts() == {"cases": 4, "captured": 2, "wrong": 1, "flagged": 1}
+    assert COUNTED.counts() == Counts(cases=6, captured=4, wrong=1, flagged=1)
+    assert COUNTED.within(450).counts() == Counts(cases=4, captured=2, wrong=1, flagged=1)
 
 
 def test_the_range_ends_with_the_smallest_defocus_that_was_missed():
@@ -115,25 +110,20 @@ def test_success_is_counted_in_bins_of_true_defocus():
 
 @pytest.fixture
 def output(found, monkeypatch):
-    monkeypatch.setattr(stage, "run_samples", lambda function, samples, ctx, desc: [found] * len(samples))
     config = stage.Config(ramps=2, frames=6, reach_nm=800.0, required_nm=800.0)
-    return stage.run(
-        StageContext(config, ModelConfig(), load_instrument("irlos"), {}, {}, "cpu", 20, 1, silent_progress,
-                     logging.getLogger("test"), Path("scratch")))  # fmt: skip
+    return run_stage(monkeypatch, stage, config, lambda sample: found)
 
 
 def test_the_stage_reports_every_start_and_passes_when_the_default_misses_nothing(output):
-    rows = {row["start"]: row for row in output.results["starts"]}
+    rows = {row.start: row for row in output.results.starts}
     assert tuple(rows) == STARTS
-    assert rows["default"]["all"] == {"cases": 12, "captured": 12, "wrong": 0, "flagged": 0}
-    assert sum(rows["default"]["cases_per_bin"]) == 12
+    assert rows["default"].all == Counts(cases=12, captured=12, wrong=0, flagged=0)
+    assert sum(rows["default"].cases_per_bin) == 12
     assert output.checks[0].value == 0 and output.arrays["true_nm"].value.shape == (12,)
 
 
 def test_the_section_shows_starts_and_their_estimates(output):
-    product = Product("capture", output.arrays, output.results)
-    section = capture_section(RunData({}, "", "ok", "", {"capture": product}, []))
-    success, scatter, table = section.blocks
+    success, scatter, table = section_of(output, "capture", capture_section).blocks
     assert success.title == "Success against defocus"
     assert [figure.title for figure in scatter.blocks] == ["Where the iteration starts", "Where it ends"]
     assert table.marks[-1] == "good" and table.marks[0] == "bad"

@@ -16,7 +16,6 @@ from irlos_pipe.paper.derotator_series.experiment import (
     draw_truth,
     estimate,
     rms_beyond_tilt_nm,
-    scene_of,
     split_errors,
 )
 from irlos_pipe.simulate.exposure import expose
@@ -53,7 +52,7 @@ def test_a_good_part_of_the_bump_lies_beyond_the_29_modes():
 
 
 def test_the_truth_at_an_angle_is_what_the_simulator_makes():
-    scene = replace(scene_of(sample()), sky=None, motion=None, frames=1)
+    scene = replace(sample().scene(), sky=None, motion=None, frames=1)
     exposed = expose(scene)
     lit = exposed.transmission > 0.5
     nolls = sorted({*TRUTH.rotating_nm, *TRUTH.fixed_nm})

@@ -35,12 +35,12 @@ def found():
 # -- the experiment ------------------------------------------------------------------------------
 
 
-def test_every_way_has_an_error_for_every_frame_and_realisation(found):
-    assert all(found[f"0.1/{way}/abs_error_nm"].shape == (2, 4) for way in COMPARED)
+def test_every_variant_has_an_error_for_every_frame_and_realisation(found):
+    assert all(found[f"0.1/{key}/abs_error_nm"].shape == (2, 4) for key in COMPARED)
 
 
 def test_calibrated_ncpas_leave_the_residual_of_the_sky(found):
-    default, none = (np.median(found[f"0.1/{way}/abs_error_nm"][0]) for way in ("default_3", "none_3"))
+    default, none = (np.median(found[f"0.1/{key}/abs_error_nm"][0]) for key in ("default_3", "none_3"))
     assert default < np.abs(found["0.1/residual_nm"]).max() + 10
     assert default < 0.6 * none
 
@@ -105,12 +105,12 @@ def test_scans_that_cannot_be_made_are_refused(changes, told):
         stage.Config(**changes)
 
 
-def test_the_stage_gives_a_curve_per_way_and_the_section_draws_them(found, monkeypatch):
+def test_the_stage_gives_a_curve_per_variant_and_the_section_draws_them(found, monkeypatch):
     config = stage.Config(exposures_s=(0.1,), faintest_mag_j=(13.0,), magnitudes=2, mag_step=4.0, samples=2)
     output = run_stage(monkeypatch, stage, config, lambda sample: found)
-    (group,) = output.results["exposures"]
-    assert [row["key"] for row in group["curves"]] == list(COMPARED)
-    assert {row["trials"] for row in group["curves"]} == {8}
+    (group,) = output.results.exposures
+    assert [curve.key for curve in group.curves] == list(COMPARED)
+    assert {curve.trials for curve in group.curves} == {8}
     figure, table = section_of(output, "faint", faint_section).blocks
     assert figure.title == "Exposures of 0.1 s"
     assert "this pipeline, 3 modes" in figure.svg and "AO residual" in figure.svg

@@ -14,13 +14,12 @@ from helpers.experiment_stage import run_stage, section_of
 
 from irlos_pipe.estimate.lift import LiftResult
 from irlos_pipe.numerics.solution import Solution
-from irlos_pipe.paper.common.ramps import ping_pong
+from irlos_pipe.paper.common.ramps import STARTS, ping_pong
 from irlos_pipe.paper.first_tests import stage
 from irlos_pipe.paper.first_tests.experiment import (
     STARTED,
-    STARTS,
     TARGETS,
-    WAYS,
+    VARIANT_KEYS,
     TargetSample,
     estimate,
     scenes_of,
@@ -47,14 +46,14 @@ def found():
 
 
 def test_ncpas_and_residual_beat_the_kernel_tuned_by_hand(found):
-    errors = {way: target_errors(found, way).rms_nm for way in WAYS}
+    errors = {key: target_errors(found, key).rms_nm for key in VARIANT_KEYS}
     assert errors["default_3"] < 12
     assert errors["default_3"] < 0.5 * errors["hand_9"]
 
 
-def test_every_way_and_start_is_there_for_every_frame(found):
-    assert all(found[f"{way}/defocus_nm"].shape == (3,) for way in WAYS)
-    assert all(found[f"{way}/{start}/wrong"].shape == (3,) for way in STARTED for start in STARTS)
+def test_every_variant_and_start_is_there_for_every_frame(found):
+    assert all(found[f"{key}/defocus_nm"].shape == (3,) for key in VARIANT_KEYS)
+    assert all(found[f"{key}/{start}/wrong"].shape == (3,) for key in STARTED for start in STARTS)
     assert found["hand_9/kernel_mas"] == 12
     assert 3 < found["default_3/kernel_mas"] < 12  # as calibrated; 7 mas were simulated
 
@@ -69,12 +68,12 @@ def test_ping_pong_goes_from_side_to_side_and_inwards():
 
 def test_the_stage_of_target_1_overshoots_and_half_of_target_2_is_biased():
     for target, expected in (
-        (TARGET_1, lambda told: 15 * np.sign(told)),
-        (TARGET_2, lambda told: 40 * (told > 0)),
+        (TARGET_1, lambda commanded: 15 * np.sign(commanded)),
+        (TARGET_2, lambda commanded: 40 * (commanded > 0)),
     ):
-        told = target.order(8)
-        reached = reached_nm(told, target.stage_effects, np.random.default_rng(0))
-        assert reached - told == pytest.approx(expected(told))
+        commanded = target.order(8)
+        reached = reached_nm(commanded, target.stage_effects, np.random.default_rng(0))
+        assert reached - commanded == pytest.approx(expected(commanded))
 
 
 def test_cube_and_ramp_share_their_ncpas_of_the_size_asked_for():
@@ -88,12 +87,12 @@ def test_cube_and_ramp_share_their_ncpas_of_the_size_asked_for():
 
 
 @pytest.mark.parametrize("target", [TARGET_1, TARGET_2], ids=["saw-tooth", "bias"])
-def test_the_error_of_the_stage_is_found_by_who_knows_only_what_it_was_told(target):
-    told = np.repeat(target.order(10), 5)
-    reached = reached_nm(told, target.stage_effects, np.random.default_rng(0))
-    noise = 3 * np.random.default_rng(1).standard_normal(len(told))
-    made = {"introduced_nm": told, "way/defocus_nm": 1.02 * reached - 7 + noise}
-    error = stage_error(made, "way", target)
+def test_the_error_of_the_stage_is_found_from_the_commanded_defocus(target):
+    commanded = np.repeat(target.order(10), 5)
+    reached = reached_nm(commanded, target.stage_effects, np.random.default_rng(0))
+    noise = 3 * np.random.default_rng(1).standard_normal(len(commanded))
+    made = {"introduced_nm": commanded, "key/defocus_nm": 1.02 * reached - 7 + noise}
+    error = stage_error(made, "key", target)
     assert error.true_nm in (30, 40)
     assert abs(error.found_nm - 1.02 * error.true_nm) < 4 * error.sigma_nm < 16
 
@@ -103,11 +102,11 @@ def test_errors_count_the_ncpas_that_were_given():
     made = {
         "reached_nm": reached,
         "true_nm": reached + 30,
-        "way/defocus_nm": reached + np.array([3.0, -3.0, 3.0]),
-        "way/given_nm": np.array(30.0),
-        "way/converged": np.array([True, True, False]),
+        "key/defocus_nm": reached + np.array([3.0, -3.0, 3.0]),
+        "key/given_nm": np.array(30.0),
+        "key/converged": np.array([True, True, False]),
     }
-    errors = target_errors(made, "way")
+    errors = target_errors(made, "key")
     assert errors.rms_nm == pytest.approx(3)
     assert errors.slope == pytest.approx(1)
     assert errors.converged == pytest.approx(2 / 3)
@@ -138,10 +137,10 @@ def test_a_minimum_is_wrong_when_another_start_found_a_better_one_elsewhere():
 def test_the_stage_sums_up_both_targets_and_the_section_shows_them(found, monkeypatch):
     config = stage.Config(samples=2, offsets=(3, 3), frames_per_offset=(1, 1), cube_frames=40)
     output = run_stage(monkeypatch, stage, config, lambda one: found)
-    first, second = output.results["targets"]
-    assert (first["stage_error"], second["stage_error"]) == ("saw_tooth", "second_run_bias")
-    assert first["sparta_seeing_arcsec"] < first["seeing_arcsec"] == 0.5
-    assert [row["frames"] for row in first["starts"]] == [6] * len(first["starts"])
+    first, second = output.results.targets
+    assert (first.stage_error, second.stage_error) == ("saw_tooth", "second_run_bias")
+    assert first.sparta_seeing_arcsec < first.seeing_arcsec == 0.5
+    assert [row.frames for row in first.starts] == [6] * len(first.starts)
     section = section_of(output, "first_tests", first_tests_section)
     titles = [block.title for block in section.blocks]
     assert titles[0].startswith("Target 1: m_J 9") and titles[-1] == "What the start buys"

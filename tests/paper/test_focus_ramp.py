@@ -12,14 +12,13 @@ import pytest
 from helpers import optics_cases as cases
 from helpers.experiment_stage import run_stage, section_of
 
+from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, true_modes_nm
 from irlos_pipe.paper.focus_ramp import stage
 from irlos_pipe.paper.focus_ramp.experiment import (
-    WAYS,
     RampSample,
     estimate,
     ramp_errors,
     scenes_of,
-    true_modes_nm,
 )
 from irlos_pipe.paper.focus_ramp.section import section as focus_ramp_section
 from irlos_pipe.simulate.exposure import expose
@@ -59,7 +58,7 @@ def test_the_true_modes_of_a_still_sky_are_ncpas_plus_introduced_defocus():
     assert np.abs(true - expected).max() < 3
 
 
-def test_errors_are_told_against_what_was_introduced_and_what_there_was():
+def test_errors_are_against_the_introduced_and_against_the_true_defocus():
     introduced = np.array([-100.0, 0.0, 100.0])
     made = {
         "introduced_nm": introduced,
@@ -75,16 +74,16 @@ def test_errors_are_told_against_what_was_introduced_and_what_there_was():
     assert errors.converged == pytest.approx(2 / 3)
 
 
-def test_the_published_ways_have_no_residual_in_their_model_and_the_default_has():
-    assert all((way.halo == "off") == (key.startswith("published") or key in ("none_3", "none_9"))
-               for key, way in WAYS.items())  # fmt: skip
+def test_the_published_variants_have_no_residual_in_their_model_and_the_default_has():
+    assert all((variant.halo == "off") == (key.startswith("published") or key in ("none_3", "none_9"))
+               for key, variant in LIFT_VARIANTS.items())  # fmt: skip
 
 
-def test_the_stage_tells_medians_over_samples_and_the_section_draws_the_first(found, monkeypatch):
-    config = stage.Config(samples=3, ways=SAMPLE.ways, offsets=3)
+def test_the_stage_reports_medians_over_samples_and_the_section_draws_the_first(found, monkeypatch):
+    config = stage.Config(samples=3, ways=SAMPLE.variants, offsets=3)
     output = run_stage(monkeypatch, stage, config, lambda sample: found)
-    rows = {row["key"]: row for row in output.results["ways"]}
-    assert rows["default_3"]["rms_nm"]["median"] == pytest.approx(ramp_errors(found, "default_3").rms_nm)
+    rows = {row.key: row for row in output.results.ways}
+    assert rows["default_3"].rms_nm.median == pytest.approx(ramp_errors(found, "default_3").rms_nm)
     assert output.arrays["default_3/rms_nm"].value.shape == (3,)
     errors, table = section_of(output, "focus_ramp", focus_ramp_section).blocks
     assert errors.title == "Error of every ramp"

@@ -15,29 +15,23 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.propagate import FocalGrid
 from irlos_pipe.optics.structure import ResidualBand
+from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.variants import DEFAULT, VARIANTS, partial_halo, sharpest_half
-from irlos_pipe.paper.methods.experiment import Distribution, Sample, compare, scene_of, speckle_floor_nm
+from irlos_pipe.paper.methods.experiment import Sample, compare, speckle_floor_nm
+from irlos_pipe.paper.methods.results import Distribution
 
 FACILITY = load_instrument("irlos").facility
 
 
-def sample(**changes) -> Sample:
-    values = {
-        "name": "a",
-        "seed": (7, 0),
-        "facility": FACILITY,
-        "seeing_arcsec": 0.5,
-        "shape": "power_law",
-        "frames": 24,
-        "variants": (DEFAULT, "lift_avg"),
-        "fractions": (0.5,),
-    }
-    return Sample(**values | changes)
+def cube(**changes) -> CubeSample:
+    return CubeSample(
+        **{"name": "a", "seed": (7, 0), "facility": FACILITY, "seeing_arcsec": 0.5, "frames": 24} | changes
+    )
 
 
 @pytest.fixture(scope="module")
 def numbers():
-    return compare(sample())
+    return compare(Sample(cube(), (DEFAULT, "lift_avg"), (0.5,)))
 
 
 def test_the_default_beats_the_mean_image_without_residual(numbers):
@@ -57,16 +51,16 @@ def test_a_part_of_the_cube_is_compared_as_well(numbers):
 
 
 def test_the_same_seed_gives_the_same_numbers_to_the_bit(numbers):
-    again = compare(sample(variants=(DEFAULT,), fractions=()))
+    again = compare(Sample(cube(), (DEFAULT,)))
     assert again[f"{DEFAULT}/modes_nm"] == numbers[f"{DEFAULT}/modes_nm"]
 
 
 def test_samples_of_one_index_share_their_ncpas_at_every_seeing():
-    assert scene_of(sample()).ncpa_nm == scene_of(sample(seeing_arcsec=1.0, shape="aliasing")).ncpa_nm
+    assert cube().scene().ncpa_nm == cube(seeing_arcsec=1.0, shape="aliasing").scene().ncpa_nm
 
 
 def test_introduced_ncpas_have_the_spread_of_the_paper():
-    totals = [np.linalg.norm(list(scene_of(sample(seed=(1, k))).ncpa_nm.values())) for k in range(400)]
+    totals = [np.linalg.norm(list(cube(seed=(1, k)).scene().ncpa_nm.values())) for k in range(400)]
     assert np.mean(totals) == pytest.approx(142, abs=4 * 30 / 20)
     assert np.std(totals) == pytest.approx(30, rel=0.15)
 

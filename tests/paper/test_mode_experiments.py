@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.paper.methods.experiment import Sample
+from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.mode_number.experiment import NumberSample, errors_by_number
 from irlos_pipe.paper.mode_statistics.experiment import (
     INTRODUCED,
@@ -13,19 +13,19 @@ from irlos_pipe.paper.mode_statistics.experiment import (
     estimate_modes,
 )
 
-CUBE = Sample("a", (3, 0), load_instrument("irlos").facility, 0.5, "power_law", 32, ())
+CUBE = CubeSample("a", (3, 0), load_instrument("irlos").facility, 0.5, 32)
 
 
 @pytest.fixture(scope="module")
 def statistics():
-    return estimate_modes(StatisticsSample("a", CUBE, 61, {"long_exposure": 32, "dip_global": 2}))
+    return estimate_modes(StatisticsSample(CUBE, 61, {"long_exposure": 32, "dip_global": 2}))
 
 
 @pytest.fixture(scope="module")
 def numbers():
     magnitudes = {"long_exposure": (7.0,), "lift_avg": (7.0, 16.0)}
     frames = {"long_exposure": 32, "lift_avg": 32}
-    return errors_by_number(NumberSample("a", CUBE, (31, 51), magnitudes, frames))
+    return errors_by_number(NumberSample(CUBE, (31, 51), magnitudes, frames))
 
 
 def test_fifty_modes_are_introduced_and_the_rest_is_zero(statistics):

@@ -2,6 +2,7 @@
 
 import re
 import sys
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from helpers.fake_stages import COUNTS
 from helpers.paper_bench import PaperBench
 from helpers.paths import RECIPES
 
+from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.paper.run.experiments import find_experiments
-from irlos_pipe.report.build import SECTIONS
+from irlos_pipe.stages import EXPERIMENTS
 
 
 @pytest.fixture
@@ -206,8 +208,15 @@ def test_the_folder_of_a_run_in_progress_is_left_alone(paper):
 @pytest.mark.parametrize("quick", [False, True])
 def test_the_recipes_that_come_with_the_sources_are_valid_and_each_has_a_section(quick):
     found = find_experiments(RECIPES / "paper", quick=quick)
-    assert found and all(one.recipe.title for one in found)
-    assert {one.recipe.stages[-1] for one in found} <= SECTIONS.keys()
+    assert all(one.recipe.title for one in found)
+    assert [one.recipe.stages[-1] for one in found] == list(EXPERIMENTS)
+    for name in EXPERIMENTS:
+        assert callable(import_module(f"irlos_pipe.paper.{name}.section").section)
+
+
+def test_every_experiment_has_quick_sizes():
+    sizes, _ = load_yaml(RECIPES / "paper/quick.yaml")
+    assert set(sizes) == {one.name for one in find_experiments(RECIPES / "paper")}
 
 
 def test_the_help_shows_how_to_begin():

@@ -57,19 +57,19 @@ def series():
 
 def test_parts_of_a_series_err_as_their_estimates_do(series):
     for method, error in ERROR_NM.items():
-        found = series.results["methods"][method]
+        found = series.results.methods[method]
         # 24 separable modes of Noll 4–30, each part's variance at least that of a mean of nine.
         expected = error * np.sqrt(24 / 9)
-        assert expected / 2 < found["errors"]["rotating_nm"] < 2 * expected
-        assert expected / 2 < found["errors"]["fixed_nm"] < 2 * expected
-        assert found["errors"]["model_nm"] < found["errors"]["single_nm"]
-        assert 0.8 < found["chi2_nu"] < 1.2
-        assert (found["sense"], found["delta_chi2"] > 100) == ("anticlockwise", True)
+        assert expected / 2 < found.errors.rotating_nm < 2 * expected
+        assert expected / 2 < found.errors.fixed_nm < 2 * expected
+        assert found.errors.model_nm < found.errors.single_nm
+        assert 0.8 < found.chi2_nu < 1.2
+        assert (found.sense, found.delta_chi2 > 100) == ("anticlockwise", True)
 
 
 def test_the_published_method_gets_the_first_frames_only():
     assert derotator_series.Config().published_frames < derotator_series.Config().frames
-    frames = derotator_series._frames(derotator_series.Config(frames=50))
+    frames = derotator_series.Config(frames=50).method_frames
     assert frames == {"long_exposure": 50, "dip_global": 50}
 
 
@@ -122,22 +122,22 @@ def statistics():
 
 
 def test_the_law_of_the_introduced_modes_is_found(statistics):
-    law = statistics.results["laws_of_introduced_modes"]["introduced"]
-    for value, true in (("A", 60.0), ("C", 8.0)):
-        assert abs(law[f"{value}_nm"] - true) < 3 * law[f"{value}_sigma_nm"]
-    assert abs(law["B"] - 0.15) < 3 * law["B_sigma"]
+    law = statistics.results.laws_of_introduced_modes["introduced"]
+    assert abs(law.A_nm - 60) < 3 * law.A_sigma_nm
+    assert abs(law.B - 0.15) < 3 * law.B_sigma
+    assert abs(law.C_nm - 8) < 3 * law.C_sigma_nm
 
 
 def test_modes_beyond_are_the_error_of_the_estimate(statistics):
-    beyond = statistics.results["beyond_nm"]
+    beyond = statistics.results.beyond_nm
     assert beyond["introduced"] == 0
     for method, error in ERROR_NM.items():
         assert beyond[method] == pytest.approx(error, rel=0.05)
-        assert np.median(statistics.results["error_nm"][method]) == pytest.approx(error * 98**0.5, rel=0.05)
+        assert np.median(statistics.results.error_nm[method]) == pytest.approx(error * 98**0.5, rel=0.05)
 
 
 def test_noise_makes_the_plateau_of_the_published_method(statistics):
-    assert statistics.results["laws"]["dip_global"]["C_nm"] == pytest.approx(np.hypot(20, 5), rel=0.15)
+    assert statistics.results.laws["dip_global"].C_nm == pytest.approx(np.hypot(20, 5), rel=0.15)
 
 
 def test_the_section_of_the_strengths_lists_every_law(statistics):
@@ -166,13 +166,13 @@ def numbers():
         return bench.run_stage(patch, mode_number, mode_number.Config(cubes=2), made_errors)
 
 
-def test_the_best_number_is_told_for_every_method_and_magnitude(numbers):
+def test_the_best_number_is_reported_for_every_method_and_magnitude(numbers):
     config = mode_number.Config()
-    lift = [one for one in numbers.results["curves"] if one["method"] == "lift_avg"]
-    assert [one["best_noll"] for one in lift] == [51] + [21] * (len(config.magnitudes) - 1)
-    assert all(one["best_nm"] == 2.0 for one in lift)
-    dip = [one for one in numbers.results["curves"] if one["method"] == "dip_global"]
-    assert [one["mag_j"] for one in dip] == [config.magnitudes[0]]
+    lift = [one for one in numbers.results.curves if one.method == "lift_avg"]
+    assert [one.best_noll for one in lift] == [51] + [21] * (len(config.magnitudes) - 1)
+    assert all(one.best_nm == 2.0 for one in lift)
+    dip = [one for one in numbers.results.curves if one.method == "dip_global"]
+    assert [one.mag_j for one in dip] == [config.magnitudes[0]]
 
 
 def test_the_section_of_the_numbers_shows_both_figures_and_the_recommendation(numbers):
@@ -190,12 +190,3 @@ def test_the_section_of_the_numbers_shows_both_figures_and_the_recommendation(nu
 def test_numbers_of_modes_rise(numbers):
     with pytest.raises(ValueError, match="rising numbers"):
         mode_number.Config(numbers=numbers)
-
-
-# -- sections without data ----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("build", [derotator_series_section, mode_statistics_section, mode_number_section])
-def test_a_section_without_results_is_empty_but_there(build):
-    section = bench.section_of(bench.StageOutput({}, {}), "other", build)
-    assert section.title and blocks_of(section) == []

@@ -1,31 +1,26 @@
 """The experiment on seeing scales; truth from the moments of the log-normal law and from scipy's density."""
 
-import logging
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.experiment_stage import context, section_of
 from scipy.integrate import quad
 from scipy.stats import lognorm
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.seeing import SeeingScale
 from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.paper.common.results import Percentiles
 from irlos_pipe.paper.seeing_scales import stage as seeing_scales
 from irlos_pipe.paper.seeing_scales.experiment import (
     Site,
     condition,
     draw_seeing,
     log_normal_density,
-    quantiles,
 )
+from irlos_pipe.paper.seeing_scales.results import Relation
 from irlos_pipe.paper.seeing_scales.section import section as seeing_scales_section
-from irlos_pipe.pipeline.resources import silent_progress
-from irlos_pipe.product.product import Product
-from irlos_pipe.report.run_data import RunData
-from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.model.section import ModelConfig
 
 SITE = Site(0.7, 0.35, 0.15)
 SCALE = SeeingScale(0.8, 0.0)
@@ -38,21 +33,7 @@ def draws(site: Site = SITE, scale: SeeingScale = SCALE):
 
 
 def run(seed: int = 0, **config):
-    return seeing_scales.run(
-        StageContext(
-            seeing_scales.Config(**config),
-            ModelConfig(),
-            load_instrument("irlos"),
-            {},
-            {},
-            "cpu",
-            seed,
-            1,
-            silent_progress,
-            logging.getLogger("test"),
-            Path("scratch"),
-        )
-    )
+    return seeing_scales.run(context(seeing_scales.Config(**config), seed))
 
 
 def test_both_seeings_have_the_medians_and_scatters_of_their_log_normal_laws():
@@ -85,41 +66,41 @@ def test_the_residual_of_the_simulated_conditions_is_that_of_the_test_report(see
 
 
 def test_how_rare_a_condition_is_follows_from_its_law():
-    better = condition(1.0, SITE, SCALE, draws(), LAW).better
+    better = condition("sky", 1.0, SITE, SCALE, draws(), LAW).better
     expected = lognorm(np.hypot(0.35, 0.15), scale=0.56).cdf(1.0)
     assert better == pytest.approx(expected, abs=4 * np.sqrt(expected * (1 - expected) / MANY))
 
 
 def test_the_error_of_a_translated_residual_is_its_scatter_among_simultaneous_measurements():
-    """Monte Carlo: among draws in which the monitor sees the same, SPARTA's residual scatters as told."""
-    told = condition(SCALE.to_sparta(0.8), SITE, SCALE, draws(), LAW).wfe_sigma_nm
+    """Monte Carlo: among draws in which the monitor sees the same, SPARTA's residual scatters as stated."""
+    stated = condition("sky", SCALE.to_sparta(0.8), SITE, SCALE, draws(), LAW).wfe_sigma_nm
     alike = draws(replace(SITE, median_arcsec=0.8, scatter=1e-9))
     # to first order in the disagreement, whose square is 2 %
-    assert LAW.wfe_nm(alike.sparta_arcsec).std() == pytest.approx(told, rel=0.03)
+    assert LAW.wfe_nm(alike.sparta_arcsec).std() == pytest.approx(stated, rel=0.03)
 
 
 def test_quantiles_are_those_of_a_normal_variable():
-    found = quantiles(np.random.default_rng(2).normal(3, 2, MANY))
+    found = Percentiles.of(np.random.default_rng(2).normal(3, 2, MANY), (16, 50, 84))
     # 16 % of a normal variable lie below 0.9945 standard deviations
-    assert [found["p16"], found["median"], found["p84"]] == pytest.approx([1.011, 3, 4.989], abs=0.03)
+    assert [found.p16, found.median, found.p84] == pytest.approx([1.011, 3, 4.989], abs=0.03)
 
 
 def test_a_pessimistic_monitor_taken_for_sparta_overestimates_the_residual_everywhere():
-    rows = run().results["conditions"]
-    assert [row["where"] for row in rows] == ["simulation", "simulation", "sky", "sky", "sky"]
+    rows = run().results.conditions
+    assert [row.where for row in rows] == ["simulation", "simulation", "sky", "sky", "sky"]
     for row in rows:
-        excess = LAW.wfe_nm(row["monitor_arcsec"]) - LAW.wfe_nm(row["sparta_arcsec"])
-        assert row["wfe_untranslated_nm"] - row["wfe_nm"] == pytest.approx(excess) and excess > 0
+        excess = LAW.wfe_nm(row.monitor_arcsec) - LAW.wfe_nm(row.sparta_arcsec)
+        assert row.wfe_untranslated_nm - row.wfe_nm == pytest.approx(excess) and excess > 0
 
 
 def test_the_relation_is_the_profiles_unless_the_recipe_gives_another():
     own = load_instrument("irlos").seeing_scales["mass_dimm"]
-    assert run().results["relation"]["ratio"] == own.ratio
-    assert run().results["relation"]["status"] == "assumed"
+    assert run().results.relation.ratio == own.ratio
+    assert run().results.relation.status == "assumed"
     given = run(ratio=0.9, offset_arcsec=0.1).results
-    assert given["relation"] == {"ratio": 0.9, "offset_arcsec": 0.1, "status": "given", "source": "recipe"}
-    sky = [row for row in given["conditions"] if row["where"] == "sky"]
-    assert [row["sparta_arcsec"] for row in sky] == pytest.approx([0.55, 1.18, 1.45])
+    assert given.relation == Relation(ratio=0.9, offset_arcsec=0.1, status="given", source="recipe")
+    sky = [row for row in given.conditions if row.where == "sky"]
+    assert [row.sparta_arcsec for row in sky] == pytest.approx([0.55, 1.18, 1.45])
 
 
 def test_the_seed_decides_the_draws():
@@ -133,10 +114,8 @@ def test_an_offset_that_makes_a_seeing_negative_is_refused():
 
 
 def test_the_section_shows_the_relation_both_scales_and_every_condition():
-    output = run(on_sky_arcsec=(0.65,))
-    config = seeing_scales.Config(on_sky_arcsec=(0.65,)).model_dump()
-    product = Product("seeing_scales", output.arrays, output.results, config=config)
-    section = seeing_scales_section(RunData({}, "", "ok", "", {"seeing_scales": product}, []))
+    config = seeing_scales.Config(on_sky_arcsec=(0.65,))
+    section = section_of(seeing_scales.run(context(config)), "seeing_scales", seeing_scales_section, config)
     *figures, table = section.blocks
     assert len(figures) == 3 and all("mass_dimm" in figure.svg for figure in figures)
     assert "SPARTA = 0.80 · mass_dimm +0.00 arcsec (assumed:" in section.lead

@@ -1,15 +1,13 @@
 """The slow focus loop. Truth: the difference equation by Monte Carlo against its linear theory, closed forms
 (random walk, deadbeat control, poles), and images simulated without interpolation."""
 
-import logging
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import optics_cases as cases
+from helpers.experiment_stage import run_stage, section_of
 
-from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.paper.common.broad_band import star_scene
 from irlos_pipe.paper.slow_loop import stage
 from irlos_pipe.paper.slow_loop.closed import Loop, close_loops
@@ -19,13 +17,8 @@ from irlos_pipe.paper.slow_loop.experiment import Conditions, LoopSample, noise_
 from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
 from irlos_pipe.paper.slow_loop.outcome import outcome_of, sensor_of
 from irlos_pipe.paper.slow_loop.section import section as slow_loop_section
-from irlos_pipe.pipeline.resources import silent_progress
-from irlos_pipe.product.product import Product
-from irlos_pipe.report.run_data import RunData
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Sampling
-from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.model.section import ModelConfig
 
 DRIFT = SodiumLayer().drift(8.0)
 WALK = Drift(2.0, 5.0)  # a random walk of 5 nm per root second
@@ -281,19 +274,11 @@ def test_the_expected_noise_is_near_the_bound_of_the_simulated_star(found):
 
 
 def test_stage_and_section_show_what_the_loops_left(found, monkeypatch):
-    monkeypatch.setattr(stage, "run_samples", lambda function, samples, ctx, desc: [found] * len(samples))
     monkeypatch.setattr(stage, "_loops", lambda ctx: LOOPS)
-    config = stage.Config(skies=2, settle=4)
-    instrument, log = load_instrument("irlos"), logging.getLogger("test")
-    output = stage.run(
-        StageContext(
-            config, ModelConfig(), instrument, {}, {}, "cpu", 3, 1, silent_progress, log, Path("scratch")
-        )
-    )
-    rows = output.results["loops"]
-    assert [(row["mag_j"], row["runs"]) for row in rows] == [(12.0, 2), (25.0, 2), (12.0, 2)]
-    assert rows[0]["gain_margin"] * 0.4 * rows[0]["slope"] == pytest.approx(1)
-    product = Product("slow_loop", output.arrays, output.results)
-    section = slow_loop_section(RunData({}, "", "ok", "", {"slow_loop": product}, []))
+    output = run_stage(monkeypatch, stage, stage.Config(skies=2, settle=4), lambda sample: found)
+    rows = output.results.loops
+    assert [(row.mag_j, row.runs) for row in rows] == [(12.0, 2), (25.0, 2), (12.0, 2)]
+    assert rows[0].gain_margin * 0.4 * rows[0].slope == pytest.approx(1)
+    section = section_of(output, "slow_loop", slow_loop_section)
     table = section.blocks[-1]
     assert table.title == "Uncalibrated" and [row[0] for row in table.rows] == ["12", "25"]

@@ -6,7 +6,6 @@ random defocus, pointing and AO residual. Every frame is estimated from every st
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,20 +15,19 @@ from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.units import tilt_nm
 from irlos_pipe.effects import expected
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.lift import LiftOptions, LiftResult, lift
+from irlos_pipe.estimate.lift import LiftOptions, LiftResult
 from irlos_pipe.estimate.methods import METHODS
-from irlos_pipe.estimate.ramp_fit import RampData, second_try, start_from_defocus
-from irlos_pipe.estimate.starts import scan_start_nm
+from irlos_pipe.estimate.ramp_fit import RampData, start_from_defocus
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.paper.common.broad_band import frame_settings, star_scene
+from irlos_pipe.paper.common.cube import NCPA_NM
 from irlos_pipe.paper.common.observation import images_of, model_effects_of, noise_of
-from irlos_pipe.paper.common.ramps import DEFOCUS, TTF, elongation_defocus_nm
-from irlos_pipe.paper.methods.experiment import NCPA_NM
+from irlos_pipe.paper.common.ramps import DEFOCUS, TTF, elongation_defocus_nm, from_every_start
+from irlos_pipe.paper.common.variants import DEFAULT
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Scene
 
-STARTS = ("zero", "elongation", "scan", "default")
 FOCUS = TTF.index(DEFOCUS)
 
 
@@ -65,7 +63,7 @@ class Ramp:
     Attributes
     ----------
     scene : Scene
-        Of the first frame; what it says of NCPAs and defocus is not used.
+        Of the first frame; its NCPAs and defocus are not used.
     data : RampData
         Its introduced defocus is the truth: with that of the AO residual, without the NCPAs.
     known_ncpa_nm : dict of int to float
@@ -88,26 +86,12 @@ def capture(sample: CaptureSample) -> dict[str, np.ndarray]:
     ramp = simulate_ramp(sample)
     psf = PsfModel(frame_settings(ramp.scene, ramp.known_ncpa_nm), TTF)
     model = ImageModel(psf, expected(model_effects_of(ramp.scene)))
+    prior_nm = elongation_defocus_nm(ramp.scene, ramp.data) - ramp.known_ncpa_nm.get(DEFOCUS, 0.0)
+    elongation_nm = start_from_defocus(psf, ramp.data, prior_nm)
     found = {"true_nm": ramp.data.introduced_nm}
-    for name, start, result in _results(ramp, model):
-        found |= {f"{name}/{key}": value for key, value in _numbers(start, result).items()}
+    for name, estimates in from_every_start(model, ramp.data, elongation_nm, LiftOptions()).items():
+        found |= {f"{name}/{key}": value for key, value in _numbers(*estimates).items()}
     return found
-
-
-def _results(ramp: Ramp, model: ImageModel) -> Iterator[tuple[str, torch.Tensor, LiftResult]]:
-    """Name, start and estimates of every start."""
-    data, options = ramp.data, LiftOptions()
-    prior_nm = elongation_defocus_nm(ramp.scene, data) - ramp.known_ncpa_nm.get(DEFOCUS, 0.0)
-    starts = {
-        "zero": start_from_defocus(model.psf, data, np.zeros(len(prior_nm))),
-        "elongation": start_from_defocus(model.psf, data, prior_nm),
-        "scan": scan_start_nm(model.psf, data.images_e, data.pixel_mask, model.optics),
-    }
-    for name, start in starts.items():
-        result = lift(model, data.images_e, data.pixel_mask, data.noise, start, options)
-        yield name, start, result
-        if name == "elongation":
-            yield "default", start, second_try(model, data, result, options)
 
 
 def _numbers(start_nm: torch.Tensor, result: LiftResult) -> dict[str, np.ndarray]:
@@ -125,7 +109,7 @@ def _numbers(start_nm: torch.Tensor, result: LiftResult) -> dict[str, np.ndarray
 
 
 def simulate_ramp(sample: CaptureSample) -> Ramp:
-    """Frames of a sample; every one has a sky of its own."""
+    """Return the frames of a sample; every one has a sky of its own."""
     rng = np.random.default_rng(sample.seed)
     ncpa_nm = draw_ncpa_nm(rng, sample.facility.ncpa_law, NCPA_NM)
     introduced_nm = rng.uniform(-sample.reach_nm, sample.reach_nm, sample.frames)
@@ -162,6 +146,6 @@ def _frame_scene(
 
 def _known_ncpa_nm(rng: np.random.Generator, ncpa_nm: dict[int, float], error_nm: float) -> dict[int, float]:
     """NCPAs as calibrated: an error alike in all modes that the default calibration estimates."""
-    nolls = range(2, METHODS["long_exposure"].highest_noll + 1)
+    nolls = range(2, METHODS[DEFAULT].highest_noll + 1)
     errors = error_nm / np.sqrt(len(nolls)) * rng.standard_normal(len(nolls))
     return {noll: ncpa_nm.get(noll, 0.0) + float(error) for noll, error in zip(nolls, errors, strict=True)}

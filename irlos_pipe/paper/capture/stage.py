@@ -7,13 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import Field
 
-from irlos_pipe.paper.capture.experiment import STARTS, CaptureSample, capture
+from irlos_pipe.paper.capture.experiment import CaptureSample, capture
 from irlos_pipe.paper.capture.outcome import WRONG_NM, Estimates, success_per_bin
+from irlos_pipe.paper.capture.results import CaptureResults, StartRow
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
+from irlos_pipe.paper.common.ramps import STARTS
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = "capture"
+NAME = CaptureResults.stage
 VERSION = 5
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -35,7 +37,7 @@ class Config(StageConfig):
     bin_nm: float = Field(100.0, gt=0, description="width of the bins of the success curve [nm RMS]")
 
 
-def run(ctx: StageContext) -> StageOutput:
+def run(ctx: StageContext[Config]) -> StageOutput:
     """Draw all frames and estimate them from every start."""
     found = run_samples(capture, _samples(ctx), ctx, "ramps")
     true_nm = np.concatenate([one["true_nm"] for one in found])
@@ -43,23 +45,23 @@ def run(ctx: StageContext) -> StageOutput:
         name: Estimates(true_nm, *(_all(found, name, key) for key in ("defocus_nm", "converged")))
         for name in STARTS
     }
-    config: Config = ctx.config
+    config = ctx.config
     edges_nm = np.linspace(-config.reach_nm, config.reach_nm, round(2 * config.reach_nm / config.bin_nm) + 1)
     rows = [_row(name, one, config, edges_nm) for name, one in estimates.items()]
-    results = {
-        "cases": len(true_nm),
-        "wrong_limit_nm": WRONG_NM,
-        "required_nm": config.required_nm,
-        "paper_nm": PAPER_NM,
-        "mag_j": config.mag_j,
-        "bin_edges_nm": edges_nm.tolist(),
-        "starts": rows,
-    }
+    results = CaptureResults(
+        cases=len(true_nm),
+        wrong_limit_nm=WRONG_NM,
+        required_nm=config.required_nm,
+        paper_nm=PAPER_NM,
+        mag_j=config.mag_j,
+        bin_edges_nm=edges_nm.tolist(),
+        starts=rows,
+    )
     return StageOutput(_arrays(true_nm, found), results, [_check(rows[-1])], summary=_summary(rows))
 
 
-def _samples(ctx: StageContext) -> list[CaptureSample]:
-    config: Config = ctx.config
+def _samples(ctx: StageContext[Config]) -> list[CaptureSample]:
+    config = ctx.config
     return [
         CaptureSample(
             f"ramp {index}",
@@ -80,21 +82,21 @@ def _all(found: Sequence[Arrays], start: str, key: str) -> np.ndarray:
     return np.concatenate([one[f"{start}/{key}"] for one in found])
 
 
-def _row(name: str, estimates: Estimates, config: Config, edges_nm: np.ndarray) -> dict:
+def _row(name: str, estimates: Estimates, config: Config, edges_nm: np.ndarray) -> StartRow:
     required = estimates.within(config.required_nm)
     largest_right_nm, smallest_wrong_nm = estimates.gap_nm()
     captured, cases = success_per_bin(estimates, edges_nm)
-    return {
-        "start": name,
-        "required": required.counts(),
-        "all": estimates.counts(),
-        "range_nm": estimates.range_nm(),
-        "rms_nm": required.rms_nm(),
-        "largest_right_nm": largest_right_nm,
-        "smallest_wrong_nm": smallest_wrong_nm,
-        "captured_per_bin": captured.tolist(),
-        "cases_per_bin": cases.tolist(),
-    }
+    return StartRow(
+        start=name,
+        required=required.counts(),
+        all=estimates.counts(),
+        range_nm=estimates.range_nm(),
+        rms_nm=required.rms_nm(),
+        largest_right_nm=largest_right_nm,
+        smallest_wrong_nm=smallest_wrong_nm,
+        captured_per_bin=captured.tolist(),
+        cases_per_bin=cases.tolist(),
+    )
 
 
 def _arrays(true_nm: np.ndarray, found: Sequence[Arrays]) -> dict[str, Quantity]:
@@ -105,25 +107,26 @@ def _arrays(true_nm: np.ndarray, found: Sequence[Arrays]) -> dict[str, Quantity]
     return arrays
 
 
-def _check(default: dict) -> Check:
-    """The last start is what the pipeline does."""
-    missed = default["required"]["cases"] - default["required"]["captured"]
+def _check(default: StartRow) -> Check:
+    """The last start is the pipeline's."""
+    cases = default.required.cases
+    missed = cases - default.required.captured
     return Check(
         "defocus not found within the required range",
         missed,
         "",
         None,
         0,
-        f"{missed} of {default['required']['cases']} cases were not found by the default",
+        f"{missed} of {cases} cases were not found by the default",
     )
 
 
-def _summary(rows: Sequence[dict]) -> list[str]:
+def _summary(rows: Sequence[StartRow]) -> list[str]:
     lines = ["start           captured / cases, wrong within the required range; range without a miss"]
     for row in rows:
-        inside = row["required"]
+        inside = row.required
         lines.append(
-            f"  {row['start']:13s} {inside['captured']} / {inside['cases']}, {inside['wrong']}; "
-            f"±{row['range_nm']:.0f} nm, error {row['rms_nm']:.1f} nm RMS"
+            f"  {row.start:13s} {inside.captured} / {inside.cases}, {inside.wrong}; "
+            f"±{row.range_nm:.0f} nm, error {row.rms_nm:.1f} nm RMS"
         )
     return lines

@@ -5,22 +5,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from irlos_pipe.conventions import bands
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.paper.common.cube import DIVERSITY_NM
 from irlos_pipe.paper.common.observation import settings_of
-from irlos_pipe.paper.methods.experiment import DIVERSITY_NM
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.scene import Band, Sampling, Scene
 
-J_AND_H = (Band(1215.0, 58.0, 0.5), Band(1625.0, 84.0, 0.5))
+J_AND_H = tuple(Band(band.centre_nm, band.half_width_nm, 0.5) for band in (bands.J, bands.H))
 # A second is the sum of short exposures, added where numbers do not end at 16 bits.
 COADDED = DetectorModel(e_per_adu=2.5)
 # Twenty moments per second. The AO residual renews itself every 10 ms, so that what a frame averages over is
 # five times less than in reality, and its own defocus 4.5 nm RMS in place of 3.0 nm (seeing 0.5"): the
 # errors reported on bright stars are upper limits.
 COARSE = Sampling(points_per_band=2, step_s=0.05)
+# Fifty moments per second, for the ramps and the cubes that they are calibrated with.
+FINE = Sampling(points_per_band=3, step_s=0.02)
 
 FRAME_MARGIN_MAS = 100.0  # field beyond the window, enough for single frames
 
@@ -37,7 +40,15 @@ def star_scene(
     seeing_arcsec: float = 0.5,
     jitter_mas: float = 7.0,
 ) -> Scene:
-    """Frames of one second, one after the other, with the astigmatic lens."""
+    """Return frames of one second, one after the other, with the astigmatic lens.
+
+    Parameters
+    ----------
+    name, facility, seed, frames, mag_j, ncpa_nm, introduced_nm
+        See `Scene`.
+    seeing_arcsec, jitter_mas : float
+        Seeing on SPARTA's scale, and RMS of the residual motion.
+    """
     return Scene(
         name,
         facility,
@@ -59,10 +70,10 @@ def star_scene(
 
 
 def frame_settings(scene: Scene, ncpa_nm: Mapping[int, float]) -> PsfSettings:
-    """Settings for single frames of a star: the centre of each band stands for it.
+    """Return settings for single frames of `scene` with known `ncpa_nm`.
 
-    Two or three wavelengths per band change the defocus of a frame by less than 0.1 nm and take two or
-    three times as long.
+    The centre of each band stands for it: two or three wavelengths per band change the defocus of a
+    frame by less than 0.1 nm and take two or three times as long.
     """
     settings = settings_of(scene, ncpa_nm)
     return replace(settings, spectrum=tuple(scene.spectrum(1)), margin_mas=FRAME_MARGIN_MAS)

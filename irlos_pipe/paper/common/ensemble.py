@@ -89,7 +89,7 @@ def _compute(
 
 
 def _work(function: Callable[[Any], Mapping[str, Any]], sample: Any, file: Path) -> None:
-    arrays = {name: np.asarray(value) for name, value in function(sample).items()}
+    arrays: dict[str, Any] = {name: np.asarray(value) for name, value in function(sample).items()}
     for name, array in arrays.items():
         if array.dtype.hasobject:
             raise TypeError(f"{function.__qualname__}: '{name}' is neither numbers nor text")

@@ -1,33 +1,46 @@
-"""Focus ramps: the order of recording, the ways to estimate them, and LIFT on a simulated one."""
+"""Focus ramps: the variants of LIFT that are compared, and LIFT on a simulated ramp."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 import torch
 
 from irlos_pipe.effects import Effect, FixedEffect, expected, fixed_optics
+from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
-from irlos_pipe.estimate.lift import LiftOptions
-from irlos_pipe.estimate.ramp_fit import RampData, RampFit, fit_ramp, ramp_effects, start_from_defocus
+from irlos_pipe.estimate.lift import LiftOptions, LiftResult, lift
+from irlos_pipe.estimate.ramp_fit import (
+    RampData,
+    RampFit,
+    fit_ramp,
+    ramp_effects,
+    second_try,
+    start_from_defocus,
+)
+from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.paper.common.broad_band import frame_settings
-from irlos_pipe.paper.common.observation import frames_of, images_of, model_effects_of, noise_of, settings_of
-from irlos_pipe.paper.common.variants import VARIANTS
-from irlos_pipe.simulate.exposure import Exposed, expose
+from irlos_pipe.paper.common.broad_band import FINE, frame_settings, star_scene
+from irlos_pipe.paper.common.cube import ObservedCube
+from irlos_pipe.paper.common.observation import images_of, model_effects_of, noise_of, seeing_of, settings_of
+from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE, VARIANTS
+from irlos_pipe.simulate.exposure import Exposed
 from irlos_pipe.simulate.scene import Scene
 
 DEFOCUS = 4  # Noll
 TTF = (2, 3, 4)
 NINE = (2, 3, 4, 5, 7, 8, 9, 10, 11)  # the paper's nine modes: without the astigmatism of the diversity
+STARTS = ("zero", "elongation", "scan", "default")
+KERNEL_MAS = 12.0  # σ_obj of the paper's first target
+RAMP_STREAM = 1  # child of a sample's seed: residuals of the ramp are not those of the cube
 
 
 @dataclass(frozen=True)
-class Way:
+class LiftVariant:
     """One way to estimate a ramp.
 
     Attributes
@@ -35,7 +48,7 @@ class Way:
     modes : tuple of int
         Noll.
     ncpa : str
-        Calibration method whose NCPAs are added to the diversity; empty for none.
+        Calibration method whose NCPAs are known; empty for none.
     halo : {"calibrated", "off"}
         AO residual in the model.
     kernel : {"calibrated", "fit"} or float
@@ -47,6 +60,34 @@ class Way:
     ncpa: str = ""
     halo: Literal["calibrated", "off"] = "calibrated"
     kernel: str | float = "calibrated"
+
+
+def _three_and_nine(key: str, variant: LiftVariant) -> dict[str, LiftVariant]:
+    return {f"{key}_{len(modes)}": replace(variant, modes=modes) for modes in (TTF, NINE)}
+
+
+# The kernel is fixed by hand as in the paper, or fitted to the ramp; the default takes what it calibrated.
+LIFT_VARIANTS = (
+    _three_and_nine("none", LiftVariant("no NCPAs, kernel 12 mas", (), "", "off", KERNEL_MAS))
+    | _three_and_nine("none_residual", LiftVariant("no NCPAs, AO residual expected", ()))
+    | _three_and_nine(
+        "published", LiftVariant("NCPAs by DIP global, kernel 12 mas", (), PAPER_CHOICE, "off", KERNEL_MAS)
+    )
+    | _three_and_nine(
+        "published_fit", LiftVariant("NCPAs by DIP global, kernel fitted", (), PAPER_CHOICE, "off", "fit")
+    )
+    | _three_and_nine(
+        "default", LiftVariant("default: NCPAs, AO residual, jitter as calibrated", (), DEFAULT)
+    )
+)
+
+
+def methods_of(variants: Iterable[LiftVariant]) -> list[str]:
+    """Return the calibration methods that some variants need, each once."""
+    return list(dict.fromkeys(variant.ncpa for variant in variants if variant.ncpa))
+
+
+# -- what is known -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -65,25 +106,61 @@ class Knowledge:
     effects: Mapping[str, FixedEffect] = field(default_factory=dict)
 
 
-def knowledge_of(scene: Scene, calibration: Calibration) -> Knowledge:
-    """NCPAs and effects of a calibration of `scene`."""
+def _knowledge(cube: ObservedCube, calibration: Calibration) -> Knowledge:
     ncpa_nm = dict(zip(calibration.nolls, calibration.fitted_modes_nm.tolist(), strict=True))
     effects = {
-        effect.name: FixedEffect(effect, calibration.effect_values[effect.name])
-        for effect in model_effects_of(scene)
+        effect.name: FixedEffect(effect, calibration.effect_values[effect.name].tolist())
+        for effect in cube.effects
         if effect.name in calibration.effect_values
     }
     return Knowledge(ncpa_nm, effects)
 
 
-def ramp_data(scene: Scene, exposed: Exposed) -> RampData:
-    """Noisy frames of a ramp with the defocus that the focus stage was told to introduce."""
-    good = torch.ones(scene.window, dtype=torch.bool)
-    return RampData(images_of(scene, exposed), good, noise_of(scene), scene.introduced_per_frame_nm.copy())
+def calibrated(scene: Scene, methods: Sequence[str]) -> dict[str, Knowledge]:
+    """Return what each of the `methods` learns from a cube: simulate `scene` and calibrate it."""
+    cube = ObservedCube.of(scene)
+    return {method: _knowledge(cube, cube.calibrated(VARIANTS[method])) for method in methods}
+
+
+# -- the ramp ----------------------------------------------------------------------------------------
+
+
+def ramp_scene(cube: Scene, mag_j: float, introduced_nm: Sequence[float]) -> Scene:
+    """Return a ramp of frames of a second with the NCPAs of a calibration `cube` and other residuals.
+
+    The star has magnitude `mag_j`; `introduced_nm` is the defocus of every frame [nm RMS].
+    """
+    ramp = star_scene(
+        cube.name,
+        cube.facility,
+        (*cube.seed, RAMP_STREAM),
+        len(introduced_nm),
+        mag_j,
+        cube.ncpa_nm,
+        tuple(introduced_nm),
+        seeing_arcsec=seeing_of(cube),
+    )
+    return replace(ramp, sampling=FINE)
+
+
+def true_modes_nm(ramp: Scene, exposed: Exposed) -> np.ndarray:
+    """Return Noll 2–11 of the mean wavefront of every frame of `ramp`, `exposed` without noise.
+
+    Returns
+    -------
+    ndarray, (frames, 10)
+        NCPAs, AO residual and introduced defocus [nm RMS].
+    """
+    true_nm = exposed.zernike_nm[:, :10].copy()
+    true_nm[:, DEFOCUS - 2] += ramp.introduced_per_frame_nm
+    return true_nm
 
 
 def elongation_defocus_nm(scene: Scene, data: RampData) -> np.ndarray:
-    """Defocus of every frame from the elongation of its image, (frames,), the law from the model."""
+    """Return the defocus of every frame of `data`, (frames,), from the elongation of its image.
+
+    The law comes from the model of `scene`.
+    """
     model = PsfModel(settings_of(scene), [DEFOCUS])
     law = calibrate_law(model, fixed_optics(expected(model_effects_of(scene)), model.grids))
     return law.defocus_nm(axis_ratios(data.images_e, data.pixel_mask, law.angle_deg))
@@ -108,51 +185,81 @@ class ObservedRamp:
     prior_nm: np.ndarray
     knowledge: Mapping[str, Knowledge]
 
-    def model(self, way: Way) -> PsfModel:
-        """PSF model of a way, the NCPAs it knows added to the diversity."""
-        return PsfModel(frame_settings(self.scene, self.knowledge[way.ncpa].ncpa_nm), way.modes)
+    def model(self, variant: LiftVariant) -> PsfModel:
+        """Return the PSF model of a variant with the NCPAs that it knows."""
+        return PsfModel(frame_settings(self.scene, self.knowledge[variant.ncpa].ncpa_nm), variant.modes)
 
-    def effects(self, way: Way) -> list[Effect]:
-        """AO residual and kernel of a way."""
-        known = self.knowledge[way.ncpa].effects
-        return ramp_effects(model_effects_of(self.scene), known, way.halo, way.kernel)
+    def effects(self, variant: LiftVariant) -> list[Effect]:
+        """Return AO residual and kernel of a variant."""
+        known = self.knowledge[variant.ncpa].effects
+        return ramp_effects(model_effects_of(self.scene), known, variant.halo, variant.kernel)
 
-    def start_nm(self, way: Way, model: PsfModel) -> torch.Tensor:
-        """Start from the elongation prior, (frames, modes)."""
-        return start_from_defocus(model, self.data, self.prior_nm - self.given_defocus_nm(way))
+    def start_nm(self, variant: LiftVariant, model: PsfModel) -> torch.Tensor:
+        """Return the start of `variant` with its `model` from the elongation prior, (frames, modes)."""
+        return start_from_defocus(model, self.data, self.prior_nm - self.given_defocus_nm(variant))
 
-    def given_defocus_nm(self, way: Way) -> float:
-        """Defocus among the NCPAs that a way adds to the diversity."""
-        return self.knowledge[way.ncpa].ncpa_nm.get(DEFOCUS, 0.0)
+    def given_defocus_nm(self, variant: LiftVariant) -> float:
+        """Return the defocus among the NCPAs that a variant knows."""
+        return self.knowledge[variant.ncpa].ncpa_nm.get(DEFOCUS, 0.0)
 
-    def estimate(self, way: Way) -> RampFit:
-        """LIFT of all frames."""
-        model = self.model(way)
-        return fit_ramp(model, self.data, self.start_nm(way, model), LiftOptions(), self.effects(way))
+    def estimate(self, variant: LiftVariant) -> RampFit:
+        """Estimate all frames by LIFT."""
+        model = self.model(variant)
+        return fit_ramp(model, self.data, self.start_nm(variant, model), LiftOptions(), self.effects(variant))
 
 
 def observe(scene: Scene, exposed: Exposed, knowledge: Mapping[str, Knowledge]) -> ObservedRamp:
-    """Frames of a simulated ramp and their elongation prior."""
-    data = ramp_data(scene, exposed)
+    """Return a simulated ramp with noise and its elongation prior.
+
+    Parameters
+    ----------
+    scene, exposed : Scene, Exposed
+        The ramp, with and without being exposed.
+    knowledge : mapping of str to Knowledge
+        By calibration method.
+    """
+    good = torch.ones(scene.window, dtype=torch.bool)
+    data = RampData(images_of(scene, exposed), good, noise_of(scene), scene.introduced_per_frame_nm.copy())
     return ObservedRamp(scene, data, elongation_defocus_nm(scene, data), {"": Knowledge()} | dict(knowledge))
 
 
-def calibrated(cube: Scene, methods: Sequence[str]) -> dict[str, Knowledge]:
-    """What each method learns from a cube: simulate and calibrate it."""
-    frames = frames_of(cube, expose(cube))
-    return {
-        method: knowledge_of(
-            cube,
-            VARIANTS[method].calibrate(
-                frames, settings_of(cube), model_effects_of(cube), cube.facility.ncpa_law
-            ),
-        )
-        for method in methods
+# -- estimates ---------------------------------------------------------------------------------------
+
+
+def from_every_start(
+    model: ImageModel, data: RampData, elongation_nm: torch.Tensor, options: LiftOptions
+) -> dict[str, tuple[torch.Tensor, LiftResult]]:
+    """Estimate a ramp from every one of `STARTS`.
+
+    Parameters
+    ----------
+    model : ImageModel
+    data : RampData
+    elongation_nm : Tensor, (frames, modes)
+        Start from the elongation prior [nm RMS]. ``default`` is this start with a second try of outlying
+        frames from the scan of defocus.
+    options : LiftOptions
+
+    Returns
+    -------
+    dict of str to (Tensor, LiftResult)
+        Start and estimates.
+    """
+    starts = {
+        "zero": start_from_defocus(model.psf, data, np.zeros(len(data.images_e))),
+        "elongation": elongation_nm,
+        "scan": scan_start_nm(model.psf, data.images_e, data.pixel_mask, model.optics),
     }
+    found = {
+        name: (start, lift(model, data.images_e, data.pixel_mask, data.noise, start, options))
+        for name, start in starts.items()
+    }
+    start, result = found["elongation"]
+    return found | {"default": (start, second_try(model, data, result, options))}
 
 
 def ping_pong(offsets_nm: Sequence[float]) -> np.ndarray:
-    """Offsets from the ends inwards, from one side to the other after every step."""
+    """Return the offsets from the ends inwards, from one side to the other after every step."""
     ordered = np.sort(np.asarray(offsets_nm, float))
     inwards = np.stack([ordered, ordered[::-1]], axis=1).ravel()
     return inwards[: len(ordered)]

@@ -11,19 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from irlos_pipe.paper.common.observation import (
-    delta_wfe,
-    frames_of,
-    model_effects_of,
-    settings_of,
-    wavefront_nm,
-)
-from irlos_pipe.paper.common.variants import VARIANTS
-from irlos_pipe.paper.methods.experiment import Sample, scene_of
-from irlos_pipe.simulate.exposure import Exposed, expose
+from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
+from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
+from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE, VARIANTS
+from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
 
-CORRECTED = tuple(range(4, 31))
+COMPARED = (DEFAULT, PAPER_CHOICE)
+STATES = ("before", *COMPARED, "ideal")
+CORRECTED = tuple(range(4, HIGHEST_REPORTED_NOLL + 1))
 SEED_OF_STAR = 1  # other residuals than in the cube that was calibrated
 
 
@@ -37,40 +33,46 @@ class Star:
         Frames of the star's averaged image.
     """
 
-    name: str
-    sample: Sample
+    cube: CubeSample
     frames: int
+
+    @property
+    def name(self) -> str:
+        """Return the name of the cube."""
+        return self.cube.name
 
 
 def correct(star: Star) -> dict[str, np.ndarray]:
-    """Calibrate by every variant of the sample and image the star with each correction.
+    """Calibrate by every method of `COMPARED` and image the star with each correction.
 
     Returns
     -------
     dict of str to ndarray
-        ``<state>/image`` (rows, columns), part of the photons per pixel; ``<state>/strehl``; the states are
-        ``before``, ``ideal`` and the variants. ``truth_nm`` and ``<variant>/wavefront_nm`` (n, n).
+        ``<state>/image`` (rows, columns), part of the photons per pixel, and ``<state>/strehl`` for
+        `STATES`; ``truth_nm`` and ``<method>/wavefront_nm`` (n, n); ``<method>/pupil_nm``, Δ-WFE;
+        ``pixel_scale_mas``.
     """
-    scene = scene_of(star.sample)
-    exposed = expose(scene)
-    arrays = {"truth_nm": np.where(exposed.transmission > 0, exposed.mean_opd_nm, np.nan)}
+    cube = ObservedCube.of(star.cube.scene())
+    scene, exposed = cube.scene, cube.exposed
+    arrays = {
+        "truth_nm": np.where(exposed.transmission > 0, exposed.mean_opd_nm, np.nan),
+        "pixel_scale_mas": np.array(scene.pixel_scale_mas),
+    }
     arrays |= _image("before", scene, star.frames, {})
     arrays |= _image("ideal", scene, star.frames, dict(scene.ncpa_nm))
-    for name in star.sample.variants:
-        arrays |= _corrected(name, scene, exposed, star.frames)
+    for name in COMPARED:
+        arrays |= _corrected(name, cube, star.frames)
     return arrays
 
 
-def _corrected(name: str, scene: Scene, exposed: Exposed, frames: int) -> dict[str, np.ndarray]:
-    result = VARIANTS[name].calibrate(
-        frames_of(scene, exposed), settings_of(scene), model_effects_of(scene), scene.facility.ncpa_law
-    )
-    estimate_nm = dict(zip(result.nolls, result.zernike_nm, strict=True))
+def _corrected(name: str, cube: ObservedCube, frames: int) -> dict[str, np.ndarray]:
+    calibration = cube.calibrated(VARIANTS[name])
+    estimate_nm = dict(zip(calibration.nolls, calibration.zernike_nm, strict=True))
     removed_nm = {noll: estimate_nm[noll] for noll in CORRECTED if noll in estimate_nm}
     return {
-        f"{name}/wavefront_nm": wavefront_nm(exposed, result.nolls, result.zernike_nm),
-        f"{name}/pupil_nm": delta_wfe(exposed, result.nolls, result.zernike_nm).pupil_nm,
-        **_image(name, scene, frames, removed_nm),
+        f"{name}/wavefront_nm": cube.wavefront_nm(calibration),
+        f"{name}/pupil_nm": np.array(cube.pupil_delta_nm(calibration)),
+        **_image(name, cube.scene, frames, removed_nm),
     }
 
 

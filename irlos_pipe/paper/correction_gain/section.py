@@ -2,60 +2,57 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.report.content import Figure, Section, Table
+from irlos_pipe.paper.common.section import array_of
+from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
+from irlos_pipe.paper.correction_gain.results import CorrectionGainResults, SeeingRow
+from irlos_pipe.report.content import Block, Figure, Section, Table
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.images import BRIGHTNESS, SIGNED, log_scale, symmetric_scale
 from irlos_pipe.report.radial import profile_plot, ring_means
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number
 
-STAGE = "correction_gain"
-PIXEL_MAS = 9.7
-STATES = {
-    "before": "before",
-    "dip_global": "DIP global",
-    "long_exposure": "this pipeline",
-    "ideal": "no NCPAs",
-}
+STAGE = CorrectionGainResults.stage
+STATES = {"before": "before", PAPER_CHOICE: "DIP global", DEFAULT: "this pipeline", "ideal": "no NCPAs"}
 LOOKS = {
     "before": (ORANGE, "--"),
-    "dip_global": (GREEN, "-."),
-    "long_exposure": (BLUE, "-"),
+    PAPER_CHOICE: (GREEN, "-."),
+    DEFAULT: (BLUE, "-"),
     "ideal": (INK, ":"),
 }
+WAVEFRONT_CAPTION = (
+    "Time-averaged true wavefront, estimates, and what the estimates leave; tip and tilt included."
+)
 
 
 def section(run: RunData) -> Section:
     """Build the section."""
-    rows = run.results(STAGE).get("seeings", [])
-    blocks = [_table(rows)]
+    rows = run.results(CorrectionGainResults).seeings
+    blocks: list[Block] = [_table(rows)]
     for row in rows:
-        blocks += _figures(run, row["seeing_arcsec"])
+        blocks += _figures(run, row.seeing_arcsec)
     return Section(STAGE, "Star before and after the correction", _lead(rows), blocks)
 
 
-def _lead(rows: list[dict[str, Any]]) -> str:
-    told = [
-        f'{row["strehl"]["before"]:.2f} → {row["strehl"]["long_exposure"]:.2f} at {row["seeing_arcsec"]:g}"'
-        for row in rows
+def _lead(rows: list[SeeingRow]) -> str:
+    gains = [
+        f'{row.strehl["before"]:.2f} → {row.strehl[DEFAULT]:.2f} at {row.seeing_arcsec:g}"' for row in rows
     ]
-    return f"Median Strehl ratio at 1600 nm: {', '.join(told)}. Without diversity; Noll 4–30 corrected."
+    return f"Median Strehl ratio at 1600 nm: {', '.join(gains)}. Without diversity; Noll 4–30 corrected."
 
 
-def _table(rows: list[dict[str, Any]]) -> Table:
+def _table(rows: list[SeeingRow]) -> Table:
     body = [
         [
-            f'{row["seeing_arcsec"]:g}"',
-            *(number(row["strehl"][state], ".3f") for state in STATES),
-            number(row["won"]["dip_global"], ".0%"),
-            number(row["won"]["long_exposure"], ".0%"),
-            str(row["samples"]),
+            f'{row.seeing_arcsec:g}"',
+            *(number(row.strehl[state], ".3f") for state in STATES),
+            number(row.won[PAPER_CHOICE], ".0%"),
+            number(row.won[DEFAULT], ".0%"),
+            str(row.samples),
         ]
         for row in rows
     ]
@@ -68,26 +65,31 @@ def _table(rows: list[dict[str, Any]]) -> Table:
 
 
 def _figures(run: RunData, seeing: float) -> list[Figure]:
-    images = {state: run.array(STAGE, f"{seeing:g}/{state}/image") for state in STATES}
+    images = {state: array_of(run, STAGE, f"{seeing:g}/{state}/image") for state in STATES}
+    scale_mas = float(array_of(run, STAGE, f"{seeing:g}/pixel_scale_mas"))
     return [
-        Figure(_stars(seeing, images), f'Averaged star at {seeing:g}"', "One logarithmic scale.", "full"),
+        Figure(
+            _stars(seeing, images, scale_mas),
+            f'Averaged star at {seeing:g}"',
+            "One logarithmic scale.",
+            "full",
+        ),
         Figure(_wavefronts(run, seeing), f'Wavefronts at {seeing:g}"', WAVEFRONT_CAPTION, "full"),
-        Figure(_profiles(seeing, images), f'Radial profiles at {seeing:g}"', "Means in rings of one pixel."),
+        Figure(
+            _profiles(seeing, images, scale_mas),
+            f'Radial profiles at {seeing:g}"',
+            "Means in rings of one pixel.",
+        ),
     ]
 
 
-WAVEFRONT_CAPTION = (
-    "Time-averaged true wavefront, estimates, and what the estimates leave; tip and tilt included."
-)
-
-
-def _stars(seeing: float, images: dict[str, np.ndarray]) -> Markup:
+def _stars(seeing: float, images: dict[str, np.ndarray], scale_mas: float) -> Markup:
     scale = log_scale(*images.values())
 
     def draw(figure: Canvas) -> None:
         panels = figure.subplots(1, len(images))
         for axes, (state, image) in zip(panels, images.items(), strict=True):
-            half = image.shape[1] / 2 * PIXEL_MAS
+            half = image.shape[1] / 2 * scale_mas
             shown = axes.imshow(
                 image, norm=scale, cmap=BRIGHTNESS, origin="lower", extent=(-half, half, -half, half)
             )
@@ -100,10 +102,10 @@ def _stars(seeing: float, images: dict[str, np.ndarray]) -> Markup:
 
 
 def _wavefronts(run: RunData, seeing: float) -> Markup:
-    truth = run.array(STAGE, f"{seeing:g}/truth_nm")
+    truth = array_of(run, STAGE, f"{seeing:g}/truth_nm")
     maps = {"true": truth}
-    for variant in ("dip_global", "long_exposure"):
-        estimate = run.array(STAGE, f"{seeing:g}/{variant}/wavefront_nm")
+    for variant in (PAPER_CHOICE, DEFAULT):
+        estimate = array_of(run, STAGE, f"{seeing:g}/{variant}/wavefront_nm")
         maps |= {STATES[variant]: estimate, f"true − {STATES[variant]}": truth - estimate}
     scale = symmetric_scale(float(np.nanpercentile(np.abs(truth), 99)))
 
@@ -118,12 +120,12 @@ def _wavefronts(run: RunData, seeing: float) -> Markup:
     return svg(f"gain-wavefronts-{seeing:g}".replace(".", "-"), (9.5, 2.4), draw)
 
 
-def _profiles(seeing: float, images: dict[str, np.ndarray]) -> Markup:
+def _profiles(seeing: float, images: dict[str, np.ndarray], scale_mas: float) -> Markup:
     curves = {}
     for state, image in images.items():
         centre = tuple((side - 1) / 2 for side in image.shape)
         radius_px, mean = ring_means(image, centre)
-        curves[STATES[state]] = (radius_px * PIXEL_MAS, mean, *LOOKS[state])
+        curves[STATES[state]] = (radius_px * scale_mas, mean, *LOOKS[state])
     return profile_plot(
         f"gain-profiles-{seeing:g}".replace(".", "-"), curves, ("mas", "photons per pixel, part of all")
     )

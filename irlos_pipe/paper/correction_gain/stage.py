@@ -5,19 +5,18 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
-from irlos_pipe.paper.common.variants import DEFAULT
-from irlos_pipe.paper.correction_gain.experiment import Star, correct
-from irlos_pipe.paper.methods.experiment import Sample
+from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
+from irlos_pipe.paper.correction_gain.experiment import COMPARED, STATES, Star, correct
+from irlos_pipe.paper.correction_gain.results import CorrectionGainResults, SeeingRow
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = "correction_gain"
-VERSION = 1
+NAME = CorrectionGainResults.stage
+VERSION = 2
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
-VARIANTS = (DEFAULT, "dip_global")
-STATES = ("before", *VARIANTS, "ideal")
 
 
 class Config(StageConfig):
@@ -30,82 +29,70 @@ class Config(StageConfig):
     mag_j: float = Field(7.0, ge=0, le=20)
 
 
-def run(ctx: StageContext) -> StageOutput:
+def run(ctx: StageContext[Config]) -> StageOutput:
     """Calibrate, correct and image every star."""
-    stars = [
-        _star(ctx, seeing, index)
-        for seeing in ctx.config.seeings_arcsec
-        for index in range(ctx.config.samples)
-    ]
-    numbers = run_samples(correct, stars, ctx, "stars")
-    seeings = [
-        _of_seeing(
-            seeing, [n for s, n in zip(stars, numbers, strict=True) if s.sample.seeing_arcsec == seeing]
-        )
-        for seeing in ctx.config.seeings_arcsec
-    ]
-    drawn = {
-        seeing: numbers[place * ctx.config.samples] for place, seeing in enumerate(ctx.config.seeings_arcsec)
-    }
-    return StageOutput(_arrays(drawn), {"seeings": seeings}, summary=[_line(row) for row in seeings])
-
-
-def _star(ctx: StageContext, seeing: float, index: int) -> Star:
     config = ctx.config
-    name = f"{seeing:g} arcsec, star {index}"
-    sample = Sample(
-        name,
+    stars = [_star(ctx, seeing, i) for seeing in config.seeings_arcsec for i in range(config.samples)]
+    found = run_samples(correct, stars, ctx, "stars")
+    by_seeing = {
+        seeing: found[i * config.samples : (i + 1) * config.samples]
+        for i, seeing in enumerate(config.seeings_arcsec)
+    }
+    rows = [_row(seeing, of_it) for seeing, of_it in by_seeing.items()]
+    arrays = _arrays({seeing: of_it[0] for seeing, of_it in by_seeing.items()})
+    return StageOutput(arrays, CorrectionGainResults(seeings=rows), summary=[_line(row) for row in rows])
+
+
+def _star(ctx: StageContext[Config], seeing: float, index: int) -> Star:
+    config = ctx.config
+    cube = CubeSample(
+        f"{seeing:g} arcsec, star {index}",
         (ctx.seed, index),
         ctx.instrument.facility,
         seeing,
-        "power_law",
         config.frames,
-        VARIANTS,
-        (),
         config.mag_j,
     )
-    return Star(name, sample, config.star_frames)
+    return Star(cube, config.star_frames)
 
 
-def _of_seeing(seeing: float, numbers: list[Arrays]) -> dict:
+def _row(seeing: float, found: list[Arrays]) -> SeeingRow:
     """Medians over the stars of one seeing."""
-    return {
-        "seeing_arcsec": seeing,
-        "samples": len(numbers),
-        "strehl": {state: float(np.median([n[f"{state}/strehl"] for n in numbers])) for state in STATES},
-        "delta_wfe_nm": {
-            variant: float(np.median([n[f"{variant}/pupil_nm"] for n in numbers])) for variant in VARIANTS
+    return SeeingRow(
+        seeing_arcsec=seeing,
+        samples=len(found),
+        strehl={state: float(np.median([one[f"{state}/strehl"] for one in found])) for state in STATES},
+        delta_wfe_nm={
+            method: float(np.median([one[f"{method}/pupil_nm"] for one in found])) for method in COMPARED
         },
-        # Of the Strehl that a perfect correction would bring, the part that was won.
-        "won": {variant: float(np.median([_won(n, variant) for n in numbers])) for variant in VARIANTS},
-    }
+        won={method: float(np.median([_won(one, method) for one in found])) for method in COMPARED},
+    )
 
 
-def _won(numbers: Arrays, variant: str) -> float:
-    before, after, ideal = (float(numbers[f"{state}/strehl"]) for state in ("before", variant, "ideal"))
+def _won(star: Arrays, method: str) -> float:
+    before, after, ideal = (float(star[f"{state}/strehl"]) for state in ("before", method, "ideal"))
     return (after - before) / (ideal - before)
 
 
 def _arrays(drawn: dict[float, Arrays]) -> dict[str, Quantity]:
     """Images and wavefronts of the first star of every seeing."""
-    arrays = {}
-    for seeing, numbers in drawn.items():
-        for state in STATES:
-            arrays[f"{seeing:g}/{state}/image"] = Quantity(
-                numbers[f"{state}/image"], "1/px", "averaged star, part of the photons"
-            )
-        arrays[f"{seeing:g}/truth_nm"] = Quantity(numbers["truth_nm"], "nm", "time-averaged wavefront")
-        for variant in VARIANTS:
-            arrays[f"{seeing:g}/{variant}/wavefront_nm"] = Quantity(
-                numbers[f"{variant}/wavefront_nm"], "nm", "estimated wavefront"
-            )
+    arrays: dict[str, Quantity] = {}
+    for seeing, star in drawn.items():
+        scale = Quantity(star["pixel_scale_mas"], "mas", "pixel scale of the images")
+        arrays[f"{seeing:g}/pixel_scale_mas"] = scale
+        images = {f"{state}/image": "averaged star, part of the photons" for state in STATES}
+        maps = {"truth_nm": "time-averaged wavefront"} | {
+            f"{method}/wavefront_nm": "estimated wavefront" for method in COMPARED
+        }
+        for unit, names in (("1/px", images), ("nm", maps)):
+            arrays |= {f"{seeing:g}/{name}": Quantity(star[name], unit, text) for name, text in names.items()}
     return arrays
 
 
-def _line(row: dict) -> str:
-    strehl = row["strehl"]
+def _line(row: SeeingRow) -> str:
+    strehl = row.strehl
     return (
-        f'{row["seeing_arcsec"]:4.2f}"  Strehl at 1600 nm: {strehl["before"]:.3f} before, '
-        f"{strehl['dip_global']:.3f} with DIP global, {strehl[DEFAULT]:.3f} with the default, "
+        f'{row.seeing_arcsec:4.2f}"  Strehl at 1600 nm: {strehl["before"]:.3f} before, '
+        f"{strehl[PAPER_CHOICE]:.3f} with DIP global, {strehl[DEFAULT]:.3f} with the default, "
         f"{strehl['ideal']:.3f} at best"
     )

@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.laws import NcpaLaw
+from irlos_pipe.conventions.modes import REPORTED_NOLLS
 from irlos_pipe.estimate.derotation import Series, Split
 from irlos_pipe.optics.rotation import partner, rotation_matrix
-from irlos_pipe.paper.common.observation import (
-    REPORTED,
-    frames_of,
-    model_effects_of,
-    modes_delta_nm,
-    settings_of,
-)
+from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM, NARROW_H, NARROW_THROUGHPUT, ObservedCube
 from irlos_pipe.paper.common.phase_bump import phase_bump_nm
 from irlos_pipe.paper.common.variants import VARIANTS
-from irlos_pipe.paper.methods.experiment import NARROW_H, NARROW_THROUGHPUT
+from irlos_pipe.paper.derotator_series.results import SplitErrors
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Scene
 
-DIVERSITY_NM = {6: 170.0}  # by the deformable mirror: the lens cannot stand beside the narrow-band filter
 POINTING = (2, 3)
 
 
@@ -47,21 +40,21 @@ class Truth:
     fixed_nm: Mapping[int, float]
 
     def at(self, nolls: Sequence[int], angle_deg: float) -> np.ndarray:
-        """Coefficients at a derotator angle, (modes,) [nm RMS]."""
+        """Return the coefficients of the modes `nolls` at derotator angle `angle_deg`, (modes,) [nm]."""
         every = sorted({other for noll in (*nolls, *self.rotating_nm) for other in (noll, partner(noll))})
         turned = rotation_matrix(every, angle_deg) @ _values(self.rotating_nm, every)
         return _values(dict(zip(every, turned, strict=True)), nolls) + _values(self.fixed_nm, nolls)
 
 
 def draw_truth(seed: Sequence[int], law: NcpaLaw, rotating_nm: float, fixed_nm: float) -> Truth:
-    """Draw NCPAs of the `law` on either side of the derotator, and put the phase bump before it.
+    """Draw random NCPAs on either side of the derotator and add the phase bump before it.
 
     Parameters
     ----------
     seed : sequence of int
     law : NcpaLaw
     rotating_nm, fixed_nm : float
-        RMS of those before and behind the derotator [nm].
+        RMS of the NCPAs before and behind the derotator [nm].
     """
     rng = np.random.default_rng(seed)
     before, behind = (draw_ncpa_nm(rng, law, total_nm) for total_nm in (rotating_nm, fixed_nm))
@@ -71,7 +64,7 @@ def draw_truth(seed: Sequence[int], law: NcpaLaw, rotating_nm: float, fixed_nm: 
 
 
 def rms_beyond_tilt_nm(zernike_nm: Mapping[int, float]) -> float:
-    """RMS over the disc without tip and tilt [nm]."""
+    """Return the RMS over the disc without tip and tilt [nm]."""
     return float(np.sqrt(sum(value**2 for noll, value in zernike_nm.items() if noll not in POINTING)))
 
 
@@ -94,27 +87,26 @@ class AngleSample:
     seeing_arcsec: float = 1.2
     mag_j: float = 8.0
 
-
-def scene_of(sample: AngleSample) -> Scene:
-    """The recording at one angle: narrow H band, 0.1 s at 10 Hz."""
-    return Scene(
-        sample.name,
-        sample.facility,
-        NARROW_H,
-        sample.seed,
-        max(sample.frames.values()),
-        0.1,
-        role="derotator",
-        mag_j=sample.mag_j,
-        throughput=NARROW_THROUGHPUT,
-        ncpa_nm=sample.truth.fixed_nm,
-        rotating_nm=sample.truth.rotating_nm,
-        derotator_angle_deg=sample.angle_deg,
-        diversity_nm=DIVERSITY_NM,
-        diversity_source="mirror",
-        sky=Sky(sample.seeing_arcsec),
-        motion=Motion(),
-    )
+    def scene(self) -> Scene:
+        """Return the recording: narrow H band, 0.1 s at 10 Hz, diversity by the deformable mirror."""
+        return Scene(
+            self.name,
+            self.facility,
+            NARROW_H,
+            self.seed,
+            max(self.frames.values()),
+            0.1,
+            role="derotator",
+            mag_j=self.mag_j,
+            throughput=NARROW_THROUGHPUT,
+            ncpa_nm=self.truth.fixed_nm,
+            rotating_nm=self.truth.rotating_nm,
+            derotator_angle_deg=self.angle_deg,
+            diversity_nm=MIRROR_DIVERSITY_NM,
+            diversity_source="mirror",
+            sky=Sky(self.seeing_arcsec),
+            motion=Motion(),
+        )
 
 
 def estimate(sample: AngleSample) -> dict[str, np.ndarray]:
@@ -126,51 +118,24 @@ def estimate(sample: AngleSample) -> dict[str, np.ndarray]:
         ``mean_image_e``, and for every method ``<method>/noll``, ``/zernike_nm``, ``/covariance_nm2``,
         ``/chi2_nu`` and ``/delta_nm``, the Δ-WFE in Noll 2–30 against the mean wavefront of its frames.
     """
-    scene = scene_of(sample)
-    exposed = expose(scene)
-    cube = frames_of(scene, exposed)
-    numbers = {"mean_image_e": cube.mean_e.numpy()}
+    cube = ObservedCube.of(sample.scene())
+    numbers = {"mean_image_e": cube.frames.mean_e.numpy()}
     for method, count in sample.frames.items():
-        own = replace(cube, images_e=cube.images_e[:count])
-        result = VARIANTS[method].calibrate(
-            own, settings_of(scene), model_effects_of(scene), scene.facility.ncpa_law
-        )
+        own = cube.first(count)
+        calibration = own.calibrated(VARIANTS[method])
         numbers |= {
-            f"{method}/noll": np.array(result.nolls),
-            f"{method}/zernike_nm": result.zernike_nm,
-            f"{method}/covariance_nm2": result.covariance_nm2,
-            f"{method}/chi2_nu": np.array(result.chi2_nu),
-            f"{method}/delta_nm": np.array(modes_delta_nm(exposed, result.nolls, result.zernike_nm, count)),
+            f"{method}/noll": np.array(calibration.nolls),
+            f"{method}/zernike_nm": calibration.zernike_nm,
+            f"{method}/covariance_nm2": calibration.covariance_nm2,
+            f"{method}/chi2_nu": np.array(calibration.chi2_nu),
+            f"{method}/delta_nm": np.array(own.modes_delta_nm(calibration)),
         }
     return numbers
 
 
-@dataclass(frozen=True)
-class SplitErrors:
-    """How wrong a split is, RMS over the disc [nm].
-
-    Attributes
-    ----------
-    rotating_nm, fixed_nm, unsplit_nm : float
-        In Noll 4–30, among the modes of the part.
-    rotating_all_nm : float
-        Of the rotating part as a map: modes that were not estimated count in full.
-    single_nm, model_nm : float
-        Of the estimates at single angles, and of what the two parts predict for them, in Noll 4–30;
-        the static wavefront is the truth.
-    """
-
-    rotating_nm: float
-    fixed_nm: float
-    unsplit_nm: float
-    rotating_all_nm: float
-    single_nm: float
-    model_nm: float
-
-
 def split_errors(series: Series, split: Split, truth: Truth) -> SplitErrors:
-    """Compare a split with what was simulated."""
-    reported = np.isin(split.nolls, REPORTED)
+    """Compare the `split` of the estimates `series` with the simulated `truth`."""
+    reported = np.isin(split.nolls, REPORTED_NOLLS)
     apart, sums = reported & split.separable, reported & ~split.separable
     rotating, fixed = (_values(part, split.nolls) for part in (truth.rotating_nm, truth.fixed_nm))
     static = np.array([truth.at(split.nolls, angle) for angle in series.angles_deg])

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from irlos_pipe.report.content import Figure, Section, Table
+from irlos_pipe.paper.common.section import array_of
+from irlos_pipe.paper.common.variants import METHOD_NAMES
+from irlos_pipe.paper.derotator_series.results import DerotatorSeriesResults, MethodRow
+from irlos_pipe.report.content import Block, Figure, Section, Table
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.section_derotator import angle_titles, maps_figure
+from irlos_pipe.report.section_derotator import maps_figure
 from irlos_pipe.report.text import number
 from irlos_pipe.report.wavefront_plots import common_limit_nm, wavefront_grid
 
-STAGE = "derotator_series"
-METHODS = {"long_exposure": "this pipeline's default", "dip_global": "DIP global"}
+STAGE = DerotatorSeriesResults.stage
 ERROR_COLUMNS = {
     "single angle": "single_nm",
     "two parts": "model_nm",
@@ -26,49 +26,45 @@ ERROR_COLUMNS = {
 
 def section(run: RunData) -> Section:
     """Build the section."""
-    results = run.results(STAGE)
-    methods = results.get("methods", {})
-    blocks: list[Figure | Table] = []
-    for place, method in enumerate(methods):
-        images = run.array(STAGE, "mean_image_e") if place == 0 else None
-        title = f"Every angle, {METHODS.get(method, method)}"
+    results = run.results(DerotatorSeriesResults)
+    blocks: list[Block] = []
+    for place, method in enumerate(results.methods):
+        images = array_of(run, STAGE, "mean_image_e") if place == 0 else None
+        title = f"Every angle, {METHOD_NAMES[method]}"
         blocks += maps_figure(run, STAGE, title, images, prefix=f"{method}/")
-    if methods:
-        blocks += [*_parts(run, results), _errors(methods), _agreement(methods), _angles(run, methods)]
-    return Section(STAGE, "Derotator test, simulated", _lead(results), blocks)
-
-
-def _lead(results: dict[str, Any]) -> str:
-    truth, frames = results.get("truth", {}), results.get("frames", {})
-    told = " and ".join(f"{count} frames ({METHODS.get(name, name)})" for name, count in frames.items())
-    before, behind = (number(truth.get(f"{part}_nm"), ".0f", "nm") for part in ("rotating", "fixed"))
-    return (
-        f"{before} RMS with a phase bump before the derotator, {behind} behind it; "
-        f"{len(results.get('angles_deg', []))} angles of {told}."
+    tables = (_errors(results.methods), _agreement(results.methods), _angles(results))
+    return Section(
+        STAGE, "Derotator test, simulated", _lead(results), [*blocks, *_parts(run, results), *tables]
     )
 
 
-def _parts(run: RunData, results: dict[str, Any]) -> list[Figure]:
+def _lead(results: DerotatorSeriesResults) -> str:
+    frames = " and ".join(f"{count} frames ({METHOD_NAMES[name]})" for name, count in results.frames.items())
+    before, behind = (number(nm, ".0f", "nm") for nm in (results.truth.rotating_nm, results.truth.fixed_nm))
+    return (
+        f"{before} RMS with a phase bump before the derotator, {behind} behind it; "
+        f"{len(results.angles_deg)} angles of {frames}."
+    )
+
+
+def _parts(run: RunData, results: DerotatorSeriesResults) -> list[Figure]:
     """Both parts as simulated and as found."""
     figures = []
+    sources = {"simulated": "truth"} | {METHOD_NAMES[name]: name for name in results.methods}
+    caption = (
+        "Symmetric modes, of which only the sum of both parts is measured, are in the simulated map only."
+    )
     for part, text in (("rotating", "turns with the derotator"), ("fixed", "does not turn")):
-        sources = {"simulated": "truth"} | {METHODS.get(name, name): name for name in results["methods"]}
-        maps = [run.array(STAGE, f"{source}/maps/{part}_nm") for source in sources.values()]
-        if any(one is None for one in maps):
-            return []
-        stack = np.stack(maps)
+        stack = np.stack([array_of(run, STAGE, f"{source}/maps/{part}_nm") for source in sources.values()])
         drawing = wavefront_grid(f"series-{part}", list(sources), {"": stack}, common_limit_nm(stack[0]))
-        caption = (
-            "Symmetric modes, of which only the sum of both parts is measured, are in the simulated map only."
-        )
         figures.append(Figure(drawing, f"What {text}", caption, "half"))
     return figures
 
 
-def _errors(methods: dict[str, Any]) -> Table:
+def _errors(methods: dict[str, MethodRow]) -> Table:
     rows = [
-        (METHODS.get(name, name), *(number(found["errors"].get(key)) for key in ERROR_COLUMNS.values()))
-        for name, found in methods.items()
+        (METHOD_NAMES[name], *(number(getattr(row.errors, key)) for key in ERROR_COLUMNS.values()))
+        for name, row in methods.items()
     ]
     caption = (
         "RMS over the disc against what was simulated [nm], Noll 4–30; the last column counts the modes "
@@ -77,16 +73,18 @@ def _errors(methods: dict[str, Any]) -> Table:
     return Table(("method", *ERROR_COLUMNS), rows, "Errors", caption)
 
 
-def _agreement(methods: dict[str, Any]) -> Table:
-    keys = ("measured_nm", "turned_back_nm", "without_fixed_nm", "expected_nm")
+def _agreement(methods: dict[str, MethodRow]) -> Table:
     rows = [
         (
-            METHODS.get(name, name),
-            *(number(found["consistency"].get(key)) for key in keys),
-            number(found.get("chi2_nu"), ".2f"),
-            f"{found.get('sense')}, {number(found.get('delta_chi2'), '+.0f')}",
+            METHOD_NAMES[name],
+            number(row.consistency.measured_nm),
+            number(row.consistency.turned_back_nm),
+            number(row.consistency.without_fixed_nm),
+            number(row.consistency.expected_nm),
+            number(row.chi2_nu, ".2f"),
+            f"{row.sense}, {number(row.delta_chi2, '+.0f')}",
         )
-        for name, found in methods.items()
+        for name, row in methods.items()
     ]
     columns = (
         "method",
@@ -101,9 +99,9 @@ def _agreement(methods: dict[str, Any]) -> Table:
     return Table(columns, rows, "Agreement of the angles", caption)
 
 
-def _angles(run: RunData, methods: dict[str, Any]) -> Table:
-    angles = angle_titles(run, STAGE, f"{next(iter(methods))}/")
-    columns = [f"{METHODS.get(name, name)} [nm]" for name in methods]
-    values = [[number(value) for value in found["delta_nm"]] for found in methods.values()]
+def _angles(results: DerotatorSeriesResults) -> Table:
+    columns = [f"{METHOD_NAMES[name]} [nm]" for name in results.methods]
+    values = [[number(value) for value in row.delta_nm] for row in results.methods.values()]
+    angles = [f"{angle:g}°" for angle in results.angles_deg]
     caption = "Δ-WFE in Noll 2–30 against the mean wavefront of the frames used, AO residual included."
     return Table(("angle", *columns), list(zip(angles, *values, strict=True)), "Angles one by one", caption)

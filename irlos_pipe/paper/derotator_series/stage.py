@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
 
 import numpy as np
 from pydantic import Field
 
 from irlos_pipe.estimate.derotation import Series, try_both_senses, usable_modes
-from irlos_pipe.files.json import jsonable
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
+from irlos_pipe.paper.common.variants import frames_per_method
 from irlos_pipe.paper.derotator_series.experiment import (
     AngleSample,
     Truth,
@@ -19,15 +18,15 @@ from irlos_pipe.paper.derotator_series.experiment import (
     rms_beyond_tilt_nm,
     split_errors,
 )
+from irlos_pipe.paper.derotator_series.results import DerotatorSeriesResults, MethodRow, PartsWfe
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.derotator.output import SplitOutput, map_of
 
-NAME = "derotator_series"
+NAME = DerotatorSeriesResults.stage
 VERSION = 2
 READS = ()
-DEPENDS_ON = frozenset({"instrument", "seed"})
-DEFAULT, PUBLISHED = "long_exposure", "dip_global"
+DEPENDS_ON = ("instrument", "seed")
 
 
 class Config(StageConfig):
@@ -45,38 +44,36 @@ class Config(StageConfig):
     rotating_nm: float = Field(50.0, ge=0, description="random NCPAs before the derotator, beside the bump")
     fixed_nm: float = Field(100.0, ge=0, description="random NCPAs behind it")
 
+    @property
+    def method_frames(self) -> dict[str, int]:
+        """Frames that every method is given."""
+        return frames_per_method(self.frames, self.published_frames)
 
-def run(ctx: StageContext) -> StageOutput:
+
+def run(ctx: StageContext[Config]) -> StageOutput:
     """Simulate and calibrate the cube of every angle, and split the estimates of every method."""
-    truth = draw_truth(
-        (ctx.seed,), ctx.instrument.facility.ncpa_law, ctx.config.rotating_nm, ctx.config.fixed_nm
-    )
-    numbers = run_samples(estimate, list(_samples(ctx, truth)), ctx, "angles")
-    arrays = _truth_arrays(ctx, truth, numbers)
-    methods, lines = {}, []
-    for method in (DEFAULT, PUBLISHED):
-        told = _split(ctx.config, numbers, method)
-        own = told.arrays(ctx.instrument.pupil)
+    config = ctx.config
+    truth = draw_truth((ctx.seed,), ctx.instrument.facility.ncpa_law, config.rotating_nm, config.fixed_nm)
+    found = run_samples(estimate, list(_samples(ctx, truth)), ctx, "angles")
+    splits = {method: _split(config, found, method) for method in config.method_frames}
+    arrays = _truth_arrays(ctx, truth, found)
+    for method, split in splits.items():
+        own = split.arrays(ctx.instrument.pupil)
         arrays |= {f"{method}/{name}": quantity for name, quantity in own.items()}
-        methods[method] = jsonable(told.results()) | _compared(told, truth, numbers, method)
-        lines += _lines(method, methods[method])
-    results = {
-        "angles_deg": list(ctx.config.angles_deg),
-        "frames": dict(_frames(ctx.config)),
-        "truth": {
-            "rotating_nm": rms_beyond_tilt_nm(truth.rotating_nm),
-            "fixed_nm": rms_beyond_tilt_nm(truth.fixed_nm),
-        },
-        "methods": methods,
-    }
+    rows = {method: _row(split, truth, found, method) for method, split in splits.items()}
+    results = DerotatorSeriesResults(
+        angles_deg=list(config.angles_deg),
+        frames=config.method_frames,
+        truth=PartsWfe(
+            rotating_nm=rms_beyond_tilt_nm(truth.rotating_nm), fixed_nm=rms_beyond_tilt_nm(truth.fixed_nm)
+        ),
+        methods=rows,
+    )
+    lines = [line for method, row in rows.items() for line in _lines(method, row)]
     return StageOutput(arrays, results, summary=lines)
 
 
-def _frames(config: Config) -> dict[str, int]:
-    return {DEFAULT: config.frames, PUBLISHED: min(config.frames, config.published_frames)}
-
-
-def _samples(ctx: StageContext, truth: Truth) -> Iterator[AngleSample]:
+def _samples(ctx: StageContext[Config], truth: Truth) -> Iterator[AngleSample]:
     for index, angle in enumerate(ctx.config.angles_deg):
         yield AngleSample(
             f"{angle:g} deg",
@@ -84,49 +81,52 @@ def _samples(ctx: StageContext, truth: Truth) -> Iterator[AngleSample]:
             ctx.instrument.facility,
             truth,
             angle,
-            _frames(ctx.config),
+            ctx.config.method_frames,
             ctx.config.seeing_arcsec,
             ctx.config.mag_j,
         )
 
 
-def _split(config: Config, numbers: Sequence[Arrays], method: str) -> SplitOutput:
+def _split(config: Config, found: Sequence[Arrays], method: str) -> SplitOutput:
     series = Series(
-        tuple(int(noll) for noll in numbers[0][f"{method}/noll"]),
+        tuple(int(noll) for noll in found[0][f"{method}/noll"]),
         np.array(config.angles_deg, dtype=float),
-        np.stack([one[f"{method}/zernike_nm"] for one in numbers]),
-        np.stack([one[f"{method}/covariance_nm2"] for one in numbers]),
+        np.stack([one[f"{method}/zernike_nm"] for one in found]),
+        np.stack([one[f"{method}/covariance_nm2"] for one in found]),
     )
     series = series.only(usable_modes(series.nolls))
     senses = try_both_senses(series)
     return SplitOutput(series, senses.best, senses)
 
 
-def _compared(told: SplitOutput, truth: Truth, numbers: Sequence[Arrays], method: str) -> dict:
-    """Errors of the split and of the single estimates."""
-    return {
-        "errors": asdict(split_errors(told.series, told.split, truth)),
-        "delta_nm": [float(one[f"{method}/delta_nm"]) for one in numbers],
-        "calibration_chi2_nu": [float(one[f"{method}/chi2_nu"]) for one in numbers],
-    }
+def _row(split: SplitOutput, truth: Truth, found: Sequence[Arrays], method: str) -> MethodRow:
+    """The split, its errors and those of the single estimates."""
+    return MethodRow(
+        **split.results(),
+        errors=split_errors(split.series, split.split, truth),
+        delta_nm=[float(one[f"{method}/delta_nm"]) for one in found],
+        calibration_chi2_nu=[float(one[f"{method}/chi2_nu"]) for one in found],
+    )
 
 
-def _truth_arrays(ctx: StageContext, truth: Truth, numbers: Sequence[Arrays]) -> dict[str, Quantity]:
-    pupil, arrays = ctx.instrument.pupil, {}
+def _truth_arrays(ctx: StageContext[Config], truth: Truth, found: Sequence[Arrays]) -> dict[str, Quantity]:
+    pupil = ctx.instrument.pupil
+    arrays: dict[str, Quantity] = {}
     for name, part_nm in (("rotating", truth.rotating_nm), ("fixed", truth.fixed_nm)):
         seen = {noll: value for noll, value in part_nm.items() if noll > 3}
         arrays[f"truth/maps/{name}_nm"] = map_of(
             pupil, list(seen), np.array(list(seen.values())), "simulated"
         )
-    arrays["mean_image_e"] = Quantity(np.stack([one["mean_image_e"] for one in numbers]), "e-", "of a frame")
+    arrays["mean_image_e"] = Quantity(np.stack([one["mean_image_e"] for one in found]), "e-", "of a frame")
     return arrays
 
 
-def _lines(method: str, found: dict) -> list[str]:
-    errors, parts = found["errors"], found["parts"]
+def _lines(method: str, row: MethodRow) -> list[str]:
+    errors, parts = row.errors, row.parts or {}
+    rotating, fixed = (parts[name].rms_nm for name in ("rotating", "fixed"))
     return [
-        f"{method:15s} {parts['rotating']['rms_nm']:.0f} nm turn, {parts['fixed']['rms_nm']:.0f} nm do not; "
-        f"wrong by {errors['rotating_nm']:.1f} and {errors['fixed_nm']:.1f} nm in Noll 4–30",
-        f"  Δ-WFE of single angles {np.median(found['delta_nm']):.1f} nm, median; sense {found['sense']} "
-        f"(Δχ² {found['delta_chi2']:.0f}), χ²/ν {found['chi2_nu']:.2f}",
+        f"{method:15s} {rotating:.0f} nm turn, {fixed:.0f} nm do not; "
+        f"wrong by {errors.rotating_nm:.1f} and {errors.fixed_nm:.1f} nm in Noll 4–30",
+        f"  Δ-WFE of single angles {np.median(row.delta_nm):.1f} nm, median; sense {row.sense} "
+        f"(Δχ² {row.delta_chi2:.0f}), χ²/ν {row.chi2_nu:.2f}",
     ]

@@ -1,7 +1,7 @@
 """How faint LIFT goes with and without calibrated NCPAs (paper, Fig. "sensitivity").
 
 As in the paper's test, bright frames of the narrow H band are dimmed and the missing noise is put back.
-Every way of estimating sees the same dimmed frames, and starts from zero defocus as a closed loop would.
+Every variant of LIFT sees the same dimmed frames, and starts from zero defocus as a closed loop would.
 """
 
 from __future__ import annotations
@@ -15,15 +15,22 @@ import torch
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, Curve, curve_of, scan
-from irlos_pipe.paper.common.ramps import DEFOCUS, ObservedRamp, calibrated, observe
-from irlos_pipe.paper.focus_ramp.experiment import RAMP_STREAM, SAMPLING, WAYS
-from irlos_pipe.paper.methods.experiment import Sample, scene_of
+from irlos_pipe.paper.common.broad_band import FINE
+from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM, CubeSample
+from irlos_pipe.paper.common.ramps import (
+    DEFOCUS,
+    LIFT_VARIANTS,
+    RAMP_STREAM,
+    ObservedRamp,
+    calibrated,
+    methods_of,
+    observe,
+)
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
 
 COMPARED = ("none_3", "none_9", "published_3", "published_9", "default_3", "default_9")
-SIGNAL_WAY = "default_9"  # the best model tells the noise-free signal of the frames that are dimmed
-MIRROR_NM = {6: 170.0}  # diversity by the deformable secondary
+SIGNAL_VARIANT = "default_9"  # the best model gives the noise-free signal of the frames that are dimmed
 
 
 @dataclass(frozen=True)
@@ -58,47 +65,41 @@ class FaintSample:
 
 
 def scenes_of(sample: FaintSample) -> tuple[Scene, list[Scene]]:
-    """Calibration cube, and a ramp of every length of exposure with one frame per offset."""
-    conditions = Sample(
-        sample.name,
-        sample.seed,
-        sample.facility,
-        sample.seeing_arcsec,
-        "power_law",
-        sample.cube_frames,
-        (),
-        mag_j=sample.mag_j,
+    """Return the calibration cube, and a ramp of every length of exposure with one frame per offset."""
+    conditions = CubeSample(
+        sample.name, sample.seed, sample.facility, sample.seeing_arcsec, sample.cube_frames, sample.mag_j
     )
-    cube = replace(scene_of(conditions), diversity_nm=MIRROR_NM, diversity_source="mirror", sampling=SAMPLING)
+    cube = replace(
+        conditions.scene(), diversity_nm=MIRROR_DIVERSITY_NM, diversity_source="mirror", sampling=FINE
+    )
     ramps = [
         replace(
             cube,
             role="defocus_ramp",
-            seed=(*sample.seed, RAMP_STREAM, place),
+            seed=(*sample.seed, RAMP_STREAM, index),
             frames=len(sample.offsets_nm),
             exposure_s=one.exposure_s,
             frame_rate_hz=1 / one.exposure_s,
             introduced_nm=sample.offsets_nm,
         )
-        for place, one in enumerate(sample.exposures)
+        for index, one in enumerate(sample.exposures)
     ]
     return cube, ramps
 
 
 def dim_and_estimate(sample: FaintSample) -> dict[str, np.ndarray]:
-    """Simulate a sample and scan the magnitudes in every way of `COMPARED`.
+    """Simulate a sample and scan the magnitudes by every variant of `COMPARED`.
 
     Returns
     -------
     dict of str to ndarray
         For every exposure time ``<s>``: ``<s>/residual_nm`` (offsets,), the mean AO residual's defocus of
-        every frame; and for every way ``<s>/<way>/abs_error_nm`` (magnitudes, offsets × realisations),
-        NaN where it failed, and ``<s>/<way>/crb_nm`` (magnitudes,).
+        every frame; and for every variant ``<s>/<variant>/abs_error_nm`` (magnitudes, offsets ×
+        realisations), NaN where it failed, and ``<s>/<variant>/crb_nm`` (magnitudes,).
     """
     cube, ramps = scenes_of(sample)
-    methods = dict.fromkeys(WAYS[key].ncpa for key in COMPARED if WAYS[key].ncpa)
-    knowledge = calibrated(cube, list(methods))
-    found = {}
+    knowledge = calibrated(cube, methods_of(LIFT_VARIANTS[key] for key in COMPARED))
+    found: dict[str, np.ndarray] = {}
     for ramp, exposures in zip(ramps, sample.exposures, strict=True):
         exposed = expose(ramp)
         residual = exposed.zernike_nm[:, DEFOCUS - 2] - ramp.ncpa_nm[DEFOCUS]
@@ -109,8 +110,8 @@ def dim_and_estimate(sample: FaintSample) -> dict[str, np.ndarray]:
 
 
 def _scans(observed: ObservedRamp, magnitudes: Sequence[float], sample: FaintSample) -> dict[str, np.ndarray]:
-    signal_e = observed.estimate(WAYS[SIGNAL_WAY]).result.model_e
-    found = {}
+    signal_e = observed.estimate(LIFT_VARIANTS[SIGNAL_VARIANT]).result.model_e
+    found: dict[str, np.ndarray] = {}
     for key in COMPARED:
         curve = _scan(observed, key, signal_e, np.array(magnitudes), sample)
         found |= {f"{key}/abs_error_nm": curve.abs_error_nm, f"{key}/crb_nm": curve.crb_nm}
@@ -120,15 +121,15 @@ def _scans(observed: ObservedRamp, magnitudes: Sequence[float], sample: FaintSam
 def _scan(
     observed: ObservedRamp, key: str, signal_e: torch.Tensor, magnitudes: np.ndarray, sample: FaintSample
 ) -> Curve:
-    way, data = WAYS[key], observed.data
+    variant, data = LIFT_VARIANTS[key], observed.data
     return scan(
-        ImageModel(observed.model(way), observed.effects(way)),
+        ImageModel(observed.model(variant), observed.effects(variant)),
         data,
         signal_e,
         sample.mag_j,
         magnitudes,
         sample.realisations,
-        torch.zeros(len(data.images_e), len(way.modes), dtype=torch.float64),
+        torch.zeros(len(data.images_e), len(variant.modes), dtype=torch.float64),
         Criterion(),
         sample.seed[-1],
     )
@@ -138,16 +139,31 @@ def _scan(
 
 
 def pooled(
-    found: Sequence[Mapping[str, np.ndarray]], exposures: Exposures, way: str, criterion: Criterion
+    found: Sequence[Mapping[str, np.ndarray]], exposures: Exposures, key: str, criterion: Criterion
 ) -> Curve:
-    """Curve of one way over all samples."""
-    path = f"{exposures.exposure_s:g}/{way}"
+    """Return the curve of one variant over all samples.
+
+    Parameters
+    ----------
+    found : sequence of dict
+        Results of `dim_and_estimate`.
+    exposures : Exposures
+        Those of the curve.
+    key : str
+        Of `LIFT_VARIANTS`.
+    criterion : Criterion
+        Of the limiting magnitude.
+    """
+    path = f"{exposures.exposure_s:g}/{key}"
     errors = np.concatenate([one[f"{path}/abs_error_nm"] for one in found], axis=1)
     bound = np.median([one[f"{path}/crb_nm"] for one in found], axis=0)
-    return curve_of(WAYS[way].modes, np.array(exposures.magnitudes), errors, bound, criterion)
+    return curve_of(LIFT_VARIANTS[key].modes, np.array(exposures.magnitudes), errors, bound, criterion)
 
 
 def residual_floor_nm(found: Sequence[Mapping[str, np.ndarray]], exposures: Exposures) -> float:
-    """Median |error| of a perfect sensor: the AO residual has defocus of its own in every frame [nm RMS]."""
+    """Return the median absolute error of a perfect sensor in `exposures` [nm RMS].
+
+    The AO residual has a defocus of its own in every frame, which is among the results `found`.
+    """
     residual = np.concatenate([one[f"{exposures.exposure_s:g}/residual_nm"] for one in found])
     return float(MEDIAN_OF_NORMAL * np.sqrt(np.mean(residual**2)))

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL
-from irlos_pipe.report.content import Figure, Section, Table
+from irlos_pipe.paper.faint.results import ExposureGroup, FaintCriterion, FaintResults, VariantCurve
+from irlos_pipe.report.content import Block, Figure, Section, Table
 from irlos_pipe.report.drawing import BLUE, GREEN, ORANGE
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_sensitivity import Curve, Look, criterion_text, limit_text, sensitivity_plot
 from irlos_pipe.report.text import number
-from irlos_pipe.stages.sensitivity import CriterionRow, CurveRow
 
-STAGE = "faint"
+STAGE = FaintResults.stage
 LABELS = {"none": "no NCPAs", "published": "NCPAs by DIP global", "default": "this pipeline"}
 COLOURS = {"none": ORANGE, "published": GREEN, "default": BLUE}
 CAPTION = (
@@ -25,74 +23,53 @@ CAPTION = (
 
 def section(run: RunData) -> Section:
     """Build the section."""
-    results = run.results(STAGE)
-    groups, criterion = results.get("exposures", []), results.get("criterion") or {}
-    blocks = [*(_figure(group, criterion) for group in groups), _table(groups, criterion)]
-    return Section(STAGE, "Sensitivity, simulated", _lead(results), blocks)
+    results = run.results(FaintResults)
+    groups, criterion = results.exposures, results.criterion
+    blocks: list[Block] = [*(_figure(group, criterion) for group in groups), _table(groups, criterion)]
+    return Section(STAGE, "Sensitivity, simulated", _lead(groups), blocks)
 
 
-def _lead(results: dict[str, Any]) -> str:
-    told = "; ".join(_limits(group) for group in results.get("exposures", []))
+def _lead(groups: list[ExposureGroup]) -> str:
+    limits = "; ".join(_limits(group) for group in groups)
     return (
-        f"Limiting m_J without NCPAs, with those of DIP global, with this pipeline's (three modes): {told}."
+        f"Limiting m_J without NCPAs, with those of DIP global, with this pipeline's (three modes): {limits}."
     )
 
 
-def _limits(group: dict[str, Any]) -> str:
-    limits = {row["key"]: limit_text(CurveRow.model_validate(row)) for row in group["curves"]}
-    told = " → ".join(limits[f"{kind}_3"] for kind in LABELS)
-    return f"{told} at {group['exposure_s']:g} s"
+def _limits(group: ExposureGroup) -> str:
+    limits = {curve.key: limit_text(curve) for curve in group.curves}
+    return f"{' → '.join(limits[f'{kind}_3'] for kind in LABELS)} at {group.exposure_s:g} s"
 
 
-def _figure(group: dict[str, Any], criterion: dict[str, Any]) -> Figure:
-    rows = group["curves"]
+def _figure(group: ExposureGroup, criterion: FaintCriterion) -> Figure:
     drawing = sensitivity_plot(
-        f"faint-{group['exposure_s']:g}".replace(".", "-"),
-        [Curve.of(CurveRow.model_validate(row), _label(row)) for row in rows],
-        CriterionRow.model_validate(criterion),
-        [_look(row) for row in rows],
-        group["residual_floor_nm"],
+        f"faint-{group.exposure_s:g}".replace(".", "-"),
+        [Curve.of(curve, f"{LABELS[curve.kind]}, {len(curve.modes)} modes") for curve in group.curves],
+        criterion,
+        [_look(curve) for curve in group.curves],
+        group.residual_floor_nm,
     )
-    return Figure(drawing, f"Exposures of {group['exposure_s']:g} s", CAPTION)
+    return Figure(drawing, f"Exposures of {group.exposure_s:g} s", CAPTION)
 
 
-def _kind(row: dict[str, Any]) -> str:
-    return row["key"].rpartition("_")[0]
+def _look(curve: VariantCurve) -> Look:
+    few = len(curve.modes) == 3
+    return Look(COLOURS[curve.kind], "o" if few else "s", main=few)
 
 
-def _label(row: dict[str, Any]) -> str:
-    return f"{LABELS[_kind(row)]}, {len(row['modes'])} modes"
-
-
-def _look(row: dict[str, Any]) -> Look:
-    few = len(row["modes"]) == 3
-    return Look(COLOURS[_kind(row)], "o" if few else "s", main=few)
-
-
-def _table(groups: list[dict[str, Any]], criterion: dict[str, Any]) -> Table:
+def _table(groups: list[ExposureGroup], criterion: FaintCriterion) -> Table:
     columns = ["estimate", "modes"]
     for group in groups:
-        columns += [f"limit at {group['exposure_s']:g} s [J mag]", "error at the bright end [nm]"]
-    rows = [_row(together) for together in zip(*(group["curves"] for group in groups), strict=True)]
-    marks = (
-        ["good" if row["key"].startswith("default") else "" for row in groups[0]["curves"]] if groups else []
-    )
-    return Table(
-        columns,
-        rows,
-        "Limiting magnitude",
-        f"{criterion_text(CriterionRow.model_validate(criterion))} {_sizes(groups)}",
-        marks,
-    )
+        columns += [f"limit at {group.exposure_s:g} s [J mag]", "error at the bright end [nm]"]
+    rows = [_row(together) for together in zip(*(group.curves for group in groups), strict=True)]
+    marks = ["good" if curve.key.startswith("default") else "" for curve in groups[0].curves]
+    trials = max(curve.trials or 0 for group in groups for curve in group.curves)
+    caption = f"{criterion_text(criterion)} {trials} estimates per magnitude."
+    return Table(columns, rows, "Limiting magnitude", caption, marks)
 
 
-def _row(together: tuple[dict[str, Any], ...]) -> list[str]:
-    cells = [together[0]["label"], str(len(together[0]["modes"]))]
-    for row in together:
-        cells += [limit_text(CurveRow.model_validate(row)), number(row["median_abs_error_nm"][0])]
+def _row(together: tuple[VariantCurve, ...]) -> list[str]:
+    cells = [together[0].label, str(len(together[0].modes))]
+    for curve in together:
+        cells += [limit_text(curve), number(curve.median_abs_error_nm[0])]
     return cells
-
-
-def _sizes(groups: list[dict[str, Any]]) -> str:
-    trials = {row["trials"] for group in groups for row in group["curves"]}
-    return f"{max(trials)} estimates per magnitude." if trials else ""

@@ -6,7 +6,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, Curve
-from irlos_pipe.paper.common.ensemble import run_samples
+from irlos_pipe.paper.common.ensemble import Arrays, run_samples
+from irlos_pipe.paper.common.ramps import LIFT_VARIANTS
 from irlos_pipe.paper.faint.experiment import (
     COMPARED,
     Exposures,
@@ -15,16 +16,23 @@ from irlos_pipe.paper.faint.experiment import (
     pooled,
     residual_floor_nm,
 )
-from irlos_pipe.paper.focus_ramp.experiment import WAYS
+from irlos_pipe.paper.faint.results import ExposureGroup, FaintCriterion, FaintResults, VariantCurve
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = "faint"
+NAME = FaintResults.stage
 VERSION = 5
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 MONITOR = "mass_dimm"  # the paper's scale of the seeing on sky
-CURVE_KEYS = ("mag_j", "median_abs_error_nm", "p16_nm", "p84_nm", "crb_nm", "failures")
+CURVE_UNITS = {
+    "mag_j": "mag",
+    "median_abs_error_nm": "nm",
+    "p16_nm": "nm",
+    "p84_nm": "nm",
+    "crb_nm": "nm",
+    "failures": "",
+}
 
 
 class Config(StageConfig):
@@ -57,7 +65,7 @@ class Config(StageConfig):
         return self
 
     def scans(self) -> tuple[Exposures, ...]:
-        """Lengths of exposure with their magnitudes, bright to faint."""
+        """Return the lengths of exposure with their magnitudes, bright to faint."""
         steps = np.arange(self.magnitudes)[::-1] * self.mag_step
         return tuple(
             Exposures(exposure_s, tuple((faintest - steps).tolist()))
@@ -65,27 +73,28 @@ class Config(StageConfig):
         )
 
 
-def run(ctx: StageContext) -> StageOutput:
+def run(ctx: StageContext[Config]) -> StageOutput:
     """Dim and estimate the ramps of all samples; one group of curves per length of exposure."""
-    samples = [_sample(ctx, index) for index in range(ctx.config.samples)]
+    config = ctx.config
+    samples = [_sample(ctx, index) for index in range(config.samples)]
     found = run_samples(dim_and_estimate, samples, ctx, "samples")
-    criterion = Criterion(ctx.config.limit_nm, ctx.config.limit_failures)
-    groups = [_group(found, exposures, criterion) for exposures in ctx.config.scans()]
-    results = {
-        "samples": len(found),
-        "exposures": groups,
-        "criterion": {
-            "median_abs_error_nm": ctx.config.limit_nm,
-            "failures": ctx.config.limit_failures,
-            "implausible_nm": criterion.implausible_nm,
-        },
-        "crb_note": f"1 sigma; the median |error| of an efficient estimate is {MEDIAN_OF_NORMAL} of it",
-    }
+    criterion = Criterion(config.limit_nm, config.limit_failures)
+    groups = [_group(found, exposures, criterion) for exposures in config.scans()]
+    results = FaintResults(
+        samples=len(found),
+        exposures=groups,
+        criterion=FaintCriterion(
+            median_abs_error_nm=config.limit_nm,
+            failures=config.limit_failures,
+            implausible_nm=criterion.implausible_nm,
+        ),
+        crb_note=f"1 sigma; the median |error| of an efficient estimate is {MEDIAN_OF_NORMAL} of it",
+    )
     return StageOutput(_arrays(groups), results, summary=[_line(group) for group in groups])
 
 
-def _sample(ctx: StageContext, index: int) -> FaintSample:
-    config: Config = ctx.config
+def _sample(ctx: StageContext[Config], index: int) -> FaintSample:
+    config = ctx.config
     offsets = np.linspace(-config.reach_nm, config.reach_nm, config.offsets)
     return FaintSample(
         f"sample {index}",
@@ -100,35 +109,41 @@ def _sample(ctx: StageContext, index: int) -> FaintSample:
     )
 
 
-def _group(found: list, exposures: Exposures, criterion: Criterion) -> dict:
-    """Curves of all ways for one length of exposure."""
+def _group(found: list[Arrays], exposures: Exposures, criterion: Criterion) -> ExposureGroup:
+    """Curves of all variants for one length of exposure."""
+    return ExposureGroup(
+        exposure_s=exposures.exposure_s,
+        residual_floor_nm=residual_floor_nm(found, exposures),
+        curves=[_curve(key, pooled(found, exposures, key, criterion)) for key in COMPARED],
+    )
+
+
+def _curve(key: str, curve: Curve) -> VariantCurve:
+    variant = LIFT_VARIANTS[key]
+    return VariantCurve(
+        key=key,
+        label=variant.name,
+        modes=list(variant.modes),
+        calibrated=bool(variant.ncpa),
+        **{name: getattr(curve, name).tolist() for name in CURVE_UNITS},
+        trials=curve.trials,
+        limit_mag=curve.limit_mag,
+    )
+
+
+def _arrays(groups: list[ExposureGroup]) -> dict[str, Quantity]:
     return {
-        "exposure_s": exposures.exposure_s,
-        "residual_floor_nm": residual_floor_nm(found, exposures),
-        "curves": [_row(way, pooled(found, exposures, way, criterion)) for way in COMPARED],
-    }
-
-
-def _row(key: str, curve: Curve) -> dict:
-    way = WAYS[key]
-    row = {"key": key, "label": way.name, "modes": list(way.modes), "calibrated": bool(way.ncpa)}
-    row |= {name: getattr(curve, name).tolist() for name in CURVE_KEYS}
-    return row | {"trials": curve.trials, "limit_mag": curve.limit_mag}
-
-
-def _arrays(groups: list[dict]) -> dict[str, Quantity]:
-    return {
-        f"{group['exposure_s']:g}/{row['key']}/{name}": Quantity(
-            np.array(row[name]),
-            "mag" if name == "mag_j" else "nm" if name.endswith("_nm") else "",
-            f"{row['label']}, {len(row['modes'])} modes, {group['exposure_s']:g} s",
+        f"{group.exposure_s:g}/{curve.key}/{name}": Quantity(
+            np.array(getattr(curve, name)),
+            unit,
+            f"{curve.label}, {len(curve.modes)} modes, {group.exposure_s:g} s",
         )
         for group in groups
-        for row in group["curves"]
-        for name in CURVE_KEYS
+        for curve in group.curves
+        for name, unit in CURVE_UNITS.items()
     }
 
 
-def _line(group: dict) -> str:
-    limits = ", ".join(f"{row['key']} {row['limit_mag']:.1f}" for row in group["curves"])
-    return f"limiting m_J at {group['exposure_s']:g} s: {limits}"
+def _line(group: ExposureGroup) -> str:
+    limits = ", ".join(f"{curve.key} {curve.limit_mag:.1f}" for curve in group.curves)
+    return f"limiting m_J at {group.exposure_s:g} s: {limits}"

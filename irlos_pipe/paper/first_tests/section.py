@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.estimate.ramp import travel_direction
-from irlos_pipe.report.content import Figure, Section, Table
+from irlos_pipe.paper.common.section import array_of
+from irlos_pipe.paper.first_tests.results import FirstTestsResults, TargetRow, VariantRow
+from irlos_pipe.report.content import Block, Figure, Section, Table
 from irlos_pipe.report.drawing import BLUE, INK, ORANGE, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number, with_error
 
-STAGE = "first_tests"
+STAGE = FirstTestsResults.stage
 DRAWN = {
     "hand_9": "as in the paper: kernel by hand, nine modes",
     "default_3": "this pipeline: NCPAs, AO residual, three modes",
@@ -31,14 +31,14 @@ STARTS = {
     "scan": "scan of defocus",
     "default": "elongation, outliers again from the scan",
 }
-WAYS = {"hand_9": "kernel by hand, nine modes", "default_3": "NCPAs, AO residual, three modes"}
+VARIANTS = {"hand_9": "kernel by hand, nine modes", "default_3": "NCPAs, AO residual, three modes"}
 FIGURE_CAPTION = (
-    "First ramp: estimated minus told defocus, that of the NCPAs taken off; line: what the focus stage did. "
-    "Frames of the same offset stand side by side in order of time."
+    "First ramp: estimated minus commanded defocus, that of the NCPAs taken off; line: error of the focus "
+    "stage. Frames of the same offset stand side by side in order of time."
 )
-WAYS_CAPTION = (
+VARIANTS_CAPTION = (
     "Medians over the ramps. Error: against the true defocus of every frame (reached by the stage, NCPAs, AO "
-    "residual). The last columns are what a user gets who knows only what the stage was told: of the first "
+    "residual). The last columns are what a user gets who knows only the commanded defocus: of the first "
     "ramp, and the RMS over all ramps of (found − true) / error."
 )
 STARTS_CAPTION = (
@@ -49,52 +49,48 @@ STARTS_CAPTION = (
 
 def section(run: RunData) -> Section:
     """Build the section."""
-    targets = run.results(STAGE).get("targets", [])
+    targets = run.results(FirstTestsResults).targets
     figures = [
         Figure(_ramp_figure(run, target), _title(target), FIGURE_CAPTION, "full") for target in targets
     ]
-    blocks = [*figures, *(_ways_table(target) for target in targets), _starts_table(targets)]
+    blocks: list[Block] = [*figures, *(_variants_table(target) for target in targets), _starts_table(targets)]
     return Section(STAGE, "First test on sky, simulated", _lead(targets), blocks)
 
 
-def _lead(targets: list[dict[str, Any]]) -> str:
-    told = [
-        f"{target['label']} {np.median(_way(target, 'hand_9')['rms_nm']):.0f} → "
-        f"{np.median(_way(target, 'default_3')['rms_nm']):.1f} nm"
+def _lead(targets: list[TargetRow]) -> str:
+    errors = [
+        f"{target.label} {np.median(target.variant('hand_9').rms_nm):.0f} → "
+        f"{np.median(target.variant('default_3').rms_nm):.1f} nm"
         for target in targets
     ]
-    return f"Median error, from the paper's way to this pipeline: {', '.join(told)}."
+    return f"Median error, from the paper's estimate to this pipeline's: {', '.join(errors)}."
 
 
-def _way(target: dict[str, Any], key: str) -> dict[str, Any]:
-    return next(way for way in target["ways"] if way["key"] == key)
-
-
-def _title(target: dict[str, Any]) -> str:
+def _title(target: TargetRow) -> str:
     return (
-        f'{target["label"].capitalize()}: m_J {target["mag_j"]:g}, seeing {target["seeing_arcsec"]:g}" by '
-        f'MASS-DIMM ({target["sparta_seeing_arcsec"]:.2g}" by SPARTA)'
+        f'{target.label.capitalize()}: m_J {target.mag_j:g}, seeing {target.seeing_arcsec:g}" by '
+        f'MASS-DIMM ({target.sparta_seeing_arcsec:.2g}" by SPARTA)'
     )
 
 
 # -- figure --------------------------------------------------------------------------------------
 
 
-def _ramp_figure(run: RunData, target: dict[str, Any]) -> Markup:
-    key = target["key"]
+def _ramp_figure(run: RunData, target: TargetRow) -> Markup:
+    key = target.key
     introduced, reached, ncpa = (
-        run.array(STAGE, f"{key}/{name}") for name in ("introduced_nm", "reached_nm", "ncpa_nm")
+        array_of(run, STAGE, f"{key}/{name}") for name in ("introduced_nm", "reached_nm", "ncpa_nm")
     )
-    group = _groups(target["stage_error"], introduced)
+    group = _groups(target.stage_error, introduced)
 
     def draw(figure: Canvas) -> None:
         panels = figure.subplots(1, len(DRAWN), sharex=True, sharey=True)
-        for axes, (way, title) in zip(panels, DRAWN.items(), strict=True):
-            difference = run.array(STAGE, f"{key}/{way}/total_nm") - ncpa - introduced
-            _draw_difference(axes, introduced, difference, group, GROUPS[target["stage_error"]])
+        for axes, (variant, title) in zip(panels, DRAWN.items(), strict=True):
+            difference = array_of(run, STAGE, f"{key}/{variant}/total_nm") - ncpa - introduced
+            _draw_difference(axes, introduced, difference, group, GROUPS[target.stage_error])
             _draw_stage(axes, introduced, reached - introduced)
-            axes.set(title=title, xlabel="told defocus [nm RMS]")
-        panels[0].set_ylabel("estimated − told [nm RMS]")
+            axes.set(title=title, xlabel="commanded defocus [nm RMS]")
+        panels[0].set_ylabel("estimated − commanded [nm RMS]")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center")
 
     return svg(f"first-tests-{key}", (10.5, 3.6), draw)
@@ -109,7 +105,11 @@ def _groups(stage_error: str, introduced: np.ndarray) -> np.ndarray:
 
 
 def _draw_difference(
-    axes: Axes, introduced, difference, group, looks: dict[int, tuple[str, str, str]]
+    axes: Axes,
+    introduced: np.ndarray,
+    difference: np.ndarray,
+    group: np.ndarray,
+    looks: dict[int, tuple[str, str, str]],
 ) -> None:
     x = _side_by_side(introduced)
     for sign, (label, marker, colour) in looks.items():
@@ -133,9 +133,8 @@ def _draw_stage(axes: Axes, introduced: np.ndarray, error: np.ndarray) -> None:
 # -- tables --------------------------------------------------------------------------------------
 
 
-def _ways_table(target: dict[str, Any]) -> Table:
-    what = STAGE_ERRORS[target["stage_error"]]
-    true = number(target["ways"][0]["stage_true_nm"], "+.0f", "nm")
+def _variants_table(target: TargetRow) -> Table:
+    true = number(target.ways[0].stage_true_nm, "+.0f", "nm")
     columns = (
         "estimate",
         "modes",
@@ -143,55 +142,42 @@ def _ways_table(target: dict[str, Any]) -> Table:
         "error [nm RMS]",
         "about the line [nm RMS]",
         "kernel [mas]",
-        f"{what} (true {true}) [nm]",
+        f"{STAGE_ERRORS[target.stage_error]} (true {true}) [nm]",
         "deviation / error",
     )
-    rows = [_way_row(way) for way in target["ways"]]
-    marks = ["good" if way["key"].startswith("default") else "" for way in target["ways"]]
-    frames = f"{target['samples']} ramps of {', '.join(map(str, target['frames']))} frames. "
-    return Table(
-        columns, rows, f"{target['label'].capitalize()}: what each part buys", frames + WAYS_CAPTION, marks
-    )
+    rows = [_variant_row(variant) for variant in target.ways]
+    marks = ["good" if variant.key.startswith("default") else "" for variant in target.ways]
+    frames = f"{target.samples} ramps of {', '.join(map(str, target.frames))} frames. "
+    title = f"{target.label.capitalize()}: what each part buys"
+    return Table(columns, rows, title, frames + VARIANTS_CAPTION, marks)
 
 
-def _way_row(way: dict[str, Any]) -> tuple[str, ...]:
-    slope, rms, line, kernel = (
-        _median(way[name]) for name in ("slope", "rms_nm", "line_rms_nm", "kernel_mas")
-    )
+def _variant_row(row: VariantRow) -> tuple[str, ...]:
+    medians = (float(np.nanmedian(values)) for values in (row.rms_nm, row.line_rms_nm, row.kernel_mas))
     return (
-        way["label"],
-        str(len(way["modes"])),
-        number(slope, ".3f"),
-        number(rms),
-        number(line),
-        number(kernel),
-        with_error(way["stage_found_nm"][0], way["stage_sigma_nm"][0], "+.1f"),
-        number(_pull(way)),
+        row.label,
+        str(len(row.modes)),
+        number(float(np.nanmedian(row.slope)), ".3f"),
+        *(number(median) for median in medians),
+        with_error(row.stage_found_nm[0], row.stage_sigma_nm[0], "+.1f"),
+        number(row.pull),
     )
 
 
-def _median(values: list[float | None]) -> float:
-    return float(np.nanmedian(np.array(values, float)))
-
-
-def _pull(way: dict[str, Any]) -> float:
-    """RMS over the ramps of the deviation from the truth in units of the quoted error."""
-    found, sigma = (np.array(way[name], float) for name in ("stage_found_nm", "stage_sigma_nm"))
-    return float(np.sqrt(np.mean(((found - way["stage_true_nm"]) / sigma) ** 2)))
-
-
-def _starts_table(targets: list[dict[str, Any]]) -> Table:
+def _starts_table(targets: list[TargetRow]) -> Table:
     columns = ["model", "start"]
     for target in targets:
-        columns += [f"{target['label']}: wrong", "iterations"]
-    keys = [(row["way"], row["start"]) for row in targets[0]["starts"]] if targets else []
-    rows = [_start_row(targets, *key) for key in keys]
+        columns += [f"{target.label}: wrong", "iterations"]
+    rows = [
+        [
+            VARIANTS[together[0].way],
+            STARTS[together[0].start],
+            *(
+                cell
+                for one in together
+                for cell in (f"{one.wrong} of {one.frames}", number(one.median_iterations, ".0f"))
+            ),
+        ]
+        for together in zip(*(target.starts for target in targets), strict=True)
+    ]
     return Table(columns, rows, "What the start buys", STARTS_CAPTION)
-
-
-def _start_row(targets: list[dict[str, Any]], way: str, start: str) -> list[str]:
-    cells = [WAYS[way], STARTS[start]]
-    for target in targets:
-        row = next(one for one in target["starts"] if (one["way"], one["start"]) == (way, start))
-        cells += [f"{row['wrong']} of {row['frames']}", number(row["median_iterations"], ".0f")]
-    return cells

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import LogLocator, NullLocator
 
-from irlos_pipe.report.content import Figure, Section, Table
+from irlos_pipe.paper.common.results import Percentiles
+from irlos_pipe.paper.common.section import array_of
+from irlos_pipe.paper.focus_ramp.results import FocusRampResults, VariantRow
+from irlos_pipe.report.content import Block, Figure, Section, Table
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, YELLOW, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import mode_label, number, plural
 
-STAGE = "focus_ramp"
+STAGE = FocusRampResults.stage
 DRAWN = {  # the ramps drawn side by side, where they were run
     "none_9": "no NCPAs in the model",
     "published_9": "NCPAs by DIP global",
@@ -45,47 +46,49 @@ COLUMNS = (
 
 def section(run: RunData) -> Section:
     """Build the section."""
-    results = run.results(STAGE)
-    ways = results.get("ways", [])
-    errors = Figure(_errors(run, ways), "Error of every ramp", ERROR_CAPTION)
-    blocks = [*_modes_figure(run, ways), errors, _table(ways)]
+    results = run.results(FocusRampResults)
+    rows = results.ways
+    errors = Figure(_errors(run, rows), "Error of every ramp", ERROR_CAPTION)
+    blocks: list[Block] = [*_modes_figure(run, rows), errors, _table(rows)]
     return Section(STAGE, "Focus ramp with and without calibrated NCPAs", _lead(results), blocks)
 
 
-def _lead(results: dict[str, Any]) -> str:
-    best = {way["key"]: way for way in results.get("ways", [])}
-    told = [
-        f"{best[key]['rms_nm']['median']:.1f} nm {words}"
-        for key, words in (
+def _lead(results: FocusRampResults) -> str:
+    rows = {row.key: row for row in results.ways}
+    errors = [
+        f"{rows[key].rms_nm.median:.1f} nm {text}"
+        for key, text in (
             ("none_9", "without NCPAs (nine modes)"),
             ("published_3", "with those of DIP global (three modes)"),
             ("default_3", "with this pipeline's (three modes)"),
         )
-        if key in best
+        if key in rows
     ]
-    return f"Median error over {plural(results.get('samples', 0), 'ramp')}: {', '.join(told)}."
+    return f"Median error over {plural(results.samples, 'ramp')}: {', '.join(errors)}."
 
 
 # -- one ramp, all modes -------------------------------------------------------------------------
 
 
-def _modes_figure(run: RunData, ways: list[dict[str, Any]]) -> list[Figure]:
-    shown = [way for way in ways if way["key"] in DRAWN]
+def _modes_figure(run: RunData, rows: list[VariantRow]) -> list[Figure]:
+    shown = [row for row in rows if row.key in DRAWN]
     if not shown:
         return []
     return [Figure(_modes(run, shown), "Estimated modes against introduced defocus", MODES_CAPTION, "full")]
 
 
-def _modes(run: RunData, shown: list[dict[str, Any]]) -> Markup:
-    introduced, true = run.array(STAGE, "introduced_nm"), run.array(STAGE, "true_nm")
+def _modes(run: RunData, shown: list[VariantRow]) -> Markup:
+    introduced, true = array_of(run, STAGE, "introduced_nm"), array_of(run, STAGE, "true_nm")
 
     def draw(figure: Canvas) -> None:
         top, bottom = figure.subplots(
             2, len(shown), sharex=True, sharey="row", squeeze=False, height_ratios=(3, 2)
         )
-        for upper, lower, way in zip(top, bottom, shown, strict=True):
-            _draw_way(upper, lower, way, introduced, true, run.array(STAGE, f"{way['key']}/modes_nm"))
-            upper.set_title(DRAWN[way["key"]])
+        for upper, lower, variant in zip(top, bottom, shown, strict=True):
+            _draw_variant(
+                upper, lower, variant, introduced, true, array_of(run, STAGE, f"{variant.key}/modes_nm")
+            )
+            upper.set_title(DRAWN[variant.key])
             lower.set_xlabel("introduced defocus [nm RMS]")
         top[0].set_ylabel("coefficient [nm RMS]")
         bottom[0].set_ylabel("estimated − true\n[nm RMS]")
@@ -95,14 +98,14 @@ def _modes(run: RunData, shown: list[dict[str, Any]]) -> Markup:
     return svg("focus-ramp-modes", (10.5, 6.2), draw)
 
 
-def _draw_way(
-    upper: Axes, lower: Axes, way: dict[str, Any], introduced: np.ndarray, true: np.ndarray, modes: np.ndarray
+def _draw_variant(
+    upper: Axes, lower: Axes, variant: VariantRow, introduced: np.ndarray, true: np.ndarray, modes: np.ndarray
 ) -> None:
     """Estimated and true coefficients above, their difference below."""
-    drawn = [noll for noll in way["modes"] if noll not in HIDDEN_MODES]
+    drawn = [noll for noll in variant.modes if noll not in HIDDEN_MODES]
     lower.axhline(0, color=INK, linewidth=0.9)
     for noll, colour in zip(drawn, COLOURS, strict=False):
-        estimated, there = modes[:, way["modes"].index(noll)], true[:, noll - 2]
+        estimated, there = modes[:, variant.modes.index(noll)], true[:, noll - 2]
         offsets, median = _medians(introduced, estimated)
         upper.plot(offsets, median, "o-", color=colour, markersize=3, label=mode_label(noll))
         upper.plot(offsets, _medians(introduced, there)[1], "--", color=colour, linewidth=0.9)
@@ -118,21 +121,21 @@ def _medians(introduced: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np
 # -- all ramps -----------------------------------------------------------------------------------
 
 
-def _errors(run: RunData, ways: list[dict[str, Any]]) -> Markup:
+def _errors(run: RunData, rows: list[VariantRow]) -> Markup:
     def draw(figure: Canvas) -> None:
         axes = figure.subplots()
-        for row, way in enumerate(ways[::-1]):
+        for place, row in enumerate(rows[::-1]):
             for shift, (key, look) in zip((0.17, -0.17), KINDS.items(), strict=True):
-                values = run.array(STAGE, f"{way['key']}/{key}")
-                _draw_samples(axes, values, row + shift, look, labelled=row == 0)
-        axes.set_yticks(range(len(ways)), [_name(way) for way in ways[::-1]])
+                values = array_of(run, STAGE, f"{row.key}/{key}")
+                _draw_samples(axes, values, place + shift, look, labelled=place == 0)
+        axes.set_yticks(range(len(rows)), [_name(row) for row in rows[::-1]])
         axes.set(xlabel="error of the defocus [nm RMS]", xscale="log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_locator(NullLocator())
         figure.legend(loc="outside upper center", ncols=2)
 
-    return svg("focus-ramp-errors", (5.4, 0.8 + 0.42 * len(ways)), draw)
+    return svg("focus-ramp-errors", (5.4, 0.8 + 0.42 * len(rows)), draw)
 
 
 def _draw_samples(axes: Axes, values: np.ndarray, row: float, look: tuple, labelled: bool) -> None:
@@ -143,30 +146,30 @@ def _draw_samples(axes: Axes, values: np.ndarray, row: float, look: tuple, label
     axes.vlines(np.median(values), row - 0.15, row + 0.15, color=INK, linewidth=1.4)
 
 
-def _name(way: dict[str, Any]) -> str:
-    """Label of a way on two lines."""
-    first, _, rest = way["label"].partition(", ")
-    return f"{first},\n{rest}, {len(way['modes'])} modes"
+def _name(row: VariantRow) -> str:
+    """Label of a variant on two lines."""
+    first, _, rest = row.label.partition(", ")
+    return f"{first},\n{rest}, {len(row.modes)} modes"
 
 
-def _table(ways: list[dict[str, Any]]) -> Table:
-    rows = [
+def _table(rows: list[VariantRow]) -> Table:
+    body = [
         (
-            way["label"],
-            str(len(way["modes"])),
-            _spread(way["slope"], ".3f"),
-            _spread(way["offset_nm"], "+.1f"),
-            _spread(way["rms_nm"]),
-            _spread(way["line_rms_nm"]),
-            _spread(way["true_rms_nm"]),
+            row.label,
+            str(len(row.modes)),
+            _spread(row.slope, ".3f"),
+            _spread(row.offset_nm, "+.1f"),
+            _spread(row.rms_nm),
+            _spread(row.line_rms_nm),
+            _spread(row.true_rms_nm),
         )
-        for way in ways
+        for row in rows
     ]
-    marks = ["good" if way["key"].startswith("default") else "" for way in ways]
+    marks = ["good" if row.key.startswith("default") else "" for row in rows]
     caption = "Medians over the ramps, 16th to 84th percentile in brackets."
-    return Table(COLUMNS, rows, "Ways of estimating the ramp", caption, marks)
+    return Table(COLUMNS, body, "Variants of estimating the ramp", caption, marks)
 
 
-def _spread(found: dict[str, float], pattern: str = ".1f") -> str:
-    median, p16, p84 = (number(found[key], pattern) for key in ("median", "p16", "p84"))
+def _spread(found: Percentiles, pattern: str = ".1f") -> str:
+    median, p16, p84 = (number(value, pattern) for value in (found.median, found.p16, found.p84))
     return f"{median} ({p16}…{p84})"

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
-from irlos_pipe.paper.focus_ramp.experiment import WAYS, RampErrors, RampSample, estimate, ramp_errors
+from irlos_pipe.paper.common.ramps import LIFT_VARIANTS
+from irlos_pipe.paper.common.results import Percentiles
+from irlos_pipe.paper.focus_ramp.experiment import RampErrors, RampSample, estimate, ramp_errors
+from irlos_pipe.paper.focus_ramp.results import FocusRampResults, VariantRow
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = "focus_ramp"
+NAME = FocusRampResults.stage
 VERSION = 5
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -35,24 +37,32 @@ class Config(StageConfig):
     offsets: int = Field(13, ge=3, le=200, description="positions of the ramp")
     frames_per_offset: int = Field(2, ge=1, le=1000)
     cube_frames: int = Field(300, ge=10, le=10000, description="frames of the calibration cube")
-    ways: tuple[Literal[tuple(WAYS)], ...] = Field(tuple(WAYS), min_length=1, description="of estimating it")
+    ways: tuple[str, ...] = Field(tuple(LIFT_VARIANTS), min_length=1, description="variants of LIFT")
     seeing_arcsec: float = Field(0.35, gt=0, le=3)
     cube_mag_j: float = Field(7.0, ge=0, le=20)
     ramp_mag_j: float = Field(12.0, ge=0, le=20)
 
+    @field_validator("ways")
+    @classmethod
+    def _known(cls, ways: tuple[str, ...]) -> tuple[str, ...]:
+        for key in ways:
+            if key not in LIFT_VARIANTS:
+                raise ValueError(f"no variant '{key}'; known: {', '.join(LIFT_VARIANTS)}")
+        return ways
 
-def run(ctx: StageContext) -> StageOutput:
-    """Simulate and estimate all ramps, and sum up per way."""
+
+def run(ctx: StageContext[Config]) -> StageOutput:
+    """Simulate and estimate all ramps, and summarise every variant."""
     samples = [_sample(ctx, index) for index in range(ctx.config.samples)]
-    numbers = run_samples(estimate, samples, ctx, "ramps")
-    errors = {way: [ramp_errors(found, way) for found in numbers] for way in ctx.config.ways}
-    ways = [_way(key, errors[key]) for key in ctx.config.ways]
-    results = {"samples": len(numbers), "ways": ways}
-    return StageOutput(_arrays(numbers[0], errors), results, summary=[_line(way) for way in ways])
+    found = run_samples(estimate, samples, ctx, "ramps")
+    errors = {key: [ramp_errors(one, key) for one in found] for key in ctx.config.ways}
+    rows = [_row(key, of_it) for key, of_it in errors.items()]
+    results = FocusRampResults(samples=len(found), ways=rows)
+    return StageOutput(_arrays(found[0], errors), results, summary=[_line(row) for row in rows])
 
 
-def _sample(ctx: StageContext, index: int) -> RampSample:
-    config: Config = ctx.config
+def _sample(ctx: StageContext[Config], index: int) -> RampSample:
+    config = ctx.config
     offsets = np.linspace(-config.reach_nm, config.reach_nm, config.offsets)
     return RampSample(
         f"ramp {index}",
@@ -68,15 +78,13 @@ def _sample(ctx: StageContext, index: int) -> RampSample:
     )
 
 
-def _way(key: str, errors: list[RampErrors]) -> dict:
-    """One row of the results: median and spread over the samples."""
-    way = WAYS[key]
-    row = {"key": key, "label": way.name, "modes": list(way.modes), "ncpa": way.ncpa or None}
-    values = {name: np.array([getattr(one, name) for one in errors]) for name in NUMBERS}
-    for name, samples in values.items():
-        p16, median, p84 = np.percentile(samples, [15.87, 50, 84.13])
-        row[name] = {"median": float(median), "p16": float(p16), "p84": float(p84)}
-    return row
+def _row(key: str, errors: list[RampErrors]) -> VariantRow:
+    """Median and spread over the samples."""
+    variant = LIFT_VARIANTS[key]
+    numbers = {name: Percentiles.of([getattr(one, name) for one in errors]) for name in NUMBERS}
+    return VariantRow(
+        key=key, label=variant.name, modes=list(variant.modes), ncpa=variant.ncpa or None, **numbers
+    )
 
 
 def _arrays(first: Arrays, errors: dict[str, list[RampErrors]]) -> dict[str, Quantity]:
@@ -85,19 +93,18 @@ def _arrays(first: Arrays, errors: dict[str, list[RampErrors]]) -> dict[str, Qua
         "introduced_nm": Quantity(first["introduced_nm"], "nm", "first ramp: introduced defocus"),
         "true_nm": Quantity(first["true_nm"], "nm", "first ramp: Noll 2-11 of every frame's wavefront"),
     }
-    for way, samples in errors.items():
-        arrays[f"{way}/modes_nm"] = Quantity(
-            first[f"{way}/modes_nm"], "nm", "first ramp: estimates (frame, mode), given NCPAs included"
+    for key, samples in errors.items():
+        arrays[f"{key}/modes_nm"] = Quantity(
+            first[f"{key}/modes_nm"], "nm", "first ramp: estimates (frame, mode), given NCPAs included"
         )
-        rows = {name: np.array([asdict(one)[name] for one in samples]) for name in NUMBERS}
-        for name, values in rows.items():
-            arrays[f"{way}/{name}"] = Quantity(values, NUMBERS[name][0], f"{NUMBERS[name][1]}, per sample")
+        for name, (unit, text) in NUMBERS.items():
+            values = np.array([asdict(one)[name] for one in samples])
+            arrays[f"{key}/{name}"] = Quantity(values, unit, f"{text}, per sample")
     return arrays
 
 
-def _line(way: dict) -> str:
-    slope, offset, rms = (way[name]["median"] for name in ("slope", "offset_nm", "rms_nm"))
+def _line(row: VariantRow) -> str:
     return (
-        f"{way['label']}, {len(way['modes'])} modes: slope {slope:.3f}, offset {offset:+.1f} nm, "
-        f"error {rms:.1f} nm RMS"
+        f"{row.label}, {len(row.modes)} modes: slope {row.slope.median:.3f}, "
+        f"offset {row.offset_nm.median:+.1f} nm, error {row.rms_nm.median:.1f} nm RMS"
     )

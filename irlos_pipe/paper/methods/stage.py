@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
+from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
-from irlos_pipe.paper.common.variants import DEFAULT, PUBLISHED, VARIANTS
-from irlos_pipe.paper.methods.experiment import Distribution, Sample, compare, speckle_floor_nm
+from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE, PUBLISHED, VARIANTS
+from irlos_pipe.paper.methods.experiment import Sample, compare, speckle_floor_nm
+from irlos_pipe.paper.methods.results import ConditionRow, Distribution, MethodsResults
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = "methods"
+NAME = MethodsResults.stage
 VERSION = 4
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 MODEL_SHAPE = "power_law"  # what the model assumes, up to slope and direction
 OTHER_SHAPES = ("servo_lag", "aliasing", "non_stationary")
-BASELINE = "dip_global"  # the paper's choice
 DIRECTIONS = ("elliptic_residual", "round_residual")
 PARTS = tuple(name for name in VARIANTS if name not in PUBLISHED)
 
@@ -44,129 +45,129 @@ class Config(StageConfig):
     mag_j: float = Field(7.0, ge=0, le=20)
 
 
-def run(ctx: StageContext) -> StageOutput:
-    """Simulate all cubes, calibrate each in every way, and sum up per condition."""
+def run(ctx: StageContext[Config]) -> StageOutput:
+    """Simulate all cubes, calibrate each in every way, and summarise every condition."""
     samples = list(_samples(ctx))
-    numbers = run_samples(compare, samples, ctx, "cubes")
-    conditions = _conditions(samples, numbers)
-    results = {"conditions": conditions, "labels": {name: VARIANTS[name].label for name in VARIANTS}}
-    return StageOutput(_arrays(samples, numbers), results, summary=_summary(conditions))
+    found = run_samples(compare, samples, ctx, "cubes")
+    conditions = _conditions(samples, found)
+    labels = {name: variant.label for name, variant in VARIANTS.items()}
+    results = MethodsResults(conditions=conditions, labels=labels)
+    return StageOutput(_arrays(samples, found), results, summary=_summary(conditions))
 
 
-def _samples(ctx: StageContext) -> Iterator[Sample]:
-    config: Config = ctx.config
+def _samples(ctx: StageContext[Config]) -> Iterator[Sample]:
+    config = ctx.config
+    methods = (DEFAULT, *PUBLISHED)
     for seeing in config.seeings_arcsec:
-        cubes = list(_cubes(ctx, seeing, MODEL_SHAPE, config.samples, (DEFAULT, *PUBLISHED)))
-        every = (*PARTS, *PUBLISHED)
-        for cube in cubes[: config.samples_of_parts]:
-            yield replace(cube, variants=every, fractions=config.fractions)
-        yield from cubes[config.samples_of_parts :]
+        for index, cube in enumerate(_cubes(ctx, seeing, MODEL_SHAPE, config.samples)):
+            if index < config.samples_of_parts:
+                yield Sample(cube, (*PARTS, *PUBLISHED), config.fractions)
+            else:
+                yield Sample(cube, methods)
     for seeing in config.between_arcsec:
-        yield from _cubes(ctx, seeing, MODEL_SHAPE, config.samples_between, (DEFAULT, *PUBLISHED))
+        for cube in _cubes(ctx, seeing, MODEL_SHAPE, config.samples_between):
+            yield Sample(cube, methods)
     for shape in config.shapes:
         for seeing in config.seeings_arcsec:
-            yield from _cubes(ctx, seeing, shape, config.samples_of_shapes, (DEFAULT, BASELINE, *DIRECTIONS))
+            for cube in _cubes(ctx, seeing, shape, config.samples_of_shapes):
+                yield Sample(cube, (DEFAULT, PAPER_CHOICE, *DIRECTIONS))
 
 
-def _cubes(
-    ctx: StageContext, seeing: float, shape: str, count: int, variants: tuple[str, ...]
-) -> Iterator[Sample]:
+def _cubes(ctx: StageContext[Config], seeing: float, shape: str, count: int) -> Iterator[CubeSample]:
     """Cubes of one condition; the n-th of every condition has the same NCPAs."""
     for index in range(count):
-        yield Sample(
+        yield CubeSample(
             f"{shape}, {seeing:g} arcsec, cube {index}",
             (ctx.seed, index),
             ctx.instrument.facility,
             seeing,
-            shape,
             ctx.config.frames,
-            variants,
-            (),
             ctx.config.mag_j,
+            shape=shape,
         )
 
 
-def _conditions(samples: Sequence[Sample], numbers: Sequence[Arrays]) -> list[dict]:
-    """One entry per seeing and shape, with the distribution of every variant."""
-    keys = dict.fromkeys((s.shape, s.seeing_arcsec) for s in samples)
-    rows = []
-    for shape, seeing in keys:
-        of_it = [
-            n for s, n in zip(samples, numbers, strict=True) if (s.shape, s.seeing_arcsec) == (shape, seeing)
-        ]
-        rows.append({"shape": shape, "seeing_arcsec": seeing, **_condition(of_it)})
-    return rows
+def _conditions(samples: Sequence[Sample], found: Sequence[Arrays]) -> list[ConditionRow]:
+    """One row per shape and seeing, with the distribution of every variant."""
+    by_condition: dict[tuple[str, float], list[Arrays]] = {}
+    for sample, one in zip(samples, found, strict=True):
+        by_condition.setdefault((sample.cube.shape, sample.cube.seeing_arcsec), []).append(one)
+    return [_condition(shape, seeing, of_it) for (shape, seeing), of_it in by_condition.items()]
 
 
-def _condition(numbers: Sequence[Arrays]) -> dict:
-    methods = [name for name in VARIANTS if all(f"{name}/modes_nm" in n for n in numbers)]
-    row = {
-        "samples": len(numbers),
-        "introduced_nm": float(np.mean([n["introduced_nm"] for n in numbers])),
-        "introduced_scatter_nm": float(np.std([n["introduced_nm"] for n in numbers])),
-        "modes": {name: _distribution(numbers, f"{name}/modes_nm") for name in methods},
-        "pupil": {name: _distribution(numbers, f"{name}/pupil_nm") for name in methods},
-        "ratio_to_dip_global": _ratio(numbers),
-    }
-    dissected = [n for n in numbers if f"{PARTS[-1]}/modes_nm" in n]
-    return row | (_parts(dissected) if dissected else {})
+def _condition(shape: str, seeing: float, found: Sequence[Arrays]) -> ConditionRow:
+    methods = [name for name in VARIANTS if all(f"{name}/modes_nm" in one for one in found)]
+    introduced_nm = _values(found, "introduced_nm")
+    dissected = [one for one in found if f"{PARTS[-1]}/modes_nm" in one]
+    return ConditionRow(
+        shape=shape,
+        seeing_arcsec=seeing,
+        samples=len(found),
+        introduced_nm=float(np.mean(introduced_nm)),
+        introduced_scatter_nm=float(np.std(introduced_nm)),
+        modes={name: _distribution(found, f"{name}/modes_nm") for name in methods},
+        pupil={name: _distribution(found, f"{name}/pupil_nm") for name in methods},
+        ratio_to_dip_global=_ratio(found),
+        **(_parts(dissected) if dissected else {}),
+    )
 
 
-def _parts(numbers: Sequence[Arrays]) -> dict:
-    """What each part of the default buys, on the cubes where all were left out in turn."""
-    floor = _floor(numbers)
+def _parts(found: Sequence[Arrays]) -> dict[str, Any]:
+    """What each part of the default buys, on the cubes where all were changed in turn."""
+    floor_nm, rest_nm = _floor(found)
     return {
-        "parts": {name: _distribution(numbers, f"{name}/modes_nm") for name in PARTS},
-        "chi2_nu": {name: float(np.median(_values(numbers, f"{name}/chi2_nu"))) for name in PARTS},
-        "speckle_floor_nm": floor[0],
-        "beside_floor_nm": floor[1],
+        "parts": {name: _distribution(found, f"{name}/modes_nm") for name in PARTS},
+        "chi2_nu": {name: float(np.median(_values(found, f"{name}/chi2_nu"))) for name in PARTS},
+        "speckle_floor_nm": floor_nm,
+        "beside_floor_nm": rest_nm,
     }
 
 
-def _values(numbers: Sequence[Arrays], key: str) -> list[float]:
+def _values(found: Sequence[Arrays], key: str) -> list[float]:
     """Values of all cubes that have this one."""
-    return [float(n[key]) for n in numbers if key in n]
+    return [float(one[key]) for one in found if key in one]
 
 
-def _distribution(numbers: Sequence[Arrays], key: str) -> dict[str, float]:
-    return asdict(Distribution.of(_values(numbers, key)))
+def _distribution(found: Sequence[Arrays], key: str) -> Distribution:
+    return Distribution.of(_values(found, key))
 
 
-def _ratio(numbers: Sequence[Arrays]) -> float:
+def _ratio(found: Sequence[Arrays]) -> float:
     """Median Δ-WFE in the 29 modes of the default over that of the paper's choice."""
-    default, baseline = (np.median([n[f"{name}/modes_nm"] for n in numbers]) for name in (DEFAULT, BASELINE))
+    default, baseline = (np.median(_values(found, f"{name}/modes_nm")) for name in (DEFAULT, PAPER_CHOICE))
     return float(default / baseline)
 
 
-def _floor(numbers: Sequence[Arrays]) -> tuple[float, float]:
-    keys = {key for key in numbers[0] if key.startswith("fraction_")}
+def _floor(found: Sequence[Arrays]) -> tuple[float, float]:
+    keys = {key for key in found[0] if key.startswith("fraction_")}
     parts = {float(key.removeprefix("fraction_").removesuffix("/modes_nm")): key for key in keys}
     parts[1.0] = f"{DEFAULT}/modes_nm"
-    return speckle_floor_nm({part: _values(numbers, key) for part, key in parts.items()})
+    return speckle_floor_nm({part: _values(found, key) for part, key in parts.items()})
 
 
-def _arrays(samples: Sequence[Sample], numbers: Sequence[Arrays]) -> dict[str, Quantity]:
+def _arrays(samples: Sequence[Sample], found: Sequence[Arrays]) -> dict[str, Quantity]:
     """One row per sample; NaN where a variant was not run on it."""
-    keys = sorted({key for n in numbers for key in n})
+    keys = sorted({key for one in found for key in one})
     arrays = {
         f"samples/{key}": Quantity(
-            np.array([float(n.get(key, np.nan)) for n in numbers]), "nm" if key.endswith("_nm") else "", key
+            np.array([float(one.get(key, np.nan)) for one in found]), "nm" if key.endswith("_nm") else "", key
         )
         for key in keys
     }
-    arrays["samples/seeing_arcsec"] = Quantity(
-        np.array([s.seeing_arcsec for s in samples]), "arcsec", "seeing"
-    )
-    arrays["samples/shape"] = Quantity(np.array([s.shape for s in samples], dtype=object), "", "AO residual")
-    return arrays
+    seeing = np.array([sample.cube.seeing_arcsec for sample in samples])
+    shape = np.array([sample.cube.shape for sample in samples], dtype=object)
+    return arrays | {
+        "samples/seeing_arcsec": Quantity(seeing, "arcsec", "seeing"),
+        "samples/shape": Quantity(shape, "", "AO residual"),
+    }
 
 
-def _summary(conditions: Sequence[dict]) -> list[str]:
+def _summary(conditions: Sequence[ConditionRow]) -> list[str]:
     lines = ["Δ-WFE in Noll 2–30, median over cubes: default / DIP global"]
     for row in conditions:
-        default, baseline = (row["modes"][name]["median_nm"] for name in (DEFAULT, BASELINE))
+        default, baseline = (row.modes[name].median_nm for name in (DEFAULT, PAPER_CHOICE))
         lines.append(
-            f'  {row["shape"]:15s} {row["seeing_arcsec"]:4.2f}"  {default:5.1f} / {baseline:5.1f} nm'
-            f" = {row['ratio_to_dip_global']:.2f}  ({row['samples']} cubes)"
+            f'  {row.shape:15s} {row.seeing_arcsec:4.2f}"  {default:5.1f} / {baseline:5.1f} nm'
+            f" = {row.ratio_to_dip_global:.2f}  ({row.samples} cubes)"
         )
     return lines

@@ -7,17 +7,19 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from pydantic import Field, field_validator
 
+from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
-from irlos_pipe.paper.methods.experiment import Sample
-from irlos_pipe.paper.mode_number.experiment import DEFAULT, NumberSample, errors_by_number
+from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE, frames_per_method
+from irlos_pipe.paper.mode_number.experiment import LIFT, NumberSample, errors_by_number
+from irlos_pipe.paper.mode_number.results import ModeNumberResults, NumberCurve
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = "mode_number"
+NAME = ModeNumberResults.stage
 VERSION = 3
 READS = ()
-DEPENDS_ON = frozenset({"instrument", "seed"})
-PUBLISHED, LIFT = "dip_global", "lift_avg"
+DEPENDS_ON = ("instrument", "seed")
+MODES_INTRODUCED = 50
 
 
 class Config(StageConfig):
@@ -44,75 +46,68 @@ class Config(StageConfig):
         return numbers
 
 
-def run(ctx: StageContext) -> StageOutput:
+def run(ctx: StageContext[Config]) -> StageOutput:
     """Error in Noll 2–30 of every method, number of modes and magnitude."""
-    numbers = run_samples(errors_by_number, list(_samples(ctx)), ctx, "cubes")
+    found = run_samples(errors_by_number, list(_samples(ctx)), ctx, "cubes")
     curves = [
-        _curve(ctx.config, method, mag, [one[f"{method}/error_nm"][place] for one in numbers])
+        _curve(ctx.config, method, mag_j, [one[f"{method}/error_nm"][place] for one in found])
         for method, magnitudes in _magnitudes(ctx.config).items()
-        for place, mag in enumerate(magnitudes)
+        for place, mag_j in enumerate(magnitudes)
     ]
-    recommended = [int(one["recommended_noll"]) for one in numbers]
-    results = {
-        "cubes": len(numbers),
-        "modes_introduced": 50,
-        "highest_noll": list(ctx.config.numbers),
-        "curves": curves,
-        "recommended_noll": recommended,
-    }
-    return StageOutput(_arrays(ctx.config, numbers), results, summary=_lines(results))
+    results = ModeNumberResults(
+        cubes=len(found),
+        modes_introduced=MODES_INTRODUCED,
+        highest_noll=list(ctx.config.numbers),
+        curves=curves,
+        recommended_noll=[int(one["recommended_noll"]) for one in found],
+    )
+    return StageOutput(_arrays(ctx.config, found), results, summary=_lines(results))
 
 
 def _magnitudes(config: Config) -> dict[str, tuple[float, ...]]:
-    """The published calibration on the bright star only: that is how it is meant."""
-    return {DEFAULT: config.magnitudes, PUBLISHED: config.magnitudes[:1], LIFT: config.magnitudes}
+    """The paper's calibration is meant for bright stars only."""
+    return {DEFAULT: config.magnitudes, PAPER_CHOICE: config.magnitudes[:1], LIFT: config.magnitudes}
 
 
-def _samples(ctx: StageContext) -> Iterator[NumberSample]:
-    config: Config = ctx.config
-    frames = {
-        DEFAULT: config.frames,
-        PUBLISHED: min(config.frames, config.published_frames),
-        LIFT: config.frames,
-    }
+def _samples(ctx: StageContext[Config]) -> Iterator[NumberSample]:
+    config = ctx.config
+    frames = frames_per_method(config.frames, config.published_frames) | {LIFT: config.frames}
     for index in range(config.cubes):
-        cube = Sample(
+        cube = CubeSample(
             f"cube {index}",
             (ctx.seed, index),
             ctx.instrument.facility,
             config.seeing_arcsec,
-            "power_law",
             config.frames,
-            (),
-            mag_j=config.magnitudes[0],
+            config.magnitudes[0],
         )
-        yield NumberSample(cube.name, cube, config.numbers, _magnitudes(config), frames)
+        yield NumberSample(cube, config.numbers, _magnitudes(config), frames)
 
 
-def _curve(config: Config, method: str, mag_j: float, errors_nm: Sequence[np.ndarray]) -> dict:
+def _curve(config: Config, method: str, mag_j: float, errors_nm: Sequence[np.ndarray]) -> NumberCurve:
     """Median and extremes over the cubes."""
     median = np.median(errors_nm, axis=0)
-    return {
-        "method": method,
-        "mag_j": mag_j,
-        "median_nm": median.tolist(),
-        "least_nm": np.min(errors_nm, axis=0).tolist(),
-        "worst_nm": np.max(errors_nm, axis=0).tolist(),
-        "best_noll": int(config.numbers[int(np.argmin(median))]),
-        "best_nm": float(median.min()),
-    }
+    return NumberCurve(
+        method=method,
+        mag_j=mag_j,
+        median_nm=median.tolist(),
+        least_nm=np.min(errors_nm, axis=0).tolist(),
+        worst_nm=np.max(errors_nm, axis=0).tolist(),
+        best_noll=config.numbers[int(np.argmin(median))],
+        best_nm=float(median.min()),
+    )
 
 
-def _arrays(config: Config, numbers: Sequence[Arrays]) -> dict[str, Quantity]:
+def _arrays(config: Config, found: Sequence[Arrays]) -> dict[str, Quantity]:
     arrays = {
         f"{method}/error_nm": Quantity(
-            np.stack([one[f"{method}/error_nm"] for one in numbers]),
+            np.stack([one[f"{method}/error_nm"] for one in found]),
             "nm",
             "Δ-WFE in Noll 2–30 (cube, magnitude, number)",
         )
         for method in _magnitudes(config)
     }
-    held_out = np.stack([one["held_out"] for one in numbers])
+    held_out = np.stack([one["held_out"] for one in found])
     return arrays | {
         "highest_noll": Quantity(np.array(config.numbers), "", "modes Noll 2 to this"),
         "magnitude": Quantity(np.array(config.magnitudes), "mag", "of the star, in J"),
@@ -120,11 +115,11 @@ def _arrays(config: Config, numbers: Sequence[Arrays]) -> dict[str, Quantity]:
     }
 
 
-def _lines(results: dict) -> list[str]:
+def _lines(results: ModeNumberResults) -> list[str]:
     lines = ["Best number of modes (Δ-WFE in Noll 2–30, median over cubes):"]
     lines += [
-        f"  {one['method']:14s} m_J {one['mag_j']:4.1f}: Noll 2–{one['best_noll']}, {one['best_nm']:.1f} nm"
-        for one in results["curves"]
+        f"  {one.method:14s} m_J {one.mag_j:4.1f}: Noll 2–{one.best_noll}, {one.best_nm:.1f} nm"
+        for one in results.curves
     ]
-    told = ", ".join(str(noll) for noll in results["recommended_noll"])
-    return [*lines, f"  unseen frames recommend, cube by cube: {told}"]
+    recommended = ", ".join(str(noll) for noll in results.recommended_noll)
+    return [*lines, f"  unseen frames recommend, cube by cube: {recommended}"]

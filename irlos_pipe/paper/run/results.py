@@ -45,7 +45,7 @@ def paper_results(folders: Mapping[str, Path], quick: bool, missing: Sequence[st
 
 
 def _experiment(products: Mapping[str, Product]) -> dict[str, Any]:
-    last = next(reversed(products.values()))
+    last = list(products.values())[-1]
     return {
         "recipe": last.provenance["recipe"],
         "seed": last.provenance["seed"],
@@ -68,7 +68,7 @@ def _without_timings(value: Any) -> Any:
 
 def _timings(value: Any, above: str = "") -> dict[str, float]:
     """Timings among the results, by their dotted place."""
-    found = {}
+    found: dict[str, float] = {}
     for key, inner in _members(value):
         place = f"{above}.{key}" if above else str(key)
         found |= {place: inner} if _is_timing(key) else _timings(inner, place)

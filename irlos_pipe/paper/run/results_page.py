@@ -69,11 +69,10 @@ def read_layouts(path: Path) -> dict[str, TableLayout]:
         With one line ``file:line: problem`` for everything that is wrong.
     """
     written, lines = load_yaml(path)
-    errors, layouts = ValidationErrors(Origins(path, lines)), {}
-    for name, content in written.items():
-        layouts[name] = errors.validated(content, TableLayout, (name,))
+    errors = ValidationErrors(Origins(path, lines))
+    layouts = {name: errors.validated(content, TableLayout, (name,)) for name, content in written.items()}
     errors.raise_if_any()
-    return layouts
+    return {name: layout for name, layout in layouts.items() if layout}
 
 
 def renewed(root: Path) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -12,20 +12,22 @@ from pydantic import Field
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
-from irlos_pipe.paper.seeing_scales.experiment import (
-    Draws,
-    Site,
-    condition,
-    draw_seeing,
-    quantiles,
+from irlos_pipe.paper.common.results import Percentiles
+from irlos_pipe.paper.seeing_scales.experiment import Draws, Site, condition, draw_seeing
+from irlos_pipe.paper.seeing_scales.results import (
+    Distributions,
+    LawNumbers,
+    Relation,
+    SeeingScalesResults,
 )
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = "seeing_scales"
+NAME = SeeingScalesResults.stage
 VERSION = 3
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
+RANKS = (16.0, 50.0, 84.0)  # percentiles of the distributions
 
 Seeing = Annotated[float, Field(gt=0, le=10)]
 
@@ -44,10 +46,10 @@ class Config(StageConfig):
     on_sky_arcsec: tuple[Seeing, ...] = Field((0.5, 1.2, 1.5), description="of the sky tests, by the monitor")
 
 
-def run(ctx: StageContext) -> StageOutput:
+def run(ctx: StageContext[Config]) -> StageOutput:
     """Draw simultaneous measurements, and translate the conditions of the paper."""
-    config: Config = ctx.config
-    scale, law = _scale(ctx), ctx.instrument.facility.residual_law
+    config, law = ctx.config, ctx.instrument.facility.residual_law
+    scale = _scale(ctx)
     site = Site(config.median_arcsec, config.scatter, config.disagreement)
     draws = draw_seeing(site, scale, config.draws, np.random.default_rng(ctx.seed))
     if np.any(draws.sparta_arcsec <= 0):
@@ -55,21 +57,19 @@ def run(ctx: StageContext) -> StageOutput:
             f"seeing_scales.offset_arcsec = {scale.offset_arcsec:g}: makes good seeing "
             "negative on SPARTA's scale; raise it"
         )
-    rows = [
-        {"where": where, **asdict(condition(seeing, site, scale, draws, law))}
-        for where, seeing in _wanted(config, scale)
-    ]
-    results = {
-        "monitor": config.monitor,
-        "relation": asdict(scale) | _origin(ctx),
-        "residual_law": asdict(law),
-        "conditions": rows,
-        "distributions": _distributions(draws, law),
-    }
+    results = SeeingScalesResults(
+        monitor=config.monitor,
+        relation=_relation(ctx, scale),
+        residual_law=LawNumbers(**asdict(law)),
+        conditions=[
+            condition(where, seeing, site, scale, draws, law) for where, seeing in _wanted(config, scale)
+        ],
+        distributions=_distributions(draws, law),
+    )
     return StageOutput(_arrays(draws), results, summary=_summary(results))
 
 
-def _scale(ctx: StageContext) -> SeeingScale:
+def _scale(ctx: StageContext[Config]) -> SeeingScale:
     """The profile's relation, changed as the recipe says."""
     config, known = ctx.config, ctx.instrument.seeing_scales
     monitors = sorted(known.keys() - {SPARTA})
@@ -84,12 +84,12 @@ def _scale(ctx: StageContext) -> SeeingScale:
     )
 
 
-def _origin(ctx: StageContext) -> dict[str, str]:
-    """Where the ratio comes from, and how far to trust it."""
+def _relation(ctx: StageContext[Config], scale: SeeingScale) -> Relation:
+    """The relation, where its ratio comes from, and how well it is known."""
     if ctx.config.ratio is not None:
-        return {"status": "given", "source": "recipe"}
+        return Relation(**asdict(scale), status="given", source="recipe")
     fact = ctx.instrument.facts[ctx.instrument.profile.seeing_scales[ctx.config.monitor].ratio][-1]
-    return {"status": fact.status, "source": fact.source}
+    return Relation(**asdict(scale), status=fact.status, source=fact.source)
 
 
 def _wanted(config: Config, scale: SeeingScale) -> Iterator[tuple[str, float]]:
@@ -100,15 +100,15 @@ def _wanted(config: Config, scale: SeeingScale) -> Iterator[tuple[str, float]]:
         yield "sky", scale.to_sparta(seeing)
 
 
-def _distributions(draws: Draws, law: ResidualLaw) -> dict[str, Any]:
+def _distributions(draws: Draws, law: ResidualLaw) -> Distributions:
     """Median and one-sigma range on both scales, and of the residual."""
-    return {
-        "draws": len(draws.sparta_arcsec),
-        "monitor_arcsec": quantiles(draws.monitor_arcsec),
-        "sparta_arcsec": quantiles(draws.sparta_arcsec),
-        "wfe_nm": quantiles(law.wfe_nm(draws.sparta_arcsec)),
-        "wfe_untranslated_nm": quantiles(law.wfe_nm(draws.monitor_arcsec)),
-    }
+    return Distributions(
+        draws=len(draws.sparta_arcsec),
+        monitor_arcsec=Percentiles.of(draws.monitor_arcsec, RANKS),
+        sparta_arcsec=Percentiles.of(draws.sparta_arcsec, RANKS),
+        wfe_nm=Percentiles.of(law.wfe_nm(draws.sparta_arcsec), RANKS),
+        wfe_untranslated_nm=Percentiles.of(law.wfe_nm(draws.monitor_arcsec), RANKS),
+    )
 
 
 def _arrays(draws: Draws) -> dict[str, Quantity]:
@@ -118,14 +118,13 @@ def _arrays(draws: Draws) -> dict[str, Quantity]:
     }
 
 
-def _summary(results: dict[str, Any]) -> list[str]:
-    relation, monitor = results["relation"], results["monitor"]
+def _summary(results: SeeingScalesResults) -> list[str]:
+    relation, monitor = results.relation, results.monitor
     lines = [
-        f"SPARTA = {relation['ratio']:.2f} x {monitor} {relation['offset_arcsec']:+.2f} arcsec "
-        f"({relation['status']})"
+        f"SPARTA = {relation.ratio:.2f} x {monitor} {relation.offset_arcsec:+.2f} arcsec ({relation.status})"
     ]
     return lines + [
-        f"  {row['sparta_arcsec']:.2f} by SPARTA, {row['monitor_arcsec']:.2f} by {monitor}: "
-        f"AO residual {row['wfe_nm']:.0f} nm RMS, not {row['wfe_untranslated_nm']:.0f}"
-        for row in results["conditions"]
+        f"  {row.sparta_arcsec:.2f} by SPARTA, {row.monitor_arcsec:.2f} by {monitor}: "
+        f"AO residual {row.wfe_nm:.0f} nm RMS, not {row.wfe_untranslated_nm:.0f}"
+        for row in results.conditions
     ]

@@ -7,9 +7,12 @@ out of focus for stars by the difference of the two spherical waves.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import gamma
+
+Lag = TypeVar("Lag", float, np.ndarray)
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class Drift:
     slope: float
     rms_change_1s_nm: float
 
-    def structure_nm2(self, lag_s: np.ndarray) -> np.ndarray:
+    def structure_nm2(self, lag_s: Lag) -> Lag:
         """Mean square change within a time."""
         return self.rms_change_1s_nm**2 * np.abs(lag_s) ** (self.slope - 1)
 

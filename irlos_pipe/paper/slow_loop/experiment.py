@@ -13,22 +13,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from irlos_pipe.conventions.facility import Facility
-from irlos_pipe.paper.common.broad_band import star_scene
+from irlos_pipe.paper.common.broad_band import FINE, star_scene
+from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ramps import TTF, Knowledge, calibrated
-from irlos_pipe.paper.methods.experiment import Sample, scene_of
 from irlos_pipe.paper.slow_loop.closed import Loop, close_loops
 from irlos_pipe.paper.slow_loop.disturbance import Drift
 from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
 from irlos_pipe.paper.slow_loop.plan import Noise
 from irlos_pipe.paper.slow_loop.sensor import FocusSensor, focus_sensor
-from irlos_pipe.simulate.scene import Sampling, Scene
+from irlos_pipe.simulate.scene import Scene
 
 UNCALIBRATED = "uncalibrated"
 SKY_STREAM, CUBE_STREAM, DRIFT_STREAM, NOISE_STREAM = range(4)  # children of a sample's seed
 DRIFT_STEPS = 10  # per frame
 SEEN = 0.85  # part of the aperture's photons in the window: hole, spider and halo take the rest
 SKY_FOCUS_NM = 5.0  # defocus of the AO residual in a frame of a second, as simulated
-CUBE_SAMPLING = Sampling(points_per_band=3, step_s=0.02)
 
 
 @dataclass(frozen=True)
@@ -101,20 +100,16 @@ def run_loops(sample: LoopSample) -> dict[str, np.ndarray]:
 def _cube(sample: LoopSample) -> Scene:
     """The recording that the NCPAs are calibrated on."""
     conditions = sample.conditions
-    cube = scene_of(
-        Sample(
-            f"{sample.name}, calibration",
-            (*sample.seed, CUBE_STREAM),
-            conditions.facility,
-            conditions.seeing_arcsec,
-            "power_law",
-            conditions.calibration_frames,
-            (),
-            jitter_mas=conditions.jitter_mas,
-        )
-    )
+    cube = CubeSample(
+        f"{sample.name}, calibration",
+        (*sample.seed, CUBE_STREAM),
+        conditions.facility,
+        conditions.seeing_arcsec,
+        conditions.calibration_frames,
+        jitter_mas=conditions.jitter_mas,
+    ).scene()
     ncpa_nm = {noll: value for noll, value in cube.ncpa_nm.items() if noll not in TTF}
-    return replace(cube, ncpa_nm=ncpa_nm, sampling=CUBE_SAMPLING)
+    return replace(cube, ncpa_nm=ncpa_nm, sampling=FINE)
 
 
 def _star(sample: LoopSample, ncpa_nm: Mapping[int, float]) -> Scene:

@@ -2,36 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import ScalarFormatter
 
+from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
 from irlos_pipe.paper.slow_loop.control import Integrator
-from irlos_pipe.paper.slow_loop.disturbance import Drift
+from irlos_pipe.paper.slow_loop.experiment import UNCALIBRATED
+from irlos_pipe.paper.slow_loop.results import LoopRow, SlowLoopResults
 from irlos_pipe.report.drawing import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, svg
 
 # (sensor, frames per exposure): what it is, in the order of the tables.
 CONFIGURATIONS = {
-    ("long_exposure", 1): "default calibration",
-    ("long_exposure", 2): "default calibration, 2 s at 0.5 Hz",
-    ("dip_global", 1): "NCPAs by DIP global",
-    ("uncalibrated", 1): "uncalibrated",
+    (DEFAULT, 1): "default calibration",
+    (DEFAULT, 2): "default calibration, 2 s at 0.5 Hz",
+    (PAPER_CHOICE, 1): "NCPAs by DIP global",
+    (UNCALIBRATED, 1): "uncalibrated",
 }
 LOOKS = {
-    ("long_exposure", 1): (BLUE, "o"),
-    ("long_exposure", 2): (PURPLE, "D"),
-    ("dip_global", 1): (GREEN, "s"),
-    ("uncalibrated", 1): (ORANGE, "^"),
+    (DEFAULT, 1): (BLUE, "o"),
+    (DEFAULT, 2): (PURPLE, "D"),
+    (PAPER_CHOICE, 1): (GREEN, "s"),
+    (UNCALIBRATED, 1): (ORANGE, "^"),
 }
 STAR_COLOURS = (BLUE, ORANGE, GREEN)
 
 
 def time_series(drift_nm: np.ndarray, residual_nm: dict[float, np.ndarray]) -> Markup:
-    """Drift, and residual of some stars.
+    """Draw the drift, and the residual of some stars.
 
     Parameters
     ----------
@@ -53,14 +53,14 @@ def time_series(drift_nm: np.ndarray, residual_nm: dict[float, np.ndarray]) -> M
     return svg("loop-series", (5.2, 4.2), draw)
 
 
-def against_magnitude(results: dict[str, Any]) -> Markup:
-    """Residual of every configuration against magnitude, with the prediction."""
+def against_magnitude(results: SlowLoopResults) -> Markup:
+    """Draw the residual of every configuration against magnitude, with the prediction."""
 
     def draw(figure: Canvas) -> None:
         axes = figure.subplots()
-        axes.axhline(results["open_loop_nm"], color=INK, linewidth=0.8, linestyle=":", label="open loop")
+        axes.axhline(results.open_loop_nm, color=INK, linewidth=0.8, linestyle=":", label="open loop")
         for configuration, label in CONFIGURATIONS.items():
-            rows = best_loops(results, configuration)
+            rows = results.best_loops(*configuration)
             if rows:
                 _draw_configuration(axes, rows, *LOOKS[configuration], label)
         axes.set(xlabel="J magnitude", ylabel="residual defocus [nm RMS]", yscale="log")
@@ -71,60 +71,42 @@ def against_magnitude(results: dict[str, Any]) -> Markup:
     return svg("loop-magnitude", (5.2, 4.2), draw)
 
 
-def best_loops(results: dict[str, Any], configuration: tuple[str, int]) -> list[dict[str, Any]]:
-    """Loops of a configuration at their best gain, which are listed first, brightest star first."""
-    first: dict[float, dict[str, Any]] = {}
-    for row in results["loops"]:
-        if (row["sensor"], row["exposures"]) == configuration:
-            first.setdefault(row["mag_j"], row)
-    return [first[mag_j] for mag_j in sorted(first)]
+def _column(rows: list[LoopRow], key: str) -> np.ndarray:
+    return np.array([getattr(row, key) for row in rows], dtype=float)
 
 
-def scanned_stars(results: dict[str, Any]) -> dict[float, list[dict[str, Any]]]:
-    """Loops of the stars that were tried at more than one gain, default calibration and frames of 1 s."""
-    stars: dict[float, list[dict[str, Any]]] = {}
-    for row in results["loops"]:
-        if (row["sensor"], row["exposures"]) == (results["default"], 1):
-            stars.setdefault(row["mag_j"], []).append(row)
-    return {mag_j: stars[mag_j] for mag_j in sorted(stars) if len(stars[mag_j]) > 1}
-
-
-def _column(rows: list[dict[str, Any]], key: str) -> np.ndarray:
-    return np.array([row[key] for row in rows], dtype=float)
-
-
-def _draw_configuration(axes: Axes, rows: list[dict[str, Any]], colour: str, marker: str, label: str) -> None:
+def _draw_configuration(axes: Axes, rows: list[LoopRow], colour: str, marker: str, label: str) -> None:
     magnitude, residual = _column(rows, "mag_j"), _column(rows, "residual_nm")
     axes.plot(magnitude, _column(rows, "predicted_nm"), color=colour, linewidth=0.9, linestyle="--")
     error = np.nan_to_num(_column(rows, "residual_error_nm"))
     axes.errorbar(magnitude, residual, error, fmt=marker, color=colour, markersize=4.5, label=label)
 
 
-def sensor_noise(results: dict[str, Any]) -> Markup:
-    """Noise of the measurements of every configuration against magnitude, with what was expected."""
+def sensor_noise(results: SlowLoopResults) -> Markup:
+    """Draw the noise of the measurements of every configuration against magnitude, with the expected one."""
 
     def draw(figure: Canvas) -> None:
         axes = figure.subplots()
         for configuration, label in CONFIGURATIONS.items():
-            rows = best_loops(results, configuration)
+            rows = results.best_loops(*configuration)
             colour, marker = LOOKS[configuration]
             magnitude = _column(rows, "mag_j")
             axes.plot(magnitude, _column(rows, "noise_nm"), marker, color=colour, markersize=4.5, label=label)
             axes.plot(magnitude, _column(rows, "expected_noise_nm"), "--", color=colour, linewidth=0.9)
-        axes.axhline(results["sky_focus_nm"], color=INK, linewidth=0.8, linestyle=":")
+        axes.axhline(results.sky_focus_nm, color=INK, linewidth=0.8, linestyle=":")
         axes.set(xlabel="J magnitude", ylabel="noise of a measurement [nm RMS]", yscale="log")
         axes.yaxis.set_major_formatter(ScalarFormatter())
 
     return svg("loop-noise", (5.2, 4.0), draw)
 
 
-def against_gain(results: dict[str, Any]) -> Markup:
-    """Residual against gain for the stars of the scan."""
+def against_gain(results: SlowLoopResults) -> Markup:
+    """Draw the residual against gain for the stars of the scan."""
 
     def draw(figure: Canvas) -> None:
         axes = figure.subplots()
-        axes.axvline(results["largest_stable_gain"], color=INK, linewidth=0.8, linestyle=":")
-        for rows, colour in zip(scanned_stars(results).values(), STAR_COLOURS, strict=False):
+        axes.axvline(results.largest_stable_gain, color=INK, linewidth=0.8, linestyle=":")
+        for rows, colour in zip(results.scanned_stars(), STAR_COLOURS, strict=False):
             _draw_star(axes, results, rows, colour)
         axes.set(xlabel="gain", ylabel="residual defocus [nm RMS]", xlim=(0, None), ylim=(0, None))
         axes.legend()
@@ -132,11 +114,11 @@ def against_gain(results: dict[str, Any]) -> Markup:
     return svg("loop-gain", (5.2, 4.0), draw)
 
 
-def _draw_star(axes: Axes, results: dict[str, Any], rows: list[dict[str, Any]], colour: str) -> None:
+def _draw_star(axes: Axes, results: SlowLoopResults, rows: list[LoopRow], colour: str) -> None:
     """Points of one star, and the curve that theory draws through no point."""
-    drift, noise_nm = Drift(**results["drift"]), rows[0]["expected_noise_nm"]
-    gains = np.linspace(0.03, 0.93 * results["largest_stable_gain"], 60)
-    curve = [Integrator(gain, 1.0, results["delay"]).residual_nm(drift, noise_nm) for gain in gains]
+    drift, noise_nm = results.drift.drift, rows[0].expected_noise_nm
+    gains = np.linspace(0.03, 0.93 * results.largest_stable_gain, 60)
+    curve = [Integrator(gain, 1.0, results.delay).residual_nm(drift, noise_nm) for gain in gains]
     axes.plot(gains, curve, "--", color=colour, linewidth=0.9)
     error = np.nan_to_num(_column(rows, "residual_error_nm"))
     axes.errorbar(
@@ -146,5 +128,5 @@ def _draw_star(axes: Axes, results: dict[str, Any], rows: list[dict[str, Any]], 
         fmt="o",
         color=colour,
         markersize=4.5,
-        label=f"m_J {rows[0]['mag_j']:g}",
+        label=f"m_J {rows[0].mag_j:g}",
     )

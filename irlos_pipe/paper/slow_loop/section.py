@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
 
 from markupsafe import Markup
 
+from irlos_pipe.paper.common.section import array_of
 from irlos_pipe.paper.slow_loop.plots import (
     CONFIGURATIONS,
     against_gain,
     against_magnitude,
-    best_loops,
-    scanned_stars,
     sensor_noise,
     time_series,
 )
+from irlos_pipe.paper.slow_loop.results import LoopRow, SlowLoopResults
 from irlos_pipe.report.content import Figure, Section, Table
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number, plural, with_error
 
-STAGE = "slow_loop"
+STAGE = SlowLoopResults.stage
 SERIES_CAPTION = (
     "First drift on the first sky, default calibration. Grey: the drift itself, which an open loop leaves."
 )
@@ -52,51 +52,43 @@ COLUMNS = (
 
 def section(run: RunData) -> Section:
     """Build the section."""
-    results = run.results(STAGE)
-    if not results.get("loops"):
-        return Section(STAGE, "Slow focus loop on LIFT")
+    results = run.results(SlowLoopResults)
     figures = [Figure(against_magnitude(results), "Residual against magnitude", MAGNITUDE_CAPTION)]
-    if _best_default(results):
-        figures.insert(0, Figure(_series(run, results), "Bright and faint star", SERIES_CAPTION))
+    best = results.best_loops(results.default)
+    if best:
+        series = _series(run, results, best)
+        figures.insert(0, Figure(series, "Bright and faint star", SERIES_CAPTION))
     figures.append(Figure(sensor_noise(results), "LIFT as the loop's sensor", NOISE_CAPTION))
-    if scanned_stars(results):
+    if results.scanned_stars():
         figures.append(Figure(against_gain(results), "Residual against gain", GAIN_CAPTION))
-    return Section(STAGE, "Slow focus loop on LIFT", _lead(results), [*figures, *_tables(results)])
+    return Section(STAGE, "Slow focus loop on LIFT", _lead(results, best), [*figures, *_tables(results)])
 
 
-def _lead(results: dict[str, Any]) -> str:
-    drift = results["drift"]["rms_change_1s_nm"]
+def _lead(results: SlowLoopResults, best: list[LoopRow]) -> str:
     lead = (
-        f"Sodium layer drifting by {drift:.1f} nm RMS of defocus in a second; "
-        f"{results['open_loop_nm']:.0f} nm RMS without a loop"
+        f"Sodium layer drifting by {results.drift.rms_change_1s_nm:.1f} nm RMS of defocus in a second; "
+        f"{results.open_loop_nm:.0f} nm RMS without a loop"
     )
-    best = _best_default(results)
     if not best:
         return f"{lead}."
     return (
-        f"{lead}, {number(best[0]['residual_nm'])} nm with it at m_J {best[0]['mag_j']:g}. "
-        f"{plural(best[0]['runs'], 'run')} per point. The NCPAs have no tip, tilt and defocus of their own."
+        f"{lead}, {number(best[0].residual_nm)} nm with it at m_J {best[0].mag_j:g}. "
+        f"{plural(best[0].runs, 'run')} per point. The NCPAs have no tip, tilt and defocus of their own."
     )
 
 
-def _best_default(results: dict[str, Any]) -> list[dict[str, Any]]:
-    """Loops of the default calibration with frames of 1 s at their best gain, brightest star first."""
-    return best_loops(results, (results["default"], 1))
-
-
-def _series(run: RunData, results: dict[str, Any]) -> Markup:
+def _series(run: RunData, results: SlowLoopResults, best: list[LoopRow]) -> Markup:
     """The brightest star, and the faintest whose loop has never diverged."""
-    drift, residual = (run.array(STAGE, name)[0, 0] for name in ("drift_nm", "residual_nm"))
-    best = _best_default(results)
-    held = [row for row in best if not row["diverged"]]
+    drift, residual = (array_of(run, STAGE, name)[0, 0] for name in ("drift_nm", "residual_nm"))
+    held = [row for row in best if not row.diverged]
     chosen = [best[0], *held[-1:]]
-    return time_series(drift, {row["mag_j"]: residual[results["loops"].index(row)] for row in chosen})
+    return time_series(drift, {row.mag_j: residual[results.loops.index(row)] for row in chosen})
 
 
-def _tables(results: dict[str, Any]) -> list[Table]:
-    tables = []
+def _tables(results: SlowLoopResults) -> list[Table]:
+    tables: list[Table] = []
     for configuration, label in CONFIGURATIONS.items():
-        rows = best_loops(results, configuration)
+        rows = results.best_loops(*configuration)
         if rows:
             body = [_row(row, results) for row in rows]
             caption = "" if tables else TABLE_CAPTION
@@ -111,32 +103,26 @@ TABLE_CAPTION = (
 )
 
 
-def _row(row: dict[str, Any], results: dict[str, Any]) -> tuple[str, ...]:
+def _row(row: LoopRow, results: SlowLoopResults) -> tuple[str, ...]:
     return (
-        f"{row['mag_j']:g}",
-        number(row["noise_nm"]),
-        number(row["bound_nm"]),
-        number(row["best_gain"], ".2f"),
+        f"{row.mag_j:g}",
+        number(row.noise_nm),
+        number(row.bound_nm),
+        number(row.best_gain, ".2f"),
         _best_of_scan(row, results),
-        number(row["predicted_nm"]),
-        with_error(row["residual_nm"], row["residual_error_nm"]),
-        number(row["bias_nm"]),
-        number(row["lost"], ".0%"),
-        f"{row['diverged']} of {row['runs']}",
-        number(row["slope"], ".2f"),
-        number(row["gain_margin"]),
+        number(row.predicted_nm),
+        with_error(row.residual_nm, row.residual_error_nm),
+        number(row.bias_nm),
+        number(row.lost, ".0%"),
+        f"{row.diverged} of {row.runs}",
+        number(row.slope, ".2f"),
+        number(row.gain_margin),
     )
 
 
-def _best_of_scan(row: dict[str, Any], results: dict[str, Any]) -> str:
+def _best_of_scan(row: LoopRow, results: SlowLoopResults) -> str:
     """Gain with the smallest residual of all that were tried on this star; a dash if only one was."""
-    same = [
-        other
-        for other in results["loops"]
-        if all(other[key] == row[key] for key in ("sensor", "exposures", "mag_j"))
-        and not other["diverged"]
-        and other["residual_nm"] is not None
-    ]
-    if len(same) < 2:
+    tried = [one for one in results.same_star(row) if not one.diverged and not math.isnan(one.residual_nm)]
+    if len(tried) < 2:
         return MISSING
-    return number(min(same, key=lambda other: other["residual_nm"])["gain"], ".2f")
+    return number(min(tried, key=lambda one: one.residual_nm).gain, ".2f")

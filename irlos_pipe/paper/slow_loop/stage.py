@@ -4,34 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
-from irlos_pipe.paper.common.variants import DEFAULT
+from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
 from irlos_pipe.paper.slow_loop.closed import Loop
 from irlos_pipe.paper.slow_loop.control import Integrator, best_gain
 from irlos_pipe.paper.slow_loop.disturbance import SodiumLayer
 from irlos_pipe.paper.slow_loop.experiment import UNCALIBRATED, Conditions, LoopSample, noise_law, run_loops
 from irlos_pipe.paper.slow_loop.outcome import LoopOutcome, outcome_of
 from irlos_pipe.paper.slow_loop.plan import at_best_gain, gain_scan
+from irlos_pipe.paper.slow_loop.results import DriftNumbers, LoopRow, SlowLoopResults
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = "slow_loop"
+NAME = SlowLoopResults.stage
 VERSION = 5
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
-FIELDS = ("residual_nm", "measured_nm", "true_nm", "due")
 
 
 class Layer(StageConfig):
     """The sodium layer, see `SodiumLayer` for the sources of the defaults."""
 
-    slope: float = Field(1.95, gt=1, lt=3, description="of the altitude's power spectrum, f^-slope")
-    rms_change_1s_m: float = Field(23.0, gt=0, description="RMS change of the mean altitude within 1 s [m]")
-    range_m: float = Field(89.4e3, gt=1e4, description="from the telescope to the layer [m]")
+    slope: float = Field(default=1.95, gt=1, lt=3, description="of the altitude's power spectrum, f^-slope")
+    rms_change_1s_m: float = Field(
+        default=23.0, gt=0, description="RMS change of the mean altitude within 1 s [m]"
+    )
+    range_m: float = Field(default=89.4e3, gt=1e4, description="from the telescope to the layer [m]")
 
 
 class Config(StageConfig):
@@ -43,7 +46,7 @@ class Config(StageConfig):
     settle: int = Field(20, ge=0, description="frames left out of the statistics")
     magnitudes: tuple[float, ...] = Field((12, 18, 20, 21, 22, 23), min_length=1, description="J mag")
     configurations: tuple[str, ...] = Field(
-        (UNCALIBRATED, "dip_global", DEFAULT), description="calibration methods, or `uncalibrated`"
+        (UNCALIBRATED, PAPER_CHOICE, DEFAULT), description="calibration methods, or `uncalibrated`"
     )
     scan_magnitudes: tuple[float, ...] = Field((12, 21), description="stars of the scan of gains")
     scan_gains: tuple[float, ...] = Field((0.05, 0.1, 0.2, 0.6, 0.8), description="gains of the scan")
@@ -54,27 +57,28 @@ class Config(StageConfig):
     layer: Layer = Layer()
 
 
-def run(ctx: StageContext) -> StageOutput:
-    """Run all loops on all skies and sum them up."""
+def run(ctx: StageContext[Config]) -> StageOutput:
+    """Run all loops on all skies and summarise them."""
     conditions, loops = _conditions(ctx), _loops(ctx)
     found = run_samples(run_loops, _samples(ctx, conditions, loops), ctx, "skies")
     rows = [_row(ctx.config, conditions, loop, index, found) for index, loop in enumerate(loops)]
-    results = {
-        "drift": asdict(conditions.drift),
-        "sky_focus_nm": _sky_focus_nm(found),
-        "open_loop_nm": _rms(_stacked(found, "drift_nm")[..., ctx.config.settle :]),
-        "largest_stable_gain": Integrator(1.0, 1.0, ctx.config.delay).largest_stable_gain,
-        "default": DEFAULT,
-        "delay": ctx.config.delay,
-        "loops": rows,
-    }
+    open_loop_nm = _stacked(found, "drift_nm")[:, :, ctx.config.settle :]
+    results = SlowLoopResults(
+        drift=DriftNumbers(**asdict(conditions.drift)),
+        sky_focus_nm=_sky_focus_nm(found),
+        open_loop_nm=float(np.sqrt(np.mean(open_loop_nm**2))),
+        largest_stable_gain=Integrator(1.0, 1.0, ctx.config.delay).largest_stable_gain,
+        default=DEFAULT,
+        delay=ctx.config.delay,
+        loops=rows,
+    )
     return StageOutput(_arrays(found), results, _checks(rows), summary=_summary(rows))
 
 
 # -- what is run -----------------------------------------------------------------------------------
 
 
-def _conditions(ctx: StageContext) -> Conditions:
+def _conditions(ctx: StageContext[Config]) -> Conditions:
     config, facility = ctx.config, ctx.instrument.facility
     drift = SodiumLayer(**config.layer.model_dump()).drift(facility.pupil.diameter_m)
     return Conditions(
@@ -82,7 +86,7 @@ def _conditions(ctx: StageContext) -> Conditions:
     )
 
 
-def _loops(ctx: StageContext) -> tuple[Loop, ...]:
+def _loops(ctx: StageContext[Config]) -> tuple[Loop, ...]:
     """Every star in every configuration at its best gain, and the scans; each loop once."""
     config, conditions = ctx.config, _conditions(ctx)
     noise = noise_law(conditions)
@@ -97,7 +101,7 @@ def _loops(ctx: StageContext) -> tuple[Loop, ...]:
     return tuple(dict.fromkeys(loops))
 
 
-def _samples(ctx: StageContext, conditions: Conditions, loops: tuple[Loop, ...]) -> list[LoopSample]:
+def _samples(ctx: StageContext[Config], conditions: Conditions, loops: tuple[Loop, ...]) -> list[LoopSample]:
     config = ctx.config
     sensors = tuple(dict.fromkeys(loop.sensor for loop in loops))
     return [
@@ -115,17 +119,20 @@ def _stacked(found: Sequence[Arrays], name: str) -> np.ndarray:
     return np.stack([one[name] for one in found])
 
 
-def _row(config: Config, conditions: Conditions, loop: Loop, index: int, found: Sequence[Arrays]) -> dict:
+def _row(config: Config, conditions: Conditions, loop: Loop, index: int, found: Sequence[Arrays]) -> LoopRow:
     """One loop: what theory expects and what happened."""
-    records = [_stacked(found, name)[:, :, index] for name in FIELDS]
-    outcome = outcome_of(*records, conditions.drift, config.settle)
+    residual_nm, measured_nm, true_nm, due = (
+        _stacked(found, name)[:, :, index] for name in ("residual_nm", "measured_nm", "true_nm", "due")
+    )
+    outcome = outcome_of(residual_nm, measured_nm, true_nm, due, conditions.drift, config.settle)
     bound_nm = float(np.median(_stacked(found, "bound_nm")[:, index]))
-    return asdict(loop) | asdict(outcome) | _theory(conditions, loop, outcome, bound_nm, _sky_focus_nm(found))
+    theory = _theory(conditions, loop, outcome, bound_nm, _sky_focus_nm(found))
+    return LoopRow(**asdict(loop), **asdict(outcome), **theory)
 
 
 def _theory(
     conditions: Conditions, loop: Loop, outcome: LoopOutcome, bound_nm: float, sky_focus_nm: float
-) -> dict[str, float]:
+) -> dict[str, Any]:
     integrator = Integrator(loop.gain, float(loop.exposures), conditions.delay)
     noise_nm = float(np.hypot(bound_nm, sky_focus_nm / np.sqrt(loop.exposures)))
     return {
@@ -142,10 +149,6 @@ def _sky_focus_nm(found: Sequence[Arrays]) -> float:
     return float(np.sqrt(np.mean(np.var(focus, axis=1, ddof=1))))
 
 
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def _arrays(found: Sequence[Arrays]) -> dict[str, Quantity]:
     return {
         "residual_nm": Quantity(
@@ -160,24 +163,24 @@ def _arrays(found: Sequence[Arrays]) -> dict[str, Quantity]:
     }
 
 
-def _checks(rows: Sequence[dict]) -> list[Check]:
+def _checks(rows: Sequence[LoopRow]) -> list[Check]:
     """Whether the brightest star with the default calibration, at its best gain, meets theory."""
-    default = [row for row in rows if row["sensor"] == DEFAULT]
+    default = [row for row in rows if row.sensor == DEFAULT]
     if not default:
         return []
-    bright = min(default, key=lambda row: row["mag_j"])
-    ratio = bright["residual_nm"] / bright["predicted_nm"]
+    bright = min(default, key=lambda row: row.mag_j)
+    ratio = bright.residual_nm / bright.predicted_nm
     text = f"bright star: {ratio:.2f} of the prediction"
     return [Check("residual over prediction", ratio, "", None, 1.5, text)]
 
 
-def _summary(rows: Sequence[dict]) -> list[str]:
+def _summary(rows: Sequence[LoopRow]) -> list[str]:
     lines = ["sensor           m_J  gain   residual (predicted)   bias   lost  margin"]
     for row in rows:
-        rate = "" if row["exposures"] == 1 else f"  {row['exposures']} s"
+        rate = "" if row.exposures == 1 else f"  {row.exposures} s"
         lines.append(
-            f"  {row['sensor']:14s} {row['mag_j']:4.1f}  {row['gain']:.2f}  {row['residual_nm']:6.1f} "
-            f"({row['predicted_nm']:.1f}) nm  {row['bias_nm']:5.1f} nm  {row['lost']:4.0%}  "
-            f"{row['gain_margin']:4.1f}{rate}"
+            f"  {row.sensor:14s} {row.mag_j:4.1f}  {row.gain:.2f}  {row.residual_nm:6.1f} "
+            f"({row.predicted_nm:.1f}) nm  {row.bias_nm:5.1f} nm  {row.lost:4.0%}  "
+            f"{row.gain_margin:4.1f}{rate}"
         )
     return lines
