@@ -10,8 +10,8 @@ from helpers.sparta_files import write_muse, write_sidecar
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.seeing import SeeingScale
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.readers import muse_raw
 from irlos_pipe.readers.acquisition import resolve
+from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.raw import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
@@ -86,9 +86,9 @@ def test_what_makes_no_sense_is_told_in_one_line(tmp_path, monkeypatch, keys, to
 
 def test_the_header_of_muse_has_the_monitors_seeing_and_its_table_that_of_sparta(tmp_path):
     cube, header = np.ones((2, 8, 8)), {"ESO TEL AMBI FWHM START": 0.7}
-    (monitor,) = muse_raw.read(write_muse(tmp_path / "a.fits", cube, header=header), IRLOS)
-    (sparta,) = muse_raw.read(write_muse(tmp_path / "b.fits", cube, header=header, seeing=[0.5]), IRLOS)
-    (neither,) = muse_raw.read(write_muse(tmp_path / "c.fits", cube), IRLOS)
+    (monitor,) = read_recordings(write_muse(tmp_path / "a.fits", cube, header=header), IRLOS)
+    (sparta,) = read_recordings(write_muse(tmp_path / "b.fits", cube, header=header, seeing=[0.5]), IRLOS)
+    (neither,) = read_recordings(write_muse(tmp_path / "c.fits", cube), IRLOS)
     assert (monitor.header["seeing_arcsec"], monitor.header["seeing_scale"]) == (0.7, "mass_dimm")
     assert (sparta.header["seeing_arcsec"], sparta.header["seeing_scale"]) == (0.5, "sparta")
     assert "seeing_scale" not in neither.header
