@@ -102,8 +102,8 @@ class Fitted:
 
     def continued(self) -> list[Effect]:
         """The effects with the same freedom, to start from where they are now."""
-        pieces = self.problem.model.effects.split(self.effect_values)
-        return [_begun_at(effect, pieces[effect.name]) for effect in self.effects]
+        pieces = self.problem.model.effects.pieces(self.effect_values)
+        return [_begun_at(effect, piece) for effect, piece in zip(self.effects, pieces, strict=True)]
 
     def restarted(self) -> list[Effect]:
         """The effects with the same freedom, to start from where nothing is known of them."""

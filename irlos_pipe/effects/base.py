@@ -63,6 +63,8 @@ class Effect:
         Whether it makes frames scatter by more than photon noise.
     copies_star : bool
         Whether it adds a displaced image of the star, for which a diagnosis searches the whole window.
+    repeatable : bool
+        Whether a model may have several of its kind.
     sentence, limit : str
         What a diagnosis says of one that it found, and of the smallest one that it would have seen; format
         strings of the public values.
@@ -85,6 +87,7 @@ class Effect:
     blurs: Literal["", "motion", "detector"] = ""
     speckles: bool = False
     copies_star: bool = False
+    repeatable: bool = False
     sentence: str = ""
     limit: str = ""
     look_alike: str = ""
@@ -133,6 +136,11 @@ class Effect:
         pixel_scale_mas : float
         """
         return [self]
+
+    @classmethod
+    def together(cls, effects: Sequence[Effect]) -> Effect | None:
+        """Several `effects` of this kind as one; None where each acts on what the one before it leaves."""
+        return None
 
     def apply(self, values: torch.Tensor, *light: Any, **more: Any) -> Any:
         """What arrives at the plane, as the effect leaves it; see the base class of the plane."""

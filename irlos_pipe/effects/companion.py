@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -35,7 +37,7 @@ class Companion(OtfEffect):
         number("sep_mas", "mas", 0.0, 5000.0, role="position"),
         direction("pa_deg"),
     )
-    copies_star = True
+    copies_star = repeatable = True
     sentence = "a second source of {flux_ratio:.2%} at {sep_mas:.0f} mas, PA {pa_deg:.0f}°"
     limit = "a companion of {flux_ratio:.1g}"
     look_alike = "vibration when closer than λ/D; a ghost, which moves with focus"
@@ -57,9 +59,13 @@ class Companion(OtfEffect):
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
-        flux, x, y = values
-        displaced = phasor(-2 * np.pi * grid.path_m(x * MAS, y * MAS) / grid.wavelengths_m)
-        return factor * (1 + flux * displaced) / (1 + flux)
+        flux, *_ = values
+        return factor * (1 + _copy(values, grid)) / (1 + flux)
+
+    @classmethod
+    def together(cls, effects: Sequence[Effect]) -> Effect:
+        """See `Effect.together`: the images of all add to that of the star."""
+        return _Companions(effects)
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """Flux ratio, separation and position angle."""
@@ -80,3 +86,32 @@ class Companion(OtfEffect):
         reach = (n / 2 * pixel_scale_mas for n in window[::-1])
         columns, rows = (STEP_MAS * np.arange(-(r // STEP_MAS), r // STEP_MAS + 1) for r in reach)
         return [self.displaced(x, y) for y in rows for x in columns if np.hypot(x, y) >= INNER_MAS]
+
+
+class _Companions(OtfEffect):
+    """Several companions of one star, each with its flux ratio to the star.
+
+    Parameters
+    ----------
+    companions : sequence of Effect
+    """
+
+    name = Companion.name
+
+    def __init__(self, companions: Sequence[Effect]):
+        self.companions = tuple(companions)
+        self.parameters = tuple(p for one in companions for p in one.parameters)
+
+    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+        """See `OtfEffect.apply`."""
+        pieces = values.split([len(one.parameters) for one in self.companions])
+        pairs = zip(self.companions, pieces, strict=True)
+        every = [companion.all_values(piece) for companion, piece in pairs]
+        light = 1 + sum((_copy(one, grid) for one in every), torch.zeros(()))
+        return factor * light / (1 + sum(one[0] for one in every))
+
+
+def _copy(values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+    """What a companion adds to the OTF of the star."""
+    flux, x, y = values
+    return flux * phasor(-2 * np.pi * grid.path_m(x * MAS, y * MAS) / grid.wavelengths_m)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import reduce
-from itertools import pairwise
-from typing import get_args
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from functools import cached_property, reduce
+from itertools import groupby, pairwise
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -14,7 +15,7 @@ from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Parameter, Plane
 from irlos_pipe.optics.grids import Grids, Optics, OtfGrid, Sampling, Tangents
 
-PLANES = get_args(Plane)
+PLANES: tuple[Plane, ...] = get_args(Plane)
 NOTHING = torch.zeros(0, dtype=torch.float64)
 
 
@@ -30,10 +31,27 @@ class EffectSet:
     """
 
     def __init__(self, effects: Sequence[Effect], grids: Grids):
-        self.effects = tuple(sorted(effects, key=lambda e: (PLANES.index(e.plane), e.order)))
+        kinds = list(dict.fromkeys(effect.name for effect in effects))
+        self.effects = tuple(
+            sorted(effects, key=lambda e: (PLANES.index(e.plane), e.order, kinds.index(e.name)))
+        )
         self.grids = grids
         ends = np.cumsum([0, *(len(effect.parameters) for effect in self.effects)])
         self._pieces = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+    @cached_property
+    def _acting(self) -> list[tuple[Effect, slice]]:
+        """The effects one after the other with their parts of the parameter vector, some kinds as one."""
+        pairs = zip(self.effects, self._pieces, strict=True)
+        acting: list[tuple[Effect, slice]] = []
+        for _, group in groupby(pairs, key=lambda pair: pair[0].name):
+            same, pieces = zip(*group, strict=True)
+            joined = type(same[0].base).together(same) if len(same) > 1 else None
+            if joined is None:
+                acting += zip(same, pieces, strict=True)
+            else:
+                acting.append((joined, slice(pieces[0].start, pieces[-1].stop)))
+        return acting
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -42,8 +60,7 @@ class EffectSet:
 
     def at(self, plane: Plane) -> list[tuple[Effect, slice]]:
         """Effects at one plane with their parts of the parameter vector."""
-        pairs = zip(self.effects, self._pieces, strict=True)
-        return [(effect, piece) for effect, piece in pairs if effect.plane == plane]
+        return [pair for pair in self._acting if pair[0].plane == plane]
 
     def free_at(self, plane: Plane) -> list[int]:
         """Positions in the parameter vector of the parameters at one plane."""
@@ -132,15 +149,23 @@ class EffectSet:
 
     # -- bookkeeping -------------------------------------------------------------------------
 
-    def split(self, values) -> dict[str, np.ndarray]:
-        """The parameter vector cut into one piece per effect, by effect name."""
-        pairs = zip(self.effects, self._pieces, strict=True)
-        return {effect.name: np.asarray(values[piece], float) for effect, piece in pairs}
+    @property
+    def labels(self) -> list[str]:
+        """Unique labels of the effects, see `labels_of`."""
+        return labels_of(self.effects)
 
-    def describe(self, values) -> dict[str, dict]:
-        """Public parameters of every effect, by effect name."""
-        pieces = self.split(values)
-        return {effect.name: effect.describe(pieces[effect.name]) for effect in self.effects}
+    def pieces(self, values: torch.Tensor) -> list[np.ndarray]:
+        """The parameter vector cut into one piece per effect."""
+        return [np.asarray(values[piece], float) for piece in self._pieces]
+
+    def split(self, values: torch.Tensor) -> dict[str, np.ndarray]:
+        """The parameter vector cut into one piece per effect, by label."""
+        return dict(zip(self.labels, self.pieces(values), strict=True))
+
+    def describe(self, values: torch.Tensor) -> dict[str, dict[str, Any]]:
+        """Public parameters of every effect, by label."""
+        pairs = zip(self.effects, self.pieces(values), strict=True)
+        return dict(zip(self.labels, (effect.describe(piece) for effect, piece in pairs), strict=True))
 
     def held(self, values: torch.Tensor) -> EffectSet:
         """The same effects, nothing free, at `values`."""
@@ -153,6 +178,22 @@ class EffectSet:
         pairs = zip(self.effects, self._pieces, strict=True)
         held = [e if piece == own else _held(e, values[piece]) for e, piece in pairs]
         return EffectSet(held, self.grids), own
+
+
+def occurrences(names: Iterable[str]) -> list[int]:
+    """How many of the same name come before each of `names`."""
+    seen: Counter[str] = Counter()
+    found = []
+    for name in names:
+        found.append(seen[name])
+        seen[name] += 1
+    return found
+
+
+def labels_of(effects: Sequence[Effect]) -> list[str]:
+    """Unique labels of `effects` in this order: the name, and of a second of its kind ``name_2``."""
+    names = [effect.name for effect in effects]
+    return [f"{name}_{n + 1}" if n else name for name, n in zip(names, occurrences(names), strict=True)]
 
 
 def _clear_factor(grid: OtfGrid) -> torch.Tensor:

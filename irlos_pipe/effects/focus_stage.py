@@ -58,6 +58,7 @@ class FocusStageOffset(RampEffect):
     """
 
     name = "focus_stage_offset"
+    repeatable = True  # of different parts of a ramp
     public = (number("nm", "nm RMS", -2000.0, 2000.0),)
     options = (number("above_nm", "nm RMS"), number("below_nm", "nm RMS"))
     sentence = "a focus stage offset of {nm:+.0f} nm"

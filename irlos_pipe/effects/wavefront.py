@@ -155,6 +155,7 @@ class PhaseBump(_Map):
     """
 
     name = "phase_bump"
+    repeatable = True
     aberration = True
     public = (
         number("nm", "nm, peak", -2000.0, 2000.0),

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects import Effect
+from irlos_pipe.effects.effect_set import occurrences
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.drift import drifts, measured_drift
@@ -24,7 +25,7 @@ from irlos_pipe.estimate.methods import (
     start_at_centroids,
 )
 from irlos_pipe.estimate.parameters import Layout, NcpaPrior
-from irlos_pipe.estimate.score_test import located
+from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.estimate.starts import START_HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.numerics.loss import LOSSES, Loss
@@ -220,11 +221,18 @@ class _Task:
 
 
 def _fit_steady(task: _Task, effects: Sequence[Effect]) -> Fit:
-    """Fit with all effects; those whose place is unknown are searched for in what the others leave."""
-    fit = task.fit([effect for effect in effects if not effect.needs_search])
-    if not any(effect.needs_search for effect in effects):
-        return fit
-    return task.fit(located(fit[0], fit[1].values[:1], effects), fit)
+    """Fit with all effects; those whose position is unknown are searched for in what the others leave.
+
+    Of several of one kind each is searched for beside those before it.
+    """
+    placed = {index: effect for index, effect in enumerate(effects) if not effect.needs_search}
+    fit = task.fit(list(placed.values()))
+    turns = occurrences(effect.name for effect in effects)
+    for turn in sorted({turns[index] for index in range(len(effects)) if index not in placed}):
+        now = [index for index in range(len(effects)) if index not in placed and turns[index] == turn]
+        placed |= {index: best_start(fit[0], fit[1].values[:1], effects[index]) for index in now}
+        fit = task.fit([placed[index] for index in sorted(placed)], fit)
+    return fit
 
 
 def _result(

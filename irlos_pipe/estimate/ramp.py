@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects import Effect
+from irlos_pipe.effects.effect_set import labels_of
 
 MIN_OBSERVABILITY = 1e-6  # of a column's power beside the others
 
@@ -168,17 +169,19 @@ def fit_focus_stage(
     ValueError
         If the ramp cannot tell the errors apart.
     """
+    labels = labels_of(effects)
     base = _introduced_nm(effects, commanded_nm, None)
     free = [(e, i) for e, effect in enumerate(effects) for i in range(len(effect.parameters))]
     if not free:
-        return FocusStage(base, {effect.name: effect.describe(()) for effect in effects}, {})
+        known = {label: effect.describe(()) for label, effect in zip(labels, effects, strict=True)}
+        return FocusStage(base, known, {})
     columns = np.array([_introduced_nm(effects, commanded_nm, one) - base for one in free])
-    values, sigma = _determined(columns, estimated_nm - base, [effects[e].name for e, _ in free])
+    values, sigma = _determined(columns, estimated_nm - base, [labels[e] for e, _ in free])
     found, errors = {}, {}
     for number, effect in enumerate(effects):
         own = [k for k, (e, _) in enumerate(free) if e == number]
-        found[effect.name] = effect.describe(values[own])
-        errors[effect.name] = {p.name: sigma[k] for p, k in zip(effect.parameters, own, strict=True)}
+        found[labels[number]] = effect.describe(values[own])
+        errors[labels[number]] = {p.name: sigma[k] for p, k in zip(effect.parameters, own, strict=True)}
     return FocusStage(base + values @ columns, found, errors)
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from irlos_pipe.effects import Effect, EffectSet, FixedEffect, SeeingHalo, TipTiltJitter, expected
-from irlos_pipe.effects.effect_set import NOTHING
+from irlos_pipe.effects import Effect, EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
+from irlos_pipe.effects.effect_set import NOTHING, labels_of
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import LiftOptions, LiftResult, image_problem, lift, smooth
 from irlos_pipe.estimate.parameters import Layout
@@ -160,16 +160,17 @@ def ramp_effects(
     available : sequence of Effect
         The effects of the model.
     known : mapping of str to FixedEffect
-        Those that a calibration has measured, by name. Of the others, residual and jitter are taken as
+        Those that a calibration has measured, by label. Of the others, residual and jitter are taken as
         expected, and the rest as `available` has them: a free one is fitted to the whole ramp.
     halo : {"calibrated", "fit", "off"}
     object_sigma_mas : {"calibrated", "fit"} or float
         Size of the Gaussian kernel that stands for object and jitter.
     """
-    best = {effect.name: known.get(effect.name) or expected([effect])[0] for effect in available}
+    labelled = dict(zip(labels_of(available), available, strict=True))
+    best = {label: known.get(label) or effect.expected() for label, effect in labelled.items()}
     residual = _halo(best.pop(SeeingHalo.name, None), halo)
     kernel = _kernel(best.pop(TipTiltJitter.name, None), object_sigma_mas)
-    rest = [known.get(effect.name, effect) for effect in available if effect.name in best]
+    rest = [known.get(label, effect) for label, effect in labelled.items() if label in best]
     return [effect for effect in (residual, kernel, *rest) if effect is not None]
 
 

@@ -144,20 +144,6 @@ def derivatives(
 # -- where to begin a fit ----------------------------------------------------------------------
 
 
-def located(problem: ImageFit, x: torch.Tensor, effects: Sequence[Effect]) -> list[Effect]:
-    """Effects with a start for those that must be searched for.
-
-    Parameters
-    ----------
-    problem : ImageFit
-        With the effects that need no search; its layout holds their free parameters.
-    x : tensor, (1, parameters)
-        Its optimum.
-    effects : sequence of Effect
-    """
-    return [best_start(problem, x, effect) if effect.needs_search else effect for effect in effects]
-
-
 def best_start(problem: ImageFit, x: torch.Tensor, effect: Effect) -> FixedEffect:
     """`effect` with all its parameters free, at its best candidate beside `problem` at its optimum `x`."""
     settings = problem.model.psf.settings

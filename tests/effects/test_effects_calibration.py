@@ -68,6 +68,25 @@ def test_a_companion_anywhere_in_the_window_is_found_by_name_and_no_longer_spoil
     assert found.chi2_nu < 1.3 < 10 < without.chi2_nu
 
 
+def test_two_companions_are_found_one_after_the_other():
+    imager = reference(SAMPLES)
+    true = [
+        {"flux_ratio": 0.06, "sep_mas": 110.0, "pa_deg": 220.0},
+        {"flux_ratio": 0.03, "sep_mas": 95.0, "pa_deg": 40.0},
+    ]
+    image = hcipy_image()
+    for one in true:
+        angle, shift_nm = np.deg2rad(one["pa_deg"]), one["sep_mas"] * TILT_NM_PER_MAS
+        tilt_nm = imager.opd_nm({2: shift_nm * np.cos(angle), 3: shift_nm * np.sin(angle)})
+        image = image + one["flux_ratio"] * hcipy_image(tilt_nm)
+    result = calibrated(image / 1.09, "companion", "companion")
+    assert list(result.effects) == ["companion", "companion_2"]
+    for found, wanted in zip(result.effects.values(), true, strict=True):
+        assert found == pytest.approx(wanted, rel=0.02)
+    assert error_nm(result, NCPA_NM) < 1.0
+    assert result.chi2_nu < 1.3
+
+
 def test_with_petals_in_the_model_the_modes_are_those_of_the_whole_wavefront():
     (x, y), effect = xy_m(SAMPLES), STRONG["low_wind_effect"]
     piston, tip, tilt = (0.5 * np.array(effect[key])[petal_of(x, y)] for key in effect)

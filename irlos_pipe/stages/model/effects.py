@@ -11,6 +11,7 @@ import numpy as np
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects import CATALOGUE, Calibrated, Conditions, Effect, FixedEffect
+from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Product, Quantity
@@ -123,16 +124,18 @@ def calibrated_effects(
     conditions = conditions_of(instrument, model, recording)
     known: dict[str, FixedEffect] = {}
     then = Calibrated(calibration_seeing_arcsec, _brightest_e(product))
-    for entry in model.entries():
-        effect, under = _effect(entry, conditions, recording.name), then
+    entries = model.entries()
+    effects = [_effect(entry, conditions, recording.name) for entry in entries]
+    for label, entry, effect in zip(labels_of(effects), entries, effects, strict=True):
+        found, under = effect, then
         if not effect.parameters:  # the recipe states what it is under the present seeing
             under = replace(then, seeing_arcsec=conditions.seeing_arcsec)
         elif same_star or effect.instrumental:
-            effect = _measured(product, entry, conditions)
+            found = _measured(product, label, entry, conditions)
         else:
             continue
-        if effect is not None:
-            known[entry.name] = effect.base.handed_on(effect.all_values(()).numpy(), conditions, under)
+        if found is not None:
+            known[label] = found.base.handed_on(found.all_values(()).numpy(), conditions, under)
     return known
 
 
@@ -142,10 +145,10 @@ def _brightest_e(product: Product) -> float:
     return float(np.mean([np.max(image) for image in models])) if models else float("nan")
 
 
-def _measured(product: Product, entry: EffectEntry, conditions: Conditions) -> FixedEffect | None:
+def _measured(product: Product, label: str, entry: EffectEntry, conditions: Conditions) -> Effect | None:
     """An effect at the values of a calibration; None where it has none."""
-    key = f"effects/{entry.name}"
+    key = f"effects/{label}"
     if key not in product.arrays or not len(product.arrays[key].value):
         return None
-    effect = _under(entry, conditions, product.results.get("effects", {}).get(entry.name, {}))
+    effect = _under(entry, conditions, product.results.get("effects", {}).get(label, {}))
     return FixedEffect(effect, np.array(product.arrays[key].value, float))

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.stages.model.effect_entry import EffectEntry
 
 
@@ -15,7 +16,8 @@ class ModelConfig(BaseModel):
 
     An effect is named to be estimated (``seeing_halo``), given with its parameters to be held at them
     (``tip_tilt_jitter: {sigma_mas: 8}``), or to be estimated from there (the same and ``fit: true``).
-    Some have options besides (``vibration: {shape: gaussian}``).
+    Some have options besides (``vibration: {shape: gaussian}``). Several companions, phase bumps or biases
+    of parts of a ramp are listed one by one; results name the second ``companion_2``.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -36,8 +38,9 @@ class ModelConfig(BaseModel):
     @classmethod
     def _known_effects(cls, effects: tuple) -> tuple:
         names = [EffectEntry.of(entry).name for entry in effects]
-        if len(set(names)) != len(names):
-            raise ValueError("an effect is listed twice")
+        again = sorted({name for name in names if names.count(name) > 1 and not CATALOGUE[name].repeatable})
+        if again:
+            raise ValueError(f"an effect is listed twice: {', '.join(again)}")
         return effects
 
     def completed(self, facility: Facility) -> ModelConfig:
