@@ -1,8 +1,16 @@
-"""The effects that recipes, models and results can name."""
+"""The effects that recipes, models and results can name, and their page of the documentation."""
+
+from __future__ import annotations
+
+import inspect
+import textwrap
+
+import numpy as np
 
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.colour import AtmosphericDispersion, PlateScale, Spectrum
 from irlos_pipe.effects.companion import Companion
+from irlos_pipe.effects.declaration import Public
 from irlos_pipe.effects.drift import NcpaDrift
 from irlos_pipe.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
 from irlos_pipe.effects.low_wind import LowWindEffect
@@ -38,3 +46,55 @@ CATALOGUE: dict[str, type[Effect]] = {
         FocusStageHysteresis,
     )
 }
+
+HEAD = """# Effects
+
+The names, units and limits that recipes, models, simulation specifications, products and reports use. This
+page is made from the classes in `irlos_pipe/effects`; `docs/architecture.md` describes how to add one.
+
+A recipe lists effects in `model.effects`: by name to estimate them, with their values to hold them
+(`tip_tilt_jitter: {sigma_mas: 8}`), or with their values and `fit: true` to start there. Values in brackets
+may be left out. Effects marked with * can be listed several times; results name the second `companion_2`.
+
+| effect | plane | values: unit, limits | most easily mistaken for |
+|---|---|---|---|
+"""
+LINE_LENGTH = 118
+
+
+def catalogue_page() -> str:
+    """Return the page of the documentation that lists all effects, in Markdown."""
+    kinds = CATALOGUE.values()
+    rows = [f"| {_title(kind)} | {kind.plane} | {_values(kind)} | {kind.look_alike} |" for kind in kinds]
+    sections = [
+        "\n\n".join([f"## {kind.name}", _summary(kind), _filled(f"Reference: {kind.reference}.")])
+        for kind in kinds
+    ]
+    return HEAD + "\n".join(rows) + "\n\n" + "\n\n".join(sections) + "\n"
+
+
+def _title(kind: type[Effect]) -> str:
+    return f"`{kind.name}`" + ("*" if kind.repeatable else "")
+
+
+def _values(kind: type[Effect]) -> str:
+    options = [f"option {_value(one)}" for one in kind.options]
+    return "; ".join([*(_value(one) for one in kind.public), *options])
+
+
+def _value(one: Public) -> str:
+    name = f"`{one.name}`" if one.required else f"[`{one.name}`]"
+    unit = " or ".join(one.choices) or one.unit
+    limited = np.isfinite([one.lower, one.upper]).any()
+    limits = f"{one.lower:g} to {one.upper:g}" if limited else ""
+    return f"{name}: " + ", ".join(filter(None, [unit, limits])) if unit or limits else name
+
+
+def _summary(kind: type[Effect]) -> str:
+    """The docstring of an effect up to its first section."""
+    text = inspect.cleandoc(kind.__doc__ or "").split("\nParameters\n---")[0].strip().replace("``", "`")
+    return "\n\n".join(_filled(paragraph) for paragraph in text.split("\n\n"))
+
+
+def _filled(paragraph: str) -> str:
+    return textwrap.fill(" ".join(paragraph.split()), LINE_LENGTH, break_on_hyphens=False)

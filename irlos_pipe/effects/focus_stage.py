@@ -101,7 +101,7 @@ class FocusStageScale(RampEffect):
     """
 
     name = "focus_stage_scale"
-    public = (number("fraction", "", -0.9, 10.0),)
+    public = (number("fraction", "more than commanded", -0.9, 10.0),)
     sentence = "a focus stage scale of {fraction:+.1%}"
     separated_by = "larger offsets on both sides; a known lens"
     look_alike = "wrong wavelength or pixel scale, which scale all modes alike"

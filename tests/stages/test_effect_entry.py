@@ -11,8 +11,15 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.effects.public_values import mean_of, rows_of
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.product.product import Product
 from irlos_pipe.stages.model.effect_entry import EffectEntry
-from irlos_pipe.stages.model.effects import good_pixels, image_effects, model_effects
+from irlos_pipe.stages.model.effects import (
+    calibrated_effects,
+    effect_arrays,
+    good_pixels,
+    image_effects,
+    model_effects,
+)
 from irlos_pipe.stages.model.section import ModelConfig
 
 IRLOS = load_instrument("irlos")
@@ -81,6 +88,24 @@ def test_a_wrong_entry_is_refused_with_what_is_allowed(entry, message):
 def test_an_effect_that_means_nothing_for_a_recording_is_an_error_of_the_recipe(entry, diversity, message):
     with pytest.raises(ConfigurationError, match=message):
         effects_of(entry, diversity=diversity)
+
+
+def test_what_two_companions_were_calibrated_to_is_handed_on_to_the_same_two():
+    second = STRONG["companion"] | {"sep_mas": 150.0}
+    entries = ("companion", {"companion": second | {"fit": True}}, {"tip_tilt_jitter": {"sigma_mas": 8.0}})
+    model, cube = ModelConfig(effects=entries), recording({6: -170.0})
+    found = {"companion": [0.03, 90.0, -20.0], "companion_2": [0.01, -60.0, 120.0]}
+    product = Product("calibrate", effect_arrays({k: np.array(v) for k, v in found.items()}), {"effects": {}})
+    known = calibrated_effects(product, IRLOS, model, cube, 0.8, same_star=True)
+    assert {label: effect.values.tolist() for label, effect in known.items()} == found | {
+        "tip_tilt_jitter": [64.0]
+    }
+    assert set(calibrated_effects(product, IRLOS, model, cube, 0.8)) == {"tip_tilt_jitter"}
+
+
+def test_a_second_of_a_kind_is_refused_where_it_means_nothing():
+    with pytest.raises(ValueError, match="listed twice: vibration"):
+        ModelConfig(effects=("vibration", "companion", "vibration", "companion"))
 
 
 def test_options_choose_modes_and_shapes():
