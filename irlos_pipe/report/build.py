@@ -104,7 +104,7 @@ def _sections(run: RunData) -> list[Section]:
 
 
 def _plain_section(stage: str, run: RunData) -> Section:
-    """What the stage told on the terminal, for stages without drawings."""
+    """Show the summary of a stage for which there are no drawings."""
     lines = run.products[stage].provenance.get("summary", [])
     return Section(stage, stage.capitalize(), blocks=[Text("\n".join(lines), verbatim=True)])
 
@@ -114,7 +114,7 @@ def _targets(run: RunData) -> str:
 
 
 def _observed(run: RunData) -> str:
-    """When the first and the last recording began (UTC)."""
+    """Return when the first and the last recording began (UTC)."""
     starts = [r.start_unix_s for r in run.recordings if np.isfinite(r.start_unix_s)]
     if not starts:
         return ""

@@ -19,7 +19,7 @@ LEFT_OUT = {"ingest"}  # frames as they came in: the experiment's own report sho
 
 @dataclass(frozen=True)
 class Chapter:
-    """What a report tells of one experiment.
+    """What a report shows of one experiment.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Chapter:
 
     @property
     def time(self) -> str:
-        """Wall time as text."""
+        """Return the wall time as text."""
         return duration(self.seconds)
 
 
@@ -60,6 +60,8 @@ def read_chapter(name: str, folder: Path, problem: str = "") -> Chapter:
     ----------
     name : str
         Unique in the report; the identifiers of its drawings begin with it.
+    folder : Path
+        Folder of the run.
     problem : str
         What stopped the run, if anything did.
 

@@ -22,8 +22,11 @@ def write_collection(path: Path, title: str, note: str, chapters: Sequence[Chapt
 
     Parameters
     ----------
-    note : str
-        One line below the title.
+    path : Path
+        File to be written.
+    title, note : str
+        Title of the page, and one line below it.
+    chapters : sequence of Chapter
 
     Raises
     ------

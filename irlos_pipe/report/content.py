@@ -77,7 +77,7 @@ Block = Figure | Table | Text | Stack
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report with a heading; `lead` says in one line what was done."""
+    """A part of the report with a heading; `lead` states in one line what was done."""
 
     name: str
     title: str

@@ -48,10 +48,14 @@ def profile_plot(
 
     Parameters
     ----------
+    name : str
+        Unique in the page.
     curves : mapping
         By label: radius, values, colour and line style.
     units : tuple of str
-        Of the radius, and the label of the values' axis.
+        Unit of the radius, and label of the axis of the values.
+    size_in : tuple of float
+        Width and height [inch].
     """
 
     def draw(figure: Figure) -> None:

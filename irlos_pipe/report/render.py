@@ -8,7 +8,7 @@ import jinja2
 
 
 def rendered(template: str, **content: Any) -> str:
-    """Return the page; text is escaped, and a name that the template misses is an error."""
+    """Return the page of a `template` filled with `content`; text is escaped, a missing name is an error."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("irlos_pipe.report"),
         autoescape=True,

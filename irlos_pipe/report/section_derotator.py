@@ -62,7 +62,7 @@ def _lead(results: DerotatorResults) -> str:
 
 
 def angle_titles(run: RunData, stage: str, prefix: str = "") -> list[str]:
-    """Return derotator angles as titles of columns; names of arrays of the `stage` begin with `prefix`."""
+    """Return the angles of a `run` as titles of columns; arrays of the `stage` begin with `prefix`."""
     angles = run.array(stage, f"{prefix}angle_deg")
     return [f"{angle:g}°" for angle in (() if angles is None else angles)]
 

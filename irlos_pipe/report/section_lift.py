@@ -32,7 +32,7 @@ CELL_IN = 1.5
 MOST_OFFSETS = 12
 FEW_OFFSETS = 3
 CAPTION = (
-    "Frames of one offset stand side by side in order of time; the colour tells from which side "
+    "Frames of one offset stand side by side in order of time; the colour shows from which side "
     "the offset was reached."
 )
 VARIANT_COLUMNS = (
@@ -55,7 +55,7 @@ def lift_section(run: RunData) -> Section:
 
 def _lead(results: LiftResults) -> str:
     modes = ", ".join(map(str, results.modes))
-    ncpas = "added to the diversity" if results.calibrated else "left out"
+    ncpas = "in the known wavefront" if results.calibrated else "left out"
     return f"Noll {modes} of {plural(len(results.points), 'frame')}; NCPAs {ncpas}."
 
 

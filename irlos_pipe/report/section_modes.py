@@ -67,7 +67,7 @@ def _strength(run: RunData, results: ModesResults) -> list[Figure]:
 
 
 def law_table(laws: Mapping[str, LawRow], names: Mapping[str, str]) -> Table:
-    """Tabulate fitted laws; `names` says what each was fitted to."""
+    """Tabulate fitted `laws`; `names` states what each was fitted to."""
     rows = [
         (
             names.get(name, name),

@@ -36,7 +36,7 @@ def number(value: float | None, pattern: str = ".1f", unit: str = "") -> str:
 
 
 def with_error(value: float | None, error: float | None, pattern: str = ".1f", unit: str = "") -> str:
-    """Format ``value ± error unit`` by `pattern`; the `value` alone without an `error`."""
+    """Format `value` ± `error` by `pattern` with its `unit`; the value alone without an error."""
     if not is_known(value) or not is_known(error):
         return number(value, pattern, unit)
     return f"{value:{pattern}} ± {error:{pattern.lstrip('+')}}" + (f" {unit}" if unit else "")

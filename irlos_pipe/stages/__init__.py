@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 if TYPE_CHECKING:
     from irlos_pipe.stages.base import Stage
@@ -46,7 +46,7 @@ class StageRegistry(Mapping[str, "Stage"]):
         self._modules = dict(modules)
 
     def __getitem__(self, name: str) -> Stage:
-        return import_module(self._modules[name])
+        return cast("Stage", import_module(self._modules[name]))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._modules)

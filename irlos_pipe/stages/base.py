@@ -31,7 +31,7 @@ ConfigT = TypeVar("ConfigT", bound=StageConfig)
 
 @dataclass(frozen=True)
 class StageContext(Generic[ConfigT]):
-    """All that a stage may look at; ``StageContext[Config]`` says whose section `config` is.
+    """Everything a stage may use; ``StageContext[Config]`` states whose section `config` is.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class StageContext(Generic[ConfigT]):
     log : logging.Logger
         Goes to run.log and into the product; shown on the terminal with ``-v``.
     scratch : Path
-        Folder for finished parts of a long stage; made by who first writes there. It survives an
-        interruption, is the same as long as nothing that the product depends on changes, and is
-        removed when the product has been written.
+        Folder for finished parts of a long stage, made by the stage itself. It survives an interruption,
+        stays the same while nothing changes that the product depends on, and is removed when the
+        product has been written.
     """
 
     config: ConfigT
@@ -111,16 +111,18 @@ class Stage(Protocol):
     Config: type[StageConfig]
 
     @staticmethod
-    def run(ctx: StageContext[Any]) -> StageOutput: ...
+    def run(ctx: StageContext[Any]) -> StageOutput:
+        """Do the work of the stage."""
+        ...
 
 
 def needs(stage: Stage) -> tuple[str, ...]:
-    """Names of the stages that must precede `stage` in a recipe."""
+    """Return the names of the stages that must precede `stage` in a recipe."""
     return tuple(getattr(stage, "NEEDS", ()))
 
 
 def reads(stage: Stage, earlier: Sequence[str]) -> tuple[str, ...]:
-    """Names of those of the `earlier` stages whose products `stage` looks at."""
+    """Return the names of those of the `earlier` stages whose products `stage` reads."""
     wanted = getattr(stage, "READS", None)
     return tuple(name for name in earlier if wanted is None or name in wanted or name in needs(stage))
 
@@ -131,5 +133,5 @@ def files_of(stage: Stage) -> Callable[[Path], list[Path]] | None:
 
 
 def depends_on(stage: Stage) -> frozenset[str]:
-    """Parts of the run, other than its own section, on which the stage's product depends."""
+    """Return the parts of the run, besides its own section, that the product of a `stage` depends on."""
     return frozenset(getattr(stage, "DEPENDS_ON", KEY_PARTS))

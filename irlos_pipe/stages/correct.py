@@ -53,7 +53,7 @@ class CorrectResults(StageResults):
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
-    """Offsets as CSV and FITS, and the predicted image before and after."""
+    """Write the offsets as CSV and FITS, and predict the image before and after the correction."""
     arrays = ctx.products["calibrate"].arrays
     nolls = [int(n) for n in arrays["noll"].value]
     zernike, sigma = np.array(arrays["zernike_nm"].value, float), np.array(arrays["zernike_nm"].error, float)

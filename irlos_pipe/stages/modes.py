@@ -133,7 +133,7 @@ class ModesResults(StageResults):
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
-    """Scatter of the modes with its law, and the scan of the number of modes."""
+    """Fit a law to the scatter of the modes, and try several numbers of modes."""
     cubes = cube_estimates(ctx.products["calibrate"])
     if not cubes:
         raise ConfigurationError("modes needs the cubes one by one: set calibrate.each to true")
@@ -266,10 +266,10 @@ def _numbers(scans: Sequence[ModeScan], choice: Choice) -> NumberScan:
     )
 
 
-def _changes_nm(scans: Sequence[ModeScan], place: int) -> Iterator[np.ndarray]:
+def _changes_nm(scans: Sequence[ModeScan], index: int) -> Iterator[np.ndarray]:
     """RMS difference from the estimate with one of the numbers, (numbers,) per cube."""
     for scan in scans:
-        yield np.sqrt(np.sum((scan.mean_nm - scan.mean_nm[place]) ** 2, axis=1))
+        yield np.sqrt(np.sum((scan.mean_nm - scan.mean_nm[index]) ** 2, axis=1))
 
 
 def _rms_over_cubes(values: Iterable[np.ndarray]) -> np.ndarray:
@@ -277,10 +277,10 @@ def _rms_over_cubes(values: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def _number_lines(numbers: NumberScan) -> list[str]:
-    place = numbers.highest_noll.index(numbers.recommended)
+    index = numbers.highest_noll.index(numbers.recommended)
     return [
         f"  {numbers.recommended - 1} modes (Noll 2–{numbers.recommended}) suffice for unseen frames: "
-        f"χ²/ν {numbers.held_out_chi2_nu[place]:.3f}, least with Noll {numbers.best}"
+        f"χ²/ν {numbers.held_out_chi2_nu[index]:.3f}, smallest with Noll {numbers.best}"
     ]
 
 

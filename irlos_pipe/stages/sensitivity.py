@@ -127,7 +127,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     if bright is None:
         raise InputDataError(
             f"{ramp.recordings[0].name}: mag_j is missing; give it in acquisition.yaml, "
-            "the magnitude scale hangs on it"
+            "the magnitudes of the dimmed frames are counted from it"
         )
     magnitudes = np.arange(bright, ctx.config.faintest_mag_j + 1e-9, ctx.config.mag_step)
     if len(magnitudes) == 0:

@@ -142,7 +142,7 @@ class _Mean:
         return {
             "noll": Quantity(np.array(self.nolls), "", "Noll index of every estimated mode"),
             "zernike_nm": Quantity(self.zernike_nm, "nm", text, self.sigma_nm),
-            "modes_nm": Quantity(self.modes_nm, "nm", "the same without what effects in the pupil add"),
+            "modes_nm": Quantity(self.modes_nm, "nm", "modes without the part of effects in the pupil"),
             "covariance_nm2": Quantity(self.covariance_nm2, "nm2", "from the scatter over frames"),
         } | effect_arrays(effect_values)
 

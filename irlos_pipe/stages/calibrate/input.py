@@ -1,4 +1,4 @@
-"""From recordings and the recipe's model to what a calibration is given."""
+"""The input of a calibration: frames of recordings and the model of the recipe."""
 
 from __future__ import annotations
 
@@ -35,7 +35,16 @@ class CubeInput:
 
 
 def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: CalibrationOptions) -> CubeInput:
-    """All frames of the recordings and the model for the first."""
+    """Return all frames of the `recordings` and the model of the first.
+
+    Parameters
+    ----------
+    ctx : StageContext
+    recordings : sequence of Recording
+        Taken alike.
+    options : CalibrationOptions
+        State the modes, which the model depends on.
+    """
     first, highest_noll = recordings[0], options.last_noll
     effects = model_effects(ctx.instrument, ctx.model, first, highest_noll)
     images_e, pixel_mask, noise = pooled_images(recordings)

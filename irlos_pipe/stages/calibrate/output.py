@@ -105,7 +105,7 @@ def arrays_of(result: Calibration) -> dict[str, Quantity]:
         "zernike_nm": Quantity(
             result.zernike_nm, "nm", "static wavefront without the diversity", result.sigma_nm
         ),
-        "modes_nm": Quantity(result.fitted_modes_nm, "nm", "the same without what effects in the pupil add"),
+        "modes_nm": Quantity(result.fitted_modes_nm, "nm", "modes without the part of effects in the pupil"),
         "covariance_nm2": Quantity(result.covariance_nm2, "nm2", "from the scatter over frames"),
         "frames_nm": Quantity(result.frames_nm, "nm", "coefficients of every frame (frame, mode)"),
         "frame_status": Quantity(np.array(result.frame_status, dtype=object), "", "outcome of every fit"),

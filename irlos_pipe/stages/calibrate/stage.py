@@ -71,7 +71,7 @@ class Config(Limits):
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
-    """Calibrate with the chosen method, and with those to compare."""
+    """Calibrate with the chosen method, and with the methods to compare."""
     recordings = [r.accepted() for r in recordings_from_product(ctx.products["ingest"], ctx.config.input)]
     return _each(ctx, recordings) if ctx.config.each else _together(ctx, recordings)
 

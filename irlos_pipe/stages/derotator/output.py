@@ -64,7 +64,7 @@ class SplitOutput:
 
     @property
     def parts(self) -> dict[str, Part]:
-        """The parts by name."""
+        """Return the parts by name."""
         return {name: getattr(self.split, name) for name in PARTS}
 
     @property
@@ -74,7 +74,7 @@ class SplitOutput:
 
     @property
     def consistency(self) -> Consistency:
-        """How well the angles agree."""
+        """Return how well the angles agree."""
         return consistency(self.series, self.split)
 
     def results(self) -> dict[str, Any]:

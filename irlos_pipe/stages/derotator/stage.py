@@ -62,7 +62,7 @@ def _one_angle(ctx: StageContext[Config], cubes: list[AngleRow], series: Series)
     """Return what there is without a second angle: the estimates as measured."""
     angle = f"derotator angle {cubes[0].derotator_angle_deg:g}°"
     reason = f"all {len(cubes)} recordings are of {angle}" if len(cubes) > 1 else f"one recording, of {angle}"
-    ctx.log.warning("%s: what turns cannot be told from what does not", reason)
+    ctx.log.warning("%s: rotating and fixed parts cannot be separated", reason)
     results = DerotatorResults(
         cubes=cubes,
         modes=list(series.nolls),
