@@ -37,14 +37,14 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
         temporary.unlink(missing_ok=True)
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a whole file atomically."""
+def write_bytes(path: Path, content: bytes | memoryview) -> None:
+    """Write a whole file with this `content` to `path` atomically."""
     with atomic_file(path) as stream:
         stream.write(content)
 
 
 def write_if_changed(path: Path, content: bytes) -> bool:
-    """Write a file unless it holds exactly this content already; True when it was written."""
+    """Write `content` to `path` unless it stands there already; return whether it was written."""
     if path.is_file() and path.read_bytes() == content:
         return False
     write_bytes(path, content)

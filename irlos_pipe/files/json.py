@@ -47,7 +47,7 @@ def _jsonable_object(value: Any) -> Any:
 
 
 def json_text(value: Any, indent: int | None = 1) -> str:
-    """Serialise to strict JSON with a final newline."""
+    """Return `value` as strict JSON with a final newline, `indent` spaces per level."""
     return json.dumps(jsonable(value), indent=indent, allow_nan=False, ensure_ascii=False) + "\n"
 
 

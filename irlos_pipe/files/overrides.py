@@ -1,4 +1,4 @@
-"""What the command line changes in a settings file: ``--set KEY=VALUE``, ``--input NAME=PATH``."""
+"""Values of a settings file that the command line replaces: ``--set KEY=VALUE``, ``--input NAME=PATH``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Override:
     key : tuple of str or int
         Key path, for example ``("calibrate", "method")``.
     where : str
-        How error messages call it, for example ``--set calibrate.method``.
+        What error messages name, for example ``--set calibrate.method``.
     """
 
     key: tuple[str | int, ...]
@@ -36,7 +36,7 @@ class Override:
 
 
 def parse_setting(text: str, example: str = EXAMPLE) -> Override:
-    """Parse ``stage.key=VALUE``, the value in YAML; `example` is what the error says was expected.
+    """Parse the `text` ``stage.key=VALUE``, the value in YAML; `example` is what the error asks for.
 
     Raises
     ------
@@ -140,13 +140,13 @@ def input_overrides(pairs: Iterable[tuple[str, Path]]) -> list[Override]:
 
 
 def absolute(path: str | Path, folder: Path | None = None) -> Path:
-    """Return an absolute path, counted from `folder`; links are kept, as their names carry meaning."""
+    """Return an absolute `path`, counted from `folder`; links are kept, as their names carry meaning."""
     expanded = Path(path).expanduser()
     return Path(os.path.abspath(expanded if folder is None else folder / expanded))
 
 
 def overridden(data: Any, override: Override) -> dict:
-    """Return `data` with one value replaced; missing levels are made, `data` stays as it is."""
+    """Return `data` with the value of `override` in it; missing levels are made, `data` stays as it is."""
     return _replaced(data, override.key, override)
 
 

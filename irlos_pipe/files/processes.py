@@ -18,7 +18,7 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 
 @contextmanager
 def in_processes(count: int, function: Callable, arguments: Iterable[tuple]) -> Iterator[list[Future]]:
-    """Call a function with every tuple of arguments in up to `count` processes.
+    """Call `function` with every tuple of `arguments` in up to `count` processes.
 
     The processes start from nothing ("spawn"), so that results do not depend on the state of this
     one, and leave Ctrl-C to it. They are killed when the block is left by an exception.
@@ -73,7 +73,9 @@ def _end_with_parent() -> None:
     """A parent that is killed cannot end its workers: they watch for it themselves."""
 
     def watch() -> None:
-        parent_process().join()
+        parent = parent_process()
+        if parent is not None:
+            parent.join()
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
@@ -18,7 +18,10 @@ MAX_BYTES = 1_000_000  # some seconds of parsing; one defocus per frame of 100 0
 MAX_DEPTH = 30
 
 
-FastestLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's parser, seven times as fast
+if TYPE_CHECKING:
+    from yaml import SafeLoader as FastestLoader
+else:
+    FastestLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's parser, seven times as fast
 
 
 class _Loader(FastestLoader):
@@ -77,7 +80,7 @@ def load_yaml(
 
 
 def parse_yaml(text: str, name: str, error: type[IrlosError] = ConfigurationError) -> tuple[dict, dict]:
-    """Do the same as `load_yaml` for text; `name` stands for the file in error messages."""
+    """Parse `text` like `load_yaml`; messages of the `error` name the file `name`."""
     try:
         _refuse_aliases_and_tags(text)
         node = yaml.compose(text, Loader=_Loader)
@@ -100,7 +103,7 @@ def yaml_text(data: dict) -> str:
 
 
 def line_of(lines: dict[tuple, int], key_path: tuple) -> int:
-    """Return the line of the longest part of `key_path` that stands in the file."""
+    """Return the line, out of `lines`, of the longest part of `key_path` that stands in the file."""
     for length in range(len(key_path), 0, -1):
         if tuple(key_path[:length]) in lines:
             return lines[tuple(key_path[:length])]
@@ -124,11 +127,12 @@ def _refuse_aliases_and_tags(text: str) -> None:
     """Stop before anything is built: aliases can expand without bound, tags can ask for objects."""
     depth = 0
     for event in yaml.parse(text, Loader=_Loader):
-        line = event.start_mark.line + 1
+        line = event.start_mark.line + 1 if event.start_mark else 1
         if isinstance(event, yaml.AliasEvent):
             raise _Refused(line, f"alias '*{event.anchor}' is not accepted; write the value out")
-        if getattr(event, "tag", None):
-            raise _Refused(line, f"tag '{event.tag}' is not accepted; write a plain value")
+        tag = getattr(event, "tag", None)
+        if tag:
+            raise _Refused(line, f"tag '{tag}' is not accepted; write a plain value")
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > MAX_DEPTH:
             raise _Refused(line, f"nested more than {MAX_DEPTH} deep")
@@ -143,7 +147,7 @@ def _build(node: yaml.Node | None, key_path: tuple, lines: dict[tuple, int], loa
             lines[(*key_path, index)] = child.start_mark.line + 1
             items.append(_build(child, (*key_path, index), lines, loader))
         return items
-    return None if node is None else _scalar(node, loader)
+    return _scalar(node, loader) if isinstance(node, yaml.ScalarNode) else None
 
 
 def _scalar(node: yaml.ScalarNode, loader: _Loader) -> Any:

@@ -1,4 +1,8 @@
-"""Bad pixels and cosmic hits, told from light by what they do over time and between neighbours."""
+"""Bad pixels and cosmic hits, recognised by what they do over time and between neighbours.
+
+Throughout, `sampling_px` is the number of pixels per λ/D at the shortest wavelength, and `noise` the
+declared noise of photons and read-out.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +48,7 @@ class Thresholds:
 
 
 def stuck_pixels(adu: np.ndarray, read_noise_adu: float, ratio: float) -> np.ndarray:
-    """Pixels that scatter over time far less than the read noise lets any pixel do.
+    """Find pixels that scatter over time far less than the read noise lets any pixel do.
 
     Parameters
     ----------
@@ -52,6 +56,8 @@ def stuck_pixels(adu: np.ndarray, read_noise_adu: float, ratio: float) -> np.nda
         Counts of valid frames.
     read_noise_adu : float
         Declared read noise [ADU]; the quietest fifth of the window is believed if it is quieter.
+    ratio : float
+        Scatter of a stuck pixel over the read noise, see `Thresholds.stuck_ratio`.
 
     Returns
     -------
@@ -72,7 +78,7 @@ def stuck_pixels(adu: np.ndarray, read_noise_adu: float, ratio: float) -> np.nda
 def deviant_pixels(
     images_e: np.ndarray, good: np.ndarray, sampling_px: float, noise: NoiseModel, thresholds: Thresholds
 ) -> np.ndarray:
-    """Pixels that differ from what their neighbours predict, in the median over the frames.
+    """Find pixels that differ from what their neighbours predict, in the median over the frames.
 
     The worst pixels are taken out first and the rest judged again without them. The noise is at
     least what the frames show over time, and scaled up to the scatter over the window, so that an
@@ -84,6 +90,10 @@ def deviant_pixels(
         Finite [e-].
     good : ndarray of bool, (rows, columns)
         Pixels not known to be bad.
+    sampling_px, noise
+        See the module.
+    thresholds : Thresholds
+        `sigma` and `fraction` are used.
 
     Returns
     -------
@@ -118,7 +128,7 @@ def _deviation(
 
 
 def _seen_variance(residual: np.ndarray) -> np.ndarray | float:
-    """Variance over time that is usual around each pixel; 0 if there are too few frames to tell."""
+    """Variance over time that is usual around each pixel; 0 with too few frames."""
     if len(residual) < MIN_FRAMES_FOR_NOISE:
         return 0.0
     return median_filter(_inner_scatter(residual) ** 2, size=5, mode="nearest")
@@ -137,12 +147,18 @@ def _local_maxima(values: np.ndarray) -> np.ndarray:
 def noisy_pixels(
     images_e: np.ndarray, good: np.ndarray, sampling_px: float, noise: NoiseModel, thresholds: Thresholds
 ) -> np.ndarray:
-    """Pixels that scatter over time far more than their brightness and their surroundings explain.
+    """Find pixels that scatter over time far more than their brightness and their surroundings explain.
 
     Parameters
     ----------
     images_e : ndarray, (frames, rows, columns)
         Finite [e-].
+    good : ndarray of bool, (rows, columns)
+        Pixels not known to be bad.
+    sampling_px, noise
+        See the module.
+    thresholds : Thresholds
+        `noisy_ratio`, `sigma` and `fraction` are used.
 
     Returns
     -------
@@ -177,20 +193,22 @@ def _noise_ratio(
 
 def _inner_scatter(values: np.ndarray) -> np.ndarray:
     """Standard deviation along the first axis from the inner 80 %, blind to single hits."""
-    low, high = (
-        np.percentile(values, percent, axis=0, method=method)
-        for percent, method in ((10, "higher"), (90, "lower"))
-    )
+    low = np.percentile(values, 10, axis=0, method="higher")
+    high = np.percentile(values, 90, axis=0, method="lower")
     return (high - low) / 2.5631
 
 
 def hot_in_dark(dark_adu: np.ndarray, detector: Detector, thresholds: Thresholds) -> np.ndarray:
-    """Pixels whose dark current stands out and whose shot noise no subtraction removes.
+    """Find pixels whose dark current stands out and whose shot noise no subtraction removes.
 
     Parameters
     ----------
     dark_adu : ndarray, (rows, columns)
         Finite [ADU].
+    detector : Detector
+        Gain and declared noise.
+    thresholds : Thresholds
+        `noisy_ratio` is used.
 
     Returns
     -------
@@ -212,7 +230,7 @@ class Hits:
     column: np.ndarray
 
     def per_pixel(self, window: tuple[int, int]) -> np.ndarray:
-        """Number of frames in which each pixel was hit, (rows, columns)."""
+        """Return the number of frames in which each pixel of the window was hit, (rows, columns)."""
         counts = np.zeros(window, dtype=int)
         np.add.at(counts, (self.row, self.column), 1)
         return counts
@@ -239,6 +257,12 @@ def cosmic_hits(
         Finite [e-].
     frames : ndarray of int
         Indices of the frames to search.
+    good : ndarray of bool, (rows, columns)
+        Pixels not known to be bad.
+    sampling_px, noise
+        See the module.
+    thresholds : Thresholds
+        `sigma` and `fraction` are used.
     """
     prediction = neighbour_prediction(good, sampling_px)
     hits = [
@@ -274,12 +298,34 @@ def _suspicious_frames(
 
 
 def flickering_pixels(hits: Hits, frames: int, window: tuple[int, int], fraction: float) -> np.ndarray:
-    """Pixels hit in more than `fraction` of the frames, and in three at least: those are bad, not unlucky."""
+    """Find pixels that are hit too often to be unlucky.
+
+    Parameters
+    ----------
+    hits : Hits
+        Those of all frames.
+    frames : int
+        Number of frames that were searched.
+    window : tuple of int
+        Rows and columns.
+    fraction : float
+        A pixel hit in more of the frames, and in three at least, is bad.
+    """
     return hits.per_pixel(window) > max(2, fraction * frames)
 
 
 def without_bad_pixels(images_e: np.ndarray, good: np.ndarray, sampling_px: float) -> np.ndarray:
-    """Images with bad pixels replaced by the prediction of their good neighbours (0 where there are none)."""
+    """Replace bad pixels by the prediction of their good neighbours, 0 where there are none.
+
+    Parameters
+    ----------
+    images_e : ndarray, (frames, rows, columns)
+        Left as they are.
+    good : ndarray of bool, (rows, columns)
+        False for bad pixels.
+    sampling_px : float
+        See the module.
+    """
     if good.all():
         return images_e
     rows = np.flatnonzero(~good.ravel())
@@ -293,7 +339,19 @@ def without_bad_pixels(images_e: np.ndarray, good: np.ndarray, sampling_px: floa
 
 
 def without_hits(images_e: np.ndarray, hits: Hits, good: np.ndarray, sampling_px: float) -> np.ndarray:
-    """Images with the hit pixels replaced by the prediction from the same frame."""
+    """Replace the pixels of `hits` in `images_e` by the prediction from the same frame.
+
+    Parameters
+    ----------
+    images_e : ndarray, (frames, rows, columns)
+        Left as they are.
+    hits : Hits
+        Frames and pixels to replace.
+    good : ndarray of bool, (rows, columns)
+        Pixels to predict from.
+    sampling_px : float
+        See the module.
+    """
     if hits.frame.size == 0:
         return images_e
     cleaned = images_e.copy()

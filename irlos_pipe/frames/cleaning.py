@@ -174,6 +174,10 @@ def find_background(valid_adu: np.ndarray, maps: CalibrationMaps, good: np.ndarr
     ----------
     valid_adu : ndarray, (frames, rows, columns)
         Counts of valid frames.
+    maps : CalibrationMaps
+        Dark, sky and flat, as far as there are any.
+    good : ndarray of bool, (rows, columns)
+        Pixels from which a pedestal is estimated.
     """
     window = valid_adu.shape[1:]
     flat, bad = relative_flat(maps.flat, window)

@@ -30,6 +30,8 @@ def to_electrons(
         Dark, sky and pedestal together [ADU].
     flat : ndarray, (rows, columns)
         Relative response; 1 on average.
+    e_per_adu : float
+        Conversion gain [e-/ADU].
 
     Returns
     -------
@@ -44,6 +46,13 @@ def to_electrons(
 
 def relative_flat(flat: np.ndarray | None, window: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Normalise a flat to a median of 1.
+
+    Parameters
+    ----------
+    flat : ndarray, (rows, columns), or None
+        Response of each pixel on any scale; None is a response of 1.
+    window : tuple of int
+        Rows and columns.
 
     Returns
     -------
@@ -61,10 +70,10 @@ def relative_flat(flat: np.ndarray | None, window: tuple[int, int]) -> tuple[np.
 
 
 def estimate_pedestal(mean_adu: np.ndarray) -> tuple[float, float]:
-    """Level on which a star stands, from the outer part of its mean image.
+    """Estimate the level on which a star stands from the outer part of its mean image.
 
     A robust straight-line fit of ``level + slope * r^-3`` beyond `WING_START` of the window, not
-    above the darkest pixels. The AO halo, flat over a small window, cannot be told from a
+    above the darkest pixels. The AO halo, flat over a small window, cannot be distinguished from a
     pedestal; the fits let the background of each frame free for that reason.
 
     Parameters
@@ -102,7 +111,7 @@ def _robust_intercept(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def star_position(image: np.ndarray) -> tuple[float, float]:
-    """Centroid (row, column) of what stands above a tenth of the peak [px]."""
+    """Return the centroid (row, column) of what stands above a tenth of the peak [px]."""
     above = image - np.median(image)
     weights = np.where(above > 0.1 * above.max(), above, 0.0)
     total = weights.sum()
@@ -113,7 +122,7 @@ def star_position(image: np.ndarray) -> tuple[float, float]:
 
 
 def saturation_level(adu: np.ndarray, detector: Detector) -> float | None:
-    """Raw level from which pixels count as saturated [ADU]; None if there is no sign of one.
+    """Return the raw level from which pixels count as saturated [ADU]; None if there is no sign of one.
 
     The detector's own level if it is known; else the value on which far more pixels pile up
     than come close to it, or the end of an integer type.
@@ -122,6 +131,8 @@ def saturation_level(adu: np.ndarray, detector: Detector) -> float | None:
     ----------
     adu : ndarray, (frames, rows, columns)
         Counts as recorded.
+    detector : Detector
+        May declare the level.
     """
     if detector.saturation_adu is not None:
         return detector.saturation_adu

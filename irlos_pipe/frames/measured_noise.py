@@ -1,9 +1,9 @@
 """Noise measured in the frames of the star itself: read noise, excess noise, and the noise of the dark.
 
 The noise of a dark image that is taken from every frame is the same in all frames and does not average
-out. A single dark image cannot tell it from the detector's own pattern, which is taken out with it and does
-no harm; the mean of the frames can: what the dark left there varies from pixel to pixel, faster than the
-image of any star, which ends at the cut-off of the telescope, D/λ.
+out. A single dark image cannot distinguish it from the detector's own pattern, which is taken out with it
+and does no harm; the mean of the frames can: what the dark left there varies from pixel to pixel, faster
+than the image of any star, which ends at the cut-off of the telescope, D/λ.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from irlos_pipe.frames.blocks import frame_variance, mean_frame, sample_frames
 from irlos_pipe.frames.neighbour_prediction import Prediction
 from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE, NoiseModel
 
-PREDICTION_ERROR = 0.01  # of the local brightness; where it rivals the noise a pixel tells nothing
+PREDICTION_ERROR = 0.01  # of the local brightness; a pixel where it rivals the noise is left out
 MIN_PIXELS = 100
 ROUNDS = 5
 SIGNIFICANT = 5.0  # sigma
@@ -107,8 +107,8 @@ def dark_variance_e2(images_e: np.ndarray, good: np.ndarray, at_most_e2: float) 
     -------
     float
         Variance of the mean frame from pixel to pixel beyond the scatter between frames [e-²]; a star that
-        is sharper than the pixels can show raises it, up to `at_most_e2`. Where frames cannot tell, that, or
-        0 if it is infinite.
+        is sharper than the pixels can show raises it, up to `at_most_e2`. Where frames do not show it,
+        `at_most_e2`, or 0 if that is infinite.
     """
     unknown_e2 = at_most_e2 if np.isfinite(at_most_e2) else 0.0
     if at_most_e2 == 0 or len(images_e) < 2 or min(good.shape) < 2 * len(FINE):

@@ -34,25 +34,25 @@ class Prediction:
     average: csr_matrix
 
     def of(self, images: np.ndarray) -> np.ndarray:
-        """Predicted images, (..., rows, columns) like `images`."""
+        """Return the predicted images, (..., rows, columns) like `images`."""
         return _apply(self.weights, images)
 
     def variance(self, pixel_variance: np.ndarray) -> np.ndarray:
-        """Variance of (pixel - prediction), given that of independent pixels, (..., rows, columns)."""
+        """Return the variance of (pixel - prediction), from `pixel_variance` of independent pixels."""
         return pixel_variance + _apply(self.weights.multiply(self.weights).tocsr(), pixel_variance)
 
     def local_rms(self, image: np.ndarray) -> np.ndarray:
-        """Root mean square of the neighbours of every pixel."""
+        """Return the root mean square of the neighbours of every pixel."""
         return np.sqrt(_apply(self.average, image.astype(np.float64) ** 2))
 
 
 def is_well_sampled(sampling_px: float) -> bool:
-    """Tell whether images with `sampling_px` pixels per lambda/D determine a pixel by its neighbours."""
+    """Return whether images with `sampling_px` pixels per lambda/D determine a pixel by its neighbours."""
     return sampling_px >= MIN_SAMPLING_PX
 
 
 def neighbour_prediction(good: np.ndarray, sampling_px: float) -> Prediction:
-    """Best linear prediction of each pixel from the good pixels around it.
+    """Return the best linear prediction of each pixel from the good pixels around it.
 
     The weights solve ``(C + nugget) w = c`` (simple kriging). The covariance of two pixels at
     distance r is the diffraction pattern ``[2 J1(z)/z]^2``, ``z = pi r / sampling``: its spectrum
@@ -61,6 +61,7 @@ def neighbour_prediction(good: np.ndarray, sampling_px: float) -> Prediction:
     Parameters
     ----------
     good : ndarray of bool, (rows, columns)
+        Pixels to predict from.
     sampling_px : float
         Pixels per lambda/D at the shortest wavelength.
     """

@@ -51,24 +51,36 @@ class Limits:
 
 
 def no_reasons(frames: int) -> np.ndarray:
-    """Reasons of a recording of which nothing is known to be wrong, (frames,)."""
+    """Return the reasons of so many `frames` without a fault, (frames,)."""
     return np.full(frames, "", dtype=REASON_TYPE)
 
 
 def also(reasons: np.ndarray, wrong: np.ndarray, reason: str) -> np.ndarray:
-    """Add a reason to the frames in `wrong` that have none yet."""
+    """Return `reasons` with `reason` for the frames in the mask `wrong` that have none yet, (frames,)."""
     return np.where((reasons == "") & wrong, reason, reasons).astype(REASON_TYPE)
 
 
 def tally(reasons: np.ndarray) -> dict[str, int]:
-    """Number of frames per reason, the most frequent first."""
+    """Return the number of frames per reason, the most frequent first."""
     return dict(Counter(reasons[reasons != ""].tolist()).most_common())
 
 
 def recorder_faults(adu: np.ndarray, frame_counter: np.ndarray) -> np.ndarray:
-    """Frames the recorder delivered twice, empty or with values that are no numbers.
+    """Find frames that the recorder delivered twice, empty or with values that are no numbers.
 
     A pixel that is not finite in most frames is a bad pixel and does not count.
+
+    Parameters
+    ----------
+    adu : ndarray, (frames, rows, columns)
+        Counts as recorded.
+    frame_counter : ndarray of int, (frames,)
+        Counter of the recorder.
+
+    Returns
+    -------
+    ndarray of str, (frames,)
+        Reasons; empty for frames without a fault.
     """
     frames = adu.reshape(len(adu), -1)
     finite = np.isfinite(frames)
@@ -89,7 +101,10 @@ def _seen_before(frame_counter: np.ndarray) -> np.ndarray:
 def saturated_frames(
     adu: np.ndarray, good: np.ndarray, level_adu: float | None, tolerated_px: int
 ) -> np.ndarray:
-    """Frames with more than `tolerated_px` good pixels at or above the saturation level, (frames,)."""
+    """Return which frames of `adu` have more than `tolerated_px` saturated pixels, (frames,).
+
+    Pixels that are not `good` do not count; `level_adu` is the lowest saturated count, None if not known.
+    """
     if level_adu is None:
         return np.zeros(len(adu), dtype=bool)
     return ((adu >= level_adu) & good).sum(axis=(1, 2)) > tolerated_px
@@ -97,7 +112,7 @@ def saturated_frames(
 
 @dataclass(frozen=True)
 class StarPeak:
-    """Brightest place of each image after averaging over 3x3 pixels; arrays (frames,).
+    """Brightest spot of each image after averaging over 3x3 pixels; arrays (frames,).
 
     Attributes
     ----------
@@ -112,7 +127,7 @@ class StarPeak:
 
 
 def star_peaks(images_e: np.ndarray) -> StarPeak:
-    """Find the brightest place of each image (frames, rows, columns)."""
+    """Find the brightest spot of each image (frames, rows, columns)."""
     found = [_peaks(images_e[block]) for block in blocks(len(images_e))]
     return StarPeak(np.concatenate([snr for snr, _ in found]), np.concatenate([edge for _, edge in found]))
 
@@ -139,6 +154,8 @@ def star_faults(images_e: np.ndarray, reasons: np.ndarray, limits: Limits) -> np
         Finite [e-].
     reasons : ndarray of str, (frames,)
         What is known so far.
+    limits : Limits
+        What a usable frame has to keep.
     """
     used = np.flatnonzero(reasons == "")
     if used.size == 0:
@@ -154,7 +171,17 @@ def star_faults(images_e: np.ndarray, reasons: np.ndarray, limits: Limits) -> np
 
 
 def flux_outliers(flux_e: np.ndarray, used: np.ndarray, limits: Limits) -> np.ndarray:
-    """Frames whose flux differs from the median by more than both limits, (frames,)."""
+    """Return which frames have a flux that differs from the median by more than both `limits`, (frames,).
+
+    Parameters
+    ----------
+    flux_e : ndarray, (frames,)
+        Sum over the window [e-].
+    used : ndarray of bool, (frames,)
+        Frames that count for median and scatter.
+    limits : Limits
+        `flux_sigma` and `flux_fraction` are used.
+    """
     if used.sum() < MIN_FRAMES_FOR_FLUX:
         return np.zeros(len(flux_e), dtype=bool)
     median = np.median(flux_e[used])
@@ -164,7 +191,10 @@ def flux_outliers(flux_e: np.ndarray, used: np.ndarray, limits: Limits) -> np.nd
 
 
 def hit_in_core(hits: Hits, mean_e: np.ndarray, frames: int, core_fraction: float) -> np.ndarray:
-    """Frames with a hit on a pixel brighter than `core_fraction` of the peak of the mean image, (frames,)."""
+    """Return which of so many `frames` have one of the `hits` in the core of the star, (frames,).
+
+    The core are pixels of the mean image `mean_e` brighter than `core_fraction` of its peak.
+    """
     in_core = mean_e[hits.row, hits.column] > core_fraction * mean_e.max()
     wrong = np.zeros(frames, dtype=bool)
     wrong[hits.frame[in_core]] = True

@@ -1,4 +1,4 @@
-"""The key of a product: a checksum of everything it depends on, and the words for what changed."""
+"""The key of a product: a checksum of everything it depends on, and the description of what changed."""
 
 from __future__ import annotations
 
@@ -22,6 +22,12 @@ def key_parts(
 
     Parameters
     ----------
+    stage : Stage
+        The module of the stage.
+    recipe : Recipe
+        Its configuration, model, instrument and seed are parts.
+    files : iterable of InputFile
+        Files of the inputs.
     upstream : mapping of str to str
         Keys of the products that the stage reads.
     """

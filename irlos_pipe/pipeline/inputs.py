@@ -60,9 +60,9 @@ def input_files(
         When a file cannot be read.
     """
     cache = _read_cache(cache_folder)
-    found = {}
+    found: dict[str, Path] = {}
     for name, roots in inputs.items():
-        own = {}
+        own: dict[str, Path] = {}
         for index, root in enumerate(roots):
             prefix = name if len(roots) == 1 else f"{name}[{index}]"
             own |= {f"{prefix}/{_label(path, root)}": path for path in (files_of or _all_files)(root)}

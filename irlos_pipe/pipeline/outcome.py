@@ -56,6 +56,8 @@ def assess(recipe_name: str, products: Mapping[str, Product], error: str = "") -
 
     Parameters
     ----------
+    recipe_name : str
+        Name of the recipe.
     products : mapping of str to Product
         Up-to-date products by stage name.
     error : str

@@ -81,6 +81,17 @@ class Step:
 def make_plan(recipe: Recipe, folder: Path, files: Iterable[InputFile], selection: Selection) -> list[Step]:
     """Decide for every stage of the recipe whether it runs.
 
+    Parameters
+    ----------
+    recipe : Recipe
+        The stages and their settings.
+    folder : Path
+        The run's folder.
+    files : iterable of InputFile
+        Files of the inputs.
+    selection : Selection
+        Which stages may run.
+
     Raises
     ------
     ConfigurationError
@@ -161,7 +172,7 @@ def _why_outdated(name: str, path: Path, parts: Mapping[str, Any], key: str) -> 
 def _stored(name: str, path: Path) -> dict[str, Any]:
     """Return the provenance of a product on disk."""
     product = read_product(path, arrays=False)
-    told = {"key", "parts", "files", "summary", "failures"}
-    if product.stage != name or not told <= product.provenance.keys():
+    needed = {"key", "parts", "files", "summary", "failures"}
+    if product.stage != name or not needed <= product.provenance.keys():
         raise InputDataError(f"{path}: not a product of stage '{name}' made by a run")
     return product.provenance

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import socket
+import subprocess
 import sys
 from datetime import UTC, datetime
 from functools import cache
@@ -14,13 +15,19 @@ from typing import Any
 
 import irlos_pipe
 
+GIT_TIMEOUT_S = 5.0
 PACKAGES = ("torch", "numpy", "scipy", "astropy", "h5py", "pydantic")
 
 
 @cache
 def software_versions() -> dict[str, str]:
-    """Versions of irlos_pipe, Python and the packages that numbers depend on."""
-    found = {"irlos_pipe": irlos_pipe.__version__, "python": platform.python_version()}
+    """Return the versions of irlos_pipe, Python and the packages that numbers depend on.
+
+    That of irlos_pipe has the git revision behind it where it runs from a checkout.
+    """
+    revision = _git_revision(Path(irlos_pipe.__file__).parents[1])
+    own = f"{irlos_pipe.__version__}+{revision}" if revision else irlos_pipe.__version__
+    found = {"irlos_pipe": own, "python": platform.python_version()}
     for name in PACKAGES:
         try:
             found[name] = version(name)
@@ -29,16 +36,28 @@ def software_versions() -> dict[str, str]:
     return found
 
 
+def _git_revision(checkout: Path) -> str:
+    """Return ``git.`` and the short revision, ``.dirty`` behind it with changes; nothing without git."""
+    if not (checkout / ".git").exists():  # a package that is installed, perhaps in somebody else's checkout
+        return ""
+    command = ["git", "-C", str(checkout), "describe", "--always", "--dirty=.dirty", "--match="]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=GIT_TIMEOUT_S, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return f"git.{answer.stdout.strip()}"
+
+
 def machine() -> dict[str, Any]:
-    """The computer the software runs on."""
+    """Return the computer the software runs on."""
     return {"host": socket.gethostname(), "platform": platform.platform(), "pid": os.getpid()}
 
 
 def now() -> str:
-    """UTC time in ISO 8601."""
+    """Return the UTC time in ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 def command_line() -> str:
-    """The command that started this process."""
+    """Return the command that started this process."""
     return " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])

@@ -15,12 +15,12 @@ from irlos_pipe.conventions.errors import ConfigurationError
 
 
 def silent_progress(iterable: Iterable | None = None, total: int | None = None, desc: str = "") -> tqdm:
-    """Return a progress bar that shows nothing."""
+    """Return a progress bar that shows nothing; `iterable`, `total` and `desc` are those of tqdm."""
     return tqdm(iterable, total=total, desc=desc, disable=True)
 
 
 def terminal_progress(iterable: Iterable | None = None, total: int | None = None, desc: str = "") -> tqdm:
-    """Return a progress bar on stderr that disappears when it is full."""
+    """Return a progress bar on stderr that disappears; `iterable`, `total` and `desc` are those of tqdm."""
     return tqdm(iterable, total=total, desc=desc, leave=False, dynamic_ncols=True)
 
 

@@ -27,6 +27,15 @@ from irlos_pipe.stages.base import files_of
 def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[InputFile], list[Step]]:
     """Return the input files and the plan of a run; nothing is written.
 
+    Parameters
+    ----------
+    recipe : Recipe
+        What to run.
+    folder : Path
+        The run's folder; it need not exist.
+    selection : Selection
+        Which stages may run.
+
     Raises
     ------
     ConfigurationError
@@ -47,10 +56,14 @@ def run_recipe(
 
     Parameters
     ----------
+    recipe : Recipe
+        What to run.
     folder : Path
         The run's folder; made if it does not exist.
     selection : Selection, optional
         Which stages may run; all by default.
+    resources : Resources, optional
+        Device, threads and progress bars; one thread of the processor by default.
 
     Returns
     -------
@@ -67,7 +80,7 @@ def run_recipe(
     selection = selection or Selection()
     # Planned once before the folder is made, so that a mistake leaves no empty folder behind.
     files, _ = plan_run(recipe, folder, selection)
-    with owned_folder(folder) as run, written_to(run.log), _told_in_one_line(run.log):
+    with owned_folder(folder) as run, written_to(run.log), _reported_in_one_line(run.log):
         steps = make_plan(recipe, folder, files, selection)
         TRACE.info("command: %s", command_line())
         remember(files, folder)
@@ -115,15 +128,15 @@ def _failure_recorded(job: Job, run: RunFolder) -> Iterator[None]:
         yield
     except BaseException as error:
         reason = "interrupted" if isinstance(error, KeyboardInterrupt) else _first_line(error)
-        # A full disk may be what stopped the run; the first error is the one to tell.
+        # A full disk may be what stopped the run; the first error is the one to report.
         with suppress(IrlosError):
             _write_outcome(assess(job.recipe.name, job.summaries(), error=reason), run)
         raise
 
 
 @contextmanager
-def _told_in_one_line(log: Path) -> Iterator[None]:
-    """Turn any exception into one that is told in one line; the traceback goes to the log."""
+def _reported_in_one_line(log: Path) -> Iterator[None]:
+    """Turn any exception into one whose message is one line; the traceback goes to the log."""
     try:
         yield
     except KeyboardInterrupt:

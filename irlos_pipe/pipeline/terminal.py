@@ -22,7 +22,7 @@ def messages(verbosity: int) -> Iterator[None]:
     Parameters
     ----------
     verbosity : int
-        -1 nothing, 0 what the run does and warnings, 1 all that is told, 2 debugging as well.
+        -1 nothing, 0 what the run does and warnings, 1 all messages, 2 debugging as well.
     """
     handler = _TerminalHandler(verbosity)
     level = ROOT.level
@@ -36,7 +36,7 @@ def messages(verbosity: int) -> Iterator[None]:
 
 
 def plan_text(steps: Sequence[Step], as_json: bool) -> str:
-    """Return what a run would do, one line per stage, or as JSON."""
+    """Return what a run would do by its `steps`, one line per stage, or a list with `as_json`."""
     if as_json:
         entries = [{"stage": step.name, "action": step.action.value, "reason": step.reason} for step in steps]
         return json_text(entries).rstrip()
@@ -44,7 +44,7 @@ def plan_text(steps: Sequence[Step], as_json: bool) -> str:
 
 
 def outcome_text(outcome: Outcome, as_json: bool) -> str:
-    """Return the table at the end of a run, or results.json."""
+    """Return the table at the end of a run with this `outcome`, or results.json with `as_json`."""
     if as_json:
         return json_text(outcome.results).rstrip()
     rows = [(stage, line) for stage, lines in outcome.summary.items() for line in lines]

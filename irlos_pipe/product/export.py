@@ -22,6 +22,17 @@ def export_arrays(product: Product, names: Sequence[str], path: Path, *, replace
     FITS gets one extension per array (and one per error, named ``<array>_ERROR``) with its unit in
     BUNIT. CSV gets one column per array of one dimension, or the rows of one array of two.
 
+    Parameters
+    ----------
+    product : Product
+        Read with its arrays.
+    names : sequence of str
+        Names of the arrays.
+    path : Path
+        The file; its suffix is the format.
+    replace : bool
+        Whether an existing file is replaced.
+
     Raises
     ------
     ConfigurationError

@@ -51,11 +51,11 @@ class RunFolder:
         return self.path / "recipe.resolved.yaml"
 
     def product(self, position: int, stage: str) -> Path:
-        """Product of the stage at a position in the recipe, counted from 1."""
+        """Return the path of the product of `stage` at a `position` in the recipe, counted from 1."""
         return self.path / f"{position:02d}_{stage}.h5"
 
     def scratch(self, stage: str, key: str) -> Path:
-        """Where a stage keeps finished parts of the product of that key; not made here."""
+        """Return where `stage` keeps finished parts of the product of that `key`; it is not made here."""
         return self.path / PARTIAL / f"{stage}-{key[:16]}"
 
     def remove_scratch(self, stage: str) -> None:
@@ -66,7 +66,7 @@ class RunFolder:
             (self.path / PARTIAL).rmdir()
 
     def products(self) -> dict[str, Path]:
-        """Products behind results.json, by stage name; none from other recipes or earlier settings.
+        """Return the products behind results.json, by stage; none from other recipes or earlier settings.
 
         Raises
         ------
@@ -77,10 +77,10 @@ class RunFolder:
         return {
             stage: self.product(position, stage)
             for position, stage in enumerate(stages, 1)
-            if stage in self._told_stages()
+            if stage in self._reported_stages()
         }
 
-    def _told_stages(self) -> set[str]:
+    def _reported_stages(self) -> set[str]:
         try:
             return set(json.loads(self.results.read_text())["stages"])
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
@@ -105,7 +105,7 @@ def existing_run(folder: Path) -> RunFolder:
 
 
 def require_outside_inputs(folder: Path, inputs: Mapping[str, Iterable[Path]]) -> None:
-    """Refuse an output folder inside an input: its products would count as input data.
+    """Refuse an output `folder` inside one of the `inputs`: its products would count as input data.
 
     Raises
     ------

@@ -26,7 +26,7 @@ NOT_WORTH_A_WARNING = {*HARMLESS, "detector.excess_noise_factor", "parallactic_a
 
 @dataclass(frozen=True)
 class Resolved:
-    """What is known about a recording.
+    """How a recording was taken, from all sources.
 
     Attributes
     ----------
@@ -46,8 +46,12 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
 
     Parameters
     ----------
+    raw : RawRecording
+        The recording, with what its header knows.
     recipe : AcquisitionKeys
         What the recipe says; it wins over everything.
+    instrument : Instrument
+        Its profile stands in for what nobody says, where that is safe.
 
     Raises
     ------
@@ -83,7 +87,7 @@ def _settle(layers: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any], di
 
 
 def _seeing_monitor(layers: Mapping[str, Mapping[str, Any]], sources: Mapping[str, str]) -> str:
-    """Whose scale the seeing is on: as the recipe says, else as is said where the seeing stands."""
+    """Whose scale the seeing is on: as the recipe says, else as the source of the seeing says."""
     source = sources.get("seeing_arcsec", PROFILE)
     if source == PROFILE:
         return SPARTA
@@ -127,7 +131,7 @@ def _is_valid(key: str, value: Any) -> bool:
 
 def _require(values: Mapping[str, Any], sources: Mapping[str, str], where: str) -> None:
     role = values.get("role")
-    needed = {"dark": REQUIRED_OF_DARK, "defocus_ramp": REQUIRED_OF_RAMP}.get(role, REQUIRED)
+    needed = {"dark": REQUIRED_OF_DARK, "defocus_ramp": REQUIRED_OF_RAMP}.get(str(role), REQUIRED)
     missing = [key for key in needed if sources.get(key, PROFILE) == PROFILE]
     if missing:
         keys = "key" if len(missing) == 1 else "keys"
@@ -188,7 +192,7 @@ def _detector(values: Mapping[str, Any]) -> Detector:
 
 
 def _warnings(raw: RawRecording, values: Mapping[str, Any], sources: Mapping[str, str]) -> tuple[str, ...]:
-    """One line per place from which values had to be taken, and one for what stays unknown."""
+    """One line per source from which values had to be taken, and one for what stays unknown."""
     lines = []
     for source in (HEADER, PROFILE):
         taken = [

@@ -62,7 +62,7 @@ def read_calibration_maps(
 
 
 def mean_variance(stack: np.ndarray) -> float:
-    """Variance per pixel of the mean of a stack (frames, rows, columns) of dark images.
+    """Return the variance per pixel of the mean of a stack (frames, rows, columns) of dark images.
 
     From a single image it is judged by the differences of neighbouring pixels, an upper bound:
     a true pattern of the detector counts as noise.

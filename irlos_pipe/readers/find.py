@@ -182,7 +182,7 @@ def natural_order(path: Path) -> list:
 
 
 def unique_name(name: str, path: Path, taken: Collection[str]) -> str:
-    """Return a name not yet taken, with the folder's name in front or a number behind if need be."""
+    """Return `name` if it is not yet `taken`, else with the name of the folder of `path` or a number."""
     choices = chain(
         (name, f"{path.parent.name}-{name}", f"{path.parent.parent.name}-{name}"),
         (f"{name}-{number}" for number in count(2)),

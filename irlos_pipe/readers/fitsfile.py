@@ -1,4 +1,4 @@
-"""Open FITS files so that whatever is wrong with one is told in a line that names file and HDU."""
+"""Open FITS files; whatever is wrong with one is reported in a line that names file and HDU."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ MAX_COMPRESSION = 1100  # deflate makes no more of less
 
 
 def has_fits_name(path: Path) -> bool:
-    """Tell whether a file is named like a FITS file."""
+    """Return whether a file is named like a FITS file."""
     return path.name.lower().endswith(FITS_SUFFIXES)
 
 
 def stem(path: Path) -> str:
-    """Name of a FITS file without its suffix; other dots belong to the name."""
+    """Return the name of a FITS file without its suffix; other dots belong to the name."""
     suffix = next(
         (end for end in sorted(FITS_SUFFIXES, key=len, reverse=True) if path.name.lower().endswith(end)), ""
     )
@@ -100,7 +100,7 @@ def first_image(path: Path, hdus: fits.HDUList) -> tuple[int, fits.hdu.base._Bas
 
 
 def image_array(hdu: fits.hdu.base._BaseHDU, where: str) -> np.ndarray:
-    """Return the image of an HDU as an array (frames, rows, columns) of native byte order.
+    """Return the image of `hdu` as an array (frames, rows, columns) of native byte order.
 
     Raises
     ------
@@ -143,12 +143,12 @@ def native(data: np.ndarray) -> np.ndarray:
 
 
 def hdu_label(path: Path, index: int, hdu: fits.hdu.base._BaseHDU) -> str:
-    """Return ``file: HDU 1 (NAME)``."""
+    """Return ``path: HDU index (NAME)`` for an `hdu`, from its `path` and `index`."""
     return f"{path}: HDU {index}" + (f" ({hdu.name})" if hdu.name else "")
 
 
 def header_number(header: fits.Header, key: str) -> float | None:
-    """Return a finite number of the header, or None."""
+    """Return the finite number that the `header` has under `key`, or None."""
     value: Any = header.get(key)
     usable = isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value)
     return float(value) if usable else None
@@ -240,7 +240,7 @@ def _require_sums(hdus: fits.HDUList, path: Path) -> None:
 
 
 def _is_plain(path: Path) -> bool:
-    """Tell whether positions in the file are those of its headers and data."""
+    """Return whether positions in the file are those of its headers and data."""
     return not path.name.lower().endswith((".gz", ".fz"))
 
 

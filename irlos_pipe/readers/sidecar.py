@@ -54,7 +54,7 @@ class DetectorKeys(_Section):
 
 
 class AcquisitionKeys(_Section):
-    """Every key of the side-car; all may be left out here, `acquisition.resolve` knows what must not."""
+    """Every key of the side-car. All may be left out here; `acquisition.resolve` knows what is required."""
 
     role: Role | None = Field(None, description="what the recording is for")
     target: str | None = Field(None, description="name of the star")
@@ -95,7 +95,7 @@ class AcquisitionKeys(_Section):
 
 
 def sidecar_path(data_file: Path) -> Path:
-    """Where the side-car of a data file is, or ought to be.
+    """Return where the side-car of a data file is, or ought to be.
 
     ``<stem>.yaml`` beside the file if there is one, else ``acquisition.yaml`` in its folder.
     """

@@ -10,7 +10,7 @@ MICROSECONDS_COLUMNS = ("USeconds", "USec")
 
 
 def column(table: fits.BinTableHDU, *names: str) -> np.ndarray | None:
-    """Return the first column of `names` that the table has, whatever its case, or None."""
+    """Return the first column of `names` that the `table` has, whatever its case, or None."""
     by_lower = {name.lower(): name for name in table.columns.names}
     for name in names:
         if name.lower() in by_lower:
@@ -19,7 +19,7 @@ def column(table: fits.BinTableHDU, *names: str) -> np.ndarray | None:
 
 
 def unix_seconds(table: fits.BinTableHDU) -> np.ndarray | None:
-    """Times of the rows of a table.
+    """Return the times of the rows of a table.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def pair_by_counter(wanted: np.ndarray, counter: np.ndarray, times_s: np.ndarray
 
 
 def counter_step(frame_counter: np.ndarray) -> int:
-    """Usual increment of a frame counter; 1 if there is nothing to judge by.
+    """Return the usual increment of a frame counter; 1 if there is nothing to judge by.
 
     A recorder that keeps every 20th frame of the loop counts in steps of 20.
     """
@@ -63,7 +63,7 @@ def counter_step(frame_counter: np.ndarray) -> int:
 
 
 def frames_missing(frame_counter: np.ndarray) -> int:
-    """Number of frames lost by the recorder, from gaps in its counter."""
+    """Return the number of frames lost by the recorder, from gaps in its counter."""
     steps = np.diff(np.unique(frame_counter)) / counter_step(frame_counter)
     return int(np.sum(np.maximum(np.rint(steps) - 1, 0)))
 
@@ -71,14 +71,23 @@ def frames_missing(frame_counter: np.ndarray) -> int:
 def relative_times(
     unix_s: np.ndarray | None, frame_counter: np.ndarray, frame_rate_hz: float | None
 ) -> np.ndarray:
-    """Time of every frame since the first one [s].
+    """Return the time of every frame since the first one [s].
 
     Frames without a time are placed by their counter: between their neighbours where
-    others have a time, else at the frame rate (one frame per second if that is unknown).
+    others have a time, else at the frame rate.
+
+    Parameters
+    ----------
+    unix_s : ndarray, (frames,), or None
+        Times, NaN where not known [s since 1970].
+    frame_counter : ndarray of int, (frames,)
+        Counter of the recorder.
+    frame_rate_hz : float or None
+        One frame per second if it is not known.
     """
     frames = (frame_counter - frame_counter[0]) / counter_step(frame_counter)
-    known = np.isfinite(unix_s) if unix_s is not None else np.zeros(frames.shape, dtype=bool)
-    if known.sum() < 2:
+    known = np.zeros(frames.shape, dtype=bool) if unix_s is None else np.isfinite(unix_s)
+    if unix_s is None or known.sum() < 2:
         return frames / (frame_rate_hz or 1.0)
     order = np.argsort(frames[known], kind="stable")
     times = np.where(known, unix_s, np.interp(frames, frames[known][order], unix_s[known][order]))

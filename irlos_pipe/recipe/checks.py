@@ -53,7 +53,10 @@ SECTIONS = ("model", *STAGES)
 
 
 def check_head(data: Mapping[str, Any], errors: ValidationErrors) -> RecipeHead:
-    """Check the keys at the top level; wrong ones are replaced, so that the rest can be checked too."""
+    """Check the keys of `data` at the top level; wrong ones are noted in `errors` and replaced.
+
+    So the rest can be checked too.
+    """
     known = (*RecipeHead.model_fields, *SECTIONS)
     for key in data:
         if key not in known:
@@ -71,14 +74,15 @@ def check_head(data: Mapping[str, Any], errors: ValidationErrors) -> RecipeHead:
 def check_section(
     data: Mapping[str, Any], name: str, model: type[Section], errors: ValidationErrors
 ) -> Section | None:
-    """Check one section; a section that is absent or empty takes all defaults."""
+    """Check the section `name` of `data` against `model`, noting `errors`; absent, it takes all defaults."""
     content = {} if data.get(name) is None else data[name]
     return _validated(content, model, (name,), errors)
 
 
 def check_stage_sections(data: Mapping[str, Any], errors: ValidationErrors) -> dict[str, StageConfig | None]:
-    """Check the section of every stage that the recipe lists or configures."""
-    listed = data.get("stages") if isinstance(data.get("stages"), list) else []
+    """Check the section of every stage that `data` lists or configures, noting `errors`."""
+    stages = data.get("stages")
+    listed = stages if isinstance(stages, list) else []
     concerned = [name for name in STAGES if name in data or name in listed]
     for name in concerned:
         if name not in listed:
@@ -87,7 +91,7 @@ def check_stage_sections(data: Mapping[str, Any], errors: ValidationErrors) -> d
 
 
 def check_stages(stages: Sequence[str], errors: ValidationErrors) -> None:
-    """Check names and order of the stages."""
+    """Check names and order of the `stages`, noting `errors`."""
     for index, name in enumerate(stages):
         problem = _stage_problem(name, stages[:index])
         if problem:
@@ -97,7 +101,7 @@ def check_stages(stages: Sequence[str], errors: ValidationErrors) -> None:
 def check_inputs(
     inputs: Mapping[str, Sequence[str]], folder: Path, errors: ValidationErrors
 ) -> dict[str, tuple[Path, ...]]:
-    """Check that all inputs exist; returns absolute paths, counted from the recipe's `folder`."""
+    """Check that all `inputs` exist, noting `errors`; return absolute paths, counted from `folder`."""
     for name, paths in inputs.items():
         if not INPUT_NAME.fullmatch(name):
             errors.add(
@@ -108,8 +112,8 @@ def check_inputs(
         if not paths:
             errors.add(("inputs", name), f"input '{name}' is not given; add --input {name}=PATH")
     found = {name: tuple(absolute(path, folder) for path in paths) for name, paths in inputs.items()}
-    for name, paths in found.items():
-        for path in paths:
+    for name, absolute_paths in found.items():
+        for path in absolute_paths:
             if not os.path.exists(path):  # also of a name that no file can have
                 errors.add(
                     ("inputs", name),

@@ -74,6 +74,8 @@ def load_recipe(
 
     Parameters
     ----------
+    path : str or Path
+        The recipe.
     settings : iterable of str
         ``stage.key=VALUE``, applied in order; the value is YAML. ``section=PATH`` takes a whole section from
         a file, as ``model=DIR/model.yaml``; the path counts from the current folder.
@@ -108,6 +110,7 @@ def _checked(path: Path, data: dict[str, Any], errors: ValidationErrors) -> Reci
     inputs = check_inputs(head.inputs, absolute(path).parent, errors)
     instrument_name, instrument = checked_instrument(head.instrument, absolute(path).parent, errors)
     errors.raise_if_any()
+    assert model is not None and instrument is not None, "what is missing has been reported"
     return Recipe(
         absolute(path),
         head.recipe,
@@ -117,6 +120,6 @@ def _checked(path: Path, data: dict[str, Any], errors: ValidationErrors) -> Reci
         inputs,
         tuple(head.stages),
         model.completed(instrument.facility),
-        {name: configs[name] for name in head.stages},
+        {name: config for name in head.stages if (config := configs[name]) is not None},
         head.seed,
     )

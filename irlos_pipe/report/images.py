@@ -51,15 +51,25 @@ def image_panel(
     pixel_scale_mas: float | None,
     unit: str,
     colours: matplotlib.colors.Colormap = BRIGHTNESS,
-    pixel_mask: np.ndarray | None = None,
+    good: np.ndarray | None = None,
 ) -> Markup:
     """Draw an image with its colour bar; axes in mas (px without a scale) from the centre of the window.
 
     Parameters
     ----------
+    name : str
+        Identifies the drawing on the page.
     image : ndarray, (rows, columns)
         Row 0 is at the bottom.
-    pixel_mask : ndarray of bool, optional
+    scale : Normalize
+        From values to colours.
+    pixel_scale_mas : float or None
+        Side of a pixel [mas].
+    unit : str
+        Unit of the image.
+    colours : Colormap
+        Of the image.
+    good : ndarray of bool, optional
         Pixels that are False were not used and get a cross.
     """
     step, axis_unit = (pixel_scale_mas, "mas") if pixel_scale_mas else (1.0, "px")
@@ -75,7 +85,7 @@ def image_panel(
             extent=_extent(image.shape, step),
         )
         axes.set(xlabel=f"x [{axis_unit}]", ylabel=f"y [{axis_unit}]")
-        _cross_out(axes, pixel_mask, step)
+        _cross_out(axes, good, step)
         figure.colorbar(shown, cax=bar, label=unit)
         if isinstance(bar.yaxis.get_major_formatter(), ScalarFormatter):
             bar.ticklabel_format(scilimits=(-2, 3))  # numbers short enough to leave the unit its place
@@ -120,11 +130,11 @@ def _extent(shape: tuple[int, int], step: float) -> tuple[float, float, float, f
     return -half_x, half_x, -half_y, half_y
 
 
-def _cross_out(axes: Axes, pixel_mask: np.ndarray | None, step: float) -> None:
-    if pixel_mask is None or pixel_mask.all():
+def _cross_out(axes: Axes, good: np.ndarray | None, step: float) -> None:
+    if good is None or good.all():
         return
-    rows, columns = pixel_mask.shape
-    y, x = np.nonzero(~pixel_mask)
+    rows, columns = good.shape
+    y, x = np.nonzero(~good)
     axes.plot(
         (x - (columns - 1) / 2) * step,
         (y - (rows - 1) / 2) * step,

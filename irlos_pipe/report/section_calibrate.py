@@ -67,7 +67,7 @@ def _images(run: RunData, results: CalibrateResults) -> list[Figure]:
         return []
     scale, mas = brightness_scale(measured, model), run.pixel_scale_mas(STAGE)
     pictures = [
-        image_panel("cal-measured", measured, scale, mas, BRIGHTNESS_UNIT, pixel_mask=_pixel_mask(run)),
+        image_panel("cal-measured", measured, scale, mas, BRIGHTNESS_UNIT, good=_pixel_mask(run)),
         image_panel("cal-model", model, scale, mas, BRIGHTNESS_UNIT),
     ]
     return [

@@ -44,8 +44,15 @@ def read_sources(
 
     Parameters
     ----------
+    inputs : mapping of str to sequence of Path
+        Files and folders by input name.
     keys_for : callable
         ``keys_for(input_name)``: side-car keys from the recipe, which win.
+
+    instrument : Instrument
+        Its profile stands in for what nobody says.
+    log : logging.Logger
+        Gets remarks and warnings.
 
     Returns
     -------
@@ -111,8 +118,7 @@ def _with_dark(source: Source, darks: Sequence[Source]) -> Source:
     fitting = [dark for dark in darks if dark.input == source.input and dark.raw.window == source.raw.window]
     if source.raw.calibration.dark_adu is not None or not fitting:
         return source
-    wanted = source.resolved.acquisition.exposure_s
-    nearest = min(fitting, key=lambda dark: abs(dark.resolved.acquisition.exposure_s - wanted))
+    nearest = min(fitting, key=lambda dark: _exposures_apart_s(dark, source))
     frames = nearest.raw.adu
     maps = replace(
         source.raw.calibration,
@@ -120,3 +126,9 @@ def _with_dark(source: Source, darks: Sequence[Source]) -> Source:
         dark_variance_adu2=mean_variance(frames),
     )
     return replace(source, raw=replace(source.raw, calibration=maps))
+
+
+def _exposures_apart_s(one: Source, other: Source) -> float:
+    """Difference of the exposures [s]; 0 where either is not known."""
+    first, second = (source.resolved.acquisition.exposure_s for source in (one, other))
+    return 0.0 if first is None or second is None else abs(first - second)
