@@ -24,7 +24,7 @@ from irlos_pipe.diagnose.sizes import detectable, determined, parameter_covarian
 from irlos_pipe.diagnose.verdict import EFFECT, NONE, UNKNOWN, Diagnosis, Pictures, Step
 from irlos_pipe.diagnose.view import Screened
 from irlos_pipe.effects import FixedEffect
-from irlos_pipe.estimate.total_wavefront import effects_in_modes_nm
+from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
 
 # Part of the excess, and χ² over its expectation, from which much is left. With known noise a right name
 # leaves less than a thousandth; the residual of an AO system has more shapes than its model. Complete models

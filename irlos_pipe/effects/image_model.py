@@ -193,8 +193,9 @@ class ImageModel:
     def _detected(self, image: torch.Tensor, columns: torch.Tensor, values: torch.Tensor, first: int | None):
         """Images and derivatives behind the detector; `first`: column of the first effect parameter."""
         columns = pushed_all(partial(self.effects.detect, values), image, columns)
-        for index in [] if first is None else self.effects.free_at("detector"):
-            columns[:, first + index] = along(lambda v: self.effects.detect(v, image), values, index)
+        if first is not None:
+            for index in self.effects.free_at("detector"):
+                columns[:, first + index] = along(lambda v: self.effects.detect(v, image), values, index)
         return self.effects.detect(values, image), columns
 
 

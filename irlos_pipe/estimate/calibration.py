@@ -13,7 +13,7 @@ from irlos_pipe.effects import Effect
 from irlos_pipe.effects.effect_set import occurrences
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
-from irlos_pipe.estimate.drift import drifts, measured_drift
+from irlos_pipe.estimate.effect_modes import drifts, measured_drift
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
 from irlos_pipe.estimate.lbfgs import solve_lbfgs
 from irlos_pipe.estimate.methods import (

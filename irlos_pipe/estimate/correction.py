@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.optics.grids import Optics
+from irlos_pipe.optics.profile import ring_means
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 
@@ -40,8 +41,8 @@ class Prediction:
 def predict_correction(
     settings: PsfSettings,
     nolls: Sequence[int],
-    modes_nm: np.ndarray,
-    total_nm: np.ndarray,
+    fitted_modes_nm: np.ndarray,
+    zernike_nm: np.ndarray,
     gain: np.ndarray,
     make_optics: Callable[[PsfModel], Optics],
 ) -> Prediction:
@@ -49,7 +50,9 @@ def predict_correction(
 
     Parameters
     ----------
-    modes_nm, total_nm : ndarray, (modes,)
+    settings : PsfSettings
+    nolls : sequence of int
+    fitted_modes_nm, zernike_nm : ndarray, (modes,)
         Modes that go with the effects of `make_optics`, and those of the whole wavefront, which is what
         is corrected.
     gain : ndarray, (modes,)
@@ -59,26 +62,21 @@ def predict_correction(
     """
     model = PsfModel(replace(settings, known=KnownWavefront()), nolls)
     motion = np.isin(nolls, (2, 3))
-    before = np.where(motion, modes_nm - total_nm, modes_nm)
-    after = np.where(motion, before, modes_nm - gain * total_nm)
-    wavefronts = torch.as_tensor(np.stack([before, after]))
+    now_nm = np.where(motion, fitted_modes_nm - zernike_nm, fitted_modes_nm)
+    left_nm = np.where(motion, now_nm, fitted_modes_nm - gain * zernike_nm)
+    wavefronts = torch.as_tensor(np.stack([now_nm, left_nm]))
     images = model.images(wavefronts, make_optics(model)).double().numpy()
     perfect = model.images(torch.zeros(1, len(nolls)))[0].double().numpy()
-    radius, profiles = _profiles(images, settings.pixel_scale_mas)
-    peak = perfect.max()
+    (rows, columns), peak = settings.window, perfect.max()
+    centre_px, reach_px = ((rows - 1) / 2, (columns - 1) / 2), min(rows, columns) // 2
+    rings = [ring_means(image, centre_px, reach_px) for image in images]
     return Prediction(
-        *images, perfect, float(images[0].max() / peak), float(images[1].max() / peak), radius, *profiles
+        before=images[0],
+        after=images[1],
+        perfect=perfect,
+        strehl_before=float(images[0].max() / peak),
+        strehl_after=float(images[1].max() / peak),
+        radius_mas=rings[0][0] * settings.pixel_scale_mas,
+        profile_before=rings[0][1],
+        profile_after=rings[1][1],
     )
-
-
-def _profiles(images: np.ndarray, pixel_scale_mas: float) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Azimuthal means in rings one pixel wide about the optical axis."""
-    rows, columns = images.shape[1:]
-    radius = np.hypot(
-        np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(columns)[None, :] - (columns - 1) / 2
-    )
-    ring = radius.astype(int)
-    count = np.bincount(ring.ravel())
-    inside = slice(0, min(rows, columns) // 2)
-    profiles = [np.bincount(ring.ravel(), image.ravel())[inside] / count[inside] for image in images]
-    return (np.bincount(ring.ravel(), radius.ravel()) / count)[inside] * pixel_scale_mas, profiles

@@ -7,6 +7,7 @@ diversity included, and hold inside a stated range.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,7 +55,7 @@ class ElongationLaw:
         return np.clip(self.A * (np.asarray(ratio) - 1) + self.B, low - reach, high + reach)
 
 
-def diversity_angle_deg(diversity_nm: dict[int, float]) -> float:
+def diversity_angle_deg(diversity_nm: Mapping[int, float]) -> float:
     """Axis of the astigmatic diversity: 0° for Noll 6, 45° for Noll 5, between for a mixture.
 
     Raises

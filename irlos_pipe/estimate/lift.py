@@ -21,7 +21,7 @@ from irlos_pipe.estimate.lift_problems import Alike, AlikeFit, PhotonFit
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.solution import Solution, joined_tensors, mixed_tensors
+from irlos_pipe.numerics.solution import Solution, joined, mixed
 
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
 IMAGES_AT_ONCE = 128  # a dozen copies of them are made on the way
@@ -87,7 +87,7 @@ class LiftResult:
     def joined(cls, parts: Sequence[LiftResult]) -> LiftResult:
         """One batch of several."""
         solution = Solution.joined([part.solution for part in parts])
-        return replace(parts[0], solution=solution, **joined_tensors(parts))
+        return joined(parts, solution=solution)
 
     @property
     def sigma_nm(self) -> torch.Tensor:
@@ -103,7 +103,7 @@ class LiftResult:
         """The batch with some members (a mask of the batch) taken from `other` where that is `better`."""
         where = torch.nonzero(which)[better, 0]
         solution = self.solution.updated(where, other.solution, better)
-        return replace(self, solution=solution, **mixed_tensors(self, other, where, better))
+        return mixed(self, other, where, better, solution=solution)
 
 
 def lift(

@@ -14,10 +14,10 @@ import numpy as np
 import torch
 
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
+from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
 from irlos_pipe.estimate.frame_fits import fit_frames
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.starts import median_of_frames_nm, start_tilts_nm
-from irlos_pipe.estimate.total_wavefront import effects_in_modes_nm
 from irlos_pipe.estimate.twin import TwinCheck, check_twin
 from irlos_pipe.frames.blocks import blocks
 from irlos_pipe.numerics.levenberg_marquardt import solve

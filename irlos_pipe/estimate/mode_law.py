@@ -155,7 +155,8 @@ def fit_mode_law(scatter: ModeScatter, keep: np.ndarray, start: NcpaLaw, *, remo
     )
     covariance = np.linalg.pinv(_information(fit.x, nolls, noise2, scatter.draws))
     expected = _mean_deviance(scatter.draws) * (len(nolls) - 3)
-    return ModeLaw(*np.exp(fit.x), covariance, float(np.sum(fit.fun**2) / expected))
+    a_nm, decay, plateau_nm = np.exp(fit.x)
+    return ModeLaw(a_nm, decay, plateau_nm, covariance, float(np.sum(fit.fun**2) / expected))
 
 
 def _mean_deviance(draws: int) -> float:
@@ -163,7 +164,7 @@ def _mean_deviance(draws: int) -> float:
     return draws * (np.log(draws / 2) - digamma(draws / 2))
 
 
-def _law(x: np.ndarray, nolls: Sequence[int]) -> np.ndarray:
+def _law(x: np.ndarray, nolls: Sequence[int] | np.ndarray) -> np.ndarray:
     """The law for the logarithms of A, B and C."""
     a, b, c = np.exp(x)
     return a * np.exp(-b * (np.asarray(nolls) - 2)) + c

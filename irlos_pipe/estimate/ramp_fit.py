@@ -174,14 +174,18 @@ def ramp_effects(
     return [effect for effect in (residual, kernel, *rest) if effect is not None]
 
 
-def _halo(best: FixedEffect | None, halo: str) -> Effect | None:
+def _halo(best: Effect | None, halo: str) -> Effect | None:
     if halo == "off" or best is None:
         return None
-    return FixedEffect(best.base, best.values, free=("variance_nm2",)) if halo == "fit" else best
+    if halo != "fit":
+        return best
+    return FixedEffect(best.base, best.all_values(()).tolist(), free=("variance_nm2",))
 
 
-def _kernel(best: FixedEffect | None, object_sigma_mas: str | float) -> Effect | None:
+def _kernel(best: Effect | None, object_sigma_mas: str | float) -> Effect | None:
     if object_sigma_mas == "calibrated":
         return best
     jitter = TipTiltJitter()
-    return jitter if object_sigma_mas == "fit" else FixedEffect(jitter, jitter.values_of(object_sigma_mas))
+    if object_sigma_mas == "fit":
+        return jitter
+    return FixedEffect(jitter, jitter.values_of(float(object_sigma_mas)))

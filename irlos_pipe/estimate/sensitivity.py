@@ -204,5 +204,6 @@ def limiting_magnitude(
 def _percentiles(error: np.ndarray) -> tuple[float, float, float]:
     """Median, 16th and 84th percentile; NaN if nothing is left."""
     if len(error) == 0:
-        return (float("nan"),) * 3
-    return tuple(float(v) for v in np.percentile(error, [50, 15.87, 84.13]))
+        return float("nan"), float("nan"), float("nan")
+    median, low, high = np.percentile(error, [50, 15.87, 84.13])
+    return float(median), float(low), float(high)

@@ -21,8 +21,7 @@ from irlos_pipe.estimate.lift import LiftOptions, lift
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.solution import INVALID, Solution
 from irlos_pipe.optics.grids import Optics
-from irlos_pipe.optics.light_path import AS_BUILT
-from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.light_path import AS_BUILT, LightPath
 
 SCAN_NM = np.linspace(-700.0, 700.0, 15)  # defocus of the templates
 PLAUSIBLE_CHI2 = 4.0  # χ²/ν of right solutions stays below 3, that of wrong ones is 10 and more
@@ -49,13 +48,13 @@ def start_tilts_nm(images_e: torch.Tensor, pixel_scale_mas: float, diameter_m: f
 
 
 def scan_start_nm(
-    model: PsfModel, images_e: torch.Tensor, pixel_mask: torch.Tensor, optics: Optics = AS_BUILT
+    model: LightPath, images_e: torch.Tensor, pixel_mask: torch.Tensor, optics: Optics = AS_BUILT
 ) -> torch.Tensor:
     """Tip, tilt and defocus of the template that resembles each image most, other modes 0.
 
     Parameters
     ----------
-    model : PsfModel
+    model : LightPath
         Noll 2, 3 and 4 among its modes.
     images_e : tensor, (images, rows, columns)
 
@@ -109,7 +108,7 @@ def is_plausible(problem: ImageFit, solution: Solution) -> bool:
 
 
 def median_of_frames_nm(
-    model: PsfModel,
+    model: LightPath,
     images_e: torch.Tensor,
     pixel_mask: torch.Tensor,
     noise: NoiseModel,
@@ -119,7 +118,7 @@ def median_of_frames_nm(
 
     Parameters
     ----------
-    model : PsfModel
+    model : LightPath
         With Noll 2 and 3 as its first modes.
     images_e : tensor, (frames, rows, columns)
 

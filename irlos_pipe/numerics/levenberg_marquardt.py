@@ -109,7 +109,7 @@ class _State:
         if len(spent):
             self._keep(spent, self._evaluated(self.x[spent], spent))
             self.age[spent] = 0
-        return tuple(array[which] for array in self.ahead)
+        return tuple(array[which] for array in self.ahead or ())
 
     def _evaluated(self, x: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, ...]:
         equations = self.problem.normal_equations(torch.from_numpy(x), torch.from_numpy(which))

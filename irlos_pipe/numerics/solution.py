@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import torch
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Batch = TypeVar("Batch", bound="DataclassInstance")
 
 CONVERGED, MAX_ITERATIONS, STALLED, INVALID = "converged", "max_iterations", "stalled", "invalid"
 
@@ -35,7 +41,7 @@ class Solution:
     @classmethod
     def joined(cls, parts: Sequence[Solution]) -> Solution:
         """One batch of several."""
-        return replace(parts[0], status=[s for part in parts for s in part.status], **joined_tensors(parts))
+        return joined(parts, status=[s for part in parts for s in part.status])
 
     @property
     def converged(self) -> torch.Tensor:
@@ -52,22 +58,23 @@ class Solution:
         status = list(self.status)
         for member, new in zip(where.tolist(), torch.nonzero(better)[:, 0].tolist(), strict=True):
             status[member] = other.status[new]
-        return replace(self, status=status, **mixed_tensors(self, other, where, better))
+        return mixed(self, other, where, better, status=status)
 
 
-def joined_tensors(parts: Sequence) -> dict[str, torch.Tensor]:
-    """Tensors of objects of one kind, by name, one after the other."""
-    return {
-        name: torch.cat([getattr(part, name) for part in parts])
-        for name, value in vars(parts[0]).items()
-        if isinstance(value, torch.Tensor)
+def joined(parts: Sequence[Batch], **other: Any) -> Batch:
+    """Put batches of one kind one after the other: their tensors are joined, `other` fields given."""
+    tensors = {name: torch.cat([getattr(part, name) for part in parts]) for name in _tensors(parts[0])}
+    return replace(parts[0], **tensors, **other)
+
+
+def mixed(first: Batch, second: Batch, where: torch.Tensor, better: torch.Tensor, **other: Any) -> Batch:
+    """The batch `first` with the `better` members of `second` at positions `where`; `other` fields given."""
+    tensors = {
+        name: getattr(first, name).index_copy(0, where, getattr(second, name)[better])
+        for name in _tensors(first)
     }
+    return replace(first, **tensors, **other)
 
 
-def mixed_tensors(first, second, where: torch.Tensor, better: torch.Tensor) -> dict[str, torch.Tensor]:
-    """Tensors of `first`, by name, with the `better` members of `second` at the positions `where`."""
-    return {
-        name: value.index_copy(0, where, getattr(second, name)[better])
-        for name, value in vars(first).items()
-        if isinstance(value, torch.Tensor)
-    }
+def _tensors(batch: DataclassInstance) -> list[str]:
+    return [name for name, value in vars(batch).items() if isinstance(value, torch.Tensor)]

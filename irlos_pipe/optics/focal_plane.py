@@ -97,8 +97,8 @@ class FocalPlane:
         (rows, columns), sky = self.window, (sampling.pixel_scale_mas, sampling.wavelengths_m[index], grid)
         along_y = baseline_to_pixels(grid.baseline_y_m, rows, *sky, half=False)
         along_x = baseline_to_pixels(grid.baseline_x_m, columns, *sky, half=True)
-        kind = {"dtype": COMPLEX[self.like.dtype], "device": self.like.device}
-        return (sampling.weights[index] * along_y).to(**kind), along_x.to(**kind)
+        device, dtype = self.like.device, COMPLEX[self.like.dtype]
+        return (sampling.weights[index] * along_y).to(device, dtype), along_x.to(device, dtype)
 
 
 def _focal_grids(settings: PsfSettings, wavelengths_m: np.ndarray, u_m: np.ndarray) -> list[FocalGrid]:

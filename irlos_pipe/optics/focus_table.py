@@ -64,7 +64,8 @@ class FocusTable:
         window, pixel_nm = self.settings.window, _pixel_nm(psf, optics)
         like = torch.empty(0, dtype=self.dtype, device=self.device)
         self.shift = ShiftMatrices(window, beyond, band, pixel_nm, like)
-        self.middle_nm, self.half_nm = np.mean(reach.focus_nm), OPEN_END * np.ptp(reach.focus_nm) / 2
+        self.middle_nm = float(np.mean(reach.focus_nm))
+        self.half_nm = float(OPEN_END * np.ptp(reach.focus_nm) / 2)
         self._tabulate(psf.in_window(*_wider(psf, beyond)), optics)
 
     def _tabulate(self, wide: LightPath, optics: Optics) -> None:
@@ -148,7 +149,8 @@ class FocusTable:
         multiples = angle * self.orders
         slopes = self.orders * multiples.sin() / (angle.sin() * self.half_nm)
         weights = torch.cat([multiples.cos(), slopes]).to(self.dtype)
-        return (weights @ self.table).view(2, -1, *self.shape).unbind()
+        images, slopes = (weights @ self.table).view(2, -1, *self.shape)
+        return images, slopes
 
 
 def is_family(nolls: tuple[int, ...]) -> bool:

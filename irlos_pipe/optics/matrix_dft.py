@@ -88,7 +88,7 @@ class MatrixDft:
             torch.bmm(rows.expand(len(matrices), -1, -1), matrices).unflatten(1, packed.shape[:2])
             for matrices in (self.along_x[0::2], self.along_x[1::2])
         ]
-        return tuple(self._along_y(along_x, parity) for parity in (0, 1))
+        return self._along_y(along_x, 0), self._along_y(along_x, 1)
 
     def _along_y(self, along_x: list[torch.Tensor], parity: int) -> torch.Tensor:
         """Products with an even or odd sum of degrees, from the transforms along x by parity."""
@@ -126,7 +126,7 @@ def _turned(field: torch.Tensor) -> torch.Tensor:
     return torch.stack([field[:, 1], -field[:, 0]], dim=1)
 
 
-def _quadrants(array: torch.Tensor) -> list[tuple[torch.Tensor, torch.Tensor]]:
+def _quadrants(array: torch.Tensor) -> list[tuple[torch.Tensor, ...]]:
     """Quarters of maps (..., n, n), by halves along y and along x."""
     return [rows.tensor_split(2, dim=-1) for rows in array.tensor_split(2, dim=-2)]
 

@@ -125,8 +125,8 @@ def baseline_to_pixels(
     ValueError
         If the window is wider than the focal grid, which would alias silently.
     """
-    plain = (float(torch.as_tensor(value).detach()) for value in (pixel_scale_mas, wavelength_m))
-    require_field(pixels, *plain, grid)
+    scale, colour = (float(torch.as_tensor(value).detach()) for value in (pixel_scale_mas, wavelength_m))
+    require_field(pixels, scale, colour, grid)
     pixel = torch.as_tensor(pixel_scale_mas * MAS / wavelength_m, dtype=torch.float64)  # over baselines
     offset = torch.as_tensor(grid_centres(pixels, 1.0))[:, None] * pixel
     offset = offset - grid.frequency_per_m[0]  # the FFT counts from the first sample

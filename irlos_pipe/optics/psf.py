@@ -174,7 +174,10 @@ class PsfModel:
             self._chunk(chunk, optics, tangents, modal)
             for chunk in coefficients_nm.split(max(1, CHUNK_ELEMENTS // per_frame))
         ]
-        return parts[0] if len(parts) == 1 else tuple(map(torch.cat, zip(*parts, strict=True)))
+        if len(parts) == 1:
+            return parts[0]
+        images, jacobians = zip(*parts, strict=True)
+        return torch.cat(images), torch.cat(jacobians)
 
     def _chunk(self, coefficients_nm, optics: Optics, tangents: Tangents, modal: bool):
         opd = self._opd_nm(coefficients_nm)

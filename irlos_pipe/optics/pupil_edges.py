@@ -57,7 +57,8 @@ class PupilEdges:
 
     def turned(self) -> np.ndarray:
         """Derivative of the amplitude while the vanes turn anticlockwise about the axis, (n, n) [1/rad]."""
-        return sum(self._vane(vane) for vane in self.geometry.vanes)
+        nothing = np.zeros(self._filter.shape[:1] * 2)
+        return sum((self._vane(vane) for vane in self.geometry.vanes), nothing)
 
     def _rim(self, radius_m: float, along: tuple[float, float], sign: int) -> np.ndarray:
         """Of the stop's outline (sign 1) or hole (-1), where it is the edge that limits the light."""

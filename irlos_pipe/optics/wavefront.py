@@ -1,4 +1,4 @@
-"""Wavefronts as maps over the pupil's disc, for drawings."""
+"""Wavefronts as maps over the pupil."""
 
 from __future__ import annotations
 
@@ -7,29 +7,44 @@ from collections.abc import Sequence
 import numpy as np
 
 from irlos_pipe.conventions.pupil import PupilGeometry
-from irlos_pipe.optics.pupil import grid_centres
+from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.zernike import zernike_basis
 
 
-def disc_maps_nm(
-    geometry: PupilGeometry, nolls: Sequence[int], zernike_nm: np.ndarray, samples: int
-) -> np.ndarray:
-    """Maps of Zernike coefficients over the disc without its central hole; the vanes are not drawn.
+def opd_maps_nm(nolls: Sequence[int], zernike_nm: np.ndarray, lit: np.ndarray) -> np.ndarray:
+    """Maps of Zernike coefficients, NaN where there is no light.
 
     Parameters
     ----------
+    nolls : sequence of int
     zernike_nm : ndarray, (..., modes)
-    samples : int
-        Across the diameter.
+    lit : ndarray of bool, (n, n)
+        Samples across the diameter of the pupil; row index is y.
 
     Returns
     -------
-    ndarray, (..., samples, samples)
-        NaN outside; row index is y.
+    ndarray, (..., n, n)
     """
-    x, y = np.meshgrid(*[grid_centres(samples, 2 / samples)] * 2)
-    radius = np.hypot(x, y)
-    lit = (radius <= 1) & (radius >= geometry.obscuration_m / geometry.diameter_m)
-    maps = np.full((*np.shape(zernike_nm)[:-1], samples, samples), np.nan)
-    maps[..., lit] = zernike_nm @ zernike_basis(nolls, x[lit], y[lit])
-    return maps
+    return np.where(lit, np.tensordot(zernike_nm, zernike_basis(nolls, *_disc(len(lit))), 1), np.nan)
+
+
+def modes_at(nolls: Sequence[int], lit: np.ndarray) -> np.ndarray:
+    """Zernike polynomials `nolls` at the samples `lit` across the diameter, (modes, samples)."""
+    x, y = _disc(len(lit))
+    return zernike_basis(nolls, x[lit], y[lit])
+
+
+def clear_pupil(geometry: PupilGeometry, samples: int) -> np.ndarray:
+    """Where more than half of a sample is clear, (samples, samples), vanes of the `geometry` included."""
+    return area_weighted_pupil(geometry, grid_centres(samples, geometry.diameter_m / samples)) > 0.5
+
+
+def clear_disc(geometry: PupilGeometry, samples: int) -> np.ndarray:
+    """The disc of the `geometry` without its central hole, vanes ignored, (samples, samples)."""
+    radius = np.hypot(*_disc(samples))
+    return (radius <= 1) & (radius >= geometry.obscuration_m / geometry.diameter_m)
+
+
+def _disc(samples: int) -> list[np.ndarray]:
+    """Coordinates x and y across the diameter in units of the radius, (samples, samples) each."""
+    return np.meshgrid(*[grid_centres(samples, 2 / samples)] * 2)

@@ -13,31 +13,6 @@ from irlos_pipe.report.drawing import log_y, svg
 SIZE_IN = (4.4, 3.2)
 
 
-def ring_means(image: np.ndarray, centre_px: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Azimuthal means in rings one pixel wide that lie inside the window.
-
-    Parameters
-    ----------
-    image : ndarray, (rows, columns)
-        Values that are not finite are left out.
-    centre_px : tuple of float
-        Row and column of the rings' centre.
-
-    Returns
-    -------
-    radius_px, mean : ndarray, (rings,)
-        NaN for a ring without finite values.
-    """
-    rows, columns = np.indices(image.shape)
-    radius = np.hypot(rows - centre_px[0], columns - centre_px[1])
-    edge = min(*centre_px, image.shape[0] - 1 - centre_px[0], image.shape[1] - 1 - centre_px[1])
-    good = np.isfinite(image) & (radius < max(edge, 1.0))
-    ring = radius[good].astype(int)
-    count = np.bincount(ring)
-    with np.errstate(invalid="ignore"):
-        return np.bincount(ring, radius[good]) / count, np.bincount(ring, image[good]) / count
-
-
 def profile_plot(
     name: str,
     curves: Mapping[str, tuple[np.ndarray, np.ndarray, str, str]],

@@ -11,10 +11,11 @@ from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.frames.detector import star_position
+from irlos_pipe.optics.profile import ring_means
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import BLUE, CYCLE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.images import SIGMA_LIMIT, SIGNED, brightness_scale, image_panel, symmetric_scale
-from irlos_pipe.report.radial import profile_plot, ring_means
+from irlos_pipe.report.radial import profile_plot
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import mode_label, number, plural, with_error
 from irlos_pipe.report.wavefront_plots import wavefront_map

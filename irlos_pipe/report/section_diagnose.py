@@ -9,11 +9,12 @@ import numpy as np
 
 from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.frames.detector import star_position
+from irlos_pipe.optics.profile import ring_means
 from irlos_pipe.report.content import Figure, Section, Stack, Table, Text
 from irlos_pipe.report.diagnose_plots import gap_bars, pupil_map, ranking_bars
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE
 from irlos_pipe.report.images import SIGNED, brightness_scale, image_panel, symmetric_scale
-from irlos_pipe.report.radial import profile_plot, ring_means
+from irlos_pipe.report.radial import profile_plot
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number, rounded_by_error, with_error
 

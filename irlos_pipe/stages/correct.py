@@ -14,8 +14,7 @@ from pydantic import Field
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS
 from irlos_pipe.effects import fixed_optics
 from irlos_pipe.estimate.correction import Prediction, predict_correction
-from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
-from irlos_pipe.optics.zernike import zernike_basis
+from irlos_pipe.optics.wavefront import clear_pupil, opd_maps_nm
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.product.results import ByNoll, Number, StageResults
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
@@ -118,17 +117,6 @@ def _predict(ctx: StageContext[Config], nolls: list[int], zernike_nm: np.ndarray
     )
 
 
-def _wavefront_nm(ctx: StageContext[Config], nolls: list[int], zernike_nm: np.ndarray) -> np.ndarray:
-    """Map of the estimated wavefront, NaN outside the pupil."""
-    geometry = ctx.instrument.pupil
-    centres = grid_centres(MAP_SAMPLES, geometry.diameter_m / MAP_SAMPLES)
-    x, y = np.meshgrid(centres, centres)
-    opd = np.tensordot(
-        zernike_nm, zernike_basis(nolls, 2 * x / geometry.diameter_m, 2 * y / geometry.diameter_m), 1
-    )
-    return np.where(area_weighted_pupil(geometry, centres) > 0.5, opd, np.nan)
-
-
 def _arrays(
     ctx: StageContext[Config],
     nolls: list[int],
@@ -138,6 +126,8 @@ def _arrays(
 ) -> dict[str, Quantity]:
     seen = np.where(np.isin(nolls, (2, 3)), 0.0, zernike_nm)
     left = np.where(np.isin(nolls, offsets[0]), (1 - ctx.config.gain) * seen, seen)
+    lit = clear_pupil(ctx.instrument.pupil, MAP_SAMPLES)
+    before_nm, after_nm = (opd_maps_nm(nolls, modes_nm, lit) for modes_nm in (seen, left))
     arrays = {
         name: Quantity(getattr(prediction, name), "", f"unit-flux image, {text}")
         for name, text in (
@@ -152,10 +142,8 @@ def _arrays(
         "radius_mas": Quantity(prediction.radius_mas, "mas", "radius of the rings"),
         "profile_before": Quantity(prediction.profile_before, "", "mean of each ring, unit-flux image"),
         "profile_after": Quantity(prediction.profile_after, "", "mean of each ring, unit-flux image"),
-        "wavefront_before_nm": Quantity(
-            _wavefront_nm(ctx, nolls, seen), "nm", "estimated wavefront without tip and tilt"
-        ),
-        "wavefront_after_nm": Quantity(_wavefront_nm(ctx, nolls, left), "nm", "what the offsets leave of it"),
+        "wavefront_before_nm": Quantity(before_nm, "nm", "estimated wavefront without tip and tilt"),
+        "wavefront_after_nm": Quantity(after_nm, "nm", "what the offsets leave of it"),
     }
 
 

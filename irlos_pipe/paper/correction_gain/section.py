@@ -6,13 +6,14 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
+from irlos_pipe.optics.profile import ring_means
 from irlos_pipe.paper.common.section import array_of
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
 from irlos_pipe.paper.correction_gain.results import CorrectionGainResults, SeeingRow
 from irlos_pipe.report.content import Block, Figure, Section, Table
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.images import BRIGHTNESS, SIGNED, log_scale, symmetric_scale
-from irlos_pipe.report.radial import profile_plot, ring_means
+from irlos_pipe.report.radial import profile_plot
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number
 

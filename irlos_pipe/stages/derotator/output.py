@@ -10,7 +10,7 @@ import numpy as np
 
 from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.estimate.derotation import Consistency, Part, Senses, Series, Split, consistency
-from irlos_pipe.optics.wavefront import disc_maps_nm
+from irlos_pipe.optics.wavefront import clear_disc, opd_maps_nm
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.derotator.results import ConsistencyRow, PartRow
 
@@ -50,7 +50,7 @@ def map_of(geometry: PupilGeometry, nolls: Sequence[int], zernike_nm: np.ndarray
     text : str
         Begin of the description.
     """
-    maps = disc_maps_nm(geometry, nolls, zernike_nm, MAP_SAMPLES)
+    maps = opd_maps_nm(nolls, zernike_nm, clear_disc(geometry, MAP_SAMPLES))
     return Quantity(maps.astype(np.float32), "nm", f"{text}, without tip and tilt")
 
 

@@ -1,4 +1,4 @@
-"""Zernike coefficients of the whole static wavefront: estimated modes plus what effects in the pupil add.
+"""What effects are in terms of modes: their part of the static wavefront, and its change with time.
 
 Petals, bumps and high orders are not orthogonal to the modes on an obscured pupil; a report and a
 correction want the modes of their sum. The effects' OPD is projected on piston and the estimated modes by
@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from irlos_pipe.effects import EffectSet
+from irlos_pipe.effects import Effect, EffectSet, FixedEffect
 from irlos_pipe.numerics.forward_mode import pushed
 from irlos_pipe.optics.grids import PupilGrid
 
@@ -21,6 +21,12 @@ def effects_in_modes_nm(
     effects: EffectSet, values: torch.Tensor, nolls: Sequence[int]
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Part of each mode that the effects hold, and its derivatives.
+
+    Parameters
+    ----------
+    effects : EffectSet
+    values : tensor, (effect parameters,)
+    nolls : sequence of int
 
     Returns
     -------
@@ -44,3 +50,35 @@ def _projection(grid: PupilGrid, nolls: Sequence[int]) -> np.ndarray:
     weight = np.clip(grid.amplitude.ravel() / grid.light, 0, 1)
     basis = grid.modes([1, *nolls]).reshape(len(nolls) + 1, -1)
     return np.linalg.solve((basis * weight) @ basis.T, basis * weight)[1:]
+
+
+def drifts(effect: Effect) -> bool:
+    """Whether the effect is a change with time that is still to be estimated."""
+    return effect.plane == "time" and len(effect.parameters) > 0
+
+
+def measured_drift(effect: Effect, nolls: Sequence[int], frames_nm: np.ndarray) -> FixedEffect:
+    """The effect held at what the estimates of single frames show of it, by least squares.
+
+    The mean image shows a drift to second order only, and not its sign; the frames show both.
+
+    Parameters
+    ----------
+    effect : Effect
+        Of the plane `time`, linear in its parameters, all of which are free.
+    nolls : sequence of int
+        Modes of `frames_nm`.
+    frames_nm : ndarray, (frames, modes)
+        At equal intervals of time.
+
+    Raises
+    ------
+    ValueError
+        If a mode that is to drift is not estimated.
+    """
+    when = torch.linspace(0, 1, len(frames_nm), dtype=torch.float64)
+    still = torch.zeros(len(frames_nm), len(nolls), dtype=torch.float64)
+    units = torch.eye(len(effect.base.parameters), dtype=torch.float64)
+    courses = [effect.base.apply(unit, still, tuple(nolls), when) for unit in units]
+    frames = torch.as_tensor(frames_nm)
+    return FixedEffect(effect.base, [float((c * frames).sum() / c.square().sum()) for c in courses])
