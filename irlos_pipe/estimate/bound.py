@@ -28,6 +28,9 @@ def cramer_rao_nm(
         Without free effect parameters.
     coefficients_nm : tensor, (images, modes)
     flux_e : tensor, (images,)
+    noise : NoiseModel
+    background_e : float
+        In every pixel.
     """
     flux = flux_e.double()
     image, columns = model.predict_and_jacobian(coefficients_nm, flux, torch.full_like(flux, background_e))

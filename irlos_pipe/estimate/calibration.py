@@ -144,11 +144,15 @@ def calibrate(
 
     Parameters
     ----------
+    frames : Frames
+    settings : PsfSettings
+    options : CalibrationOptions
     effects : sequence of Effect
         Of the model; methods of the paper leave them out.
     start_nm : ndarray, (modes,), optional
         Start from Noll 2 on, for as many modes as there are; else the fit starts from none, and once more
         from single frames if it ends in a wrong minimum.
+    device : str
     report : callable, optional
         Called with the number of finished frames, for a progress bar.
 

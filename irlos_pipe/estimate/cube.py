@@ -59,7 +59,7 @@ def mean_variance_e2(frames: Frames) -> torch.Tensor:
 
 
 def local_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-    """Weighted running mean over `LOCAL_PX` × `LOCAL_PX` pixels, (rows, columns)."""
+    """Running mean of `values` by `weight` over `LOCAL_PX` × `LOCAL_PX` pixels, (rows, columns)."""
     kernel = torch.ones(1, 1, LOCAL_PX, LOCAL_PX, dtype=values.dtype)
     total, norm = (
         torch.nn.functional.conv2d(plane[None, None], kernel, padding=LOCAL_PX // 2)[0, 0]

@@ -17,7 +17,7 @@ from irlos_pipe.optics.rotation import partner, rotation_matrix
 from irlos_pipe.optics.zernike import noll_to_nm
 
 POINTING = (2, 3)
-LEAST_SPREAD = 0.01  # 1 − |mean of exp(imα)|²; below it the parts' errors exceed tenfold that of the sum
+MIN_SPREAD = 0.01  # 1 − |mean of exp(imα)|²; below it the parts' errors exceed tenfold that of the sum
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class Split:
     rotating, fixed : Part
         Of separable modes; `rotating` in the frame before the derotator, that of angle 0.
     unsplit : Part
-        Sum of both parts in the other modes: symmetric ones, and those that the angles do not tell apart.
+        Sum of both parts in the other modes: symmetric ones, and those that the angles do not separate.
     predicted_nm : ndarray, (cubes, modes)
     chi2 : float
         Against the errors of the single estimates.
@@ -128,7 +128,7 @@ class Split:
 
 
 def usable_modes(nolls: Sequence[int], highest_noll: int | None = None) -> np.ndarray:
-    """Modes that can be rotated: tip and tilt left out, and whose partner is missing; bool, (modes,)."""
+    """Whether `nolls` up to `highest_noll` can be rotated, (modes,): not tip, tilt, nor without a partner."""
     among = {noll for noll in nolls if noll not in POINTING and noll <= (highest_noll or noll)}
     return np.array([noll in among and partner(noll) in among for noll in nolls])
 
@@ -173,7 +173,7 @@ def _told_apart(noll: int, angles_deg: np.ndarray) -> bool:
     With equal errors σ in K cubes each part's variance is ``σ²/K/(1 − |⟨exp(imα)⟩|²)``.
     """
     m = noll_to_nm(noll)[1]
-    return 1 - abs(np.exp(1j * m * np.radians(angles_deg)).mean()) ** 2 > LEAST_SPREAD
+    return 1 - abs(np.exp(1j * m * np.radians(angles_deg)).mean()) ** 2 > MIN_SPREAD
 
 
 def _pairs(nolls: Sequence[int]) -> Iterator[list[int]]:
@@ -211,7 +211,7 @@ class Senses:
     ----------
     best : Split
     delta_chi2 : float
-        χ² of the other sense minus that of the best; near 0 where the angles do not tell.
+        χ² of the other sense minus that of the best; near 0 where the angles do not show it.
     """
 
     best: Split
@@ -247,7 +247,7 @@ class Consistency:
 
 
 def consistency(series: Series, split: Split) -> Consistency:
-    """Compare the estimates of all pairs of angles; with one angle everything is NaN."""
+    """Compare the estimates of all pairs of angles of a `series` with its `split`; NaN with one angle."""
     moving = Series(
         series.nolls,
         series.angles_deg,

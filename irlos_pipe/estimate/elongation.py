@@ -61,7 +61,7 @@ def diversity_angle_deg(diversity_nm: Mapping[int, float]) -> float:
     Raises
     ------
     ValueError
-        Without astigmatism in the diversity a single image does not tell the sign of defocus.
+        Without astigmatism in the diversity a single image does not show the sign of defocus.
     """
     oblique, vertical = diversity_nm.get(5, 0.0), diversity_nm.get(6, 0.0)
     if oblique == 0 and vertical == 0:
@@ -107,7 +107,7 @@ class GaussianFit(Problem):
         return first, second, torch.exp(-0.5 * (first**2 + second**2))
 
     def objective(self, p: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
-        """Half the sum of squared residuals, (b,)."""
+        """See `Problem.objective`: half the sum of squared residuals."""
         _, _, gauss = self._shape(p)
         residual = self.images[which] - p[:, 4:5] * gauss - p[:, 5:6]
         return 0.5 * (self.weight * residual**2).sum(1)
@@ -142,14 +142,22 @@ class GaussianFit(Problem):
 
 
 def fit_gaussians(images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float) -> Solution:
-    """Fit a Gaussian to every image (images, rows, columns)."""
+    """Fit a Gaussian with an axis at `angle_deg` to the good pixels `pixel_mask` of all `images_e`."""
     problem = GaussianFit(images_e, pixel_mask, angle_deg)
     return solve(problem, problem.start(), max_iterations=80)
 
 
 @torch.no_grad()
 def axis_ratios(images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float) -> np.ndarray:
-    """Ratio σ1/σ2 of every image (images, rows, columns), (images,); NaN where the fit failed."""
+    """Ratio σ1/σ2 of every image, (images,); NaN where the fit failed.
+
+    Parameters
+    ----------
+    images_e : tensor, (images, rows, columns)
+    pixel_mask : tensor of bool, (rows, columns)
+    angle_deg : float
+        Direction of the first axis, from +x towards +y.
+    """
     blocks = images_e.split(IMAGES_AT_ONCE)
     (ratio,) = joined_map(lambda block: (_ratios(block, pixel_mask, angle_deg),), blocks, len(images_e))
     return ratio.numpy()
@@ -167,6 +175,8 @@ def calibrate_law(model: PsfModel, optics: Optics = AS_BUILT) -> ElongationLaw:
     ----------
     model : PsfModel
         With Noll 4 as its only mode.
+    optics : Optics
+        What effects make of the light path.
     """
     angle = diversity_angle_deg(model.settings.known.diversity_nm)
     images = model.images(torch.as_tensor(SPAN_NM)[:, None], optics).cpu()

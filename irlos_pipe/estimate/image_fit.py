@@ -108,16 +108,16 @@ class ImageFit(Problem):
         return torch.maximum(self.tolerance * scatter, self.loss.relative_tolerance * value)
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
-        """Sum of the loss over pixels plus the prior's half χ², (b,)."""
+        """See `Problem.objective`: the loss summed over pixels plus the prior's half χ²."""
         return self._map(self._objective, x, which)[0] + self._prior_value(x, which)
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """Objective, gradient and Gauss–Newton Hessian, see `Problem`."""
+        """See `Problem.normal_equations`."""
         value, gradient, hessian = self._map(self._normal, x, which)
         return value + self._prior_value(x, which), gradient, hessian
 
     def gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Objective (b,) and gradient (b, p), float64, at the cost of two images, without free effects."""
+        """See `Descent.gradient`; without free effects, at the cost of two images."""
         value, gradient = self._map(self._gradient, x, which, FRAMES_PER_GRADIENT)
         offset = x - self.prior_mean[which]
         return value + self._prior_value(x, which), gradient + self.prior_precision[which] * offset
@@ -153,7 +153,7 @@ class ImageFit(Problem):
         return image.flatten(1), columns.flatten(2)
 
     def _arguments(self, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Modes, flux, background and effect parameters, as `ImageModel` wants them."""
+        """Modes, flux, background and effect parameters, in the order of `ImageModel.predict`."""
         values = x[0, self.layout.effect_values].cpu() if self.layout.effects else self.held
         return x[:, self.layout.modes].to(self.device), x[:, -2], x[:, -1], values
 
@@ -221,5 +221,5 @@ class ImageFit(Problem):
 
 
 def masked_variance(variance_e2: torch.Tensor, pixel_mask: torch.Tensor) -> torch.Tensor:
-    """Variance with infinity at bad pixels, so that they carry no weight."""
+    """`variance_e2` with infinity where `pixel_mask` is False: bad pixels carry no weight."""
     return torch.where(pixel_mask.to(variance_e2.device), variance_e2, math.inf)

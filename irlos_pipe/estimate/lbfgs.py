@@ -20,6 +20,12 @@ def solve_lbfgs(problem: ImageFit, start: torch.Tensor, *, max_iterations: int =
 
     The variables are scaled by the curvature at the start, so that nm, electrons and
     variances are of one size.
+
+    Parameters
+    ----------
+    problem : ImageFit
+    start : tensor, (batch, parameters)
+    max_iterations : int
     """
     everyone = torch.arange(len(start))
     _, _, hessian = problem.normal_equations(start, everyone)

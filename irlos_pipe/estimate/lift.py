@@ -67,7 +67,7 @@ class LiftResult:
     ----------
     nolls : tuple of int
     zernike_nm : tensor, (images, modes)
-        Beyond the diversity and what was added to it.
+        Beyond the known wavefront.
     covariance_nm2 : tensor, (images, modes, modes)
         Inverse of the Fisher matrix (plus prior), flux and background marginalised.
     solution : Solution
@@ -100,7 +100,7 @@ class LiftResult:
         return self.zernike_nm[:, column], self.sigma_nm[:, column]
 
     def updated(self, which: torch.Tensor, other: LiftResult, better: torch.Tensor) -> LiftResult:
-        """The batch with some members (a mask of the batch) taken from `other` where that is `better`."""
+        """The batch with members `which`, a mask of the batch, taken from `other` where that is `better`."""
         where = torch.nonzero(which)[better, 0]
         solution = self.solution.updated(where, other.solution, better)
         return mixed(self, other, where, better, solution=solution)
@@ -121,11 +121,15 @@ def lift(
     Parameters
     ----------
     model : ImageModel
-        Its effects have no free parameters; the diversity of its PSF holds the introduced diversity and,
-        if calibrated, the NCPAs.
+        Its effects have no free parameters; its known wavefront has the diversity and, if calibrated, the
+        NCPAs.
     images_e : tensor, (images, rows, columns)
     pixel_mask : tensor of bool, (rows, columns)
+    noise : NoiseModel
     start_nm : tensor, (images, modes)
+    options : LiftOptions
+    report : callable, optional
+        See `solve`.
 
     Returns
     -------
@@ -206,7 +210,16 @@ def image_problem(
     pixel_mask: torch.Tensor,
     alike: Alike | None = None,
 ) -> ImageFit:
-    """One image, one parameter vector, for a whole batch."""
+    """One image, one parameter vector, for a whole batch.
+
+    Parameters
+    ----------
+    model, layout : ImageModel, Layout
+    images_e, variance_e2 : tensor, (images, rows, columns)
+    pixel_mask : tensor of bool, (rows, columns)
+    alike : Alike, optional
+        Where the images are realisations of a few frames.
+    """
     variance = masked_variance(variance_e2, pixel_mask)[:, None].flatten(2)
     device = model.psf.device
     arguments = model, layout, images_e[:, None].flatten(2).to(device), variance.to(device)

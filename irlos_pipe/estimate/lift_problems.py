@@ -72,7 +72,7 @@ class AlikeFit(ImageFit):
         return super().members(which)._with(_alike=self._alike.of(which))
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """Objective, exact gradient and approximate Hessian, see `Problem`."""
+        """See `Problem.normal_equations`; the gradient is exact, the Hessian approximate."""
         value, gradient = self.gradient(x, which)
         (hessian,) = self._map(self._curvature, x, which, FRAMES_PER_GRADIENT)
         return value, gradient, hessian + torch.diag_embed(self.prior_precision[which])

@@ -110,7 +110,7 @@ class EveryFrame(Scheme):
         return len(frames.images_e)
 
     def start(self, frames: Frames, problem: ImageFit) -> torch.Tensor:
-        """What a few frames agree on, which is close for all; tip and tilt of every frame by itself."""
+        """See `Scheme.start`: what a few frames agree on, and tip and tilt of every frame by itself."""
         model = problem.model.psf
         median_nm = median_of_frames_nm(
             model, frames.images_e, frames.pixel_mask, frames.noise, ROUGH_ITERATIONS

@@ -97,6 +97,7 @@ def mode_scatter(nolls: Sequence[int], zernike_nm: np.ndarray, sigma_nm: np.ndar
 
     Parameters
     ----------
+    nolls : sequence of int
     zernike_nm, sigma_nm : ndarray, (cubes, modes)
         Estimates with their errors, one row per set of NCPAs.
     """

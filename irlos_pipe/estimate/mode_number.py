@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.modes import REPORTED_NOLLS
 from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 BLOCKS_PER_HALF = 8
-LEAST_FRAMES = 4 * BLOCKS_PER_HALF
-COMPARED = tuple(range(2, 31))  # the modes that SPARTA takes offsets for
+MIN_FRAMES = 4 * BLOCKS_PER_HALF
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class ModeScan:
 
     @property
     def halves_nm(self) -> np.ndarray:
-        """Error of the mean as the difference of the halves tells it: half of its RMS, (numbers,)."""
+        """Error of the mean from the difference of the halves: half of its RMS, (numbers,)."""
         return np.sqrt(np.sum((self.zernike_nm[:, 0] - self.zernike_nm[:, 1]) ** 2, axis=1)) / 2
 
 
@@ -87,10 +87,10 @@ def halves(frames: int) -> tuple[np.ndarray, np.ndarray]:
     Raises
     ------
     ValueError
-        With fewer than `LEAST_FRAMES` frames.
+        With fewer than `MIN_FRAMES` frames.
     """
-    if frames < LEAST_FRAMES:
-        raise ValueError(f"halves need at least {LEAST_FRAMES} frames, there are {frames}")
+    if frames < MIN_FRAMES:
+        raise ValueError(f"halves need at least {MIN_FRAMES} frames, there are {frames}")
     length = frames // (2 * BLOCKS_PER_HALF)
     runs = np.arange(2 * BLOCKS_PER_HALF * length).reshape(-1, length)
     return runs[0::2], runs[1::2]
@@ -103,7 +103,7 @@ def scan_mode_numbers(
     highest_nolls: Sequence[int],
     effects: Sequence[Effect] = (),
     *,
-    nolls: Sequence[int] = COMPARED,
+    nolls: Sequence[int] = REPORTED_NOLLS,
     device: str = "cpu",
     report: Callable[[int], None] | None = None,
 ) -> ModeScan:
@@ -111,6 +111,8 @@ def scan_mode_numbers(
 
     Parameters
     ----------
+    frames, settings, effects, device
+        See `calibrate`.
     options : CalibrationOptions
         Its `highest_noll` is replaced.
     highest_nolls : sequence of int
@@ -153,6 +155,11 @@ def fit_mode_numbers(
 
     Every fit starts from that with the next larger number: a model that lacks modes easily falls into
     a wrong minimum, and this is not what is asked here.
+
+    Parameters
+    ----------
+    frames, settings, options, highest_nolls, effects, device, report
+        See `scan_mode_numbers`.
     """
     fits: list[Calibration] = []
     for highest in reversed(highest_nolls):
@@ -176,6 +183,8 @@ def held_out_misfit(frames: Frames, fit: Calibration, unseen: np.ndarray) -> np.
 
     Parameters
     ----------
+    frames : Frames
+    fit : Calibration
     unseen : ndarray of int, (blocks, frames)
     """
     good = frames.pixel_mask.numpy()

@@ -76,6 +76,7 @@ class Layout:
 
         Parameters
         ----------
+        images_e : tensor, (batch, pixels)
         modes_nm : tensor, (batch, modes) or (modes,), optional
             Start of the Zernike coefficients; zero by default.
         """

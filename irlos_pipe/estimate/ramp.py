@@ -31,7 +31,7 @@ class RampSummary:
         together with a line, which would else take a part of it; NaN when only one direction occurs.
     part_bias_nm, part_bias_sigma_nm : float
         Constant bias of the second part of the ramp against the first (the reference of the focus stage
-        lost between two runs), fitted in the same way; NaN when the ramp is told to be of one part.
+        lost between two runs), fitted in the same way; NaN when the ramp is declared as one part.
     offsets_nm, median_nm, scatter_nm : ndarray, (offsets,)
         Introduced defocus, and the median and 1σ (from the 16th and 84th percentile) of the estimates.
     """
@@ -112,7 +112,7 @@ def _steps(
 ) -> tuple[float, float, float, float]:
     """Coefficients of direction and part beside slope and offset, each with its standard error.
 
-    What the ramp cannot tell is NaN: a column that does not vary, or one that the others make up.
+    What the ramp does not determine is NaN: a column that does not vary, or one that the others make up.
     """
     both_ways = direction.min() < 0 < direction.max()
     known = direction != 0 if both_ways else np.full(len(direction), True)
@@ -167,7 +167,7 @@ def fit_focus_stage(
     Raises
     ------
     ValueError
-        If the ramp cannot tell the errors apart.
+        If the ramp cannot separate the errors.
     """
     labels = labels_of(effects)
     base = _introduced_nm(effects, commanded_nm, None)

@@ -20,7 +20,7 @@ from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 
 OUTLIER_CHI2 = 2.0  # a fit this much worse than the median of the ramp gets a second try
-FEWEST_FRAMES = 3  # whose fits take longer than making a table of images
+MIN_FRAMES = 3  # whose fits take longer than making a table of images
 CONTRADICTION_NM = 100.0  # and so does one that the scan of defocus puts this far away
 
 DEFOCUS = 4  # Noll
@@ -74,7 +74,10 @@ class RampFit:
 
 
 def start_from_defocus(model: PsfModel, data: RampData, defocus_nm: np.ndarray) -> torch.Tensor:
-    """Start with a given defocus; tip and tilt from the centroids, relative to the model's own image."""
+    """Start of a `model` with `defocus_nm` for the frames of `data`; tip and tilt from the centroids.
+
+    The centroids are relative to those of the model's own images.
+    """
     start = torch.zeros(len(data.images_e), len(model.nolls), dtype=torch.float64)
     start[:, model.nolls.index(DEFOCUS)] = torch.as_tensor(np.nan_to_num(defocus_nm))
     scale, diameter = model.settings.pixel_scale_mas, model.settings.geometry.diameter_m
@@ -99,14 +102,20 @@ def fit_ramp(
 
     Parameters
     ----------
+    model : PsfModel
+    data : RampData
+    start_nm : tensor, (frames, modes)
+    options : LiftOptions
     effects : sequence of Effect
-        FixedEffect ones are fixed, others are shared by all frames.
+        Fixed ones stay, free parameters are shared by all frames.
+    report : callable, optional
+        See `solve`.
     """
     free = EffectSet(effects, model.grids)
     shared = _fit_effects(model, data, start_nm, free) if free.parameters else None
     held = free.held(shared.values if shared else NOTHING)
     complete = ImageModel(model, held)
-    if len(start_nm) >= FEWEST_FRAMES:
+    if len(start_nm) >= MIN_FRAMES:
         complete = tabulated(complete, start_nm)
     result = lift(complete, data.images_e, data.pixel_mask, data.noise, start_nm, options, report=report)
     result = second_try(complete, data, result, options)
@@ -124,6 +133,11 @@ def second_try(model: ImageModel, data: RampData, result: LiftResult, options: L
     """Restart frames that failed, fit badly or contradict the defocus scan; keep whichever fits better.
 
     To stand out, a bad fit needs good ones beside it; the scan judges every frame by itself.
+
+    Parameters
+    ----------
+    model, data, result, options
+        See `fit_ramp`; `result` is that of the first try.
     """
     if not {2, 3, 4} <= set(model.psf.nolls):
         return result

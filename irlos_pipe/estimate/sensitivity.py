@@ -88,6 +88,8 @@ def dim(
         Measured frames, and their noise-free model.
     factor : float
         Between 0 and 1.
+    noise : NoiseModel
+    generator : torch.Generator
 
     Raises
     ------
@@ -122,16 +124,23 @@ def scan(
 
     Parameters
     ----------
+    model : ImageModel
     data : RampData
         Measured frames, of a star of magnitude `mag_j`.
     signal_e : tensor, (frames, rows, columns)
         Their noise-free models.
     magnitudes : ndarray
         Not brighter than `mag_j`.
+    realisations : int
+        Of every frame at every magnitude.
     start_nm : tensor, (frames, modes)
+    criterion : Criterion
+    seed : int
     near_nm : tensor, (frames, modes), optional
         Estimates from the frames as they are, which make the scan quicker. Estimates stay the same, except
         that a fit for which several minima compete may end in another.
+    report : callable, optional
+        See `solve`.
 
     Returns
     -------
@@ -172,9 +181,12 @@ def curve_of(
 
     Parameters
     ----------
+    nolls : sequence of int
+    magnitudes : ndarray
     abs_error_nm : ndarray, (magnitudes, trials)
         NaN where the estimate failed.
     crb_nm : ndarray, (magnitudes,)
+    criterion : Criterion
     """
     mag_j, trials = np.asarray(magnitudes, float), abs_error_nm.shape[1]
     failures = np.isnan(abs_error_nm).sum(axis=1)
@@ -186,7 +198,13 @@ def curve_of(
 def limiting_magnitude(
     magnitudes: np.ndarray, median_nm: np.ndarray, failure_fraction: np.ndarray, criterion: Criterion
 ) -> float:
-    """Faintest magnitude before the criterion is first missed, interpolated in log error."""
+    """Faintest of the `magnitudes` before the `criterion` is first missed, interpolated in log error.
+
+    Parameters
+    ----------
+    magnitudes, median_nm, failure_fraction : ndarray, (magnitudes,)
+    criterion : Criterion
+    """
     fine = (median_nm <= criterion.median_nm) & (failure_fraction <= criterion.failure_fraction)
     if not fine[0]:
         return float("nan")

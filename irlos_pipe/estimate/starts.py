@@ -38,6 +38,7 @@ def start_tilts_nm(images_e: torch.Tensor, pixel_scale_mas: float, diameter_m: f
     Parameters
     ----------
     images_e : tensor, (frames, rows, columns)
+    pixel_scale_mas, diameter_m : float
     """
     bright = (images_e - 0.2 * images_e.amax((1, 2), keepdim=True)).clamp_min(0)
     total = bright.sum((1, 2)).clamp_min(1e-30)
@@ -57,6 +58,9 @@ def scan_start_nm(
     model : LightPath
         Noll 2, 3 and 4 among its modes.
     images_e : tensor, (images, rows, columns)
+    pixel_mask : tensor of bool, (rows, columns)
+    optics : Optics
+        What effects make of the light path.
 
     Returns
     -------
@@ -103,7 +107,7 @@ def _signed(index: int, size: int) -> int:
 
 
 def is_plausible(problem: ImageFit, solution: Solution) -> bool:
-    """Whether the first member of a problem is converged and fits."""
+    """Whether the `solution` of the first member of a `problem` is converged and fits."""
     return bool(solution.converged[0] and problem.reduced_chi2(solution.values[:1])[0] < PLAUSIBLE_CHI2)
 
 
@@ -121,6 +125,10 @@ def median_of_frames_nm(
     model : LightPath
         With Noll 2 and 3 as its first modes.
     images_e : tensor, (frames, rows, columns)
+    pixel_mask : tensor of bool, (rows, columns)
+    noise : NoiseModel
+    max_iterations : int
+        Of every fit.
 
     Returns
     -------
@@ -140,7 +148,7 @@ def median_of_frames_nm(
 
 
 def better(first: Solution, second: Solution) -> Solution:
-    """The solution of the same problem with the lower objective; a valid one before an invalid one."""
+    """The one of `first` and `second` with the lower objective; a valid one before an invalid one."""
     if second.status[0] == INVALID or first.status[0] == INVALID:
         return first if second.status[0] == INVALID else second
     return second if second.objective[0] < first.objective[0] else first

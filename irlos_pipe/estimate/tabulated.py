@@ -35,7 +35,7 @@ class TabulatedModel(ImageModel):
 
 
 def tabulated(model: ImageModel, start_nm: torch.Tensor) -> ImageModel:
-    """A quick version of `model` about these starts, (images, modes); `model` itself where there is none.
+    """A quick version of `model` about `start_nm`, (images, modes); `model` itself where there is none.
 
     There is one if the modes are tip, tilt and one more, if no effect is free or changes with time, and
     if the images are well sampled.

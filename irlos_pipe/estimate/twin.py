@@ -1,8 +1,8 @@
 """The twin solution: a centro-symmetric pupil gives φ(u) and −φ(−u) the same image.
 
 Only the known diversity breaks the tie. With the diversity's own mode among the estimated
-ones, the twin is an equally good fit whose even modes, diversity included, change sign; what
-tells them apart is the prior, and the size of the aberration each would need.
+ones, the twin is an equally good fit whose even modes, diversity included, change sign; only the
+prior and the size of the aberration that each would need separate them.
 """
 
 from __future__ import annotations

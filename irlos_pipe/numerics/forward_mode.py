@@ -18,26 +18,26 @@ _turn = threading.RLock()
 
 
 def pushed(function: Function, values: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-    """Derivative of `function` along a direction in its argument."""
+    """Return the derivative of `function` at `values` along a `direction` in its argument."""
     with _turn:
         return torch.func.jvp(function, (values,), (direction,))[1]
 
 
 def pushed_all(function: Function, values: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
-    """The same along several directions, the second axis of `directions` and of what is returned."""
+    """Return those of `function` at `values` along several `directions`, the second axis there and here."""
     with _turn:
         return torch.func.vmap(partial(pushed, function, values), in_dims=1, out_dims=1)(directions)
 
 
 def along(function: Function, values: torch.Tensor, index: int) -> torch.Tensor:
-    """Derivative of `function` with respect to one element of its argument."""
+    """Return the derivative of `function` at `values` with respect to the element `index`."""
     direction = torch.zeros_like(values)
     direction[index] = 1
     return pushed(function, values, direction)
 
 
 def along_all(function: Function, values: torch.Tensor) -> torch.Tensor:
-    """Derivatives of a real or complex `function` with respect to all elements, elements first."""
+    """Return those of a real or complex `function` by all elements of `values`, elements first."""
     with _turn:
         if len(values) == 1:  # dual numbers cost much less than the vectorised transform
             with forward_ad.dual_level():

@@ -41,6 +41,9 @@ def solve(
 
     Parameters
     ----------
+    problem : Problem
+    start : tensor, (batch, parameters)
+    max_iterations : int
     report : callable, optional
         Called with the number of members that finished in each iteration (progress bars).
 
@@ -149,8 +152,8 @@ class _State:
     def _finish(self, which: np.ndarray) -> None:
         """Close members, with the step that was found negligible: it costs nothing.
 
-        Nobody looks where it leads: it is damped, lest it leap along a direction of which the data tell
-        nothing.
+        Nobody looks where it leads: damping keeps it from leaping along a direction that the data do not
+        determine.
         """
         self.status[which] = CONVERGED
         if not self.reweighted:
@@ -282,7 +285,7 @@ def _solve(
 ) -> np.ndarray:
     """Solve (H + neglected + damping · D) s = g in scaled variables; D is diag H, where that is no rounding.
 
-    Without a diversity an image in focus tells nothing of even modes: their slope vanishes, and rounding of
+    Without a diversity an image in focus does not show even modes: their slope vanishes, and rounding of
     it would make steps of any length.
     """
     diagonal = np.diagonal(hessian, axis1=1, axis2=2).clip(min=1e-300)

@@ -23,7 +23,14 @@ SHORTER = (0.1, 0.5)  # factors on the length of a step that went too far
 
 @torch.no_grad()
 def polish(problem: Descent, found: Solution, max_evaluations: int) -> Solution:
-    """Continue from a solution, whose covariance is taken as the inverse Hessian to begin with.
+    """Continue from a solution by at most `max_evaluations` gradients of every member.
+
+    Parameters
+    ----------
+    problem : Descent
+    found : Solution
+        Its covariance is taken as the inverse Hessian to begin with.
+    max_evaluations : int
 
     Returns
     -------

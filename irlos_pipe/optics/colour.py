@@ -36,7 +36,10 @@ class Colour(NamedTuple):
     samples: int
 
     def field(self, opd_nm: torch.Tensor, pupil: torch.Tensor | None = None) -> torch.Tensor:
-        """Field ``P exp(2πi OPD/λ)``, real and imaginary part, (frames, 2, n, n); P may be given."""
+        """Field ``P exp(2πi OPD/λ)`` of `opd_nm`, (frames, 2, n, n); P may be another `pupil`.
+
+        The second axis has the real and the imaginary part.
+        """
         pupil = self.pupil if pupil is None else pupil
         phase = opd_nm * (2 * np.pi * NM / self.wavelength_m)
         cosine, sine = phase.cos(), phase.sin()
@@ -46,7 +49,7 @@ class Colour(NamedTuple):
         return torch.stack([real * cosine - imag * sine, real * sine + imag * cosine], dim=1)
 
     def image(self, intensity: torch.Tensor, transfer: torch.Tensor | None = None) -> torch.Tensor:
-        """Weighted pixel flux of focal intensities (..., m, m); `transfer` stands in for the own factor."""
+        """Weighted pixel flux of a focal `intensity` (..., m, m); `transfer` stands in for the own factor."""
         if self.transfer is None:
             return self.to_rows @ (intensity @ self.to_columns.mT)
         factor = self.transfer if transfer is None else transfer

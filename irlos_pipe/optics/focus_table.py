@@ -69,7 +69,7 @@ class FocusTable:
         self._tabulate(psf.in_window(*_wider(psf, beyond)), optics)
 
     def _tabulate(self, wide: LightPath, optics: Optics) -> None:
-        """Chebyshev coefficients (terms, pixels), reversed along both axes as `ShiftMatrices` wants them."""
+        """Chebyshev coefficients (terms, pixels), reversed along both axes as in `ShiftMatrices`."""
         terms = self._terms(wide, optics)
         angle = np.pi * (np.arange(terms) + 0.5) / terms
         nodes_nm = torch.zeros(terms, len(self.nolls), dtype=torch.float64)
@@ -165,7 +165,10 @@ def place_of_focus(nolls: tuple[int, ...]) -> int:
 
 
 def can_tabulate(psf: LightPath, optics: Optics, reach: Reach) -> bool:
-    """Whether images can be tabulated: they must be well sampled, and the shifts must fit into the field."""
+    """Whether the images of `psf` with its `optics` can be tabulated within a `reach`.
+
+    They must be well sampled, and the shifts must fit into the field.
+    """
     if _band_per_px(psf, optics) > WELL_SAMPLED:
         return False
     room_mas = psf.settings.halo_margin_mas - FIELD_MARGIN_MAS

@@ -45,7 +45,7 @@ class PupilGrid:
 
     @classmethod
     def of(cls, geometry: PupilGeometry, samples: int, wavelengths_m: Sequence[float]) -> PupilGrid:
-        """Grid of the band-limited pupil."""
+        """Grid of the band-limited pupil of a `geometry`, `samples` across, for `wavelengths_m`."""
         return cls(geometry, samples, band_limited_pupil(geometry, samples)[0], _colours(wavelengths_m))
 
     def at(self, wavelengths_m: torch.Tensor) -> PupilGrid:
@@ -124,7 +124,7 @@ class OtfGrid:
 
     @classmethod
     def of(cls, focal: FocalGrid, sampling: Sampling) -> OtfGrid:
-        """Baselines of a focal grid."""
+        """Baselines of the grid `focal`, for the colours of a `sampling`."""
         mean_m = (sampling.wavelengths_m * sampling.weights).sum()
         return cls(focal, _colours(sampling.wavelengths_m), mean_m)
 
@@ -144,7 +144,7 @@ class OtfGrid:
         return torch.as_tensor(self.baseline_x_m[None, :] ** 2 + self.baseline_y_m[:, None] ** 2)
 
     def path_m(self, x_rad, y_rad) -> torch.Tensor:
-        """Scalar product ``b·s`` of the baselines with a direction on the sky [m], (..., p, p//2 + 1)."""
+        """Scalar product ``b·s`` with the direction (`x_rad`, `y_rad`) on the sky [m], (..., p, p//2 + 1)."""
         along_x, along_y = (torch.as_tensor(b) for b in (self.baseline_x_m, self.baseline_y_m))
         return along_x[None, :] * x_rad + along_y[:, None] * y_rad
 

@@ -17,7 +17,8 @@ FIRST_PETAL_RAD = np.pi / 4  # the first petal lies on this diagonal
 def petal_amplitudes(geometry: PupilGeometry, samples: int) -> np.ndarray:
     """Band-limited amplitude of every petal, (petals, n, n); their sum is that of the pupil.
 
-    Petals meet in the middle of the vanes, where there is no light: the sharp border costs nothing.
+    `geometry` and `samples` are as of `band_limited_pupil`. Petals meet in the middle of the vanes, where
+    there is no light: the sharp border costs nothing.
 
     Raises
     ------
@@ -28,7 +29,7 @@ def petal_amplitudes(geometry: PupilGeometry, samples: int) -> np.ndarray:
 
 
 def petal_index(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Number of the petal at points (x, y), counted anticlockwise from the one on the +45° diagonal.
+    """Number of the petal of a `geometry` at points (`x_m`, `y_m`), anticlockwise from the +45° diagonal.
 
     Raises
     ------

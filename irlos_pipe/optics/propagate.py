@@ -58,7 +58,14 @@ class FocalGrid:
 def focal_samples_for(
     window_px: int, pixel_scale_mas: float, margin_mas: float, wavelength_m: float, width_m: float
 ) -> int:
-    """Samples that cover the window and a margin on each side at the shortest wavelength."""
+    """Samples of a focal grid that cover a window and a margin on each side.
+
+    Parameters
+    ----------
+    window_px, pixel_scale_mas, margin_mas : int, float, float
+    wavelength_m, width_m : float
+        Wavelength, and width of the pupil grid [m].
+    """
     field_rad = (window_px * pixel_scale_mas + 2 * margin_mas) * MAS
     samples = int(np.ceil(field_rad * 2 * width_m / wavelength_m))
     return samples + (-samples) % 4
@@ -73,12 +80,25 @@ def quick_fft_length(samples: int) -> int:
 
 
 def pupil_samples_for(window_px: int, pixel_scale_mas: float, wavelength_m: float, diameter_m: float) -> int:
-    """Fewest samples across the pupil with which `require_resolved` is content."""
+    """Fewest samples across the pupil that `require_resolved` accepts.
+
+    Parameters
+    ----------
+    window_px, pixel_scale_mas : int, float
+    wavelength_m, diameter_m : float
+        Shortest wavelength, and diameter of the pupil [m].
+    """
     return int(np.ceil(window_px * pixel_scale_mas * MAS * diameter_m / (CLEAN_BAND * wavelength_m)))
 
 
 def require_resolved(window_px: int, pixel_scale_mas: float, wavelength_m: float, step_m: float) -> None:
     """Refuse a window wider than what the sampled pupil's spectrum is good for.
+
+    Parameters
+    ----------
+    window_px, pixel_scale_mas : int, float
+    wavelength_m, step_m : float
+        Shortest wavelength, and step of the pupil grid [m].
 
     Raises
     ------
@@ -110,8 +130,11 @@ def baseline_to_pixels(
     ----------
     baselines_m : ndarray
         `FocalGrid.baseline_y_m` or, with ``half=True``, `FocalGrid.baseline_x_m`.
+    pixels : int
+        Along this axis of the window.
     pixel_scale_mas, wavelength_m : float or scalar tensor
         The matrix is differentiable in both.
+    grid : FocalGrid
     half : bool
         True for the axis of a real FFT: inner coefficients count twice, and the real part
         of the two-axis product is taken.
@@ -138,7 +161,10 @@ def baseline_to_pixels(
 
 
 def require_field(pixels: int, pixel_scale_mas: float, wavelength_m: float, grid: FocalGrid) -> None:
-    """Raise ValueError if the window is wider than the computed field."""
+    """Raise ValueError if a window of `pixels` of `pixel_scale_mas` is wider than the field of a `grid`.
+
+    The field is that at `wavelength_m`.
+    """
     field_rad = grid.samples * wavelength_m / (2 * grid.width_m)
     if pixels * pixel_scale_mas * MAS > field_rad:
         raise ValueError(
@@ -148,7 +174,7 @@ def require_field(pixels: int, pixel_scale_mas: float, wavelength_m: float, grid
 
 
 def half_plane_counts(baselines: int, padded: int) -> np.ndarray:
-    """How often each coefficient of a real FFT of `padded` samples stands for itself or its conjugate."""
+    """How often a real FFT of `padded` samples counts each of its `baselines`: itself and its conjugate."""
     counts = np.full(baselines, 2.0)
     counts[0] = 1
     if padded % 2 == 0:
@@ -160,6 +186,11 @@ def focal_to_pixels(
     pixels: int, pixel_scale_mas: float | torch.Tensor, wavelength_m: float | torch.Tensor, grid: FocalGrid
 ) -> torch.Tensor:
     """Real matrix from focal intensity to pixel-integrated flux along one axis, without OTF factors.
+
+    Parameters
+    ----------
+    pixels, pixel_scale_mas, wavelength_m, grid
+        As of `baseline_to_pixels`.
 
     Returns
     -------

@@ -119,7 +119,7 @@ class PsfModel:
         self.polynomials = vander.T
 
     def _map(self, array) -> torch.Tensor:
-        """Real maps of the pupil as the propagation wants them, (..., n, n)."""
+        """Real maps of the pupil in the order of `matrix_dft`, (..., n, n)."""
         return mirrored(self._real(array))
 
     def _real(self, array) -> torch.Tensor:

@@ -49,6 +49,12 @@ def band_limited_pupil(geometry: PupilGeometry, samples: int) -> tuple[np.ndarra
     the flat part, so sharp edges and thin vanes cost no resolution: at equal accuracy the
     grid is about half as fine per axis as an area-weighted one.
 
+    Parameters
+    ----------
+    geometry : PupilGeometry
+    samples : int
+        Across the diameter.
+
     Returns
     -------
     u_m : ndarray, (samples + 2 * PAD,)
@@ -73,6 +79,9 @@ def band_limited(
 
     Parameters
     ----------
+    geometry : PupilGeometry
+    samples : int
+        Across the diameter.
     stop_m : (float, float)
         Position of an internal stop that has the outline and the hole of the pupil, but no vanes.
     subsamples : int
@@ -84,7 +93,16 @@ def band_limited(
 def band_limited_parts(
     geometry: PupilGeometry, samples: int, part: Callable[[np.ndarray, np.ndarray], np.ndarray], count: int
 ) -> np.ndarray:
-    """Amplitudes of the parts of a pupil, (count, n, n); ``part(x_m, y_m)`` is the number of each point's."""
+    """Amplitudes of the parts of a pupil, (count, n, n).
+
+    Parameters
+    ----------
+    geometry, samples : see `band_limited_pupil`
+    part : callable
+        ``part(x_m, y_m)`` is the number of each point's part.
+    count : int
+        Number of parts.
+    """
 
     def split(clear: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return clear * (part(x, y) == np.arange(count)[:, None, None])
@@ -103,13 +121,19 @@ def _filtered(geometry: PupilGeometry, samples: int, stop_m, subsamples: int, sp
 
 
 def fine_centres(geometry: PupilGeometry, samples: int, subsamples: int) -> np.ndarray:
-    """Coordinates of the fine grid along either axis [m]."""
+    """Coordinates along either axis [m] of a grid with `subsamples` per sample of `band_limited_pupil`.
+
+    `geometry` and `samples` are those of the pupil.
+    """
     return grid_centres((samples + 2 * PAD) * subsamples, geometry.diameter_m / samples / subsamples)
 
 
 @lru_cache(maxsize=8)
 def filter_matrix(total: int, subsamples: int) -> np.ndarray:
-    """Low-pass along one axis of the fine grid, and the picking of the coarse samples, (total, fine)."""
+    """Low-pass along one axis of the fine grid that picks the coarse samples, (total, total · subsamples).
+
+    `total` is the number of coarse samples, each of `subsamples` fine ones.
+    """
     size = total * subsamples
     response, half_cell = _low_pass(size, subsamples)
     impulse = np.fft.ifft(response * half_cell).real
@@ -148,7 +172,16 @@ def _clear_fraction(
 def annulus_cover(
     geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float, stop_m: tuple[float, float]
 ) -> np.ndarray:
-    """Fraction of each sub-cell inside the outlines and outside the holes of pupil and stop."""
+    """Fraction of each sub-cell inside the outlines and outside the holes of pupil and stop.
+
+    Parameters
+    ----------
+    geometry : PupilGeometry
+    x, y, step : ndarray, ndarray, float
+        Centres of the sub-cells and their side [m].
+    stop_m : (float, float) or None
+        See `band_limited`.
+    """
     largest = smallest = np.sqrt(x**2 + y**2)
     if stop_m != ON_AXIS:
         from_stop = np.sqrt((x - stop_m[0]) ** 2 + (y - stop_m[1]) ** 2)
@@ -171,7 +204,7 @@ def _cover(clear: np.ndarray, vane: Vane, x: np.ndarray, y: np.ndarray, step: fl
 
 
 def vane_cover(vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
-    """Fraction of each sub-cell that the vane covers."""
+    """Fraction that a `vane` covers of each sub-cell of side `step` at (`x`, `y`) [m]."""
     start, length, direction = axis(vane)
     along = (x - start[0]) * direction[0] + (y - start[1]) * direction[1]
     across, half = across_m(vane, x, y), vane.width_m / 2
@@ -180,7 +213,7 @@ def vane_cover(vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> np.ndar
 
 
 def across_m(vane: Vane, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Distance to the left of a vane's axis."""
+    """Distance of (`x`, `y`) to the left of the axis of a `vane` [m]."""
     start, _, direction = axis(vane)
     return (y - start[1]) * direction[0] - (x - start[0]) * direction[1]
 

@@ -41,26 +41,34 @@ class ResidualBand:
 
 
 def seeing_to_r0_m(seeing_arcsec: float, wavelength_nm: float = 500.0) -> float:
-    """Fried parameter of a seeing given at `wavelength_nm`: r0 = 0.976 λ / seeing."""
+    """Fried parameter of `seeing_arcsec` given at `wavelength_nm`: r0 = 0.976 λ / seeing."""
     return 0.976 * wavelength_nm * 1e-9 / np.deg2rad(seeing_arcsec / 3600)
 
 
 def von_karman_nm2(
     f_per_m: np.ndarray, r0_m: float, outer_scale_m: float, wavelength_nm: float = 500.0
 ) -> np.ndarray:
-    """Von Kármán OPD power spectral density [nm² m²] for r0 given at `wavelength_nm`."""
+    """Von Kármán power spectral density of the OPD [nm² m²].
+
+    Parameters
+    ----------
+    f_per_m : ndarray
+        Spatial frequencies [1/m].
+    r0_m, outer_scale_m : float
+        Fried parameter at `wavelength_nm`, and outer scale [m].
+    """
     radians = VON_KARMAN * r0_m ** (-5 / 3) * (f_per_m**2 + outer_scale_m**-2) ** (-11 / 6)
     return radians * (wavelength_nm / (2 * np.pi)) ** 2
 
 
 def fitting_variance_nm2(band: ResidualBand, r0_m: float) -> float:
-    """Variance of the turbulence beyond the cut-off [nm²]."""
+    """Variance of the turbulence beyond the cut-off of a `band` [nm²], for the Fried parameter `r0_m`."""
     f, weight = _log_grid(band.cutoff_per_m, 1e3 * band.cutoff_per_m, 400)
     return float(np.sum(2 * np.pi * f * weight * von_karman_nm2(f, r0_m, band.outer_scale_m)))
 
 
 def fitting_structure_nm2(baselines_m: np.ndarray, band: ResidualBand, r0_m: float) -> np.ndarray:
-    """Isotropic structure function of the uncorrected high orders [nm²] at |b| = `baselines_m`."""
+    """Isotropic structure function of the orders beyond a `band` [nm²] at |b| = `baselines_m`, for `r0_m`."""
     f, weight = _log_grid(band.cutoff_per_m, 300 * band.cutoff_per_m, 1500)
     power = 2 * np.pi * f * weight * von_karman_nm2(f, r0_m, band.outer_scale_m)
     lengths, inverse = np.unique(np.round(baselines_m.ravel(), 9), return_inverse=True)
@@ -122,7 +130,7 @@ class InBandResidual:
     def structure_and_slopes(
         self, variance_nm2, slope, stretch_cos=0.0, stretch_sin=0.0, cross_cos=0.0, cross_sin=0.0
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """The same with its derivatives, arguments first."""
+        """See `structure_nm2`; with its derivatives, arguments first."""
         w = self._frequencies(slope)
         g = self._angles((stretch_cos, stretch_sin, cross_cos, cross_sin))
         steeper = w * ((w * self._log_f).sum() - self._log_f)

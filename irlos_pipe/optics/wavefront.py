@@ -35,12 +35,12 @@ def modes_at(nolls: Sequence[int], lit: np.ndarray) -> np.ndarray:
 
 
 def clear_pupil(geometry: PupilGeometry, samples: int) -> np.ndarray:
-    """Where more than half of a sample is clear, (samples, samples), vanes of the `geometry` included."""
+    """Where half of a sample is clear, (n, n), `samples` across; vanes of the `geometry` are included."""
     return area_weighted_pupil(geometry, grid_centres(samples, geometry.diameter_m / samples)) > 0.5
 
 
 def clear_disc(geometry: PupilGeometry, samples: int) -> np.ndarray:
-    """The disc of the `geometry` without its central hole, vanes ignored, (samples, samples)."""
+    """The disc of the `geometry` without its central hole, (n, n), `samples` across; vanes are ignored."""
     radius = np.hypot(*_disc(samples))
     return (radius <= 1) & (radius >= geometry.obscuration_m / geometry.diameter_m)
 

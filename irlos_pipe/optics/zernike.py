@@ -32,7 +32,7 @@ def noll_to_nm(noll: int) -> tuple[int, int]:
 
 
 def radial_polynomial(n: int, m: int, rho: np.ndarray) -> np.ndarray:
-    """Radial part R_n^|m| on normalised radii `rho`, unnormalised."""
+    """Radial part R_n^|m| of degree `n` and order `m` on normalised radii `rho`, unnormalised."""
     m = abs(m)
     result = np.zeros_like(rho)
     for k in range((n - m) // 2 + 1):
@@ -72,5 +72,5 @@ def zernike(noll: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def zernike_basis(nolls, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Stack of Zernike polynomials, shape ``(len(nolls), *x.shape)``; see `zernike`."""
+    """Zernike polynomials `nolls` at (`x`, `y`) in units of the radius, ``(len(nolls), *x.shape)``."""
     return np.stack([zernike(noll, x, y) for noll in nolls])

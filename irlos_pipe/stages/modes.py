@@ -11,7 +11,7 @@ from pydantic import Field, field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter, fit_mode_law, mode_scatter
-from irlos_pipe.estimate.mode_number import LEAST_FRAMES, Choice, ModeScan, choose, scan_mode_numbers
+from irlos_pipe.estimate.mode_number import MIN_FRAMES, Choice, ModeScan, choose, scan_mode_numbers
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.product.results import Number, ResultsPart, StageResults, results_of
@@ -153,7 +153,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         numbers = _numbers(scans, choice)
         lines += _number_lines(numbers)
     else:
-        lines.append(f"  number of modes not tried: no cube has {LEAST_FRAMES} used frames")
+        lines.append(f"  number of modes not tried: no cube has {MIN_FRAMES} used frames")
     results = ModesResults(
         method=results_of(CalibrateResults, ctx.products["calibrate"]).method,
         cubes=len(cubes),
@@ -225,7 +225,7 @@ def _scans(ctx: StageContext[Config]) -> list[ModeScan]:
     """Scan of the first cubes that have enough frames."""
     stored = CalibrateConfig(**ctx.products["calibrate"].config)
     recordings = [r.accepted() for r in recordings_from_product(ctx.products["ingest"], stored.input)]
-    usable = [r for r in recordings if r.frames >= LEAST_FRAMES][: ctx.config.cubes]
+    usable = [r for r in recordings if r.frames >= MIN_FRAMES][: ctx.config.cubes]
     fits = 2 * len(ctx.config.numbers) * len(usable)
     with ctx.progress(total=fits, desc="number of modes") as bar:
         return [_scan(ctx, recording, stored, bar.update) for recording in usable]

@@ -13,8 +13,7 @@ from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf_settings import PsfSettings
-from irlos_pipe.optics.pupil import grid_centres
-from irlos_pipe.optics.zernike import zernike_basis
+from irlos_pipe.optics.wavefront import modes_at
 from irlos_pipe.paper.common.observation import frames_of, model_effects_of, settings_of
 from irlos_pipe.paper.common.variants import Variant
 from irlos_pipe.simulate.atmosphere import Sky
@@ -157,9 +156,7 @@ class ObservedCube:
 
     def _modes(self, nolls: tuple[int, ...]) -> np.ndarray:
         """Zernikes at the lit samples, (modes, samples)."""
-        lit = self._lit
-        x, y = np.meshgrid(*[grid_centres(len(lit), 2 / len(lit))] * 2)
-        return zernike_basis(nolls, x[lit], y[lit])
+        return modes_at(nolls, self._lit)
 
     def _rms(self, values: np.ndarray) -> float:
         """RMS over the lit samples about their mean, weighted by the transmission."""
