@@ -35,7 +35,7 @@ def modes_at(nolls: Sequence[int], lit: np.ndarray) -> np.ndarray:
 
 
 def clear_pupil(geometry: PupilGeometry, samples: int) -> np.ndarray:
-    """Where half of a sample is clear, (n, n), `samples` across; vanes of the `geometry` are included."""
+    """Where most of a sample is clear, (n, n), `samples` across; vanes of the `geometry` are included."""
     return area_weighted_pupil(geometry, grid_centres(samples, geometry.diameter_m / samples)) > 0.5
 
 
