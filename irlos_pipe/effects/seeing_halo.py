@@ -9,6 +9,8 @@ from flux and background: the seeing fixes it, and where that was not measured, 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -88,7 +90,6 @@ class SeeingHalo(OtfEffect):
             Parameter("cross_cos", "", 0.0, 0.0, 0.5, -2.0, 2.0, None, (-2.0, 2.0)),
             Parameter("cross_sin", "", 0.0, 0.0, 0.5, -2.0, 2.0, None, (-2.0, 2.0)),
         )
-        self._baselines: FocalGrid | None = None
 
     @classmethod
     def under(cls, conditions: Conditions) -> SeeingHalo:
@@ -113,9 +114,9 @@ class SeeingHalo(OtfEffect):
 
     def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """``½ (2π/λ)² D(b)``, D in nm²."""
-        self._prepare(grid)
-        structure = self._in_band.structure_nm2(*values) + self._beyond(values[0]) * self._fitting
-        return 0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2 * structure[self._place]
+        on = self._on(grid)
+        structure = on.in_band.structure_nm2(*values) + self._beyond(values[0]) * on.fitting_nm2
+        return 0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2 * structure[on.place]
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
@@ -125,13 +126,13 @@ class SeeingHalo(OtfEffect):
         self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
         """See `OtfEffect.slopes`."""
-        self._prepare(grid)
-        structure, slopes = self._in_band.structure_and_slopes(*values)
-        slopes[0] += self._per_nm2 * self._fitting
-        structure = structure + self._beyond(values[0]) * self._fitting
+        on = self._on(grid)
+        structure, slopes = on.in_band.structure_and_slopes(*values)
+        slopes[0] += self._per_nm2 * on.fitting_nm2
+        structure = structure + self._beyond(values[0]) * on.fitting_nm2
         scale = -0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2
-        with_halo = scale * factor * torch.exp(scale * structure[self._place])
-        return [with_halo * slopes[index][self._place] for index in wanted]
+        with_halo = scale * factor * torch.exp(scale * structure[on.place])
+        return [with_halo * slopes[index][on.place] for index in wanted]
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """In-band WFE, total WFE, PSD slope, strength and direction of the elongation, four-fold strength."""
@@ -169,17 +170,39 @@ class SeeingHalo(OtfEffect):
         """Turbulence beyond the cut-off, of what the seeing gives."""
         return self._fixed + self._per_nm2 * variance_nm2
 
-    def _prepare(self, grid: OtfGrid) -> None:
-        """Quadrature matrices for these baselines, made once."""
-        if self._baselines == grid.focal:
-            return
-        bx, by = np.broadcast_arrays(grid.baseline_x_m[None, :], grid.baseline_y_m[:, None])
-        lengths = np.hypot(bx, by)
-        within = lengths <= grid.focal.width_m  # no two points of the pupil are further apart
-        self._in_band = InBandResidual(bx[within], by[within], self.band)
-        self._fitting = torch.as_tensor(fitting_structure_nm2(lengths[within], self.band, self.r0_m))
-        self._place = torch.as_tensor(np.where(within, np.cumsum(within).reshape(within.shape) - 1, 0))
-        self._baselines = grid.focal
+    def _on(self, grid: OtfGrid) -> _Baselines:
+        return _baselines(self.band, self.r0_m, grid.focal)
+
+
+@dataclass(frozen=True)
+class _Baselines:
+    """What depends on the baselines only.
+
+    Attributes
+    ----------
+    in_band : InBandResidual
+        On the baselines within the pupil.
+    fitting_nm2 : tensor, (baselines,)
+        Structure function beyond the cut-off.
+    place : tensor of int, (p, p//2 + 1)
+        Of every baseline of the grid among these.
+    """
+
+    in_band: InBandResidual
+    fitting_nm2: torch.Tensor
+    place: torch.Tensor
+
+
+@lru_cache(maxsize=4)
+def _baselines(band: ResidualBand, r0_m: float, focal: FocalGrid) -> _Baselines:
+    bx, by = np.broadcast_arrays(focal.baseline_x_m[None, :], focal.baseline_y_m[:, None])
+    lengths = np.hypot(bx, by)
+    within = lengths <= focal.width_m  # no two points of the pupil are further apart
+    return _Baselines(
+        InBandResidual(bx[within], by[within], band),
+        torch.as_tensor(fitting_structure_nm2(lengths[within], band, r0_m)),
+        torch.as_tensor(np.where(within, np.cumsum(within).reshape(within.shape) - 1, 0)),
+    )
 
 
 class ScaledHalo(OtfEffect):
