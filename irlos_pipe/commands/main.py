@@ -377,8 +377,7 @@ def paper(
       <experiment>/       the run of each: report.html, results.json, products (irlos show)
     """
     from irlos_pipe.paper.run.experiments import find_experiments
-    from irlos_pipe.paper.run.run import run_paper
-    from irlos_pipe.paper.run.text import ran_text
+    from irlos_pipe.paper.run.run import run_paper, summary_text
     from irlos_pipe.pipeline.terminal import messages
 
     if verbose and quiet:
@@ -387,7 +386,7 @@ def paper(
     with terminated_like_interrupted(), messages(-1 if quiet else verbose):
         ran = run_paper(experiments, output, quick, resources_of("cpu", jobs, quiet))
     if not quiet:
-        click.echo(ran_text(ran))
+        click.echo(summary_text(ran))
     for name, problem in ran.problems.items():
         report_error(f"{name}: {problem}")
     sys.exit(ran.exit_code)

@@ -201,7 +201,7 @@ def test_the_loop_leaves_what_theory_predicts_of_a_real_drift():
     outcome = outcome_of(*(v[None] for v in vars(record).values()), DRIFT, 30)
     assert outcome.residual_nm == pytest.approx(Integrator(0.4).residual_nm(DRIFT, 0.0), rel=0.06)
     assert outcome.slope == pytest.approx(1, abs=1e-3)
-    assert outcome.gain_margin(Integrator(0.4)) == pytest.approx(2.5, rel=2e-3)
+    assert Integrator(0.4).gain_margin(outcome.slope) == pytest.approx(2.5, rel=2e-3)
 
 
 def test_the_sensor_s_slope_and_noise_are_found_whatever_the_offset_of_each_sky():

@@ -112,13 +112,7 @@ def _success(results: CaptureResults) -> Markup:
             cases = np.maximum(row.cases_per_bin, 1)
             part = np.where(np.array(row.cases_per_bin) > 0, np.array(row.captured_per_bin) / cases, np.nan)
             axes.plot(
-                centres,
-                100 * part,
-                line,
-                marker=marker,
-                markersize=4,
-                color=colour,
-                label=NAMES[row.start],
+                centres, 100 * part, line, marker=marker, markersize=4, color=colour, label=NAMES[row.start]
             )
         axes.set(xlabel="true defocus [nm RMS]", ylabel="captured [%]", ylim=(-3, 103))
         figure.legend(loc="outside upper center", ncols=2)

@@ -37,8 +37,10 @@ def run_samples(
     function : callable
         Defined at the top level of a module; returns numbers, arrays or texts by name.
     samples : sequence
-        Frozen dataclasses or dicts of what JSON can say, arrays included. An attribute or key
+        Frozen dataclasses or dicts of what JSON can hold, arrays included. An attribute or key
         ``name`` stands for the sample in messages. Equal samples are computed once.
+    ctx : StageContext
+        Of the stage that the samples belong to.
     desc : str
         What the samples are, for the progress bar and for messages.
 
@@ -68,7 +70,7 @@ def run_samples(
 
 
 def sample_key(function: Callable, sample: Any) -> str:
-    """Return a checksum of the function's name and of the sample, the same in every process."""
+    """Return a checksum of the name of `function` and of `sample`, the same in every process."""
     identity = [function.__module__, function.__qualname__, type(sample).__qualname__, sample]
     return hashlib.sha256(canonical_json(identity).encode()).hexdigest()[:32]
 
@@ -83,7 +85,7 @@ def _compute(
     with in_processes(min(jobs, len(calls)), _work, calls) as futures:
         samples = dict(zip(futures, missing.values(), strict=True))
         for done in as_completed(futures):
-            with _blamed_on(samples[done], desc):
+            with _naming(samples[done], desc):
                 done.result()
             report(1)
 
@@ -103,8 +105,8 @@ def _read(file: Path) -> Arrays:
 
 
 @contextmanager
-def _blamed_on(sample: Any, desc: str) -> Iterator[None]:
-    """Say in every error which sample it was."""
+def _naming(sample: Any, desc: str) -> Iterator[None]:
+    """Name the sample in every error."""
     try:
         yield
     except BrokenProcessPool as error:

@@ -19,7 +19,7 @@ RADII, AZIMUTHS = 200, 360  # of the points, each of the same area
 
 
 def ridge_nm(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Height of the bump at points of the unit disc [nm]."""
+    """Return the height of the bump at the points `x`, `y` of the unit disc [nm]."""
     angle = np.radians(DIRECTION_DEG)
     dx, dy = x - CENTRE[0], y - CENTRE[1]
     along, across = dx * np.cos(angle) + dy * np.sin(angle), dy * np.cos(angle) - dx * np.sin(angle)
@@ -27,7 +27,7 @@ def ridge_nm(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def phase_bump_nm(highest_noll: int = 120) -> dict[int, float]:
-    """Coefficients of the bump over the disc, Noll 4..highest_noll: nm RMS."""
+    """Return the coefficients of the bump over the disc, Noll 4 to `highest_noll`: nm RMS."""
     radius = np.sqrt((np.arange(RADII) + 0.5) / RADII)[:, None]
     azimuth = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
     x, y = (radius * np.cos(azimuth)).ravel(), (radius * np.sin(azimuth)).ravel()

@@ -19,12 +19,7 @@ from irlos_pipe.report.text import number
 
 STAGE = CorrectionGainResults.stage
 STATES = {"before": "before", PAPER_CHOICE: "DIP global", DEFAULT: "this pipeline", "ideal": "no NCPAs"}
-LOOKS = {
-    "before": (ORANGE, "--"),
-    PAPER_CHOICE: (GREEN, "-."),
-    DEFAULT: (BLUE, "-"),
-    "ideal": (INK, ":"),
-}
+LOOKS = {"before": (ORANGE, "--"), PAPER_CHOICE: (GREEN, "-."), DEFAULT: (BLUE, "-"), "ideal": (INK, ":")}
 WAVEFRONT_CAPTION = (
     "Time-averaged true wavefront, estimates, and what the estimates leave; tip and tilt included."
 )

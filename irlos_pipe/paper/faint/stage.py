@@ -19,20 +19,13 @@ from irlos_pipe.paper.faint.experiment import (
 from irlos_pipe.paper.faint.results import ExposureGroup, FaintCriterion, FaintResults, VariantCurve
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.sensitivity import UNITS
 
 NAME = FaintResults.stage
 VERSION = 5
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 MONITOR = "mass_dimm"  # the paper's scale of the seeing on sky
-CURVE_UNITS = {
-    "mag_j": "mag",
-    "median_abs_error_nm": "nm",
-    "p16_nm": "nm",
-    "p84_nm": "nm",
-    "crb_nm": "nm",
-    "failures": "",
-}
 
 
 class Config(StageConfig):
@@ -125,7 +118,7 @@ def _curve(key: str, curve: Curve) -> VariantCurve:
         label=variant.name,
         modes=list(variant.modes),
         calibrated=bool(variant.ncpa),
-        **{name: getattr(curve, name).tolist() for name in CURVE_UNITS},
+        **{name: getattr(curve, name).tolist() for name in UNITS},
         trials=curve.trials,
         limit_mag=curve.limit_mag,
     )
@@ -140,7 +133,7 @@ def _arrays(groups: list[ExposureGroup]) -> dict[str, Quantity]:
         )
         for group in groups
         for curve in group.curves
-        for name, unit in CURVE_UNITS.items()
+        for name, unit in UNITS.items()
     }
 
 

@@ -57,12 +57,7 @@ class RampSample:
 def scenes_of(sample: RampSample) -> tuple[Scene, Scene]:
     """Return calibration cube and ramp of a sample."""
     cube = CubeSample(
-        sample.name,
-        sample.seed,
-        sample.facility,
-        sample.seeing_arcsec,
-        sample.cube_frames,
-        sample.cube_mag_j,
+        sample.name, sample.seed, sample.facility, sample.seeing_arcsec, sample.cube_frames, sample.cube_mag_j
     )
     scene = replace(cube.scene(), sampling=FINE)
     introduced_nm = np.repeat(sample.offsets_nm, sample.frames_per_offset).tolist()

@@ -33,7 +33,7 @@ class Experiment:
 
     @property
     def title(self) -> str:
-        """One line for people."""
+        """Return the title of the recipe."""
         return self.recipe.title or self.name
 
 
@@ -44,6 +44,8 @@ def find_experiments(
 
     Parameters
     ----------
+    folder : Path
+        Holds one recipe per experiment.
     quick : bool
         Change them as ``quick.yaml`` beside them says: ``{recipe: {stage.key: value}}``.
     only : collection of str
@@ -96,5 +98,5 @@ def _experiment(path: Path, changes: Mapping[str, Any], seed: int | None, wanted
     except ConfigurationError as error:
         if not wanted:
             return None
-        # Changes are told as options of the command line; this is where they really stand.
+        # The recipe reports them as options of the command line; they stand in this file.
         raise ConfigurationError(str(error).replace("--set ", f"{path.with_name(QUICK_NAME)}: ")) from error

@@ -7,16 +7,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import ExitCode, IrlosError
+from irlos_pipe.conventions.text import aligned
 from irlos_pipe.paper.run.collect import collect_numbers, collect_reports, require_size
 from irlos_pipe.paper.run.experiments import Experiment
 from irlos_pipe.pipeline import Outcome, Resources, run_recipe
 from irlos_pipe.pipeline.runlog import RUN
+from irlos_pipe.pipeline.terminal import quality_line
 from irlos_pipe.product.runfolder import owned_folder
 
 
 @dataclass
 class Ran:
-    """What became of the experiments.
+    """Outcome of the run of all experiments.
 
     Attributes
     ----------
@@ -35,7 +37,7 @@ class Ran:
 
     @property
     def exit_code(self) -> int:
-        """0, or 5 when an experiment failed or lost a part, or 4 when a QC limit did."""
+        """Return 0, or 5 when an experiment failed or lost a part, or 4 when a QC limit failed."""
         codes = {outcome.exit_code for outcome in self.outcomes.values()}
         if self.problems or codes - {ExitCode.DONE, ExitCode.QUALITY}:
             return ExitCode.PARTIAL
@@ -43,16 +45,18 @@ class Ran:
 
 
 def run_paper(known: Sequence[Experiment], folder: Path, quick: bool, resources: Resources) -> Ran:
-    """Bring the wanted experiments up to date, each in a folder of its own, and sum up all of them.
+    """Bring the wanted experiments up to date, each in a folder of its own, and collect all of them.
 
     Parameters
     ----------
     known : sequence of Experiment
-        In the order of the paper; those not wanted are summed up when they are up to date.
+        In the order of the paper; those not wanted are collected when they are up to date.
     folder : Path
         Made if it does not exist.
     quick : bool
         Whether their samples are small.
+    resources : Resources
+        Processes, and what is shown while they work.
 
     Raises
     ------
@@ -66,7 +70,7 @@ def run_paper(known: Sequence[Experiment], folder: Path, quick: bool, resources:
         ran = Ran()
         for experiment in _announced([one for one in known if one.wanted]):
             _run(experiment, folder / experiment.name, resources, ran)
-            # After each: whoever looks in after an hour finds the numbers so far.
+            # After each experiment, so that the numbers so far can be looked at.
             ran.results = collect_numbers(known, folder, quick)
         ran.report = collect_reports(known, folder, quick, ran.problems)
     return ran
@@ -88,3 +92,17 @@ def _run(experiment: Experiment, folder: Path, resources: Resources, ran: Ran) -
         ran.outcomes[experiment.name] = outcome
         if outcome.report_error:
             RUN.warning("%s: %s", experiment.name, outcome.report_error)
+
+
+def summary_text(ran: Ran) -> str:
+    """Return the summary lines of every experiment and where the files are, for the terminal."""
+    rows = [(name, line) for name, outcome in ran.outcomes.items() for line in _lines(outcome)]
+    rows += [(name, f"failed: {problem}") for name, problem in ran.problems.items()]
+    rows += [("report", str(ran.report)), ("numbers", str(ran.results))]
+    return aligned(rows)
+
+
+def _lines(outcome: Outcome) -> list[str]:
+    quality = f", {quality_line(outcome)}" if outcome.quality["checks"] else ""
+    summary = [line for lines in outcome.summary.values() for line in lines]
+    return [outcome.status.replace("_", " ") + quality, *summary]

@@ -29,7 +29,7 @@ MISSING = "–"
 
 
 class TableLayout(BaseModel):
-    """One table, see the module's text."""
+    """One table, see the docstring of the module."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -43,6 +43,12 @@ class TableLayout(BaseModel):
 
 def render_table(layout: TableLayout, experiments: Mapping[str, Any]) -> str:
     """Return the table as Markdown, the first column to the left and the others to the right.
+
+    Parameters
+    ----------
+    layout : TableLayout
+    experiments : mapping
+        Content of paper_results.json by experiment.
 
     Raises
     ------
@@ -59,12 +65,18 @@ def render_table(layout: TableLayout, experiments: Mapping[str, Any]) -> str:
 
 
 def cell(text: str, root: Any) -> str:
-    """Return the text with every ``{path:format}`` in it replaced; what is null becomes a dash."""
+    """Return `text` with every ``{path:format}`` replaced by its value in `root`; null becomes a dash."""
     return _PathFormatter(root).format(text)
 
 
 def find(root: Any, path: str) -> Any:
-    """Return what a path leads to."""
+    """Return what the `path` leads to from `root`.
+
+    Raises
+    ------
+    ConfigurationError
+        When it leads nowhere.
+    """
     found = root
     for step in filter(None, path.split("/")):
         try:

@@ -25,18 +25,6 @@ class Relation(ResultsPart):
         return SeeingScale(self.ratio, self.offset_arcsec)
 
 
-class LawNumbers(ResultsPart):
-    """AO residual = nm_per_arcsec · SPARTA's seeing + floor_nm [nm RMS]."""
-
-    nm_per_arcsec: Number = math.nan
-    floor_nm: Number = math.nan
-
-    @property
-    def law(self) -> ResidualLaw:
-        """Return the law."""
-        return ResidualLaw(self.nm_per_arcsec, self.floor_nm)
-
-
 class ConditionRow(ResultsPart):
     """One seeing on both scales and the residual WFE that the law gives for each.
 
@@ -77,6 +65,6 @@ class SeeingScalesResults(StageResults):
     stage: ClassVar[str] = "seeing_scales"
     monitor: str = ""
     relation: Relation = Relation()
-    residual_law: LawNumbers = LawNumbers()
+    residual_law: ResidualLaw = ResidualLaw(math.nan, math.nan)
     conditions: list[ConditionRow] = []
     distributions: Distributions = Distributions()

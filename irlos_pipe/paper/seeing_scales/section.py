@@ -104,7 +104,7 @@ def _residual(results: SeeingScalesResults, config: Config) -> Markup:
     sparta, factor = results.relation.scale.to_sparta(monitor), np.exp(config.disagreement)
 
     def draw(figure: Canvas) -> None:
-        axes, law = figure.subplots(), results.residual_law.law
+        axes, law = figure.subplots(), results.residual_law
         band = (law.wfe_nm(sparta / factor), law.wfe_nm(sparta * factor))
         axes.fill_between(monitor, *band, color=BLUE, alpha=0.2, linewidth=0)
         axes.plot(monitor, law.wfe_nm(sparta), color=BLUE, label="translated")

@@ -14,12 +14,7 @@ from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
 from irlos_pipe.paper.common.results import Percentiles
 from irlos_pipe.paper.seeing_scales.experiment import Draws, Site, condition, draw_seeing
-from irlos_pipe.paper.seeing_scales.results import (
-    Distributions,
-    LawNumbers,
-    Relation,
-    SeeingScalesResults,
-)
+from irlos_pipe.paper.seeing_scales.results import Distributions, Relation, SeeingScalesResults
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
@@ -60,7 +55,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     results = SeeingScalesResults(
         monitor=config.monitor,
         relation=_relation(ctx, scale),
-        residual_law=LawNumbers(**asdict(law)),
+        residual_law=law,
         conditions=[
             condition(where, seeing, site, scale, draws, law) for where, seeing in _wanted(config, scale)
         ],

@@ -34,13 +34,13 @@ class Loop:
     exposures: int = 1
 
     def brightness(self, mag_j: float) -> float:
-        """Photons per second of its star over those of a star of magnitude `mag_j`."""
+        """Return the photons per second of its star over those of a star of magnitude `mag_j`."""
         return 10 ** (-0.4 * (self.mag_j - mag_j))
 
 
 @dataclass(frozen=True)
 class LoopRecord:
-    """What happened in every loop.
+    """Residuals and measurements of every loop.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class LoopRecord:
     measured_nm : ndarray, (loops, frames)
         Measurements, at the last frame of their exposure; NaN where there is none.
     true_nm : ndarray, (loops, frames)
-        What a perfect sensor would have said there: the mean residual of the exposure.
+        The measurement of a perfect sensor: the mean residual of the exposure.
     due : ndarray of bool, (loops, frames)
         Where a measurement was due.
     """
@@ -69,15 +69,22 @@ def close_loops(
     delay: int,
     rng: np.random.Generator,
 ) -> LoopRecord:
-    """Run all loops over the frames of `table`, made from `scene`.
+    """Run all loops over the same frames.
 
     Parameters
     ----------
+    loops : sequence of Loop
+    sensors : mapping of str to FocusSensor
+        By the names that the loops use.
+    scene, table : Scene, FrameTable
+        The sky, and its frames at any defocus.
     drift_nm : ndarray, (frames,)
         Mean defocus of the disturbance in every frame. What it wanders within one is too little to
         change the image other than through its mean.
     delay : int
         See `Integrator`, in exposures of the loop.
+    rng : Generator
+        Of the detector noise.
     """
     bank = _Bank(loops, len(drift_nm), delay, table)
     flux = np.array([loop.brightness(scene.mag_j) for loop in loops])[:, None, None]
@@ -118,7 +125,7 @@ class _Bank:
         return np.flatnonzero(self.alive & (self.sensor == sensor) & ((frame + 1) % self.exposures == 0))
 
     def correct(self, members: np.ndarray, frame: int, measured_nm: np.ndarray) -> None:
-        """Note the measurements and change the commands; without a measurement a command is held."""
+        """Record the measurements and change the commands; without a measurement a command is held."""
         for member, measured in zip(members, measured_nm, strict=True):
             exposures = self.exposures[member]
             effect = frame + 1 + self.delay * exposures
@@ -129,5 +136,5 @@ class _Bank:
                 self.command_nm[member, effect:] += self.gain[member] * measured
 
     def record(self) -> LoopRecord:
-        """All that happened."""
+        """Return residuals and measurements of all frames."""
         return LoopRecord(self.residual_nm, self.measured_nm, self.true_nm, self.due)

@@ -1,4 +1,4 @@
-"""The controller of the slow loop, and what linear theory says of it.
+"""The controller of the slow loop and its linear theory.
 
 Frame k is exposed while the command stays at ``c_k``; its measurement ``m_k`` is ready `delay` frames
 after the exposure has ended: ``c_{k+1+delay} = c_{k+delay} + gain · m_k``.
@@ -36,23 +36,41 @@ class Integrator:
 
     @property
     def largest_stable_gain(self) -> float:
-        """Above it the poles of ``z^(delay+1) - z^delay + gain`` leave the unit circle."""
+        """Return the gain above which the poles of ``z^(delay+1) - z^delay + gain`` leave the unit circle."""
         return float(2 * np.sin(np.pi / (2 * (2 * self.delay + 1))))
 
+    def gain_margin(self, sensor_slope: float) -> float:
+        """Return the factor by which the gain could grow before the loop oscillates."""
+        return self.largest_stable_gain / (self.gain * sensor_slope)
+
     def rejection(self, f_hz: np.ndarray, sensor_slope: float = 1.0) -> np.ndarray:
-        """Residual over disturbance, means over frames, complex."""
+        """Return residual over disturbance, means over frames, complex.
+
+        Parameters
+        ----------
+        f_hz : ndarray, (frequencies,)
+        sensor_slope : float
+            Measured over true residual.
+        """
         z1 = np.exp(-2j * np.pi * f_hz * self.frame_s)
         return (1 - z1) / (1 - z1 + self.gain * sensor_slope * z1 ** (1 + self.delay))
 
     def noise_transfer(self, f_hz: np.ndarray, sensor_slope: float = 1.0) -> np.ndarray:
-        """Residual over noise of the measurement, complex."""
+        """Return residual over noise of the measurement, complex; `f_hz` and `sensor_slope` as there."""
         z1 = np.exp(-2j * np.pi * f_hz * self.frame_s)
         return -self.gain * z1 ** (1 + self.delay) / (1 - z1) * self.rejection(f_hz, sensor_slope)
 
     def residual_nm(self, drift: Drift, noise_nm: float, sensor_slope: float = 1.0) -> float:
-        """RMS defocus that drift and white measurement noise leave; infinite if unstable.
+        """Return the RMS defocus that drift and white measurement noise leave; infinite if unstable.
 
-        Mean over time, what wanders within a frame included.
+        Parameters
+        ----------
+        drift : Drift
+            Mean over time, what wanders within a frame included.
+        noise_nm : float
+            Of a measurement [nm RMS].
+        sensor_slope : float
+            Measured over true residual.
         """
         if self.gain * sensor_slope >= self.largest_stable_gain:
             return float("inf")
@@ -73,7 +91,15 @@ class Integrator:
 
 
 def best_gain(drift: Drift, noise_nm: float, frame_s: float = 1.0, delay: int = 1) -> float:
-    """Gain with the smallest residual."""
+    """Return the gain with the smallest residual.
+
+    Parameters
+    ----------
+    drift, noise_nm
+        See `Integrator.residual_nm`.
+    frame_s, delay
+        See `Integrator`.
+    """
     limit = Integrator(1.0, frame_s, delay).largest_stable_gain
     found = minimize_scalar(
         lambda log_gain: Integrator(np.exp(log_gain), frame_s, delay).residual_nm(drift, noise_nm),

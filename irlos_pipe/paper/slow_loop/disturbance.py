@@ -36,7 +36,7 @@ class SodiumLayer:
     range_m: float = 89.4e3
 
     def defocus_per_metre_nm(self, diameter_m: float) -> float:
-        """Defocus [nm RMS] per metre of altitude: ``D² / (16 √3 h²)``.
+        """Return the defocus [nm RMS] per metre of altitude: ``D² / (16 √3 h²)``.
 
         The sag ``ρ² δh / 2h²`` over the radius D/2 is ``2√3 a ρ²`` of a defocus a. At 30 m it is the
         4 nm/m of Pfrommer & Hickson.
@@ -44,7 +44,7 @@ class SodiumLayer:
         return 1e9 * diameter_m**2 / (16 * np.sqrt(3) * self.range_m**2)
 
     def drift(self, diameter_m: float) -> Drift:
-        """The defocus that follows."""
+        """Return the drift of defocus that follows."""
         return Drift(self.slope, self.rms_change_1s_m * self.defocus_per_metre_nm(diameter_m))
 
 
@@ -64,11 +64,11 @@ class Drift:
     rms_change_1s_nm: float
 
     def structure_nm2(self, lag_s: Lag) -> Lag:
-        """Mean square change within a time."""
+        """Return the mean square change within a time [nm²]."""
         return self.rms_change_1s_nm**2 * np.abs(lag_s) ** (self.slope - 1)
 
     def psd_nm2_hz(self, f_hz: np.ndarray) -> np.ndarray:
-        """One-sided power spectral density that has this structure function.
+        """Return the one-sided power spectral density [nm²/Hz] that has this structure function.
 
         ``D(τ) = 2 ∫ S (1 - cos 2πfτ) df`` and ``∫ x^-p (1 - cos x) dx = π / (2 Γ(p) sin(π(p-1)/2))``.
         """
@@ -77,20 +77,19 @@ class Drift:
         return self.rms_change_1s_nm**2 / (2 * (2 * np.pi) ** (p - 1) * integral) * f_hz**-p
 
     def wander_within_nm2(self, duration_s: float) -> float:
-        """Mean variance about the mean of an interval, ``½ ⟨D⟩`` over all pairs of its moments."""
+        """Return the variance about the mean of an interval [nm²]: ``½ ⟨D⟩`` over all pairs of moments."""
         p = self.slope
         return float(self.structure_nm2(duration_s) / (p * (p + 1)))
 
     def draw_nm(self, rng: np.random.Generator, steps: int, step_s: float) -> np.ndarray:
-        """A drift that begins at 0, (steps,) [nm RMS].
+        """Draw a drift that begins at 0, (`steps`,) [nm RMS], one value every `step_s`, with `rng`.
 
         The increments are drawn with their exact covariance by circulant embedding (Davies & Harte 1987).
         """
         lags = np.arange(steps + 1) * step_s
         d = self.structure_nm2(lags)
-        covariance = 0.5 * (
-            d[1:] - 2 * d[:-1] + np.append(d[1], d[:-2])
-        )  # of increments, lags 0 to steps - 1
+        # Of the increments, lags 0 to steps - 1.
+        covariance = 0.5 * (d[1:] - 2 * d[:-1] + np.append(d[1], d[:-2]))
         covariance[0] = d[1]
         spectrum = np.fft.fft(np.concatenate([covariance, covariance[-2:0:-1]])).real.clip(0)
         size = len(spectrum)

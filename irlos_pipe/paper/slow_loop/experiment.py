@@ -7,7 +7,7 @@ have no tip, tilt and defocus: a loop drives those to zero by itself, and its ow
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,11 +17,14 @@ from irlos_pipe.paper.common.broad_band import FINE, star_scene
 from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ramps import TTF, Knowledge, calibrated
 from irlos_pipe.paper.slow_loop.closed import Loop, close_loops
+from irlos_pipe.paper.slow_loop.control import best_gain
 from irlos_pipe.paper.slow_loop.disturbance import Drift
 from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
-from irlos_pipe.paper.slow_loop.plan import Noise
 from irlos_pipe.paper.slow_loop.sensor import FocusSensor, focus_sensor
 from irlos_pipe.simulate.scene import Scene
+
+Noise = Callable[[float, int], float]
+"""Noise of a measurement [nm RMS] of a star of some magnitude, from a number of one-second frames."""
 
 UNCALIBRATED = "uncalibrated"
 SKY_STREAM, CUBE_STREAM, DRIFT_STREAM, NOISE_STREAM = range(4)  # children of a sample's seed
@@ -151,8 +154,11 @@ def _bounds_nm(
     )
 
 
+# -- which loops are worth running -----------------------------------------------------------------
+
+
 def noise_law(conditions: Conditions) -> Noise:
-    """Expected noise of a measurement, for the choice of gains: photons, and the sky's own defocus."""
+    """Return the expected noise of a measurement, for the choice of gains: photons, and the sky's defocus."""
     scene = star_scene("noise", conditions.facility, (0,), 1, 0.0, {}, seeing_arcsec=conditions.seeing_arcsec)
     sensor = focus_sensor(scene, Knowledge())
 
@@ -161,3 +167,30 @@ def noise_law(conditions: Conditions) -> Noise:
         return float(np.hypot(sensor.bound_nm(seen_e), SKY_FOCUS_NM / np.sqrt(exposures)))
 
     return noise_nm
+
+
+def at_best_gain(
+    sensor: str, magnitudes: Sequence[float], drift: Drift, delay: int, noise: Noise, exposures: int = 1
+) -> list[Loop]:
+    """Return one loop per star, at the gain with the smallest predicted residual.
+
+    Parameters
+    ----------
+    sensor, exposures
+        See `Loop`.
+    magnitudes : sequence of float
+        Of the stars.
+    drift, delay
+        See `Integrator.residual_nm`.
+    noise : callable
+        See `noise_law`.
+    """
+    gains = [best_gain(drift, noise(mag_j, exposures), float(exposures), delay) for mag_j in magnitudes]
+    return [
+        Loop(sensor, mag_j, round(gain, 3), exposures) for mag_j, gain in zip(magnitudes, gains, strict=True)
+    ]
+
+
+def gain_scan(sensor: str, magnitudes: Sequence[float], gains: Sequence[float]) -> list[Loop]:
+    """Return a loop with `sensor` for every one of `gains` on every star of `magnitudes`."""
+    return [Loop(sensor, mag_j, gain) for mag_j in magnitudes for gain in gains]

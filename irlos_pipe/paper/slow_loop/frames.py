@@ -37,7 +37,7 @@ class FrameTable:
     sky_focus_nm: np.ndarray
 
     def images_e(self, frame: int, defocus_nm: np.ndarray) -> np.ndarray:
-        """Mean electrons at each of some defoci, (defoci, rows, columns)."""
+        """Return the mean electrons of `frame` at every one of `defocus_nm`, (defoci, rows, columns)."""
         orders, _, *window = self.series_e.shape
         weights = chebyshev.chebvander(np.asarray(defocus_nm) / self.reach_nm, orders - 1)
         flat = self.series_e[:, frame].reshape(orders, -1)
@@ -45,7 +45,7 @@ class FrameTable:
 
 
 def frame_table(scene: Scene, reach_nm: float, nodes: int) -> FrameTable:
-    """Simulate a scene at the Chebyshev nodes of ±`reach_nm`; the sky is the same at all of them."""
+    """Simulate `scene` at the `nodes` Chebyshev nodes of ±`reach_nm`; the sky is the same at all of them."""
     points = chebyshev.chebpts1(nodes)
     exposed = [expose(replace(scene, introduced_nm=float(point * reach_nm))) for point in points]
     to_series = np.linalg.inv(chebyshev.chebvander(points, nodes - 1))

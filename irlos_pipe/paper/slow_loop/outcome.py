@@ -1,19 +1,18 @@
-"""What a loop left, over all its runs: residual, bias, losses, and how well its sensor measured."""
+"""Statistics of a loop over all its runs: residual, bias, losses, and how well its sensor measured."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
 import numpy as np
 
-from irlos_pipe.paper.slow_loop.control import Integrator
 from irlos_pipe.paper.slow_loop.disturbance import Drift
+from irlos_pipe.product.results import Number, ResultsPart
 
-FEWEST_FOR_A_SLOPE = 20
+MIN_FOR_A_SLOPE = 20
 
 
-@dataclass(frozen=True)
-class LoopOutcome:
+class LoopOutcome(ResultsPart):
     """Statistics of one loop.
 
     Attributes
@@ -30,18 +29,14 @@ class LoopOutcome:
         Measurement = slope × true residual + noise; NaN with few measurements.
     """
 
-    residual_nm: float
-    residual_error_nm: float
-    bias_nm: float
-    lost: float
-    diverged: int
-    runs: int
-    slope: float
-    noise_nm: float
-
-    def gain_margin(self, loop: Integrator) -> float:
-        """Factor by which the gain could grow before the loop oscillates."""
-        return loop.largest_stable_gain / (loop.gain * self.slope)
+    residual_nm: Number = math.nan
+    residual_error_nm: Number = math.nan
+    bias_nm: Number = math.nan
+    lost: Number = math.nan
+    diverged: int = 0
+    runs: int = 0
+    slope: Number = math.nan
+    noise_nm: Number = math.nan
 
 
 def outcome_of(
@@ -52,44 +47,45 @@ def outcome_of(
     drift: Drift,
     settle: int,
 ) -> LoopOutcome:
-    """Sum up one loop.
+    """Summarise one loop.
 
     Parameters
     ----------
     residual_nm, measured_nm, true_nm, due : ndarray, (skies, drifts, frames)
         See `LoopRecord`.
+    drift : Drift
+        Of which a part wanders within a frame.
     settle : int
         Frames left out at the beginning.
     """
     late = residual_nm[..., settle:]
     alive = np.isfinite(late).all(-1)
     squares = np.mean(late[alive] ** 2, axis=-1) + drift.wander_within_nm2(1.0)
-    rms = float(np.sqrt(squares.mean())) if len(squares) else float("nan")
-    error = (
-        float(np.std(squares, ddof=1) / np.sqrt(len(squares)) / (2 * rms))
-        if len(squares) > 1
-        else float("nan")
-    )
+    runs = len(squares)
+    rms = float(np.sqrt(squares.mean())) if runs else math.nan
+    error = float(np.std(squares, ddof=1) / np.sqrt(runs) / (2 * rms)) if runs > 1 else math.nan
     slope, noise = sensor_of(measured_nm, true_nm)
     return LoopOutcome(
-        rms,
-        error,
-        _bias_nm(late, alive),
-        float(np.mean(~np.isfinite(measured_nm[due]))),
-        int((~alive).sum()),
-        alive.size,
-        slope,
-        noise,
+        residual_nm=rms,
+        residual_error_nm=error,
+        bias_nm=_bias_nm(late, alive),
+        lost=float(np.mean(~np.isfinite(measured_nm[due]))),
+        diverged=int((~alive).sum()),
+        runs=alive.size,
+        slope=slope,
+        noise_nm=noise,
     )
 
 
 def _bias_nm(residual_nm: np.ndarray, alive: np.ndarray) -> float:
     means = [sky[fine].mean() for sky, fine in zip(residual_nm, alive, strict=True) if fine.any()]
-    return float(np.sqrt(np.mean(np.square(means)))) if means else float("nan")
+    return float(np.sqrt(np.mean(np.square(means)))) if means else math.nan
 
 
 def sensor_of(measured_nm: np.ndarray, true_nm: np.ndarray) -> tuple[float, float]:
-    """Slope of measurement against truth, and the RMS about it; every sky has an offset of its own.
+    """Return the slope of measurement against truth, and the RMS about it.
+
+    Every sky has an offset of its own.
 
     Parameters
     ----------
@@ -99,8 +95,8 @@ def sensor_of(measured_nm: np.ndarray, true_nm: np.ndarray) -> tuple[float, floa
     """
     pairs = [_centred(m, t) for m, t in zip(measured_nm, true_nm, strict=True)]
     m, t = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
-    if len(m) < FEWEST_FOR_A_SLOPE:
-        return float("nan"), float("nan")
+    if len(m) < MIN_FOR_A_SLOPE:
+        return math.nan, math.nan
     slope = float(m @ t / (t @ t))
     return slope, float(np.sqrt(np.sum((m - slope * t) ** 2) / (len(m) - len(pairs) - 1)))
 

@@ -6,30 +6,15 @@ import math
 from typing import ClassVar
 
 from irlos_pipe.paper.slow_loop.disturbance import Drift
-from irlos_pipe.product.results import Number, ResultsPart, StageResults
+from irlos_pipe.paper.slow_loop.outcome import LoopOutcome
+from irlos_pipe.product.results import Number, StageResults
 
 
-class DriftNumbers(ResultsPart):
-    """The drift of the sodium layer, see `Drift`."""
-
-    slope: Number = math.nan
-    rms_change_1s_nm: Number = math.nan
-
-    @property
-    def drift(self) -> Drift:
-        """Return the drift."""
-        return Drift(self.slope, self.rms_change_1s_nm)
-
-
-class LoopRow(ResultsPart):
-    """One loop: its settings, what happened, and what linear theory expects.
+class LoopRow(LoopOutcome):
+    """One loop: its settings, see `Loop`, its statistics, and what linear theory expects.
 
     Attributes
     ----------
-    sensor, mag_j, gain, exposures
-        See `Loop`.
-    residual_nm, residual_error_nm, bias_nm, lost, diverged, runs, slope, noise_nm
-        See `LoopOutcome`.
     bound_nm : float
         Cramér–Rao bound of a measurement [nm RMS].
     expected_noise_nm : float
@@ -46,14 +31,6 @@ class LoopRow(ResultsPart):
     mag_j: Number = math.nan
     gain: Number = math.nan
     exposures: int = 1
-    residual_nm: Number = math.nan
-    residual_error_nm: Number = math.nan
-    bias_nm: Number = math.nan
-    lost: Number = math.nan
-    diverged: int = 0
-    runs: int = 0
-    slope: Number = math.nan
-    noise_nm: Number = math.nan
     bound_nm: Number = math.nan
     expected_noise_nm: Number = math.nan
     predicted_nm: Number = math.nan
@@ -77,7 +54,7 @@ class SlowLoopResults(StageResults):
     """
 
     stage: ClassVar[str] = "slow_loop"
-    drift: DriftNumbers = DriftNumbers()
+    drift: Drift = Drift(math.nan, math.nan)
     sky_focus_nm: Number = math.nan
     open_loop_nm: Number = math.nan
     largest_stable_gain: Number = math.nan

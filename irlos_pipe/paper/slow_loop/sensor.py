@@ -20,7 +20,7 @@ from irlos_pipe.paper.common.ramps import DEFOCUS, TTF, Knowledge
 from irlos_pipe.simulate.scene import Scene
 
 FOCUS = TTF.index(DEFOCUS)
-# What a loop does not believe: a measurement so uncertain, or so far from where a closed loop can be. Near
+# A loop discards a measurement so uncertain, or so far from where a closed loop can be. Near
 # the faint limit LIFT ends now and then in a noise peak, far away and with a small formal error.
 LARGEST_SIGMA_NM, FARTHEST_NM = 100.0, 200.0
 
@@ -40,7 +40,7 @@ class FocusSensor:
     noise: NoiseModel
 
     def measure(self, images_e: np.ndarray) -> np.ndarray:
-        """Defocus of every image, (images,) [nm RMS]; NaN where none is to be used."""
+        """Return the defocus of every image, (images,) [nm RMS]; NaN where none is to be used."""
         images = torch.as_tensor(images_e)
         good = torch.ones(images.shape[1:], dtype=torch.bool)
         start = torch.zeros(len(images), len(TTF), dtype=torch.float64)
@@ -50,7 +50,7 @@ class FocusSensor:
         return torch.where(result.solution.converged & credible, defocus, torch.nan).numpy()
 
     def bound_nm(self, seen_e: float) -> float:
-        """Cramér–Rao bound at zero defocus, for electrons seen in the window [nm RMS]."""
+        """Return the Cramér–Rao bound at zero defocus, for electrons seen in the window [nm RMS]."""
         zero = torch.zeros(1, len(TTF), dtype=torch.float64)
         in_window = self.model.psf.images(zero, self.model.optics).double().sum().cpu()
         flux = seen_e / in_window[None]
@@ -58,7 +58,7 @@ class FocusSensor:
 
 
 def focus_sensor(scene: Scene, knowledge: Knowledge) -> FocusSensor:
-    """The sensor for a scene, with what a calibration has told."""
+    """Return the sensor for a `scene`, with the `knowledge` from a calibration."""
     psf = PsfModel(frame_settings(scene, knowledge.ncpa_nm), TTF)
     effects = ramp_effects(model_effects_of(scene), knowledge.effects)
     model = tabulated(ImageModel(psf, effects), torch.zeros(1, len(TTF), dtype=torch.float64))

@@ -14,10 +14,17 @@ from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
 from irlos_pipe.paper.slow_loop.closed import Loop
 from irlos_pipe.paper.slow_loop.control import Integrator, best_gain
 from irlos_pipe.paper.slow_loop.disturbance import SodiumLayer
-from irlos_pipe.paper.slow_loop.experiment import UNCALIBRATED, Conditions, LoopSample, noise_law, run_loops
+from irlos_pipe.paper.slow_loop.experiment import (
+    UNCALIBRATED,
+    Conditions,
+    LoopSample,
+    at_best_gain,
+    gain_scan,
+    noise_law,
+    run_loops,
+)
 from irlos_pipe.paper.slow_loop.outcome import LoopOutcome, outcome_of
-from irlos_pipe.paper.slow_loop.plan import at_best_gain, gain_scan
-from irlos_pipe.paper.slow_loop.results import DriftNumbers, LoopRow, SlowLoopResults
+from irlos_pipe.paper.slow_loop.results import LoopRow, SlowLoopResults
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
@@ -64,7 +71,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     rows = [_row(ctx.config, conditions, loop, index, found) for index, loop in enumerate(loops)]
     open_loop_nm = _stacked(found, "drift_nm")[:, :, ctx.config.settle :]
     results = SlowLoopResults(
-        drift=DriftNumbers(**asdict(conditions.drift)),
+        drift=conditions.drift,
         sky_focus_nm=_sky_focus_nm(found),
         open_loop_nm=float(np.sqrt(np.mean(open_loop_nm**2))),
         largest_stable_gain=Integrator(1.0, 1.0, ctx.config.delay).largest_stable_gain,
@@ -127,7 +134,7 @@ def _row(config: Config, conditions: Conditions, loop: Loop, index: int, found: 
     outcome = outcome_of(residual_nm, measured_nm, true_nm, due, conditions.drift, config.settle)
     bound_nm = float(np.median(_stacked(found, "bound_nm")[:, index]))
     theory = _theory(conditions, loop, outcome, bound_nm, _sky_focus_nm(found))
-    return LoopRow(**asdict(loop), **asdict(outcome), **theory)
+    return LoopRow(**asdict(loop), **outcome.model_dump(), **theory)
 
 
 def _theory(
@@ -140,7 +147,7 @@ def _theory(
         "expected_noise_nm": noise_nm,
         "predicted_nm": integrator.residual_nm(conditions.drift, noise_nm),
         "best_gain": best_gain(conditions.drift, noise_nm, float(loop.exposures), conditions.delay),
-        "gain_margin": outcome.gain_margin(integrator),
+        "gain_margin": integrator.gain_margin(outcome.slope),
     }
 
 
