@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.pipeline.fingerprint import changes, key_of, key_parts
 from irlos_pipe.pipeline.inputs import InputFile
-from irlos_pipe.product.product import read_product
+from irlos_pipe.product.product import is_intact, read_product
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
@@ -20,6 +20,7 @@ from irlos_pipe.stages.base import reads
 
 UP_TO_DATE = "up to date"
 NO_PRODUCT = "no product yet"
+DAMAGED = "product unreadable"
 
 
 class Action(Enum):
@@ -113,6 +114,22 @@ def make_plan(recipe: Recipe, folder: Path, files: Iterable[InputFile], selectio
     return steps
 
 
+def with_repairs(steps: Sequence[Step]) -> list[Step]:
+    """Return the plan with steps also for products whose arrays are damaged and that another step reads.
+
+    `make_plan` looks at the metadata of products only, so that planning is quick.
+    """
+    repaired: list[Step] = []
+    wanted: set[str] = set()
+    for step in reversed(steps):
+        if step.name in wanted and step.action is Action.SKIP and not is_intact(step.path):
+            step = replace(step, action=Action.RUN, reason=DAMAGED, current=False)
+        if step.action is Action.RUN:
+            wanted |= {*reads(STAGES[step.name], [other.name for other in steps])} - {step.name}
+        repaired.append(step)
+    return repaired[::-1]
+
+
 def _range(recipe: Recipe, selection: Selection) -> tuple[int, int]:
     first = _index(recipe, selection.first, "--from", 0)
     last = _index(recipe, selection.last, "--to", len(recipe.stages) - 1)
@@ -162,7 +179,7 @@ def _why_outdated(name: str, path: Path, parts: Mapping[str, Any], key: str) -> 
     try:
         stored = _stored(name, path)
     except InputDataError:
-        return "product unreadable"
+        return DAMAGED
     if stored["key"] != key:
         return changes(stored["parts"], parts) or "what it was made from changed"
     missing = [file for file in stored["files"] if not (path.parent / file).is_file()]

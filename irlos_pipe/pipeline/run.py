@@ -14,7 +14,7 @@ from irlos_pipe.files.json import json_text
 from irlos_pipe.pipeline.inputs import InputFile, input_files, remember
 from irlos_pipe.pipeline.job import Job
 from irlos_pipe.pipeline.outcome import Outcome, assess
-from irlos_pipe.pipeline.plan import Action, Selection, Step, make_plan
+from irlos_pipe.pipeline.plan import Action, Selection, Step, make_plan, with_repairs
 from irlos_pipe.pipeline.provenance import command_line
 from irlos_pipe.pipeline.resources import Resources
 from irlos_pipe.pipeline.runlog import TRACE, written_to
@@ -81,7 +81,7 @@ def run_recipe(
     # Planned once before the folder is made, so that a mistake leaves no empty folder behind.
     files, _ = plan_run(recipe, folder, selection)
     with owned_folder(folder) as run, written_to(run.log), _reported_in_one_line(run.log):
-        steps = make_plan(recipe, folder, files, selection)
+        steps = with_repairs(make_plan(recipe, folder, files, selection))
         TRACE.info("command: %s", command_line())
         remember(files, folder)
         write_if_changed(run.recipe, recipe.resolved_yaml().encode())

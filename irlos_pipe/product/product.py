@@ -224,6 +224,16 @@ def open_product(path: Path) -> Product:
         return _product(metadata, StoredArrays(Path(path), metadata["arrays"]))
 
 
+def is_intact(path: Path) -> bool:
+    """Return whether the product at `path` is what was written, arrays and all."""
+    try:
+        with _readable(path):
+            require_unchanged(path)
+    except InputDataError:
+        return False
+    return True
+
+
 class StoredArrays(Mapping[str, Quantity]):
     """The arrays of a product file, each read when it is first asked for.
 

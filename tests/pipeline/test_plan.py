@@ -112,6 +112,18 @@ def test_a_damaged_product_is_made_again(bench):
     assert run(bench)[1] == ["calibrate"] and told(bench)["status"] == "ok"
 
 
+def test_a_product_with_damaged_arrays_is_made_again_when_they_are_needed(bench):
+    run(bench)
+    path = bench.output / "01_ingest.h5"
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    assert set(reasons(bench).values()) == {"up to date"}
+    assert run(bench, "calibrate.method=dip_global")[1] == ["ingest", "calibrate"]
+    assert told(bench)["status"] == "ok"
+    assert run(bench, "calibrate.method=dip_global")[1] == []
+
+
 def test_a_product_of_another_stage_in_its_place_is_made_again(bench):
     run(bench)
     (bench.output / "01_ingest.h5").replace(bench.output / "03_lift.h5")
