@@ -22,7 +22,7 @@ MAY_IMPORT = {
     "diagnose": {"conventions", "frames", "numerics", "optics", "effects", "estimate"},
     # The simulator shares no line of optics with the model that is fitted to its images.
     "simulate": {"conventions"},
-    "simulate.recordings": {"conventions", "files", "instrument", "product", "simulate"},
+    "simulate.recordings": {"conventions", "effects", "files", "instrument", "product", "simulate"},
     "product": {"conventions", "files"},
     "stages": {
         "conventions", "files", "frames", "instrument", "readers", "numerics", "optics", "effects",

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.diagnose_suite.settings import EXPOSURE_S, Setting
+from irlos_pipe.conventions.bands import NARROW_H
 from irlos_pipe.effects import CATALOGUE
-from irlos_pipe.simulate.shaking import JITTER_CORRELATION_S
+from irlos_pipe.simulate.effects.motion import JITTER_CORRELATION_S
 
 SPREAD = 0.25  # of the drawn size about its level, natural logarithm
 LINES_HZ = (24.2, 45.5, 48.3, 72.5)  # of UT4 above 20 Hz
-CENTRE_NM = 1600.0  # of the narrow band
 PIXEL_SCALE_MAS = 9.7
 
 
@@ -97,7 +97,8 @@ def _spectrum(rng: np.random.Generator, size: float, setting: Setting) -> Hidden
     value = size * _sign(rng)
     if setting.bands == "j_h":
         return Hidden("spectrum", {"slope": value}, {"slope": value})
-    return Hidden("spectrum", {"wavelength_nm": value}, {"wavelength_nm": CENTRE_NM + value})
+    centre = {"wavelength_nm": NARROW_H.centre_nm + value}
+    return Hidden("spectrum", centre, centre)
 
 
 def _pupil(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from benchmarks.diagnose_suite.hidden import CENTRE_NM
 from benchmarks.diagnose_suite.judging import Outcome, is_first
+from irlos_pipe.conventions.bands import NARROW_H
 
 CONFIDENCE = 0.95
 NEGLIGIBLE = 1e-9  # a component of a direction that is zero but for rounding
@@ -80,4 +80,4 @@ def in_smallest(outcome: Outcome, smallest: Mapping[str, Any]) -> float:
 
 def _amount(key: str, number: float) -> float:
     """How far a public value is from absence."""
-    return number - CENTRE_NM if key == "wavelength_nm" else number
+    return number - NARROW_H.centre_nm if key == "wavelength_nm" else number

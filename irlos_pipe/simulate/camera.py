@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 
+from irlos_pipe.simulate.effects.base import LightEffect
 from irlos_pipe.simulate.imaging import Imager, PixelGrid
+from irlos_pipe.simulate.light import Ray
+from irlos_pipe.simulate.motion_blur import MotionBlur
 from irlos_pipe.simulate.pupil import Pupil, amplitude, nominal_area_m2
-from irlos_pipe.simulate.rays import rays_of, true_pixel_scale_mas
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.simulate.shaking import Shake
 
 STATIC_NODES = 4  # per pixel and axis
 FINEST_CYCLES_PER_PX = 0.4  # that the image of a pixel may hold; above, pixels are computed in parts
@@ -42,9 +43,9 @@ class Camera:
         wavelengths_nm = list(dict.fromkeys(ray.wavelength_nm for ray in rays))
         self._parts = _parts_per_pixel(scale_mas, scene.geometry.diameter_m, min(wavelengths_nm))
         self._part_mas = scale_mas / self._parts
-        self._sampled, self._shaken = scene.moves, motion_mas > 0
+        self._sampled, self._blurred = scene.moves, motion_mas > 0
         reach_px = int(np.ceil(REACH_SIGMAS * motion_mas / scale_mas))
-        self._margin = reach_px + EDGE_PX if self._sampled or self._shaken else 0
+        self._margin = reach_px + EDGE_PX if self._sampled or self._blurred else 0
         rows, columns = (self._parts * (size + 2 * self._margin) for size in scene.window)
         self._imager = Imager(
             pupil.u_m,
@@ -59,7 +60,7 @@ class Camera:
         """Images of wavefronts (times, n, n) [nm] with their margin, in parts of the star's light."""
         return self._imager.images(opd_nm)
 
-    def frame(self, images: np.ndarray, positions_mas: np.ndarray | None, shake: Shake) -> np.ndarray:
+    def frame(self, images: np.ndarray, positions_mas: np.ndarray | None, blur: MotionBlur) -> np.ndarray:
         """Mean of images in motion, (rows, columns).
 
         Parameters
@@ -68,14 +69,14 @@ class Camera:
             Of `images`, at rest.
         positions_mas : ndarray, (times, positions, 2), or None
             Where each image is while it is exposed; a single image may be given for all times.
-        shake : Shake
+        blur : MotionBlur
             Motion of all images on top.
         """
-        if self._sampled or self._shaken:
-            return self._pixels(self._filtered(images, positions_mas, shake))
+        if self._sampled or self._blurred:
+            return self._pixels(self._filtered(images, positions_mas, blur))
         return self._pixels(images.mean(axis=0))
 
-    def _filtered(self, images: np.ndarray, positions_mas: np.ndarray | None, shake: Shake) -> np.ndarray:
+    def _filtered(self, images: np.ndarray, positions_mas: np.ndarray | None, blur: MotionBlur) -> np.ndarray:
         border = MIRROR_PX * self._parts
         padded = np.pad(images, ((0, 0), (border, border), (border, border)), mode="symmetric")
         fx = scipy.fft.rfftfreq(padded.shape[2], self._part_mas)
@@ -83,7 +84,7 @@ class Camera:
         spectra = scipy.fft.rfft2(padded)
         if positions_mas is not None:
             spectra = spectra * transfer(_shared(positions_mas, len(images)), fx, fy)
-        spectrum = spectra.mean(axis=0) * shake.transfer(fx[None, :], fy[:, None])
+        spectrum = spectra.mean(axis=0) * blur.transfer(fx[None, :], fy[:, None])
         if self._sampled:
             spectrum *= np.sinc(fx * self._part_mas) * np.sinc(fy * self._part_mas)[:, None]
         return scipy.fft.irfft2(spectrum, s=padded.shape[1:])[border:-border, border:-border]
@@ -93,6 +94,28 @@ class Camera:
         k, cut = self._parts, slice(self._margin, -self._margin or None)
         whole = image.reshape(image.shape[0] // k, k, image.shape[1] // k, k).sum(axis=(1, 3))
         return whole[cut, cut]
+
+
+def rays_of(scene: Scene) -> list[Ray]:
+    """Return the light of a `scene` with its effects; those on the spectrum keep the number of photons."""
+    effects = scene.acting(LightEffect)
+    wavelengths_nm, declared = np.array(scene.spectrum(), float).T
+    weights = declared
+    for effect in effects:
+        wavelengths_nm, weights = effect.spectrum(wavelengths_nm, weights, scene.bands)
+    weights = weights * declared.sum() / weights.sum()
+    rays = [Ray(*point) for point in zip(wavelengths_nm.tolist(), weights.tolist(), strict=True)]
+    for effect in effects:
+        rays = effect.rays(rays)
+    return rays
+
+
+def true_pixel_scale_mas(scene: Scene) -> float:
+    """Return the pixel scale of a `scene` with its effects."""
+    scale_mas = scene.pixel_scale_mas
+    for effect in scene.acting(LightEffect):
+        scale_mas = effect.pixel_scale_mas(scale_mas)
+    return scale_mas
 
 
 def transfer(positions_mas: np.ndarray, fx: np.ndarray, fy: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What is wrong with a scene, in one line."""
+"""Errors of scenes that cannot be simulated."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class SceneError(ConfigurationError, ValueError):
 
 
 def require_known(where: str, names: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse names that are not known, and suggest the nearest.
+    """Refuse `names`, given as `where`, that are not `known`, and suggest the nearest.
 
     Raises
     ------

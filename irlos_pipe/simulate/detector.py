@@ -1,4 +1,4 @@
-"""The infrared detector: its constants, raw frames in ADU, and the electrons a calibration makes of them.
+"""Raw frames in ADU, and the electrons that a calibration makes of them.
 
 `irlos_pipe.simulate.pixels` argues the order of what happens between photon and converter.
 """
@@ -6,94 +6,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.simulate.late_defects import marked
-from irlos_pipe.simulate.pixels import Pixels, pedestal_map_adu
+from irlos_pipe.simulate.detector_model import ADC_TOP_ADU, marked
+from irlos_pipe.simulate.effects.base import DetectorEffect
+from irlos_pipe.simulate.pixels import Pixels, nominal_pixels, pedestal_map_adu
+from irlos_pipe.simulate.scene import Scene
 
-if TYPE_CHECKING:
-    from irlos_pipe.simulate.scene import Scene
-
-ADC_TOP_ADU = 65535.0
 DARK_FRAMES = 64  # averaged to the dark image
 FLAT_ERROR = 1e-4  # of the measured flat, relative RMS
-Pixel = tuple[int, int]
 
 
-@dataclass(frozen=True)
-class DetectorModel:
-    """An avalanche photodiode array (SAPHIRA); pixels are (row, column), electrons are photo-electrons.
+def pixels_of(scene: Scene, mean_image_e: np.ndarray) -> Pixels:
+    """Return the pixels of a `scene` with its effects.
 
-    Attributes
+    Parameters
     ----------
-    e_per_adu : float
-        Gain [e-/ADU], avalanche gain included.
-    read_noise_e : float
-        Noise of a pixel without light, rounding to whole ADU included [e- RMS per frame].
-    pedestal_adu : float
-        Electronic level without light; it carries no shot noise [ADU].
-    fixed_pattern_adu : float
-        Scatter of the pedestal from pixel to pixel [ADU RMS].
-    excess_noise_factor : float
-        F, variance of the photon signal over its Poisson variance; 1.25 is claimed, 1.47 measured.
-    flat_rms : float
-        Scatter of the avalanche gain from pixel to pixel, relative.
-    dark_e_per_s : float
-        Dark current of every pixel [e-/s].
-    dead : tuple of Pixel
-        Pixels that do not respond to light; the map of dead pixels tells them.
-    hot_e_per_s : tuple of (Pixel, float)
-        Pixels with a dark current of their own [e-/s]; the dark image shows them.
-    crosstalk_fraction : float
-        Charge that diffuses from a pixel to its four neighbours together, before the multiplication.
-    coupling_fraction : float
-        Signal that a pixel induces in its four neighbours together (inter-pixel capacitance), after
-        the multiplication: it correlates the noise, diffusion does not.
-    nonlinearity_per_e : float
-        k of the response ``s (1 - k s)`` [1/e-].
-    full_well_e : float
-        Signal at which a pixel stops collecting [e-].
-    saturation_adu : float
-        Level that nothing exceeds; raw frames end at 65535 in any case [ADU].
-    pattern_seed : int
-        Of everything that is fixed in the detector: pedestal and gain of each pixel.
+    scene : Scene
+    mean_image_e : ndarray, (rows, columns)
+        Mean image, at whose peak a non-linearity is stated [e-].
     """
-
-    e_per_adu: float = 0.5
-    read_noise_e: float = 1.0
-    pedestal_adu: float = 200.0
-    fixed_pattern_adu: float = 0.0
-    excess_noise_factor: float = 1.0
-    flat_rms: float = 0.0
-    dark_e_per_s: float = 0.0
-    dead: tuple[Pixel, ...] = ()
-    hot_e_per_s: tuple[tuple[Pixel, float], ...] = ()
-    crosstalk_fraction: float = 0.0
-    coupling_fraction: float = 0.0
-    nonlinearity_per_e: float = 0.0
-    full_well_e: float = float("inf")
-    saturation_adu: float = float("inf")
-    pattern_seed: int = 0
-
-    @property
-    def analogue_noise_e(self) -> float:
-        """Read noise before rounding to whole ADU, which adds ``e_per_adu / sqrt(12)`` [e- RMS].
-
-        Raises
-        ------
-        ConfigurationError
-            When rounding alone is noisier than `read_noise_e`.
-        """
-        rest_e2 = self.read_noise_e**2 - self.e_per_adu**2 / 12
-        if rest_e2 < 0:
-            raise ConfigurationError(
-                f"detector: read_noise_e = {self.read_noise_e:g} is below the noise of rounding, "
-                f"e_per_adu/sqrt(12) = {self.e_per_adu / 12**0.5:.3g} e-; raise it, or lower e_per_adu"
-            )
-        return float(np.sqrt(rest_e2))
+    pixels = nominal_pixels(scene.detector, scene.window, scene.exposure_s)
+    for effect in scene.acting(DetectorEffect):
+        pixels = effect.on(pixels, mean_image_e)
+    return pixels
 
 
 def electrons(scene: Scene, mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -109,10 +46,10 @@ def electrons(scene: Scene, mean_e: np.ndarray, rng: np.random.Generator) -> np.
     ndarray, (frames, rows, columns), float32
         Without pedestal and dark, divided by the flat; not rounded to whole ADU [e-].
     """
-    pixels, detector = Pixels.of(scene, mean_e.mean(axis=0, dtype=np.float64)), scene.detector
+    pixels, detector = pixels_of(scene, mean_e.mean(axis=0, dtype=np.float64)), scene.detector
     signal_e = pixels.signal_e(mean_e, detector.read_noise_e, rng)
     top_e = (detector.saturation_adu - detector.pedestal_adu) * detector.e_per_adu
-    read_e = pixels.late.read(np.minimum(signal_e, top_e), pixels.late.stuck_e)
+    read_e = pixels.read(np.minimum(signal_e, top_e), pixels.stuck_e)
     return _over_flat(read_e - pixels.dark_e * pixels.response, pixels.response).astype(np.float32)
 
 
@@ -140,7 +77,7 @@ class Readout:
             When read noise and gain contradict each other.
         """
         _ = scene.detector.analogue_noise_e
-        return cls(Pixels.of(scene, mean_image_e), pedestal_map_adu(scene.detector, scene.window))
+        return cls(pixels_of(scene, mean_image_e), pedestal_map_adu(scene.detector, scene.window))
 
     @property
     def top_adu(self) -> int:
@@ -150,7 +87,7 @@ class Readout:
     def frames_adu(self, mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Raw frames (..., rows, columns) uint16 for their mean photo-electrons [ADU]."""
         signal_e = self.pixels.signal_e(mean_e, self.pixels.detector.analogue_noise_e, rng)
-        return self.pixels.late.read(self._converted(signal_e), self._converted(self.pixels.late.stuck_e))
+        return self.pixels.read(self._converted(signal_e), self._converted(self.pixels.stuck_e))
 
     def dark_adu(self, rng: np.random.Generator) -> np.ndarray:
         """Dark image: mean of `DARK_FRAMES` raw frames without light, (rows, columns) float32 [ADU]."""

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.camera import Camera
-from irlos_pipe.simulate.disturbance import Disturbances
-from irlos_pipe.simulate.pupil import petals_nm, pupil_of
+from irlos_pipe.simulate.effects.base import MotionEffect, SkyEffect
+from irlos_pipe.simulate.motion_blur import STILL, MotionBlur
+from irlos_pipe.simulate.pupil import pupil_of, steps_nm
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.simulate.shaking import Shaking
+from irlos_pipe.simulate.subexposures import SubexposureSeries
 from irlos_pipe.simulate.telescope import Telescope
 from irlos_pipe.simulate.wavefront import StaticWavefront
 
@@ -28,7 +28,7 @@ class Exposure:
     mean_e : ndarray, (rows, columns), float64
         Mean photo-electrons.
     opd_nm : ndarray, (n, n)
-        Time-mean wavefront, the told diversity and introduced defocus excluded [nm].
+        Time-mean wavefront, the declared diversity and introduced defocus excluded [nm].
     """
 
     mean_e: np.ndarray
@@ -44,7 +44,7 @@ class Exposed:
     mean_e : ndarray, (frames, rows, columns), float32
         Mean photo-electrons.
     mean_opd_nm : ndarray, (n, n)
-        Wavefront averaged over all frames, the told diversity and introduced defocus excluded [nm].
+        Wavefront averaged over all frames, the declared diversity and introduced defocus excluded [nm].
     zernike_nm : ndarray, (frames, 30)
         Least-squares coefficients of Noll 2..31 of every frame's wavefront [nm RMS].
     telescope : Telescope
@@ -95,12 +95,12 @@ def expose(scene: Scene, report: Callable[[int], None] | None = None) -> Exposed
 
 def telescope_of(scene: Scene) -> Telescope:
     """Pupil grid of the wavefronts that the exposures of a scene return."""
-    return pupil_of(with_halo(scene)).telescope
+    return pupil_of(with_effective_sky(scene)).telescope
 
 
 def exposures(scene: Scene) -> Iterator[Exposure]:
     """Yield the frames of a scene one by one; memory does not grow with their number."""
-    light_path = _LightPath(with_halo(scene))
+    light_path = _LightPath(with_effective_sky(scene))
     for frame in range(scene.frames):
         yield light_path.exposed(frame)
 
@@ -109,22 +109,32 @@ class _LightPath:
     """Turns the wavefronts of a scene into frames, which must be asked for in their order."""
 
     def __init__(self, scene: Scene):
-        self._photons, self._pupil = scene.photons, pupil_of(scene)
-        self._wavefront, self._shaking = StaticWavefront(scene, self._pupil), Shaking(scene)
-        self._disturbances = Disturbances(scene, self._pupil)
+        self._scene, self._pupil = scene, pupil_of(scene)
+        self._wavefront = StaticWavefront(scene, self._pupil)
+        self._subexposures = SubexposureSeries(scene, self._pupil)
+        self._motion, self._motion_rng = scene.acting(MotionEffect), scene.rng("effects")
         wandering_mas = scene.motion.rms_mas if scene.motion else 0.0
-        self._camera = Camera(scene, self._pupil, float(np.hypot(wandering_mas, self._shaking.rms_mas)))
-        self._petals_nm = petals_nm(scene, self._pupil, self._pupil.u_m[None, :], self._pupil.u_m[:, None])
+        blurring_mas = float(np.sqrt(sum(effect.sigma_mas**2 for effect in self._motion)))
+        self._camera = Camera(scene, self._pupil, float(np.hypot(wandering_mas, blurring_mas)))
+        steps = steps_nm(scene, self._pupil, self._pupil.u_m[None, :], self._pupil.u_m[:, None])
+        self._steps_nm: np.ndarray | float = 0.0 if steps is None else steps
         self._resting_images: np.ndarray | None = None
 
     def exposed(self, frame: int) -> Exposure:
-        """The next frame."""
-        moving, shake = self._disturbances.next_frame(), self._shaking.next_frame()
+        """Expose the next frame, number `frame`."""
+        moving, blur = self._subexposures.next_frame(), self._next_blur()
         images = self._images(frame, moving.screens_nm)
-        tilt_nm = self._pupil.tilts_nm((moving.mean_position_mas + shake.mean_mas)[None])[0]
-        opd_nm = self._wavefront.truth_nm(frame) + self._petals_nm + moving.mean_screen_nm + tilt_nm
-        image = self._camera.frame(images, moving.positions_mas, shake)
-        return Exposure(image * self._photons, self._pupil.inside(opd_nm))
+        tilt_nm = self._pupil.tilts_nm((moving.mean_position_mas + blur.mean_mas)[None])[0]
+        opd_nm = self._wavefront.truth_nm(frame) + self._steps_nm + moving.mean_screen_nm + tilt_nm
+        image = self._camera.frame(images, moving.positions_mas, blur)
+        return Exposure(image * self._scene.photons, self._pupil.inside(opd_nm))
+
+    def _next_blur(self) -> MotionBlur:
+        """Motion within the next frame by all effects together."""
+        scene, blur = self._scene, STILL
+        for effect in self._motion:
+            blur = blur + effect.blur(scene.exposure_s, scene.facility.vibration_lines, self._motion_rng)
+        return blur
 
     def _images(self, frame: int, screens_nm: np.ndarray | None) -> np.ndarray:
         """Images of the sub-exposures, or the one of a wavefront at rest, computed where it changes."""
@@ -135,17 +145,9 @@ class _LightPath:
         return self._resting_images
 
 
-def with_halo(scene: Scene) -> Scene:
-    """The scene with the AO residual that the effect `seeing_halo` makes.
-
-    The residual is larger by the factor `scale`, or `wfe_nm` in total, its spectrum of the same shape.
-    On the bench it is added to nothing: the factor then is one on the residual at
-    the facility's typical seeing.
-    """
-    effect = scene.effects.get("seeing_halo")
-    if effect is None:
-        return scene
-    facility = scene.facility
-    sky, law = scene.sky or Sky(facility.typical_seeing_arcsec), facility.residual_law
-    factor = effect["wfe_nm"] / sky.total_nm(law) if "wfe_nm" in effect else effect.get("scale", 1.0)
-    return replace(scene, sky=sky.scaled(factor, law) if factor > 0 else None)
+def with_effective_sky(scene: Scene) -> Scene:
+    """Return the `scene` with the AO residual that its effects leave."""
+    sky = scene.sky
+    for effect in scene.acting(SkyEffect):
+        sky = effect.sky(sky, scene.facility)
+    return replace(scene, sky=sky)

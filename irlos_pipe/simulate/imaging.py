@@ -9,7 +9,7 @@ import numpy as np
 
 from irlos_pipe.conventions.units import MAS, NM
 from irlos_pipe.simulate.aperture import centres
-from irlos_pipe.simulate.rays import Ray
+from irlos_pipe.simulate.light import Ray
 
 BATCH = 10  # wavefronts imaged together
 

@@ -20,16 +20,11 @@ exactly for a linear detector only, as in reality.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import convolve
 
-from irlos_pipe.simulate.late_defects import LateDefects, marked
-
-if TYPE_CHECKING:
-    from irlos_pipe.simulate.detector import DetectorModel
-    from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.simulate.detector_model import DetectorModel, marked
 
 NEIGHBOURS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
 PEDESTAL_STREAM, RESPONSE_STREAM = 0, 1  # of a detector's `pattern_seed`
@@ -50,8 +45,13 @@ class Pixels:
         Charge that leaves a pixel for its four neighbours, fraction.
     nonlinearity_per_e : float
         k of the response ``s (1 - k s)`` [1/e-].
-    late : LateDefects
-        What the dark, the flat and the map of dead pixels do not tell.
+    hot_e, background_e : ndarray, (rows, columns)
+        Mean charge of hot pixels per frame, and what is left of pedestal or background, neither of which
+        the dark image shows [e-].
+    alive : ndarray, (rows, columns)
+        0 in pixels that died after the map of dead pixels was made.
+    stuck_e : ndarray, (rows, columns)
+        Constant reading above the pedestal; NaN where the pixel works [e-].
     """
 
     detector: DetectorModel
@@ -59,39 +59,47 @@ class Pixels:
     dark_e: np.ndarray
     diffusion: float
     nonlinearity_per_e: float
-    late: LateDefects
-
-    @classmethod
-    def of(cls, scene: Scene, mean_image_e: np.ndarray) -> Pixels:
-        """Pixels of a scene; `mean_image_e` (rows, columns) tells where its non-linearity is stated [e-]."""
-        detector, effects = scene.detector, scene.effects
-        diffusion = detector.crosstalk_fraction + effects.get("interpixel_crosstalk", {}).get("fraction", 0.0)
-        at_peak = effects.get("detector_nonlinearity", {}).get("fraction_at_peak", 0.0)
-        peak_e = float(shared(mean_image_e, diffusion).max())
-        return cls(
-            detector,
-            response_map(detector, scene.window),
-            dark_map_e(detector, scene.window, scene.exposure_s),
-            diffusion,
-            detector.nonlinearity_per_e + (at_peak / peak_e if peak_e > 0 else 0.0),
-            LateDefects.of(scene.effects, scene.window),
-        )
+    hot_e: np.ndarray
+    background_e: np.ndarray
+    alive: np.ndarray
+    stuck_e: np.ndarray
 
     def signal_e(self, mean_e: np.ndarray, read_noise_e: float, rng: np.random.Generator) -> np.ndarray:
         """Signal at the converter for the mean photo-electrons (..., rows, columns) of frames [e-]."""
-        light_e = shared(mean_e, self.diffusion) + self.late.hot_e
+        light_e = shared(mean_e, self.diffusion) + self.hot_e
         multiplied_e = multiplied(rng.poisson(light_e + self.dark_e), self.detector.excess_noise_factor, rng)
-        return self._read(multiplied_e * self.late.alive, read_noise_e, rng) + self.late.background_e
+        return self._analogue_e(multiplied_e * self.alive, read_noise_e, rng) + self.background_e
 
     def dark_signal_e(self, frames: int, read_noise_e: float, rng: np.random.Generator) -> np.ndarray:
         """Signal of frames without light, (frames, rows, columns), late defects not yet there [e-]."""
         counts = rng.poisson(np.broadcast_to(self.dark_e, (frames, *self.dark_e.shape)))
-        return self._read(multiplied(counts, self.detector.excess_noise_factor, rng), read_noise_e, rng)
+        return self._analogue_e(multiplied(counts, self.detector.excess_noise_factor, rng), read_noise_e, rng)
 
-    def _read(self, multiplied_e: np.ndarray, read_noise_e: float, rng: np.random.Generator) -> np.ndarray:
+    def read(self, values: np.ndarray, stuck: np.ndarray) -> np.ndarray:
+        """Return frames (..., rows, columns) of `values` with the constant readings of `stuck` pixels."""
+        return np.where(np.isnan(self.stuck_e), values, stuck)
+
+    def _analogue_e(
+        self, multiplied_e: np.ndarray, read_noise_e: float, rng: np.random.Generator
+    ) -> np.ndarray:
         induced_e = shared(multiplied_e * self.response, self.detector.coupling_fraction)
         node_e = compressed(induced_e, self.nonlinearity_per_e, self.detector.full_well_e)
         return node_e + read_noise_e * rng.standard_normal(node_e.shape)
+
+
+def nominal_pixels(detector: DetectorModel, window: tuple[int, int], exposure_s: float) -> Pixels:
+    """Return the pixels of a `detector` without effects, for a `window` and an `exposure_s`."""
+    return Pixels(
+        detector,
+        response_map(detector, window),
+        dark_map_e(detector, window, exposure_s),
+        detector.crosstalk_fraction,
+        detector.nonlinearity_per_e,
+        hot_e=np.zeros(window),
+        background_e=np.zeros(window),
+        alive=np.ones(window),
+        stuck_e=np.full(window, np.nan),
+    )
 
 
 def shared(charge_e: np.ndarray, fraction: float) -> np.ndarray:

@@ -10,7 +10,7 @@ from scipy.signal import firwin
 
 from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.simulate.aperture import centres, clear_fraction, with_vanes_turned
-from irlos_pipe.simulate.petals import petal_opd_nm
+from irlos_pipe.simulate.effects.base import PupilEffect
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.telescope import Telescope
 
@@ -64,14 +64,11 @@ class Pupil(Telescope):
 
 
 def pupil_of(scene: Scene) -> Pupil:
-    """Pupil at the scene's sampling, with the effect `pupil_misregistration`.
-
-    `dx_m`, `dy_m` displace an internal stop; `rotation_deg` turns the vanes anticlockwise.
-    """
-    effect = scene.effects.get("pupil_misregistration", {})
-    stop_m = (effect.get("dx_m", 0.0), effect.get("dy_m", 0.0))
-    turn_deg = effect.get("rotation_deg", 0.0)
-    return _build(scene.geometry, scene.pupil_samples, stop_m if any(stop_m) else None, turn_deg)
+    """Return the pupil at the sampling of a `scene`, with its effects."""
+    effects = scene.acting(PupilEffect)
+    stops_m = [effect.stop_m for effect in effects if effect.stop_m is not None]
+    turn_deg = sum(effect.vane_rotation_deg for effect in effects)
+    return _build(scene.geometry, scene.pupil_samples, stops_m[0] if stops_m else None, turn_deg)
 
 
 def nominal_area_m2(scene: Scene) -> float:
@@ -91,30 +88,41 @@ def _build(
 
 
 def amplitude(scene: Scene, pupil: Pupil, wavelength_nm: float) -> np.ndarray:
-    """Pupil amplitude (n, n) at a wavelength; complex with the effect `low_wind_effect`.
+    """Return the pupil amplitude (n, n), complex where an effect makes steps.
 
-    The steps between petals lie on the vanes, so they belong to the drawing rather than to the smooth
+    Steps between petals lie on the vanes, so they belong to the drawing rather than to the smooth
     wavefront that multiplies the samples.
+
+    Parameters
+    ----------
+    scene : Scene
+    pupil : Pupil
+        The scene's.
+    wavelength_nm : float
     """
-    transparent = transparency(scene, pupil)
-    if "low_wind_effect" not in scene.effects:
-        return transparent * pupil.sampled(pupil.drawn)
-    steps_nm = petals_nm(scene, pupil, *pupil.drawing_grid_m())
-    return transparent * pupil.sampled(pupil.drawn * np.exp(2j * np.pi / wavelength_nm * steps_nm))
+    transparency: np.ndarray | float = 1.0
+    for effect in scene.acting(PupilEffect):
+        transparency = transparency * effect.transparency(pupil)
+    steps = steps_nm(scene, pupil, *pupil.drawing_grid_m())
+    if steps is None:
+        return transparency * pupil.sampled(pupil.drawn)
+    return transparency * pupil.sampled(pupil.drawn * np.exp(2j * np.pi / wavelength_nm * steps))
 
 
-def petals_nm(scene: Scene, pupil: Pupil, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Wavefront of the effect `low_wind_effect` at points [nm]; zero without it."""
-    effect = scene.effects.get("low_wind_effect")
-    if effect is None:
-        return np.zeros(np.broadcast_shapes(x_m.shape, y_m.shape))
-    return petal_opd_nm(effect, pupil.geometry, x_m, y_m)
+def steps_nm(scene: Scene, pupil: Pupil, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray | None:
+    """Return the wavefront with steps [nm] that effects make; None without such effects.
 
-
-def transparency(scene: Scene, pupil: Telescope) -> np.ndarray:
-    """Relative amplitude of the effect `amplitude_aberration`, (n, n): one plus a sum of Zernikes."""
-    zernike = scene.effects.get("amplitude_aberration", {}).get("zernike", {})
-    return np.maximum(1 + pupil.opd_nm(zernike), 0.0)
+    Parameters
+    ----------
+    scene : Scene
+    pupil : Pupil
+        The scene's.
+    x_m, y_m : ndarray, shapes that broadcast
+        Points in the pupil.
+    """
+    made = (effect.steps_nm(pupil.geometry, x_m, y_m) for effect in scene.acting(PupilEffect))
+    given = [steps for steps in made if steps is not None]
+    return sum(given[1:], start=given[0]) if given else None
 
 
 @lru_cache(maxsize=8)

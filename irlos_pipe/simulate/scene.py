@@ -5,33 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.catalogue import check_effects
 from irlos_pipe.simulate.checks import SceneError
-from irlos_pipe.simulate.detector import DetectorModel
+from irlos_pipe.simulate.detector_model import DetectorModel
+from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
+from irlos_pipe.simulate.effects.catalogue import effects_of
+from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
 
 STATIC_PUPIL_SAMPLES, MOVING_PUPIL_SAMPLES = 256, 128
+Plane = TypeVar("Plane", bound=SimulatedEffect)
 RANDOM_STREAMS = ("sky", "motion", "effects", "focus_stage")
-
-
-@dataclass(frozen=True)
-class Band:
-    """Flat pass-band; `share` is its part of the photons.
-
-    Attributes
-    ----------
-    centre_nm, half_width_nm : float
-    """
-
-    centre_nm: float
-    half_width_nm: float
-    share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -84,7 +74,7 @@ class Scene:
     motion : Motion or None
         Residual tip-tilt.
     effects : mapping of str to mapping
-        Effects by their catalogue names, with the catalogue's parameters; not told in the side-car.
+        Effects by their catalogue names, with the catalogue's parameters; the side-car does not state them.
     """
 
     name: str
@@ -115,15 +105,21 @@ class Scene:
     first_counter: int = 1000
 
     def __post_init__(self) -> None:
-        check_effects(self.effects)
+        setup = RecordingSetup(len(self.bands), self.window, self.diversity_nm)
+        for problem in filter(None, (effect.misfit(setup) for effect in effects_of(self.effects))):
+            raise SceneError(problem)
         if np.ndim(self.introduced_nm) and len(self.introduced_nm) != self.frames:
-            told = len(self.introduced_nm)
-            raise SceneError(f"introduced_nm: {told} values for {self.frames} frames; give one or as many")
+            given = len(self.introduced_nm)
+            raise SceneError(f"introduced_nm: {given} values for {self.frames} frames; give one or as many")
 
     @property
     def geometry(self) -> PupilGeometry:
         """The pupil."""
         return self.facility.pupil
+
+    def acting(self, plane: type[Plane]) -> list[Plane]:
+        """Return the effects that derive from the base class `plane`, in the order in which they act."""
+        return [effect for effect in effects_of(self.effects) if isinstance(effect, plane)]
 
     @property
     def residual_wfe_nm(self) -> float:

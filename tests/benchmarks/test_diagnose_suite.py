@@ -32,10 +32,10 @@ from benchmarks.diagnose_suite.working import RECIPES, Folder, settings_of, with
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.recipe import load_recipe
-from irlos_pipe.simulate.catalogue import check_effects
+from irlos_pipe.simulate.effects.catalogue import effects_of
 from irlos_pipe.simulate.recordings import load_spec
 from irlos_pipe.simulate.recordings.series import plan_recordings
-from irlos_pipe.simulate.recordings.told import side_car
+from irlos_pipe.simulate.recordings.side_car import side_car
 
 CASES = all_cases()
 SMALL_MDB = {"companion": {"flux_ratio": 0.001}}
@@ -138,7 +138,7 @@ def planned(tmp_path, spec):
 )
 def test_every_hidden_effect_is_a_valid_simulation(case, tmp_path):
     plan = plan_case(case, tmp_path / "spec.yaml")
-    check_effects({one.effect: one.parameters for one in plan.hidden})
+    effects_of({one.effect: one.parameters for one in plan.hidden})
     assert [one.effect for one in plan.hidden] == list(case.effects)
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.exposure import Exposed, expose
+from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
-from irlos_pipe.simulate.scene import Band, Sampling, Scene
+from irlos_pipe.simulate.scene import Sampling, Scene
 
 FACILITY = load_instrument("irlos").facility
 UT4 = FACILITY.pupil

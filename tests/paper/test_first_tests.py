@@ -28,7 +28,8 @@ from irlos_pipe.paper.first_tests.experiment import (
     wrong_minima,
 )
 from irlos_pipe.paper.first_tests.section import section as first_tests_section
-from irlos_pipe.simulate.focus_stage import reached_nm
+from irlos_pipe.simulate.effects.catalogue import effects_of
+from irlos_pipe.simulate.effects.focus_stage import reached_nm
 
 TARGET_1, TARGET_2 = TARGETS["target_1"], TARGETS["target_2"]
 
@@ -72,7 +73,7 @@ def test_the_stage_of_target_1_overshoots_and_half_of_target_2_is_biased():
         (TARGET_2, lambda commanded: 40 * (commanded > 0)),
     ):
         commanded = target.order(8)
-        reached = reached_nm(commanded, target.stage_effects, np.random.default_rng(0))
+        reached = reached_nm(commanded, effects_of(target.stage_effects), np.random.default_rng(0))
         assert reached - commanded == pytest.approx(expected(commanded))
 
 
@@ -89,7 +90,7 @@ def test_cube_and_ramp_share_their_ncpas_of_the_size_asked_for():
 @pytest.mark.parametrize("target", [TARGET_1, TARGET_2], ids=["saw-tooth", "bias"])
 def test_the_error_of_the_stage_is_found_from_the_commanded_defocus(target):
     commanded = np.repeat(target.order(10), 5)
-    reached = reached_nm(commanded, target.stage_effects, np.random.default_rng(0))
+    reached = reached_nm(commanded, effects_of(target.stage_effects), np.random.default_rng(0))
     noise = 3 * np.random.default_rng(1).standard_normal(len(commanded))
     made = {"introduced_nm": commanded, "key/defocus_nm": 1.02 * reached - 7 + noise}
     error = stage_error(made, "key", target)

@@ -14,8 +14,10 @@ import pytest
 from helpers.simulated_scenes import FACILITY
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.simulate.detector import DetectorModel, Readout, electrons
-from irlos_pipe.simulate.scene import Band, Scene
+from irlos_pipe.simulate.detector import Readout, electrons
+from irlos_pipe.simulate.detector_model import DetectorModel
+from irlos_pipe.simulate.light import Band
+from irlos_pipe.simulate.scene import Scene
 
 WINDOW = (40, 48)
 BENIGN = Scene("test", FACILITY, (Band(1600.0, 20.0),), (0,), 1, 0.1, window=WINDOW)

@@ -12,11 +12,12 @@ from scipy.ndimage import label
 
 from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.catalogue import EFFECTS
 from irlos_pipe.simulate.checks import SceneError
-from irlos_pipe.simulate.exposure import expose, telescope_of, with_halo
-from irlos_pipe.simulate.petals import petal_opd_nm
-from irlos_pipe.simulate.scene import Band, Sampling
+from irlos_pipe.simulate.effects.catalogue import EFFECTS
+from irlos_pipe.simulate.effects.low_wind import LowWindEffect
+from irlos_pipe.simulate.exposure import expose, telescope_of, with_effective_sky
+from irlos_pipe.simulate.light import Band
+from irlos_pipe.simulate.scene import Sampling
 
 CONTRACT = {
     "tip_tilt_jitter",
@@ -64,9 +65,9 @@ def test_the_catalogue_is_that_of_the_contract():
         ({"companions": {}}, "effects: 'companions' is not known; did you mean 'companion'"),
         ({"phase_bump": {"nm": 1.0, "x": 0.0}}, "effects.phase_bump: 'x' is not known; did you mean 'x_m'"),
         ({"companion": {"flux_ratio": 0.1}}, "effects.companion: pa_deg, sep_mas must be given"),
-        ({"vibration": {"sigma_mas": 3.0, "distribution": "gausian"}}, "did you mean 'gaussian'"),
+        ({"vibration": {"sigma_mas": 3.0, "shape": "gausian"}}, "did you mean 'gaussian'"),
         ({"low_wind_effect": {"piston_nm": [1.0]}}, "the pupil has 4 petals"),
-        ({"spectrum": {"weights": [1.0, 2.0]}}, "the scene has 1 bands"),
+        ({"spectrum": {"weights": [1.0, 2.0]}}, "has 2 factors; give one per band, 1"),
     ],
 )
 def test_what_is_not_known_or_does_not_fit_is_refused_in_one_line(effects, message):
@@ -108,7 +109,7 @@ def test_a_vibration_is_the_mean_over_a_sinusoid(angle_deg):
 def test_a_gaussian_vibration_is_the_mean_over_gaussian_positions():
     nodes, weights = np.polynomial.hermite_e.hermegauss(9)
     expected = sum(w / weights.sum() * moved(0.0, 9.0 * y) for y, w in zip(nodes, weights, strict=True))
-    effect = {"sigma_mas": 9.0, "angle_deg": 90.0, "frequency_hz": 50.0, "distribution": "gaussian"}
+    effect = {"sigma_mas": 9.0, "angle_deg": 90.0, "frequency_hz": 50.0, "shape": "gaussian"}
     assert worst(image(effects={"vibration": effect}), expected) < 1e-4
 
 
@@ -138,7 +139,7 @@ def test_a_halo_on_the_bench_scatters_the_light_of_its_wavefront_error():
     ],
 )
 def test_a_halo_on_the_sky_rescales_the_residual(effect, expected_nm):
-    happening = with_halo(scene(sky=Sky(0.5), effects={"seeing_halo": effect}))
+    happening = with_effective_sky(scene(sky=Sky(0.5), effects={"seeing_halo": effect}))
     assert np.isclose(happening.residual_wfe_nm, expected_nm)
 
 
@@ -154,7 +155,7 @@ def test_dispersion_moves_wavelengths_apart_about_their_mean():
 
 def test_the_spectrum_shifts_and_reddens():
     two = (Band(1500.0, 1e-6, 0.5), Band(1700.0, 1e-6, 0.5))
-    shifted = image(bands=two, effects={"spectrum": {"wavelength_nm": 30.0}})
+    shifted = image(bands=two, effects={"spectrum": {"wavelength_nm": 1630.0}})
     expected = image(bands=(Band(1530.0, 1e-6, 0.5), Band(1730.0, 1e-6, 0.5)))
     assert worst(shifted, expected) < 1e-6
     redder = (Band(1500.0, 1e-6, 0.4), Band(1700.0, 1e-6, 0.6))  # 1 ± 0.1 µm · 2 /µm
@@ -246,7 +247,7 @@ def test_low_wind_petals_follow_each_other_anticlockwise_from_the_diagonal():
 def petals_on(source) -> np.ndarray:
     """The simulator's low-wind wavefront at the points of HCIPy's grid [nm]."""
     x, y = np.asarray(source.grid.x), np.asarray(source.grid.y)
-    return petal_opd_nm(PETALS, UT4, x, y).reshape(SAMPLES, SAMPLES)
+    return LowWindEffect(**PETALS).steps_nm(UT4, x, y).reshape(SAMPLES, SAMPLES)
 
 
 def test_low_wind_images_agree_with_hcipy():
@@ -259,7 +260,7 @@ def test_low_wind_images_agree_with_hcipy():
 def test_low_wind_petals_are_part_of_the_truth():
     exposed = expose(scene(effects={"low_wind_effect": PETALS}, ncpa_nm={}))
     x, y = np.meshgrid(*[exposed.telescope.u_m] * 2)
-    assert np.allclose(exposed.mean_opd_nm, petal_opd_nm(PETALS, UT4, x, y), atol=1e-6)
+    assert np.allclose(exposed.mean_opd_nm, LowWindEffect(**PETALS).steps_nm(UT4, x, y), atol=1e-6)
 
 
 def test_modes_beyond_the_estimated_ones_are_added():

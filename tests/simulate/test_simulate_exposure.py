@@ -12,8 +12,9 @@ from helpers.simulated_scenes import image, scene, worst
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.checks import SceneError
 from irlos_pipe.simulate.exposure import expose, exposures
+from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
-from irlos_pipe.simulate.scene import Band, Sampling
+from irlos_pipe.simulate.scene import Sampling
 
 QUICK = {
     "sky": Sky(0.5),

@@ -14,8 +14,9 @@ from scipy.special import j1
 from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.exposure import expose, exposures, telescope_of
+from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
-from irlos_pipe.simulate.scene import Band, Sampling
+from irlos_pipe.simulate.scene import Sampling
 from irlos_pipe.simulate.zernikes import rotated_nm, zernike
 
 DISC = PupilGeometry(8.0)

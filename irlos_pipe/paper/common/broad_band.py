@@ -11,9 +11,10 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.paper.common.cube import DIVERSITY_NM
 from irlos_pipe.paper.common.observation import settings_of
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.detector import DetectorModel
+from irlos_pipe.simulate.detector_model import DetectorModel
+from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
-from irlos_pipe.simulate.scene import Band, Sampling, Scene
+from irlos_pipe.simulate.scene import Sampling, Scene
 
 J_AND_H = tuple(Band(band.centre_nm, band.half_width_nm, 0.5) for band in (bands.J, bands.H))
 # A second is the sum of short exposures, added where numbers do not end at 16 bits.

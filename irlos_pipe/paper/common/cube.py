@@ -17,11 +17,12 @@ from irlos_pipe.optics.wavefront import modes_at
 from irlos_pipe.paper.common.observation import frames_of, model_effects_of, settings_of
 from irlos_pipe.paper.common.variants import Variant
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.detector import DetectorModel
+from irlos_pipe.simulate.detector_model import DetectorModel
 from irlos_pipe.simulate.exposure import Exposed, expose
+from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
-from irlos_pipe.simulate.scene import Band, Sampling, Scene
+from irlos_pipe.simulate.scene import Sampling, Scene
 
 NARROW_H = (Band(bands.NARROW_H.centre_nm, bands.NARROW_H.half_width_nm),)
 NARROW_THROUGHPUT = 0.14  # width of the narrow band over that of J+H, for which the zero point holds

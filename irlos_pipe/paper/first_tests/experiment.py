@@ -34,8 +34,9 @@ from irlos_pipe.paper.common.ramps import (
     true_modes_nm,
 )
 from irlos_pipe.paper.common.variants import DEFAULT
+from irlos_pipe.simulate.effects.catalogue import effects_of
+from irlos_pipe.simulate.effects.focus_stage import reached_nm
 from irlos_pipe.simulate.exposure import expose
-from irlos_pipe.simulate.focus_stage import reached_nm
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Scene
 
@@ -169,7 +170,7 @@ def estimate(sample: TargetSample) -> dict[str, np.ndarray]:
     commanded_nm = ramp.introduced_per_frame_nm
     found = {
         "introduced_nm": commanded_nm,
-        "reached_nm": reached_nm(commanded_nm, ramp.effects, ramp.rng("focus_stage")),
+        "reached_nm": reached_nm(commanded_nm, effects_of(ramp.effects), ramp.rng("focus_stage")),
         "true_nm": true_modes_nm(ramp, exposed)[:, DEFOCUS - 2],
         "ncpa_nm": np.array(ramp.ncpa_nm[DEFOCUS]),
     }

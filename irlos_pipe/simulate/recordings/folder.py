@@ -29,7 +29,7 @@ class SimulationFolder:
 
     @property
     def spec(self) -> Path:
-        """The spec with every default made explicit; it tells the truth, so it lies outside the data."""
+        """The spec with every default made explicit; it contains the truth, so it lies outside the data."""
         return self.path / "simulation.resolved.yaml"
 
     def data(self, planned: Planned) -> Path:
@@ -37,7 +37,7 @@ class SimulationFolder:
         return self.path / "data" / planned.name
 
     def truth(self, planned: Planned) -> Path:
-        """Truth of a recording, without an ending."""
+        """Path of the truth files of a recording, without suffix."""
         stem = layout_of(planned).file_stem()
         own = planned.name if planned.name.rpartition("/")[2] == stem else f"{planned.name}/{stem}"
         return self.path / "truth" / own.replace("/", DOUBLE)

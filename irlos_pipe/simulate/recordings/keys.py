@@ -6,6 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.simulate.detector_model import ADC_TOP_ADU, DetectorModel
+from irlos_pipe.simulate.motion import Motion
+from irlos_pipe.simulate.scene import Sampling
+
 LARGEST_NM = 10_000.0
 BandName = Literal["narrow_h", "j", "h", "j_h"]
 Shape = Literal["power_law", "servo_lag", "aliasing", "non_stationary"]
@@ -22,7 +27,8 @@ class Section(BaseModel):
         return type(self).model_validate({**({} if below is None else dict(below)), **given})
 
 
-def _require_nolls(values: dict[int, float]) -> dict[int, float]:
+def require_nolls(values: dict[int, float]) -> dict[int, float]:
+    """Return `values` by Noll index, all from 2 to 1000."""
     for noll in values:
         if not 2 <= noll <= 1000:
             raise ValueError(f"{noll} is no Noll index from 2 to 1000")
@@ -30,9 +36,7 @@ def _require_nolls(values: dict[int, float]) -> dict[int, float]:
 
 
 Nanometres = Annotated[float, Field(ge=-LARGEST_NM, le=LARGEST_NM)]
-Zernikes = Annotated[dict[int, Nanometres], AfterValidator(_require_nolls)]
-Relative = Annotated[float, Field(ge=-1, le=1)]
-RelativeZernikes = Annotated[dict[int, Relative], AfterValidator(_require_nolls)]
+Zernikes = Annotated[dict[int, Nanometres], AfterValidator(require_nolls)]
 Index = Annotated[int, Field(ge=0, lt=4096)]
 Pixel = tuple[Index, Index]
 Degrees = Annotated[float, Field(ge=-720, le=720)]
@@ -53,7 +57,7 @@ class AberrationKeys(Section):
 
 
 class DiversityKeys(Section):
-    """The aberration put in on purpose; the side-car tells it."""
+    """The aberration put in on purpose; the side-car states it."""
 
     source: str = Field("lens", min_length=1, description="what introduces it: lens or mirror")
     zernike: Zernikes = Field({6: -170.0}, description="Noll index: nm RMS")
@@ -64,19 +68,21 @@ class SkyKeys(Section):
 
     seeing_arcsec: float = Field(0.5, ge=0.1, le=4, description="at 500 nm, on SPARTA's scale")
     wfe_nm: float | None = Field(None, ge=0, le=1000, description="total residual, nm RMS")
-    shape: Shape = Field("power_law", description="of the spectrum inside the correction band")
-    slope: float = Field(2.0, ge=0, le=6, description="the power law falls like f**-slope")
-    wind_m_s: float = Field(10.0, ge=0, le=100, description="wind speed")
-    wind_angle_deg: Degrees = Field(-20.0, description="from +x towards +y")
+    shape: Shape = Field(Sky.shape, description="of the spectrum inside the correction band")
+    slope: float = Field(Sky.slope, ge=0, le=6, description="the power law falls like f**-slope")
+    wind_m_s: float = Field(Sky.wind_m_s, ge=0, le=100, description="wind speed")
+    wind_angle_deg: Degrees = Field(Sky.wind_angle_deg, description="from +x towards +y")
     cutoff_per_m: float | None = Field(
         None, ge=0.2, le=10, description="1 / (2 actuator pitch); that of the instrument if left out"
     )
     outer_scale_m: float | None = Field(
         None, ge=1, le=1000, description="outer scale of the turbulence; the instrument's if left out"
     )
-    delay_s: float = Field(0.003, gt=0, le=1, description="of the loop; sets the servo lag")
-    drift_rms: float = Field(0.25, ge=0, le=1, description="relative, of the size in shape non_stationary")
-    drift_s: float = Field(5.0, gt=0, le=1e4, description="correlation time of that drift")
+    delay_s: float = Field(Sky.delay_s, gt=0, le=1, description="of the loop; sets the servo lag")
+    drift_rms: float = Field(
+        Sky.drift_rms, ge=0, le=1, description="relative, of the size in shape non_stationary"
+    )
+    drift_s: float = Field(Sky.drift_s, gt=0, le=1e4, description="correlation time of that drift")
 
     @model_validator(mode="after")
     def _wind(self) -> SkyKeys:
@@ -96,9 +102,13 @@ class VibrationLine(Section):
 class MotionKeys(Section):
     """Residual image motion; the lines are those of UT4 unless given."""
 
-    rms_mas: float = Field(7.0, ge=0, le=200, description="per axis")
-    wander_hz: float = Field(4.0, gt=0, le=200, description="corner frequency of the slow wander")
-    line_coherence_s: float = Field(1.0, gt=0, le=1e4, description="time over which a line keeps its phase")
+    rms_mas: float = Field(Motion.rms_mas, ge=0, le=200, description="per axis")
+    wander_hz: float = Field(
+        Motion.wander_hz, gt=0, le=200, description="corner frequency of the slow wander"
+    )
+    line_coherence_s: float = Field(
+        Motion.line_coherence_s, gt=0, le=1e4, description="time over which a line keeps its phase"
+    )
     lines: list[VibrationLine] | None = Field(None, description="vibrations: {hz, share_x, share_y}")
 
     @model_validator(mode="after")
@@ -120,21 +130,39 @@ class HotPixel(Section):
 class DetectorKeys(Section):
     """Detector constants; the defaults are benign."""
 
-    e_per_adu: float = Field(0.5, gt=0, le=1000, description="photo-electrons per ADU")
-    read_noise_e: float = Field(1.0, ge=0, le=1000, description="RMS per pixel and frame, rounding included")
-    pedestal_adu: float = Field(200.0, ge=0, le=60000, description="level without light")
-    fixed_pattern_adu: float = Field(0.0, ge=0, le=5000, description="scatter of the level between pixels")
-    excess_noise_factor: float = Field(1.0, ge=1, le=5, description="photon variance over Poisson's")
-    flat_rms: float = Field(0.0, ge=0, le=0.5, description="scatter of the gain between pixels, relative")
-    dark_e_per_s: float = Field(0.0, ge=0, le=1e6, description="dark current of every pixel")
-    dead: list[Pixel] = Field([], description="[row, column] of pixels that the map of dead pixels tells")
+    e_per_adu: float = Field(DetectorModel.e_per_adu, gt=0, le=1000, description="photo-electrons per ADU")
+    read_noise_e: float = Field(
+        DetectorModel.read_noise_e, ge=0, le=1000, description="RMS per pixel and frame, rounding included"
+    )
+    pedestal_adu: float = Field(DetectorModel.pedestal_adu, ge=0, le=60000, description="level without light")
+    fixed_pattern_adu: float = Field(
+        DetectorModel.fixed_pattern_adu, ge=0, le=5000, description="scatter of the level between pixels"
+    )
+    excess_noise_factor: float = Field(
+        DetectorModel.excess_noise_factor, ge=1, le=5, description="photon variance over Poisson's"
+    )
+    flat_rms: float = Field(
+        DetectorModel.flat_rms, ge=0, le=0.5, description="scatter of the gain between pixels, relative"
+    )
+    dark_e_per_s: float = Field(
+        DetectorModel.dark_e_per_s, ge=0, le=1e6, description="dark current of every pixel"
+    )
+    dead: list[Pixel] = Field([], description="[row, column] of pixels that the map of dead pixels shows")
     hot: list[HotPixel] = Field([], description="pixels that the dark shows: {pixel, e_per_s}")
-    crosstalk_fraction: float = Field(0.0, ge=0, le=0.5, description="charge diffusing to the 4 neighbours")
-    coupling_fraction: float = Field(0.0, ge=0, le=0.5, description="signal induced in the 4 neighbours")
-    nonlinearity_per_e: float = Field(0.0, ge=0, le=1e-3, description="k of the response s (1 - k s)")
+    crosstalk_fraction: float = Field(
+        DetectorModel.crosstalk_fraction, ge=0, le=0.5, description="charge diffusing to the 4 neighbours"
+    )
+    coupling_fraction: float = Field(
+        DetectorModel.coupling_fraction, ge=0, le=0.5, description="signal induced in the 4 neighbours"
+    )
+    nonlinearity_per_e: float = Field(
+        DetectorModel.nonlinearity_per_e, ge=0, le=1e-3, description="k of the response s (1 - k s)"
+    )
     full_well_e: float | None = Field(None, gt=0, description="signal at which a pixel stops collecting")
-    saturation_adu: float = Field(65535.0, gt=0, le=65535, description="end of the converter")
-    pattern_seed: int = Field(0, ge=0, description="seed of what is fixed in the detector")
+    saturation_adu: float = Field(ADC_TOP_ADU, gt=0, le=ADC_TOP_ADU, description="end of the converter")
+    pattern_seed: int = Field(
+        DetectorModel.pattern_seed, ge=0, description="seed of what is fixed in the detector"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> DetectorKeys:
@@ -153,8 +181,10 @@ class SamplingKeys(Section):
     """How finely the light is computed; for tests and for checks of the accuracy."""
 
     pupil_samples: int | None = Field(None, ge=32, le=1024, description="across the diameter")
-    points_per_band: int = Field(5, ge=1, le=41, description="wavelengths per band")
-    step_s: float = Field(0.01, ge=1e-4, le=10, description="longest time between instantaneous images")
+    points_per_band: int = Field(Sampling.points_per_band, ge=1, le=41, description="wavelengths per band")
+    step_s: float = Field(
+        Sampling.step_s, ge=1e-4, le=10, description="longest time between instantaneous images"
+    )
 
 
 class BandKeys(Section):

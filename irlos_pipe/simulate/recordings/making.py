@@ -29,7 +29,7 @@ SATURATION_NOTED = 1e-4  # fraction of values on the end of the converter that i
 
 @dataclass(frozen=True)
 class Job:
-    """One recording in the work folder; `count` jobs tell their progress in one shared file."""
+    """One recording in the work folder; `count` jobs report their progress in one shared file."""
 
     planned: Planned
     work: Path
@@ -55,12 +55,12 @@ class Job:
         """Make the recording."""
         frames_done = self.frames_done()
 
-        def tell(frames: int) -> None:
+        def show(frames: int) -> None:
             frames_done[self.index] = frames
             report()
 
         self.folder.mkdir(parents=True)
-        return record(self.planned, self.folder, self.spool, tell)
+        return record(self.planned, self.folder, self.spool, show)
 
 
 def make_all(
@@ -109,10 +109,10 @@ def _put_in_place(task: Job, made: Made, target: SimulationFolder) -> None:
         final.rename(Path(tempfile.mkdtemp(dir=task.work)) / "replaced")
     task.folder.rename(final)
     write_truth(target.truth(planned), made.truth, made.wavefront_fits)
-    _tell(planned, made)
+    _report(planned, made)
 
 
-def _tell(planned: Planned, made: Made) -> None:
+def _report(planned: Planned, made: Made) -> None:
     LOG.info("%s: %d frames, brightest pixel %d ADU", planned.name, planned.scene.frames, made.brightest_adu)
     values = planned.scene.frames * int(np.prod(planned.scene.window))
     if made.saturated > SATURATION_NOTED * values:

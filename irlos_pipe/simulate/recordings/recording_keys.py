@@ -6,6 +6,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from irlos_pipe.simulate.detector_model import outside_window
+from irlos_pipe.simulate.effects.base import RecordingSetup
+from irlos_pipe.simulate.effects.catalogue import effects_of
 from irlos_pipe.simulate.recordings.effect_keys import EffectKeys
 from irlos_pipe.simulate.recordings.keys import (
     AberrationKeys,
@@ -27,7 +30,7 @@ def _kind(value: Any) -> str:
 
 
 def _one_or(one: Any, many: Any) -> Any:
-    """One value or a list of them; a wrong one is told once, not for each possibility."""
+    """One value or a list of them; a wrong one is reported once, not for each possibility."""
     return Annotated[Annotated[one, Tag("one")] | Annotated[many, Tag("list")], Discriminator(_kind)]
 
 
@@ -47,7 +50,7 @@ class Shared(Section):
     sky: SkyKeys | None = Field(None, description="AO residual; left out on the bench")
     motion: MotionKeys | None = Field(None, description="image motion; left out on the bench")
     detector: DetectorKeys | None = Field(None, description="detector constants")
-    effects: EffectKeys | None = Field(None, description="effects that the side-car does not tell")
+    effects: EffectKeys | None = Field(None, description="effects that the side-car does not state")
     sampling: SamplingKeys | None = Field(None, description="how finely the light is computed")
 
 
@@ -85,8 +88,7 @@ class RecordingKeys(Shared):
             self._series_problem(),
             self._time_problem(),
             self._layout_problem(),
-            self._spectrum_problem(),
-            *self._pixels(),
+            self._pixel_problem(),
         )
         if any(found):
             raise ValueError(next(filter(None, found)))
@@ -117,25 +119,15 @@ class RecordingKeys(Shared):
             return "layout: muse_raw holds one cube; use layout: recorder for a series"
         return ""
 
-    def _spectrum_problem(self) -> str:
-        effect = self.effects.spectrum if self.effects else None
-        bands = {"j_h": 2}.get(self.bands, 1) if isinstance(self.bands, str) else len(self.bands)
-        if effect is not None and effect.weights is not None and len(effect.weights) != bands:
-            return f"effects.spectrum.weights has {len(effect.weights)} factors; give one per band, {bands}"
-        return ""
-
-    def _pixels(self) -> list[str]:
-        """What is wrong with the pixels that this recording names."""
-        detector, effects = self.detector, self.effects
-        named = [("detector.dead", pixel) for pixel in (detector.dead if detector else ())]
-        named += [("detector.hot", hot.pixel) for hot in (detector.hot if detector else ())]
-        bad = effects.bad_pixels if effects else None
-        named += [("effects.bad_pixels", pixel) for pixel in (bad.pixels if bad else ())]
-        return [
-            f"{key}: pixel {list(pixel)} lies outside the window of {list(self.window)} (rows, columns)"
-            for key, pixel in named
-            if pixel[0] >= self.window[0] or pixel[1] >= self.window[1]
-        ]
+    def _pixel_problem(self) -> str:
+        """Say which pixel of the detector lies outside the window; empty if none does."""
+        if self.detector is None:
+            return ""
+        named = {
+            "detector.dead": self.detector.dead,
+            "detector.hot": [hot.pixel for hot in self.detector.hot],
+        }
+        return next(filter(None, (outside_window(key, own, self.window) for key, own in named.items())), "")
 
     def with_shared(self, shared: Shared) -> RecordingKeys:
         """Return this recording with the shared sections filled in below its own."""
@@ -143,12 +135,12 @@ class RecordingKeys(Shared):
         own = {name: getattr(self, name) for name in self.model_fields_set}
         return RecordingKeys.model_validate({**own, **{k: v for k, v in merged.items() if v is not None}})
 
-    def missing_section(self) -> str:
-        """What an effect needs and this recording does not have; asked when the shared sections are in."""
-        has_diversity = self.diversity is not None and any(self.diversity.zernike.values())
-        if self.effects and self.effects.diversity_error and not has_diversity:
-            return "effects.diversity_error needs a diversity; add the section 'diversity'"
-        return ""
+    def misfit(self) -> str:
+        """Say which effect does not fit the recording; asked when the shared sections are in."""
+        bands = {"j_h": 2}.get(self.bands, 1) if isinstance(self.bands, str) else len(self.bands)
+        setup = RecordingSetup(bands, self.window, self.diversity.zernike if self.diversity else {})
+        effects = effects_of(self.effects.given() if self.effects else {})
+        return next(filter(None, (effect.misfit(setup) for effect in effects)), "")
 
     def _merged(self, name: str, shared: Shared) -> Section | None:
         """A section given here goes over the shared one; given as null, it switches that one off."""

@@ -80,7 +80,7 @@ def simulate(
         When a recording cannot be made or written; finished ones stay.
     """
     plan_simulation(spec, folder, force)  # a mistake leaves no empty folder behind
-    with owned_folder(Path(folder)), _told_in_one_line(folder):
+    with owned_folder(Path(folder)), _reported_in_one_line(folder):
         target = SimulationFolder(Path(folder))
         target.remove_leftovers()
         steps = plan_simulation(spec, folder, force)
@@ -94,7 +94,7 @@ def simulate(
 
 
 @contextmanager
-def _told_in_one_line(folder: Path) -> Iterator[None]:
+def _reported_in_one_line(folder: Path) -> Iterator[None]:
     """Turn what the system refuses into one line."""
     try:
         yield

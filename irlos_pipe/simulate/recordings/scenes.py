@@ -10,29 +10,29 @@ from zlib import crc32
 
 import numpy as np
 
+from irlos_pipe.conventions.bands import NARROW_H, H, J
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.detector import DetectorModel
+from irlos_pipe.simulate.detector_model import DetectorModel
+from irlos_pipe.simulate.effects.base import FocusStageEffect
+from irlos_pipe.simulate.effects.catalogue import EFFECTS
+from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.recordings.keys import AberrationKeys, BandKeys, DetectorKeys, MotionKeys, SkyKeys
 from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys
 from irlos_pipe.simulate.recordings.spec import Spec
-from irlos_pipe.simulate.scene import Band, Sampling, Scene
+from irlos_pipe.simulate.scene import Sampling, Scene
 
-# Three-point Gauss-Legendre nodes of J and H lie at 1170, 1215, 1260 and 1560, 1625, 1690 nm.
-J = Band(1215.0, 45 / 0.6**0.5, 0.5)
-H = Band(1625.0, 65 / 0.6**0.5, 0.5)
 BANDS = {
-    "narrow_h": (Band(1600.0, 20.0),),
-    "j": (replace(J, share=1.0),),
-    "h": (replace(H, share=1.0),),
-    "j_h": (J, H),
+    "narrow_h": (Band.of(NARROW_H),),
+    "j": (Band.of(J),),
+    "h": (Band.of(H),),
+    "j_h": (Band.of(J, 0.5), Band.of(H, 0.5)),
 }
 THROUGHPUT = {"narrow_h": 0.14, "j": 0.5, "h": 0.5, "j_h": 1.0}  # of the photons in J+H
 FACILITY_KEYS = ("cutoff_per_m", "outer_scale_m")  # of the section `sky`
-STAGE_EFFECTS = ("focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale")
 
 
 def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
@@ -88,7 +88,11 @@ def _require_unfolded(scene: Scene) -> None:
 def _within_scene(keys: RecordingKeys) -> dict[str, Mapping[str, Any]]:
     """Effects that act in the scene; those of the focus stage act on what it introduces."""
     given = keys.effects.given() if keys.effects else {}
-    return {name: parameters for name, parameters in given.items() if name not in STAGE_EFFECTS}
+    return {
+        name: parameters
+        for name, parameters in given.items()
+        if not issubclass(EFFECTS[name], FocusStageEffect)
+    }
 
 
 def _aberrations(keys: AberrationKeys | None, spec: Spec, what: str) -> dict[int, float]:

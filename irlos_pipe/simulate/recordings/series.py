@@ -1,4 +1,4 @@
-"""The recordings of a spec: names, places in time, and what the observer is told of each."""
+"""The recordings of a spec: names, times, and what the observer knows of each."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.simulate.focus_stage import reached_nm
+from irlos_pipe.simulate.effects.catalogue import effects_of
+from irlos_pipe.simulate.effects.focus_stage import reached_nm
 from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys
 from irlos_pipe.simulate.recordings.scenes import base_scene, number
 from irlos_pipe.simulate.recordings.spec import Spec
@@ -34,17 +35,17 @@ class Planned:
         ``calibration``, or ``ramp/offset_03`` in a series.
     scene : Scene
         What happens; the defocus is what the focus stage reaches.
-    told_nm : float or tuple of float
-        Introduced defocus as the side-car tells it [nm RMS].
+    commanded_nm : float or tuple of float
+        Introduced defocus as commanded, which the side-car states [nm RMS].
     hidden : mapping
-        Effects that the side-car does not tell, those of the focus stage included.
+        Effects that the side-car does not state, those of the focus stage included.
     layout, mode : str
         Of the files; mode string of a MUSE file.
     """
 
     name: str
     scene: Scene
-    told_nm: Defocus
+    commanded_nm: Defocus
     hidden: Mapping[str, Mapping[str, Any]]
     layout: str
     mode: str
@@ -56,7 +57,7 @@ class _Member:
 
     name: str
     position: int
-    told_nm: Defocus
+    commanded_nm: Defocus
     reached_nm: Defocus
     angle_deg: float
 
@@ -84,23 +85,23 @@ def _section(spec: Spec, slot: int, name: str, keys: RecordingKeys) -> Iterator[
             start_unix_s=FIRST_START_UNIX_S + slot * SLOT_S + after_s,
             first_counter=FIRST_COUNTER + after_s * LOOP_HZ % COUNTER_WRAP,
         )
-        yield Planned(member.name, own, member.told_nm, hidden, keys.layout, keys.mode)
+        yield Planned(member.name, own, member.commanded_nm, hidden, keys.layout, keys.mode)
 
 
 def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> list[_Member]:
     if keys.offsets_nm:
         return _ramp(name, keys, hidden, rng)
-    told_nm, true_nm = _introduced(keys, hidden, rng)
+    commanded_nm, true_nm = _introduced(keys, hidden, rng)
     if keys.angles_deg:
         names = numbered(name, "angle", keys.angles_deg)
         turns = enumerate(zip(names, keys.angles_deg, strict=True))
-        return [_Member(own, index, told_nm, true_nm, angle) for index, (own, angle) in turns]
-    return [_Member(name, 0, told_nm, true_nm, keys.derotator_angle_deg)]
+        return [_Member(own, index, commanded_nm, true_nm, angle) for index, (own, angle) in turns]
+    return [_Member(name, 0, commanded_nm, true_nm, keys.derotator_angle_deg)]
 
 
 def _introduced(keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> tuple[Defocus, Defocus]:
     """Defocus commanded and reached in one recording."""
-    reached = reached_nm(np.broadcast_to(keys.introduced_nm, (keys.frames,)), hidden, rng)
+    reached = reached_nm(np.broadcast_to(keys.introduced_nm, (keys.frames,)), effects_of(hidden), rng)
     if isinstance(keys.introduced_nm, list):
         return tuple(keys.introduced_nm), tuple(reached.tolist())
     return keys.introduced_nm, float(reached[0])
@@ -110,16 +111,16 @@ def _ramp(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Genera
     """One recording per focus offset."""
     offsets_nm = keys.offsets_nm
     names, order = numbered(name, "offset", offsets_nm), visiting_order(offsets_nm, keys.order)
-    reached = reached_nm([offsets_nm[index] for index in order], hidden, rng)
+    reached = reached_nm([offsets_nm[index] for index in order], effects_of(hidden), rng)
     return [
         _Member(
             names[index],
             order.index(index),
-            told_nm,
+            commanded_nm,
             float(reached[order.index(index)]),
             keys.derotator_angle_deg,
         )
-        for index, told_nm in enumerate(offsets_nm)
+        for index, commanded_nm in enumerate(offsets_nm)
     ]
 
 

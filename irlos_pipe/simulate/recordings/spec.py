@@ -111,6 +111,6 @@ def _filled_in(name: str, keys: SpecKeys, errors: ValidationErrors) -> Recording
     except ValidationError as error:
         errors.add_invalid(error, RecordingKeys, ("recordings", name))
         return None
-    if complete.missing_section():
-        errors.add(("recordings", name), f"recordings.{name}: {complete.missing_section()}")
+    if complete.misfit():
+        errors.add(("recordings", name), f"recordings.{name}: {complete.misfit()}")
     return complete

@@ -75,7 +75,7 @@ def truth_content(planned: Planned, wavefront: WavefrontTruth) -> dict[str, Any]
     return {
         "hidden": planned.hidden,
         "ncpa_nm": static_nm(scene),
-        "introduced_defocus_nm": planned.told_nm,
+        "introduced_defocus_nm": planned.commanded_nm,
         "reached_defocus_nm": scene.introduced_nm,
         "mean_zernike_nm": wavefront.mean_zernike_nm(),
         "photons_per_frame": scene.photons,

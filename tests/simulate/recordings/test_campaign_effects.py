@@ -12,14 +12,14 @@ import yaml
 from astropy.io import fits
 from helpers.campaign_specs import CUBE, simulated, spec_of, truth
 
-from irlos_pipe.simulate.catalogue import EFFECTS
+from irlos_pipe.simulate.effects.catalogue import EFFECTS
 
 SIZES = {
     "tip_tilt_jitter": {"sigma_mas": 8},
-    "vibration": {"sigma_mas": 8, "angle_deg": 70, "frequency_hz": 48.3, "distribution": "gaussian"},
+    "vibration": {"sigma_mas": 8, "angle_deg": 70, "frequency_hz": 48.3, "shape": "gaussian"},
     "seeing_halo": {"wfe_nm": 90},
     "atmospheric_dispersion": {"mas_per_um": 300, "angle_deg": 45},
-    "spectrum": {"wavelength_nm": 30, "slope": 0.5},
+    "spectrum": {"wavelength_nm": 1630, "slope": 0.5},
     "plate_scale": {"fraction": 0.02},
     "diversity_error": {"nm": 20},
     "pupil_misregistration": {"dx_m": 0.1, "rotation_deg": 2.0},

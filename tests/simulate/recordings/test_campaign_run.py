@@ -64,7 +64,7 @@ def test_a_second_run_makes_nothing(tmp_path):
         (
             {"recordings": NIGHT | {"ramp": RAMP | {"offsets_nm": [-200, 0, 9]}}},
             ["ramp/offset_02"],
-            "told_nm",
+            "commanded_nm",
         ),
     ],
     ids=["seed", "magnitude", "effect", "offset"],

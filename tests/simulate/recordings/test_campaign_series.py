@@ -37,9 +37,9 @@ def test_a_ping_pong_ramp_goes_inwards_from_side_to_side():
 def test_a_ramp_makes_one_recording_per_offset_and_its_times_tell_the_order(tmp_path):
     ramp = planned(tmp_path, {"ramp": RAMP | {"offsets_nm": FIVE, "order": "ping_pong"}})
     assert list(ramp) == [f"ramp/offset_0{index}" for index in range(5)]
-    assert [one.told_nm for one in ramp.values()] == FIVE
+    assert [one.commanded_nm for one in ramp.values()] == FIVE
     by_time = sorted(ramp.values(), key=lambda one: one.scene.start_unix_s)
-    assert [one.told_nm for one in by_time] == [-200, 200, -100, 100, 0]
+    assert [one.commanded_nm for one in by_time] == [-200, 200, -100, 100, 0]
     starts = np.array([one.scene.start_unix_s for one in by_time])
     counters = np.array([one.scene.first_counter for one in by_time])
     assert np.all(np.diff(starts) >= 2) and np.array_equal(np.diff(counters), np.diff(starts) * 200)
@@ -68,7 +68,7 @@ def test_the_drawn_part_of_the_hysteresis_has_its_rms_and_follows_the_seed(tmp_p
 def test_a_stage_that_moves_between_frames_is_told_frame_by_frame(tmp_path):
     cube = CUBE | {"introduced_nm": [0, 50, 0], "effects": {"focus_stage_hysteresis": {"nm": 5}}}
     one = planned(tmp_path, {"steps": cube})["steps"]
-    assert one.told_nm == (0, 50, 0) and one.scene.introduced_nm == (0, 55, -5)
+    assert one.commanded_nm == (0, 50, 0) and one.scene.introduced_nm == (0, 55, -5)
 
 
 def test_effects_of_the_stage_are_told_as_hidden_and_act_once(tmp_path):
@@ -106,8 +106,10 @@ def test_a_recording_added_behind_leaves_those_before_it_as_they_are(tmp_path):
 def test_named_bands_are_those_of_the_instrument(tmp_path):
     recordings = {name: CUBE | {"bands": name} for name in ("narrow_h", "j", "h", "j_h")}
     scenes = {name: one.scene for name, one in planned(tmp_path, recordings).items()}
-    nodes = {name: [round(nm, 6) for nm, _ in scene.spectrum(3)] for name, scene in scenes.items()}
-    assert nodes["j_h"] == nodes["j"] + nodes["h"] == [1170, 1215, 1260, 1560, 1625, 1690]
+    nodes = {name: [nm for nm, _ in scene.spectrum(3)] for name, scene in scenes.items()}
+    assert nodes["j_h"] == nodes["j"] + nodes["h"]
+    # Gauss–Legendre nodes lie √0.6 half widths from the centre; half widths are whole nanometres.
+    assert nodes["j_h"] == pytest.approx([1170, 1215, 1260, 1560, 1625, 1690], abs=0.1)
     assert scenes["narrow_h"].bands[0].half_width_nm == 20
     assert scenes["j"].photons == scenes["h"].photons == scenes["j_h"].photons / 2
     assert scenes["narrow_h"].photons == pytest.approx(0.14 * scenes["j_h"].photons)

@@ -11,8 +11,9 @@ from helpers.campaign_specs import CUBE, RAMP, spec_of, written
 from helpers.paths import PACKAGE, RECIPES
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.files.json import jsonable
-from irlos_pipe.simulate.catalogue import EFFECTS, check_effects
+from irlos_pipe.simulate.effects.catalogue import EFFECTS, effects_of
 from irlos_pipe.simulate.recordings import load_spec
 from irlos_pipe.simulate.recordings.effect_keys import EffectKeys
 from irlos_pipe.simulate.recordings.series import plan_recordings
@@ -44,7 +45,27 @@ def test_the_examples_show_every_effect_of_the_catalogue_with_values_that_load()
     assert shown.keys() == EFFECTS.keys() == EffectKeys.model_fields.keys()
     given = EffectKeys.model_validate(shown).given()
     assert given.keys() == EFFECTS.keys()
-    check_effects(given)
+    effects_of(given)
+
+
+def test_a_vibration_may_have_its_former_spelling(tmp_path):
+    effects = {"vibration": {"sigma_mas": 5, "distribution": "gaussian"}}
+    (one,) = plan_recordings(loaded(tmp_path, spec_of({"one": CUBE | {"effects": effects}})))
+    assert one.hidden["vibration"]["shape"] == "gaussian" and "distribution" not in one.hidden["vibration"]
+
+
+def test_a_spectrum_is_stated_by_its_centre_and_not_by_a_shift(tmp_path):
+    lines = refusal(tmp_path, spec_of({"one": CUBE | {"effects": {"spectrum": {"wavelength_nm": 10}}}}))
+    assert "wavelength_nm = 10" in lines[0] and "300" in lines[0]
+
+
+def test_names_units_and_limits_of_effects_are_those_of_models_and_reports():
+    for name, section in EffectKeys.model_fields.items():
+        keys = section.annotation.__args__[0].model_fields
+        for public in CATALOGUE[name].public:
+            assert public.name not in keys or keys[public.name].description == public.unit
+    with pytest.raises(ValueError, match=r"less than or equal to 0\.05"):
+        EffectKeys.model_validate({"plate_scale": {"fraction": 0.06}})
 
 
 def test_every_mistake_is_told_at_once_with_line_and_suggestion(tmp_path):

@@ -1,4 +1,4 @@
-"""What moves during a frame: AO residual and image motion."""
+"""The sub-exposures of a frame: AO residual and image motion, which change while it is exposed."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from irlos_pipe.simulate.telescope import Telescope
 
 
 @dataclass(frozen=True)
-class Disturbance:
-    """What moves during one frame.
+class Subexposures:
+    """AO residual and image motion during one frame.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Disturbance:
         return np.zeros(2) if self.positions_mas is None else self.positions_mas.mean(axis=(0, 1))
 
 
-class Disturbances:
+class SubexposureSeries:
     """Residual and image motion frame after frame; time runs on between frames.
 
     Positions follow each other fast enough for the fastest vibration, so lines above the rate of the
@@ -63,9 +63,9 @@ class Disturbances:
             else None
         )
 
-    def next_frame(self) -> Disturbance:
+    def next_frame(self) -> Subexposures:
         """What moves during the next frame."""
-        moving = Disturbance(
+        moving = Subexposures(
             None if self._screens is None else self._next_screens_nm(self._screens),
             None if self._motion is None else self._next_positions_mas(self._motion),
         )

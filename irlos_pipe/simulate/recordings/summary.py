@@ -1,4 +1,4 @@
-"""What `irlos simulate` tells: the plan, and where everything is."""
+"""What `irlos simulate` reports: the plan, and where everything is."""
 
 from __future__ import annotations
 

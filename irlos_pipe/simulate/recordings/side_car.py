@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from irlos_pipe.simulate.detector import ADC_TOP_ADU, DetectorModel
+from irlos_pipe.simulate.detector_model import ADC_TOP_ADU, DetectorModel
 from irlos_pipe.simulate.recordings.series import Defocus, Planned
 from irlos_pipe.simulate.scene import Scene
 
@@ -14,7 +14,7 @@ POINTS_PER_BAND = 3
 def side_car(planned: Planned) -> dict[str, Any]:
     """Content of ``acquisition.yaml``; the seeing is left out on the bench."""
     scene = planned.scene
-    told = {
+    stated = {
         "role": scene.role,
         "target": scene.target,
         "mag_j": scene.mag_j,
@@ -22,20 +22,20 @@ def side_car(planned: Planned) -> dict[str, Any]:
         "frame_rate_hz": scene.frame_rate_hz,
         "pixel_scale_mas": scene.pixel_scale_mas,
         "seeing_arcsec": scene.sky.seeing_arcsec if scene.sky is not None else None,
-        "spectrum": spectrum_told(scene),
+        "spectrum": declared_spectrum(scene),
         "diversity": {"source": scene.diversity_source, "zernike": dict(scene.diversity_nm)},
-        "introduced_defocus_nm": _plain(planned.told_nm),
+        "introduced_defocus_nm": _plain(planned.commanded_nm),
         "derotator_angle_deg": scene.derotator_angle_deg,
         "detector": _detector(scene.detector),
     }
-    return {key: value for key, value in told.items() if value is not None}
+    return {key: value for key, value in stated.items() if value is not None}
 
 
 def _plain(defocus_nm: Defocus) -> float | list[float]:
     return list(defocus_nm) if isinstance(defocus_nm, tuple) else defocus_nm
 
 
-def spectrum_told(scene: Scene) -> list[dict[str, float]]:
+def declared_spectrum(scene: Scene) -> list[dict[str, float]]:
     """A few wavelengths per band with their photon weights."""
     weights: dict[float, float] = {}
     for wavelength_nm, weight in scene.spectrum(POINTS_PER_BAND):
@@ -45,9 +45,9 @@ def spectrum_told(scene: Scene) -> list[dict[str, float]]:
 
 
 def _detector(detector: DetectorModel) -> dict[str, float]:
-    told = {"e_per_adu": detector.e_per_adu, "read_noise_e": detector.read_noise_e}
+    stated = {"e_per_adu": detector.e_per_adu, "read_noise_e": detector.read_noise_e}
     if detector.excess_noise_factor != 1:
-        told["excess_noise_factor"] = detector.excess_noise_factor
+        stated["excess_noise_factor"] = detector.excess_noise_factor
     if detector.saturation_adu < ADC_TOP_ADU:
-        told["saturation_adu"] = detector.saturation_adu
-    return told
+        stated["saturation_adu"] = detector.saturation_adu
+    return stated

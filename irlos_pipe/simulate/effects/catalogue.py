@@ -1,0 +1,73 @@
+"""The effects that a scene can contain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from typing import Any
+
+from irlos_pipe.simulate.checks import SceneError, require_known
+from irlos_pipe.simulate.effects.base import SimulatedEffect
+from irlos_pipe.simulate.effects.colour import AtmosphericDispersion, PlateScale, Spectrum
+from irlos_pipe.simulate.effects.companion import Companion
+from irlos_pipe.simulate.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
+from irlos_pipe.simulate.effects.low_wind import LowWindEffect
+from irlos_pipe.simulate.effects.motion import TipTiltJitter, Vibration
+from irlos_pipe.simulate.effects.pixels import (
+    BackgroundGradient,
+    BadPixels,
+    DetectorNonlinearity,
+    InterpixelCrosstalk,
+)
+from irlos_pipe.simulate.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
+from irlos_pipe.simulate.effects.seeing_halo import SeeingHalo
+from irlos_pipe.simulate.effects.wavefront import DiversityError, HighOrderNcpa, NcpaDrift, PhaseBump
+
+# By name, in the order in which effects of one plane act.
+EFFECTS: dict[str, type[SimulatedEffect]] = {
+    effect.name: effect
+    for effect in (
+        TipTiltJitter,
+        Vibration,
+        SeeingHalo,
+        Spectrum,
+        AtmosphericDispersion,
+        PlateScale,
+        Companion,
+        PupilMisregistration,
+        AmplitudeAberration,
+        LowWindEffect,
+        HighOrderNcpa,
+        DiversityError,
+        PhaseBump,
+        NcpaDrift,
+        FocusStageScale,
+        FocusStageHysteresis,
+        FocusStageOffset,
+        InterpixelCrosstalk,
+        DetectorNonlinearity,
+        BackgroundGradient,
+        BadPixels,
+    )
+}
+
+
+def effects_of(effects: Mapping[str, Mapping[str, Any]]) -> list[SimulatedEffect]:
+    """Return the effects that a mapping from names to parameters describes, in the order in which they act.
+
+    Raises
+    ------
+    SceneError
+        For unknown effects, unknown parameters and missing ones, with the nearest known name.
+    """
+    require_known("effects", effects, EFFECTS)
+    return [_effect(kind, effects[name]) for name, kind in EFFECTS.items() if name in effects]
+
+
+def _effect(kind: type[SimulatedEffect], parameters: Mapping[str, Any]) -> SimulatedEffect:
+    where, known = f"effects.{kind.name}", fields(kind)  # type: ignore[arg-type]  # all are dataclasses
+    require_known(where, parameters, [one.name for one in known])
+    missing = sorted(one.name for one in known if one.default is MISSING and one.name not in parameters)
+    if missing:
+        raise SceneError(f"{where}: {', '.join(missing)} must be given")
+    return kind(**parameters)

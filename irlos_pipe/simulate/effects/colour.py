@@ -1,0 +1,75 @@
+"""Effects of colour: `spectrum`, `atmospheric_dispersion` and `plate_scale`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from irlos_pipe.simulate.effects.base import LightEffect, RecordingSetup, own
+from irlos_pipe.simulate.light import Band, Ray, mean_centre_nm
+
+
+@dataclass(frozen=True)
+class Spectrum(LightEffect):
+    """The true spectrum differs from the declared one.
+
+    Attributes
+    ----------
+    wavelength_nm : float, optional
+        True centre, the photon-weighted mean of the bands' centres; all bands are shifted alike.
+    slope : float
+        Relative change of the photons per µm about the mean wavelength.
+    weights : sequence of float, optional
+        Factor on the photons of each band.
+    """
+
+    name = "spectrum"
+    wavelength_nm: float | None = None
+    slope: float = 0.0
+    weights: Sequence[float] | None = own("factor on the photons of each band", 0.0, 1000.0)
+
+    def misfit(self, setup: RecordingSetup) -> str:
+        """See `SimulatedEffect.misfit`."""
+        if self.weights is None or len(self.weights) == setup.bands:
+            return ""
+        return f"effects.spectrum.weights has {len(self.weights)} factors; give one per band, {setup.bands}"
+
+    def spectrum(
+        self, wavelengths_nm: np.ndarray, weights: np.ndarray, bands: Sequence[Band]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `LightEffect.spectrum`."""
+        factors = np.ones(len(bands)) if self.weights is None else np.asarray(self.weights, float)
+        changed = weights * np.repeat(factors, len(weights) // len(bands))
+        mean_nm = np.average(wavelengths_nm, weights=changed)
+        changed = changed * np.maximum(1 + self.slope * (wavelengths_nm - mean_nm) / 1000, 0.0)
+        shift_nm = 0.0 if self.wavelength_nm is None else self.wavelength_nm - mean_centre_nm(bands)
+        return wavelengths_nm + shift_nm, changed
+
+
+@dataclass(frozen=True)
+class AtmosphericDispersion(LightEffect):
+    """Images move by `mas_per_um` about the mean wavelength, towards `angle_deg`."""
+
+    name = "atmospheric_dispersion"
+    mas_per_um: float
+    angle_deg: float = 0.0
+
+    def rays(self, rays: list[Ray]) -> list[Ray]:
+        """See `LightEffect.rays`."""
+        mean_nm = np.average([ray.wavelength_nm for ray in rays], weights=[ray.weight for ray in rays])
+        per_nm = self.mas_per_um / 1000
+        return [ray.moved(per_nm * (ray.wavelength_nm - mean_nm), self.angle_deg) for ray in rays]
+
+
+@dataclass(frozen=True)
+class PlateScale(LightEffect):
+    """The pixels are larger on the sky than declared, by a `fraction`."""
+
+    name = "plate_scale"
+    fraction: float
+
+    def pixel_scale_mas(self, assumed_mas: float) -> float:
+        """See `LightEffect.pixel_scale_mas`."""
+        return assumed_mas * (1 + self.fraction)

@@ -1,0 +1,89 @@
+"""Effects of the detector; the dark, the flat and the map of dead pixels do not show them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from irlos_pipe.simulate.detector_model import Pixel, marked, outside_window
+from irlos_pipe.simulate.effects.base import DetectorEffect, RecordingSetup, own
+from irlos_pipe.simulate.pixels import Pixels, shared
+
+Kind = Literal["hot", "dead", "stuck"]
+
+
+@dataclass(frozen=True)
+class InterpixelCrosstalk(DetectorEffect):
+    """A further `fraction` of the charge diffuses to the four neighbours before the multiplication."""
+
+    name = "interpixel_crosstalk"
+    fraction: float
+
+    def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
+        """See `DetectorEffect.on`."""
+        return replace(pixels, diffusion=pixels.diffusion + self.fraction)
+
+
+@dataclass(frozen=True)
+class DetectorNonlinearity(DetectorEffect):
+    """A further bend of the response, stated as the `fraction_at_peak` that the mean image's peak loses."""
+
+    name = "detector_nonlinearity"
+    fraction_at_peak: float
+
+    def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
+        """See `DetectorEffect.on`."""
+        peak_e = float(shared(mean_image_e, pixels.diffusion).max())
+        bend_per_e = self.fraction_at_peak / peak_e if peak_e > 0 else 0.0
+        return replace(pixels, nonlinearity_per_e=pixels.nonlinearity_per_e + bend_per_e)
+
+
+@dataclass(frozen=True)
+class BackgroundGradient(DetectorEffect):
+    """A plane left of pedestal or background: `level_e`, rising by `e_per_pixel` towards `angle_deg`."""
+
+    name = "background_gradient"
+    e_per_pixel: float = 0.0
+    angle_deg: float = 0.0
+    level_e: float = own("e- per frame, at the centre", -1e6, 1e6, 0.0)
+
+    def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
+        """See `DetectorEffect.on`."""
+        angle = np.deg2rad(self.angle_deg)
+        y, x = (np.arange(size) - (size - 1) / 2 for size in pixels.response.shape)
+        plane = np.cos(angle) * x + np.sin(angle) * y[:, None]
+        return replace(pixels, background_e=self.level_e + self.e_per_pixel * plane)
+
+
+@dataclass(frozen=True)
+class BadPixels(DetectorEffect):
+    """Pixels that went bad after the calibration images were taken.
+
+    Attributes
+    ----------
+    pixels : sequence of (row, column)
+    kind : {"hot", "dead", "stuck"}
+    level_e : float
+        Mean charge of hot pixels per frame, or constant reading of stuck ones above the pedestal [e-].
+    """
+
+    name = "bad_pixels"
+    pixels: Sequence[Pixel]
+    kind: Kind = "hot"
+    level_e: float = own("e- per frame, of hot and stuck pixels", 0.0, 1e6, 1000.0)
+
+    def misfit(self, setup: RecordingSetup) -> str:
+        """See `SimulatedEffect.misfit`."""
+        return outside_window("effects.bad_pixels", self.pixels, setup.window)
+
+    def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
+        """See `DetectorEffect.on`."""
+        bad = marked(self.pixels, pixels.response.shape)
+        if self.kind == "hot":
+            return replace(pixels, hot_e=np.where(bad, self.level_e, 0.0))
+        if self.kind == "dead":
+            return replace(pixels, alive=np.where(bad, 0.0, 1.0))
+        return replace(pixels, stuck_e=np.where(bad, self.level_e, np.nan))

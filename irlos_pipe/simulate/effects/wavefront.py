@@ -1,0 +1,72 @@
+"""Effects on the smooth wavefront: `high_order_ncpa`, `diversity_error`, `phase_bump` and `ncpa_drift`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from irlos_pipe.simulate.effects.base import RecordingSetup, WavefrontEffect
+from irlos_pipe.simulate.telescope import Telescope
+
+
+@dataclass(frozen=True)
+class HighOrderNcpa(WavefrontEffect):
+    """Further static modes `zernike_nm`, Noll: nm RMS."""
+
+    name = "high_order_ncpa"
+    zernike_nm: Mapping[int, float]
+
+    def static_zernike_nm(self, diversity_nm: Mapping[int, float]) -> Mapping[int, float]:
+        """See `WavefrontEffect.static_zernike_nm`."""
+        return self.zernike_nm
+
+
+@dataclass(frozen=True)
+class DiversityError(WavefrontEffect):
+    """The amplitude of the diversity is larger than declared by `nm`."""
+
+    name = "diversity_error"
+    nm: float
+
+    def misfit(self, setup: RecordingSetup) -> str:
+        """See `SimulatedEffect.misfit`."""
+        if any(setup.diversity_nm.values()):
+            return ""
+        return "effects.diversity_error needs a diversity; add the section 'diversity'"
+
+    def static_zernike_nm(self, diversity_nm: Mapping[int, float]) -> Mapping[int, float]:
+        """See `WavefrontEffect.static_zernike_nm`."""
+        if self.nm == 0:
+            return {}
+        amplitude_nm = float(np.linalg.norm(list(diversity_nm.values())))
+        return {noll: value_nm * self.nm / amplitude_nm for noll, value_nm in diversity_nm.items()}
+
+
+@dataclass(frozen=True)
+class PhaseBump(WavefrontEffect):
+    """A Gaussian of height `nm` and standard deviation `width_m` at (`x_m`, `y_m`)."""
+
+    name = "phase_bump"
+    nm: float
+    x_m: float
+    y_m: float
+    width_m: float
+
+    def static_opd_nm(self, telescope: Telescope) -> np.ndarray:
+        """See `WavefrontEffect.static_opd_nm`."""
+        x2, y2 = (telescope.u_m - self.x_m) ** 2, (telescope.u_m - self.y_m) ** 2
+        return self.nm * np.exp(-(x2[None, :] + y2[:, None]) / (2 * self.width_m**2))
+
+
+@dataclass(frozen=True)
+class NcpaDrift(WavefrontEffect):
+    """Modes that grow linearly from nothing to `zernike_nm`, Noll: nm RMS, over the recording."""
+
+    name = "ncpa_drift"
+    zernike_nm: Mapping[int, float]
+
+    def drift_zernike_nm(self) -> Mapping[int, float]:
+        """See `WavefrontEffect.drift_zernike_nm`."""
+        return self.zernike_nm
