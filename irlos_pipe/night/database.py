@@ -1,6 +1,6 @@
 """The SQLite file of a tree: descriptions of recordings, and the numbers and verdicts of all runs.
 
-The products hold everything that stands here: without the file the next `irlos night` makes it again.
+Everything in it can be read from the products: if the file is missing, the next `irlos night` makes it again.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ class Database:
         return row[0] if row else ""
 
     def store_run(self, run: str, group: Group, recipe: str, measured: Measurements) -> None:
-        """Store the numbers of a run in place of those it had before.
+        """Store the numbers of a run and remove those of its earlier products.
 
         Parameters
         ----------

@@ -180,7 +180,7 @@ def _store(tree: Path, job: Job, reduced: Reduced) -> None:
 
 
 def _write_pages(request: Request, state: RunState) -> None:
-    """Find the numbers that left their band, and write the pages of nights with news."""
+    """Find the numbers that left their band, and write the pages of nights that changed."""
     with opened(request.tree) as database:
         trend = make_trend(database.points(), database.verdicts(), request.settings.band)
     for date, night in state.nights.items():

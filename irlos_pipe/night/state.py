@@ -1,4 +1,4 @@
-"""What a run of `irlos night` found and did, night by night; filled in as the run goes on."""
+"""What a run of `irlos night` found and did, night by night; filled in during the run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Night:
     alarms : list of str
         Numbers of this night that left their band, one line each.
     nothing : str
-        Why there is nothing to do, if there is not.
+        Why there is nothing to do; empty if there is something.
     stopped : str
         What stopped the whole run before the night was finished, if anything did.
     """

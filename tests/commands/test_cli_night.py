@@ -24,14 +24,14 @@ def night(bench, *options: str):
     return invoke("night", str(bench.archive), "--output", str(bench.tree), *recipes, *options)
 
 
-def test_nothing_is_said_when_all_is_well(bench):
+def test_nothing_is_printed_when_all_is_well(bench):
     bench.record(MORNING)
     for _ in range(2):
         result = night(bench)
         assert (result.exit_code, result.output) == (0, "")
 
 
-def test_one_line_says_what_is_wrong_and_where_to_look(bench):
+def test_one_line_states_what_is_wrong_and_where_to_look(bench):
     (bench.record(MORNING) / "ingest.bad").touch()
     bench.record("2024-02-11T04:00:00", "other", {"4": 500.0})
     result = night(bench)
@@ -42,7 +42,7 @@ def test_one_line_says_what_is_wrong_and_where_to_look(bench):
     )
 
 
-def test_several_nights_that_need_a_look_are_told_in_one_line_too(bench):
+def test_several_nights_that_need_a_look_are_reported_in_one_line_too(bench):
     for day in (11, 12, 13):
         bench.record(f"2024-02-{day}T03:00:00", numbers={"4": 500.0 if day < 13 else 5.0})
     result = night(bench)
@@ -52,21 +52,21 @@ def test_several_nights_that_need_a_look_are_told_in_one_line_too(bench):
     )
 
 
-def test_an_empty_night_is_64_silent_for_cron_and_told_with_v(bench):
+def test_an_empty_night_is_exit_code_64_silent_for_cron_and_reported_with_v(bench):
     result = night(bench)
     assert (result.exit_code, result.output) == (64, "")
     assert len(list(bench.tree.glob("night_*.html"))) == 1
     assert night(bench, "-v").stderr == f"irlos: error: {bench.archive}: no recordings\n"
 
 
-def test_a_tree_in_use_is_75(bench):
+def test_a_tree_in_use_is_exit_code_75(bench):
     bench.record(MORNING)
     with owned_folder(bench.tree):
         result = night(bench)
     assert result.exit_code == 75 and "in use by another run" in result.stderr
 
 
-def test_verbose_tells_what_was_done(bench):
+def test_verbose_lists_what_was_done(bench):
     bench.record(MORNING)
     result = night(bench, "-v")
     assert result.stdout.splitlines()[0].split() == ["2024-02-10", "030000_cube/cube", "ok", "new"]
@@ -79,8 +79,8 @@ def test_a_dry_run_lists_stages_with_reasons_also_as_json(bench):
     assert line == "2024-02-10/030000_cube/cube  all stages  run  no products yet\n"
     assert not bench.tree.exists()
     night(bench)
-    told = json.loads(night(bench, "--dry-run", "--json").stdout)
-    assert [(one["stage"], one["action"]) for one in told] == [
+    content = json.loads(night(bench, "--dry-run", "--json").stdout)
+    assert [(one["stage"], one["action"]) for one in content] == [
         ("ingest", "skip"),
         ("calibrate", "skip"),
         ("lift", "skip"),
@@ -96,20 +96,20 @@ def test_a_dry_run_names_what_it_could_not_reduce(bench):
     assert "torn.fits" in rows[-1]["reason"] and "torn.fits" in night(bench, "--dry-run").stdout
 
 
-def test_json_tells_of_an_empty_night_too(bench):
+def test_json_reports_an_empty_night_too(bench):
     bench.archive.mkdir(exist_ok=True)
     for options in ([], ["--dry-run"]):
         result = night(bench, "--json", *options)
-        told = json.loads(result.stdout)
-        assert result.exit_code == told["exit_code"] == 64
-        assert told["nights"] == [] and "no recordings" in told["nothing"]
+        content = json.loads(result.stdout)
+        assert result.exit_code == content["exit_code"] == 64
+        assert content["nights"] == [] and "no recordings" in content["nothing"]
 
 
-def test_json_tells_every_reduction_and_the_code(bench):
+def test_json_lists_every_reduction_and_the_exit_code(bench):
     bench.record(MORNING)
-    told = json.loads(night(bench, "--json").stdout)
-    assert told["exit_code"] == 0 and told["nights"][0]["recordings"] == 1
-    assert told["nights"][0]["reductions"][0]["name"] == "2024-02-10/030000_cube/cube"
+    content = json.loads(night(bench, "--json").stdout)
+    assert content["exit_code"] == 0 and content["nights"][0]["recordings"] == 1
+    assert content["nights"][0]["reductions"][0]["name"] == "2024-02-10/030000_cube/cube"
 
 
 def config(bench, text: str) -> str:
@@ -128,7 +128,7 @@ def test_a_config_names_recipes_beside_it_and_changes_their_settings(bench):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("recipes: {calibraton: []}", "night.yaml:1: recipes.calibraton"),
         ("recepes: {}", "night.yaml:1: unknown key 'recepes'; did you mean 'recipes'?"),
@@ -137,24 +137,24 @@ def test_a_config_names_recipes_beside_it_and_changes_their_settings(bench):
         ("settings: {cube: {calibrate.limt: 1}}", "unknown key 'calibrate.limt'; did you mean 'limit'?"),
     ],
 )
-def test_a_mistake_in_the_config_is_told_with_its_place(bench, text, told):
+def test_a_mistake_in_the_config_is_reported_with_its_line(bench, text, message):
     bench.record(MORNING)
     result = night(bench, "--config", config(bench, text))
-    assert result.exit_code == 2 and told in result.stderr
+    assert result.exit_code == 2 and message in result.stderr
 
 
 @pytest.mark.parametrize(
-    ("recipe", "told"),
+    ("recipe", "message"),
     [
         ("cube.yaml", "expected KIND=PATH"),
         ("rmp=cube.yaml", "no such kind of group; did you mean 'ramp'?"),
         ("calibration=absent.yaml", "absent.yaml: cannot be read"),
     ],
 )
-def test_a_mistake_in_a_recipe_option_is_told_in_one_line(bench, recipe, told):
+def test_a_mistake_in_a_recipe_option_is_reported_in_one_line(bench, recipe, message):
     bench.record(MORNING)
     result = invoke("night", str(bench.archive), "--output", str(bench.tree), "--recipe", recipe)
-    assert result.exit_code == 2 and told in result.stderr and result.stderr.count("\n") == 1
+    assert result.exit_code == 2 and message in result.stderr and result.stderr.count("\n") == 1
 
 
 def test_a_recipe_with_an_input_that_its_group_does_not_have_is_refused(bench):

@@ -131,7 +131,7 @@ def without_drawings(monkeypatch) -> None:
 
 
 def make(folder: Path, monkeypatch) -> NightBench:
-    """Put the stand-ins in place; the archive is empty."""
+    """Install the stand-in stages; the archive is empty."""
     modules = fake_stages.modules()
     for name, work in (("ingest", ingest), ("calibrate", calibrate), ("lift", lift)):
         modules[f"irlos_pipe.stages.{name}.stage"].__dict__.update(Config=Config, run=work)

@@ -1,4 +1,4 @@
-"""Tasks on a Dask cluster: the same bits as in this process, whoever dies meanwhile.
+"""Tasks on a Dask cluster: the same bits as in this process, whichever worker dies.
 
 Truth: the same recipe run stage after stage in this process. The cluster has two workers, each a
 process of one thread.
@@ -71,8 +71,8 @@ def on_dask(address: str, work, tasks: list[Task]) -> dict[str, Reduced]:
     return {one.name: one for one in dask_runner(address)(work, tasks)}
 
 
-def noted(marks: Path, task: Task, last: str, before: Reduced | None, hold: str = "") -> Reduced:
-    """Like `reduce_group`; notes process and stage, and holds the first try at one stage for good."""
+def marked(marks: Path, task: Task, last: str, before: Reduced | None, hold: str = "") -> Reduced:
+    """Run `reduce_group`, write a mark with the process of every try, and hold the first try at one stage."""
     from irlos_pipe.stages import STAGES
 
     stage, work = STAGES[last], STAGES[last].run
@@ -91,8 +91,8 @@ def noted(marks: Path, task: Task, last: str, before: Reduced | None, hold: str 
         stage.run = work
 
 
-def kill_when_there(mark: Path) -> None:
-    """Kill the process that left a mark."""
+def kill_marked(mark: Path) -> None:
+    """Wait for a mark and kill the process that wrote it."""
     end = time.monotonic() + 120
     while time.monotonic() < end:
         if mark.exists() and mark.read_text():
@@ -108,20 +108,17 @@ def same_to_the_bit(task: Task, folder: Path) -> None:
         assert list(ours.arrays) == list(serial.arrays)
         for key, quantity in serial.arrays.items():
             assert quantity.value.tobytes() == ours.arrays[key].value.tobytes(), key
-        drop = {"seconds"}
-        assert {k: v for k, v in ours.results.items() if k not in drop} == {
-            k: v for k, v in serial.results.items() if k not in drop
-        }
+        assert ours.results | {"seconds": 0} == serial.results | {"seconds": 0}
         assert (ours.checks, ours.config) == (serial.checks, serial.config)
 
 
-def test_a_worker_killed_in_the_middle_of_a_stage_costs_that_stage_only_and_no_bit(address, tasks, tmp_path):
+def test_a_worker_killed_during_a_stage_costs_only_that_stage_and_changes_no_bit(address, tasks, tmp_path):
     marks = tmp_path / "marks"
     marks.mkdir()
-    killer = threading.Thread(target=kill_when_there, args=(marks / "b-calibrate-0",))
+    killer = threading.Thread(target=kill_marked, args=(marks / "b-calibrate-0",))
     killer.start()
     tasks = tasks[:2]
-    done = on_dask(address, partial(noted, marks, hold="b-calibrate"), tasks)
+    done = on_dask(address, partial(marked, marks, hold="b-calibrate"), tasks)
     killer.join()
     assert [done[task.name].problem for task in tasks] == ["", ""]
     tries = sorted(mark.name for mark in marks.iterdir())
@@ -133,7 +130,7 @@ def test_a_worker_killed_in_the_middle_of_a_stage_costs_that_stage_only_and_no_b
     assert not np.array_equal(one, other)
 
 
-def test_what_fails_or_kills_every_worker_is_told_and_the_others_are_reduced(address, tasks):
+def test_a_task_that_fails_or_kills_every_worker_is_reported_and_the_others_are_reduced(address, tasks):
     done = on_dask(address, deadly, tasks)
     assert "KilledWorker" in done[tasks[0].name].problem and done[tasks[0].name].failed
     assert done[tasks[1].name].problem == "b: no star" and done[tasks[2].name].status == "ok"
@@ -147,40 +144,40 @@ def deadly(task: Task, last: str, before: Reduced | None) -> Reduced:
     return Reduced(task.name, task.folder, "new")
 
 
-def test_the_stages_of_a_task_come_one_after_the_other_with_the_result_of_the_one_before(address, tasks):
-    done = on_dask(address, told_stages, tasks)
+def test_each_stage_of_a_task_gets_the_outcome_of_the_stage_before(address, tasks):
+    done = on_dask(address, listed_stages, tasks)
     assert [done[task.name].reasons for task in tasks] == [("ingest", "calibrate")] * 3
 
 
-def told_stages(task: Task, last: str, before: Reduced | None) -> Reduced:
+def listed_stages(task: Task, last: str, before: Reduced | None) -> Reduced:
     return Reduced(task.name, task.folder, "new", reasons=(*(before.reasons if before else ()), last))
 
 
 def test_a_worker_with_other_software_is_refused(address, tasks, monkeypatch):
-    monkeypatch.setattr(provenance, "PACKAGES", ("torch",))  # here; the workers tell all of theirs
+    monkeypatch.setattr(provenance, "PACKAGES", ("torch",))  # here; the workers report all of theirs
     provenance.software_versions.cache_clear()
     with pytest.raises(ConfigurationError, match=r"numpy .* instead of none.*not be the same"):
-        on_dask(address, told_stages, tasks)
+        on_dask(address, listed_stages, tasks)
     provenance.software_versions.cache_clear()
 
 
-def test_an_address_where_nobody_answers_is_told(tasks, monkeypatch):
+def test_an_address_without_a_scheduler_is_reported(tasks, monkeypatch):
     pytest.importorskip("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
     from irlos_pipe.night import engines
 
     monkeypatch.setattr(engines, "CONNECT_S", 0.5)
     with pytest.raises(ConfigurationError, match="no Dask scheduler answers there"):
-        on_dask("tcp://127.0.0.1:9", told_stages, tasks)
+        on_dask("tcp://127.0.0.1:9", listed_stages, tasks)
 
 
-def test_an_address_without_a_port_is_told_before_a_client_is_made(tasks, monkeypatch):
+def test_an_address_without_a_port_is_reported_before_a_client_is_made(tasks, monkeypatch):
     distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install -e '.[dask]'")
     monkeypatch.setattr(distributed, "Client", None)
     with pytest.raises(ConfigurationError, match=r"--scheduler foo: .*missing port number"):
-        on_dask("foo", told_stages, tasks)
+        on_dask("foo", listed_stages, tasks)
 
 
-def test_without_dask_the_engine_says_what_to_install(tmp_path, monkeypatch):
+def test_without_dask_the_error_names_the_package_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     result = invoke(
         "night",

@@ -40,7 +40,7 @@ def test_a_recorder_folder_is_described_by_side_car_and_table(tmp_path):
     assert one.configuration == "9.7 mas per pixel, lens, Noll 6 -170 nm" and one.spectrum == "1600 nm (1)"
 
 
-def test_raw_files_of_one_folder_are_inputs_of_their_own_and_2x2_modes_are_recognised(tmp_path):
+def test_raw_files_of_one_folder_are_separate_inputs_and_2x2_modes_are_recognised(tmp_path):
     folder = tmp_path / "n"
     folder.mkdir()
     write_muse(folder / "full.fits", PIXELS, FULL_PUPIL)
@@ -56,14 +56,14 @@ def test_raw_files_of_one_folder_are_inputs_of_their_own_and_2x2_modes_are_recog
     ("name", "night"),
     [("2023-07-13", "2023-07-13"), ("IRLOS_20230713_a", "2023-07-13"), ("2023-99-99", None), ("x", None)],
 )
-def test_without_times_the_date_of_the_folder_counts_or_that_of_the_file(tmp_path, name, night):
+def test_a_recording_without_times_has_the_date_of_its_folder_or_else_of_its_file(tmp_path, name, night):
     path = write_recorder(tmp_path / name / "cube", PIXELS)
     os.utime(path, (1700000000, 1700000000))  # 2023-11-14 22:13 UTC
     (one,) = found(tmp_path / name).recordings
     assert (one.start_unix_s, one.night) == (None, night or "2023-11-14")
 
 
-def test_what_is_wrong_with_one_recording_does_not_hide_the_others(tmp_path):
+def test_an_unreadable_recording_does_not_hide_the_others(tmp_path):
     write_recorder(tmp_path / "n/good", PIXELS, times=TIMES)
     torn = write_recorder(tmp_path / "n/torn", PIXELS)
     torn.write_bytes(torn.read_bytes()[:4000])
@@ -75,7 +75,7 @@ def test_what_is_wrong_with_one_recording_does_not_hide_the_others(tmp_path):
     assert "key 'role' missing" in result.unusable[0].problem and "\n" not in result.unusable[1].problem
 
 
-def test_an_unforeseen_error_of_a_reader_is_named_and_contained(tmp_path, monkeypatch):
+def test_an_unexpected_error_of_a_reader_is_named_and_does_not_stop_the_others(tmp_path, monkeypatch):
     write_recorder(tmp_path / "n/a", PIXELS)
     write_recorder(tmp_path / "n/b", PIXELS)
     read = module.read_sources
@@ -100,7 +100,7 @@ def test_a_folder_that_may_not_be_read_is_named_and_the_others_are_searched(tmp_
     assert "no permission" in result.unusable[0].problem
 
 
-def test_keys_of_the_settings_win_over_the_side_car(tmp_path):
+def test_keys_of_the_settings_override_the_side_car(tmp_path):
     write_recorder(tmp_path / "n/cube", PIXELS)
     (one,) = found(tmp_path / "n", keys=AcquisitionKeys(role="psf")).recordings
     assert one.role == "psf"
@@ -120,7 +120,7 @@ def test_a_recording_is_read_once_and_again_when_it_or_its_side_car_changes(tmp_
     assert found(tmp_path / "n").recordings[0].role == "psf" and len(reads) == 1
 
 
-def test_times_that_come_later_in_a_table_of_the_loop_are_read(tmp_path):
+def test_a_loop_table_that_arrives_later_gives_the_times(tmp_path):
     path = write_recorder(tmp_path / "n/cube", PIXELS)
     assert found(tmp_path / "n").recordings[0].start_unix_s is None
     loop_table(20 * np.arange(3), TIMES["Seconds"], TIMES["USeconds"]).writeto(path.with_name("loop.fits"))

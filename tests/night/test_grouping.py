@@ -29,7 +29,7 @@ def offset(name: str, minute: float | None, folder: str = "ramp", **changes) -> 
     return recording(name, "defocus_ramp", minute, folder, **changes)
 
 
-def served(*found: Description) -> dict[str, str]:
+def calibrations_used(*found: Description) -> dict[str, str]:
     """Name of the calibration by that of the ramp's first recording."""
     groups = [one for one in group_recordings(found, SETTINGS).groups if one.kind == "ramp"]
     return {one.inputs["ramp"][0].name: one.inputs["calibration"][0].name for one in groups}
@@ -66,21 +66,21 @@ def test_a_pause_longer_than_the_gap_ends_a_ramp():
     assert names(longer)[1:] == [("ramp", ["o0", "o1", "o2"])]
 
 
-def test_a_ramp_is_served_by_the_calibration_of_its_configuration_nearest_in_time():
+def test_a_ramp_uses_the_calibration_of_its_configuration_nearest_in_time():
     cubes = [cube("early", 0), cube("near", 30), cube("nearer-but-mirror", 39, configuration=MIRROR)]
-    assert served(*cubes, offset("o", 40)) == {"o": "near"}
-    assert served(*cubes, offset("o", 14)) == {"o": "early"}
-    assert served(*cubes, offset("o", 0, configuration=MIRROR)) == {"o": "nearer-but-mirror"}
+    assert calibrations_used(*cubes, offset("o", 40)) == {"o": "near"}
+    assert calibrations_used(*cubes, offset("o", 14)) == {"o": "early"}
+    assert calibrations_used(*cubes, offset("o", 0, configuration=MIRROR)) == {"o": "nearer-but-mirror"}
 
 
-def test_one_calibration_serves_several_ramps():
-    found = served(cube("c", 0), offset("o", 10), offset("p", 10, "other"))
+def test_several_ramps_may_use_one_calibration():
+    found = calibrations_used(cube("c", 0), offset("o", 10), offset("p", 10, "other"))
     assert found == {"o": "c", "p": "c"}
 
 
-def test_where_no_times_are_known_the_folders_decide():
+def test_without_times_the_folders_decide():
     cubes = [cube("a", None, folder="first"), cube("b", None, folder="second")]
-    assert served(*cubes, offset("o", None, "second")) == {"o": "b"}
+    assert calibrations_used(*cubes, offset("o", None, "second")) == {"o": "b"}
 
 
 def test_a_ramp_without_calibration_of_its_configuration_is_left_out_and_that_is_alarming():
@@ -89,16 +89,16 @@ def test_a_ramp_without_calibration_of_its_configuration_is_left_out_and_that_is
     assert LENS in found.left_out[0].reason
 
 
-def test_the_same_night_comes_before_an_earlier_one_and_that_before_a_later_one():
+def test_the_same_night_is_preferred_to_an_earlier_one_and_that_to_a_later_one():
     same = cube("same", 300)
     before, after = cube("before", -1440, night="2024-02-09"), cube("after", 1440, night="2024-02-11")
     ramp = offset("o", 0)
-    assert served(same, before, after, ramp) == {"o": "same"}
-    assert served(before, after, ramp) == {"o": "before"}
-    assert served(after, ramp) == {"o": "after"}
+    assert calibrations_used(same, before, after, ramp) == {"o": "same"}
+    assert calibrations_used(before, after, ramp) == {"o": "before"}
+    assert calibrations_used(after, ramp) == {"o": "after"}
 
 
-def test_a_calibration_serves_for_so_many_nights_and_may_be_known_from_earlier():
+def test_a_calibration_is_used_for_a_number_of_nights_and_may_be_known_from_earlier():
     old = cube("old", -1440 * 7, night="2024-02-03")
     found = group_recordings([offset("o", 0)], SETTINGS, others=[old])
     assert names(found) == [("ramp", ["o"])] and found.groups[0].inputs["calibration"] == (old,)
@@ -111,14 +111,14 @@ def test_recordings_of_one_ramp_are_of_one_night():
     assert names(found)[1:] == [("ramp", ["o"]), ("ramp", ["p"])]
 
 
-def test_derotator_cubes_are_one_series_and_others_are_alone():
+def test_derotator_cubes_form_one_series_and_psf_recordings_are_separate():
     angles = [recording(f"angle_{i}", "derotator", 3.0 * i) for i in range(3)]
     found = group_recordings([*angles, recording("star", "psf", 50), recording("star2", "psf", 51)], SETTINGS)
     series = ("derotator", ["angle_0", "angle_1", "angle_2"])
     assert names(found) == [series, ("psf", ["star"]), ("psf", ["star2"])]
 
 
-def test_darks_go_with_every_recording_of_their_mode_and_window():
+def test_darks_are_added_to_every_recording_of_their_mode_and_window():
     darks = [
         recording("dark", "dark", 90, configuration="9.7 mas per pixel"),
         recording("small", "dark", 91, window=(32, 32)),

@@ -15,7 +15,7 @@ def reduce_or_die(task: Task) -> Reduced:
     return Reduced(task.name, task.folder, "new")
 
 
-def test_a_process_that_is_killed_costs_its_own_task_only(tmp_path):
+def test_a_killed_process_costs_only_its_own_task(tmp_path):
     tasks = [Task(name, tmp_path / name, Path("recipe.yaml")) for name in ("bad", "good")]
     found = {one.name: one for one in local_runner(1)(reduce_or_die, tasks)}
     assert [name for name, one in sorted(found.items()) if one.failed] == ["bad"]

@@ -33,26 +33,26 @@ def run(tmp_path) -> PublishedRun:
     return run
 
 
-def test_new_products_are_seen_when_they_are_published_and_not_before(run):
+def test_new_products_are_visible_when_they_are_published_and_not_before(run):
     work(run, "new")
     assert shown(run) == ["old", "old", "old"]
     run.publish()
     assert shown(run) == ["new", "new", "oldnew"]
 
 
-def test_work_begins_with_the_published_products_without_copying_them(run):
+def test_work_starts_with_hard_links_to_the_published_products(run):
     begun = run.prepare()
     assert os.path.samefile(begun / "a.h5", run.path / "a.h5")
     assert not os.path.samefile(begun / "run.log", run.path / "run.log")
     assert not (begun / ".lock").exists()
 
 
-def test_what_was_begun_is_gone_on_with(run):
+def test_unfinished_work_is_continued(run):
     (run.prepare() / "c.h5").touch()
     assert (run.prepare() / "c.h5").is_file()
 
 
-def test_a_kill_while_the_products_are_taken_over_is_not_gone_on_with(run, monkeypatch):
+def test_a_half_filled_work_folder_of_a_killed_run_is_not_continued(run, monkeypatch):
     def killed(*_, **__):
         raise KeyboardInterrupt
 
@@ -65,7 +65,7 @@ def test_a_kill_while_the_products_are_taken_over_is_not_gone_on_with(run, monke
 
 
 @pytest.mark.parametrize(("module", "name"), [(os, "replace"), (os, "rename"), (shutil, "rmtree")])
-def test_a_kill_while_publishing_leaves_one_whole_set(run, monkeypatch, module, name):
+def test_a_kill_while_publishing_leaves_one_complete_set(run, monkeypatch, module, name):
     work(run, "new")
 
     def killed(*_, **__):
@@ -83,7 +83,7 @@ def test_a_kill_while_publishing_leaves_one_whole_set(run, monkeypatch, module, 
     assert sorted(path.name for path in run.path.parent.iterdir()) == [os.readlink(run.path), "cube"]
 
 
-def test_something_else_under_that_name_is_not_replaced(tmp_path):
+def test_something_else_with_the_name_of_the_link_is_not_replaced(tmp_path):
     (tmp_path / "cube").mkdir()
     with pytest.raises(IrlosError, match="is in the way"):
         PublishedRun(tmp_path / "cube").prepare()

@@ -62,8 +62,8 @@ def test_one_line_names_the_bad_recording_and_the_rest_is_reduced(night):
     page = tree / "night_2024-02-10.html"
     assert result.exit_code == 5 and result.stdout == "" and result.stderr.count("\n") == 1
     assert "torn.fits" in result.stderr and str(page) in result.stderr
-    told = {path.parent.name: json.loads(path.read_text()) for path in tree.glob("*/*/[!.]*/results.json")}
-    statuses = {name: one["status"] for name, one in told.items()}
+    results = {path.parent.name: json.loads(path.read_text()) for path in tree.glob("*/*/[!.]*/results.json")}
+    statuses = {name: one["status"] for name, one in results.items()}
     assert statuses == {"ncpa_calibration": "ok", "defocus_ramp": "ok"}
 
 

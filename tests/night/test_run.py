@@ -1,4 +1,4 @@
-"""`irlos night` on stand-in stages: what is reduced, what is told, and what survives."""
+"""`irlos night` on stand-in stages: what is reduced, what is reported, and what survives errors."""
 
 import json
 import os
@@ -35,30 +35,30 @@ def change_model(monkeypatch, stage: str = "calibrate") -> None:
 def test_a_night_is_reduced_into_a_folder_per_group_and_recipe(bench):
     bench.record(MORNING)
     bench.record("2024-02-11T03:10:00", "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
-    ran = bench.run()
-    assert ran.exit_code == 0 and list(ran.nights) == ["2024-02-10"]
+    state = bench.run()
+    assert state.exit_code == 0 and list(state.nights) == ["2024-02-10"]
     for group, recipe in (("030000_cube", "cube"), ("031000_offset", "ramp")):
         folder = bench.run_folder(group=group, recipe=recipe)
         assert json.loads((folder / "results.json").read_text())["status"] == "ok"
         assert (folder / "03_lift.h5").is_file() and f"{group}/{recipe}/report.html" in bench.page()
 
 
-def test_a_second_run_works_on_nothing_and_leaves_every_file_as_it_is(bench):
+def test_a_second_run_does_nothing_and_changes_no_file(bench):
     bench.record(MORNING)
     bench.run()
     before, page = contents(bench.run_folder()), bench.page()
-    ran = bench.run()
-    assert [one.action for one in ran.nights["2024-02-10"].reduced.values()] == ["up to date"]
+    state = bench.run()
+    assert [one.action for one in state.nights["2024-02-10"].reduced.values()] == ["up to date"]
     assert COUNTS["ingest"] == COUNTS["calibrate"] == COUNTS["lift"] == 1
     assert contents(bench.run_folder()) == before and bench.page() == page
 
 
-def test_only_what_is_new_is_worked_on(bench):
+def test_only_new_recordings_are_reduced(bench):
     bench.record(MORNING)
     bench.run()
     bench.record("2024-02-11T04:00:00", "later")
-    ran = bench.run()
-    actions = {one.name.split("/")[1]: one.action for one in ran.nights["2024-02-10"].reduced.values()}
+    state = bench.run()
+    actions = {one.name.split("/")[1]: one.action for one in state.nights["2024-02-10"].reduced.values()}
     assert actions == {"030000_cube": "up to date", "040000_later": "new"} and COUNTS["ingest"] == 2
 
 
@@ -66,48 +66,48 @@ def test_a_bad_recording_is_named_and_the_rest_is_reduced(bench):
     bench.record(MORNING)
     damaged = bench.record("2024-02-11T03:30:00", "torn")
     (damaged / "torn.fits").write_bytes((damaged / "torn.fits").read_bytes()[:3000])
-    ran = bench.run()
-    night = ran.nights["2024-02-11"]  # all that is known of it is the date of its folder
-    assert ran.exit_code == 5 and "torn.fits" in night.failures[0]
+    state = bench.run()
+    night = state.nights["2024-02-11"]  # all that is known of it is the date of its folder
+    assert state.exit_code == 5 and "torn.fits" in night.failures[0]
     assert bench.run_folder().is_dir() and "torn.fits" in bench.page("2024-02-11")
 
 
 @pytest.mark.parametrize(
-    ("behaviour", "told"),
+    ("behaviour", "message"),
     [("ingest.bad", "ingest: no star"), ("calibrate.crash", "unexpected ZeroDivisionError: a bug")],
 )
-def test_a_reduction_that_fails_is_named_and_the_others_go_on(bench, behaviour, told):
+def test_a_reduction_that_fails_is_named_and_the_others_continue(bench, behaviour, message):
     (bench.record(MORNING, "poor") / behaviour).touch()
     bench.record("2024-02-11T04:00:00", "good")
-    ran = bench.run()
-    assert ran.exit_code == 5 and told in ran.nights["2024-02-10"].failures[0]
+    state = bench.run()
+    assert state.exit_code == 5 and message in state.nights["2024-02-10"].failures[0]
     assert not bench.run_folder(group="030000_poor").exists()
-    assert bench.run_folder(group="040000_good").is_dir() and told in bench.page()
+    assert bench.run_folder(group="040000_good").is_dir() and message in bench.page()
 
 
-def test_when_nothing_can_be_reduced_the_code_is_that_of_bad_data(bench):
+def test_the_exit_code_is_that_of_bad_data_when_nothing_can_be_reduced(bench):
     (bench.record(MORNING) / "ingest.bad").touch()
     assert bench.run().exit_code == 3
 
 
-def test_a_failed_limit_is_4_and_lost_exposures_are_5(bench):
+def test_a_failed_limit_is_exit_code_4_and_failed_exposures_are_5(bench):
     folder = bench.record(MORNING, numbers={"4": 500.0})
-    ran = bench.run()
-    assert ran.exit_code == 4 and "a QC limit failed" in bench.page()
+    state = bench.run()
+    assert state.exit_code == 4 and "a QC limit failed" in bench.page()
     (folder / "numbers.json").write_text('{"4": 5.0}')
     (folder / "ingest.partial").touch()
     assert bench.run().exit_code == 5 and "some exposures failed" in bench.page()
 
 
-def test_a_ramp_without_calibration_is_told_as_somebody_could_supply_one(bench):
+def test_a_ramp_without_a_calibration_of_its_configuration_is_a_failure(bench):
     bench.record(MORNING, "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
     bench.record("2024-02-11T04:00:00", diversity={"source": "mirror", "zernike": {6: -100.0}})
-    ran = bench.run()
-    assert ran.exit_code == 5
-    assert "offset: no calibration cube of its configuration" in ran.nights["2024-02-10"].failures[0]
+    state = bench.run()
+    assert state.exit_code == 5
+    assert "offset: no calibration cube of its configuration" in state.nights["2024-02-10"].failures[0]
 
 
-def test_a_ramp_is_served_by_a_calibration_that_an_earlier_run_saw(bench):
+def test_a_ramp_uses_a_calibration_that_an_earlier_run_found(bench):
     bench.record("2024-02-09T03:00:00")
     bench.run()
     bench.record(MORNING, "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
@@ -119,39 +119,39 @@ def test_a_ramp_is_served_by_a_calibration_that_an_earlier_run_saw(bench):
 # -- nights with nothing, crashes, locks ------------------------------------------------------
 
 
-def test_an_empty_night_is_64_and_has_a_page_of_its_own(bench):
+def test_an_empty_night_is_exit_code_64_and_has_a_page(bench):
     bench.night("2024-02-10").mkdir()
     with pytest.raises(NothingToDo, match="no recordings"):
         bench.run(bench.night("2024-02-10"))
     assert "Nothing to process" in bench.page() and ">empty<" in bench.page()
 
 
-def test_recordings_that_no_recipe_serves_are_nothing_to_process_but_listed(bench):
+def test_recordings_without_a_recipe_are_listed_and_leave_nothing_to_process(bench):
     bench.record(MORNING, "science", role="psf")
     with pytest.raises(NothingToDo, match="nothing to reduce; science: no recipe for groups of kind psf"):
         bench.run()
     assert "science" in bench.page()
 
 
-def test_a_ramp_that_no_calibration_serves_needs_a_look_though_nothing_can_be_reduced(bench):
+def test_a_night_with_nothing_but_a_ramp_without_calibration_needs_a_look(bench):
     bench.record(MORNING, "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
-    ran = bench.run()
-    assert ran.exit_code == 3
-    assert "offset: no calibration cube of its configuration" in ran.nights["2024-02-10"].failures[0]
+    state = bench.run()
+    assert state.exit_code == 3
+    assert "offset: no calibration cube of its configuration" in state.nights["2024-02-10"].failures[0]
     assert ">needs a look<" in bench.page()
 
 
-def test_a_folder_that_does_not_exist_is_told_on_the_page_too(bench):
+def test_a_folder_that_does_not_exist_is_reported_on_the_page_too(bench):
     with pytest.raises(InputDataError, match="no such file or folder"):
         bench.run(bench.night("2024-02-10"))
     assert "no such file or folder" in bench.page()
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "message"),
     [(RuntimeError("a bug"), "unexpected RuntimeError: a bug"), (KeyboardInterrupt(), "interrupted")],
 )
-def test_a_crash_leaves_a_page_that_says_so_and_the_next_run_puts_it_right(bench, error, told):
+def test_a_crash_is_stated_on_the_page_and_the_next_run_completes_the_night(bench, error, message):
     bench.record(MORNING)
 
     def runner(work, tasks):
@@ -160,7 +160,7 @@ def test_a_crash_leaves_a_page_that_says_so_and_the_next_run_puts_it_right(bench
 
     with pytest.raises(type(error)):
         run_night(bench.request(), runner)
-    assert told in bench.page() and ">stopped<" in bench.page() and "not finished" in bench.page()
+    assert message in bench.page() and ">stopped<" in bench.page() and "not finished" in bench.page()
     assert bench.run().exit_code == 0 and ">ok<" in bench.page()
 
 
@@ -176,7 +176,7 @@ def test_the_page_of_a_run_that_is_killed_says_that_it_is_not_finished(bench):
     assert "continues where it stopped" in seen[0] and ">not finished<" in seen[0]
 
 
-def test_numbers_that_a_kill_kept_from_the_file_are_put_in_by_the_next_run(bench):
+def test_numbers_that_a_killed_run_did_not_store_are_stored_by_the_next_run(bench):
     bench.record(MORNING)
     bench.run()
     with sqlite3.connect(bench.tree / NAME) as connection:
@@ -188,14 +188,14 @@ def test_numbers_that_a_kill_kept_from_the_file_are_put_in_by_the_next_run(bench
     assert found == {"noll_4_nm": 30.0, "noll_5_nm": -10.0}
 
 
-def test_a_tree_in_use_is_left_alone(bench):
+def test_a_tree_in_use_is_not_touched(bench):
     bench.record(MORNING)
     with owned_folder(bench.tree), pytest.raises(Locked):
         bench.run()
     assert not (bench.tree / "night_2024-02-10.html").exists()
 
 
-def test_the_tree_may_not_lie_among_the_recordings(bench):
+def test_the_tree_must_lie_outside_the_recordings(bench):
     result = invoke("night", str(bench.archive), "--output", str(bench.archive / "tree"))
     assert result.exit_code == 2 and "lies inside input" in result.output
 
@@ -203,14 +203,14 @@ def test_the_tree_may_not_lie_among_the_recordings(bench):
 # -- reprocessing ------------------------------------------------------------------------------
 
 
-def test_after_a_change_exactly_what_depends_on_it_is_redone_and_the_reason_told(bench, monkeypatch):
+def test_after_a_change_exactly_the_stages_that_depend_on_it_are_redone_with_the_reason(bench, monkeypatch):
     for day in (11, 12):
         bench.record(f"2024-02-{day}T03:00:00")
     bench.run()
     change_model(monkeypatch, "lift")
-    ran = bench.run()
+    state = bench.run()
     assert (COUNTS["ingest"], COUNTS["calibrate"], COUNTS["lift"]) == (2, 2, 4)
-    for night in ran.nights.values():
+    for night in state.nights.values():
         (reduced,) = night.reduced.values()
         assert reduced.action == "redone"
         assert reduced.reasons == ("lift: redone because stage version 1 -> 2",)
@@ -227,7 +227,7 @@ def test_a_changed_recording_redoes_its_group_only(bench):
     assert actions == {"030000_cube": "redone", "040000_other": "up to date"}
 
 
-def test_a_dry_run_lists_what_would_be_done_and_why_and_touches_nothing(bench, monkeypatch):
+def test_a_dry_run_lists_stages_with_reasons_and_writes_nothing(bench, monkeypatch):
     bench.record(MORNING)
     plan, failures = plan_night(bench.request())
     assert [steps for _, steps in plan] == [None] and failures == [] and not bench.tree.exists()
@@ -242,14 +242,14 @@ def test_a_dry_run_lists_what_would_be_done_and_why_and_touches_nothing(bench, m
     assert contents(bench.run_folder()) == before and COUNTS["calibrate"] == 1
 
 
-def test_old_products_stay_whole_when_a_later_stage_of_the_new_ones_fails(bench, monkeypatch):
+def test_old_products_stay_complete_when_a_later_stage_of_the_new_ones_fails(bench, monkeypatch):
     folder = bench.record(MORNING)
     bench.run()
     before = contents(bench.run_folder())
     change_model(monkeypatch)
     (folder / "lift.crash").touch()
-    ran = bench.run()
-    assert ran.exit_code == 3 and COUNTS["calibrate"] == 2
+    state = bench.run()
+    assert state.exit_code == 3 and COUNTS["calibrate"] == 2
     assert contents(bench.run_folder()) == before
     (folder / "lift.crash").unlink()
     assert bench.run().exit_code == 0
@@ -257,7 +257,7 @@ def test_old_products_stay_whole_when_a_later_stage_of_the_new_ones_fails(bench,
     assert after["02_calibrate.h5"] != before["02_calibrate.h5"] and not list(folder.glob(".*.part"))
 
 
-def test_an_interrupted_reprocessing_goes_on_where_it_was(bench, monkeypatch):
+def test_an_interrupted_reprocessing_continues_where_it_stopped(bench, monkeypatch):
     folder = bench.record(MORNING)
     bench.run()
     before = contents(bench.run_folder())
@@ -277,7 +277,7 @@ def _interrupted(_):
     raise KeyboardInterrupt
 
 
-def test_a_change_taken_back_leaves_the_old_products_and_no_half_made_ones(bench, monkeypatch):
+def test_a_reverted_change_keeps_the_old_products_and_removes_unfinished_ones(bench, monkeypatch):
     bench.record(MORNING)
     bench.run()
     with monkeypatch.context() as patch:
@@ -290,22 +290,22 @@ def test_a_change_taken_back_leaves_the_old_products_and_no_half_made_ones(bench
     assert len(list(bench.run_folder().parent.iterdir())) == 2
 
 
-def test_only_nights_since_a_date_are_looked_at(bench):
+def test_nights_before_the_first_date_are_skipped(bench):
     for day in (11, 12):
         bench.record(f"2024-02-{day}T03:00:00")
     assert list(bench.run(since="2024-02-11").nights) == ["2024-02-11"]
 
 
-def test_what_is_in_the_way_of_a_group_is_not_touched(bench):
+def test_a_foreign_folder_in_the_place_of_a_group_is_not_touched(bench):
     bench.record(MORNING)
     (bench.run_folder()).mkdir(parents=True)
     (bench.run_folder() / "mine.txt").touch()
-    ran = bench.run()
-    assert "is in the way" in ran.nights["2024-02-10"].failures[0]
+    state = bench.run()
+    assert "is in the way" in state.nights["2024-02-10"].failures[0]
     assert os.listdir(bench.run_folder()) == ["mine.txt"]
 
 
-def test_stages_sent_one_by_one_leave_what_one_task_leaves(bench):
+def test_stages_run_one_by_one_leave_the_same_as_one_task(bench):
     bench.record(MORNING)
 
     def stage_by_stage(work, tasks):

@@ -60,7 +60,7 @@ def tree(tmp_path) -> Path:
     return tmp_path
 
 
-def test_a_run_put_in_again_replaces_its_numbers(tmp_path):
+def test_a_run_that_is_stored_again_replaces_its_numbers(tmp_path):
     run = put(tmp_path, 0, measured("old", noll_4_nm=1.0, noll_5_nm=2.0))
     put(tmp_path, 0, measured("new", noll_4_nm=3.0))
     with opened(tmp_path) as database:
@@ -68,7 +68,7 @@ def test_a_run_put_in_again_replaces_its_numbers(tmp_path):
         assert database.run_key(run) == "new" and database.run_key("other") == ""
 
 
-def test_a_run_without_a_time_stands_at_midnight_of_its_night(tmp_path):
+def test_a_run_without_a_time_is_placed_at_midnight_of_its_night(tmp_path):
     put(tmp_path, 0, measured(noll_4_nm=1.0), start=False)
     with opened(tmp_path) as database:
         (point,) = database.points()
@@ -81,12 +81,12 @@ def test_numbers_come_in_order_of_time_with_modes_in_order_of_their_index(tree):
     assert all(np.all(np.diff([point.unix_s for point in one.points]) == DAY_S) for one in trend.series)
 
 
-def test_a_coefficient_that_leaves_its_band_alarms_and_the_sky_does_not(tree):
+def test_a_coefficient_out_of_its_band_alarms_and_the_seeing_does_not(tree):
     alarms = read_trend(tree, BandSettings()).alarms()
     assert [(point.night, point.name) for point, _ in alarms] == [(night(19), "noll_4_nm")]
 
 
-def test_the_trend_as_of_a_night_is_that_of_what_was_there_then(tree):
+def test_the_trend_until_a_night_equals_the_trend_made_on_that_night(tree):
     rule = BandSettings()
     with opened(tree) as database:
         then = make_trend(database.points(night(12)), database.verdicts(night(12)), rule)
@@ -96,7 +96,7 @@ def test_the_trend_as_of_a_night_is_that_of_what_was_there_then(tree):
         assert np.array_equal(one.change_nm2, other.change_nm2)
 
 
-def test_stability_is_that_of_the_modes_beyond_tip_and_tilt(tree):
+def test_stability_is_the_structure_function_of_the_modes_without_tip_and_tilt(tree):
     """Against a sum over all pairs; 0.5 nm of noise in two modes is taken off."""
     trend = read_trend(tree, BandSettings(), until=night(18))
     (structure,) = trend.structures.values()
@@ -119,7 +119,7 @@ def test_two_recipes_make_two_series(tmp_path):
     assert [one.recipe for one in read_trend(tmp_path, BandSettings()).series] == ["cube", "dip"]
 
 
-def test_the_page_tells_every_verdict_of_the_night_with_the_gap_of_its_own_recording(tmp_path):
+def test_the_page_shows_every_verdict_of_the_night_with_the_gap_of_its_own_recording(tmp_path):
     for recipe, gap in (("cube", 0.02), ("muse", 0.05)):
         put(tmp_path, 0, measured(verdict="effect", gap_before=gap, gap_after=gap / 2), recipe=recipe)
     trend = read_trend(tmp_path, BandSettings())
@@ -127,7 +127,7 @@ def test_the_page_tells_every_verdict_of_the_night_with_the_gap_of_its_own_recor
     assert [note.partition(": ")[2] for note in notes] == ["gap 0.020 → 0.010", "gap 0.050 → 0.025"]
 
 
-def test_of_several_series_the_longest_is_shown_then_the_more_precise(tmp_path):
+def test_the_longest_of_several_series_is_shown_and_then_the_most_precise(tmp_path):
     put(tmp_path, 0, measured(noll_4_nm=1.0), recipe="one")
     for recipe in ("many", "few"):
         put(tmp_path, 1, measured(noll_4_nm=2.0), recipe=recipe)
@@ -140,7 +140,7 @@ def test_of_several_series_the_longest_is_shown_then_the_more_precise(tmp_path):
 # -- the command -------------------------------------------------------------------------------
 
 
-def test_the_table_tells_values_bands_stability_and_alarms(tree):
+def test_the_table_shows_values_bands_stability_and_alarms(tree):
     result = invoke("trend", str(tree))
     assert result.exit_code == 4
     row = next(line.split() for line in result.stdout.splitlines() if line.startswith("noll_4_nm"))
@@ -150,17 +150,21 @@ def test_the_table_tells_values_bands_stability_and_alarms(tree):
     assert result.stderr.startswith(line)
 
 
-def test_a_night_within_its_bands_is_0_and_silent_on_stderr(tree):
+def test_a_night_within_its_bands_is_exit_code_0_and_silent_on_stderr(tree):
     result = invoke("trend", str(tree), "--until", night(18))
     assert (result.exit_code, result.stderr) == (0, "") and night(19) not in result.stdout
 
 
 def test_json_holds_every_point_with_its_band(tree):
-    told = json.loads(invoke("trend", str(tree), "--json").stdout)
-    series = {one["name"]: one["points"] for one in told["series"]}
+    content = json.loads(invoke("trend", str(tree), "--json").stdout)
+    series = {one["name"]: one["points"] for one in content["series"]}
     low, high = series["noll_4_nm"][-1]["band"]
     assert low < 40 < high < series["noll_4_nm"][-1]["value"] and series["noll_4_nm"][0]["band"] is None
-    assert len(told["verdicts"]) == 20 and told["stability"][0]["pairs"][0] == 19 and len(told["alarms"]) == 1
+    assert (
+        len(content["verdicts"]) == 20
+        and content["stability"][0]["pairs"][0] == 19
+        and len(content["alarms"]) == 1
+    )
 
 
 @pytest.mark.parametrize(("ending", "begin"), [("svg", b"<?xml"), ("png", b"\x89PNG")])
@@ -178,7 +182,7 @@ def test_a_plot_is_drawn_to_a_file(tree, ending, begin):
         (("--until", "2023-01-01"), 64, "no numbers yet until 2023-01-01"),
     ],
 )
-def test_a_mistake_is_told_in_one_line(tree, options, code, line):
+def test_a_mistake_is_reported_in_one_line(tree, options, code, line):
     result = invoke("trend", str(tree), *options)
     assert result.exit_code == code and line in result.stderr and result.stderr.count("\n") == 1
 
@@ -189,7 +193,7 @@ def test_a_folder_that_is_no_tree_is_bad_data(tmp_path):
     assert not (tmp_path / NAME).exists()
 
 
-def test_a_database_that_is_damaged_is_told_with_what_to_do(tmp_path):
+def test_a_database_that_is_damaged_is_reported_with_what_to_do(tmp_path):
     (tmp_path / NAME).write_bytes(b"no database" * 100)
     result = invoke("trend", str(tmp_path))
     assert result.exit_code == 1 and "move the file away" in result.stderr and result.stderr.count("\n") == 1

@@ -44,14 +44,14 @@ def test_every_pair_is_counted_once_in_the_bin_of_its_lag():
             assert getattr(found, name)[row] == pytest.approx(np.mean(np.array(values)[within]), rel=1e-12)
 
 
-def test_independent_changes_show_the_same_at_every_lag():
+def test_white_changes_give_the_same_at_every_lag():
     count, modes, s_nm = 800, 20, 3.0
     values = np.random.default_rng(1).normal(0, s_nm, (count, modes))
     found = structure_function(DAY_S * np.arange(count), values, np.zeros((count, modes)))
     assert found.change_nm2 == pytest.approx(np.full(len(found.pairs), 2 * modes * s_nm**2), rel=0.05)
 
 
-def test_the_noise_of_measurement_is_taken_off():
+def test_measurement_noise_is_subtracted():
     count, modes, s_nm, noise_nm = 800, 20, 3.0, 6.0
     rng = np.random.default_rng(2)
     values = rng.normal(0, s_nm, (count, modes)) + rng.normal(0, noise_nm, (count, modes))
@@ -70,7 +70,7 @@ def test_a_random_walk_changes_in_proportion_to_the_lag():
     assert short.sum() >= 5 and found.change_nm2[short] == pytest.approx(expected, rel=0.1)
 
 
-def test_what_noise_explains_shows_as_no_change():
+def test_changes_that_noise_explains_count_as_none():
     values = np.random.default_rng(4).normal(0, 1, (50, 5))
     found = structure_function(DAY_S * np.arange(50), values, np.full((50, 5), 1.2))
     assert np.all(found.change_nm2 < 0) and np.all(found.change_nm == 0)
@@ -81,7 +81,7 @@ def test_what_noise_explains_shows_as_no_change():
 
 @pytest.mark.parametrize("nights", [5, 10, 40])
 @pytest.mark.parametrize("probability", [0.05, 0.01])
-def test_false_alarms_are_no_more_frequent_than_asked_for(nights, probability):
+def test_false_alarms_are_not_more_frequent_than_requested(nights, probability):
     rng, trials = np.random.default_rng(nights), 2000
     rule = BandSettings(false_alarm=probability, least_nights=nights)
     draws = rng.normal(size=(trials, nights + 1))
@@ -90,29 +90,29 @@ def test_false_alarms_are_no_more_frequent_than_asked_for(nights, probability):
     assert alarms <= allowed and alarms >= 0.2 * trials * probability
 
 
-def test_a_jump_is_seen_against_forty_quiet_nights():
+def test_a_jump_after_forty_quiet_nights_is_out_of_its_band():
     values = np.random.default_rng(5).normal(30, 1, 41)
     values[-1] = 45.0
     band = bands(dates(41), values, [0.5] * 41, BandSettings())[-1]
     assert not band.holds(45.0) and band.holds(30.0) and band.nights == 40
 
 
-def test_nights_that_went_wrong_move_the_band_little():
+def test_outlying_nights_hardly_move_the_band():
     values = np.random.default_rng(6).normal(0, 1, 41)
     clean = band_of_last(values)
     values[3:11] = 1000.0
-    spoilt = band_of_last(values)
-    assert abs(spoilt.centre - clean.centre) < 1 and spoilt.half_width < 3 * clean.half_width
+    shifted = band_of_last(values)
+    assert abs(shifted.centre - clean.centre) < 1 and shifted.half_width < 3 * clean.half_width
 
 
-def test_several_recordings_of_a_night_count_once_and_are_not_judged_by_one_another():
+def test_several_recordings_of_a_night_count_once_and_do_not_define_their_own_band():
     nights = [*dates(6), *["2024-02-01"] * 3]
     found = bands(nights, [0, 1, 2, 3, 4, 5, 100, 200, 300], [None] * 9, RULE)
     assert [band.nights if band else None for band in found] == [None] * 5 + [5, 6, 6, 6]
     assert found[6] == found[7] == found[8] and found[6].centre == 2.5
 
 
-def test_only_the_latest_nights_make_the_band_and_too_few_make_none():
+def test_only_the_latest_nights_define_the_band_and_too_few_give_none():
     values = [*[0.0] * 10, *np.arange(100.0, 120.0), 0.0]
     rule = BandSettings(false_alarm=1e-2, nights=20)
     assert band_of_last(values, rule=rule).centre == 109.5
