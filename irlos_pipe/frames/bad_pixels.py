@@ -1,7 +1,8 @@
 """Bad pixels and cosmic hits, recognised by what they do over time and between neighbours.
 
-Throughout, `sampling_px` is the number of pixels per λ/D at the shortest wavelength, and `noise` the
-declared noise of photons and read-out.
+Throughout, `images_e` are finite images (frames, rows, columns) [e-], `good` (rows, columns) is True for
+pixels not known to be bad, `sampling_px` is the number of pixels per λ/D at the shortest wavelength, and
+`noise` the declared noise of photons and read-out.
 """
 
 from __future__ import annotations
@@ -86,11 +87,7 @@ def deviant_pixels(
 
     Parameters
     ----------
-    images_e : ndarray, (frames, rows, columns)
-        Finite [e-].
-    good : ndarray of bool, (rows, columns)
-        Pixels not known to be bad.
-    sampling_px, noise
+    images_e, good, sampling_px, noise
         See the module.
     thresholds : Thresholds
         `sigma` and `fraction` are used.
@@ -151,11 +148,7 @@ def noisy_pixels(
 
     Parameters
     ----------
-    images_e : ndarray, (frames, rows, columns)
-        Finite [e-].
-    good : ndarray of bool, (rows, columns)
-        Pixels not known to be bad.
-    sampling_px, noise
+    images_e, good, sampling_px, noise
         See the module.
     thresholds : Thresholds
         `noisy_ratio`, `sigma` and `fraction` are used.
@@ -253,14 +246,10 @@ def cosmic_hits(
 
     Parameters
     ----------
-    images_e : ndarray, (frames, rows, columns)
-        Finite [e-].
+    images_e, good, sampling_px, noise
+        See the module.
     frames : ndarray of int
         Indices of the frames to search.
-    good : ndarray of bool, (rows, columns)
-        Pixels not known to be bad.
-    sampling_px, noise
-        See the module.
     thresholds : Thresholds
         `sigma` and `fraction` are used.
     """
@@ -298,33 +287,17 @@ def _suspicious_frames(
 
 
 def flickering_pixels(hits: Hits, frames: int, window: tuple[int, int], fraction: float) -> np.ndarray:
-    """Find pixels that are hit too often to be unlucky.
+    """Find pixels of the `window` that are hit too often to be unlucky, (rows, columns).
 
-    Parameters
-    ----------
-    hits : Hits
-        Those of all frames.
-    frames : int
-        Number of frames that were searched.
-    window : tuple of int
-        Rows and columns.
-    fraction : float
-        A pixel hit in more of the frames, and in three at least, is bad.
+    Those are the pixels with `hits` in more than a `fraction` of so many `frames`, and in three at least.
     """
     return hits.per_pixel(window) > max(2, fraction * frames)
 
 
 def without_bad_pixels(images_e: np.ndarray, good: np.ndarray, sampling_px: float) -> np.ndarray:
-    """Replace bad pixels by the prediction of their good neighbours, 0 where there are none.
+    """Return `images_e` with pixels that are not `good` predicted from their good neighbours.
 
-    Parameters
-    ----------
-    images_e : ndarray, (frames, rows, columns)
-        Left as they are.
-    good : ndarray of bool, (rows, columns)
-        False for bad pixels.
-    sampling_px : float
-        See the module.
+    They are 0 where there are none; `sampling_px` is that of the module.
     """
     if good.all():
         return images_e
@@ -339,18 +312,9 @@ def without_bad_pixels(images_e: np.ndarray, good: np.ndarray, sampling_px: floa
 
 
 def without_hits(images_e: np.ndarray, hits: Hits, good: np.ndarray, sampling_px: float) -> np.ndarray:
-    """Replace the pixels of `hits` in `images_e` by the prediction from the same frame.
+    """Return `images_e` with the pixels of `hits` predicted from `good` ones of the same frame.
 
-    Parameters
-    ----------
-    images_e : ndarray, (frames, rows, columns)
-        Left as they are.
-    hits : Hits
-        Frames and pixels to replace.
-    good : ndarray of bool, (rows, columns)
-        Pixels to predict from.
-    sampling_px : float
-        See the module.
+    The `sampling_px` is that of the module.
     """
     if hits.frame.size == 0:
         return images_e

@@ -90,6 +90,19 @@ def _fit(terms: np.ndarray, variance: np.ndarray, expected: np.ndarray, degrees:
     return MeasuredNoise(float(floor), float(np.sqrt(covariance[0, 0])), float(slope))
 
 
+def mean_variance(stack: np.ndarray) -> float:
+    """Return the variance per pixel of the mean of a stack (frames, rows, columns) of dark images.
+
+    From a single image it is judged by the differences of neighbouring pixels, an upper bound:
+    a true pattern of the detector counts as noise.
+    """
+    if stack.shape[0] > 1:
+        return float(np.median(frame_variance(stack, mean_frame(stack))) / stack.shape[0])
+    differences = np.diff(stack[0].astype(np.float64), axis=1)
+    scatter = 1.4826 * np.median(np.abs(differences - np.median(differences)))
+    return float(scatter**2 / 2)
+
+
 def dark_variance_e2(images_e: np.ndarray, good: np.ndarray, at_most_e2: float) -> float:
     """Measure the variance per pixel of the dark image in the frames that it was taken from.
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.frames.blocks import frame_variance, mean_frame
+from irlos_pipe.frames.measured_noise import mean_variance
 from irlos_pipe.frames.raw import CalibrationMaps
 from irlos_pipe.readers.fitsfile import first_image, hdu_label, native, open_fits
 
@@ -59,19 +59,6 @@ def read_calibration_maps(
     if "DARK" in images:
         maps = replace(maps, dark_variance_adu2=mean_variance(images["DARK"]))
     return _with_weight(maps, means.get("WEIGHT"), found.get("WEIGHT"))
-
-
-def mean_variance(stack: np.ndarray) -> float:
-    """Return the variance per pixel of the mean of a stack (frames, rows, columns) of dark images.
-
-    From a single image it is judged by the differences of neighbouring pixels, an upper bound:
-    a true pattern of the detector counts as noise.
-    """
-    if stack.shape[0] > 1:
-        return float(np.median(frame_variance(stack, mean_frame(stack))) / stack.shape[0])
-    differences = np.diff(stack[0].astype(np.float64), axis=1)
-    scatter = 1.4826 * np.median(np.abs(differences - np.median(differences)))
-    return float(scatter**2 / 2)
 
 
 def _read_stack(path: Path, window: tuple[int, int]) -> np.ndarray:

@@ -15,7 +15,6 @@ from irlos_pipe.conventions.seeing import SPARTA
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.instrument.instrument import Instrument, Mode
 from irlos_pipe.readers.fitsfile import hdu_label, header_number, image_array, stem
-from irlos_pipe.readers.quadrants import split_quadrants
 from irlos_pipe.readers.raw import RawRecording
 from irlos_pipe.readers.times import unix_seconds
 
@@ -135,3 +134,42 @@ def _start(hdus: fits.HDUList, header: fits.Header) -> float:
         return float(Time(stamp, scale="utc").unix)
     times = unix_seconds(hdus[ATMOSPHERE]) if ATMOSPHERE in hdus else None
     return float(times[0]) if times is not None and times.size else float("nan")
+
+
+def split_quadrants(cube: np.ndarray, where: str) -> list[np.ndarray]:
+    """Split frames into the images of the four lenslets, without the border of zeros around each.
+
+    Parameters
+    ----------
+    cube : ndarray, (frames, rows, columns)
+        Both window sides even; each quadrant has a border of zeros one pixel wide.
+    where : str
+        Begins the message of an error.
+
+    Returns
+    -------
+    list of ndarray, (frames, rows / 2 - 2, columns / 2 - 2)
+        Lower left, lower right, upper left, upper right (row index is y, upwards).
+
+    Raises
+    ------
+    InputDataError
+        A window that cannot be halved, or a border that is not zero.
+    """
+    rows, columns = cube.shape[1:]
+    if rows % 2 or columns % 2:
+        raise InputDataError(
+            f"{where}: a window of {rows}x{columns} px has no four equal quadrants, "
+            "which the 2x2 mode of the header asks for"
+        )
+    quadrants = [
+        cube[:, y : y + rows // 2, x : x + columns // 2] for y in (0, rows // 2) for x in (0, columns // 2)
+    ]
+    for number, quadrant in enumerate(quadrants, start=1):
+        border = np.ones(quadrant.shape[1:], dtype=bool)
+        border[1:-1, 1:-1] = False
+        if np.any(quadrant[:, border] != 0):
+            raise InputDataError(
+                f"{where}: quadrant {number} lacks the one-pixel border of zeros of a 2x2 mode"
+            )
+    return [np.ascontiguousarray(quadrant[:, 1:-1, 1:-1]) for quadrant in quadrants]

@@ -19,28 +19,21 @@ from irlos_pipe.readers.raw import RawRecording
 from irlos_pipe.stages.ingest.results import IngestResults
 
 ROOT = "recordings"
-# attribute: name of its array, unit and description
+# attribute: unit and description of its array
 STORED = {
-    "images_e": ("images_e", "e-", "signal above background (frame, y, x)"),
-    "used": ("used", "", "frame is used"),
-    "reason": ("reason", "", "why a frame is not used"),
-    "good": ("pixel_mask", "", "pixel is good (y, x)"),
-    "time_s": ("time_s", "s", "time since the first frame"),
-    "frame_counter": ("frame_counter", "", "counter of the recorder"),
-    "introduced_defocus_nm": ("introduced_defocus_nm", "nm", "introduced defocus, RMS"),
-    "background_variance_e2": (
-        "background_variance_e2",
-        "e-2",
-        "variance per pixel beyond read noise and photons of the star",
-    ),
-    "dark_variance_e2": (
-        "dark_variance_e2",
-        "e-2",
-        "variance per pixel of the dark image, the same in every frame",
-    ),
-    "frames_missing": ("frames_missing", "", "frames the recorder lost"),
-    "start_unix_s": ("start_unix_s", "s", "time of the first frame since 1970"),
+    "images_e": ("e-", "signal above background (frame, y, x)"),
+    "used": ("", "frame is used"),
+    "reason": ("", "why a frame is not used"),
+    "good": ("", "pixel is good (y, x)"),
+    "time_s": ("s", "time since the first frame"),
+    "frame_counter": ("", "counter of the recorder"),
+    "introduced_defocus_nm": ("nm", "introduced defocus, RMS"),
+    "background_variance_e2": ("e-2", "variance per pixel beyond read noise and photons of the star"),
+    "dark_variance_e2": ("e-2", "variance per pixel of the dark image, the same in every frame"),
+    "frames_missing": ("", "frames the recorder lost"),
+    "start_unix_s": ("s", "time of the first frame since 1970"),
 }
+ARRAYS = {name: name for name in STORED} | {"good": "pixel_mask"}  # as they are called in the product
 LATER = ("dark_variance_e2",)  # products of ingest's first version have none
 SCALARS = {
     "background_variance_e2": float,
@@ -79,8 +72,8 @@ def arrays_from_recording(recording: Recording) -> dict[str, Quantity]:
     """Return everything that a recording holds, and the mean of its frames, as arrays of the product."""
     prefix = prefix_of(recording)
     arrays = {
-        f"{prefix}/{name}": Quantity(np.asarray(getattr(recording, attribute)), unit, description)
-        for attribute, (name, unit, description) in STORED.items()
+        f"{prefix}/{ARRAYS[name]}": Quantity(np.asarray(getattr(recording, name)), unit, description)
+        for name, (unit, description) in STORED.items()
     }
     acquisition = np.asarray(json.dumps(asdict(recording.acquisition), sort_keys=True), dtype=object)
     return arrays | {
@@ -194,11 +187,10 @@ def _stored_keys(product: Product) -> Iterator[tuple[str, str]]:
 
 def _recording(product: Product, owner: str, name: str) -> Recording:
     prefix = f"{ROOT}/{owner}/{name}"
-    names = {attribute: f"{prefix}/{array}" for attribute, (array, *_) in STORED.items()}
     stored: dict[str, Any] = {
-        attribute: product.arrays[array].value
-        for attribute, array in names.items()
-        if attribute not in LATER or array in product.arrays
+        name: product.arrays[f"{prefix}/{array}"].value
+        for name, array in ARRAYS.items()
+        if name not in LATER or f"{prefix}/{array}" in product.arrays
     }
     stored |= {key: kind(stored[key]) for key, kind in SCALARS.items() if key in stored}
     return Recording(name=name, input=owner, acquisition=_acquisition(product, prefix), **stored)

@@ -7,7 +7,7 @@ from helpers.sparta_files import FULL_PUPIL, TWO_BY_TWO, quadrants, write_muse
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.find import read_recordings
-from irlos_pipe.readers.quadrants import split_quadrants
+from irlos_pipe.readers.muse_raw import split_quadrants
 
 IRLOS = load_instrument("irlos")
 
