@@ -2,8 +2,8 @@
 
 This is where the light path ends and estimation begins: a fit, a bound or a search sees images as
 a function of Zernike modes, effect parameters, flux and background, and their derivatives, whatever the
-place at which an effect acts. Parameters in the pupil and of the OTF are differentiated by the chain
-rule at their place, those that change colours, pixel scale or the wavefront's course in time by
+plane in which an effect acts. Parameters in the pupil and of the OTF are differentiated by the chain
+rule in their plane, those that change colours, pixel scale or the wavefront's course in time by
 forward-mode differentiation of the whole path.
 """
 

@@ -11,7 +11,7 @@ from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 
 def cramer_rao_nm(
     model: ImageModel,
-    coefficients_nm: torch.Tensor,
+    modes_nm: torch.Tensor,
     flux_e: torch.Tensor,
     noise: NoiseModel,
     *,
@@ -26,14 +26,14 @@ def cramer_rao_nm(
     ----------
     model : ImageModel
         Without free effect parameters.
-    coefficients_nm : tensor, (images, modes)
+    modes_nm : tensor, (images, modes)
     flux_e : tensor, (images,)
     noise : NoiseModel
     background_e : float
         In every pixel.
     """
     flux = flux_e.double()
-    image, columns = model.predict_and_jacobian(coefficients_nm, flux, torch.full_like(flux, background_e))
+    image, columns = model.predict_and_jacobian(modes_nm, flux, torch.full_like(flux, background_e))
     image, columns = image.flatten(1), columns.double().flatten(2)
     fisher = (columns / noise.variance_e2(image)[:, None]) @ columns.mT
     covariance = scaled_inverse(fisher.cpu())

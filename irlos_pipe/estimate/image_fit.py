@@ -69,7 +69,9 @@ class ImageFit(Problem):
         self.prior_mean, self.prior_precision = layout.prior(len(images_e))
         self.has_prior = bool(self.prior_precision.any())
         if layout.effects and len(images_e) > 1:
-            raise ValueError("free effect parameters belong to one image; fit a ramp's with estimate.shared")
+            raise ValueError(
+                "free effect parameters belong to one image; fit those of a ramp with `fit_shared`"
+            )
 
     def _root_weight(self, variance_e2: torch.Tensor) -> torch.Tensor:
         """Square root of the weight per pixel; a loss in plain electrons uses the median variance."""

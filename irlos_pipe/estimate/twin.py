@@ -43,19 +43,17 @@ class TwinCheck:
         return "solution" if worse or self.distance_nm < 1.0 else "twin"
 
 
-def twin_of(
-    coefficients_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int, float]
-) -> torch.Tensor:
+def twin_of(modes_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int, float]) -> torch.Tensor:
     """Coefficients, (batch, modes), that give a centro-symmetric pupil the same image [nm].
 
     Parameters
     ----------
-    coefficients_nm : tensor, (batch, modes)
+    modes_nm : tensor, (batch, modes)
     nolls : sequence of int
     known_nm : mapping of int to float
         The known wavefront in the light path, which does not change.
     """
-    twin = coefficients_nm.clone()
+    twin = modes_nm.clone()
     for column, noll in enumerate(nolls):
         if noll_to_nm(noll)[0] % 2 == 0:
             twin[:, column] = -twin[:, column] - 2 * known_nm.get(noll, 0.0)

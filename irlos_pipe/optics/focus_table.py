@@ -98,9 +98,9 @@ class FocusTable:
         limits[:, self.focus] = torch.tensor(self.reach.focus_nm, dtype=torch.float64)
         return limits
 
-    def images(self, coefficients_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
+    def images(self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
         """See `LightPath.images`; `optics` are in the table already."""
-        x, (height, width) = coefficients_nm.to(self.device, torch.float64), self.settings.window
+        x, (height, width) = modes_nm.to(self.device, torch.float64), self.settings.window
         rows, columns = self.shift(x[:, self.tilts])
         weights = (self._angle(x) * self.orders).cos().to(self.dtype)
         images = (weights @ self.table).view(-1, *self.shape)
@@ -109,14 +109,14 @@ class FocusTable:
     @torch.no_grad()
     def images_and_jacobian(
         self,
-        coefficients_nm: torch.Tensor,
+        modes_nm: torch.Tensor,
         optics: Optics = AS_BUILT,
         tangents: Tangents = NO_TANGENTS,
         *,
         modal: bool = True,
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """See `LightPath.images_and_jacobian`; there are no parameters but the modes."""
-        x, (height, width) = coefficients_nm.to(self.device, torch.float64), self.settings.window
+        x, (height, width) = modes_nm.to(self.device, torch.float64), self.settings.window
         rows, columns = self.shift(x[:, self.tilts])
         images, slopes = self._series(x)
         along_x = torch.bmm(images, columns.mT)  # shifted, and the derivative of that
@@ -128,10 +128,10 @@ class FocusTable:
         return both[:, :height], jacobian[:, : 3 * modal]
 
     def images_and_pullback(
-        self, coefficients_nm: torch.Tensor, optics: Optics = AS_BUILT
+        self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT
     ) -> tuple[torch.Tensor, Pullback]:
         """See `LightPath.images_and_pullback`."""
-        images, jacobian = self.images_and_jacobian(coefficients_nm)
+        images, jacobian = self.images_and_jacobian(modes_nm)
         return images, lambda factors: (jacobian * factors[:, None]).sum((2, 3))
 
     def in_window(self, window: tuple[int, int], margin_mas: float, halo_margin_mas: float) -> FocusTable:

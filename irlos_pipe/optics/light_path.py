@@ -43,12 +43,12 @@ class LightPath(Protocol):
     def in_window(self, window: tuple[int, int], margin_mas: float, halo_margin_mas: float) -> LightPath:
         """The same light path to another `window`; `margin_mas`, `halo_margin_mas` as of `PsfSettings`."""
 
-    def images(self, coefficients_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
+    def images(self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
         """Unit-flux images; differentiable by autograd as well.
 
         Parameters
         ----------
-        coefficients_nm : tensor, (frames, modes)
+        modes_nm : tensor, (frames, modes)
         optics : Optics
             What effects make of the light path, see `effects.EffectSet`.
 
@@ -59,7 +59,7 @@ class LightPath(Protocol):
 
     def images_and_jacobian(
         self,
-        coefficients_nm: torch.Tensor,
+        modes_nm: torch.Tensor,
         optics: Optics = AS_BUILT,
         tangents: Tangents = NO_TANGENTS,
         *,
@@ -69,7 +69,7 @@ class LightPath(Protocol):
 
         Parameters
         ----------
-        coefficients_nm : tensor, (frames, modes)
+        modes_nm : tensor, (frames, modes)
         optics : see `images`
         tangents : Tangents
             Derivatives of pupil and OTF factors with respect to effect parameters.
@@ -84,13 +84,13 @@ class LightPath(Protocol):
         """
 
     def images_and_pullback(
-        self, coefficients_nm: torch.Tensor, optics: Optics = AS_BUILT
+        self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT
     ) -> tuple[torch.Tensor, Pullback]:
         """Images and the transpose of their Jacobian.
 
         Parameters
         ----------
-        coefficients_nm, optics : see `images`
+        modes_nm, optics : see `images`
 
         Returns
         -------

@@ -130,9 +130,9 @@ class PsfModel:
 
     # -- light path --------------------------------------------------------------------------
 
-    def _opd_nm(self, coefficients_nm: torch.Tensor) -> torch.Tensor:
+    def _opd_nm(self, modes_nm: torch.Tensor) -> torch.Tensor:
         """Wavefront with what is known of it, (frames, n, n) in mirrored order [nm]."""
-        coefficients = coefficients_nm.to(self.device, self.dtype)
+        coefficients = modes_nm.to(self.device, self.dtype)
         return (coefficients @ self.basis).unflatten(1, self.amplitude.shape) + self.known_nm
 
     def _colour(self, index: int, optics: Optics) -> Colour:
@@ -148,9 +148,9 @@ class PsfModel:
     def _like_images(self, factor: torch.Tensor) -> torch.Tensor:
         return self._complex(factor) if factor.is_complex() else self._real(factor)
 
-    def images(self, coefficients_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
+    def images(self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
         """See `LightPath.images`."""
-        opd = self._opd_nm(coefficients_nm)
+        opd = self._opd_nm(modes_nm)
         one_colour = partial(self._one_colour, opd, optics)
         return reduce(torch.add, ordered_map(one_colour, range(len(self.weights))))
 
@@ -162,7 +162,7 @@ class PsfModel:
     @torch.no_grad()
     def images_and_jacobian(
         self,
-        coefficients_nm: torch.Tensor,
+        modes_nm: torch.Tensor,
         optics: Optics = AS_BUILT,
         tangents: Tangents = NO_TANGENTS,
         *,
@@ -172,15 +172,15 @@ class PsfModel:
         per_frame = 2 * self.combine.shape[1] * self.focal_plane.widest.samples**2
         parts = [
             self._chunk(chunk, optics, tangents, modal)
-            for chunk in coefficients_nm.split(max(1, CHUNK_ELEMENTS // per_frame))
+            for chunk in modes_nm.split(max(1, CHUNK_ELEMENTS // per_frame))
         ]
         if len(parts) == 1:
             return parts[0]
         images, jacobians = zip(*parts, strict=True)
         return torch.cat(images), torch.cat(jacobians)
 
-    def _chunk(self, coefficients_nm, optics: Optics, tangents: Tangents, modal: bool):
-        opd = self._opd_nm(coefficients_nm)
+    def _chunk(self, modes_nm, optics: Optics, tangents: Tangents, modal: bool):
+        opd = self._opd_nm(modes_nm)
         one_colour = partial(self._one_colour_with_jacobian, opd, optics, tangents, modal)
         images, jacobians = zip(*ordered_map(one_colour, range(len(self.weights))), strict=True)
         return reduce(torch.Tensor.add_, images), reduce(torch.Tensor.add_, jacobians).transpose(0, 1)
@@ -203,10 +203,10 @@ class PsfModel:
 
     @torch.no_grad()
     def images_and_pullback(
-        self, coefficients_nm: torch.Tensor, optics: Optics = AS_BUILT
+        self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT
     ) -> tuple[torch.Tensor, Pullback]:
         """See `LightPath.images_and_pullback`; it costs as little as the images."""
-        opd = self._opd_nm(coefficients_nm)
+        opd = self._opd_nm(modes_nm)
         one_colour = partial(self._one_colour_with_pullback, opd, optics)
         images, to_opd = zip(*ordered_map(one_colour, range(len(self.weights))), strict=True)
 
