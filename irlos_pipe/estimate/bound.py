@@ -17,7 +17,7 @@ def cramer_rao_nm(
     *,
     background_e: float = 0.0,
 ) -> torch.Tensor:
-    """Smallest standard errors of the modes with flux and background free, (images, modes) [nm].
+    """Return the smallest standard errors of the modes with flux and background free, (images, modes) [nm].
 
     ``σ² = diag((Jᵀ V⁻¹ J)⁻¹)``, the variance V from the noise-free image; the small information
     that V itself carries is left out, as LIFT does not use it.

@@ -75,7 +75,7 @@ class CalibrationOptions:
         return METHODS[self.method].scheme
 
     def resolved(self) -> CalibrationOptions:
-        """The same with the method's defaults filled in."""
+        """Return the same with the method's defaults filled in."""
         return replace(self, loss=self.loss_function.name, highest_noll=self.last_noll)
 
 

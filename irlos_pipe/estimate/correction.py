@@ -46,7 +46,7 @@ def predict_correction(
     gain: np.ndarray,
     make_optics: Callable[[PsfModel], Optics],
 ) -> Prediction:
-    """Images before and after a correction; tip and tilt are left out of both.
+    """Return images before and after a correction; tip and tilt are left out of both.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ def mean_variance_e2(frames: Frames) -> torch.Tensor:
 
 
 def local_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-    """Running mean of `values` by `weight` over `LOCAL_PX` × `LOCAL_PX` pixels, (rows, columns)."""
+    """Average `values` by `weight` over `LOCAL_PX` × `LOCAL_PX` pixels, (rows, columns)."""
     kernel = torch.ones(1, 1, LOCAL_PX, LOCAL_PX, dtype=values.dtype)
     total, norm = (
         torch.nn.functional.conv2d(plane[None, None], kernel, padding=LOCAL_PX // 2)[0, 0]
@@ -69,7 +69,7 @@ def local_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
 
 
 def autocorrelation_time(series: np.ndarray) -> np.ndarray:
-    """Integrated autocorrelation time of every column, in frames.
+    """Return the integrated autocorrelation time of every column, in frames.
 
     ``τ = 1 + 2 Σ ρ(l)``, summed in pairs of lags until a pair is no longer positive
     (initial positive sequence, Geyer 1992, Stat. Sci. 7, 473); at least 1.
@@ -95,7 +95,7 @@ def autocorrelation_time(series: np.ndarray) -> np.ndarray:
 
 
 def covariance_of_mean(series: np.ndarray) -> np.ndarray:
-    """Covariance of the mean of correlated rows, (columns, columns).
+    """Return the covariance of the mean of correlated rows, (columns, columns).
 
     The sample covariance over N, each column's error inflated by the root of its
     autocorrelation time.

@@ -44,14 +44,14 @@ class Series:
         return np.sqrt(np.diagonal(self.covariance_nm2, axis1=1, axis2=2))
 
     def only(self, keep: np.ndarray) -> Series:
-        """Those modes for which `keep`, (modes,) of bool, is true."""
+        """Return those modes for which `keep`, (modes,) of bool, is true."""
         nolls = tuple(noll for noll, kept in zip(self.nolls, keep, strict=True) if kept)
         return Series(
             nolls, self.angles_deg, self.zernike_nm[:, keep], self.covariance_nm2[:, keep][:, :, keep]
         )
 
     def turned_back(self, sense: int) -> Series:
-        """Every estimate in the frame before the derotator, errors included."""
+        """Return every estimate in the frame before the derotator, errors included."""
         back = np.array([rotation_matrix(self.nolls, -sense * angle) for angle in self.angles_deg])
         return Series(
             self.nolls,
@@ -149,7 +149,7 @@ def split_series(series: Series, sense: int) -> Split:
     """
     modes = len(series.nolls)
     turns = np.array([rotation_matrix(series.nolls, sense * angle) for angle in series.angles_deg])
-    separable = np.array([_told_apart(noll, series.angles_deg) for noll in series.nolls])
+    separable = np.array([_is_separable(noll, series.angles_deg) for noll in series.nolls])
     values, covariances = np.zeros((3, modes)), np.zeros((3, modes, modes))
     for pair in _pairs(series.nolls):
         parts, design = _design(turns[:, pair][:, :, pair], bool(separable[pair[0]]))
@@ -167,7 +167,7 @@ def split_series(series: Series, sense: int) -> Split:
     )
 
 
-def _told_apart(noll: int, angles_deg: np.ndarray) -> bool:
+def _is_separable(noll: int, angles_deg: np.ndarray) -> bool:
     """Whether the angles are spread enough for a mode of this azimuthal order.
 
     With equal errors σ in K cubes each part's variance is ``σ²/K/(1 − |⟨exp(imα)⟩|²)``.

@@ -20,7 +20,7 @@ from irlos_pipe.optics.grids import PupilGrid
 def effects_in_modes_nm(
     effects: EffectSet, values: torch.Tensor, nolls: Sequence[int]
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Part of each mode that the effects hold, and its derivatives.
+    """Return the part of each mode that the effects hold, and its derivatives.
 
     Parameters
     ----------
@@ -53,12 +53,12 @@ def _projection(grid: PupilGrid, nolls: Sequence[int]) -> np.ndarray:
 
 
 def drifts(effect: Effect) -> bool:
-    """Whether the effect is a change with time that is still to be estimated."""
+    """Return whether the effect is a change with time that is still to be estimated."""
     return effect.plane == "time" and len(effect.parameters) > 0
 
 
 def measured_drift(effect: Effect, nolls: Sequence[int], frames_nm: np.ndarray) -> FixedEffect:
-    """The effect held at what the estimates of single frames show of it, by least squares.
+    """Return the effect held at what the estimates of single frames show of it, by least squares.
 
     The mean image shows a drift to second order only, and not its sign; the frames show both.
 

@@ -49,14 +49,14 @@ class ElongationLaw:
     residual_nm: float
 
     def defocus_nm(self, ratio: np.ndarray) -> np.ndarray:
-        """Prior defocus of axis ratios σ1/σ2, clipped to a little beyond the validity range."""
+        """Return the prior defocus of axis ratios σ1/σ2, clipped to a little beyond the validity range."""
         low, high = self.valid_nm
         reach = 0.25 * (high - low)
         return np.clip(self.A * (np.asarray(ratio) - 1) + self.B, low - reach, high + reach)
 
 
 def diversity_angle_deg(diversity_nm: Mapping[int, float]) -> float:
-    """Axis of the astigmatic diversity: 0° for Noll 6, 45° for Noll 5, between for a mixture.
+    """Return the axis of the astigmatic diversity: 0° for Noll 6, 45° for Noll 5, between for a mixture.
 
     Raises
     ------
@@ -92,7 +92,7 @@ class GaussianFit(Problem):
         self.upper = torch.tensor([reach, reach, widest, widest, 3.0, 1.0], dtype=torch.float64)
 
     def start(self) -> torch.Tensor:
-        """Centroid and width of the pixels above a third of the peak."""
+        """Return the centroid and width of the pixels above a third of the peak."""
         bright = (self.images - 1 / 3).clamp_min(0) * self.weight
         total = bright.sum(1).clamp_min(1e-12)
         x, y = (bright @ self.x) / total, (bright @ self.y) / total
@@ -113,7 +113,7 @@ class GaussianFit(Problem):
         return 0.5 * (self.weight * residual**2).sum(1)
 
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
-        """A millionth of the sum of squares, which may vanish: there is no noise model here."""
+        """Return a millionth of the sum of squares, which may vanish: there is no noise model here."""
         return 1e-6 * value.clamp_min(1e-6)
 
     def normal_equations(self, p: torch.Tensor, which: torch.Tensor):
@@ -149,7 +149,7 @@ def fit_gaussians(images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: f
 
 @torch.no_grad()
 def axis_ratios(images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float) -> np.ndarray:
-    """Ratio σ1/σ2 of every image, (images,); NaN where the fit failed.
+    """Return the ratio σ1/σ2 of every image, (images,); NaN where the fit failed.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def _ratios(images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float) 
 
 
 def calibrate_law(model: PsfModel, optics: Optics = AS_BUILT) -> ElongationLaw:
-    """A and B from model images over a range of defocus.
+    """Calibrate A and B with model images over a range of defocus.
 
     Parameters
     ----------

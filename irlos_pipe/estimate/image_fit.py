@@ -82,19 +82,19 @@ class ImageFit(Problem):
         return root.to(self.images.dtype).expand(self.images.shape[0], -1, self.images.shape[2])
 
     def with_loss(self, loss: Loss) -> Self:
-        """The same images and weights with another loss, whitened or not as the present one."""
+        """Return the same images and weights with another loss, whitened or not as the present one."""
         return self._with(loss=loss, reweighted=not loss.quadratic)
 
     def members(self, which: torch.Tensor) -> Self:
-        """The fits of some members only."""
+        """Return the fits of some members only."""
         return self._with(**{name: getattr(self, name)[which] for name in self.per_member})
 
     def holding(self, values: torch.Tensor) -> Self:
-        """The same fits with the effects that are not fitted held at `values`."""
+        """Return the same fits with the effects that are not fitted held at `values`."""
         return self._with(held=values)
 
     def with_tolerance(self, tolerance: float) -> Self:
-        """The same fits, done where less than this fall of χ² is ahead, see `negligible`."""
+        """Return the same fits, done where less than this fall of χ² is ahead, see `negligible`."""
         return self._with(tolerance=tolerance)
 
     def _with(self, **changes: Any) -> Self:
@@ -105,7 +105,7 @@ class ImageFit(Problem):
     # -- Problem -----------------------------------------------------------------------------
 
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
-        """Fall of χ² that no longer matters: errors being scaled by √(χ²/ν), a part of χ²/ν."""
+        """Return the fall of χ² that no longer matters: errors being scaled by √(χ²/ν), a part of χ²/ν."""
         scatter = (2 * value / self.freedom).clamp_min(1.0)
         return torch.maximum(self.tolerance * scatter, self.loss.relative_tolerance * value)
 
@@ -141,11 +141,11 @@ class ImageFit(Problem):
     # -- images ------------------------------------------------------------------------------
 
     def predict(self, x: torch.Tensor) -> torch.Tensor:
-        """Model images [e-], (b, pixels), float64 on the model's device."""
+        """Return the model images [e-], (b, pixels), float64 on the model's device."""
         return self.model.predict(*self._arguments(x)).flatten(1)
 
     def predict_and_jacobian(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Model images [e-], (b, pixels), float64, and derivatives (b, parameters, pixels)."""
+        """Return the model images [e-], (b, pixels), float64, and derivatives (b, parameters, pixels)."""
         image, columns = self.model.predict_and_jacobian(*self._arguments(x), held=not self.layout.effects)
         return image.flatten(1), columns.flatten(2)
 
@@ -204,12 +204,12 @@ class ImageFit(Problem):
 
     @torch.no_grad()
     def reduced_chi2(self, x: torch.Tensor) -> torch.Tensor:
-        """χ² per degree of freedom of every member, (batch,), from the variances given."""
+        """Return χ² per degree of freedom of every member, (batch,), from the variances given."""
         return self.reduced_chi2_of(self.predict_all(x))
 
     @torch.no_grad()
     def reduced_chi2_of(self, predicted_e: torch.Tensor) -> torch.Tensor:
-        """The same of images of the model, (batch, pixels)."""
+        """Return the same of images of the model, (batch, pixels)."""
         return self._map(self._squared_residual, predicted_e, torch.arange(len(predicted_e)))[0]
 
     def _squared_residual(self, predicted_e, which):
@@ -218,10 +218,10 @@ class ImageFit(Problem):
 
     @torch.no_grad()
     def predict_all(self, x: torch.Tensor) -> torch.Tensor:
-        """Model images of the whole batch [e-], (batch, pixels), float64 on the CPU."""
+        """Return the model images of the whole batch [e-], (batch, pixels), float64 on the CPU."""
         return self._map(lambda part, _: (self.predict(part).cpu(),), x, torch.arange(len(x)))[0]
 
 
 def masked_variance(variance_e2: torch.Tensor, pixel_mask: torch.Tensor) -> torch.Tensor:
-    """`variance_e2` with infinity where `pixel_mask` is False: bad pixels carry no weight."""
+    """Return `variance_e2` with infinity where `pixel_mask` is False: bad pixels carry no weight."""
     return torch.where(pixel_mask.to(variance_e2.device), variance_e2, math.inf)

@@ -50,7 +50,7 @@ class LiftOptions:
     alike: Alike | None = None
 
     def of(self, which: torch.Tensor) -> LiftOptions:
-        """The same for some of the images."""
+        """Return the same for some of the images."""
         mean_nm, alike = self.prior_mean_nm, self.alike
         return replace(
             self,
@@ -85,7 +85,7 @@ class LiftResult:
 
     @classmethod
     def joined(cls, parts: Sequence[LiftResult]) -> LiftResult:
-        """One batch of several."""
+        """Join several batches."""
         solution = Solution.joined([part.solution for part in parts])
         return joined(parts, solution=solution)
 
@@ -95,7 +95,7 @@ class LiftResult:
         return torch.diagonal(self.covariance_nm2, dim1=1, dim2=2).clamp_min(0).sqrt()
 
     def mode(self, noll: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Estimates and standard errors of one mode, (images,) each [nm]."""
+        """Return estimates and standard errors of one mode, (images,) each [nm]."""
         column = self.nolls.index(noll)
         return self.zernike_nm[:, column], self.sigma_nm[:, column]
 
@@ -210,7 +210,7 @@ def image_problem(
     pixel_mask: torch.Tensor,
     alike: Alike | None = None,
 ) -> ImageFit:
-    """One image, one parameter vector, for a whole batch.
+    """Pose a problem of one image and one parameter vector each, for a whole batch.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def image_problem(
 
 
 def smooth(images_e: torch.Tensor) -> torch.Tensor:
-    """3×3 running mean of images: a first idea of the noise-free signal, for the variances only."""
+    """Smooth images by 3×3 pixels: a first idea of the noise-free signal, for the variances only."""
     padded = torch.nn.functional.pad(images_e[:, None], (1, 1, 1, 1), mode="replicate")[:, 0]
     rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
     return (rows[:, :, :-2] + rows[:, :, 1:-1] + rows[:, :, 2:]) / 9

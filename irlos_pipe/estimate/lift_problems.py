@@ -35,7 +35,7 @@ class Alike:
     frame: torch.Tensor
 
     def of(self, which: torch.Tensor) -> Alike:
-        """The same for some of the images."""
+        """Return the same for some of the images."""
         return replace(self, frame=self.frame[which])
 
 

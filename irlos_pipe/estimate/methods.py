@@ -56,7 +56,7 @@ class Scheme(ABC):
         """Images (batch, repeats, rows, columns) [e-], and their variance, which broadcasts to them."""
 
     def fits(self, frames: Frames) -> int:
-        """Number of fits."""
+        """Return the number of fits."""
         return 1
 
     def psf_model(self, settings: PsfSettings, nolls: Sequence[int], device: str) -> PsfModel:
@@ -64,7 +64,7 @@ class Scheme(ABC):
         return PsfModel(settings.for_single_frames(), nolls, device=device)
 
     def start(self, frames: Frames, problem: ImageFit) -> torch.Tensor:
-        """Start of the `problem` of these `frames` when nothing is known, (batch, parameters)."""
+        """Return the start of the `problem` of these `frames` when nothing is known, (batch, parameters)."""
         return start_at_centroids(frames, problem)
 
     def solve(
@@ -74,7 +74,7 @@ class Scheme(ABC):
         return solve(problem, start, max_iterations=max_iterations, report=report)
 
     def estimates(self, frames: Frames, problem: ImageFit, solution: Solution) -> Estimates:
-        """What the `solution` of the `problem` of these `frames` says of the modes."""
+        """Return what the `solution` of the `problem` of these `frames` says of the modes."""
         return linear_estimates(frames, problem, solution)
 
     def twin(self, problem: ImageFit, solution: Solution) -> TwinCheck | None:
@@ -150,7 +150,7 @@ class AllFrames(Scheme):
 def start_at_centroids(
     frames: Frames, problem: ImageFit, start_nm: torch.Tensor | np.ndarray | None = None
 ) -> torch.Tensor:
-    """Start with tip and tilt from the centroids and no aberrations, or with given first modes.
+    """Return the start with tip and tilt from the centroids and no aberrations, or with given first modes.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def _centred(images: torch.Tensor, pixel_mask: torch.Tensor, problem: ImageFit) 
 
 
 def linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> Estimates:
-    """Estimates of one vector for all frames, and of every frame by one linear step from it.
+    """Return estimates of one vector for all frames, and of every frame by one linear step from it.
 
     The mean of the latter is the solution, their scatter carries photon noise, speckle and real changes.
 

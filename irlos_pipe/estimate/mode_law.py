@@ -93,7 +93,7 @@ class ModeLaw:
 
 
 def mode_scatter(nolls: Sequence[int], zernike_nm: np.ndarray, sigma_nm: np.ndarray) -> ModeScatter:
-    """Scatter over cubes.
+    """Measure the scatter over cubes.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def mode_scatter(nolls: Sequence[int], zernike_nm: np.ndarray, sigma_nm: np.ndar
 
 
 def equalised_tilts(scatter: ModeScatter) -> ModeScatter:
-    """Tip and tilt with their common standard deviation, as in the paper."""
+    """Give tip and tilt their common standard deviation, as in the paper."""
     tilts = np.isin(scatter.nolls, (2, 3))
 
     def equal(values: np.ndarray) -> np.ndarray:

@@ -79,7 +79,7 @@ class Choice:
 
 
 def halves(frames: int) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the frames of two halves, each (blocks, frames): alternate runs of equal length.
+    """Return the numbers of the frames of two halves, each (blocks, frames): alternate runs of equal length.
 
     Runs rather than single frames, whose speckle is correlated with that of their neighbours; many
     of them, so that both halves see the same slow changes.
@@ -151,7 +151,7 @@ def fit_mode_numbers(
     device: str = "cpu",
     report: Callable[[int], None] | None = None,
 ) -> list[Calibration]:
-    """Calibrations with different numbers of modes, in the order of `highest_nolls`.
+    """Return calibrations with different numbers of modes, in the order of `highest_nolls`.
 
     Every fit starts from that with the next larger number: a model that lacks modes easily falls into
     a wrong minimum, and this is not what is asked here.
@@ -177,7 +177,7 @@ def _picked(fit: Calibration, nolls: Sequence[int]) -> np.ndarray:
 
 
 def held_out_misfit(frames: Frames, fit: Calibration, unseen: np.ndarray) -> np.ndarray:
-    """χ²/ν of blocks of frames against the model of other frames, (blocks,).
+    """Return χ²/ν of blocks of frames against the model of other frames, (blocks,).
 
     Flux and background of a block are its own: they change and say nothing about the modes.
 

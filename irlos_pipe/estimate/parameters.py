@@ -58,7 +58,7 @@ class Layout:
         return lower, upper
 
     def prior(self, batch: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Prior mean and precision (1/σ², 0 where there is none), (batch, size) each."""
+        """Return the prior mean and precision (1/σ², 0 where there is none), (batch, size) each."""
         mean = torch.zeros(batch, self.size, dtype=torch.float64)
         precision = torch.zeros_like(mean)
         if self.prior_sigma_nm is not None:
@@ -72,7 +72,7 @@ class Layout:
         return mean, precision
 
     def start(self, images_e: torch.Tensor, modes_nm: torch.Tensor | Sequence[float] = ()) -> torch.Tensor:
-        """Start vectors for images (batch, pixels): flux from the sum, effects from their declaration.
+        """Return start vectors for images (batch, pixels): flux from the sum, effects from their declaration.
 
         Parameters
         ----------

@@ -51,7 +51,7 @@ class RampSummary:
 
 
 def travel_direction(introduced_nm: np.ndarray) -> np.ndarray:
-    """+1 or -1 for values reached by a rise or fall of the introduced defocus, in order of recording.
+    """Return +1 or -1 for values reached by a rise or fall of the introduced defocus, in order of recording.
 
     Frames at an unchanged offset keep the direction in which it was reached; 0 before the first move.
     """
@@ -63,7 +63,7 @@ def travel_direction(introduced_nm: np.ndarray) -> np.ndarray:
 def summarise(
     introduced_nm: np.ndarray, estimated_nm: np.ndarray, second_part: np.ndarray | None = None
 ) -> RampSummary:
-    """Summary of a ramp whose frames are in order of recording; failed estimates are NaN.
+    """Summarise a ramp whose frames are in order of recording; failed estimates are NaN.
 
     Parameters
     ----------

@@ -74,7 +74,7 @@ class RampFit:
 
 
 def start_from_defocus(model: PsfModel, data: RampData, defocus_nm: np.ndarray) -> torch.Tensor:
-    """Start of a `model` with `defocus_nm` for the frames of `data`; tip and tilt from the centroids.
+    """Start a `model` at `defocus_nm` for the frames of `data`; tip and tilt from the centroids.
 
     The centroids are relative to those of the model's own images.
     """
@@ -167,7 +167,7 @@ def ramp_effects(
     halo: str = "calibrated",
     object_sigma_mas: str | float = "calibrated",
 ) -> list[Effect]:
-    """Effects for `fit_ramp`.
+    """Choose the effects for `fit_ramp`.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ def dim(
     noise: NoiseModel,
     generator: torch.Generator,
 ) -> torch.Tensor:
-    """Frames as a star dimmer by `factor` would have given them.
+    """Return frames as a star dimmer by `factor` would have given them.
 
     Scaling by s < 1 scales the noise variance by s²; what is missing to the variance of a frame of
     the scaled flux is ``F s (1 - s) signal + (1 - s²) floor``, drawn as an excess-scaled Poisson
@@ -120,7 +120,7 @@ def scan(
     near_nm: torch.Tensor | None = None,
     report=None,
 ) -> Curve:
-    """Error of defocus over a range of magnitudes.
+    """Estimate the error of defocus over a range of magnitudes.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def curve_of(
     crb_nm: np.ndarray,
     criterion: Criterion,
 ) -> Curve:
-    """Curve of single errors, which may come from several scans over the same magnitudes.
+    """Return the curve of single errors, which may come from several scans over the same magnitudes.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def curve_of(
 def limiting_magnitude(
     magnitudes: np.ndarray, median_nm: np.ndarray, failure_fraction: np.ndarray, criterion: Criterion
 ) -> float:
-    """Faintest of the `magnitudes` before the `criterion` is first missed, interpolated in log error.
+    """Find the faintest of the `magnitudes` before the `criterion` is first missed, interpolated in log error.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ START_HIGHEST_NOLL = 30  # modes of a start from single frames
 
 
 def start_tilts_nm(images_e: torch.Tensor, pixel_scale_mas: float, diameter_m: float) -> torch.Tensor:
-    """Tip and tilt that move the model to the centroid of the bright pixels, (frames, 2) [nm RMS].
+    """Return tip and tilt that move the model to the centroid of the bright pixels, (frames, 2) [nm RMS].
 
     Pixels below a fifth of the brightest are left out, so that noise and halo do not pull.
 
@@ -51,7 +51,7 @@ def start_tilts_nm(images_e: torch.Tensor, pixel_scale_mas: float, diameter_m: f
 def scan_start_nm(
     model: LightPath, images_e: torch.Tensor, pixel_mask: torch.Tensor, optics: Optics = AS_BUILT
 ) -> torch.Tensor:
-    """Tip, tilt and defocus of the template that resembles each image most, other modes 0.
+    """Return tip, tilt and defocus of the template that resembles each image most, other modes 0.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def _signed(index: int, size: int) -> int:
 
 
 def is_plausible(problem: ImageFit, solution: Solution) -> bool:
-    """Whether the `solution` of the first member of a `problem` is converged and fits."""
+    """Return whether the `solution` of the first member of a `problem` is converged and fits."""
     return bool(solution.converged[0] and problem.reduced_chi2(solution.values[:1])[0] < PLAUSIBLE_CHI2)
 
 
@@ -118,7 +118,7 @@ def median_of_frames_nm(
     noise: NoiseModel,
     max_iterations: int = FEW_FRAMES_ITERATIONS,
 ) -> torch.Tensor:
-    """Median of the coefficients of a few frames spread over a cube, each fitted by itself.
+    """Return the median of the coefficients of a few frames spread over a cube, each fitted by itself.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def median_of_frames_nm(
 
 
 def better(first: Solution, second: Solution) -> Solution:
-    """The one of `first` and `second` with the lower objective; a valid one before an invalid one."""
+    """Return the one of `first` and `second` with the lower objective; a valid one before an invalid one."""
     if second.status[0] == INVALID or first.status[0] == INVALID:
         return first if second.status[0] == INVALID else second
     return second if second.objective[0] < first.objective[0] else first

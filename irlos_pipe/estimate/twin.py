@@ -44,7 +44,7 @@ class TwinCheck:
 
 
 def twin_of(modes_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int, float]) -> torch.Tensor:
-    """Coefficients, (batch, modes), that give a centro-symmetric pupil the same image [nm].
+    """Return the coefficients, (batch, modes), that give a centro-symmetric pupil the same image [nm].
 
     Parameters
     ----------

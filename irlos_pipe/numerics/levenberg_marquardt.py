@@ -298,7 +298,7 @@ def _solve(
 
 
 def scaled_inverse(hessian: torch.Tensor) -> torch.Tensor:
-    """Inverse of a batch of Hessians, (batch, p, p), through variables scaled by their curvature.
+    """Return the inverse of a batch of Hessians, (batch, p, p), through variables scaled by their curvature.
 
     Directions without information get a huge variance.
     """

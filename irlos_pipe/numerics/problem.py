@@ -15,10 +15,10 @@ class Descent(Protocol):
     """A batch of minimisations by exact gradients; `which` selects members of the batch."""
 
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
-        """Predicted fall of the objective at which a member with this `value` is done, (b,)."""
+        """Return the predicted fall of the objective at which a member with this `value` is done, (b,)."""
 
     def gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Objective (b,) and gradient (b, p) at `x`, float64, of the members `which`."""
+        """Return the objective (b,) and gradient (b, p) at `x`, float64, of the members `which`."""
 
 
 class Problem(ABC):
@@ -42,7 +42,7 @@ class Problem(ABC):
 
     @abstractmethod
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
-        """Predicted fall of twice the objective at which a member with this `value` is done, (b,)."""
+        """Return the predicted fall of twice the objective at which a member with this `value` is done, (b,)."""
 
     @abstractmethod
     def normal_equations(
@@ -60,4 +60,4 @@ class CheapGradientProblem(Problem):
 
     @abstractmethod
     def cheap_gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Objective and gradient of `normal_equations` at `x` of the members `which`."""
+        """Return the objective and gradient of `normal_equations` at `x` of the members `which`."""

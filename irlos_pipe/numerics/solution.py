@@ -40,7 +40,7 @@ class Solution:
 
     @classmethod
     def joined(cls, parts: Sequence[Solution]) -> Solution:
-        """One batch of several."""
+        """Join several batches."""
         return joined(parts, status=[s for part in parts for s in part.status])
 
     @property
@@ -54,7 +54,7 @@ class Solution:
         return torch.diagonal(self.covariance, dim1=1, dim2=2).clamp_min(0).sqrt()
 
     def updated(self, where: torch.Tensor, other: Solution, better: torch.Tensor) -> Solution:
-        """The batch with those members of `other` that are `better`, at the positions `where`."""
+        """Return the batch with those members of `other` that are `better`, at the positions `where`."""
         status = list(self.status)
         for member, new in zip(where.tolist(), torch.nonzero(better)[:, 0].tolist(), strict=True):
             status[member] = other.status[new]

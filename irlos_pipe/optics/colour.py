@@ -36,7 +36,7 @@ class Colour(NamedTuple):
     samples: int
 
     def field(self, opd_nm: torch.Tensor, pupil: torch.Tensor | None = None) -> torch.Tensor:
-        """Field ``P exp(2πi OPD/λ)`` of `opd_nm`, (frames, 2, n, n); P may be another `pupil`.
+        """Return the field ``P exp(2πi OPD/λ)`` of `opd_nm`, (frames, 2, n, n); P may be another `pupil`.
 
         The second axis has the real and the imaginary part.
         """
@@ -57,7 +57,7 @@ class Colour(NamedTuple):
         return partial.real @ self.to_columns.real.mT - partial.imag @ self.to_columns.imag.mT
 
     def adjoint(self, factors: torch.Tensor) -> torch.Tensor:
-        """Transpose of `image`: from pixels (..., rows, columns) to focal samples (..., m, m)."""
+        """Return the transpose of `image`: from pixels (..., rows, columns) to focal samples (..., m, m)."""
         if self.transfer is None:
             return self.to_rows.mT @ (factors @ self.to_columns)
         counts = torch.as_tensor(half_plane_counts(self.transfer.shape[-1], self.padded)).to(self.transfer)

@@ -63,7 +63,7 @@ class FocalPlane:
         return max(self.grids, key=lambda grid: grid.samples)
 
     def to_pixels(self, index: int, sampling: Sampling | None, *, filtered: bool) -> Matrices:
-        """Matrices to rows, weighted, and to columns.
+        """Return matrices to rows, weighted, and to columns.
 
         Parameters
         ----------

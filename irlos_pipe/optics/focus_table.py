@@ -154,18 +154,18 @@ class FocusTable:
 
 
 def is_family(nolls: tuple[int, ...]) -> bool:
-    """Whether modes are tip, tilt and one more."""
+    """Return whether modes are tip, tilt and one more."""
     return len(nolls) == 3 and {2, 3} < {*nolls}
 
 
 def place_of_focus(nolls: tuple[int, ...]) -> int:
-    """Position of the mode that is neither tip nor tilt."""
+    """Return the position of the mode that is neither tip nor tilt."""
     (place,) = (place for place, noll in enumerate(nolls) if noll not in (2, 3))
     return place
 
 
 def can_tabulate(psf: LightPath, optics: Optics, reach: Reach) -> bool:
-    """Whether the images of `psf` with its `optics` can be tabulated within a `reach`.
+    """Return whether the images of `psf` with its `optics` can be tabulated within a `reach`.
 
     They must be well sampled, and the shifts must fit into the field.
     """

@@ -45,11 +45,11 @@ class PupilGrid:
 
     @classmethod
     def of(cls, geometry: PupilGeometry, samples: int, wavelengths_m: Sequence[float]) -> PupilGrid:
-        """Grid of the band-limited pupil of a `geometry`, `samples` across, for `wavelengths_m`."""
+        """Return the grid of the band-limited pupil of a `geometry`, `samples` across, for `wavelengths_m`."""
         return cls(geometry, samples, band_limited_pupil(geometry, samples)[0], _colours(wavelengths_m))
 
     def at(self, wavelengths_m: torch.Tensor) -> PupilGrid:
-        """The same samples at other wavelengths, (wavelengths,)."""
+        """Return the same samples at other wavelengths, (wavelengths,)."""
         return replace(self, wavelengths_m=_colours(wavelengths_m))
 
     @property
@@ -85,7 +85,7 @@ class PupilGrid:
         return np.where(self.lit, band_limited_pupil(self.geometry, self.samples)[1], 0) * self.light
 
     def modes(self, nolls: Sequence[int]) -> np.ndarray:
-        """Zernike polynomials, (modes, n, n)."""
+        """Return the Zernike polynomials, (modes, n, n)."""
         return _modes(self.geometry, self.samples, tuple(nolls))
 
     @property
@@ -94,7 +94,7 @@ class PupilGrid:
         return 2 * np.pi * NM / self.wavelengths_m
 
     def phasor(self, opd_nm: torch.Tensor) -> torch.Tensor:
-        """``exp(2πi OPD/λ)``, (wavelengths, n, n), of an OPD (n, n) [nm]."""
+        """Return ``exp(2πi OPD/λ)``, (wavelengths, n, n), of an OPD (n, n) [nm]."""
         return phasor(self.phase_per_nm * opd_nm)
 
 
@@ -124,7 +124,7 @@ class OtfGrid:
 
     @classmethod
     def of(cls, focal: FocalGrid, sampling: Sampling) -> OtfGrid:
-        """Baselines of the grid `focal`, for the colours of a `sampling`."""
+        """Return the baselines of the grid `focal`, for the colours of a `sampling`."""
         mean_m = (sampling.wavelengths_m * sampling.weights).sum()
         return cls(focal, _colours(sampling.wavelengths_m), mean_m)
 

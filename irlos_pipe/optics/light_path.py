@@ -41,10 +41,10 @@ class LightPath(Protocol):
         """Least and largest coefficients that the model is good for, (2, modes)."""
 
     def in_window(self, window: tuple[int, int], margin_mas: float, halo_margin_mas: float) -> LightPath:
-        """The same light path to another `window`; `margin_mas`, `halo_margin_mas` as of `PsfSettings`."""
+        """Return the light path to another `window`; `margin_mas`, `halo_margin_mas` as of `PsfSettings`."""
 
     def images(self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
-        """Unit-flux images; differentiable by autograd as well.
+        """Return the unit-flux images; differentiable by autograd as well.
 
         Parameters
         ----------
@@ -65,7 +65,7 @@ class LightPath(Protocol):
         *,
         modal: bool = True,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Images and their derivatives.
+        """Return images and their derivatives.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class LightPath(Protocol):
     def images_and_pullback(
         self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT
     ) -> tuple[torch.Tensor, Pullback]:
-        """Images and the transpose of their Jacobian.
+        """Return images and the transpose of their Jacobian.
 
         Parameters
         ----------

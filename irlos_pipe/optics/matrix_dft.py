@@ -67,15 +67,15 @@ class MatrixDft:
         self.along_y = self.along_x.mT.contiguous()
 
     def amplitude(self, field: torch.Tensor) -> torch.Tensor:
-        """Focal amplitude ``F E Fᵀ``."""
+        """Return the focal amplitude ``F E Fᵀ``."""
         return self.along_y[0] @ (_packed(field) @ self.along_x[0])
 
     def adjoint(self, amplitude: torch.Tensor) -> torch.Tensor:
-        """Transpose of `amplitude` as a real linear map: from changes of U to changes of E."""
+        """Return the transpose of `amplitude` as a real linear map: from changes of U to changes of E."""
         return _unpacked(self.along_x[0] @ (amplitude @ self.along_y[0]))
 
     def products(self, field: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Transforms ``F[T_a(x) T_b(y) E]`` in the order of `products_up_to`: even sums, odd sums.
+        """Return the transforms ``F[T_a(x) T_b(y) E]`` in the order of `products_up_to`: even sums, odd sums.
 
         Returns
         -------

@@ -15,7 +15,7 @@ FIRST_PETAL_RAD = np.pi / 4  # the first petal lies on this diagonal
 
 @lru_cache(maxsize=4)
 def petal_amplitudes(geometry: PupilGeometry, samples: int) -> np.ndarray:
-    """Band-limited amplitude of every petal, (petals, n, n); their sum is that of the pupil.
+    """Return the band-limited amplitude of every petal, (petals, n, n); their sum is that of the pupil.
 
     `geometry` and `samples` are as of `band_limited_pupil`. Petals meet in the middle of the vanes, where
     there is no light: the sharp border costs nothing.

@@ -8,7 +8,7 @@ import numpy as np
 def ring_means(
     image: np.ndarray, centre_px: tuple[float, float], reach_px: float | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Azimuthal means in rings one pixel wide.
+    """Return the azimuthal means in rings one pixel wide.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ class FocalGrid:
 def focal_samples_for(
     window_px: int, pixel_scale_mas: float, margin_mas: float, wavelength_m: float, width_m: float
 ) -> int:
-    """Samples of a focal grid that cover a window and a margin on each side.
+    """Return the samples of a focal grid that cover a window and a margin on each side.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def focal_samples_for(
 
 
 def quick_fft_length(samples: int) -> int:
-    """Next length of which an FFT is quick: a multiple of 8 without prime factors beyond 5."""
+    """Return the next length of which an FFT is quick: a multiple of 8 without prime factors beyond 5."""
     length = samples + (-samples) % 8
     while next_fast_len(length, real=True) != length:
         length += 8
@@ -80,7 +80,7 @@ def quick_fft_length(samples: int) -> int:
 
 
 def pupil_samples_for(window_px: int, pixel_scale_mas: float, wavelength_m: float, diameter_m: float) -> int:
-    """Fewest samples across the pupil that `require_resolved` accepts.
+    """Return the fewest samples across the pupil that `require_resolved` accepts.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def baseline_to_pixels(
     *,
     half: bool,
 ) -> torch.Tensor:
-    """Matrix from FFT coefficients of the focal intensity to pixel-integrated flux.
+    """Return the matrix from FFT coefficients of the focal intensity to pixel-integrated flux.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def half_plane_counts(baselines: int, padded: int) -> np.ndarray:
 def focal_to_pixels(
     pixels: int, pixel_scale_mas: float | torch.Tensor, wavelength_m: float | torch.Tensor, grid: FocalGrid
 ) -> torch.Tensor:
-    """Real matrix from focal intensity to pixel-integrated flux along one axis, without OTF factors.
+    """Return the matrix from focal intensity to pixel-integrated flux along one axis, without OTF factors.
 
     Parameters
     ----------

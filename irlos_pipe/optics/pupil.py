@@ -18,12 +18,12 @@ CLEAN_BAND = min(PASS_BAND, 2 - STOP_BAND)  # neither attenuated nor reached by 
 
 
 def grid_centres(samples: int, step_m: float) -> np.ndarray:
-    """Coordinates of `samples` points `step_m` apart, symmetric about 0 [m]."""
+    """Return the coordinates of `samples` points `step_m` apart, symmetric about 0 [m]."""
     return (np.arange(samples) - (samples - 1) / 2) * step_m
 
 
 def area_weighted_pupil(geometry: PupilGeometry, centres_m: np.ndarray) -> np.ndarray:
-    """Transmitted area fraction of every cell of a square grid.
+    """Return the transmitted area fraction of every cell of a square grid.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def area_weighted_pupil(geometry: PupilGeometry, centres_m: np.ndarray) -> np.nd
 
 @lru_cache(maxsize=8)
 def band_limited_pupil(geometry: PupilGeometry, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pupil amplitude whose sampled spectrum is that of the sharp-edged pupil where it matters.
+    """Return the pupil amplitude whose sampled spectrum is that of the sharp-edged pupil where it matters.
 
     The area-weighted pupil of a grid `SUBSAMPLES` times finer is low-passed: flat up to
     0.7 of the coarse grid's Nyquist frequency (with the sinc of the fine cell taken out),
@@ -75,7 +75,7 @@ def band_limited(
     stop_m: tuple[float, float] = ON_AXIS,
     subsamples: int = SUBSAMPLES,
 ) -> np.ndarray:
-    """Amplitude of a pupil as in `band_limited_pupil`, (n, n).
+    """Return the amplitude of a pupil as in `band_limited_pupil`, (n, n).
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def band_limited(
 def band_limited_parts(
     geometry: PupilGeometry, samples: int, part: Callable[[np.ndarray, np.ndarray], np.ndarray], count: int
 ) -> np.ndarray:
-    """Amplitudes of the parts of a pupil, (count, n, n).
+    """Return the amplitudes of the parts of a pupil, (count, n, n).
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def _clear_fraction(
 def annulus_cover(
     geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float, stop_m: tuple[float, float]
 ) -> np.ndarray:
-    """Fraction of each sub-cell inside the outlines and outside the holes of pupil and stop.
+    """Return the fraction of each sub-cell inside the outlines and outside the holes of pupil and stop.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def annulus_cover(
 
 
 def inside(distance_cells: np.ndarray) -> np.ndarray:
-    """Covered fraction of a cell whose centre lies `distance_cells` inside an edge."""
+    """Return the covered fraction of a cell whose centre lies `distance_cells` inside an edge."""
     return np.clip(distance_cells + 0.5, 0.0, 1.0)
 
 
@@ -204,7 +204,7 @@ def _cover(clear: np.ndarray, vane: Vane, x: np.ndarray, y: np.ndarray, step: fl
 
 
 def vane_cover(vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
-    """Fraction that a `vane` covers of each sub-cell of side `step` at (`x`, `y`) [m]."""
+    """Return the fraction that a `vane` covers of each sub-cell of side `step` at (`x`, `y`) [m]."""
     start, length, direction = axis(vane)
     along = (x - start[0]) * direction[0] + (y - start[1]) * direction[1]
     across, half = across_m(vane, x, y), vane.width_m / 2
@@ -213,13 +213,13 @@ def vane_cover(vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> np.ndar
 
 
 def across_m(vane: Vane, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Distance of (`x`, `y`) to the left of the axis of a `vane` [m]."""
+    """Return the distance of (`x`, `y`) to the left of the axis of a `vane` [m]."""
     start, _, direction = axis(vane)
     return (y - start[1]) * direction[0] - (x - start[0]) * direction[1]
 
 
 def axis(vane: Vane) -> tuple[np.ndarray, float, np.ndarray]:
-    """Where a vane starts, its length, and its direction."""
+    """Return where a vane starts, its length, and its direction."""
     start, end = np.array(vane.start_m), np.array(vane.end_m)
     length = float(np.hypot(*(end - start)))
     return start, length, (end - start) / length

@@ -46,7 +46,7 @@ class PupilEdges:
         self._filter = filter_matrix(samples + 2 * PAD, subsamples)
 
     def moved(self, along: tuple[float, float]) -> np.ndarray:
-        """Derivative of the amplitude while the stop moves with a velocity, (n, n).
+        """Return the derivative of the amplitude while the stop moves with a velocity, (n, n).
 
         Where stop and pupil coincide only the edges that darken count: the derivative is one-sided.
         """

@@ -10,7 +10,7 @@ from irlos_pipe.optics.zernike import noll_to_nm
 
 
 def partner(noll: int) -> int:
-    """Noll index of the mode that a rotation mixes `noll` with; itself where it is symmetric.
+    """Return the Noll index of the mode that a rotation mixes `noll` with; itself where it is symmetric.
 
     Modes of the same n and |m| have neighbouring indices.
     """
@@ -19,7 +19,7 @@ def partner(noll: int) -> int:
 
 
 def rotation_matrix(nolls: Sequence[int], angle_deg: float) -> np.ndarray:
-    """Matrix that turns a wavefront anticlockwise (from +x towards +y) by `angle_deg`.
+    """Return the matrix that turns a wavefront anticlockwise (from +x towards +y) by `angle_deg`.
 
     ``W'(ρ, θ) = W(ρ, θ − α)``: the cosine and sine coefficients (c, s) of every (n, |m|) turn as a
     vector by mα, ``c' = c cos mα − s sin mα``, ``s' = c sin mα + s cos mα``.

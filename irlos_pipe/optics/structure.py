@@ -41,14 +41,14 @@ class ResidualBand:
 
 
 def seeing_to_r0_m(seeing_arcsec: float, wavelength_nm: float = 500.0) -> float:
-    """Fried parameter of `seeing_arcsec` given at `wavelength_nm`: r0 = 0.976 λ / seeing."""
+    """Return the Fried parameter of `seeing_arcsec` given at `wavelength_nm`: r0 = 0.976 λ / seeing."""
     return 0.976 * wavelength_nm * 1e-9 / np.deg2rad(seeing_arcsec / 3600)
 
 
 def von_karman_nm2(
     f_per_m: np.ndarray, r0_m: float, outer_scale_m: float, wavelength_nm: float = 500.0
 ) -> np.ndarray:
-    """Von Kármán power spectral density of the OPD [nm² m²].
+    """Return the Von Kármán power spectral density of the OPD [nm² m²].
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class InBandResidual:
     def structure_nm2(
         self, variance_nm2, slope, stretch_cos=0.0, stretch_sin=0.0, cross_cos=0.0, cross_sin=0.0
     ) -> torch.Tensor:
-        """Structure function [nm²], (baselines,); differentiable in every argument.
+        """Return the structure function [nm²], (baselines,); differentiable in every argument.
 
         Parameters
         ----------

@@ -12,7 +12,7 @@ from irlos_pipe.optics.zernike import zernike_basis
 
 
 def opd_maps_nm(nolls: Sequence[int], zernike_nm: np.ndarray, lit: np.ndarray) -> np.ndarray:
-    """Maps of Zernike coefficients, NaN where there is no light.
+    """Return maps of Zernike coefficients, NaN where there is no light.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def opd_maps_nm(nolls: Sequence[int], zernike_nm: np.ndarray, lit: np.ndarray) -
 
 
 def modes_at(nolls: Sequence[int], lit: np.ndarray) -> np.ndarray:
-    """Zernike polynomials `nolls` at the samples `lit` across the diameter, (modes, samples)."""
+    """Return the Zernike polynomials `nolls` at the samples `lit` across the diameter, (modes, samples)."""
     x, y = _disc(len(lit))
     return zernike_basis(nolls, x[lit], y[lit])
 
@@ -40,7 +40,7 @@ def clear_pupil(geometry: PupilGeometry, samples: int) -> np.ndarray:
 
 
 def clear_disc(geometry: PupilGeometry, samples: int) -> np.ndarray:
-    """The disc of the `geometry` without its central hole, (n, n), `samples` across; vanes are ignored."""
+    """Return disc of the `geometry` without its central hole, (n, n), `samples` across; vanes are ignored."""
     radius = np.hypot(*_disc(samples))
     return (radius <= 1) & (radius >= geometry.obscuration_m / geometry.diameter_m)
 

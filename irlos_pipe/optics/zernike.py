@@ -11,7 +11,7 @@ import numpy as np
 
 
 def noll_to_nm(noll: int) -> tuple[int, int]:
-    """Radial order n and signed azimuthal order m of a Noll index.
+    """Return the radial order n and signed azimuthal order m of a Noll index.
 
     Positive m stands for cos(m theta), negative m for sin(|m| theta); even Noll
     indices are cosines.
@@ -32,7 +32,7 @@ def noll_to_nm(noll: int) -> tuple[int, int]:
 
 
 def radial_polynomial(n: int, m: int, rho: np.ndarray) -> np.ndarray:
-    """Radial part R_n^|m| of degree `n` and order `m` on normalised radii `rho`, unnormalised."""
+    """Return the radial part R_n^|m| of degree `n` and order `m` on normalised radii `rho`, unnormalised."""
     m = abs(m)
     result = np.zeros_like(rho)
     for k in range((n - m) // 2 + 1):
@@ -47,7 +47,7 @@ def radial_polynomial(n: int, m: int, rho: np.ndarray) -> np.ndarray:
 
 
 def zernike(noll: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """One Zernike polynomial on points of the unit disc.
+    """Return one Zernike polynomial on points of the unit disc.
 
     Parameters
     ----------
@@ -72,5 +72,5 @@ def zernike(noll: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def zernike_basis(nolls, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Zernike polynomials `nolls` at (`x`, `y`) in units of the radius, ``(len(nolls), *x.shape)``."""
+    """Return Zernike polynomials `nolls` at (`x`, `y`) in units of the radius, ``(len(nolls), *x.shape)``."""
     return np.stack([zernike(noll, x, y) for noll in nolls])
