@@ -198,7 +198,7 @@ def curve_of(
 def limiting_magnitude(
     magnitudes: np.ndarray, median_nm: np.ndarray, failure_fraction: np.ndarray, criterion: Criterion
 ) -> float:
-    """Find the faintest of the `magnitudes` before the `criterion` is first missed, interpolated in log error.
+    """Find the faintest of the `magnitudes` before the `criterion` is missed, interpolated in log error.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ FRACTIONS = (1.0, 0.5, 0.25)  # of a Newton step: where residuals are few it lea
 def normal_equations(
     columns: torch.Tensor, residual: torch.Tensor, root: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the gradient (b, p), summed in float64, and Hessian (b, p, p), in the precision of the derivatives.
+    """Return gradient (b, p), summed in float64, and Hessian (b, p, p), as precise as the derivatives.
 
     The Hessian only shapes steps.
 

@@ -42,7 +42,7 @@ class Problem(ABC):
 
     @abstractmethod
     def negligible(self, value: torch.Tensor) -> torch.Tensor:
-        """Return the predicted fall of twice the objective at which a member with this `value` is done, (b,)."""
+        """Return the predicted fall of twice the objective at which a member with `value` is done, (b,)."""
 
     @abstractmethod
     def normal_equations(

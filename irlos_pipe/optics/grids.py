@@ -45,7 +45,7 @@ class PupilGrid:
 
     @classmethod
     def of(cls, geometry: PupilGeometry, samples: int, wavelengths_m: Sequence[float]) -> PupilGrid:
-        """Return the grid of the band-limited pupil of a `geometry`, `samples` across, for `wavelengths_m`."""
+        """Return the grid of a band-limited pupil of a `geometry`, `samples` across, for `wavelengths_m`."""
         return cls(geometry, samples, band_limited_pupil(geometry, samples)[0], _colours(wavelengths_m))
 
     def at(self, wavelengths_m: torch.Tensor) -> PupilGrid:
