@@ -29,7 +29,8 @@ from irlos_pipe.estimate.parameters import NcpaPrior
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
-from irlos_pipe.product.product import Product, read_product
+from irlos_pipe.product.product import Product
+from irlos_pipe.product.storage import read_product
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.lift import stage as lift

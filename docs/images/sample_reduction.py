@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from irlos_pipe.conventions.modes import REPORTED_NOLLS, REPORTED_TEXT
-from irlos_pipe.product.product import read_product
+from irlos_pipe.product.storage import read_product
 from irlos_pipe.report.drawing import BLUE, INK, ORANGE, STYLE
 from irlos_pipe.report.images import BRIGHTNESS, SIGMA_LIMIT, SIGNED, brightness_scale, symmetric_scale
 

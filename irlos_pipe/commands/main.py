@@ -211,7 +211,7 @@ def export(product: Path, arrays: tuple[str, ...], output: Path, force: bool) ->
       irlos export demo/01_ingest.h5 --array recordings/calibration/sky/images_e --output frames.fits
     """
     from irlos_pipe.product.export import export_arrays
-    from irlos_pipe.product.product import read_product
+    from irlos_pipe.product.storage import read_product
 
     export_arrays(read_product(product), arrays, output, replace=force)
     click.echo(output)

@@ -10,8 +10,9 @@ from irlos_pipe.conventions.errors import InputDataError, IrlosError
 from irlos_pipe.conventions.text import aligned
 from irlos_pipe.pipeline.plan import Selection
 from irlos_pipe.pipeline.run import plan_run
-from irlos_pipe.product.product import Check, Product, Quantity, read_product
+from irlos_pipe.product.product import Check, Product, Quantity
 from irlos_pipe.product.runfolder import RunFolder, existing_run
+from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import load_recipe
 
 

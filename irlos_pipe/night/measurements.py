@@ -9,9 +9,10 @@ from pathlib import Path
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.night.settings import Kind
-from irlos_pipe.product.product import Product, read_product
+from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import RunResults, read_run_results
 from irlos_pipe.product.runfolder import existing_run
+from irlos_pipe.product.storage import read_product
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.diagnose.results import DiagnoseResults
 from irlos_pipe.stages.lift.results import LiftResults

@@ -15,9 +15,10 @@ from irlos_pipe.pipeline.plan import Action, Step
 from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
 from irlos_pipe.pipeline.resources import Resources, limited_threads
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
-from irlos_pipe.product.product import Product, open_product, read_product, write_product
+from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import StageResults
 from irlos_pipe.product.runfolder import RunFolder
+from irlos_pipe.product.storage import open_product, read_product, write_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageContext, StageOutput, reads

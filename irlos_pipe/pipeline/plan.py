@@ -12,8 +12,8 @@ from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.pipeline.fingerprint import changes, key_of, key_parts
 from irlos_pipe.pipeline.inputs import InputFile
-from irlos_pipe.product.product import is_intact, read_product
 from irlos_pipe.product.runfolder import RunFolder
+from irlos_pipe.product.storage import is_intact, read_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import reads

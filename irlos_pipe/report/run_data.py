@@ -10,9 +10,10 @@ import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.product.product import Product, open_product
+from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import Results, read_run_results, results_of
 from irlos_pipe.product.runfolder import existing_run
+from irlos_pipe.product.storage import open_product
 from irlos_pipe.stages.ingest.recordings import Overview, overviews_from_product
 
 

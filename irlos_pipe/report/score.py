@@ -14,9 +14,10 @@ from pydantic import ValidationError
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import REPORTED_NOLLS, REPORTED_TEXT
 from irlos_pipe.conventions.text import aligned
-from irlos_pipe.product.product import Product, read_product
+from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import ByNoll, ResultsPart, results_of
 from irlos_pipe.product.runfolder import existing_run
+from irlos_pipe.product.storage import read_product
 from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
 from irlos_pipe.stages.lift.results import LiftResults, Point

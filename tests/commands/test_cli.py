@@ -11,7 +11,7 @@ from conftest import invoke, products
 from filelock import FileLock
 from helpers.paths import REPOSITORY
 
-from irlos_pipe.product.product import read_product
+from irlos_pipe.product.storage import read_product
 
 
 def test_the_help_teaches_by_examples_and_exit_codes():

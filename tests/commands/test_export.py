@@ -8,7 +8,8 @@ from astropy.io import fits
 from click.testing import Result
 from conftest import invoke
 
-from irlos_pipe.product.product import Product, Quantity, write_product
+from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.product.storage import write_product
 
 
 @pytest.fixture

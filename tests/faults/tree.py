@@ -10,8 +10,8 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.product.product import read_product
 from irlos_pipe.product.runfolder import LOCK_NAME
+from irlos_pipe.product.storage import read_product
 
 DATABASE = "trend.sqlite"
 TABLES = ("recordings", "runs", "numbers")

@@ -14,7 +14,7 @@ from astropy.io import fits
 from helpers import sparta_files
 
 from irlos_pipe.pipeline import run_recipe
-from irlos_pipe.product.product import read_product
+from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import load_recipe
 from irlos_pipe.stages.ingest.recordings import recordings_from_product
 

@@ -10,7 +10,8 @@ import numpy as np
 import yaml
 
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
-from irlos_pipe.product.product import Check, Product, Quantity, write_product
+from irlos_pipe.product.product import Check, Product, Quantity
+from irlos_pipe.product.storage import write_product
 from irlos_pipe.stages.ingest.recordings import arrays_from_recording
 
 SIDE = 12

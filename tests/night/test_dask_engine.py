@@ -21,7 +21,7 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.night.reduce import Reduced, reduce_group
 from irlos_pipe.night.tasks import Task
 from irlos_pipe.pipeline import provenance, run_recipe
-from irlos_pipe.product.product import read_product
+from irlos_pipe.product.storage import read_product
 
 RECIPE = """\
 recipe: small

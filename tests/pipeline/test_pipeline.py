@@ -11,8 +11,8 @@ from helpers.running import STAGES, reasons, run, told, visible
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError, NothingToDo
 from irlos_pipe.pipeline import Selection
-from irlos_pipe.product.product import read_product
 from irlos_pipe.product.runfolder import RunFolder
+from irlos_pipe.product.storage import read_product
 
 PRODUCTS = ["01_ingest.h5", "02_calibrate.h5", "03_lift.h5"]
 

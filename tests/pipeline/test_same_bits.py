@@ -11,7 +11,8 @@ from helpers import sparta_files
 from threadpoolctl import threadpool_limits
 
 from irlos_pipe.pipeline import Resources, run_recipe
-from irlos_pipe.product.product import Product, read_product
+from irlos_pipe.product.product import Product
+from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import load_recipe
 
 RECIPE = """\

@@ -12,15 +12,9 @@ from irlos_pipe.conventions.errors import InputDataError, IrlosError
 from irlos_pipe.files import atomic
 from irlos_pipe.files.json import json_text, jsonable
 from irlos_pipe.product import checksum as seal
-from irlos_pipe.product import product
-from irlos_pipe.product.product import (
-    Check,
-    Product,
-    Quantity,
-    open_product,
-    read_product,
-    write_product,
-)
+from irlos_pipe.product import storage
+from irlos_pipe.product.product import Check, Product, Quantity
+from irlos_pipe.product.storage import open_product, read_product, write_product
 
 
 def make_product(**changes) -> Product:
@@ -125,8 +119,8 @@ def test_a_flipped_bit_in_the_metadata_is_noticed_when_nothing_else_is_read(path
 def test_reading_the_metadata_does_not_touch_the_arrays(path, monkeypatch):
     write_product(make_product(), path)
     whole = read_product(path)
-    monkeypatch.setattr(product, "h5py", None)
-    monkeypatch.setattr(product, "require_unchanged", None)
+    monkeypatch.setattr(storage, "h5py", None)
+    monkeypatch.setattr(storage, "require_unchanged", None)
     assert read_product(path, arrays=False) == replace(whole, arrays={})
     assert list(open_product(path).arrays) == list(make_product().arrays)
 
@@ -135,8 +129,8 @@ def test_arrays_are_read_when_they_are_asked_for(path, monkeypatch):
     write_product(make_product(), path)
     opened, whole = open_product(path), read_product(path)
     read = []
-    real = product._read_array
-    monkeypatch.setattr(product, "_read_array", lambda dataset: read.append(dataset.name) or real(dataset))
+    real = storage._read_array
+    monkeypatch.setattr(storage, "_read_array", lambda dataset: read.append(dataset.name) or real(dataset))
     for _ in range(2):
         assert np.array_equal(opened.arrays["zernike_nm"].error, whole.arrays["zernike_nm"].error)
     assert sorted(read) == ["/arrays/zernike_nm", "/errors/zernike_nm"]
@@ -223,7 +217,7 @@ def test_another_hdf5_file_is_no_product(path):
 
 def test_a_product_of_a_newer_format_asks_for_an_update(path, monkeypatch):
     with monkeypatch.context() as newer:
-        newer.setattr(product, "SCHEMA_VERSION", 99)
+        newer.setattr(storage, "SCHEMA_VERSION", 99)
         write_product(make_product(), path)
     with pytest.raises(InputDataError, match="newer"):
         read_product(path)

@@ -24,7 +24,8 @@ from helpers.sparta_files import (
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.files.json import json_text
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.product.product import Product, read_product, write_product
+from irlos_pipe.product.product import Product
+from irlos_pipe.product.storage import read_product, write_product
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest import stage as ingest
 from irlos_pipe.stages.ingest.recordings import recordings_from_product

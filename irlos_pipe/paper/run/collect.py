@@ -12,8 +12,9 @@ from irlos_pipe.files.atomic import write_if_changed
 from irlos_pipe.files.json import json_text
 from irlos_pipe.paper.run.experiments import Experiment
 from irlos_pipe.pipeline import Selection, plan_run
-from irlos_pipe.product.product import Product, read_product
+from irlos_pipe.product.product import Product
 from irlos_pipe.product.runfolder import RunFolder, existing_run
+from irlos_pipe.product.storage import read_product
 from irlos_pipe.report.chapter import Chapter, read_chapter
 from irlos_pipe.report.collection import write_collection
 

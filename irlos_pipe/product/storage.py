@@ -1,0 +1,296 @@
+"""Products as HDF5 files: written whole or not at all, read as a whole, by metadata, or array by array.
+
+Layout of the file::
+
+    /                attributes schema, schema_version, stage
+    /arrays/<name>   one dataset per quantity, attributes unit and description
+    /errors/<name>   1-sigma error of the quantity of the same name, where there is one
+    /results         JSON: the stage's section of results.json
+    /checks          JSON: list of QC checks
+    /config          JSON: the resolved configuration of the stage
+    /provenance      JSON: inputs, versions, host, times, key
+    /log             one line per message
+
+Nothing but ``provenance`` and ``log`` depends on when and where the file was made. Checksums and a copy of
+everything but the arrays stand in front (`irlos_pipe.product.checksum`).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from pydantic import BaseModel
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.files.json import json_text
+from irlos_pipe.product.checksum import (
+    block_bytes,
+    require_self_contained,
+    require_unchanged,
+    seal,
+    sealed_metadata,
+)
+from irlos_pipe.product.product import Check, Product, Quantity
+
+SCHEMA = "irlos-product"
+SCHEMA_VERSION = 1
+COMPRESS_ABOVE_BYTES = 4096
+
+
+class _CheckEntry(BaseModel):
+    """A check as it stands in the file; NaN is null there."""
+
+    name: str
+    value: int | float | None
+    unit: str
+    low: int | float | None
+    high: int | float | None
+    message: str
+
+    def check(self) -> Check:
+        value = np.nan if self.value is None else self.value
+        return Check(self.name, value, self.unit, self.low, self.high, self.message)
+
+
+class _InputEntry(BaseModel):
+    """A file that a stage read; there may be more of it."""
+
+    label: str
+    sha256: str
+
+
+class _Provenance(BaseModel):
+    """What the pipeline reads of the provenance; there may be more."""
+
+    key: str = ""
+    parts: dict[str, Any] = {}
+    summary: list[str] = []
+    failures: list[str] = []
+    files: list[str] = []
+    inputs: list[_InputEntry] = []
+    software: dict[str, str] = {}
+    machine: dict[str, Any] = {}
+
+
+class _Sections(BaseModel):
+    """The JSON sections of the file."""
+
+    results: dict[str, Any]
+    checks: list[_CheckEntry]
+    config: dict[str, Any]
+    provenance: _Provenance
+    log: list[str]
+
+
+def write_product(product: Product, path: Path) -> None:
+    """Write a `product` to `path` atomically.
+
+    Raises
+    ------
+    IrlosError
+        When the file cannot be written; an earlier file of that name is then unchanged.
+    """
+    sections = _sections(product)
+    head = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, "stage": product.stage}
+    metadata = json_text(head | {"arrays": list(product.arrays)} | sections, indent=None).encode()
+    # HDF5 builds the file in memory: it cannot recover from a disk that fills up half way.
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", userblock_size=block_bytes(metadata)) as file:
+        file.attrs.update(head)
+        for name, quantity in product.arrays.items():
+            _write_quantity(file, name, quantity)
+        for section, content in sections.items():
+            file.create_dataset(section, data=json_text(content), track_times=False)
+    seal(buffer.getbuffer(), metadata)
+    write_bytes(Path(path), buffer.getbuffer())
+
+
+def read_product(path: Path, *, arrays: bool = True) -> Product:
+    """Read the product at `path`, without `arrays` only its metadata, which does not touch the rest.
+
+    Strings come back as arrays of dtype ``str``.
+
+    Raises
+    ------
+    InputDataError
+        When the file is missing, truncated, not a product, or what is read of it is damaged.
+    """
+    with _readable(path):
+        metadata = None if arrays else _front_metadata(path)
+        return _read_hdf5(path, arrays) if metadata is None else _product(metadata, {})
+
+
+def open_product(path: Path) -> Product:
+    """Return the product at `path` with `StoredArrays`, which are read when they are asked for.
+
+    Raises
+    ------
+    InputDataError
+        When the file is missing, truncated or not a product, or its metadata are damaged.
+    """
+    with _readable(path):
+        metadata = _front_metadata(path)
+        if metadata is None:
+            return _read_hdf5(path, arrays=True)
+        return _product(metadata, StoredArrays(Path(path), metadata["arrays"]))
+
+
+def is_intact(path: Path) -> bool:
+    """Return whether the product at `path` is what was written, arrays and all."""
+    try:
+        with _readable(path):
+            require_unchanged(path)
+    except InputDataError:
+        return False
+    return True
+
+
+class StoredArrays(Mapping[str, Quantity]):
+    """The arrays of a product file, each read when it is first asked for.
+
+    Before the first is read, the file is compared with its checksum.
+
+    Parameters
+    ----------
+    path : Path
+        A product with metadata in front.
+    names : iterable of str
+        Names of its arrays.
+    """
+
+    def __init__(self, path: Path, names: Iterable[str]) -> None:
+        self._path, self._names = path, dict.fromkeys(names)
+        self._found: dict[str, Quantity] = {}
+
+    def __getitem__(self, name: str) -> Quantity:
+        if name not in self._names:
+            raise KeyError(name)
+        if name not in self._found:
+            with _readable(self._path):
+                if not self._found:
+                    require_unchanged(self._path)
+                with h5py.File(self._path, "r") as file:
+                    self._found[name] = _read_quantity(file, name)
+        return self._found[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Turn whatever goes wrong while a product is read into an `InputDataError`."""
+    if not Path(path).is_file():
+        raise InputDataError(f"{path}: no such product")
+    try:
+        yield
+    except InputDataError:
+        raise
+    except Exception as error:  # a damaged file can raise nearly anything from inside HDF5
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        raise InputDataError(
+            f"{path}: not a readable product, truncated or damaged ({reason}); remove it and run again"
+        ) from error
+
+
+def _front_metadata(path: Path) -> dict[str, Any] | None:
+    """Return the metadata in front of a file; None where there are none."""
+    content = sealed_metadata(Path(path))
+    if content is None:
+        return None
+    metadata = json.loads(content)
+    _require_schema(metadata, path)
+    return metadata
+
+
+def _read_hdf5(path: Path, arrays: bool) -> Product:
+    require_unchanged(Path(path))
+    with h5py.File(path, "r") as file:
+        _require_schema(file.attrs, path)
+        require_self_contained(file)
+        sections = {name: json.loads(file[name].asstr()[()]) for name in _Sections.model_fields}
+        found = _read_arrays(file) if arrays else {}
+        return _product(sections | {"stage": str(file.attrs["stage"])}, found)
+
+
+def _product(metadata: Mapping[str, Any], arrays: Mapping[str, Quantity]) -> Product:
+    sections = {name: metadata[name] for name in _Sections.model_fields}
+    checks = [entry.check() for entry in _Sections.model_validate(sections).checks]
+    return Product(metadata["stage"], arrays, **sections | {"checks": checks})
+
+
+def _sections(product: Product) -> dict[str, Any]:
+    checks = [check.as_dict() for check in product.checks]
+    return {
+        "results": product.results,
+        "checks": checks,
+        "config": product.config,
+        "provenance": product.provenance,
+        "log": product.log,
+    }
+
+
+def _write_quantity(file: h5py.File, name: str, quantity: Quantity) -> None:
+    dataset = _write_array(file, f"arrays/{name}", np.asarray(quantity.value))
+    dataset.attrs.update(unit=quantity.unit, description=quantity.description)
+    if quantity.error is not None:
+        _write_array(file, f"errors/{name}", np.asarray(quantity.error)).attrs["unit"] = quantity.unit
+
+
+def _write_array(file: h5py.File, name: str, value: np.ndarray) -> h5py.Dataset:
+    if value.dtype.kind in "OU":
+        return file.create_dataset(
+            name, data=value.astype(object), dtype=h5py.string_dtype(), track_times=False
+        )
+    options = {}
+    if value.nbytes > COMPRESS_ABOVE_BYTES:
+        options = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
+    return file.create_dataset(name, data=value, track_times=False, **options)
+
+
+def _require_schema(head: Mapping[str, Any], path: Path) -> None:
+    if head.get("schema") != SCHEMA:
+        raise InputDataError(f"{path}: an HDF5 file, but not a product of irlos")
+    version = int(head["schema_version"])
+    if version > SCHEMA_VERSION:
+        raise InputDataError(
+            f"{path}: product format {version} is newer than this software "
+            f"({SCHEMA_VERSION}); update irlos_pipe or run again"
+        )
+
+
+def _read_arrays(file: h5py.File) -> dict[str, Quantity]:
+    names: list[str] = []
+
+    def visit(name: str, item: h5py.HLObject) -> None:
+        names.extend([name] if isinstance(item, h5py.Dataset) else [])
+
+    if "arrays" in file:
+        file["arrays"].visititems(visit)
+    return {name: _read_quantity(file, name) for name in names}
+
+
+def _read_quantity(file: h5py.File, name: str) -> Quantity:
+    dataset = file[f"arrays/{name}"]
+    error = _read_array(file[f"errors/{name}"]) if f"errors/{name}" in file else None
+    return Quantity(_read_array(dataset), dataset.attrs["unit"], dataset.attrs["description"], error)
+
+
+def _read_array(dataset: h5py.Dataset) -> np.ndarray:
+    if h5py.check_string_dtype(dataset.dtype) is not None:
+        return np.asarray(dataset.asstr()[()], dtype=str)
+    return np.asarray(dataset[()])
