@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from dataclasses import Field, dataclass, replace
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import torch
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
-Batch = TypeVar("Batch", bound="DataclassInstance")
+class _Dataclass(Protocol):
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+
+Batch = TypeVar("Batch", bound=_Dataclass)
 
 CONVERGED, MAX_ITERATIONS, STALLED, INVALID = "converged", "max_iterations", "stalled", "invalid"
 
@@ -76,5 +78,5 @@ def mixed(first: Batch, second: Batch, where: torch.Tensor, better: torch.Tensor
     return replace(first, **tensors, **other)
 
 
-def _tensors(batch: DataclassInstance) -> list[str]:
+def _tensors(batch: _Dataclass) -> list[str]:
     return [name for name, value in vars(batch).items() if isinstance(value, torch.Tensor)]

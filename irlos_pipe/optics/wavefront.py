@@ -45,6 +45,7 @@ def clear_disc(geometry: PupilGeometry, samples: int) -> np.ndarray:
     return (radius <= 1) & (radius >= geometry.obscuration_m / geometry.diameter_m)
 
 
-def _disc(samples: int) -> list[np.ndarray]:
+def _disc(samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates x and y across the diameter in units of the radius, (samples, samples) each."""
-    return np.meshgrid(*[grid_centres(samples, 2 / samples)] * 2)
+    x, y = np.meshgrid(*[grid_centres(samples, 2 / samples)] * 2)
+    return x, y
