@@ -72,9 +72,6 @@ class Stack:
 Block = Figure | Table | Text | Stack
 
 
-Block = Figure | Table | Text | Stack
-
-
 @dataclass(frozen=True)
 class Section:
     """A part of the report with a heading; `lead` states in one line what was done."""

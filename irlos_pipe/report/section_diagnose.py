@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.frames.detector import star_position
 from irlos_pipe.optics.profile import ring_means
-from irlos_pipe.report.content import Figure, Section, Stack, Table, Text
-from irlos_pipe.report.diagnose_plots import gap_bars, pupil_map, ranking_bars
-from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE
-from irlos_pipe.report.images import SIGNED, brightness_scale, image_panel, symmetric_scale
+from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Text
+from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, svg
+from irlos_pipe.report.images import (
+    PANEL_IN,
+    SIGNED,
+    brightness_scale,
+    image_panel,
+    panel_axes,
+    symmetric_scale,
+)
 from irlos_pipe.report.radial import profile_plot
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.text import number, rounded_by_error, with_error
+from irlos_pipe.report.text import is_known, number, rounded_by_error, with_error
+from irlos_pipe.stages.diagnose.results import AlternativeRow, DiagnoseResults, GapRow, RankedRow, StepRow
 
 STAGE = "diagnose"
 BRIGHTNESS_UNIT = "e⁻ (asinh scale)"
@@ -24,24 +32,26 @@ FINE = (
     "Finer than the telescope can make: {ratio} times what noise leaves there ({sigma} σ). More comes from "
     "the pixels: flat, offsets, response."
 )
+GAP_IN, BAR_IN, WIDTH_IN = (3.7, 2.85), 0.22, 4.4
+MAP_PERCENTILE = 99.5
 PERCENTILE = 99.5  # of the residual before, for the common scale of the residuals
 STEP_COLUMNS = ("name", "parameter", "value", "significance", "explained", "not told apart from")
 
 
 def diagnose_section(run: RunData) -> Section:
     """Build the section."""
-    results = run.results(STAGE)
-    blocks = [
+    results = run.results(DiagnoseResults)
+    blocks: list[Block] = [
         *_images(run),
         *_leading(run),
         *_pupil(run),
-        *_gap(results),
+        *_gap(results.gap),
         *_stacked(*_profile(run), *_ranking(results)),
         *_stacked(*_steps(results), *_separation(results)),
         *_modes(results),
         *_limits(results),
     ]
-    return Section(STAGE, "What the model lacks", str(results.get("sentence", "")), blocks)
+    return Section(STAGE, "What the model lacks", results.sentence, blocks)
 
 
 def _stacked(*blocks: Figure | Table) -> list[Stack]:
@@ -121,38 +131,40 @@ def _profile(run: RunData) -> list[Figure]:
 # -- numbers -----------------------------------------------------------------------------------
 
 
-def _gap(results: Mapping[str, Any]) -> list[Figure]:
-    gap = results.get("gap") or {}
-    if gap.get("before") is None:
+def _gap(gap: GapRow) -> list[Figure]:
+    if not is_known(gap.before):
         return []
-    shrink = number(gap.get("shrink"), ".2f")
+    shrink = number(gap.shrink, ".2f")
     caption = f"Σ|measured − predicted| / Σ measured of frames that no fit has seen; shrink {shrink}."
     return [Figure(gap_bars("dia-gap", gap), "Gap", caption, "third")]
 
 
-def _ranking(results: Mapping[str, Any]) -> list[Figure]:
-    steps = [*results.get("steps", []), *filter(None, [results.get("nearest")])]
-    ranking = [row for step in steps[:1] for row in step.get("ranking", [])]
+def _found(results: DiagnoseResults) -> list[StepRow]:
+    """Effects found, and the nearest where the verdict is unknown."""
+    return [*results.steps, *([results.nearest] if results.nearest else [])]
+
+
+def _ranking(results: DiagnoseResults) -> list[Figure]:
+    ranking = [row for step in _found(results)[:1] for row in step.ranking]
     if not ranking:
         return []
     caption = "Part of the excess over noise that each name explains when fitted; significance in σ."
     return [Figure(ranking_bars("dia-ranking", ranking), "Candidates", caption, "full")]
 
 
-def _steps(results: Mapping[str, Any]) -> list[Table]:
-    steps = [*results.get("steps", []), *filter(None, [results.get("nearest")])]
-    rows = [row for step in steps for row in _step_rows(step)]
-    title = "Found" if results.get("steps") else "Nearest"
+def _steps(results: DiagnoseResults) -> list[Table]:
+    rows = [row for step in _found(results) for row in _step_rows(step)]
+    title = "Found" if results.steps else "Nearest"
     return [Table(STEP_COLUMNS, rows, title)] if rows else []
 
 
-def _step_rows(step: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    values, errors = rows_of(step["parameters"]), dict(rows_of(step["sigma"]))
-    head = (number(step["significance"], ".1f", "σ"), number(step["explained"], ".0%"))
-    others = ", ".join(step["indistinguishable"]) or "–"
+def _step_rows(step: StepRow) -> list[tuple[str, ...]]:
+    values, errors = rows_of(step.parameters), dict(rows_of(step.sigma))
+    head = (number(step.significance, ".1f", "σ"), number(step.explained, ".0%"))
+    others = ", ".join(step.indistinguishable) or "–"
     return [
         (
-            step["effect"] if first else "",
+            step.effect if first else "",
             name,
             rounded_by_error(value, errors.get(name)) if isinstance(value, float) else str(value),
             *(head if first else ("", "")),
@@ -162,61 +174,115 @@ def _step_rows(step: Mapping[str, Any]) -> list[tuple[str, ...]]:
     ]
 
 
-def _separation(results: Mapping[str, Any]) -> list[Table]:
+def _separation(results: DiagnoseResults) -> list[Table]:
     rows = [
-        (f"{step['effect']} or {other['name']}", other["reason"], _what_separates(other))
-        for step in results.get("steps", [])
-        for other in step.get("alternatives", [])
+        (f"{step.effect} or {other.name}", other.reason, _what_separates(other))
+        for step in results.steps
+        for other in step.alternatives
     ]
     return [Table(("names", "why", "what tells them apart"), rows, "Not told apart")] if rows else []
 
 
-def _what_separates(other: Mapping[str, Any]) -> str:
-    """What tells them apart, and the second recording in which they are least alike."""
-    words = other.get("second_recording")
-    cosine = number(other.get("likeness_then"), ".2f")
-    return other["separated_by"] + (f"; a second recording {words} (|cos| then {cosine})" if words else "")
+def _what_separates(other: AlternativeRow) -> str:
+    """What separates two effects, and the second recording in which they are least alike."""
+    if not other.second_recording:
+        return other.separated_by
+    cosine = number(other.likeness_then, ".2f")
+    return f"{other.separated_by}; a second recording {other.second_recording} (|cos| then {cosine})"
 
 
-def _modes(results: Mapping[str, Any]) -> list[Table]:
-    modes = results.get("zernike_nm") or {}
-    before, after = modes.get("before", {}), modes.get("after", {})
-    sigma = results.get("sigma_nm", {})
+def _modes(results: DiagnoseResults) -> list[Table]:
+    before, after, sigma = results.zernike_nm.before, results.zernike_nm.after, results.sigma_nm
+    both = [noll for noll in after if noll in before]
     rows = [
-        (noll, number(before[noll], "+.1f"), with_error(after[noll], sigma.get(noll), "+.1f"))
-        for noll in after
-        if noll in before
+        (str(noll), number(before[noll], "+.1f"), with_error(after[noll], sigma.get(noll), "+.1f"))
+        for noll in both
     ]
-    changed = [b - a for b, a in zip(before.values(), after.values(), strict=True) if None not in (a, b)]
-    if not np.any(np.abs(changed) > 1e-6):
+    if not any(abs(after[noll] - before[noll]) > 1e-6 for noll in both):
         return []
     columns = ("Noll", "before [nm]", "after [nm]")
     return [Table(columns, rows, "NCPAs with the old and with the new model", folded=True)]
 
 
-def _limits(results: Mapping[str, Any]) -> list[Table | Text]:
-    mdb = results.get("mdb") or {}
+def _limits(results: DiagnoseResults) -> list[Table | Text]:
     rows = [
         (name, ", ".join(f"{key} {number(value, '.2g')}" for key, value in rows_of(public)))
-        for name, public in mdb.items()
+        for name, public in results.mdb.items()
     ]
     table = Table(("effect", "smallest size that would have been seen"), rows, "Not seen", folded=True)
-    hidden = [(name, *_second(results, name)) for name in results.get("untestable", [])]
+    hidden = [(name, *_second(results, name)) for name in results.untestable]
     columns = ("effect", "second recording that shows it", "smallest size seen then")
     untestable = Table(columns, hidden, "Untestable with these free parameters")
-    noise = (results.get("noise") or {}).get("text")
-    told = [Text(f"Noise: {noise}.")] if noise else []
-    fine = results.get("fine_structure")
-    if fine:
-        ratio, sigma = number(fine["ratio"], ".2f"), number(fine["significance"], ".1f")
-        told.append(Text(FINE.format(ratio=ratio, sigma=sigma)))
-    return [*([table] if rows else []), *([untestable] if hidden else []), *told]
+    texts = [Text(f"Noise: {results.noise.text}.")] if results.noise else []
+    if results.fine_structure:
+        ratio = number(results.fine_structure.ratio, ".2f")
+        sigma = number(results.fine_structure.significance, ".1f")
+        texts.append(Text(FINE.format(ratio=ratio, sigma=sigma)))
+    return [*([table] if rows else []), *([untestable] if hidden else []), *texts]
 
 
-def _second(results: Mapping[str, Any], name: str) -> tuple[str, str]:
+def _second(results: DiagnoseResults, name: str) -> tuple[str, str]:
     """The recording to take, and what it would show."""
-    advice = (results.get("second_recording") or {}).get(name)
+    advice = results.second_recording.get(name)
     if advice is None:
         return "none of those tried", "–"
-    sizes = ", ".join(f"{key} {number(value, '.2g')}" for key, value in rows_of(advice["smallest"]))
-    return advice["recording"], sizes
+    sizes = ", ".join(f"{key} {number(value, '.2g')}" for key, value in rows_of(advice.smallest))
+    return advice.recording, sizes
+
+
+# -- drawings ----------------------------------------------------------------------------------
+
+
+def gap_bars(name: str, gap: GapRow) -> Markup:
+    """Draw the `gap` before and after against its floor; `name` is unique in the page."""
+
+    def draw(figure: Canvas) -> None:
+        axes = figure.subplots()
+        axes.bar(["before", "after"], [gap.before, gap.after], 0.6, color=[ORANGE, BLUE])
+        axes.axhline(gap.floor, color=INK, linestyle="--", linewidth=0.9, label="noise alone")
+        axes.set(ylabel="gap, part of the light", ylim=(0, None))
+        axes.grid(axis="x", visible=False)
+        axes.legend()
+
+    return svg(name, GAP_IN, draw)
+
+
+def ranking_bars(name: str, ranking: Sequence[RankedRow]) -> Markup:
+    """Draw what every candidate of a `ranking` explains, the best on top; `name` is unique in the page."""
+    explained = np.nan_to_num([row.explained for row in ranking])
+    rows = np.arange(len(ranking))
+
+    def draw(figure: Canvas) -> None:
+        axes = figure.subplots()
+        axes.barh(rows, np.clip(explained, 0, 1), 0.7, color=[BLUE, *[ORANGE] * (len(rows) - 1)])
+        labels = [f"{row.name}, {row.significance:.0f} σ" for row in ranking]
+        axes.set(yticks=rows, yticklabels=labels, ylim=(len(rows) - 0.4, -0.6), xlim=(0, 1))
+        axes.set_xlabel("explained part of the excess")
+        axes.grid(axis="y", visible=False)
+
+    return svg(name, (WIDTH_IN, 0.7 + BAR_IN * len(ranking)), draw)
+
+
+def pupil_map(name: str, values: np.ndarray, unit: str) -> Markup:
+    """Draw a map of the pupil about zero.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page.
+    values : ndarray, (samples, samples)
+    unit : str
+        Label of the colour bar.
+    """
+    shown = np.where(values == 0, np.nan, values)
+    limit = float(np.nanpercentile(np.abs(shown), MAP_PERCENTILE))
+
+    def draw(figure: Canvas) -> None:
+        axes, bar = panel_axes(figure)
+        image = axes.imshow(
+            shown, norm=symmetric_scale(limit), cmap=SIGNED, origin="lower", interpolation="none"
+        )
+        axes.set(xticks=[], yticks=[])
+        figure.colorbar(image, cax=bar, label=unit)
+
+    return svg(name, PANEL_IN, draw)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 import yaml
 from helpers.diagnose_cases import CASE, CONDITIONS, cube, diagnosis_of, with_companion
 
-from irlos_pipe.files.json import json_text
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.product.product import Product
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_diagnose import diagnose_section
-from irlos_pipe.stages.diagnose import stage
+from irlos_pipe.stages.diagnose.output import diagnose_arrays, diagnose_results, model_yaml, recipe_entry
+from irlos_pipe.stages.diagnose.stage import pooled_frames
 from irlos_pipe.stages.model.effect_entry import EffectEntry
 from irlos_pipe.stages.model.section import ModelConfig
 
@@ -32,7 +31,7 @@ KEYS = {"verdict", "steps", "gap", "unexplained", "untestable", "mdb", "model"}
 
 @pytest.fixture(scope="module")
 def results() -> dict:
-    return json.loads(json_text(stage._results(diagnosis_of("companion"))))
+    return diagnose_results(diagnosis_of("companion")).as_json()
 
 
 def test_the_results_hold_what_scripts_look_for(results):
@@ -51,9 +50,9 @@ def test_limits_of_what_was_not_seen_have_public_names_and_no_positions(results)
 
 
 def test_the_model_with_what_was_found_is_a_valid_section_of_a_recipe():
-    ctx = SimpleNamespace(model=ModelConfig(effects=("tip_tilt_jitter",)))
-    entries = [stage._entry(step) for step in diagnosis_of("companion").steps]
-    section = ModelConfig(**yaml.safe_load(stage._model_yaml(ctx, entries)))
+    entries = [recipe_entry(step) for step in diagnosis_of("companion").steps]
+    model = ModelConfig(effects=("tip_tilt_jitter",))
+    section = ModelConfig(**yaml.safe_load(model_yaml(model, entries)))
     jitter, companion = section.entries()
     assert (jitter.name, jitter.fit) == ("tip_tilt_jitter", True)
     assert companion.values["flux_ratio"] == pytest.approx(0.03, rel=0.05)
@@ -62,15 +61,15 @@ def test_the_model_with_what_was_found_is_a_valid_section_of_a_recipe():
 
 def test_the_companion_found_is_one_that_the_recipe_can_place():
     (step,) = diagnosis_of("companion").steps
-    made = EffectEntry.of(stage._entry(step))
+    made = EffectEntry.of(recipe_entry(step))
     again = type(step.effect.base).under(CONDITIONS).values_of(**made.values)
     assert again == pytest.approx(step.effect.values.tolist())
 
 
 def section_of(kind: str):
     diagnosis = diagnosis_of(kind)
-    told = json.loads(json_text(stage._results(diagnosis)))
-    product = Product("diagnose", stage._arrays(diagnosis), told, config={"input": "cube"})
+    results = diagnose_results(diagnosis).as_json()
+    product = Product("diagnose", diagnose_arrays(diagnosis), results, config={"input": "cube"})
     return diagnose_section(RunData({}, "", "ok", "", {"diagnose": product}, []))
 
 
@@ -78,7 +77,7 @@ def section_of(kind: str):
 def test_the_section_begins_with_the_verdict_in_words_and_shows_both_models(kind):
     section = section_of(kind)
     titles = [getattr(block, "title", "") for block in section.blocks]
-    assert section.lead == stage._results(diagnosis_of(kind))["sentence"]
+    assert section.lead == diagnose_results(diagnosis_of(kind)).sentence
     assert {"Measured", "Predicted before", "Predicted after", "Residual before", "Gap"} <= set(titles)
 
 
@@ -98,22 +97,28 @@ def test_residuals_before_and_after_are_drawn_on_one_scale():
 
 
 def test_too_few_frames_are_refused_with_the_name_of_the_recording():
-    frames = cube(with_companion()).images_e[:6].numpy()
-    recording = SimpleNamespace(
-        name="short",
-        images_e=frames,
-        pixel_mask=np.ones(CASE.window, bool),
-        acquisition=SimpleNamespace(detector=SimpleNamespace(read_noise_e=1.0, excess_noise_factor=1.0)),
-        background_variance_e2=0.0,
-        dark_variance_e2=0.0,
+    frames, good = cube(with_companion()).images_e[:6].numpy(), np.ones(CASE.window, bool)
+    acquisition = Acquisition("psf", Detector(1.0, 1.0), ((1600.0, 1.0),), {}, 9.7)
+    recording = Recording(
+        "short",
+        "cube",
+        frames,
+        np.ones(6, bool),
+        np.full(6, ""),
+        good,
+        np.arange(6.0),
+        np.arange(6),
+        np.zeros(6),
+        acquisition,
     )
-    with pytest.raises(Exception, match="short: a diagnosis needs 16 used frames"):
-        stage._frames([recording], np.ones(CASE.window, bool))
+    with pytest.raises(InputDataError, match="short: a diagnosis needs 16 used frames"):
+        pooled_frames([recording], good)
 
 
 def test_bad_pixels_of_the_model_and_those_found_make_one_list():
-    known, found = {"bad_pixels": {"pixels": [[3, 4]]}}, {"bad_pixels": {"pixels": [[1, 2], [3, 4]]}}
-    assert stage._with_one_list_of_pixels(["seeing_halo", known, found]) == [
+    model = ModelConfig(effects=("seeing_halo", {"bad_pixels": {"pixels": [[3, 4]]}}))
+    found = [{"bad_pixels": {"pixels": [[1, 2], [3, 4]]}}]
+    assert yaml.safe_load(model_yaml(model, found))["effects"] == [
         "seeing_halo",
         {"bad_pixels": {"pixels": [[1, 2], [3, 4]]}},
     ]

@@ -15,13 +15,15 @@ from irlos_pipe.diagnose.ramp.gap import ramp_gap
 from irlos_pipe.effects import EffectSet
 from irlos_pipe.effects.effect_set import NOTHING
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.stages.base import StageContext, StageOutput
+from irlos_pipe.stages.diagnose.output import MODEL_FILE, gap_row
+from irlos_pipe.stages.diagnose.results import AlternativeRow, Change, DiagnoseResults, StepRow
 from irlos_pipe.stages.lift.input import Ramp, calibrated_ncpa_nm, effects_for_lift, ramp_model, read_ramp
 
 
 def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[str, Any]]]:
-    """Diagnose the ramp that `lift` estimated; one frame in `every` is held out.
+    """Diagnose the ramp that `lift` estimated; `ctx` has its product, one frame in `every` is held out.
 
     Returns
     -------
@@ -40,14 +42,17 @@ def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[s
         raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
     corrected = result.introduced_nm(ramp.commanded_nm)
     gap = _gap(ctx, ramp, lift, corrected, held_out)
-    results = _results(ramp, result, gap, estimated, corrected) | {"seconds": time.perf_counter() - began}
+    results = _results(ramp, result, gap, estimated, corrected, time.perf_counter() - began)
     output = StageOutput(_arrays(ramp, estimated, corrected), results, summary=_summary(result, gap))
     return output, [entry(one) for one in result.names]
 
 
 def frames_held_out(commanded_nm: np.ndarray, every: int) -> np.ndarray:
-    """Frames that no fit may see, (frames,): of every visit each `every`-th, or of all frames if visits
-    are shorter than that."""
+    """Return which frames no fit may see, (frames,) of bool.
+
+    Of every visit each `every`-th frame, or of all frames where visits are shorter than that. A visit is a
+    run of equal `commanded_nm`, (frames,).
+    """
     starts = np.flatnonzero(np.diff(commanded_nm, prepend=np.nan) != 0)
     visits = np.split(np.arange(len(commanded_nm)), starts[1:])
     within = np.concatenate([np.arange(len(visit)) for visit in visits])
@@ -55,7 +60,7 @@ def frames_held_out(commanded_nm: np.ndarray, every: int) -> np.ndarray:
     return count % every == every - 1
 
 
-def _gap(ctx: StageContext, ramp: Ramp, lift, corrected_nm: np.ndarray, held_out: np.ndarray) -> Gap:
+def _gap(ctx: StageContext, ramp: Ramp, lift: Product, corrected_nm: np.ndarray, held_out: np.ndarray) -> Gap:
     """On images, with the model that `lift` had."""
     config = lift.config
     ncpa_nm = calibrated_ncpa_nm(ctx) if config["calibrated"] else {}
@@ -69,65 +74,69 @@ def _gap(ctx: StageContext, ramp: Ramp, lift, corrected_nm: np.ndarray, held_out
 
 
 def _results(
-    ramp: Ramp, result: RampDiagnosis, gap: Gap, estimated: np.ndarray, corrected: np.ndarray
-) -> dict[str, Any]:
+    ramp: Ramp,
+    result: RampDiagnosis,
+    gap: Gap,
+    estimated: np.ndarray,
+    corrected: np.ndarray,
+    seconds: float,
+) -> DiagnoseResults:
     errors = [_rms(estimated - introduced) for introduced in (ramp.commanded_nm, corrected)]
-    return {
-        "verdict": result.verdict,
-        "sentence": sentence(result),
-        "steps": [_step(one, gap) for one in result.names],
-        "nearest": _step(result.nearest[0], gap) if result.nearest else None,
-        "gap": {"before": gap.before, "after": gap.after, "floor": gap.floor, "shrink": gap.shrink},
-        "unexplained": result.verdict == "unknown",
-        "untestable": list(result.untestable),
-        "mdb": result.smallest,
-        "model": "model.yaml",
-        "chi2_nu": dict(zip(("before", "after"), result.chi2_nu, strict=True)),
-        "defocus_error_nm": dict(zip(("before", "after"), errors, strict=True)),
-    }
+    return DiagnoseResults(
+        verdict=result.verdict,
+        sentence=sentence(result),
+        steps=[_step(one, gap) for one in result.names],
+        nearest=_step(result.nearest[0], gap) if result.nearest else None,
+        gap=gap_row(gap),
+        unexplained=result.verdict == "unknown",
+        untestable=list(result.untestable),
+        mdb=result.smallest,
+        model=MODEL_FILE,
+        chi2_nu=Change.of(result.chi2_nu),
+        defocus_error_nm=Change.of(errors),
+        seconds=seconds,
+    )
 
 
 def entry(one: RampName) -> dict[str, Any]:
-    """The effect as the section `model` of a recipe has it."""
+    """Return the effect as an entry of the section `model` of a recipe."""
     return {one.name: one.public}
 
 
-def _step(one: RampName, gap: Gap) -> dict[str, Any]:
+def _step(one: RampName, gap: Gap) -> StepRow:
     reason = "their courses over the visits are alike"
-    return {
-        "effect": one.name,
-        "indistinguishable": [other.name for other in one.alternatives],
-        "alternatives": [
-            {"name": other.name, "reason": reason, "separated_by": other.separated_by}
+    return StepRow(
+        effect=one.name,
+        indistinguishable=[other.name for other in one.alternatives],
+        alternatives=[
+            AlternativeRow(name=other.name, reason=reason, separated_by=other.separated_by)
             for other in one.alternatives
         ],
-        "parameters": one.public,
-        "sigma": one.effect.describe([one.sigma]),
-        "significance": one.significance,
-        "explained": one.explained,
-        "gap_before": gap.before,
-        "gap_after": gap.after,
-        "ranking": [],
-    }
+        parameters=one.public,
+        sigma=one.effect.describe([one.sigma]),
+        significance=one.significance,
+        explained=one.explained,
+        gap_before=gap.before,
+        gap_after=gap.after,
+        ranking=[],
+    )
 
 
 def sentence(result: RampDiagnosis) -> str:
-    """The verdict in the words of an engineer."""
+    """Return the verdict as a sentence."""
     if result.verdict == "unknown":
         near = " and ".join(one.phrase for one in result.nearest)
         nearest = f"; the nearest is {near}" if near else ""
         return f"The ramp does not follow its offsets, and no error of the focus stage explains it{nearest}."
     if not result.names:
-        return "The focus stage does what it is told."
-    return f"The ramp wants {' and '.join(one.phrase for one in result.names)}; nothing else is missing."
+        return "The focus stage does what is commanded."
+    return f"The ramp needs {' and '.join(one.phrase for one in result.names)}; nothing else is missing."
 
 
 def _arrays(ramp: Ramp, estimated: np.ndarray, corrected: np.ndarray) -> dict[str, Quantity]:
     return {
-        "commanded_nm": Quantity(
-            ramp.commanded_nm, "nm", "introduced defocus as told, frames in order of time"
-        ),
-        "corrected_nm": Quantity(corrected, "nm", "the same with what was found"),
+        "commanded_nm": Quantity(ramp.commanded_nm, "nm", "commanded defocus, frames in order of time"),
+        "corrected_nm": Quantity(corrected, "nm", "introduced defocus with what was found"),
         "estimated_nm": Quantity(estimated, "nm", "estimate of every frame"),
     }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import ClassVar
 
 from irlos_pipe.product.results import ByNoll, EffectValues, Number, ResultsPart, StageResults
@@ -109,6 +110,11 @@ class Change(ResultsPart):
 
     before: Number = math.nan
     after: Number = math.nan
+
+    @classmethod
+    def of(cls, pair: Sequence[float]) -> Change:
+        """Return the change of a `pair` of before and after."""
+        return cls(before=pair[0], after=pair[1])
 
 
 class ModesChange(ResultsPart):

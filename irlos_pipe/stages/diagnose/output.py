@@ -1,0 +1,163 @@
+"""What stage `diagnose` reports of cubes: results, arrays, summary, and the model with what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import yaml
+
+from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
+from irlos_pipe.diagnose.held_out import Gap
+from irlos_pipe.diagnose.sentence import sentence
+from irlos_pipe.diagnose.verdict import Diagnosis, Step
+from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.product.product import Quantity
+from irlos_pipe.stages.diagnose.results import (
+    AdviceRow,
+    AlternativeRow,
+    Change,
+    DiagnoseResults,
+    FineStructureRow,
+    FrameCounts,
+    GapRow,
+    ModesChange,
+    NoiseRow,
+    RankedRow,
+    StepRow,
+)
+from irlos_pipe.stages.model.section import ModelConfig
+
+MODEL_FILE = "model.yaml"
+
+
+def diagnose_results(result: Diagnosis) -> DiagnoseResults:
+    """Return the results of a diagnosis of cubes."""
+    noise, modes = result.noise, [_by_noll(result, one) for one in result.modes_nm]
+    advice = {
+        name: AdviceRow(recording=one.recording, survival=one.observability, smallest=one.smallest)
+        for name, one in result.advice.items()
+    }
+    return DiagnoseResults(
+        verdict=result.verdict,
+        sentence=sentence(result),
+        steps=[_step(step) for step in result.steps],
+        nearest=None if result.nearest is None else _step(result.nearest),
+        gap=gap_row(result.gap),
+        unexplained=result.unexplained,
+        why_unknown=result.why_unknown,
+        untestable=list(result.untestable),
+        second_recording=advice,
+        mdb=result.mdb,
+        model=MODEL_FILE,
+        noise=NoiseRow(**asdict(noise), holds=noise.holds, text=noise.text),
+        fine_structure=FineStructureRow(**asdict(result.fine)),
+        chi2_nu=Change.of(result.chi2_nu),
+        excess_sigma=Change.of(result.excess_sigma),
+        motion_ratio=result.motion_ratio,
+        drift_significance=result.drift_significance,
+        frames=FrameCounts(training=result.frames[0], held_out=result.frames[1]),
+        zernike_nm=ModesChange(before=modes[0], after=modes[1]),
+        sigma_nm=_by_noll(result, result.modes_sigma_nm),
+        seconds=round(result.seconds, 3),
+    )
+
+
+def gap_row(gap: Gap) -> GapRow:
+    """Return a gap as it stands in the results."""
+    return GapRow(before=gap.before, after=gap.after, floor=gap.floor, shrink=gap.shrink)
+
+
+def _step(step: Step) -> StepRow:
+    return StepRow(
+        effect=step.name,
+        indistinguishable=[other.name for other in step.alternatives],
+        alternatives=[AlternativeRow(**asdict(other)) for other in step.alternatives],
+        parameters=step.public,
+        sigma=step.sigma,
+        significance=step.significance,
+        explained=step.explained,
+        held_out_z=step.preference,
+        gap_before=step.gap.before,
+        gap_after=step.gap.after,
+        ranking=[RankedRow(**asdict(one)) for one in step.ranking],
+    )
+
+
+def _by_noll(result: Diagnosis, values: np.ndarray) -> dict[int, float]:
+    both = zip(result.nolls, values.tolist(), strict=True)
+    return {noll: value for noll, value in both if noll <= HIGHEST_REPORTED_NOLL}
+
+
+def diagnose_arrays(result: Diagnosis) -> dict[str, Quantity]:
+    """Return images, maps and modes of a diagnosis of cubes."""
+    pictures, before, after = result.pictures, *result.modes_nm
+    return {
+        "measured_e": Quantity(
+            pictures.measured_e, "e-", "mean of the held-out frames", _finite(pictures.sigma_e)
+        ),
+        "before_e": Quantity(pictures.before_e, "e-", "predicted by the model as it was"),
+        "after_e": Quantity(pictures.after_e, "e-", "predicted by the model with what was found"),
+        "leading_mode": Quantity(pictures.leading, "sigma", "leading mode of the residual over the frames"),
+        "added_opd_nm": Quantity(pictures.added_opd_nm, "nm", "wavefront that was added, pupil plane"),
+        "added_amplitude": Quantity(pictures.added_amplitude, "", "amplitude that was added, pupil plane"),
+        "noll": Quantity(np.array(result.nolls), "", "Noll index of every mode in the model"),
+        "zernike_before_nm": Quantity(before, "nm", "total static wavefront, model as it was"),
+        "zernike_after_nm": Quantity(
+            after, "nm", "total static wavefront, with what was found", result.modes_sigma_nm
+        ),
+    }
+
+
+def _finite(sigma_e: np.ndarray) -> np.ndarray:
+    """Standard errors, 0 for pixels that are not used."""
+    return np.where(np.isfinite(sigma_e), sigma_e, 0.0)
+
+
+def summary_lines(result: Diagnosis) -> list[str]:
+    """Return the lines for the terminal."""
+    gap = result.gap
+    lines = [f"diagnosis       {result.verdict}: {sentence(result)}"]
+    lines.append(
+        f"  gap             {gap.before:.4f} -> {gap.after:.4f}, floor {gap.floor:.4f} (held-out frames), "
+        f"χ²/ν {result.chi2_nu[0]:.2f} -> {result.chi2_nu[1]:.2f}, {result.seconds:.0f} s"
+    )
+    lines.append(f"  noise           {result.noise.text}")
+    fine = result.fine
+    lines.append(f"  finer than D/λ  {fine.ratio:.2f} × what noise leaves there, {fine.significance:.1f} σ")
+    return lines
+
+
+# -- the model with what was found -------------------------------------------------------------
+
+
+def model_yaml(model: ModelConfig, entries: Sequence[dict[str, Any]]) -> bytes:
+    """Return the section `model` of a recipe with `entries` added to its effects, as YAML."""
+    section = model.model_dump(mode="json")
+    section["effects"] = _with_one_list_of_pixels([*section["effects"], *entries])
+    return yaml.safe_dump(section, sort_keys=False, allow_unicode=True).encode()
+
+
+def _with_one_list_of_pixels(effects: list[Any]) -> list[Any]:
+    """Entries of which a single one lists all bad pixels."""
+    listed = [e["bad_pixels"]["pixels"] for e in effects if isinstance(e, dict) and "bad_pixels" in e]
+    if len(listed) < 2:
+        return effects
+    others = [e for e in effects if not (isinstance(e, dict) and "bad_pixels" in e)]
+    pixels = sorted({tuple(pixel) for part in listed for pixel in part})
+    return [*others, {"bad_pixels": {"pixels": [list(pixel) for pixel in pixels]}}]
+
+
+def recipe_entry(step: Step) -> dict[str, Any]:
+    """Return an effect found as an entry of the section: values to start from, fitted where that helps."""
+    kind, public = CATALOGUE[step.name], step.public
+    values = {p.name: _plain(public[p.name]) for p in kind.public if p.name in public}
+    options = {o.name: getattr(step.effect.base, o.name) for o in kind.options if o.kind == "word"}
+    return {step.name: values | options | ({"fit": True} if kind.found_by == "score" else {})}
+
+
+def _plain(value: Any) -> Any:
+    """Value as in the YAML of a recipe: tables by integer."""
+    return {int(key): one for key, one in value.items()} if isinstance(value, dict) else value
