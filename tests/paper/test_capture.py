@@ -80,7 +80,7 @@ COUNTED = Estimates(
 )
 
 
-def test_right_wrong_and_flagged_are_told_apart():
+def test_right_wrong_and_flagged_are_counted_apart():
     assert COUNTED.counts() == Counts(cases=6, captured=4, wrong=1, flagged=1)
     assert COUNTED.within(450).counts() == Counts(cases=4, captured=2, wrong=1, flagged=1)
 

@@ -80,7 +80,7 @@ def test_an_error_of_a_sample_keeps_its_kind_and_names_the_sample(tmp_path):
     assert len(list(tmp_path.glob("*.npz"))) == 1  # what was finished stays
 
 
-def test_a_worker_that_dies_is_told_in_one_line_and_finished_samples_stay(tmp_path):
+def test_a_worker_that_dies_gives_one_line_and_finished_samples_stay(tmp_path):
     samples = [{"seed": 1}, {"seed": 2}]
     with pytest.raises(IrlosError, match=r"^scan: a worker process was killed, .* run the same command"):
         run_samples(die, samples, context(tmp_path, jobs=1), "scan")
@@ -101,7 +101,7 @@ def test_what_cannot_be_stored_is_refused_by_its_name(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_the_key_of_a_sample_tells_apart_functions_values_and_kinds_and_not_the_order_of_keys(tmp_path):
+def test_the_key_of_a_sample_depends_on_function_values_and_kinds_and_not_on_the_order_of_keys(tmp_path):
     (sample,) = draws(tmp_path, "a")
     as_dict = {"name": "a", "seed": 0, "folder": str(tmp_path)}
     turned = dict(reversed(as_dict.items()))

@@ -94,14 +94,14 @@ def test_every_length_of_exposure_has_its_own_magnitudes():
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"faintest_mag_j": (19.0,)}, "one value for each of exposures_s"),
         ({"magnitudes": 20}, "frames can only be dimmed; lower magnitudes"),
     ],
 )
-def test_scans_that_cannot_be_made_are_refused(changes, told):
-    with pytest.raises(ValidationError, match=told):
+def test_scans_that_cannot_be_made_are_refused(changes, message):
+    with pytest.raises(ValidationError, match=message):
         stage.Config(**changes)
 
 

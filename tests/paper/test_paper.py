@@ -152,14 +152,14 @@ def test_a_seed_given_replaces_that_of_every_recipe(paper):
         ),
     ],
 )
-def test_a_mistake_is_told_in_one_line_before_anything_runs(paper, options, line):
+def test_a_mistake_gives_one_line_before_anything_runs(paper, options, line):
     result = paper.paper(*options)
     assert (result.exit_code, result.output.splitlines()) == (2, [line])
     assert not paper.output.exists()
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         ("zetta: {calibrate.samples: 1}", ":1: no recipe 'zetta'; did you mean 'zeta'?"),
         ("zeta: 3", ":1: 'zeta' should be a section of 'stage.key: value' lines"),
@@ -167,11 +167,11 @@ def test_a_mistake_is_told_in_one_line_before_anything_runs(paper, options, line
         ("zeta: {calibrate.samples: 0}", ": calibrate.samples: calibrate.samples = 0"),
     ],
 )
-def test_a_mistake_in_the_quick_settings_is_told_by_its_place(paper, content, told):
+def test_a_mistake_in_the_quick_settings_is_reported_with_its_line(paper, content, message):
     path = paper.recipes / "quick.yaml"
     path.write_text(content)
     result = paper.paper("--quick")
-    assert result.exit_code == 2 and f"irlos: error: {path}{told}" in result.output
+    assert result.exit_code == 2 and f"irlos: error: {path}{message}" in result.output
 
 
 def test_a_recipe_that_is_not_wanted_may_be_wrong(paper):

@@ -225,7 +225,7 @@ def test_interpolated_frames_are_those_simulated_at_that_defocus():
         assert np.abs(interpolated - direct).max() < 5e-4 * direct.max()
 
 
-def test_the_table_tells_the_defocus_of_the_sky():
+def test_the_table_holds_the_defocus_of_the_sky():
     star = scene(3)
     expected = expose(star).zernike_nm[:, 2] - star.ncpa_nm[4]
     assert frame_table(star, 100.0, 2).sky_focus_nm == pytest.approx(expected)
@@ -249,7 +249,7 @@ def test_lift_measures_what_the_loop_leaves(found):
     )  # the sky's own defocus; the NCPAs' bias is in the median
 
 
-def test_residual_and_measurements_tell_the_same_story(found):
+def test_the_residual_is_the_drift_less_the_measurements_so_far(found):
     """Drift less the sum of gain times measurement, one frame late."""
     measured = np.nan_to_num(found["measured_nm"][0, 0])
     command = 0.4 * np.concatenate([[0, 0], np.cumsum(measured)[:-2]])

@@ -13,7 +13,7 @@ from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf_settings import PsfSettings
-from irlos_pipe.optics.wavefront import modes_at
+from irlos_pipe.optics.wavefront import modes_at, opd_maps_nm
 from irlos_pipe.paper.common.observation import frames_of, model_effects_of, settings_of
 from irlos_pipe.paper.common.variants import Variant
 from irlos_pipe.simulate.atmosphere import Sky
@@ -134,7 +134,7 @@ class ObservedCube:
 
         The truth is the time-averaged wavefront of all frames, diversity excluded.
         """
-        estimated_nm = calibration.zernike_nm @ self._modes(calibration.nolls)
+        estimated_nm = calibration.zernike_nm @ modes_at(calibration.nolls, self._lit)
         return self._rms(self.exposed.mean_opd_nm[self._lit] - estimated_nm)
 
     def modes_delta_nm(self, calibration: Calibration) -> float:
@@ -143,21 +143,15 @@ class ObservedCube:
         true_nm = used.mean(axis=0)[: len(REPORTED_NOLLS)]
         given_nm = dict(zip(calibration.nolls, calibration.zernike_nm, strict=True))
         difference_nm = true_nm - np.array([given_nm.get(noll, 0.0) for noll in REPORTED_NOLLS])
-        return self._rms(difference_nm @ self._modes(REPORTED_NOLLS))
+        return self._rms(difference_nm @ modes_at(REPORTED_NOLLS, self._lit))
 
     def wavefront_nm(self, calibration: Calibration) -> np.ndarray:
         """Return the estimated wavefront on the simulator's pupil grid, (n, n); NaN outside the pupil."""
-        image = np.full(self._lit.shape, np.nan)
-        image[self._lit] = calibration.zernike_nm @ self._modes(calibration.nolls)
-        return image
+        return opd_maps_nm(calibration.nolls, calibration.zernike_nm, self._lit)
 
     @property
     def _lit(self) -> np.ndarray:
         return self.exposed.transmission > 0
-
-    def _modes(self, nolls: tuple[int, ...]) -> np.ndarray:
-        """Zernikes at the lit samples, (modes, samples)."""
-        return modes_at(nolls, self._lit)
 
     def _rms(self, values: np.ndarray) -> float:
         """RMS over the lit samples about their mean, weighted by the transmission."""

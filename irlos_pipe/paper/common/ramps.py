@@ -23,6 +23,7 @@ from irlos_pipe.estimate.ramp_fit import (
     start_from_defocus,
 )
 from irlos_pipe.estimate.starts import scan_start_nm
+from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.paper.common.broad_band import FINE, frame_settings, star_scene
 from irlos_pipe.paper.common.cube import ObservedCube
@@ -194,7 +195,7 @@ class ObservedRamp:
         known = self.knowledge[variant.ncpa].effects
         return ramp_effects(model_effects_of(self.scene), known, variant.halo, variant.kernel)
 
-    def start_nm(self, variant: LiftVariant, model: PsfModel) -> torch.Tensor:
+    def start_nm(self, variant: LiftVariant, model: LightPath) -> torch.Tensor:
         """Return the start of `variant` with its `model` from the elongation prior, (frames, modes)."""
         return start_from_defocus(model, self.data, self.prior_nm - self.given_defocus_nm(variant))
 
