@@ -15,7 +15,7 @@ from irlos_pipe.paper.capture.results import Counts
 from irlos_pipe.paper.capture.section import section as capture_section
 from irlos_pipe.paper.common.ramps import STARTS
 
-SAMPLE = CaptureSample("test", (20, 3), cases.FACILITY, 6, 800.0)
+SAMPLE = CaptureSample("test", (20, 3), cases.FACILITY, 6, 800.0, 2.0, 12.0, 0.5, 15.0)
 
 
 @pytest.fixture(scope="module")

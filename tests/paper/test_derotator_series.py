@@ -25,8 +25,16 @@ TRUTH = draw_truth((5,), FACILITY.ncpa_law, 30.0, 60.0)
 
 
 def sample(**changes) -> AngleSample:
-    values = {"name": "a", "seed": (5, 1), "facility": FACILITY, "truth": TRUTH, "angle_deg": 46.0,
-              "frames": {"long_exposure": 24, "dip_global": 3}, "seeing_arcsec": 0.5}  # fmt: skip
+    values = {
+        "name": "a",
+        "seed": (5, 1),
+        "facility": FACILITY,
+        "truth": TRUTH,
+        "angle_deg": 46.0,
+        "frames": {"long_exposure": 24, "dip_global": 3},
+        "seeing_arcsec": 0.5,
+        "mag_j": 8.0,
+    }
     return AngleSample(**values | changes)
 
 

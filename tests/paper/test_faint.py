@@ -24,7 +24,7 @@ from irlos_pipe.paper.faint.experiment import (
 from irlos_pipe.paper.faint.section import section as faint_section
 
 SHORT = Exposures(0.1, (9.0, 13.0))
-SAMPLE = FaintSample("test", (33, 0), cases.FACILITY, (SHORT,), (-100.0, 100.0), 2, 20, 0.4)
+SAMPLE = FaintSample("test", (33, 0), cases.FACILITY, (SHORT,), (-100.0, 100.0), 2, 20, 0.4, 7.1)
 
 
 @pytest.fixture(scope="module")

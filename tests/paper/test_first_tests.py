@@ -144,7 +144,7 @@ def test_the_stage_sums_up_both_targets_and_the_section_shows_them(found, monkey
     assert [row.frames for row in first.starts] == [6] * len(first.starts)
     section = section_of(output, "first_tests", first_tests_section)
     titles = [block.title for block in section.blocks]
-    assert titles[0].startswith("Target 1: m_J 9") and titles[-1] == "What the start buys"
+    assert titles[0].startswith("Target 1: m_J 9") and titles[-1] == "Influence of the start"
     assert "reached upwards" in section.blocks[0].svg and "second run" in section.blocks[1].svg
     assert section.blocks[2].marks.count("good") == 2
 

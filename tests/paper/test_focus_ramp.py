@@ -23,7 +23,9 @@ from irlos_pipe.paper.focus_ramp.experiment import (
 from irlos_pipe.paper.focus_ramp.section import section as focus_ramp_section
 from irlos_pipe.simulate.exposure import expose
 
-SAMPLE = RampSample("test", (31, 0), cases.FACILITY, (-200.0, 0.0, 200.0), 1, 40, ("none_3", "default_3"))
+SAMPLE = RampSample(
+    "test", (31, 0), cases.FACILITY, (-200.0, 0.0, 200.0), 1, 40, ("none_3", "default_3"), 0.35, 7.0, 12.0
+)
 
 
 @pytest.fixture(scope="module")

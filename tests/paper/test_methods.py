@@ -25,7 +25,15 @@ FACILITY = load_instrument("irlos").facility
 
 def cube(**changes) -> CubeSample:
     return CubeSample(
-        **{"name": "a", "seed": (7, 0), "facility": FACILITY, "seeing_arcsec": 0.5, "frames": 24} | changes
+        **{
+            "name": "a",
+            "seed": (7, 0),
+            "facility": FACILITY,
+            "seeing_arcsec": 0.5,
+            "frames": 24,
+            "mag_j": 7.0,
+        }
+        | changes
     )
 
 

@@ -13,7 +13,7 @@ from irlos_pipe.paper.mode_statistics.experiment import (
     estimate_modes,
 )
 
-CUBE = CubeSample("a", (3, 0), load_instrument("irlos").facility, 0.5, 32)
+CUBE = CubeSample("a", (3, 0), load_instrument("irlos").facility, 0.5, 32, 7.0)
 
 
 @pytest.fixture(scope="module")

@@ -50,10 +50,10 @@ class CaptureSample:
     facility: Facility
     frames: int
     reach_nm: float
-    shift_px: float = 2.0
-    mag_j: float = 12.0
-    seeing_arcsec: float = 0.5
-    calibration_error_nm: float = 15.0
+    shift_px: float
+    mag_j: float
+    seeing_arcsec: float
+    calibration_error_nm: float
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from irlos_pipe.conventions import bands
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.optics.psf_settings import PsfSettings
-from irlos_pipe.paper.common.cube import DIVERSITY_NM
+from irlos_pipe.paper.common.cube import DIVERSITY_NM, JITTER_MAS
 from irlos_pipe.paper.common.observation import settings_of
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector_model import DetectorModel
@@ -38,8 +38,7 @@ def star_scene(
     ncpa_nm: Mapping[int, float],
     introduced_nm: float | tuple[float, ...] = 0.0,
     *,
-    seeing_arcsec: float = 0.5,
-    jitter_mas: float = 7.0,
+    seeing_arcsec: float,
 ) -> Scene:
     """Return frames of one second, one after the other, with the astigmatic lens.
 
@@ -47,8 +46,8 @@ def star_scene(
     ----------
     name, facility, seed, frames, mag_j, ncpa_nm, introduced_nm
         See `Scene`.
-    seeing_arcsec, jitter_mas : float
-        Seeing on SPARTA's scale, and RMS of the residual motion.
+    seeing_arcsec : float
+        On SPARTA's scale.
     """
     return Scene(
         name,
@@ -64,7 +63,7 @@ def star_scene(
         diversity_nm=DIVERSITY_NM,
         introduced_nm=introduced_nm,
         sky=Sky(seeing_arcsec),
-        motion=Motion(jitter_mas),
+        motion=Motion(JITTER_MAS),
         detector=COADDED,
         sampling=COARSE,
     )

@@ -29,6 +29,8 @@ NARROW_THROUGHPUT = 0.14  # width of the narrow band over that of J+H, for which
 DIVERSITY_NM = {6: -170.0}  # of the astigmatic lens
 MIRROR_DIVERSITY_NM = {6: 170.0}  # of the deformable mirror, where the lens cannot be inserted
 NCPA_NM, NCPA_SCATTER_NM = 142.0, 30.0
+BRIGHT_MAG_J = 7.0  # of the star of a calibration cube, where it is not a setting
+JITTER_MAS = 7.0  # RMS residual motion
 LOW_GAIN = DetectorModel(e_per_adu=3.0)  # a star of m_J 7 must not saturate the converter in 0.1 s
 
 
@@ -51,8 +53,7 @@ class CubeSample:
     facility: Facility
     seeing_arcsec: float
     frames: int
-    mag_j: float = 7.0
-    jitter_mas: float = 7.0
+    mag_j: float
     shape: str = "power_law"
 
     def scene(self) -> Scene:
@@ -71,7 +72,7 @@ class CubeSample:
             ncpa_nm=draw_ncpa_nm(rng, self.facility.ncpa_law, total_nm),
             diversity_nm=DIVERSITY_NM,
             sky=Sky(seeing_arcsec=self.seeing_arcsec, shape=self.shape),
-            motion=Motion(rms_mas=self.jitter_mas),
+            motion=Motion(rms_mas=JITTER_MAS),
             detector=LOW_GAIN,
             sampling=Sampling(points_per_band=3),
         )

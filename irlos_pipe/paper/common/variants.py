@@ -114,7 +114,7 @@ def sharpest_half(frames: Frames) -> Frames:
     return replace(frames, images_e=frames.images_e[sharpest])
 
 
-# The default first; then what each of its parts buys.
+# The default first; then what each of its parts contributes.
 VARIANTS = {
     DEFAULT: Variant("default: mean image, AO residual and jitter, 65 modes, prior"),
     "no_residual": Variant("without AO residual and jitter", effects=lambda effects: []),

@@ -84,8 +84,8 @@ class AngleSample:
     truth: Truth
     angle_deg: float
     frames: Mapping[str, int]
-    seeing_arcsec: float = 1.2
-    mag_j: float = 8.0
+    seeing_arcsec: float
+    mag_j: float
 
     def scene(self) -> Scene:
         """Return the recording: narrow H band, 0.1 s at 10 Hz, diversity by the deformable mirror."""

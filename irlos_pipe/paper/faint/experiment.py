@@ -61,7 +61,7 @@ class FaintSample:
     realisations: int
     cube_frames: int
     seeing_arcsec: float
-    mag_j: float = 7.1
+    mag_j: float
 
 
 def scenes_of(sample: FaintSample) -> tuple[Scene, list[Scene]]:

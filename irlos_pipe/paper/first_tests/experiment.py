@@ -18,7 +18,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import LiftOptions, LiftResult
 from irlos_pipe.estimate.ramp import summarise
 from irlos_pipe.paper.common.broad_band import FINE
-from irlos_pipe.paper.common.cube import CubeSample
+from irlos_pipe.paper.common.cube import BRIGHT_MAG_J, CubeSample
 from irlos_pipe.paper.common.ramps import (
     DEFOCUS,
     KERNEL_MAS,
@@ -91,7 +91,7 @@ TARGETS = {
 
 
 def variants_of(target: Target) -> dict[str, LiftVariant]:
-    """Return the variants of LIFT for a target: the kernel without NCPAs, then what the NCPAs buy."""
+    """Return the variants of LIFT for a target: the kernel without NCPAs, then with the NCPAs."""
     text = f"kernel {target.kernel_mas:g} mas by hand"
     by_hand = LiftVariant(text, NINE, halo="off", kernel=target.kernel_mas)
     residual = LiftVariant("AO residual and jitter as expected", NINE)
@@ -143,7 +143,7 @@ def scenes_of(sample: TargetSample) -> tuple[Scene, Scene]:
     target = TARGETS[sample.target]
     ncpa_nm = draw_ncpa_nm(np.random.default_rng(sample.seed), sample.facility.ncpa_law, sample.ncpa_nm)
     conditions = CubeSample(
-        sample.name, sample.seed, sample.facility, sample.seeing_arcsec, sample.cube_frames
+        sample.name, sample.seed, sample.facility, sample.seeing_arcsec, sample.cube_frames, BRIGHT_MAG_J
     )
     cube = replace(conditions.scene(), ncpa_nm=ncpa_nm, sampling=FINE)
     introduced_nm = np.repeat(target.order(sample.offsets), sample.frames_per_offset).tolist()
@@ -191,7 +191,7 @@ def _estimates(observed: ObservedRamp, variant: LiftVariant) -> dict[str, np.nda
     }
 
 
-# -- what the start buys ---------------------------------------------------------------------------
+# -- influence of the start -----------------------------------------------------------------------
 
 
 def _started(observed: ObservedRamp, variant: LiftVariant) -> dict[str, np.ndarray]:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.estimate.ramp import travel_direction
 from irlos_pipe.paper.common.section import array_of
-from irlos_pipe.paper.first_tests.results import FirstTestsResults, TargetRow, VariantRow
+from irlos_pipe.paper.first_tests.results import FirstTestsResults, StartRow, TargetRow, VariantRow
 from irlos_pipe.report.content import Block, Figure, Section, Table
 from irlos_pipe.report.drawing import BLUE, INK, ORANGE, svg
 from irlos_pipe.report.run_data import RunData
@@ -148,7 +148,7 @@ def _variants_table(target: TargetRow) -> Table:
     rows = [_variant_row(variant) for variant in target.ways]
     marks = ["good" if variant.key.startswith("default") else "" for variant in target.ways]
     frames = f"{target.samples} ramps of {', '.join(map(str, target.frames))} frames. "
-    title = f"{target.label.capitalize()}: what each part buys"
+    title = f"{target.label.capitalize()}: what each part contributes"
     return Table(columns, rows, title, frames + VARIANTS_CAPTION, marks)
 
 
@@ -168,16 +168,12 @@ def _starts_table(targets: list[TargetRow]) -> Table:
     columns = ["model", "start"]
     for target in targets:
         columns += [f"{target.label}: wrong", "iterations"]
-    rows = [
-        [
-            VARIANTS[together[0].way],
-            STARTS[together[0].start],
-            *(
-                cell
-                for one in together
-                for cell in (f"{one.wrong} of {one.frames}", number(one.median_iterations, ".0f"))
-            ),
-        ]
-        for together in zip(*(target.starts for target in targets), strict=True)
-    ]
-    return Table(columns, rows, "What the start buys", STARTS_CAPTION)
+    rows = [_start_row(together) for together in zip(*(target.starts for target in targets), strict=True)]
+    return Table(columns, rows, "Influence of the start", STARTS_CAPTION)
+
+
+def _start_row(together: tuple[StartRow, ...]) -> list[str]:
+    cells = [VARIANTS[together[0].way], STARTS[together[0].start]]
+    for row in together:
+        cells += [f"{row.wrong} of {row.frames}", number(row.median_iterations, ".0f")]
+    return cells

@@ -48,10 +48,10 @@ class RampSample:
     offsets_nm: tuple[float, ...]
     frames_per_offset: int
     cube_frames: int
-    variants: tuple[str, ...] = tuple(LIFT_VARIANTS)
-    seeing_arcsec: float = 0.35
-    cube_mag_j: float = 7.0
-    ramp_mag_j: float = 12.0
+    variants: tuple[str, ...]
+    seeing_arcsec: float
+    cube_mag_j: float
+    ramp_mag_j: float
 
 
 def scenes_of(sample: RampSample) -> tuple[Scene, Scene]:

@@ -1,4 +1,4 @@
-"""Methods compared on simulated cubes (paper, Fig. "methods"), and what each part of the default buys.
+"""Methods compared on simulated cubes (paper, Fig. "methods"), and what each part of the default contributes.
 
 One sample is one cube with its own NCPAs and its own AO residual. Beside the seeing, the residual's
 power spectrum can have another shape than the model of the default assumes.

@@ -26,6 +26,12 @@ SHAPES = {
     "aliasing": "aliasing",
     "non_stationary": "non-stationary seeing",
 }
+SEEING_CAPTION = (
+    "Median Δ-WFE in Noll 2–30; bars: 16th to 84th percentile over cubes. Grey: NCPAs introduced. Dashes: "
+    "floor from the finite number of speckles in a cube, the part of the default's error that falls "
+    "as 1/√frames."
+)
+SAMPLES_CAPTION = "Every point is a cube with NCPAs of its own; Δ-WFE in Noll 2–30, bars at the medians."
 
 
 def section(run: RunData) -> Section:
@@ -41,14 +47,6 @@ def section(run: RunData) -> Section:
         _shape_table(results.conditions),
     ]
     return Section(STAGE, "Calibration methods", _lead(modelled), blocks)
-
-
-SEEING_CAPTION = (
-    "Median Δ-WFE in Noll 2–30; bars: 16th to 84th percentile over cubes. Grey: NCPAs introduced. Dashes: "
-    "floor from the finite number of speckles in a cube, the part of the default's error that falls "
-    "as 1/√frames."
-)
-SAMPLES_CAPTION = "Every point is a cube with NCPAs of its own; Δ-WFE in Noll 2–30, bars at the medians."
 
 
 def _lead(modelled: list[ConditionRow]) -> str:
@@ -156,7 +154,7 @@ def _parts_table(rows: list[ConditionRow], labels: dict[str, str]) -> Table:
         "Median Δ-WFE in Noll 2–30 with one part of the default changed, and median χ²/ν of the mean image; "
         f"the first {counts} cubes of each seeing."
     )
-    return Table(columns, body, "What each part of the default buys", caption)
+    return Table(columns, body, "What each part of the default contributes", caption)
 
 
 def _shape_table(conditions: list[ConditionRow]) -> Table:

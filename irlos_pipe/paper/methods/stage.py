@@ -113,7 +113,7 @@ def _condition(shape: str, seeing: float, found: Sequence[Arrays]) -> ConditionR
 
 
 def _parts(found: Sequence[Arrays]) -> dict[str, Any]:
-    """What each part of the default buys, on the cubes where all were changed in turn."""
+    """What each part of the default contributes, on the cubes where all were changed in turn."""
     floor_nm, rest_nm = _floor(found)
     return {
         "parts": {name: _distribution(found, f"{name}/modes_nm") for name in PARTS},

@@ -31,9 +31,9 @@ class SodiumLayer:
         the effect is largest: it goes with the cosine of the zenith angle.
     """
 
-    slope: float = 1.95
-    rms_change_1s_m: float = 23.0
-    range_m: float = 89.4e3
+    slope: float
+    rms_change_1s_m: float
+    range_m: float
 
     def defocus_per_metre_nm(self, diameter_m: float) -> float:
         """Return the defocus [nm RMS] per metre of altitude: ``D² / (16 √3 h²)``.

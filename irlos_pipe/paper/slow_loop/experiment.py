@@ -14,7 +14,7 @@ import numpy as np
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.paper.common.broad_band import FINE, star_scene
-from irlos_pipe.paper.common.cube import CubeSample
+from irlos_pipe.paper.common.cube import BRIGHT_MAG_J, CubeSample
 from irlos_pipe.paper.common.ramps import TTF, Knowledge, calibrated
 from irlos_pipe.paper.slow_loop.closed import Loop, close_loops
 from irlos_pipe.paper.slow_loop.control import best_gain
@@ -39,10 +39,9 @@ class Conditions:
 
     facility: Facility
     drift: Drift
-    delay: int = 1
-    seeing_arcsec: float = 0.5
-    jitter_mas: float = 7.0
-    calibration_frames: int = 200
+    delay: int
+    seeing_arcsec: float
+    calibration_frames: int
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ def _cube(sample: LoopSample) -> Scene:
         conditions.facility,
         conditions.seeing_arcsec,
         conditions.calibration_frames,
-        jitter_mas=conditions.jitter_mas,
+        BRIGHT_MAG_J,
     ).scene()
     ncpa_nm = {noll: value for noll, value in cube.ncpa_nm.items() if noll not in TTF}
     return replace(cube, ncpa_nm=ncpa_nm, sampling=FINE)
@@ -126,7 +125,6 @@ def _star(sample: LoopSample, ncpa_nm: Mapping[int, float]) -> Scene:
         min(loop.mag_j for loop in sample.loops),
         ncpa_nm,
         seeing_arcsec=conditions.seeing_arcsec,
-        jitter_mas=conditions.jitter_mas,
     )
 
 

@@ -88,9 +88,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
 def _conditions(ctx: StageContext[Config]) -> Conditions:
     config, facility = ctx.config, ctx.instrument.facility
     drift = SodiumLayer(**config.layer.model_dump()).drift(facility.pupil.diameter_m)
-    return Conditions(
-        facility, drift, config.delay, config.seeing_arcsec, calibration_frames=config.calibration_frames
-    )
+    return Conditions(facility, drift, config.delay, config.seeing_arcsec, config.calibration_frames)
 
 
 def _loops(ctx: StageContext[Config]) -> tuple[Loop, ...]:
