@@ -57,30 +57,25 @@ class LiftVariant:
     """
 
     name: str
-    modes: tuple[int, ...]
+    modes: tuple[int, ...] = TTF
     ncpa: str = ""
     halo: Literal["calibrated", "off"] = "calibrated"
     kernel: str | float = "calibrated"
 
 
-def _three_and_nine(key: str, variant: LiftVariant) -> dict[str, LiftVariant]:
-    return {f"{key}_{len(modes)}": replace(variant, modes=modes) for modes in (TTF, NINE)}
-
-
 # The kernel is fixed by hand as in the paper, or fitted to the ramp; the default takes what it calibrated.
-LIFT_VARIANTS = (
-    _three_and_nine("none", LiftVariant("no NCPAs, kernel 12 mas", (), "", "off", KERNEL_MAS))
-    | _three_and_nine("none_residual", LiftVariant("no NCPAs, AO residual expected", ()))
-    | _three_and_nine(
-        "published", LiftVariant("NCPAs by DIP global, kernel 12 mas", (), PAPER_CHOICE, "off", KERNEL_MAS)
-    )
-    | _three_and_nine(
-        "published_fit", LiftVariant("NCPAs by DIP global, kernel fitted", (), PAPER_CHOICE, "off", "fit")
-    )
-    | _three_and_nine(
-        "default", LiftVariant("default: NCPAs, AO residual, jitter as calibrated", (), DEFAULT)
-    )
-)
+_BASE = {
+    "none": LiftVariant("no NCPAs, kernel 12 mas", halo="off", kernel=KERNEL_MAS),
+    "none_residual": LiftVariant("no NCPAs, AO residual expected"),
+    "published": LiftVariant("NCPAs by DIP global, kernel 12 mas", TTF, PAPER_CHOICE, "off", KERNEL_MAS),
+    "published_fit": LiftVariant("NCPAs by DIP global, kernel fitted", TTF, PAPER_CHOICE, "off", "fit"),
+    "default": LiftVariant("default: NCPAs, AO residual, jitter as calibrated", ncpa=DEFAULT),
+}
+LIFT_VARIANTS = {
+    f"{key}_{len(modes)}": replace(variant, modes=modes)
+    for key, variant in _BASE.items()
+    for modes in (TTF, NINE)
+}
 
 
 def methods_of(variants: Iterable[LiftVariant]) -> list[str]:

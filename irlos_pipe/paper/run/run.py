@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import ExitCode, IrlosError
@@ -16,8 +16,8 @@ from irlos_pipe.pipeline.terminal import quality_line
 from irlos_pipe.product.runfolder import owned_folder
 
 
-@dataclass
-class Ran:
+@dataclass(frozen=True)
+class PaperRun:
     """Outcome of the run of all experiments.
 
     Attributes
@@ -26,14 +26,14 @@ class Ran:
         Of those that came to an end.
     problems : dict of str to str
         What stopped the others.
-    report, results : Path or None
+    report, results : Path
         The report and the numbers of all experiments.
     """
 
-    outcomes: dict[str, Outcome] = field(default_factory=dict)
-    problems: dict[str, str] = field(default_factory=dict)
-    report: Path | None = None
-    results: Path | None = None
+    outcomes: dict[str, Outcome]
+    problems: dict[str, str]
+    report: Path
+    results: Path
 
     @property
     def exit_code(self) -> int:
@@ -44,7 +44,7 @@ class Ran:
         return max(codes, default=ExitCode.DONE)
 
 
-def run_paper(known: Sequence[Experiment], folder: Path, quick: bool, resources: Resources) -> Ran:
+def run_paper(known: Sequence[Experiment], folder: Path, quick: bool, resources: Resources) -> PaperRun:
     """Bring the wanted experiments up to date, each in a folder of its own, and collect all of them.
 
     Parameters
@@ -66,35 +66,28 @@ def run_paper(known: Sequence[Experiment], folder: Path, quick: bool, resources:
         When the folder is in use, or cannot be written.
     """
     require_size(folder, quick)
+    wanted = [one for one in known if one.wanted]
+    outcomes, problems = {}, {}
     with owned_folder(folder):
-        ran = Ran()
-        for experiment in _announced([one for one in known if one.wanted]):
-            _run(experiment, folder / experiment.name, resources, ran)
+        for number, experiment in enumerate(wanted, 1):
+            name = experiment.name
+            RUN.info("experiment %d of %d: %s", number, len(wanted), name)
+            try:
+                outcome = run_recipe(experiment.recipe, folder / name, None, resources)
+            except IrlosError as error:
+                problems[name] = str(error).splitlines()[0]
+                RUN.warning("%s: failed: %s", name, error)
+            else:
+                outcomes[name] = outcome
+                if outcome.report_error:
+                    RUN.warning("%s: %s", name, outcome.report_error)
             # After each experiment, so that the numbers so far can be looked at.
-            ran.results = collect_numbers(known, folder, quick)
-        ran.report = collect_reports(known, folder, quick, ran.problems)
-    return ran
+            numbers = collect_numbers(known, folder, quick)
+        report = collect_reports(known, folder, quick, problems)
+    return PaperRun(outcomes, problems, report, numbers)
 
 
-def _announced(wanted: Sequence[Experiment]) -> Iterator[Experiment]:
-    for number, experiment in enumerate(wanted, 1):
-        RUN.info("experiment %d of %d: %s", number, len(wanted), experiment.name)
-        yield experiment
-
-
-def _run(experiment: Experiment, folder: Path, resources: Resources, ran: Ran) -> None:
-    try:
-        outcome = run_recipe(experiment.recipe, folder, None, resources)
-    except IrlosError as error:
-        ran.problems[experiment.name] = str(error).splitlines()[0]
-        RUN.warning("%s: failed: %s", experiment.name, error)
-    else:
-        ran.outcomes[experiment.name] = outcome
-        if outcome.report_error:
-            RUN.warning("%s: %s", experiment.name, outcome.report_error)
-
-
-def summary_text(ran: Ran) -> str:
+def summary_text(ran: PaperRun) -> str:
     """Return the summary lines of every experiment and where the files are, for the terminal."""
     rows = [(name, line) for name, outcome in ran.outcomes.items() for line in _lines(outcome)]
     rows += [(name, f"failed: {problem}") for name, problem in ran.problems.items()]
