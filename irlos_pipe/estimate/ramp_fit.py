@@ -17,6 +17,7 @@ from irlos_pipe.estimate.shared import SharedFit, fit_shared
 from irlos_pipe.estimate.starts import scan_start_nm, start_tilts_nm
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf import PsfModel
 
 OUTLIER_CHI2 = 2.0  # a fit this much worse than the median of the ramp gets a second try
@@ -73,7 +74,7 @@ class RampFit:
         return np.where(valid, self.result.mode(DEFOCUS)[0].numpy(), np.nan)
 
 
-def start_from_defocus(model: PsfModel, data: RampData, defocus_nm: np.ndarray) -> torch.Tensor:
+def start_from_defocus(model: LightPath, data: RampData, defocus_nm: np.ndarray) -> torch.Tensor:
     """Start a `model` at `defocus_nm` for the frames of `data`; tip and tilt from the centroids.
 
     The centroids are relative to those of the model's own images.
