@@ -12,6 +12,7 @@ import pytest
 from helpers import made_run
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.product import storage
 from irlos_pipe.product.product import Check, Product, Quantity
 from irlos_pipe.report.build import write_report
 from irlos_pipe.report.section_ingest import MOST_THUMBNAILS
@@ -234,6 +235,14 @@ def test_a_night_of_recordings_does_not_blow_up_the_page(tmp_path):
     text = report(tmp_path, [replace(product, arrays=arrays, results={"inputs": rows})]).text
     assert text.count("<img") == MOST_THUMBNAILS
     assert f"r{MOST_THUMBNAILS + 19:03d}" in text
+
+
+def test_no_frames_are_read_for_the_page(tmp_path, monkeypatch):
+    read = []
+    real = storage._read_array
+    monkeypatch.setattr(storage, "_read_array", lambda dataset: read.append(dataset.name) or real(dataset))
+    assert "<img" in report(tmp_path, made_run.products()).text
+    assert read and not [name for name in read if name.endswith(("/images_e", "/raw_adu"))]
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path):

@@ -28,7 +28,7 @@ from irlos_pipe.product.product import Product
 from irlos_pipe.product.storage import read_product, write_product
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest import stage as ingest
-from irlos_pipe.stages.ingest.recordings import recordings_from_product
+from irlos_pipe.stages.ingest.recordings import overviews_from_product, recordings_from_product, screened_e
 from irlos_pipe.stages.model.section import ModelConfig
 
 SHARED = paths.SHARED / "samples"
@@ -201,6 +201,41 @@ def test_a_bad_pixel_and_a_hit_leave_the_rest_alone(tmp_path):
     assert recording.used.all()
     assert np.abs(recording.images_e[:, 4, 5] - IMAGE[4, 5]).max() < 100
     assert np.abs(recording.images_e[7, 25, 6] - IMAGE[25, 6]) < 100
+
+
+def test_what_a_bad_pixel_showed_is_kept_unless_a_map_lists_it(tmp_path):
+    """Hot by 5000 ADU over a dark of 50, of half the response: (5000 - 50) / 0.5 * 0.5 e-/ADU."""
+    adu, dead, flat = counts(IMAGE, 20), np.zeros(IMAGE.shape), np.ones(IMAGE.shape)
+    adu[:, 4, 5] = adu[:, 20, 3] = 5000.0
+    flat[4, 5], dead[20, 3] = 0.5, 1
+    maps = {"DARK": np.full(IMAGE.shape, 50), "FLAT": flat, "DEAD": dead}
+    write_recorder(tmp_path / "rec", adu, maps=maps)
+    output = run(tmp_path)
+    assert screened_e(product_of(output), only_recording(output)) == {(4, 5): pytest.approx(4950.0)}
+
+
+def test_a_product_that_did_not_keep_what_bad_pixels_showed_asks_for_ingest(tmp_path):
+    adu = counts(IMAGE, 20)
+    adu[:, 4, 5] = 5000.0
+    write_recorder(tmp_path / "rec", adu)
+    output = run(tmp_path)
+    older = {key: one for key, one in output.arrays.items() if not key.endswith("/screened_e")}
+    with pytest.raises(InputDataError, match="run ingest again"):
+        screened_e(replace(product_of(output), arrays=older), only_recording(output))
+
+
+def test_the_mean_of_the_used_frames_is_stored(tmp_path):
+    adu = counts(IMAGE, 20)
+    adu[3] *= 2  # a flux that is not used
+    write_recorder(tmp_path / "rec", adu)
+    product = product_of(run(tmp_path))
+    (overview,) = overviews_from_product(product)
+    (recording,) = recordings_from_product(product)
+    assert recording.used.sum() == 19
+    assert overview.mean_e == pytest.approx(recording.images_e[recording.used].mean(axis=0), rel=1e-5)
+    older = {key: one for key, one in product.arrays.items() if not key.endswith("/mean_e")}
+    (again,) = overviews_from_product(replace(product, arrays=older))
+    assert np.array_equal(again.mean_e, overview.mean_e)
 
 
 def test_a_hit_in_the_core_costs_the_frame(tmp_path):
