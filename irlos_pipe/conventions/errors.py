@@ -1,10 +1,10 @@
-"""What can go wrong on the user's side, and the exit code each kind carries."""
+"""Errors on the user's side, and the exit code that each kind carries."""
 
 from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """How every command ends."""
+    """Exit codes of all commands."""
 
     DONE = 0
     UNEXPECTED = 1
@@ -18,7 +18,7 @@ class ExitCode(IntEnum):
 
 
 class IrlosError(Exception):
-    """Base of every error that is told in one line instead of a traceback."""
+    """Base of every error that is reported in one line instead of a traceback."""
 
     exit_code = ExitCode.UNEXPECTED
 

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import TypeVar
+from typing import Protocol, Self, TypeVar
 
 NM = 1e-9  # one nanometre [m]
 MAS = math.pi / 180 / 3600e3  # one milliarcsecond [rad]
 MAS_PER_RAD = math.degrees(1) * 3600e3
-Angle = TypeVar("Angle")
+
+
+class Scalable(Protocol):
+    """A number, array or tensor."""
+
+    def __mul__(self, factor: float, /) -> Self:
+        """Return the product with a number."""
+
+
+Angle = TypeVar("Angle", bound=Scalable)
 
 
 def cutoff_per_px(wavelength_m: float, diameter_m: float, pixel_scale_mas: float) -> float:

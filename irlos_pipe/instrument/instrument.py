@@ -57,7 +57,7 @@ class Instrument:
     seeing_scales : dict of str to SeeingScale
         By the seeing monitor; ``sparta`` is always among them.
     profile : Profile
-        What the values were made from.
+        The file, with unit, source and status of every value.
     """
 
     name: str
@@ -69,16 +69,16 @@ class Instrument:
 
     @property
     def pupil(self) -> PupilGeometry:
-        """The pupil of the telescope."""
+        """Return the pupil of the telescope."""
         return self.facility.pupil
 
     @property
     def facts(self) -> dict[str, list[Fact]]:
-        """The raw table: every value with unit, source and status, dated where it changed."""
+        """Return every value with unit, source and status, dated where it changed."""
         return self.profile.facts
 
     def on(self, day: str) -> Instrument:
-        """Return the instrument as it was on an ISO date (``2021-03-20``)."""
+        """Return the instrument as it was on an ISO date `day` (``2021-03-20``)."""
         return _instrument(self.profile, day)
 
 
@@ -153,7 +153,7 @@ def _instrument(profile: Profile, day: str | None) -> Instrument:
 
 
 class _Values:
-    """The facts' values as they were on one day."""
+    """Values of the facts as they were on one day."""
 
     def __init__(self, facts: dict[str, list[Fact]], day: str | None) -> None:
         self._facts, self._day = facts, day

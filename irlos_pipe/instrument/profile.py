@@ -1,4 +1,4 @@
-"""What the YAML file of an instrument profile may contain."""
+"""The keys of the YAML file of an instrument profile."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ IsoDate = Annotated[str, BeforeValidator(_iso_date), Field(pattern=r"^\d{4}-\d\d
 
 
 class Fact(_Section):
-    """One value with its unit, where it comes from, how far to trust it, and when it held."""
+    """One value with its unit, its source, how far to trust it, and when it held."""
 
     value: Any = Field(description="the value itself")
     unit: str = Field(description="unit as text; '1' for a pure number")
@@ -51,7 +51,7 @@ class Fact(_Section):
     until: IsoDate | None = Field(None, description="first day on which it no longer held")
 
     def holds_on(self, day: str | None) -> bool:
-        """Tell whether the value held on an ISO date; None asks for the present."""
+        """Return whether the value held on an ISO date `day`; None stands for the present."""
         if day is None:
             return self.until is None
         return (self.since is None or self.since <= day) and (self.until is None or day < self.until)
@@ -103,7 +103,7 @@ class Profile(_Section):
 
 
 def parse_profile(data: dict, lines: dict, path: Path) -> Profile:
-    """Check a profile.
+    """Return the profile in `data`, read from `path` with the `lines` of its keys.
 
     Raises
     ------

@@ -12,14 +12,14 @@ FINEST_CELL_M = 0.002  # of the brute-force drawing: a twentieth of a vane
 
 
 def centres(count: int, step: float) -> np.ndarray:
-    """Positions of `count` points `step` apart, symmetric about 0."""
+    """Return the positions of `count` points `step` apart, symmetric about 0."""
     return (np.arange(count) - (count - 1) / 2) * step
 
 
 def clear_fraction(
     geometry: PupilGeometry, u_m: np.ndarray, stop_m: tuple[float, float] | None = None
 ) -> np.ndarray:
-    """Clear fraction of every cell of a square grid, by counting points on a much finer one.
+    """Return the clear fraction of every cell of a square grid, by counting points on a much finer one.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def clear_fraction(
 
 
 def is_clear(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Whether light passes at the points (x, y) [m], bool."""
+    """Return whether light passes the pupil `geometry` at the points (`x_m`, `y_m`)."""
     clear = inside_annulus(geometry, x_m, y_m)
     for vane in geometry.vanes:
         clear &= ~_behind(vane, x_m, y_m)
@@ -56,13 +56,13 @@ def is_clear(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.nd
 
 
 def inside_annulus(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Whether the points lie within the outline and outside the central hole, vanes ignored, bool."""
+    """Return whether the points (`x_m`, `y_m`) lie inside the annulus of `geometry`; vanes are ignored."""
     radius2 = x_m**2 + y_m**2
     return (radius2 <= geometry.diameter_m**2 / 4) & (radius2 >= geometry.obscuration_m**2 / 4)
 
 
 def _behind(vane: Vane, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Whether the vane covers the points, bool."""
+    """Return whether the vane covers the points."""
     (x0, y0), (x1, y1) = vane.start_m, vane.end_m
     length = np.hypot(x1 - x0, y1 - y0)
     cos, sin = (x1 - x0) / length, (y1 - y0) / length
@@ -72,7 +72,7 @@ def _behind(vane: Vane, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
 
 
 def with_vanes_turned(geometry: PupilGeometry, angle_deg: float) -> PupilGeometry:
-    """The same pupil with its spider turned anticlockwise about the axis."""
+    """Return the pupil `geometry` with its spider turned anticlockwise by `angle_deg` about the axis."""
     return replace(geometry, vanes=tuple(_turned(vane, angle_deg) for vane in geometry.vanes))
 
 

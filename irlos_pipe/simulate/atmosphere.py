@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -15,7 +16,7 @@ SEEING_NM = 500.0
 WIND_SCATTER = 0.3  # of the wind vectors of all layers about their mean, relative
 ALIASING_SHARE = 0.6  # of the in-band variance of the shape `aliasing`; the rest is servo lag
 ALIASES = 3  # folded bands on each side
-SHAPES = ("power_law", "servo_lag", "aliasing", "non_stationary")
+Shape = Literal["power_law", "servo_lag", "aliasing", "non_stationary"]
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Sky:
 
     seeing_arcsec: float
     wfe_nm: float | None = None
-    shape: str = "power_law"
+    shape: Shape = "power_law"
     slope: float = 2.0
     wind_m_s: float = 10.0
     wind_angle_deg: float = -20.0
@@ -53,7 +54,7 @@ class Sky:
     drift_s: float = 5.0
 
     def __post_init__(self) -> None:
-        require_known("sky.shape", [self.shape], SHAPES)
+        require_known("sky.shape", [self.shape], get_args(Shape))
         if self.seeing_arcsec <= 0:
             raise SceneError(f"sky.seeing_arcsec: {self.seeing_arcsec:g} is not positive; leave out the sky")
         if self.wind_m_s == 0 and self.shape in ("servo_lag", "aliasing"):
@@ -65,7 +66,7 @@ class Sky:
 
     @property
     def wind(self) -> np.ndarray:
-        """Wind vector (x, y) [m/s]."""
+        """Return the wind vector (x, y) [m/s]."""
         angle = np.deg2rad(self.wind_angle_deg)
         return self.wind_m_s * np.array([np.cos(angle), np.sin(angle)])
 
@@ -78,7 +79,7 @@ class Sky:
 def residual_psd(
     fx: np.ndarray, fy: np.ndarray, sky: Sky, facility: Facility
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Power spectral densities inside and beyond the correction band.
+    """Return the power spectral densities inside and beyond the correction band.
 
     Parameters
     ----------
@@ -105,7 +106,19 @@ def residual_psd(
 
 
 def von_karman_nm2_m2(f_per_m: np.ndarray, sky: Sky, facility: Facility) -> np.ndarray:
-    """Spectrum of the uncorrected turbulence [nm² m²]; r0 = 0.976 λ / seeing."""
+    """Return the von Kármán spectrum of the uncorrected turbulence [nm² m²].
+
+    ``0.0229 r0^(-5/3) (f² + L0^-2)^(-11/6)`` rad² m² with ``r0 = 0.976 λ / seeing`` (Roddier 1981).
+
+    Parameters
+    ----------
+    f_per_m : ndarray
+        Spatial frequencies [1/m].
+    sky : Sky
+        Gives the seeing.
+    facility : Facility
+        Gives the outer scale.
+    """
     r0_m = 0.976 * SEEING_NM * 1e-9 / np.deg2rad(sky.seeing_arcsec / 3600)
     strength = VON_KARMAN * r0_m ** (-5 / 3) * (SEEING_NM / (2 * np.pi)) ** 2
     return strength * (f_per_m**2 + facility.outer_scale_m**-2) ** (-11 / 6)
@@ -121,11 +134,18 @@ def _in_band(fx: np.ndarray, fy: np.ndarray, sky: Sky, facility: Facility) -> np
 
 
 def servo_lag_psd(fx: np.ndarray, fy: np.ndarray, sky: Sky, facility: Facility) -> np.ndarray:
-    """Turbulence that moved on during the loop's delay [nm² m²].
+    """Return the spectrum of turbulence that moved on during the loop's delay [nm² m²].
 
     ``PSD = vK(f) q / (1 + q)`` with ``q = (2π τ)² <(f·v)²>``: for short delays the difference of the
     wavefront to its own shifted past, bounded by the turbulence itself. The mean over the layers'
     winds leaves something across the mean wind too.
+
+    Parameters
+    ----------
+    fx, fy : ndarray
+        Spatial frequencies [1/m].
+    sky : Sky
+    facility : Facility
     """
     along, f2 = fx * sky.wind[0] + fy * sky.wind[1], fx**2 + fy**2
     spread = (WIND_SCATTER * sky.wind_m_s) ** 2 * f2
@@ -134,11 +154,19 @@ def servo_lag_psd(fx: np.ndarray, fy: np.ndarray, sky: Sky, facility: Facility) 
 
 
 def aliasing_psd(fx: np.ndarray, fy: np.ndarray, sky: Sky, facility: Facility) -> np.ndarray:
-    """Turbulence beyond the cut-off that a Shack–Hartmann sensor takes for low frequencies [nm² m²].
+    """Return the spectrum of turbulence that a Shack–Hartmann sensor takes for low frequencies [nm² m²].
 
     A sub-aperture of pitch d measures the gradient ``2πi f φ sinc(d fx) sinc(d fy)``. Sampled at d,
     the gradients at ``g = f + k/d`` appear at f, and the least-squares reconstructor returns
     ``φ(g) (f·g / f²) sinc(d g) / sinc(d f)`` for each k ≠ 0 (Rigaut et al. 1998; Jolissaint 2010).
+
+    Parameters
+    ----------
+    fx, fy : ndarray
+        Spatial frequencies [1/m].
+    sky : Sky
+    facility : Facility
+        Gives the cut-off, and so the pitch.
     """
     pitch_m, f2 = 1 / (2 * facility.cutoff_per_m), fx**2 + fy**2
     total = np.zeros(f2.shape)

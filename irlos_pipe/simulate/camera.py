@@ -57,11 +57,11 @@ class Camera:
         )
 
     def images(self, opd_nm: np.ndarray) -> np.ndarray:
-        """Images of wavefronts (times, n, n) [nm] with their margin, in parts of the star's light."""
+        """Return images of wavefronts `opd_nm` (times, n, n), margin included, as parts of the light."""
         return self._imager.images(opd_nm)
 
     def frame(self, images: np.ndarray, positions_mas: np.ndarray | None, blur: MotionBlur) -> np.ndarray:
-        """Mean of images in motion, (rows, columns).
+        """Return the mean of images in motion, (rows, columns).
 
         Parameters
         ----------
@@ -119,7 +119,14 @@ def true_pixel_scale_mas(scene: Scene) -> float:
 
 
 def transfer(positions_mas: np.ndarray, fx: np.ndarray, fy: np.ndarray) -> np.ndarray:
-    """Mean of exp(-2πi f·position) over positions (times, positions, 2), (times, fy, fx) [1/mas]."""
+    """Return the mean of exp(-2πi f·position), (times, fy, fx).
+
+    Parameters
+    ----------
+    positions_mas : ndarray, (times, positions, 2)
+    fx, fy : ndarray, (frequencies,)
+        Spatial frequencies [1/mas].
+    """
     along_x = np.exp(-2j * np.pi * positions_mas[:, :, 0, None] * fx)
     along_y = np.exp(-2j * np.pi * positions_mas[:, :, 1, None] * fy)
     return along_y.transpose(0, 2, 1) @ along_x / positions_mas.shape[1]

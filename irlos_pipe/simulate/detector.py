@@ -34,12 +34,14 @@ def pixels_of(scene: Scene, mean_image_e: np.ndarray) -> Pixels:
 
 
 def electrons(scene: Scene, mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Frames as a perfect calibration of the raw ones would return them: noisy electrons.
+    """Return frames as a perfect calibration of the raw ones would: noisy electrons.
 
     Parameters
     ----------
+    scene : Scene
     mean_e : ndarray, (frames, rows, columns)
         Mean photo-electrons.
+    rng : numpy.random.Generator
 
     Returns
     -------
@@ -69,7 +71,7 @@ class Readout:
 
     @classmethod
     def of(cls, scene: Scene, mean_image_e: np.ndarray) -> Readout:
-        """Read-out of a scene whose mean image (rows, columns) [e-] is known.
+        """Return the read-out of a `scene` with the mean image `mean_image_e`, (rows, columns) [e-].
 
         Raises
         ------
@@ -81,28 +83,28 @@ class Readout:
 
     @property
     def top_adu(self) -> int:
-        """Highest value of a raw frame [ADU]."""
+        """Return the highest value of a raw frame [ADU]."""
         return int(min(self.pixels.detector.saturation_adu, ADC_TOP_ADU))
 
     def frames_adu(self, mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Raw frames (..., rows, columns) uint16 for their mean photo-electrons [ADU]."""
+        """Return raw frames (..., rows, columns) uint16 [ADU] of mean `mean_e` [e-] with noise of `rng`."""
         signal_e = self.pixels.signal_e(mean_e, self.pixels.detector.analogue_noise_e, rng)
         return self.pixels.read(self._converted(signal_e), self._converted(self.pixels.stuck_e))
 
     def dark_adu(self, rng: np.random.Generator) -> np.ndarray:
-        """Dark image: mean of `DARK_FRAMES` raw frames without light, (rows, columns) float32 [ADU]."""
+        """Return the mean of `DARK_FRAMES` raw frames without light, (rows, columns) float32 [ADU]."""
         signal_e = self.pixels.dark_signal_e(DARK_FRAMES, self.pixels.detector.analogue_noise_e, rng)
         return self._converted(signal_e).mean(axis=0, dtype=np.float64).astype(np.float32)
 
     def flat(self, rng: np.random.Generator) -> np.ndarray | None:
-        """Relative response as measured, (rows, columns) float32; None for a uniform detector."""
+        """Return the relative response as measured, (rows, columns) float32; None for a uniform detector."""
         if self.pixels.detector.flat_rms == 0:
             return None
         error = 1 + FLAT_ERROR * rng.standard_normal(self.pixels.response.shape)
         return (self.pixels.response * error).astype(np.float32)
 
     def dead(self) -> np.ndarray:
-        """Map of dead pixels, (rows, columns) uint8: 1 is dead."""
+        """Return the map of dead pixels, (rows, columns) uint8: 1 is dead."""
         return marked(self.pixels.detector.dead, self.pedestal_adu.shape).astype(np.uint8)
 
     def _converted(self, signal_e: np.ndarray) -> np.ndarray:

@@ -57,11 +57,11 @@ class Exposed:
 
     @property
     def transmission(self) -> np.ndarray:
-        """Clear fraction of every cell of the pupil, (n, n)."""
+        """Return the clear fraction of every cell of the pupil, (n, n)."""
         return self.telescope.transmission
 
     def mean_zernike_nm(self, last_noll: int = LAST_NOLL) -> dict[int, float]:
-        """Least-squares coefficients of the average wavefront, Noll 2..last_noll: nm RMS."""
+        """Return least-squares coefficients of the average wavefront, Noll 2..`last_noll`: nm RMS."""
         values = self.telescope.fit_zernike_nm(self.mean_opd_nm, last_noll)
         return dict(enumerate(values.tolist(), start=2))
 
@@ -94,12 +94,12 @@ def expose(scene: Scene, report: Callable[[int], None] | None = None) -> Exposed
 
 
 def telescope_of(scene: Scene) -> Telescope:
-    """Pupil grid of the wavefronts that the exposures of a scene return."""
+    """Return the pupil grid of the wavefronts that the exposures of a `scene` have."""
     return pupil_of(with_effective_sky(scene)).telescope
 
 
 def exposures(scene: Scene) -> Iterator[Exposure]:
-    """Yield the frames of a scene one by one; memory does not grow with their number."""
+    """Yield the frames of a `scene` one by one; memory does not grow with their number."""
     light_path = _LightPath(with_effective_sky(scene))
     for frame in range(scene.frames):
         yield light_path.exposed(frame)

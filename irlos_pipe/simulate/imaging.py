@@ -110,7 +110,7 @@ class Imager:
         return np.concatenate([self._batch(np.asarray(batch, self._real)) for batch in batches])
 
     def _batch(self, opd_nm: np.ndarray) -> np.ndarray:
-        intensity = 0.0
+        intensity = np.zeros((), self._real)
         for wavelength_nm, paths in self._by_wavelength.items():
             field = self._field(opd_nm, wavelength_nm)
             for ray, to_rows, to_columns in paths:

@@ -51,13 +51,13 @@ class MotionSeries:
     """
 
     def __init__(self, motion: Motion, lines: Sequence[VibrationLine], rng: np.random.Generator):
-        lines = np.array(lines if motion.lines is None else motion.lines, float).reshape(-1, 3)
-        shares = np.vstack([1 - lines[:, 1:].sum(axis=0), lines[:, 1:]])
+        table = np.array(lines if motion.lines is None else motion.lines, float).reshape(-1, 3)
+        shares = np.vstack([1 - table[:, 1:].sum(axis=0), table[:, 1:]])
         if np.any(shares < 0):
             raise SceneError("motion.lines: the shares of the variance exceed 1 along one axis; lower them")
         self._rms_mas = motion.rms_mas * np.sqrt(shares)  # (components, 2)
-        decay = np.append(2 * np.pi * motion.wander_hz, np.full(len(lines), 1 / motion.line_coherence_s))
-        self._rate = -decay + 2j * np.pi * np.append(0.0, lines[:, 0])  # (components,) [1/s]
+        decay = np.append(2 * np.pi * motion.wander_hz, np.full(len(table), 1 / motion.line_coherence_s))
+        self._rate = -decay + 2j * np.pi * np.append(0.0, table[:, 0])  # (components,) [1/s]
         self._rng = rng
         self._state = self._noise(1)[0]
 
@@ -67,11 +67,11 @@ class MotionSeries:
         return parts[..., 0] + 1j * parts[..., 1]
 
     def skip(self, time_s: float) -> None:
-        """Let time pass unobserved [s]."""
+        """Let `time_s` pass unobserved."""
         self.next_mas(time_s, 1)
 
     def next_mas(self, step_s: float, steps: int) -> np.ndarray:
-        """Positions after each of the next steps, (steps, 2) = (x, y) [mas]."""
+        """Return positions (x, y) after each of the next `steps` of `step_s`, (steps, 2) [mas]."""
         memory = np.exp(self._rate * step_s)
         drive = self._noise(steps) * np.sqrt(1 - np.abs(memory) ** 2)[:, None]
         track = np.empty_like(drive)

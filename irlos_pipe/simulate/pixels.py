@@ -1,4 +1,4 @@
-"""What becomes of the light in each pixel, from photo-electrons to the signal at the converter.
+"""The pixels: from photo-electrons to the signal at the converter.
 
 The order is that of the hardware, an HgCdTe avalanche photodiode array (SAPHIRA):
 
@@ -65,13 +65,28 @@ class Pixels:
     stuck_e: np.ndarray
 
     def signal_e(self, mean_e: np.ndarray, read_noise_e: float, rng: np.random.Generator) -> np.ndarray:
-        """Signal at the converter for the mean photo-electrons (..., rows, columns) of frames [e-]."""
+        """Return the signal at the converter [e-].
+
+        Parameters
+        ----------
+        mean_e : ndarray, (..., rows, columns)
+            Mean photo-electrons of frames.
+        read_noise_e : float
+        rng : numpy.random.Generator
+        """
         light_e = shared(mean_e, self.diffusion) + self.hot_e
         multiplied_e = multiplied(rng.poisson(light_e + self.dark_e), self.detector.excess_noise_factor, rng)
         return self._analogue_e(multiplied_e * self.alive, read_noise_e, rng) + self.background_e
 
     def dark_signal_e(self, frames: int, read_noise_e: float, rng: np.random.Generator) -> np.ndarray:
-        """Signal of frames without light, (frames, rows, columns), late defects not yet there [e-]."""
+        """Return the signal of frames without light, before the effects came, (frames, rows, columns) [e-].
+
+        Parameters
+        ----------
+        frames : int
+        read_noise_e : float
+        rng : numpy.random.Generator
+        """
         counts = rng.poisson(np.broadcast_to(self.dark_e, (frames, *self.dark_e.shape)))
         return self._analogue_e(multiplied(counts, self.detector.excess_noise_factor, rng), read_noise_e, rng)
 
@@ -103,12 +118,13 @@ def nominal_pixels(detector: DetectorModel, window: tuple[int, int], exposure_s:
 
 
 def shared(charge_e: np.ndarray, fraction: float) -> np.ndarray:
-    """Give `fraction` of each pixel to its four neighbours; beyond the window it goes on as at its edge.
+    """Give `fraction` of each pixel to its four neighbours; the window is continued by its edge.
 
     Parameters
     ----------
     charge_e : ndarray, (..., rows, columns)
         Charge [e-].
+    fraction : float
     """
     charge_e = np.asarray(charge_e, dtype=np.float64)
     if fraction == 0:
@@ -118,33 +134,50 @@ def shared(charge_e: np.ndarray, fraction: float) -> np.ndarray:
 
 
 def multiplied(counts: np.ndarray, excess_noise_factor: float, rng: np.random.Generator) -> np.ndarray:
-    """Avalanche multiplication with mean gain 1 and excess noise factor F of whole electrons."""
+    """Multiply whole electrons by avalanches of mean gain 1.
+
+    Parameters
+    ----------
+    counts : ndarray of int
+    excess_noise_factor : float
+        F, variance of the result over the Poisson variance.
+    rng : numpy.random.Generator
+    """
     spread = excess_noise_factor - 1
     return counts.astype(float) if spread == 0 else rng.gamma(counts / spread, spread)
 
 
 def compressed(signal_e: np.ndarray, nonlinearity_per_e: float, full_well_e: float) -> np.ndarray:
-    """``s (1 - k s)``, held where it would turn down, and at the full well."""
+    """Return ``s (1 - k s)``, held where it would turn down, and at the full well.
+
+    Parameters
+    ----------
+    signal_e : ndarray
+        s [e-].
+    nonlinearity_per_e : float
+        k [1/e-].
+    full_well_e : float
+    """
     turn_e = 0.5 / nonlinearity_per_e if nonlinearity_per_e > 0 else np.inf
     held_e = np.minimum(signal_e, turn_e)
     return np.minimum(held_e * (1 - nonlinearity_per_e * held_e), full_well_e)
 
 
 def response_map(detector: DetectorModel, window: tuple[int, int]) -> np.ndarray:
-    """Relative gain of each pixel, (rows, columns); 0 in dead pixels."""
+    """Return the relative gain of each pixel of the `detector` in a `window`; 0 in dead pixels."""
     rng = np.random.default_rng([detector.pattern_seed, RESPONSE_STREAM])
     response = np.maximum(1 + detector.flat_rms * rng.standard_normal(window), 0.0)
     return np.where(marked(detector.dead, window), 0.0, response)
 
 
 def pedestal_map_adu(detector: DetectorModel, window: tuple[int, int]) -> np.ndarray:
-    """Level of each pixel without light, (rows, columns) [ADU]."""
+    """Return the level of each pixel of the `detector` in a `window` without light [ADU]."""
     rng = np.random.default_rng([detector.pattern_seed, PEDESTAL_STREAM])
     return detector.pedestal_adu + detector.fixed_pattern_adu * rng.standard_normal(window)
 
 
 def dark_map_e(detector: DetectorModel, window: tuple[int, int], exposure_s: float) -> np.ndarray:
-    """Mean dark charge of each pixel in one frame, (rows, columns) [e-]."""
+    """Return the mean dark charge of each pixel of the `detector` in a `window` after `exposure_s` [e-]."""
     dark_e = np.full(window, detector.dark_e_per_s * exposure_s)
     for pixel, e_per_s in detector.hot_e_per_s:
         dark_e[tuple(pixel)] += e_per_s * exposure_s

@@ -36,20 +36,20 @@ class Pupil(Telescope):
 
     @cached_property
     def telescope(self) -> Telescope:
-        """The same pupil on the samples across the diameter alone."""
+        """Return the pupil on the samples across the diameter alone."""
         return Telescope(self.geometry, self.u_m[PAD:-PAD], self.inside(self.transmission))
 
     def inside(self, opd_nm: np.ndarray) -> np.ndarray:
-        """Cut (..., n, n) to the samples across the diameter."""
+        """Cut `opd_nm` (..., n, n) to the samples across the diameter."""
         return opd_nm[..., PAD:-PAD, PAD:-PAD]
 
     def drawing_grid_m(self) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates x (1, FINE n) and y (FINE n, 1) of the drawing's cells [m]."""
+        """Return coordinates x (1, FINE n) and y (FINE n, 1) of the drawing's cells [m]."""
         fine = centres(len(self.u_m) * FINE, self.step_m / FINE)
         return fine[None, :], fine[:, None]
 
     def sampled(self, drawn_amplitude: np.ndarray) -> np.ndarray:
-        """Amplitude at the samples, (n, n), without the frequencies that they cannot hold.
+        """Return the amplitude at the samples, (n, n), without the frequencies that they cannot hold.
 
         Edges, vanes and steps are narrower than a sample. Averaged over cells they would blur the
         image by a sample's width; low-passed with a flat pass band they leave alone what a window of
@@ -72,7 +72,7 @@ def pupil_of(scene: Scene) -> Pupil:
 
 
 def nominal_area_m2(scene: Scene) -> float:
-    """Clear area of the undisturbed pupil, which the photometry refers to [m²]."""
+    """Return the clear area of the undisturbed pupil, which the photometry refers to [m²]."""
     return _build(scene.geometry, scene.pupil_samples, None, 0.0).area_m2
 
 

@@ -1,4 +1,4 @@
-"""What is simulated: star, telescope, sky, aberrations, effects and detector of one recording."""
+"""A scene: star, telescope, sky, aberrations, effects and detector of one recording."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RANDOM_STREAMS = ("sky", "motion", "effects", "focus_stage")
 
 @dataclass(frozen=True)
 class Sampling:
-    """How finely a recording is computed; each default is budgeted in the tests.
+    """Fineness of the computation; the tests budget each default.
 
     Attributes
     ----------
@@ -108,8 +108,8 @@ class Scene:
         setup = RecordingSetup(len(self.bands), self.window, self.diversity_nm)
         for problem in filter(None, (effect.misfit(setup) for effect in effects_of(self.effects))):
             raise SceneError(problem)
-        if np.ndim(self.introduced_nm) and len(self.introduced_nm) != self.frames:
-            given = len(self.introduced_nm)
+        given = self.frames if isinstance(self.introduced_nm, float | int) else len(self.introduced_nm)
+        if given != self.frames:
             raise SceneError(f"introduced_nm: {given} values for {self.frames} frames; give one or as many")
 
     @property
@@ -128,42 +128,42 @@ class Scene:
 
     @property
     def photons(self) -> float:
-        """Photons per frame through the whole aperture."""
+        """Return the photons per frame through the whole aperture."""
         rate = self.facility.photons_per_s_m15 * 10 ** (0.4 * (15 - self.mag_j)) * self.throughput
         return rate * self.exposure_s
 
     @property
     def moves(self) -> bool:
-        """Whether the wavefront changes during a frame, image motion apart."""
+        """Return whether the wavefront changes during a frame, image motion apart."""
         return self.sky is not None
 
     @property
     def pupil_samples(self) -> int:
-        """Samples across the pupil."""
+        """Return the samples across the pupil."""
         return self.sampling.pupil_samples or (MOVING_PUPIL_SAMPLES if self.moves else STATIC_PUPIL_SAMPLES)
 
     @property
     def subexposures(self) -> int:
-        """Instantaneous images per frame."""
+        """Return the number of instantaneous images per frame."""
         return math.ceil(self.exposure_s / self.sampling.step_s - 1e-9) if self.moves else 1
 
     @property
     def period_s(self) -> float:
-        """Time from the start of one frame to the next [s]."""
+        """Return the time from the start of one frame to the next [s]."""
         return max(1 / self.frame_rate_hz, self.exposure_s)
 
     def rng(self, stream: str) -> np.random.Generator:
-        """Generator of one of `RANDOM_STREAMS`, independent of the others."""
+        """Return the generator of the `stream`, one of `RANDOM_STREAMS`, independent of the others."""
         key = RANDOM_STREAMS.index(stream)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(key,)))
 
     @property
     def introduced_per_frame_nm(self) -> np.ndarray:
-        """Introduced defocus, (frames,) [nm RMS]."""
+        """Return the introduced defocus, (frames,) [nm RMS]."""
         return np.broadcast_to(np.asarray(self.introduced_nm, float), (self.frames,))
 
     def spectrum(self, points_per_band: int | None = None) -> list[tuple[float, float]]:
-        """(wavelength [nm], photon weight) of the Gauss–Legendre rule in every band."""
+        """Return (wavelength [nm], photon weight) of a Gauss–Legendre rule with `points_per_band`."""
         nodes, weights = np.polynomial.legendre.leggauss(points_per_band or self.sampling.points_per_band)
         return [
             (float(band.centre_nm + band.half_width_nm * node), float(weight / 2 * band.share))

@@ -47,7 +47,7 @@ class ResidualScreens:
         self._strength = _Strength(sky, rng)
 
     def next_nm(self, step_s: float) -> np.ndarray:
-        """Wavefront after one step, (n, n) float32 [nm]."""
+        """Return the wavefront after one step of `step_s`, (n, n) float32 [nm]."""
         self.skip(step_s)
         periodic = scipy.fft.irfft2(self._modes, s=(self._size, self._size), norm="forward")
         screen = periodic[: self._n, : self._n].ravel()
@@ -55,7 +55,7 @@ class ResidualScreens:
         return flat.reshape(self._n, self._n) * np.float32(self._strength.factor)
 
     def skip(self, time_s: float) -> None:
-        """Let time pass unobserved [s]."""
+        """Let `time_s` pass unobserved."""
         memory, fresh_nm = self._step(time_s)
         self._modes = self._modes * memory + fresh_nm * self._noise()
         self._strength.advance(time_s)

@@ -29,12 +29,12 @@ class Subexposures:
 
     @property
     def mean_screen_nm(self) -> np.ndarray | float:
-        """Mean residual wavefront, (n, n) [nm]."""
+        """Return the mean residual wavefront, (n, n) [nm]."""
         return 0.0 if self.screens_nm is None else self.screens_nm.mean(axis=0, dtype=float)
 
     @property
     def mean_position_mas(self) -> np.ndarray:
-        """Mean image position (x, y)."""
+        """Return the mean image position (x, y)."""
         return np.zeros(2) if self.positions_mas is None else self.positions_mas.mean(axis=(0, 1))
 
 
@@ -64,14 +64,15 @@ class SubexposureSeries:
         )
 
     def next_frame(self) -> Subexposures:
-        """What moves during the next frame."""
+        """Return residual and motion during the next frame."""
         moving = Subexposures(
             None if self._screens is None else self._next_screens_nm(self._screens),
             None if self._motion is None else self._next_positions_mas(self._motion),
         )
-        for process in filter(None, (self._screens, self._motion)):
-            if self._idle_s > 1e-9:
-                process.skip(self._idle_s)
+        if self._idle_s > 1e-9:
+            for process in (self._screens, self._motion):
+                if process is not None:
+                    process.skip(self._idle_s)
         return moving
 
     def _next_screens_nm(self, screens: ResidualScreens) -> np.ndarray:

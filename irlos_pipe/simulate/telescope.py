@@ -31,12 +31,12 @@ class Telescope:
 
     @property
     def step_m(self) -> float:
-        """Edge of a cell [m]."""
+        """Return the edge of a cell [m]."""
         return float(self.u_m[1] - self.u_m[0])
 
     @property
     def area_m2(self) -> float:
-        """Clear area [m²]."""
+        """Return the clear area [m²]."""
         return float(self.transmission.sum()) * self.step_m**2
 
     @cached_property
@@ -44,14 +44,14 @@ class Telescope:
         return {}
 
     def mode(self, noll: int) -> np.ndarray:
-        """Zernike (n, n) of unit RMS over the unobscured disc, continued polynomially beyond it."""
+        """Return Zernike `noll` (n, n), of unit RMS over the unobscured disc and continued beyond it."""
         if noll not in self._modes:
             x, y = np.meshgrid(*[self.u_m * 2 / self.geometry.diameter_m] * 2)
             self._modes[noll] = zernike(noll, x, y)
         return self._modes[noll]
 
     def opd_nm(self, zernike_nm: Mapping[int, float]) -> np.ndarray:
-        """Wavefront (n, n) of Noll coefficients [nm RMS]."""
+        """Return the wavefront (n, n) [nm] of the coefficients `zernike_nm`, Noll: nm RMS."""
         start = np.zeros_like(self.transmission)
         return sum((value_nm * self.mode(noll) for noll, value_nm in zernike_nm.items()), start)
 
@@ -61,11 +61,12 @@ class Telescope:
         return slopes[:, 0, None, :] + slopes[:, 1, :, None]
 
     def fit_zernike_nm(self, opd_nm: np.ndarray, last_noll: int) -> np.ndarray:
-        """Least-squares coefficients of Noll 2..last_noll over the pupil, piston fitted along [nm RMS].
+        """Fit least-squares coefficients of Noll 2..`last_noll` over the pupil beside piston [nm RMS].
 
         Parameters
         ----------
         opd_nm : ndarray, (..., n, n)
+        last_noll : int
 
         Returns
         -------

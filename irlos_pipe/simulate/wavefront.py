@@ -16,7 +16,7 @@ DEFOCUS = 4  # Noll
 
 
 class StaticWavefront:
-    """What is static, what drifts, and what the instrument introduces.
+    """The static, the drifting and the introduced wavefront.
 
     The wavefront of a frame is *truth + declared*. Declared are the diversity and the introduced defocus
     as the scene states them; everything else is truth, errors of the two included, because that is what
@@ -44,17 +44,17 @@ class StaticWavefront:
         self._elapsed = np.linspace(0, 1 if drift else 0, scene.frames)
 
     def truth_nm(self, frame: int) -> np.ndarray:
-        """Wavefront without the declared diversity and introduced defocus, (n, n) [nm]."""
+        """Return the wavefront of a `frame` beyond diversity and introduced defocus as declared [nm]."""
         defocus_nm = self._missed_nm[frame] * self._telescope.mode(DEFOCUS)
         return self._static_nm + self._elapsed[frame] * self._drift_nm + defocus_nm
 
     def total_nm(self, frame: int) -> np.ndarray:
-        """Wavefront with them, (n, n) [nm]."""
+        """Return the whole wavefront of a `frame`, (n, n) [nm]."""
         declared_nm = self._diversity_nm + self._commanded_nm[frame] * self._telescope.mode(DEFOCUS)
         return self.truth_nm(frame) + declared_nm
 
     def same(self, frame: int, other: int) -> bool:
-        """Whether two frames have the same wavefront."""
+        """Return whether the frames number `frame` and `other` have the same wavefront."""
         series = (self._commanded_nm, self._missed_nm, self._elapsed)
         return all(values[frame] == values[other] for values in series)
 

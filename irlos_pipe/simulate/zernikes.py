@@ -9,7 +9,7 @@ from scipy.special import eval_jacobi
 
 
 def noll_orders(noll: int) -> tuple[int, int]:
-    """Radial order n and signed azimuthal order m (m < 0: sine) of a Noll index."""
+    """Return radial order n and signed azimuthal order m (m < 0: sine) of the index `noll`."""
     n = int((np.sqrt(8 * noll - 7) - 1) // 2)
     rank = noll - n * (n + 1) // 2  # 1 .. n + 1 within the order
     m = 2 * (rank // 2) if n % 2 == 0 else 2 * ((rank - 1) // 2) + 1
@@ -17,7 +17,9 @@ def noll_orders(noll: int) -> tuple[int, int]:
 
 
 def zernike(noll: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Unit-RMS Zernike at (x, y) in units of the radius, theta from +x towards +y; continued beyond 1.
+    """Return Zernike `noll` at (`x`, `y`) in units of the radius, of unit RMS and continued beyond 1.
+
+    θ counts from +x towards +y.
 
     ``R_n^m(r) = (-1)^k r^m P_k^(m, 0)(1 - 2 r²)`` with ``k = (n - m) / 2`` and Jacobi's P.
     """
@@ -30,7 +32,7 @@ def zernike(noll: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def rotated_nm(zernike_nm: Mapping[int, float], angle_deg: float) -> dict[int, float]:
-    """Coefficients of a wavefront turned anticlockwise by an angle, Noll: nm RMS."""
+    """Return the coefficients `zernike_nm` of a wavefront turned anticlockwise by `angle_deg`."""
     turned: dict[int, float] = {}
     for noll, value_nm in zernike_nm.items():
         _, m = noll_orders(noll)

@@ -40,7 +40,7 @@ def own(unit: str, lower: float = -INFINITE, upper: float = INFINITE, default: A
 
 @dataclass(frozen=True)
 class RecordingSetup:
-    """What an effect has to fit: number of bands, window (rows, columns) and diversity [nm RMS by Noll]."""
+    """Number of bands, window (rows, columns) and diversity [nm RMS by Noll], which effects have to fit."""
 
     bands: int
     window: tuple[int, int]

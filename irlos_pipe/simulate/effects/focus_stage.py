@@ -1,4 +1,4 @@
-"""How far the focus stage misses its commanded position.
+"""Errors of the focus stage: `focus_stage_scale`, `focus_stage_hysteresis` and `focus_stage_offset`.
 
 ``reached = (1 + fraction) commanded + direction · nm + scatter + bias``
 """

@@ -91,8 +91,9 @@ def _type(hint: Any, declared: Public | Own) -> Any:
 
 
 def _number(lower: float, upper: float) -> Any:
-    limits = {key: limit for key, limit in (("ge", lower), ("le", upper)) if isfinite(limit)}
-    return Annotated[float, Field(**limits)] if limits else float
+    return Annotated[
+        float, Field(ge=lower if isfinite(lower) else None, le=upper if isfinite(upper) else None)
+    ]
 
 
 _SECTIONS: dict[str, Any] = {name: (_section(effect) | None, None) for name, effect in EFFECTS.items()}

@@ -36,7 +36,7 @@ class Layout(ABC):
 
     @abstractmethod
     def file_stem(self) -> str:
-        """Name of the data file without its ending; the truth is named after it."""
+        """Return the name of the data file without suffix; the truth is named after it."""
 
     @abstractmethod
     def write(
@@ -46,6 +46,8 @@ class Layout(ABC):
 
         Parameters
         ----------
+        folder : Path
+        readout : Readout
         frames_adu : iterable of ndarray, (rows, columns) uint16
             Raw frames.
         rng : numpy.random.Generator
@@ -157,7 +159,7 @@ LAYOUTS = {"recorder": RecorderFolder, "muse_raw": MuseRaw}
 
 
 def layout_of(planned: Planned) -> Layout:
-    """The writer for a recording."""
+    """Return the writer for a `planned` recording."""
     return LAYOUTS[planned.layout](planned)
 
 

@@ -6,14 +6,13 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.simulate.atmosphere import Shape, Sky
 from irlos_pipe.simulate.detector_model import ADC_TOP_ADU, DetectorModel
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.scene import Sampling
 
 LARGEST_NM = 10_000.0
 BandName = Literal["narrow_h", "j", "h", "j_h"]
-Shape = Literal["power_law", "servo_lag", "aliasing", "non_stationary"]
 
 
 class Section(BaseModel):
@@ -178,7 +177,7 @@ class DetectorKeys(Section):
 
 
 class SamplingKeys(Section):
-    """How finely the light is computed; for tests and for checks of the accuracy."""
+    """Fineness of the computation; for tests and for checks of the accuracy."""
 
     pupil_samples: int | None = Field(None, ge=32, le=1024, description="across the diameter")
     points_per_band: int = Field(Sampling.points_per_band, ge=1, le=41, description="wavelengths per band")

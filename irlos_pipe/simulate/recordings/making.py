@@ -38,16 +38,16 @@ class Job:
 
     @property
     def folder(self) -> Path:
-        """Where the recording is made."""
+        """Return the folder in which the recording is made."""
         return self.work / "data" / self.planned.name
 
     @property
     def spool(self) -> Path:
-        """Where its mean images are kept until they are read out."""
+        """Return the file that keeps its mean images until they are read out."""
         return self.work / f"{self.index}.mean_e"
 
     def frames_done(self) -> np.ndarray:
-        """Frames that each job has exposed, (count,); shared between processes."""
+        """Return the frames that each job has exposed, (count,); shared between processes."""
         path = self.work / "frames_done"
         return np.memmap(path, np.int64, "r+" if path.exists() else "w+", shape=self.count)
 
@@ -66,7 +66,17 @@ class Job:
 def make_all(
     planned: Sequence[Planned], target: SimulationFolder, jobs: int, progress: Callable[..., Any] | None
 ) -> None:
-    """Make recordings; those that are complete stay when a later one fails."""
+    """Make recordings; those that are complete stay when a later one fails.
+
+    Parameters
+    ----------
+    planned : sequence of Planned
+    target : SimulationFolder
+    jobs : int
+        Worker processes.
+    progress : callable or None
+        Makes a progress bar, see `simulate`.
+    """
     if not planned:
         return
     with _work_folder(target.path) as work, _bar(planned, progress) as bar:

@@ -41,7 +41,7 @@ class Made:
 
 
 def record(planned: Planned, folder: Path, spool: Path, report: Callable[[int], None]) -> Made:
-    """Simulate a recording and write its files into `folder`, which must exist.
+    """Simulate the `planned` recording and write its files into `folder`, which must exist.
 
     The mean images go to the file `spool` first: the non-linearity is stated at the peak of the
     mean image, which is known only at the end. Memory does not grow with the number of frames.

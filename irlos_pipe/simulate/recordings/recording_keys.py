@@ -1,4 +1,4 @@
-"""What a simulation spec says about one recording, or one series of them."""
+"""The keys of a simulation spec for one recording, or one series of them."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ def _kind(value: Any) -> str:
     return "list" if isinstance(value, list) else "one"
 
 
-def _one_or(one: Any, many: Any) -> Any:
-    """One value or a list of them; a wrong one is reported once, not for each possibility."""
-    return Annotated[Annotated[one, Tag("one")] | Annotated[many, Tag("list")], Discriminator(_kind)]
-
-
-Bands = _one_or(BandName, Annotated[list[BandKeys], Field(min_length=1)])
-Defocus = _one_or(Nanometres, list[Nanometres])
+# One value or a list of them; thanks to the tags a wrong one is reported once, not for each possibility.
+Bands = Annotated[
+    Annotated[BandName, Tag("one")] | Annotated[list[BandKeys], Field(min_length=1), Tag("list")],
+    Discriminator(_kind),
+]
+Defocus = Annotated[
+    Annotated[Nanometres, Tag("one")] | Annotated[list[Nanometres], Tag("list")], Discriminator(_kind)
+]
 Role = Literal["ncpa_calibration", "defocus_ramp", "derotator", "psf"]
 Side = Annotated[int, Field(ge=8, le=512)]
 FullPupilMode = Literal["64x64_FullPupil_200Hz_HighGain", "64x64_FullPupil_500Hz_HighGain"]

@@ -23,7 +23,7 @@ FORCED, UP_TO_DATE = "--force", "up to date"
 
 @dataclass(frozen=True)
 class Step:
-    """What happens to one recording.
+    """One recording and why it is made.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Step:
 
 
 def plan_simulation(spec: Spec, folder: Path, force: bool = False) -> list[Step]:
-    """Return what a run would do; nothing is written.
+    """Return what a run of `spec` into `folder` would do; `force` makes all again. Nothing is written.
 
     Raises
     ------
@@ -58,6 +58,7 @@ def simulate(
 
     Parameters
     ----------
+    spec : Spec
     folder : Path
         Holds ``data/``, ``truth/`` and the spec with all defaults; made if it does not exist.
     force : bool

@@ -36,7 +36,7 @@ FACILITY_KEYS = ("cutoff_per_m", "outer_scale_m")  # of the section `sky`
 
 
 def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
-    """Scene of a section of the spec: what all its recordings have in common.
+    """Return what all recordings of the section `name` of `spec`, with its `keys`, have in common.
 
     Raises
     ------
@@ -99,8 +99,8 @@ def _aberrations(keys: AberrationKeys | None, spec: Spec, what: str) -> dict[int
     """Coefficients; the draw is the same for all recordings of a spec."""
     if keys is None:
         return {}
-    if keys.zernike_nm is not None:
-        return dict(keys.zernike_nm)
+    if keys.total_nm is None:
+        return dict(keys.zernike_nm or {})
     rng = np.random.default_rng([spec.seed, number(what)])
     return draw_ncpa_nm(rng, spec.instrument.facility.ncpa_law, keys.total_nm, keys.modes)
 
@@ -148,5 +148,5 @@ def _detector(keys: DetectorKeys | None) -> DetectorModel:
 
 
 def number(name: str) -> int:
-    """The same number for the same name in every run, for seeds."""
+    """Return the same number for the same `name` in every run, for seeds."""
     return crc32(name.encode())

@@ -53,7 +53,7 @@ class Planned:
 
 @dataclass(frozen=True)
 class _Member:
-    """What sets one recording of a series apart; `position` is its place in time."""
+    """One recording of a series; `position` is its place in time."""
 
     name: str
     position: int
@@ -63,7 +63,7 @@ class _Member:
 
 
 def plan_recordings(spec: Spec) -> list[Planned]:
-    """Recordings of a spec, those of a series in the order of their list."""
+    """Return the recordings of a `spec`, those of a series in the order of their list."""
     sections = enumerate(spec.recordings.items())
     return [planned for slot, (name, keys) in sections for planned in _section(spec, slot, name, keys)]
 
@@ -90,7 +90,7 @@ def _section(spec: Spec, slot: int, name: str, keys: RecordingKeys) -> Iterator[
 
 def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> list[_Member]:
     if keys.offsets_nm:
-        return _ramp(name, keys, hidden, rng)
+        return _ramp(name, keys, keys.offsets_nm, hidden, rng)
     commanded_nm, true_nm = _introduced(keys, hidden, rng)
     if keys.angles_deg:
         names = numbered(name, "angle", keys.angles_deg)
@@ -107,9 +107,10 @@ def _introduced(keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) 
     return keys.introduced_nm, float(reached[0])
 
 
-def _ramp(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> list[_Member]:
+def _ramp(
+    name: str, keys: RecordingKeys, offsets_nm: Sequence[float], hidden: Mapping, rng: np.random.Generator
+) -> list[_Member]:
     """One recording per focus offset."""
-    offsets_nm = keys.offsets_nm
     names, order = numbered(name, "offset", offsets_nm), visiting_order(offsets_nm, keys.order)
     reached = reached_nm([offsets_nm[index] for index in order], effects_of(hidden), rng)
     return [
@@ -125,6 +126,6 @@ def _ramp(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Genera
 
 
 def numbered(name: str, what: str, values: Sequence[float]) -> list[str]:
-    """Names of the recordings of a series."""
+    """Return ``<name>/<what>_<index>`` for each of `values`: the recordings of series `name`, by `what`."""
     digits = max(2, len(str(len(values) - 1)))
     return [f"{name}/{what}_{index:0{digits}d}" for index in range(len(values))]

@@ -12,7 +12,7 @@ POINTS_PER_BAND = 3
 
 
 def side_car(planned: Planned) -> dict[str, Any]:
-    """Content of ``acquisition.yaml``; the seeing is left out on the bench."""
+    """Return the content of ``acquisition.yaml`` of a `planned` recording; a bench has no seeing."""
     scene = planned.scene
     stated = {
         "role": scene.role,
@@ -36,7 +36,7 @@ def _plain(defocus_nm: Defocus) -> float | list[float]:
 
 
 def declared_spectrum(scene: Scene) -> list[dict[str, float]]:
-    """A few wavelengths per band with their photon weights."""
+    """Return a few wavelengths per band of a `scene` with their photon weights."""
     weights: dict[float, float] = {}
     for wavelength_nm, weight in scene.spectrum(POINTS_PER_BAND):
         at = round(wavelength_nm, 3)  # the points of a band without width are the same

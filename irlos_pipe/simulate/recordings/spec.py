@@ -70,6 +70,7 @@ def load_spec(path: str | Path, settings: Iterable[str] = (), seed: int | None =
 
     Parameters
     ----------
+    path : str or Path
     settings : iterable of str
         ``key.key=VALUE``, applied in order; the value is YAML.
     seed : int, optional
@@ -88,12 +89,15 @@ def load_spec(path: str | Path, settings: Iterable[str] = (), seed: int | None =
 def _checked(path: Path, data: Mapping[str, Any], errors: ValidationErrors) -> Spec:
     keys = errors.validated(data, SpecKeys)
     errors.raise_if_any()
+    assert keys is not None, "what is wrong has been reported"
     for name in keys.recordings:
         _check_name(name, errors)
     recordings = {name: _filled_in(name, keys, errors) for name in keys.recordings}
     instrument_name, instrument = checked_instrument(keys.instrument, absolute(path).parent, errors)
     errors.raise_if_any()
-    return Spec(keys.simulation, keys.title, keys.seed, instrument_name, instrument, recordings)
+    assert instrument is not None, "what is wrong has been reported"
+    complete = {name: recording for name, recording in recordings.items() if recording is not None}
+    return Spec(keys.simulation, keys.title, keys.seed, instrument_name, instrument, complete)
 
 
 def _check_name(name: str, errors: ValidationErrors) -> None:

@@ -35,7 +35,7 @@ def _described(planned: Planned) -> tuple[str, ...]:
 
 
 def where_text(spec: Spec, folder: Path) -> str:
-    """Return where data and truth lie, one line per section of the spec."""
+    """Return where in `folder` data and truth lie, one line per section of the `spec`."""
     width = max(len("truth"), *map(len, spec.recordings))
     places = {name: folder / "data" / name for name in spec.recordings} | {"truth": folder / "truth"}
     return "\n".join(f"{name:<{width}}  {path}" for name, path in places.items())

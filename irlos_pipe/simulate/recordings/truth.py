@@ -35,7 +35,7 @@ class WavefrontTruth:
         self._zernike_nm: list[np.ndarray] = []
 
     def add(self, exposure: Exposure) -> None:
-        """Take one more frame."""
+        """Take one more `exposure`."""
         introduced_nm = self._scene.introduced_per_frame_nm[len(self._zernike_nm)]
         opd_nm = exposure.opd_nm + introduced_nm * self._telescope.mode(DEFOCUS)
         self._sum_nm += opd_nm
@@ -66,7 +66,7 @@ class WavefrontTruth:
 
 
 def truth_content(planned: Planned, wavefront: WavefrontTruth) -> dict[str, Any]:
-    """Content of the truth file.
+    """Return the content of the truth file of a `planned` recording with its `wavefront`.
 
     ``ncpa_nm`` is what was static, ``mean_zernike_nm`` what an estimate is compared with: the
     time-averaged wavefront, introduced defocus included as the stage reached it, diversity excluded.
@@ -85,12 +85,12 @@ def truth_content(planned: Planned, wavefront: WavefrontTruth) -> dict[str, Any]
 
 
 def made_from(planned: Planned) -> dict[str, Any]:
-    """All that a recording depends on, in JSON types; the same again makes the same recording."""
+    """Return all that a `planned` recording depends on, in JSON types."""
     return jsonable({"version": VERSION, "recording": planned})
 
 
 def static_nm(scene: Scene) -> dict[int, float]:
-    """NCPAs at the recording's derotator angle, Noll: nm RMS."""
+    """Return the NCPAs at the derotator angle of a `scene`, Noll: nm RMS."""
     total = dict(scene.ncpa_nm)
     for noll, value_nm in rotated_nm(scene.rotating_nm, scene.derotator_angle_deg).items():
         total[noll] = total.get(noll, 0.0) + value_nm
@@ -98,7 +98,10 @@ def static_nm(scene: Scene) -> dict[int, float]:
 
 
 def write_truth(path: Path, content: dict[str, Any], wavefront_fits: bytes) -> None:
-    """Write ``<path>.json`` and ``<path>_wavefront.fits``; the JSON last, as the mark that all is there."""
+    """Write `content` to ``<path>.json`` and `wavefront_fits` to ``<path>_wavefront.fits``.
+
+    The JSON is written last: it marks that all is there. `path` has no suffix.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path.with_name(f"{path.name}_wavefront.fits"), wavefront_fits)
     write_bytes(path.with_name(f"{path.name}.json"), json_text(content).encode())

@@ -8,7 +8,7 @@ import numpy as np
 
 
 def visiting_order(offsets_nm: Sequence[float], order: str) -> list[int]:
-    """Indices of the offsets in the order of recording.
+    """Return the indices of `offsets_nm` in the `order` of recording.
 
     ``ping_pong`` goes from the ends inwards and changes side after every offset, so that
     successive offsets are reached from opposite directions; ``as_given`` keeps the list.
