@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import date
@@ -68,10 +69,10 @@ def discover(
     recordings: list[Description] = []
     problems: list[tuple[Path, str]] = []
     files = _files(folders, problems)
-    alone = _alone(files)
+    single = _single_recording_folders(files)
     for file in files:
         try:
-            recordings.append(_describe(file, alone, keys, instrument, database))
+            recordings.append(_describe(file, file.parent in single, keys, instrument, database))
         except InputDataError as error:
             problems.append((file, str(error)))
         except Exception as error:  # a damaged file must not keep the others from being read
@@ -101,38 +102,36 @@ def _files(folders: Sequence[Path], problems: list[tuple[Path, str]]) -> list[Pa
         return []
 
 
-def _alone(files: Iterable[Path]) -> set[Path]:
+def _single_recording_folders(files: Iterable[Path]) -> set[Path]:
     """Folders with exactly one recording in or below them."""
-    counts: dict[Path, int] = {}
-    for file in files:
-        for folder in file.parents:
-            counts[folder] = counts.get(folder, 0) + 1
+    counts = Counter(folder for file in files for folder in file.parents)
     return {folder for folder, count in counts.items() if count == 1}
 
 
 def _describe(
-    file: Path, alone: set[Path], keys: AcquisitionKeys, instrument: Instrument, database: Database
+    file: Path, single: bool, keys: AcquisitionKeys, instrument: Instrument, database: Database
 ) -> Description:
-    stamp = _stamp(file, keys, alone)
+    """Describe the recording in a file; `single` if no other lies in its folder."""
+    stamp = _stamp(file, keys, single)
     known = database.description(file, stamp)
     if known is not None:
         return known
     sources, failures = read_sources({"night": [file]}, lambda _: keys, instrument, SILENT)
     if failures:
         raise InputDataError(failures[0][1])
-    description = _described(file, sources[0], alone)
+    description = _described(file, sources[0], single)
     database.add_description(file, stamp, description)
     return description
 
 
-def _described(file: Path, source: Source, alone: set[Path]) -> Description:
+def _described(file: Path, source: Source, single: bool) -> Description:
     raw, acquisition = source.raw, source.resolved.acquisition
     start = raw.start_unix_s if np.isfinite(raw.start_unix_s) else None
     diversity = ", ".join(f"Noll {noll} {nm:+g} nm" for noll, nm in sorted(acquisition.diversity.items()))
     scale = f"{acquisition.pixel_scale_mas:g} mas per pixel"
     optics = (raw.mode, scale, acquisition.diversity_source, diversity)
     return Description(
-        path=file.parent if raw.layout == recorder.LAYOUT and file.parent in alone else file,
+        path=file.parent if raw.layout == recorder.LAYOUT and single else file,
         name=raw.name if raw.subaperture is None else file.stem,
         role=acquisition.role,
         night=_night_of_file(file) if start is None else night_of(start),
@@ -160,9 +159,9 @@ def _night_of_unusable(path: Path, recordings: Sequence[Description]) -> str:
     return date_in_path(path) or (nearest.night if nearest else _night_of_file(path))
 
 
-def _stamp(file: Path, keys: AcquisitionKeys, alone: set[Path]) -> str:
+def _stamp(file: Path, keys: AcquisitionKeys, single: bool) -> str:
     """Everything that the description depends on: settings, and sizes and times of the files."""
-    parts: list[Any] = [file.parent in alone, keys]
+    parts: list[Any] = [single, keys]
     for path in files_of(file):
         status = path.stat()
         parts += [path, status.st_size, status.st_mtime_ns]
