@@ -16,7 +16,6 @@ from irlos_pipe.pipeline.provenance import command_line, machine, now, software_
 from irlos_pipe.pipeline.resources import Resources, limited_threads
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
 from irlos_pipe.product.product import Product
-from irlos_pipe.product.results import StageResults
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.product.storage import open_product, read_product, write_product
 from irlos_pipe.recipe import Recipe
@@ -106,7 +105,7 @@ class Job:
         product = Product(
             step.name,
             output.arrays,
-            output.results.as_json() if isinstance(output.results, StageResults) else output.results,
+            output.results.as_json(),
             list(output.checks),
             jsonable(self.recipe.configs[step.name]),
             self._provenance(step, output) | times,

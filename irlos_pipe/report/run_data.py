@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
@@ -40,16 +40,9 @@ class RunData:
     products: dict[str, Product]
     recordings: list[Overview]
 
-    @overload
-    def results(self, stage: type[Results]) -> Results: ...
-    @overload
-    def results(self, stage: str) -> dict[str, Any]: ...
-
-    def results(self, stage: type[Results] | str) -> Results | dict[str, Any]:
-        """Return the results of a stage as its model; all defaults without that stage."""
-        if isinstance(stage, str):
-            return self.products[stage].results if stage in self.products else {}
-        return results_of(stage, self.products[stage.stage]) if stage.stage in self.products else stage()
+    def results(self, kind: type[Results]) -> Results:
+        """Return the results of a stage as the model `kind`; all defaults without that stage."""
+        return results_of(kind, self.products[kind.stage]) if kind.stage in self.products else kind()
 
     def array(self, stage: str, name: str) -> np.ndarray | None:
         """Return the array `name` of the product of `stage`, or None where there is none."""

@@ -85,7 +85,7 @@ class StageOutput:
     """
 
     arrays: dict[str, Quantity]
-    results: StageResults | dict[str, Any]
+    results: StageResults
     checks: Sequence[Check] = ()
     files: dict[str, bytes] = field(default_factory=dict)
     summary: Sequence[str] = ()

@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 from conftest import invoke
+from helpers.fake_stages import FreeResults
 
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageOutput
@@ -20,7 +21,8 @@ stages: [lift]
 
 def lift(ctx) -> StageOutput:
     draws = np.random.default_rng(ctx.seed).normal(size=5)
-    return StageOutput({"draws": Quantity(draws, "nm")}, {"mean_nm": draws.mean()}, summary=["five draws"])
+    results = FreeResults(mean_nm=draws.mean())
+    return StageOutput({"draws": Quantity(draws, "nm")}, results, summary=["five draws"])
 
 
 @pytest.fixture(params=["inputs: {}", "inputs:", ""])

@@ -102,7 +102,7 @@ def lift(ctx: StageContext) -> StageOutput:
     """A stage that draws samples; its marks lie beside the input."""
     found = run_samples(draw, draws(ctx.inputs["cube"][0].parent / "marks"), ctx, "draws")
     traces = np.array([one["trace"] for one in found])
-    return StageOutput({"traces": Quantity(traces, "")}, {"traces": traces.tolist()})
+    return StageOutput({"traces": Quantity(traces, "")}, fake_stages.FreeResults(traces=traces.tolist()))
 
 
 if __name__ == "__main__":

@@ -41,6 +41,6 @@ def run_stage(monkeypatch, stage, config, found_of: Callable) -> StageOutput:
 
 def section_of(output: StageOutput, name: str, build: Callable[[RunData], Section], config=None) -> Section:
     """Build the section of a stage's output as it is read back from its product."""
-    results = output.results if isinstance(output.results, dict) else output.results.as_json()
-    product = Product(name, output.arrays, results, config=config.model_dump() if config else {})
+    settings = config.model_dump() if config else {}
+    product = Product(name, output.arrays, output.results.as_json(), config=settings)
     return build(RunData({}, "", "ok", "", {name: product}, []))

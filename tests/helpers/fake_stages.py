@@ -14,14 +14,23 @@ import time
 from collections import Counter
 from pathlib import Path
 from types import ModuleType
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.product.results import StageResults
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+
+
+class FreeResults(StageResults):
+    """Results of a stage that stands in for a real one, with any keys."""
+
+    model_config = ConfigDict(extra="allow")
+    stage: ClassVar[str] = "any"
+
 
 COUNTS: Counter[str] = Counter()
 
@@ -52,7 +61,7 @@ def ingest(ctx: StageContext) -> StageOutput:
     ctx.log.info("read %d files", counts.size)
     return StageOutput(
         {"counts": Quantity(counts, "ADU")},
-        {"total": counts.sum(), "spread": float("nan")},
+        FreeResults(total=counts.sum(), spread=float("nan")),
         summary=[f"{counts.size} files"],
     )
 
@@ -61,7 +70,7 @@ def calibrate(ctx: StageContext) -> StageOutput:
     mean = ctx.products["ingest"].arrays["counts"].value.mean()
     return StageOutput(
         {"mean": Quantity(np.asarray(mean), "ADU")},
-        {"method": ctx.config.method},
+        FreeResults(method=ctx.config.method),
         checks=[Check("mean", mean, "ADU", 0, None, "counts are positive")],
         files={"table.csv": b"mode,nm\n"},
         summary=[f"mean {mean:g} ADU"],
@@ -70,7 +79,7 @@ def calibrate(ctx: StageContext) -> StageOutput:
 
 def lift(ctx: StageContext) -> StageOutput:
     draws = np.random.default_rng(ctx.seed).normal(size=3)
-    return StageOutput({"draws": Quantity(draws, "nm", error=np.ones(3))}, {"first": draws[0]})
+    return StageOutput({"draws": Quantity(draws, "nm", error=np.ones(3))}, FreeResults(first=draws[0]))
 
 
 def data_folder(ctx: StageContext) -> Path:

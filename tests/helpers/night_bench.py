@@ -22,6 +22,9 @@ from irlos_pipe.night.settings import load_settings
 from irlos_pipe.night.state import RunState
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.ingest.results import IngestResults
+from irlos_pipe.stages.lift.results import LiftResults, Line, Point
 
 CUBE = """\
 recipe: cube
@@ -59,23 +62,24 @@ def _begin(name: str, ctx: StageContext) -> None:
 def ingest(ctx: StageContext) -> StageOutput:
     _begin("ingest", ctx)
     failures = ["exposure 3: no star"] if (_folder(ctx) / "ingest.partial").exists() else []
-    return StageOutput({"x": Quantity(np.arange(3.0), "")}, {"inputs": []}, failures=failures)
+    return StageOutput({"x": Quantity(np.arange(3.0), "")}, IngestResults(inputs=[]), failures=failures)
 
 
 def calibrate(ctx: StageContext) -> StageOutput:
     """Report the numbers in the file beside the recording."""
     _begin("calibrate", ctx)
     numbers = json.loads((_folder(ctx) / "numbers.json").read_text())
-    results = {"zernike_nm": numbers, "sigma_nm": dict.fromkeys(numbers, 0.5)}
-    results |= {"wfe_nm": 50.0, "seeing_arcsec": 0.5}
+    results = CalibrateResults(
+        zernike_nm=numbers, sigma_nm=dict.fromkeys(numbers, 0.5), wfe_nm=50.0, seeing_arcsec=0.5
+    )
     largest = max(numbers.values())
     return StageOutput({}, results, [Check("largest", largest, "nm", None, ctx.config.limit, "small")])
 
 
 def lift(ctx: StageContext) -> StageOutput:
     _begin("lift", ctx)
-    summary = {"offset_nm": 2.5, "slope": 0.99, "slope_sigma": 0.01, "rms_nm": 4.0, "residual_rms_nm": 3.0}
-    return StageOutput({}, {"summary": summary, "points": [{}] * 9})
+    line = Line(offset_nm=2.5, slope=0.99, slope_sigma=0.01, rms_nm=4.0, residual_rms_nm=3.0)
+    return StageOutput({}, LiftResults(summary=line, points=[Point()] * 9))
 
 
 @dataclass

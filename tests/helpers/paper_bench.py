@@ -47,18 +47,15 @@ def run(ctx: StageContext) -> StageOutput:
         raise InputDataError("the star is gone")
     draws = np.random.default_rng(ctx.seed).normal(size=ctx.config.samples)
     check = Check("mean", draws.mean(), "nm", None, ctx.config.limit, "the mean is small")
-    results = {
-        "mean_nm": draws.mean(),
-        "seconds": 0.5,
-        "rows": [{"name": "a", "median_nm": float(np.median(draws)), "fit_seconds": 0.2}],
-    }
+    rows = [{"name": "a", "median_nm": float(np.median(draws)), "fit_seconds": 0.2}]
+    results = fake_stages.FreeResults(mean_nm=draws.mean(), seconds=0.5, rows=rows)
     return StageOutput({"draws": Quantity(draws, "nm")}, results, [check], summary=["a few draws"])
 
 
 def section(data) -> Section:
     """The same drawing for every experiment that has this stage."""
     line = svg("line", (3, 2), lambda figure: figure.subplots().plot([0, 1], label="line"))
-    mean = f"{data.results('lift')['mean_nm']:.4f} nm"
+    mean = f"{data.products['lift'].results['mean_nm']:.4f} nm"
     return Section("lift", "Draws", "Some draws.", [Figure(line, "A line"), Table(("mean",), [(mean,)])])
 
 
