@@ -7,8 +7,8 @@ import json
 import pytest
 from conftest import invoke
 from filelock import FileLock
-from helpers.campaign_specs import CUBE, RAMP, spec_of, written
 from helpers.paths import RECIPES
+from helpers.simulation_specs import CUBE, RAMP, spec_of, written
 
 NIGHT = {"cube": CUBE, "ramp": RAMP}
 

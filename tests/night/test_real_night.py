@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 from conftest import invoke
-from helpers.campaign_specs import CUBE, RAMP, simulated, spec_of, written
 from helpers.paths import RECIPES
+from helpers.simulation_specs import CUBE, RAMP, simulated, spec_of, written
 
 from irlos_pipe.night.settings import BandSettings
 from irlos_pipe.night.trend import read_trend

@@ -4,6 +4,8 @@ Truth: HCIPy on a finer pupil for what changes the pupil; equal scenes told in a
 image is a tilted wavefront, a shifted band is another band); areas and moments by analysis.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from helpers.reference_psf import reference
@@ -13,6 +15,7 @@ from scipy.ndimage import label
 from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.checks import SceneError
+from irlos_pipe.simulate.effects.base import PupilEffect
 from irlos_pipe.simulate.effects.catalogue import EFFECTS
 from irlos_pipe.simulate.effects.low_wind import LowWindEffect
 from irlos_pipe.simulate.exposure import expose, telescope_of, with_effective_sky
@@ -74,6 +77,19 @@ def test_what_is_not_known_or_does_not_fit_is_refused_in_one_line(effects, messa
     with pytest.raises(ValueError, match=message):
         expose(scene(effects=effects))
     assert issubclass(SceneError, ValueError)
+
+
+def test_a_new_effect_is_one_class_and_one_line_of_the_catalogue(monkeypatch):
+    @dataclass(frozen=True)
+    class Grey(PupilEffect):
+        name = "grey"
+        transmission: float
+
+        def transparency(self, pupil):
+            return np.sqrt(self.transmission)
+
+    monkeypatch.setitem(EFFECTS, "grey", Grey)
+    assert worst(image(effects={"grey": {"transmission": 0.7}}), 0.7 * image()) < 1e-6
 
 
 def test_jitter_is_the_mean_over_gaussian_positions():

@@ -13,7 +13,6 @@ from irlos_pipe.simulate.effects.focus_stage import reached_nm
 from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys
 from irlos_pipe.simulate.recordings.scenes import base_scene, number
 from irlos_pipe.simulate.recordings.spec import Spec
-from irlos_pipe.simulate.recordings.visiting_order import visiting_order
 from irlos_pipe.simulate.scene import Scene
 
 FIRST_START_UNIX_S = 1_707_618_000
@@ -129,3 +128,16 @@ def numbered(name: str, what: str, values: Sequence[float]) -> list[str]:
     """Return ``<name>/<what>_<index>`` for each of `values`: the recordings of series `name`, by `what`."""
     digits = max(2, len(str(len(values) - 1)))
     return [f"{name}/{what}_{index:0{digits}d}" for index in range(len(values))]
+
+
+def visiting_order(offsets_nm: Sequence[float], order: str) -> list[int]:
+    """Return the indices of `offsets_nm` in the `order` of recording.
+
+    ``ping_pong`` goes from the ends inwards and changes side after every offset, so that
+    successive offsets are reached from opposite directions; ``as_given`` keeps the list.
+    """
+    if order == "as_given":
+        return list(range(len(offsets_nm)))
+    ascending = np.argsort(offsets_nm, kind="stable").tolist()
+    inwards = [index for pair in zip(ascending, reversed(ascending), strict=True) for index in pair]
+    return inwards[: len(ascending)]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from filelock import FileLock
-from helpers.campaign_specs import CUBE, RAMP, simulated, spec_of
+from helpers.simulation_specs import CUBE, RAMP, simulated, spec_of
 
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError, Locked
 from irlos_pipe.simulate.recordings import making

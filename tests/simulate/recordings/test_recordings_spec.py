@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from helpers.campaign_specs import CUBE, RAMP, spec_of, written
 from helpers.paths import PACKAGE, RECIPES
+from helpers.simulation_specs import CUBE, RAMP, spec_of, written
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.effects import CATALOGUE

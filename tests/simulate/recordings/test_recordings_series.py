@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.campaign_specs import CUBE, RAMP, spec_of, written
+from helpers.simulation_specs import CUBE, RAMP, spec_of, written
 
 from irlos_pipe.simulate.recordings import load_spec
-from irlos_pipe.simulate.recordings.series import Planned, plan_recordings
-from irlos_pipe.simulate.recordings.visiting_order import visiting_order
+from irlos_pipe.simulate.recordings.series import Planned, plan_recordings, visiting_order
 
 FIVE = [-200, -100, 0, 100, 200]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from astropy.io import fits
-from helpers.campaign_specs import CUBE, simulated, spec_of, truth
+from helpers.simulation_specs import CUBE, simulated, spec_of, truth
 
 from irlos_pipe.simulate.effects.catalogue import EFFECTS
 

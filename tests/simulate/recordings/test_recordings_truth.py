@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from astropy.io import fits
-from helpers.campaign_specs import CUBE, RAMP, simulated, spec_of, truth
+from helpers.simulation_specs import CUBE, RAMP, simulated, spec_of, truth
 
 from irlos_pipe.simulate.recordings.folder import SimulationFolder
 

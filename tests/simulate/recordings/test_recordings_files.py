@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from astropy.io import fits
-from helpers.campaign_specs import CUBE, spec_of, written
+from helpers.simulation_specs import CUBE, spec_of, written
 
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.acquisition import resolve
