@@ -59,7 +59,7 @@ def dip_global_60(inputs: Inputs, count: int) -> dict:
 
 
 def dip_global_cuda(inputs: Inputs, count: int) -> dict:
-    """`dip_global` on a GPU; how long it takes is for the wall clock to say."""
+    """`dip_global` on a GPU, timed by the wall clock."""
     return _calibrated(inputs, count, "dip_global", device="cuda") | {"clock": "wall_s"}
 
 

@@ -1,7 +1,7 @@
 """What effects are in terms of modes: their part of the static wavefront, and its change with time.
 
 Petals, bumps and high orders are not orthogonal to the modes on an obscured pupil; a report and a
-correction want the modes of their sum. The effects' OPD is projected on piston and the estimated modes by
+correction need the modes of their sum. The effects' OPD is projected on piston and the estimated modes by
 least squares over the clear pupil.
 """
 

@@ -31,7 +31,7 @@ Report = Callable[[int], None]
 
 @dataclass(frozen=True)
 class Estimates:
-    """What a fit says of the modes.
+    """Estimates of the modes from a fit.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Scheme(ABC):
         return solve(problem, start, max_iterations=max_iterations, report=report)
 
     def estimates(self, frames: Frames, problem: ImageFit, solution: Solution) -> Estimates:
-        """Return what the `solution` of the `problem` of these `frames` says of the modes."""
+        """Return the modes from the `solution` of the `problem` of these `frames`."""
         return linear_estimates(frames, problem, solution)
 
     def twin(self, problem: ImageFit, solution: Solution) -> TwinCheck | None:

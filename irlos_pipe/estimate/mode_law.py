@@ -49,11 +49,6 @@ class ModeScatter:
         """Standard error of `std_nm` for Gaussian draws."""
         return self.std_nm / np.sqrt(2 * self.draws)
 
-    @property
-    def ncpa_std_nm(self) -> np.ndarray:
-        """Standard deviation without the noise; zero where the noise explains it all."""
-        return np.sqrt(np.maximum(self.std_nm**2 - self.noise_nm**2, 0))
-
 
 @dataclass(frozen=True)
 class ModeLaw:

@@ -7,7 +7,7 @@ a χ². "Converged" means that the step still available would lower χ² by a ne
 move by more than √g of its standard error, 3 %.
 
 Where a model misfits, the curvature that Gauss–Newton neglects is not small, and convergence becomes linear.
-What the gradients of successive iterations tell of it is added to the Hessian of the steps (Dennis, Gay &
+What the gradients of successive iterations show of it is added to the Hessian of the steps (Dennis, Gay &
 Welsch 1981, ACM TOMS 7, 348); whether a member has converged, and its covariance, are judged without.
 """
 

@@ -14,7 +14,7 @@ TRIALS = 600
 
 
 def turned(zernike_nm: np.ndarray, angle_deg: float) -> np.ndarray:
-    """Coefficients of the wavefront turned anticlockwise, by projecting it anew."""
+    """Coefficients of the wavefront turned anticlockwise, by projecting it again."""
     radius = np.sqrt((np.arange(60) + 0.5) / 60)[:, None]
     azimuth = 2 * np.pi * np.arange(64) / 64
     x, y = (radius * np.cos(azimuth)).ravel(), (radius * np.sin(azimuth)).ravel()

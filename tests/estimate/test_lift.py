@@ -138,7 +138,7 @@ def test_the_capture_range_exceeds_600_nm_either_way(model):
 
 
 def test_frames_that_all_converge_to_a_wrong_defocus_are_found_though_none_stands_out(model):
-    """All end near the opposite defocus: none fits better than the others, only the scan can tell."""
+    """All end near the opposite defocus: none fits better than the others, only the scan can decide."""
     true = torch.zeros(4, 3, dtype=torch.float64)
     true[:, 2] = torch.linspace(480, 552, 4)
     images = drawn(model, true, cases.photons(12), seed=12)
@@ -242,7 +242,7 @@ def test_some_members_of_a_fit_with_variances_that_follow_have_the_objectives_th
 
 
 def test_the_scan_finds_defocus_and_position_of_any_image():
-    """To 60 nm, whence every fit finds its minimum, and a pixel; a diversity tells the sign."""
+    """To 60 nm, from where every fit finds its minimum, and a pixel; a diversity shows the sign."""
     case = cases.settings(64, TWO_COLOURS, diversity={6: -170.0})
     model = PsfModel(case, TTF)
     focus_nm = np.linspace(-640.0, 640.0, 33)

@@ -60,11 +60,6 @@ def test_the_error_of_a_standard_deviation_is_that_of_chi2():
     assert scatter.std_sigma_nm / scatter.std_nm == pytest.approx(np.diff(exact)[0] / 2, rel=0.05)
 
 
-def test_variance_without_noise_is_not_negative():
-    scatter = ModeScatter((2, 3), np.array([5.0, 3.0]), np.array([3.0, 5.0]), 4)
-    assert scatter.ncpa_std_nm == pytest.approx([4.0, 0.0])
-
-
 def test_tip_and_tilt_get_their_common_variance():
     scatter = equalised_tilts(ModeScatter((2, 3, 4), np.array([3.0, 4.0, 7.0]), np.zeros(3), 2))
     assert scatter.std_nm == pytest.approx([np.sqrt(12.5), np.sqrt(12.5), 7.0])

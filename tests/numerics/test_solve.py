@@ -40,7 +40,7 @@ class Decays(Problem):
 
 
 class Frugal(Decays, CheapGradientProblem):
-    """The same, which also says the gradient alone, and counts what it is asked for."""
+    """The same with a cheap gradient; it counts the evaluations."""
 
     def __init__(self, data):
         super().__init__(data)

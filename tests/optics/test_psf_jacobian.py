@@ -32,7 +32,7 @@ def wavefronts() -> torch.Tensor:
     return torch.cat([vector(ncpa_nm(seed, 21), NOLLS) for seed in (1, 2)])
 
 
-@pytest.fixture(params=[False, True], ids=["bare", "with OTF factors"])
+@pytest.fixture(params=[False, True], ids=["without", "with OTF factors"])
 def factor(request, model):
     effects = halo_and_jitter(model)
     return effects(effects.starts) if request.param else AS_BUILT

@@ -169,8 +169,8 @@ def test_the_long_exposure_is_the_mean_of_images_through_random_screens():
     pull = (ours - drawn.mean(0)) / error
     assert np.abs(pull).max() < 5
     assert 0.5 < np.mean(pull**2) < 1.6
-    bare = model.images(torch.zeros(1, 1))[0].numpy()
-    assert np.mean(((bare - drawn.mean(0)) / error) ** 2) > 20
+    without = model.images(torch.zeros(1, 1))[0].numpy()
+    assert np.mean(((without - drawn.mean(0)) / error) ** 2) > 20
 
 
 def test_turbulence_beyond_the_cut_off_adds_to_the_residual_inside():
