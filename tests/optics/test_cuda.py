@@ -87,7 +87,9 @@ def diagnosed(device: str) -> np.ndarray:
     parts, view = split(cube()), Exposures(cube(), CONDITIONS).view(range(2, HIGHEST_NOLL + 1), device)
     fitted = Fitter([view], parts.training).fit([TipTiltJitter()])
     optimum = Optimum(parts.training, fitted)
-    some = [one for one in families(CONDITIONS, [])[0] if one.name in ("plate_scale", "diversity_error")]
+    some = [
+        one for one in families(CONDITIONS, [])[0] if one.effect.name in ("plate_scale", "diversity_error")
+    ]
     gains = [score.gain for score in scores(optimum, some)]
     drift = measure_drift(parts.training, fitted, sure=5.0)
     companions = companion_gains(optimum, SMALL.window).max()
