@@ -92,7 +92,7 @@ def diagnosed(device: str) -> np.ndarray:
     ]
     gains = [score.gain for score in scores(optimum, some)]
     drift = measure_drift(parts.training, fitted, sure=5.0)
-    companions = companion_gains(optimum, SMALL.window).max()
+    companions = companion_gains(optimum).max()
     gap = Judge(parts.held_out, fitted).gap
     return np.array([*fitted.modes_nm, *gains, companions, *drift.change_nm, gap])
 
