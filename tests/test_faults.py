@@ -32,7 +32,7 @@ def tree(harness, request) -> Path:
 
 
 def test_the_undisturbed_run_names_the_damaged_file_and_reduces_the_rest(harness):
-    assert harness.end.code == 5 and "damaged.fits" in harness.end.told
+    assert harness.end.code == 5 and "damaged.fits" in harness.end.stderr
     products = [name for name in harness.content if name.endswith(".h5")]
     assert len(products) == 9 and not broken(harness.folder / "undisturbed")
     assert leftovers(harness.folder / "undisturbed") == []
@@ -48,7 +48,7 @@ def test_after_a_kill_nothing_partial_is_seen_and_the_next_run_makes_the_same_bi
 def test_a_full_disk_is_reported_in_one_line_and_costs_nothing_once_there_is_room(harness, tree, size):
     end = harness.filled(tree, size)
     assert end.code == 1 and after_harm(tree, end) == []
-    assert [line for line in end.told.splitlines() if "cannot be written" in line or "disk" in line]
+    assert [line for line in end.stderr.splitlines() if "cannot be written" in line or "disk" in line]
     assert harness.after_rerun(tree) == []
 
 
@@ -62,7 +62,7 @@ def test_a_small_or_read_only_file_system_is_reported_in_one_line(harness, tree,
         assert after_harm(tree, end) == []
     finally:
         subprocess.run(["umount", "--lazy", tree], check=True)
-    assert end.code == 1 and end.told.count("irlos: error: ") == 1
+    assert end.code == 1 and end.stderr.count("irlos: error: ") == 1
 
 
 def test_of_two_runs_on_one_tree_the_second_leaves_with_75_and_the_first_is_not_disturbed(harness, tree):
@@ -72,7 +72,7 @@ def test_of_two_runs_on_one_tree_the_second_leaves_with_75_and_the_first_is_not_
     os.kill(first.pid, signal.SIGSTOP)  # wherever it is, it holds the tree
     second = runs.run(harness.bench, tree)
     os.kill(first.pid, signal.SIGCONT)
-    assert second.code == 75 and "in use by another run" in second.told
+    assert second.code == 75 and "in use by another run" in second.stderr
     assert first.end().code == harness.end.code and content(tree) == harness.content
 
 
@@ -83,7 +83,7 @@ def test_a_signal_ends_a_night_with_130_and_one_line_and_the_next_run_completes_
         time.sleep(0.001)
     os.kill(running.pid, number)
     end = running.end()
-    assert end.code == 130 and end.told.count("interrupted") == 1 and after_harm(tree, end) == []
+    assert end.code == 130 and end.stderr.count("interrupted") == 1 and after_harm(tree, end) == []
     assert harness.after_rerun(tree) == []
 
 

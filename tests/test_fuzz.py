@@ -18,15 +18,15 @@ SEEDS = range(5)
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_damaged_input_causes_at_most_one_line_that_says_what_is_wrong(kind):
     verdicts = [judge.judged(kind, seed) for seed in SEEDS]
-    assert [(verdict.seed, verdict.told, verdict.finding) for verdict in verdicts if verdict.finding] == []
+    assert [(verdict.seed, verdict.summary, verdict.finding) for verdict in verdicts if verdict.finding] == []
 
 
 def test_the_same_seed_makes_the_same_case(tmp_path):
     def made(name: str) -> tuple[str, bytes]:
         folder = tmp_path / name
         folder.mkdir()
-        told = KINDS["recording_header"](folder, np.random.default_rng(3)).told
-        return told, b"".join(path.read_bytes() for path in sorted(folder.rglob("*.fits")))
+        summary = KINDS["recording_header"](folder, np.random.default_rng(3)).summary
+        return summary, b"".join(path.read_bytes() for path in sorted(folder.rglob("*.fits")))
 
     assert made("a") == made("b")
 

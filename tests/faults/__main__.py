@@ -77,7 +77,7 @@ class Harness:
         """Return how the next run differs from an undisturbed one."""
         end = run(self.bench, tree)
         if end.code != self.end.code:
-            return [f"the next run ended with {end.code}: {end.told}"]
+            return [f"the next run ended with {end.code}: {end.stderr}"]
         now = content(tree)
         names = self.content.keys() | {name for name in now if not name.startswith(PAGES)}
         different = [name for name in names if self.content.get(name) != now.get(name)]
@@ -89,8 +89,8 @@ class Harness:
 def after_harm(tree: Path, end: End) -> list[str]:
     """Return what nobody should come upon while the harm is not repaired."""
     problems = broken(tree) if tree.exists() else []
-    if "Traceback" in end.told or "unexpected" in end.told:
-        problems.append(f"told: {end.told[-500:]}")
+    if "Traceback" in end.stderr or "unexpected" in end.stderr:
+        problems.append(f"stderr: {end.stderr[-500:]}")
     return problems
 
 

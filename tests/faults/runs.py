@@ -35,7 +35,7 @@ class End:
     """How a process ended: exit code (minus the signal that killed it), and what it wrote to stderr."""
 
     code: int
-    told: str
+    stderr: str
 
 
 def make_night(folder: Path, patches: object = Patches) -> night_bench.NightBench:
@@ -59,8 +59,8 @@ class Running:
     def end(self) -> End:
         """Wait for its end."""
         with open(self.stderr) as stream:
-            told = stream.read()
-        return End(os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1]), told)
+            stderr = stream.read()
+        return End(os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1]), stderr)
 
 
 def start(bench: night_bench.NightBench, tree: Path, harm: Callable[[], None] = lambda: None) -> Running:

@@ -55,7 +55,7 @@ def _options() -> argparse.Namespace:
 
 
 def _all_judged(cases: list[tuple[str, int]], jobs: int) -> Iterator[Verdict]:
-    """Yield a verdict per case, telling findings at once."""
+    """Yield a verdict per case, printing findings at once."""
     with multiprocessing.get_context("fork").Pool(jobs, maxtasksperchild=100) as pool:
         waiting = [(kind, seed, pool.apply_async(judged, (kind, seed))) for kind, seed in cases]
         for kind, seed, answer in waiting:
@@ -64,7 +64,7 @@ def _all_judged(cases: list[tuple[str, int]], jobs: int) -> Iterator[Verdict]:
             except multiprocessing.TimeoutError:
                 verdict = Verdict(kind, seed, "", -1, "no answer: the process died or hangs")
             if verdict.finding:
-                print(f"{kind} {seed} ({verdict.told}): {verdict.finding}", flush=True)
+                print(f"{kind} {seed} ({verdict.summary}): {verdict.finding}", flush=True)
             yield verdict
 
 
@@ -75,7 +75,7 @@ def _show(kind: str, seed: str) -> int:
     folder.mkdir()
     print(f"irlos {' '.join(draw(kind, int(seed), folder).arguments)}")
     verdict = judged(kind, int(seed))
-    print(f"{verdict.told}\n{verdict.output}\nexit {verdict.exit_code}\n{verdict.finding or 'no finding'}")
+    print(f"{verdict.summary}\n{verdict.output}\nexit {verdict.exit_code}\n{verdict.finding or 'no finding'}")
     return int(bool(verdict.finding))
 
 

@@ -15,17 +15,17 @@ class Case:
 
     Attributes
     ----------
-    told : str
+    summary : str
         What was done to the input.
     arguments : tuple of str
         After ``irlos``; files are written to ``<folder>/out`` only.
     reference : str
         Name of the unspoiled recording whose result must come out; empty if nothing is to be compared.
     plausible : bool
-        The input is as valid as before and says something else: nobody can tell.
+        The input is as valid as before and says something else: nobody can notice.
     """
 
-    told: str
+    summary: str
     arguments: tuple[str, ...]
     reference: str = ""
     plausible: bool = False

@@ -93,8 +93,8 @@ def compressed(folder: Path, rng: np.random.Generator) -> Case:
     """Damage a compressed cube, or let a small one announce a huge content."""
     path = pristine.write("cube", folder / "in")
     how = pick(rng, [_damaged_gzip, _gzip_bomb, _tile_bomb, _damaged_tiles])
-    told = how(path, rng)
-    return _ingested(folder, told, "cube")
+    summary = how(path, rng)
+    return _ingested(folder, summary, "cube")
 
 
 @kind
@@ -114,10 +114,10 @@ def _some_recording(folder: Path, rng: np.random.Generator) -> tuple[str, Path]:
     return name, pristine.write(name, folder / "in" / "sky")
 
 
-def _ingested(folder: Path, told: str, reference: str = "", plausible: bool = False) -> Case:
+def _ingested(folder: Path, summary: str, reference: str = "", plausible: bool = False) -> Case:
     recipe = pristine.write_recipe(folder)
     arguments = ("run", str(recipe), "--output", str(folder / "out"), "--jobs", "1", "--device", "cpu")
-    return Case(told, arguments, reference, plausible)
+    return Case(summary, arguments, reference, plausible)
 
 
 def _spoil_card(content: bytearray, rng: np.random.Generator) -> str:

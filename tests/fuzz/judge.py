@@ -39,7 +39,7 @@ class Verdict:
 
     kind: str
     seed: int
-    told: str
+    summary: str
     exit_code: int
     finding: str
     output: str = ""
@@ -60,7 +60,7 @@ def _judged(kind: str, seed: int, folder: Path) -> Verdict:
     finding = finding or _strays(folder, before, writes)
     code, output = (-1, "") if isinstance(result, str) else (result.exit_code, result.output)
     compared = code == 0 and bool(case.reference) and (folder / "out" / PRODUCT).exists()
-    return Verdict(kind, seed, case.told, code, finding, output, compared)
+    return Verdict(kind, seed, case.summary, code, finding, output, compared)
 
 
 def _run(case: Case) -> tuple[Result | str, list[str]]:
@@ -81,16 +81,16 @@ def _finding(case: Case, result: Result, folder: Path) -> str:
         return f"unexpected error: {result.output[-400:]}"
     if result.exit_code not in DOCUMENTED:
         return f"exit code {result.exit_code}: {result.output[-400:]}"
-    return _wrong_words(result) or _silently_wrong(case, result, folder)
+    return _wrong_messages(result) or _silently_wrong(case, result, folder)
 
 
-def _wrong_words(result: Result) -> str:
-    """Errors are told in lines of their own; bad data in exactly one."""
+def _wrong_messages(result: Result) -> str:
+    """Errors are reported in lines of their own; bad data in exactly one."""
     lines = [line for line in result.output.splitlines() if line.startswith("irlos: error: ")]
     if result.exit_code in (3, 64) and len(lines) != 1:
         return f"{len(lines)} error lines for one problem: {result.output[-400:]}"
     if result.exit_code == 2 and not lines and "Error: " not in result.output:
-        return f"no reason told: {result.output[-400:]}"
+        return f"no reason given: {result.output[-400:]}"
     return ""
 
 
@@ -104,7 +104,7 @@ def _silently_wrong(case: Case, result: Result, folder: Path) -> str:
     try:
         ours, true = pristine.measured(product), pristine.reference(case.reference)
     except IrlosError:
-        return ""  # whoever reads it is told
+        return ""  # whoever reads it gets an error
     return _difference(ours, true)
 
 

@@ -168,7 +168,7 @@ def _unseal(product: Path) -> None:
     product.write_bytes(content[content.index(b"\x89HDF\r\n\x1a\n") :])
 
 
-def _looked_at(run: Path, folder: Path, told: str, rng: np.random.Generator) -> Case:
+def _looked_at(run: Path, folder: Path, summary: str, rng: np.random.Generator) -> Case:
     """Look at the run with one of the commands that read products."""
     export = (
         "export",
@@ -181,4 +181,4 @@ def _looked_at(run: Path, folder: Path, told: str, rng: np.random.Generator) -> 
     again = ("run", str(folder / "recipe.yaml"), "--output", str(run), "--jobs", "1", "--device", "cpu")
     commands = [("show", str(run / PRODUCT)), ("status", str(run)), ("report", str(run)), export, again]
     command = pick(rng, commands)
-    return Case(told, command, "recorder" if command is again else "")
+    return Case(summary, command, "recorder" if command is again else "")

@@ -31,9 +31,9 @@ ABSURD = (
 def sidecar(folder: Path, rng: np.random.Generator) -> Case:
     """Spoil the side-car of a recording."""
     pristine.write("recorder", folder / "in" / "sky")
-    told = _spoil(folder / "in" / "sky" / "acquisition.yaml", rng)
+    summary = _spoil(folder / "in" / "sky" / "acquisition.yaml", rng)
     arguments = _run(pristine.write_recipe(folder), folder)
-    return Case(f"side-car: {told}", arguments, "recorder", plausible=True)
+    return Case(f"side-car: {summary}", arguments, "recorder", plausible=True)
 
 
 @kind
@@ -44,9 +44,9 @@ def recipe(folder: Path, rng: np.random.Generator) -> Case:
     for given in yaml.safe_load(source.read_text())["inputs"].values():
         for place in given if isinstance(given, list) else [given]:
             pristine.write("cube", folder / "recipes" / place)
-    told = _spoil(path, rng)
+    summary = _spoil(path, rng)
     return Case(
-        f"{source.name}: {told}", pick(rng, [("validate", str(path)), _run(path, folder, "--dry-run")])
+        f"{source.name}: {summary}", pick(rng, [("validate", str(path)), _run(path, folder, "--dry-run")])
     )
 
 
@@ -79,10 +79,10 @@ def profile(folder: Path, rng: np.random.Generator) -> Case:
     """Spoil an instrument profile."""
     pristine.write("cube", folder / "in")
     path = _copy(PROFILE, folder)
-    told = _spoil(path, rng)
+    summary = _spoil(path, rng)
     recipe = pristine.write_recipe(folder)
     recipe.write_text(f"{recipe.read_text()}instrument: ./irlos.yaml\n")
-    return Case(f"profile: {told}", _run(recipe, folder))
+    return Case(f"profile: {summary}", _run(recipe, folder))
 
 
 @kind
@@ -90,9 +90,9 @@ def spec(folder: Path, rng: np.random.Generator) -> Case:
     """Spoil a simulation spec, and plan it."""
     source = pick(rng, SPECS)
     path = _copy(source, folder)
-    told = _spoil(path, rng)
+    summary = _spoil(path, rng)
     return Case(
-        f"{source.name}: {told}", ("simulate", str(path), "--output", str(folder / "out"), "--dry-run")
+        f"{source.name}: {summary}", ("simulate", str(path), "--output", str(folder / "out"), "--dry-run")
     )
 
 
@@ -155,22 +155,22 @@ def _spoil(path: Path, rng: np.random.Generator) -> str:
         how, content = damaged(path.read_bytes(), rng)
         path.write_bytes(content)
         return how
-    how = pick(rng, [_other_words, _other_lines, _other_value])
-    told, text = how(path.read_text(), rng)
+    how = pick(rng, [_other_tokens, _other_lines, _other_value])
+    summary, text = how(path.read_text(), rng)
     path.write_text(text, encoding="utf-8", errors="surrogateescape")
-    return told
+    return summary
 
 
-def _other_words(text: str, rng: np.random.Generator) -> tuple[str, str]:
-    """Put absurd words in the place of one to three others."""
-    told = []
+def _other_tokens(text: str, rng: np.random.Generator) -> tuple[str, str]:
+    """Replace one to three words by absurd ones."""
+    summary = []
     for _ in range(rng.integers(1, 4)):
         places = [found.span() for found in WORD.finditer(text)]
         start, end = pick(rng, places)
         value = pick(rng, list(ABSURD))
-        told.append(f"{text[start:end]} -> {value[:30]!r}")
+        summary.append(f"{text[start:end]} -> {value[:30]!r}")
         text = text[:start] + value + text[end:]
-    return ", ".join(told), text
+    return ", ".join(summary), text
 
 
 def _other_lines(text: str, rng: np.random.Generator) -> tuple[str, str]:

@@ -24,7 +24,7 @@ def reasons(bench: Bench, *settings: str, selection: Selection | None = None, **
     return {step.name: step.reason for step in plan_run(recipe, bench.output, selection or Selection())[1]}
 
 
-def told(bench: Bench) -> dict:
+def results(bench: Bench) -> dict:
     return json.loads((bench.output / "results.json").read_text())
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from helpers.fake_stages import COUNTS
-from helpers.running import STAGES, reasons, run, told, visible
+from helpers.running import STAGES, reasons, results, run, visible
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError, NothingToDo
 from irlos_pipe.pipeline import Selection
@@ -33,9 +33,9 @@ def test_a_run_leaves_products_results_quality_report_log_and_the_resolved_recip
 def test_results_hold_the_section_of_each_stage_with_nan_as_null(bench):
     run(bench)
     head = {"schema": "irlos-results", "schema_version": 1, "recipe": "test", "status": "ok"}
-    assert {key: value for key, value in told(bench).items() if key != "stages"} == head
-    assert told(bench)["stages"]["ingest"] == {"total": 8.0, "spread": None}
-    assert told(bench)["stages"]["calibrate"] == {"method": "dip_avg"}
+    assert {key: value for key, value in results(bench).items() if key != "stages"} == head
+    assert results(bench)["stages"]["ingest"] == {"total": 8.0, "spread": None}
+    assert results(bench)["stages"]["calibrate"] == {"method": "dip_avg"}
 
 
 def test_quality_holds_every_check_with_its_stage(bench):
@@ -99,11 +99,11 @@ def test_messages_of_a_stage_are_in_its_product_and_in_the_log(bench):
     assert "irlos_pipe.stage.ingest: read 2 files" in (bench.output / "run.log").read_text()
 
 
-def test_a_failed_limit_is_told_after_the_products_are_written(bench):
+def test_a_failed_limit_is_reported_after_the_products_are_written(bench):
     bench.make("calibrate.fail_qc")
     outcome, worked = run(bench)
     assert (outcome.status, outcome.exit_code, worked) == ("qc_failed", 4, list(STAGES))
-    assert told(bench)["status"] == "qc_failed"
+    assert results(bench)["status"] == "qc_failed"
     assert not json.loads((bench.output / "qc.json").read_text())["passed"]
 
 
@@ -117,8 +117,8 @@ def test_a_failed_stage_keeps_the_products_before_it_and_says_so_in_the_results(
     with pytest.raises(InputDataError, match="HDU 1 is truncated"):
         run(bench)
     assert "01_ingest.h5" in visible(bench) and "02_calibrate.h5" not in visible(bench)
-    assert told(bench)["status"] == "failed" and told(bench)["error"] == "cube.fits: HDU 1 is truncated"
-    assert set(told(bench)["stages"]) == {"ingest"}
+    assert results(bench)["status"] == "failed" and results(bench)["error"] == "cube.fits: HDU 1 is truncated"
+    assert set(results(bench)["stages"]) == {"ingest"}
 
 
 def test_a_run_goes_on_where_it_failed(bench):
@@ -130,7 +130,7 @@ def test_a_run_goes_on_where_it_failed(bench):
     assert run(bench)[0].status == "ok"
 
 
-def test_a_bug_is_told_in_one_line_with_the_traceback_in_the_log(bench):
+def test_a_bug_is_reported_in_one_line_with_the_traceback_in_the_log(bench):
     bench.make("calibrate.crash")
     with pytest.raises(IrlosError) as caught:
         run(bench)
@@ -164,7 +164,7 @@ def test_a_report_that_cannot_be_built_costs_no_product(bench, monkeypatch):
     outcome, _ = run(bench)
     assert outcome.exit_code == 1 and outcome.report is None
     assert outcome.report_error.startswith(f"{bench.output / 'report.html'}: could not be built: KeyError")
-    assert set(PRODUCTS) <= set(visible(bench)) and told(bench)["status"] == "ok"
+    assert set(PRODUCTS) <= set(visible(bench)) and results(bench)["status"] == "ok"
 
 
 def test_leftovers_of_a_killed_run_are_removed_by_the_next(bench):

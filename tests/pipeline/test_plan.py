@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from helpers.running import STAGES, reasons, run, told
+from helpers.running import STAGES, reasons, results, run
 
 from irlos_pipe.conventions.errors import ConfigurationError, NothingToDo
 from irlos_pipe.instrument.instrument import PROFILES
@@ -26,7 +26,7 @@ def test_a_changed_setting_redoes_its_stage_only_and_says_from_what_to_what(benc
     assert run(bench, "calibrate.method=dip_global")[1] == ["calibrate"]
 
 
-def test_a_section_that_was_empty_is_told_by_what_is_in_it_now():
+def test_a_section_that_was_empty_is_reported_by_what_is_in_it_now():
     old = {"stage": "ingest", "config": {"detector": None}}
     new = {"stage": "ingest", "config": {"detector": {"gain": 2}}}
     assert changes(old, new) == "ingest.detector.gain changed null -> 2"
@@ -48,7 +48,7 @@ def test_a_change_upstream_redoes_the_stages_that_read_the_product(bench):
         "lift": "upstream ingest changed",
     }
     assert run(bench, "ingest.scale=2")[1] == ["ingest", "calibrate", "lift"]
-    assert told(bench)["stages"]["ingest"]["total"] == 16
+    assert results(bench)["stages"]["ingest"]["total"] == 16
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_a_stage_is_redone_only_for_what_it_depends_on(bench, settings, expected
     assert redone == expected
 
 
-def test_a_changed_seed_is_told(bench):
+def test_a_changed_seed_is_reported(bench):
     run(bench)
     assert reasons(bench, seed=3)["lift"] == "seed changed 0 -> 3"
 
@@ -109,7 +109,7 @@ def test_a_damaged_product_is_made_again(bench):
     content = (bench.output / "02_calibrate.h5").read_bytes()
     (bench.output / "02_calibrate.h5").write_bytes(content[:100])
     assert reasons(bench)["calibrate"] == "product unreadable"
-    assert run(bench)[1] == ["calibrate"] and told(bench)["status"] == "ok"
+    assert run(bench)[1] == ["calibrate"] and results(bench)["status"] == "ok"
 
 
 def test_a_product_with_damaged_arrays_is_made_again_when_they_are_needed(bench):
@@ -120,7 +120,7 @@ def test_a_product_with_damaged_arrays_is_made_again_when_they_are_needed(bench)
     path.write_bytes(content)
     assert set(reasons(bench).values()) == {"up to date"}
     assert run(bench, "calibrate.method=dip_global")[1] == ["ingest", "calibrate"]
-    assert told(bench)["status"] == "ok"
+    assert results(bench)["status"] == "ok"
     assert run(bench, "calibrate.method=dip_global")[1] == []
 
 
@@ -171,7 +171,7 @@ def test_a_run_from_a_stage_uses_earlier_products_as_they_are(bench):
     (bench.data / "c.dat").write_bytes(b"1234567")
     _, worked = run(bench, "calibrate.method=dip_global", selection=Selection(first="calibrate"))
     assert worked == ["calibrate"]
-    assert told(bench)["stages"]["ingest"]["total"] == 8
+    assert results(bench)["stages"]["ingest"]["total"] == 8
     wanted = reasons(bench, selection=Selection(first="calibrate"))
     assert wanted["ingest"] == "used as it is, though input file cube/data/c.dat is new"
 
@@ -184,7 +184,7 @@ def test_a_run_from_a_stage_uses_earlier_products_as_they_are(bench):
         (Selection("lift", "ingest"), "--from lift comes after --to ingest"),
     ],
 )
-def test_a_selection_that_makes_no_sense_is_told(bench, selection, message):
+def test_a_selection_that_makes_no_sense_is_reported(bench, selection, message):
     with pytest.raises(ConfigurationError, match=message):
         run(bench, selection=selection)
 

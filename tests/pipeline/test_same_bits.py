@@ -51,7 +51,7 @@ def products(recipe: Path, name: str, jobs: int, seed: int | None = None) -> dic
     return {path.stem: read_product(path) for path in sorted(folder.glob("*.h5"))}
 
 
-def told(product: Product) -> tuple:
+def content(product: Product) -> tuple:
     """All of a product but when, where and how fast it was made."""
     arrays = {
         name: (one.value.tobytes(), None if one.error is None else one.error.tobytes())
@@ -75,10 +75,10 @@ def test_eight_jobs_more_threads_of_numpy_and_a_second_run_give_the_same_bits(
         again = products(recipe, f"again-{jobs}", jobs)
     assert list(again) == list(with_one_job) and len(again) == 6
     for name, product in again.items():
-        assert told(product) == told(with_one_job[name]), name
+        assert content(product) == content(with_one_job[name]), name
 
 
 def test_another_seed_gives_other_draws(recipe, with_one_job):
     other = products(recipe, "seed", 1, seed=6)
-    assert told(other["05_sensitivity"]) != told(with_one_job["05_sensitivity"])
-    assert told(other["03_calibrate"]) == told(with_one_job["03_calibrate"])
+    assert content(other["05_sensitivity"]) != content(with_one_job["05_sensitivity"])
+    assert content(other["03_calibrate"]) == content(with_one_job["03_calibrate"])

@@ -78,7 +78,7 @@ def test_equal_products_make_equal_files(path, tmp_path):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
-def test_a_truncated_product_is_told_with_its_name(path, share):
+def test_a_truncated_product_is_reported_with_its_name(path, share):
     write_product(make_product(), path)
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
@@ -223,7 +223,7 @@ def test_a_product_of_a_newer_format_asks_for_an_update(path, monkeypatch):
         read_product(path)
 
 
-def test_a_missing_product_is_told(path):
+def test_a_missing_product_is_reported(path):
     with pytest.raises(InputDataError, match="no such product"):
         read_product(path)
 

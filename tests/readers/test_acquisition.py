@@ -152,7 +152,7 @@ def test_defocus_for_another_number_of_frames_is_refused(tmp_path):
         ("role: [psf\n", ":2: not valid YAML"),
     ],
 )
-def test_a_mistake_in_a_side_car_is_told_in_one_line_with_its_place(tmp_path, text, message):
+def test_a_mistake_in_a_side_car_is_reported_in_one_line_with_its_place(tmp_path, text, message):
     path = tmp_path / "acquisition.yaml"
     path.write_text(text)
     with pytest.raises(InputDataError, match=rf"acquisition\.yaml{message}") as caught:

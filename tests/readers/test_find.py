@@ -21,7 +21,7 @@ def one(path):
     return raw
 
 
-def test_every_layout_is_told_by_its_content(tmp_path):
+def test_every_layout_is_recognised_by_its_content(tmp_path):
     fits.writeto(tmp_path / "plain.fits", CUBE)
     paths = [
         write_recorder(tmp_path / "rec", CUBE),
@@ -76,7 +76,7 @@ def test_a_folder_without_recordings_leaves_nothing_to_do(tmp_path):
         recording_files([tmp_path])
 
 
-def test_equal_names_are_told_apart_by_their_folders(tmp_path):
+def test_equal_names_are_reported_apart_by_their_folders(tmp_path):
     assert (
         unique_name("offset_00", tmp_path / "b" / "offset_00" / "x.fits", {"offset_00"})
         == "offset_00-offset_00"

@@ -66,12 +66,12 @@ def test_headers_with_billions_of_axes_or_columns_are_refused_at_once(tmp_path, 
 
 
 @pytest.mark.parametrize(
-    ("frames", "told"), [(10**9, "can hold: truncated, or a wrong header"), (400_000, "unpack the file")]
+    ("frames", "message"), [(10**9, "can hold: truncated, or a wrong header"), (400_000, "unpack the file")]
 )
-def test_small_compressed_files_that_announce_gigabytes_are_refused(tmp_path, frames, told):
+def test_small_compressed_files_that_announce_gigabytes_are_refused(tmp_path, frames, message):
     fits.writeto(tmp_path / "whole.fits", CUBE)
     content = with_card((tmp_path / "whole.fits").read_bytes(), "NAXIS3", frames)
     # what cannot be compressed, so that only the announced size counts
     padding = np.random.default_rng(0).bytes(700_000)
     (tmp_path / "a.fits.gz").write_bytes(gzip.compress(content + padding))
-    assert told in refusal(tmp_path / "a.fits.gz")
+    assert message in refusal(tmp_path / "a.fits.gz")

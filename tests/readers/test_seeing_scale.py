@@ -46,7 +46,7 @@ def test_a_side_car_without_scale_is_on_that_of_sparta(tmp_path):
     assert seeing(tmp_path, seeing_arcsec=0.8, seeing_scale="sparta") == (0.8, ())
 
 
-def test_a_seeing_on_another_scale_is_translated_and_that_is_told(tmp_path):
+def test_a_seeing_on_another_scale_is_translated_and_that_is_reported(tmp_path):
     value, warnings = seeing(tmp_path, seeing_arcsec=0.8, seeing_scale="mass_dimm")
     assert value == pytest.approx(0.62)
     assert warnings == ("rec: seeing of 0.80 arcsec by mass_dimm taken as 0.62 arcsec by SPARTA",)
@@ -72,15 +72,15 @@ def test_the_seeing_of_the_profile_is_never_translated(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("keys", "told"),
+    ("keys", "message"),
     [
         ({"seeing_scale": "mass_dim"}, "seeing_scale = 'mass_dim' is not known .*; did you mean 'mass_dimm'"),
         ({"seeing_scale": "offset"}, r"seeing_arcsec = 0\.5 by offset would be -0\.1 by SPARTA"),
     ],
 )
-def test_what_makes_no_sense_is_told_in_one_line(tmp_path, monkeypatch, keys, told):
+def test_what_makes_no_sense_is_reported_in_one_line(tmp_path, monkeypatch, keys, message):
     monkeypatch.setitem(SCALED.seeing_scales, "offset", SeeingScale(1.0, -0.6))
-    with pytest.raises(InputDataError, match=told):
+    with pytest.raises(InputDataError, match=message):
         seeing(tmp_path, seeing_arcsec=0.5, **keys)
 
 

@@ -1,4 +1,4 @@
-"""Recipes are checked before anything runs, and every mistake is told where it stands."""
+"""Recipes are checked before anything runs, and every mistake is reported where it stands."""
 
 import sys
 
@@ -45,7 +45,7 @@ def test_an_input_on_the_command_line_counts_from_the_current_folder(bench, monk
     assert load_recipe(bench.recipe, inputs=["cube=a.dat"]).inputs["cube"] == (bench.data / "a.dat",)
 
 
-def test_all_mistakes_are_told_at_once_in_the_order_of_the_file(bench):
+def test_all_mistakes_are_reported_at_once_in_the_order_of_the_file(bench):
     text = RECIPE + "  jiter_sigma_mas: 3\n  solver: {iterations: 0}\nseed: -1\ninstrumnt: x\n"
     lines = error_lines(bench, text.replace("cube: data", "cube: gone"))
     assert [line.split(": ")[0] for line in lines] == [f"recipe.yaml:{n}" for n in (4, 8, 9, 10, 11)]
@@ -85,7 +85,7 @@ def test_all_mistakes_are_told_at_once_in_the_order_of_the_file(bench):
         ("  method: dip_global", "recipe.yaml:8: key 'method' is given twice (first on line 7)"),
     ],
 )
-def test_a_mistake_is_told_with_file_line_and_suggestion(bench, monkeypatch, addition, expected):
+def test_a_mistake_is_reported_with_file_line_and_suggestion(bench, monkeypatch, addition, expected):
     if addition.startswith("correct"):
         monkeypatch.setitem(
             sys.modules, "irlos_pipe.stages.correct", sys.modules["irlos_pipe.stages.lift.stage"]
@@ -104,7 +104,7 @@ def test_a_mistake_is_told_with_file_line_and_suggestion(bench, monkeypatch, add
         ("[]", "stages = []: list should have at least 1 item"),
     ],
 )
-def test_wrong_stages_are_told(bench, stages, expected):
+def test_wrong_stages_are_reported(bench, stages, expected):
     text = RECIPE.replace("[ingest, calibrate, lift]", stages)
     assert error_lines(bench, text)[0].startswith(f"recipe.yaml:5: {expected}")
 
@@ -146,7 +146,7 @@ def test_an_input_without_default_must_be_given(bench):
         ("seed=x", "--set seed: seed = 'x': should be a valid integer"),
     ],
 )
-def test_a_wrong_setting_is_told_by_its_option(bench, setting, expected):
+def test_a_wrong_setting_is_reported_by_its_option(bench, setting, expected):
     (line,) = error_lines(bench, settings=[setting])
     assert line.startswith(expected)
 
@@ -159,12 +159,12 @@ def test_a_wrong_setting_is_told_by_its_option(bench, setting, expected):
         (["cube=/nowhere"], "--input cube: input 'cube': no such file or folder: /nowhere"),
     ],
 )
-def test_a_wrong_input_is_told_by_its_option(bench, inputs, expected):
+def test_a_wrong_input_is_reported_by_its_option(bench, inputs, expected):
     (line,) = error_lines(bench, inputs=inputs)
     assert line.startswith(expected)
 
 
-def test_mistakes_on_the_command_line_and_in_the_file_are_told_together(bench):
+def test_mistakes_on_the_command_line_and_in_the_file_are_reported_together(bench):
     lines = error_lines(bench, RECIPE + "sed: 1\n", settings=["nonsense", "calibrate.x=1"], inputs=["cub=x"])
     assert len(lines) == 4
 
@@ -197,7 +197,7 @@ def test_a_section_can_be_taken_from_a_file(bench, monkeypatch):
     assert [(one.name, one.values) for one in model.entries()] == [("companion", COMPANION)]
 
 
-def test_a_file_for_a_section_that_is_not_there_is_told(bench):
+def test_a_file_for_a_section_that_is_not_there_is_reported(bench):
     (line,) = error_lines(bench, settings=["model=nowhere/model.yaml"])
     assert "nowhere/model.yaml" in line and "No such file" in line
 
@@ -220,7 +220,7 @@ def test_the_resolved_recipe_says_everything_and_means_the_same(bench, tmp_path)
     assert yaml.safe_load(copy.read_text())["lift"] == {"calibrated": True}
 
 
-def test_a_file_that_is_no_recipe_is_told_in_one_line(bench):
+def test_a_file_that_is_no_recipe_is_reported_in_one_line(bench):
     assert len(error_lines(bench, "just text\n")) == 1
     bench.recipe.unlink()
     with pytest.raises(ConfigurationError, match="cannot be read"):
