@@ -145,7 +145,7 @@ def _frame_scene(
 
 
 def _known_ncpa_nm(rng: np.random.Generator, ncpa_nm: dict[int, float], error_nm: float) -> dict[int, float]:
-    """NCPAs as calibrated: an error alike in all modes that the default calibration estimates."""
+    """NCPAs as calibrated: an error of the same size in all modes that the default calibration estimates."""
     nolls = range(2, METHODS[DEFAULT].highest_noll + 1)
     errors = error_nm / np.sqrt(len(nolls)) * rng.standard_normal(len(nolls))
     return {noll: ncpa_nm.get(noll, 0.0) + float(error) for noll, error in zip(nolls, errors, strict=True)}

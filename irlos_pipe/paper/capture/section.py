@@ -49,7 +49,7 @@ START_CAPTION = (
 )
 ESTIMATE_CAPTION = (
     "Every point is a frame with pointing, AO residual and noise of its own. Most wrong estimates lie near "
-    "the opposite defocus, whose image is the next most alike."
+    "the opposite defocus, whose image is the most similar one."
 )
 
 

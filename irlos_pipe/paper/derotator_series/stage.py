@@ -46,7 +46,7 @@ class Config(StageConfig):
 
     @property
     def method_frames(self) -> dict[str, int]:
-        """Frames that every method is given."""
+        """Return the frames that every method is given."""
         return frames_per_method(self.frames, self.published_frames)
 
 

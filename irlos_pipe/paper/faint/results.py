@@ -23,7 +23,7 @@ class VariantCurve(CurveRow):
 
     @property
     def kind(self) -> str:
-        """The key without the number of modes."""
+        """Return the key without the number of modes."""
         return self.key.rpartition("_")[0]
 
 

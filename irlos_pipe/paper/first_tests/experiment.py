@@ -1,4 +1,4 @@
-"""The paper's first test on sky, simulated: two stars, a focus stage that errs, NCPAs that nobody knows.
+"""The paper's first test on sky, simulated: two stars, a focus stage with errors, unknown NCPAs.
 
 Target 1 is recorded in ping-pong order, so that hysteresis of the focus stage makes a saw-tooth; half of
 target 2 was recorded in a second run with another reference of the stage. The truth being known here, the

@@ -43,7 +43,7 @@ class VariantRow(ResultsPart):
 
     @property
     def pull(self) -> float:
-        """RMS over the ramps of (found − true) / error of the focus stage's error."""
+        """Return the RMS over the ramps of (found − true) / error, of the focus stage's error."""
         deviations = np.array(self.stage_found_nm) - self.stage_true_nm
         return float(np.sqrt(np.mean((deviations / np.array(self.stage_sigma_nm)) ** 2)))
 

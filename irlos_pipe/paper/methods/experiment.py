@@ -79,7 +79,7 @@ def speckle_floor_nm(errors_nm: Mapping[float, Sequence[float]]) -> tuple[float,
     """
     parts = np.array(sorted(errors_nm))
     squares = np.array([np.mean(np.square(errors_nm[part])) for part in parts])
-    # Relative errors of the mean squares are alike, so every equation is divided by its own square.
+    # The mean squares have similar relative errors, so every equation is divided by its own square.
     design = np.stack([1 / parts, np.ones(len(parts))], axis=1) / squares[:, None]
     noise, rest = np.maximum(np.linalg.lstsq(design, np.ones(len(parts)), rcond=None)[0], 0)
     return float(np.sqrt(noise)), float(np.sqrt(rest))

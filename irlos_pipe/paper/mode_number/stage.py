@@ -47,7 +47,7 @@ class Config(StageConfig):
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
-    """Error in Noll 2–30 of every method, number of modes and magnitude."""
+    """Estimate few and many modes in every cube by every method and at every magnitude."""
     found = run_samples(errors_by_number, list(_samples(ctx)), ctx, "cubes")
     curves = [
         _curve(ctx.config, method, mag_j, [one[f"{method}/error_nm"][place] for one in found])

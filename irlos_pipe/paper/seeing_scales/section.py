@@ -117,7 +117,7 @@ def _residual(results: SeeingScalesResults, config: Config) -> Markup:
 
 def _table(results: SeeingScalesResults) -> Table:
     caption = (
-        "Errors: 1σ of the disagreement between the two, for whoever knows only the monitor's seeing. "
+        "Errors: 1σ of the disagreement between the two, where only the monitor's seeing is known. "
         "Better than: part of the time with a seeing, by SPARTA, above this one."
     )
     return Table(COLUMNS, [_row(row) for row in results.conditions], "The paper's conditions", caption)

@@ -121,7 +121,7 @@ class _Bank:
         self.images_e = keep * self.images_e + flux * self.table.images_e(frame, seen)
 
     def ready(self, frame: int, sensor: str) -> np.ndarray:
-        """Loops of a sensor whose exposure ends with this frame."""
+        """Return the loops of `sensor` whose exposure ends with `frame`."""
         return np.flatnonzero(self.alive & (self.sensor == sensor) & ((frame + 1) % self.exposures == 0))
 
     def correct(self, members: np.ndarray, frame: int, measured_nm: np.ndarray) -> None:
