@@ -275,11 +275,12 @@ def test_the_expected_noise_is_near_the_bound_of_the_simulated_star(found):
 
 
 def test_stage_and_section_show_what_the_loops_left(found, monkeypatch):
-    monkeypatch.setattr(stage, "_loops", lambda ctx: LOOPS)
-    output = run_stage(monkeypatch, stage, stage.Config(skies=2, settle=4), lambda sample: found)
+    sizes = {"skies": 2, "settle": 4, "configurations": ("uncalibrated",), "half_rate": False}
+    stars = {"magnitudes": (12.0, 25.0), "scan_magnitudes": (12.0,), "scan_gains": (0.4,)}
+    output = run_stage(monkeypatch, stage, stage.Config(**sizes, **stars), lambda sample: found)
     rows = output.results.loops
     assert [(row.mag_j, row.runs) for row in rows] == [(12.0, 2), (25.0, 2), (12.0, 2)]
-    assert rows[0].gain_margin * 0.4 * rows[0].slope == pytest.approx(1)
+    assert rows[0].gain_margin * rows[0].gain * rows[0].slope == pytest.approx(1)
     section = section_of(output, "slow_loop", slow_loop_section)
     table = section.blocks[-1]
     assert table.title == "Uncalibrated" and [row[0] for row in table.rows] == ["12", "25"]

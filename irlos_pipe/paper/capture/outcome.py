@@ -9,7 +9,7 @@ import numpy as np
 from irlos_pipe.paper.capture.results import Counts
 
 # Right estimates err by less than 20 nm (AO residual, calibration, noise), wrong ones by hundreds: the next
-# minimum of χ² lies near the opposite defocus. Any limit between gives the same counts; both sides are reported.
+# minimum of χ² lies near the opposite defocus. Any limit between gives the same counts; both are reported.
 WRONG_NM = 50.0
 
 

@@ -24,6 +24,8 @@ WAVEFRONT_CAPTION = (
     "Time-averaged true wavefront, estimates, and what the estimates leave; tip and tilt included."
 )
 
+PROFILE_CAPTION = "Means in rings of one pixel."
+
 
 def section(run: RunData) -> Section:
     """Build the section."""
@@ -62,36 +64,35 @@ def _table(rows: list[SeeingRow]) -> Table:
 
 def _figures(run: RunData, seeing: float) -> list[Figure]:
     images = {state: array_of(run, STAGE, f"{seeing:g}/{state}/image") for state in STATES}
-    scale_mas = float(array_of(run, STAGE, f"{seeing:g}/pixel_scale_mas"))
+    pixel = _pixel(run, seeing)
     return [
         Figure(
-            _stars(seeing, images, scale_mas),
-            f'Averaged star at {seeing:g}"',
-            "One logarithmic scale.",
-            "full",
+            _stars(seeing, images, pixel), f'Averaged star at {seeing:g}"', "One logarithmic scale.", "full"
         ),
         Figure(_wavefronts(run, seeing), f'Wavefronts at {seeing:g}"', WAVEFRONT_CAPTION, "full"),
-        Figure(
-            _profiles(seeing, images, scale_mas),
-            f'Radial profiles at {seeing:g}"',
-            "Means in rings of one pixel.",
-        ),
+        Figure(_profiles(seeing, images, pixel), f'Radial profiles at {seeing:g}"', PROFILE_CAPTION),
     ]
 
 
-def _stars(seeing: float, images: dict[str, np.ndarray], scale_mas: float) -> Markup:
+def _pixel(run: RunData, seeing: float) -> tuple[float, str]:
+    """Side of a pixel and its unit; products of version 1 do not state it."""
+    scale_mas = run.array(STAGE, f"{seeing:g}/pixel_scale_mas")
+    return (1.0, "px") if scale_mas is None else (float(scale_mas), "mas")
+
+
+def _stars(seeing: float, images: dict[str, np.ndarray], pixel: tuple[float, str]) -> Markup:
     scale = log_scale(*images.values())
 
     def draw(figure: Canvas) -> None:
         panels = figure.subplots(1, len(images))
         for axes, (state, image) in zip(panels, images.items(), strict=True):
-            half = image.shape[1] / 2 * scale_mas
+            half = image.shape[1] / 2 * pixel[0]
             shown = axes.imshow(
                 image, norm=scale, cmap=BRIGHTNESS, origin="lower", extent=(-half, half, -half, half)
             )
-            axes.set(title=STATES[state], xlabel="x [mas]")
+            axes.set(title=STATES[state], xlabel=f"x [{pixel[1]}]")
             axes.grid(False)
-        panels[0].set_ylabel("y [mas]")
+        panels[0].set_ylabel(f"y [{pixel[1]}]")
         figure.colorbar(shown, ax=panels, label="photons per pixel, part of all", shrink=0.75)
 
     return svg(f"gain-stars-{seeing:g}".replace(".", "-"), (9.5, 2.7), draw)
@@ -116,12 +117,12 @@ def _wavefronts(run: RunData, seeing: float) -> Markup:
     return svg(f"gain-wavefronts-{seeing:g}".replace(".", "-"), (9.5, 2.4), draw)
 
 
-def _profiles(seeing: float, images: dict[str, np.ndarray], scale_mas: float) -> Markup:
+def _profiles(seeing: float, images: dict[str, np.ndarray], pixel: tuple[float, str]) -> Markup:
     curves = {}
     for state, image in images.items():
         centre = tuple((side - 1) / 2 for side in image.shape)
         radius_px, mean = ring_means(image, centre)
-        curves[STATES[state]] = (radius_px * scale_mas, mean, *LOOKS[state])
+        curves[STATES[state]] = (radius_px * pixel[0], mean, *LOOKS[state])
     return profile_plot(
-        f"gain-profiles-{seeing:g}".replace(".", "-"), curves, ("mas", "photons per pixel, part of all")
+        f"gain-profiles-{seeing:g}".replace(".", "-"), curves, (pixel[1], "photons per pixel, part of all")
     )
