@@ -16,7 +16,7 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.wavefront import modes_at, opd_maps_nm
 from irlos_pipe.paper.common.observation import frames_of, model_effects_of, settings_of
 from irlos_pipe.paper.common.variants import Variant
-from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.simulate.atmosphere import Shape, Sky
 from irlos_pipe.simulate.detector_model import DetectorModel
 from irlos_pipe.simulate.exposure import Exposed, expose
 from irlos_pipe.simulate.light import Band
@@ -44,8 +44,8 @@ class CubeSample:
         Of the NCPAs, the AO residual and the noise.
     seeing_arcsec : float
         On SPARTA's scale.
-    shape : str
-        Shape of the AO residual's power spectrum, see `Sky`.
+    shape : Shape
+        Of the AO residual's power spectrum, see `Sky`.
     """
 
     name: str
@@ -54,7 +54,7 @@ class CubeSample:
     seeing_arcsec: float
     frames: int
     mag_j: float
-    shape: str = "power_law"
+    shape: Shape = "power_law"
 
     def scene(self) -> Scene:
         """Return the recording: narrow H band, 0.1 s at 10 Hz, NCPAs of 142 ± 30 nm RMS over 50 modes."""

@@ -14,14 +14,15 @@ from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE, PUBLISHED, V
 from irlos_pipe.paper.methods.experiment import Sample, compare, speckle_floor_nm
 from irlos_pipe.paper.methods.results import ConditionRow, Distribution, MethodsResults
 from irlos_pipe.product.product import Quantity
+from irlos_pipe.simulate.atmosphere import Shape
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = MethodsResults.stage
 VERSION = 4
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
-MODEL_SHAPE = "power_law"  # what the model assumes, up to slope and direction
-OTHER_SHAPES = ("servo_lag", "aliasing", "non_stationary")
+MODEL_SHAPE: Shape = "power_law"  # what the model assumes, up to slope and direction
+OTHER_SHAPES: tuple[Shape, ...] = ("servo_lag", "aliasing", "non_stationary")
 DIRECTIONS = ("elliptic_residual", "round_residual")
 PARTS = tuple(name for name in VARIANTS if name not in PUBLISHED)
 
@@ -36,7 +37,7 @@ class Config(StageConfig):
     seeings_arcsec: tuple[float, ...] = Field((0.35, 1.0), description="seeings with all methods")
     between_arcsec: tuple[float, ...] = Field((0.5, 0.7), description="further seeings of the figure")
     samples_between: int = Field(4, ge=0, le=1000, description="cubes at each of `between_arcsec`")
-    shapes: tuple[str, ...] = Field(OTHER_SHAPES, description="AO residuals of a shape the model has not")
+    shapes: tuple[Shape, ...] = Field(OTHER_SHAPES, description="AO residuals of a shape the model has not")
     samples_of_shapes: int = Field(8, ge=0, le=1000, description="cubes of each shape at each seeing")
     frames: int = Field(300, ge=10, le=10000, description="frames of a cube")
     fractions: tuple[float, ...] = Field(
@@ -73,7 +74,7 @@ def _samples(ctx: StageContext[Config]) -> Iterator[Sample]:
                 yield Sample(cube, (DEFAULT, PAPER_CHOICE, *DIRECTIONS))
 
 
-def _cubes(ctx: StageContext[Config], seeing: float, shape: str, count: int) -> Iterator[CubeSample]:
+def _cubes(ctx: StageContext[Config], seeing: float, shape: Shape, count: int) -> Iterator[CubeSample]:
     """Cubes of one condition; the n-th of every condition has the same NCPAs."""
     for index in range(count):
         yield CubeSample(
