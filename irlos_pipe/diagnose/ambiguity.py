@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 
 from irlos_pipe.diagnose.fitting import Fitted
-from irlos_pipe.diagnose.held_out import Judge, preference
+from irlos_pipe.diagnose.held_out import HeldOutEvaluation, preference
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.refit import CLEARLY_LESS, EXPLAINS_AS_MUCH, Refit
 
@@ -43,7 +43,7 @@ class Alternative:
     likeness_then: float = float("nan")
 
 
-def alternatives(ranked: Sequence[Refit], judges: Sequence[Judge]) -> list[Alternative]:
+def alternatives(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> list[Alternative]:
     """Names that are not significantly worse than the first of `ranked`."""
     best = ranked[0]
     found = []

@@ -16,7 +16,7 @@ from irlos_pipe.diagnose.checks.screened_pixels import screened_step
 from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.decide import Accepted, Options, Search, threshold
 from irlos_pipe.diagnose.fitting import Fitted
-from irlos_pipe.diagnose.held_out import Judge, gap_between
+from irlos_pipe.diagnose.held_out import HeldOutEvaluation, gap_between
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.search.detect import Score
 from irlos_pipe.diagnose.second_recording import Advice, SecondRecordings
@@ -24,6 +24,7 @@ from irlos_pipe.diagnose.sizes import detectable, determined, parameter_covarian
 from irlos_pipe.diagnose.verdict import EFFECT, NONE, UNKNOWN, Diagnosis, Pictures, Step
 from irlos_pipe.diagnose.view import Screened
 from irlos_pipe.effects import FixedEffect
+from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
 
 # Part of the excess, and χ² over its expectation, from which much is left. With known noise a right name
@@ -44,7 +45,7 @@ def conclude(
     why = why_unknown(search, noise, fine, options)
     steps = [*_drift_steps(cube, search, options), *_steps(cube, search)]
     final = search.final if not why else search.null
-    judges = [Judge(cube.held_out, optimum.fitted) for optimum in (search.null, final)]
+    judges = [HeldOutEvaluation(cube.held_out, optimum.fitted) for optimum in (search.null, final)]
     gap = gap_between(*judges)
     testable = [s for s in search.scores if s.testable and within_reach(s, _least_gain(s))]
     hidden = [s for s in search.scores if s not in testable]
@@ -73,7 +74,7 @@ def conclude(
         drift_significance=search.drift.significance if search.drift else float("nan"),
         frames=(len(cube.training), len(cube.held_out)),
         nolls=search.null.fitted.problem.layout.nolls,
-        modes_nm=tuple(total_modes_nm(optimum.fitted) for optimum in (search.null, final)),
+        modes_nm=(total_modes_nm(search.null.fitted), total_modes_nm(final.fitted)),
         modes_sigma_nm=_modes_sigma_nm(final),
         pictures=_pictures(judges, search.null, final),
     )
@@ -136,13 +137,12 @@ def _advice(hidden: Sequence[Score], seconds: SecondRecordings) -> dict[str, Adv
 
 
 def _with_separation(step: Step, search: Search, seconds: SecondRecordings) -> Step:
-    """The same with the second recording that would tell its alternatives from it best."""
-    one = next((accepted for accepted in search.accepted if accepted.name == step.name), None)
-    rivals = one.rivals if one else ()
-    told = [seconds.separating(one.refit, rival) for rival in rivals]
+    """`step` with the second recordings that distinguish its alternatives from it best."""
+    pairs = [(one.refit, rival) for one in search.accepted if one.name == step.name for rival in one.rivals]
+    advised = [seconds.separating(refit, rival) for refit, rival in pairs]
     alternatives = [
-        replace(other, second_recording=words, likeness_then=cosine)
-        for other, (words, cosine) in zip(step.alternatives, told, strict=True)
+        replace(other, second_recording=recording, likeness_then=cosine)
+        for other, (recording, cosine) in zip(step.alternatives, advised, strict=True)
     ]
     return replace(step, alternatives=alternatives)
 
@@ -159,12 +159,12 @@ def _steps(cube: Cube, search: Search) -> list[Step]:
 def _step(cube: Cube, accepted: Accepted, fitted: Fitted, covariance: np.ndarray) -> Step:
     refit = accepted.refit
     base = refit.base
-    effect = next(e for e in fitted.effects if e.name == refit.name)
-    values = effect.all_values(fitted.values_of(refit.name)).numpy()
+    effect, values = fitted.effect(refit.name), fitted.values_of(refit.name)
     full = np.zeros((len(values), len(values)))
-    columns = _columns(fitted, refit.name)
-    full[np.ix_(effect.free, effect.free)] = determined(effect, covariance[np.ix_(columns, columns)])
-    judges = (Judge(cube.held_out, one) for one in (refit.origin.fitted, refit.fitted))
+    columns = fitted.columns_of(refit.name)
+    own = determined(effect.parameters, covariance[np.ix_(columns, columns)])
+    full[np.ix_(effect.free, effect.free)] = own
+    judges = (HeldOutEvaluation(cube.held_out, one) for one in (refit.origin.fitted, refit.fitted))
     return Step(
         FixedEffect(base, values),
         base.describe(values),
@@ -178,28 +178,17 @@ def _step(cube: Cube, accepted: Accepted, fitted: Fitted, covariance: np.ndarray
     )
 
 
-def _columns(fitted: Fitted, name: str) -> list[int]:
-    """Columns of an effect's free parameters in the whole parameter vector."""
-    begin = fitted.problem.layout.effect_values.start
-    for effect in fitted.effects:
-        end = begin + len(effect.parameters)
-        if effect.name == name:
-            return list(range(begin, end))
-        begin = end
-    raise KeyError(name)
-
-
 def _drift_steps(cube: Cube, search: Search, options: Options) -> list[Step]:
     drift = search.drift
     if drift is None or drift.significance < options.sure:
         return []
-    judge = Judge(cube.held_out, search.null.fitted)
+    judge = HeldOutEvaluation(cube.held_out, search.null.fitted)
     effect = drift.effect()
     sigma = effect.base.describe(drift.sigma_nm)
     return [
         Step(
             effect,
-            effect.describe([]),
+            effect.describe(np.zeros(0)),
             sigma,
             drift.significance,
             float("nan"),
@@ -212,7 +201,7 @@ def _drift_steps(cube: Cube, search: Search, options: Options) -> list[Step]:
 # -- pictures ----------------------------------------------------------------------------------
 
 
-def _pictures(judges: Sequence[Judge], null: Optimum, final: Optimum) -> Pictures:
+def _pictures(judges: Sequence[HeldOutEvaluation], null: Optimum, final: Optimum) -> Pictures:
     stack, shape = judges[0].stack.parts[0], final.fitted.problem.window
     first = final.fitted.problem.pixels[0]
     deviations = final.deviations - (final.deviations @ final.basis) @ final.basis.mT
@@ -221,18 +210,21 @@ def _pictures(judges: Sequence[Judge], null: Optimum, final: Optimum) -> Picture
     models = [optimum.fitted.problem.model for optimum in (null, final)]
     values = [optimum.fitted.effect_values for optimum in (null, final)]
     opds = [m.effects.opd_nm(v).numpy() for m, v in zip(models, values, strict=True)]
+    before, after = (judge.mean_e[first].reshape(shape).numpy() for judge in judges)
     return Pictures(
-        *(one.reshape(shape).numpy() for one in (stack.mean_e, stack.variance_e2.sqrt())),
-        *(judge.mean_e[first].reshape(shape).numpy() for judge in judges),
-        leading.reshape(shape).numpy(),
-        opds[1] - opds[0],
-        _amplitude(models[1], values[1]) - _amplitude(models[0], values[0]),
+        measured_e=stack.mean_e.reshape(shape).numpy(),
+        sigma_e=stack.variance_e2.sqrt().reshape(shape).numpy(),
+        before_e=before,
+        after_e=after,
+        leading=leading.reshape(shape).numpy(),
+        added_opd_nm=opds[1] - opds[0],
+        added_amplitude=_amplitude(models[1], values[1]) - _amplitude(models[0], values[0]),
     )
 
 
-def _amplitude(model, values: torch.Tensor) -> np.ndarray:
+def _amplitude(model: ImageModel, values: torch.Tensor) -> np.ndarray:
     """Amplitude in the pupil, 1 where it is clear, (n, n)."""
-    grid = model.psf.pupil_grid
+    grid = model.psf.grids.pupil
     pupil = model.effects(values).pupil
     field = grid.amplitude if pupil is None else pupil[0].abs().numpy()
     return field / grid.light

@@ -13,33 +13,14 @@ from irlos_pipe.estimate.cube import Frames, autocorrelation_time, mean_variance
 from irlos_pipe.estimate.lift import smooth
 
 BLOCKS = 20  # of a cube in time; every fourth is held out
-FEWEST = 16  # frames without which scatter means nothing
+MIN_FRAMES = 16  # frames without which scatter means nothing
 FAINT_SIGMA = 30.0  # signal of the mean over its noise below which a pixel's variance is taken from around it
 LEADING = 8  # principal components of a cube that show its autocorrelation
 
 
-class Means:
-    """What a `Stack` and several `Stacks` have in common."""
-
-    @property
-    def root(self) -> torch.Tensor:
-        """One over the standard errors of the mean images, 0 for bad pixels, (pixels,)."""
-        return self.variance_e2**-0.5
-
-    @property
-    def shared(self) -> torch.Tensor:
-        """Whitened variance that all frames of a recording have in common, (pixels,): their dark's."""
-        return torch.cat([part.frames.noise.shared_e2 * part.root**2 for part in self.parts])
-
-    def covariance_of(self, shapes: torch.Tensor) -> torch.Tensor:
-        """Covariance of the scalar products of the whitened mean with shapes (pixels, m), (m, m)."""
-        scatter = torch.atleast_2d(torch.cov((self.deviations @ shapes).mT)) / self.independent
-        return scatter + shapes.mT @ (self.shared[:, None] * shapes)
-
-
 @dataclass(frozen=True)
-class Stack(Means):
-    """Frames of one part of a cube, brought to the same flux, and their mean.
+class Stack:
+    """Frames of one part of a recording, brought to the same flux, and their mean.
 
     Attributes
     ----------
@@ -60,7 +41,7 @@ class Stack(Means):
 
     @classmethod
     def of(cls, frames: Frames, when: np.ndarray) -> Stack:
-        """Mean and variance of frames."""
+        """Mean and variance of `frames`, taken at the times `when`."""
         good = frames.pixel_mask.flatten()
         mean = frames.mean_e
         variance = (mean_variance_e2(frames) * _steadied(mean, frames)).flatten()
@@ -68,6 +49,11 @@ class Stack(Means):
 
     def __len__(self) -> int:
         return len(self.when)
+
+    @property
+    def root(self) -> torch.Tensor:
+        """One over the standard errors of the mean image, 0 for bad pixels, (pixels,)."""
+        return self.variance_e2**-0.5
 
     @cached_property
     def deviations(self) -> torch.Tensor:
@@ -86,21 +72,35 @@ class Stack(Means):
         leading = (left * values)[:, :LEADING].numpy()
         return len(self) / float(np.median(autocorrelation_time(leading)))
 
-    @property
-    def parts(self) -> tuple[Stack, ...]:
-        """Itself, as the only recording."""
-        return (self,)
-
 
 @dataclass(frozen=True)
-class Stacks(Means):
-    """Frames of several recordings, their mean images one after the other; otherwise as `Stack`.
+class Stacks:
+    """Frames of one or several recordings, their mean images one after the other.
 
     Every frame belongs to one recording, of whose mean it is a part; its deviations are zero in the
     pixels of the others, and are scaled so that covariances over all frames are those of all the means.
     """
 
     parts: tuple[Stack, ...]
+
+    @property
+    def root(self) -> torch.Tensor:
+        """One over the standard errors of the mean images, 0 for bad pixels, (pixels,)."""
+        return self.variance_e2**-0.5
+
+    @property
+    def shared(self) -> torch.Tensor:
+        """Whitened variance that all frames of a recording have in common, (pixels,): their dark's."""
+        return torch.cat([part.frames.noise.shared_e2 * part.root**2 for part in self.parts])
+
+    def covariance_of(self, shapes: torch.Tensor) -> torch.Tensor:
+        """Covariance of the scalar products of the whitened mean with `shapes` (pixels, m), (m, m)."""
+        scatter = torch.atleast_2d(torch.cov((self.deviations @ shapes).mT)) / self.independent
+        return scatter + shapes.mT @ (self.shared[:, None] * shapes)
+
+    def limited_by(self, photons: bool) -> Stacks:
+        """The same frames, the noise model trusted if `photons` limit them."""
+        return Stacks(tuple(replace(part, photon_limited=photons) for part in self.parts))
 
     def __len__(self) -> int:
         return sum(len(part) for part in self.parts)
@@ -139,17 +139,18 @@ class Stacks(Means):
 class Cube:
     """Training and held-out frames."""
 
-    training: Stack | Stacks
-    held_out: Stack | Stacks
+    training: Stacks
+    held_out: Stacks
 
     @classmethod
     def of_all(cls, cubes: Sequence[Cube]) -> Cube:
         """Several recordings as one."""
-        return cls(Stacks(tuple(c.training for c in cubes)), Stacks(tuple(c.held_out for c in cubes)))
+        pairs = ([c.training for c in cubes], [c.held_out for c in cubes])
+        return cls(*(Stacks(tuple(part for one in some for part in one.parts)) for some in pairs))
 
     def limited_by(self, photons: bool) -> Cube:
-        """One recording, the noise model trusted or not."""
-        return Cube(*(replace(stack, photon_limited=photons) for stack in (self.training, self.held_out)))
+        """The same frames, the noise model trusted if `photons` limit them."""
+        return Cube(self.training.limited_by(photons), self.held_out.limited_by(photons))
 
 
 def split(frames: Frames, share: float = 0.25) -> Cube:
@@ -168,17 +169,18 @@ def split(frames: Frames, share: float = 0.25) -> Cube:
         If there are too few frames.
     """
     count = len(frames.images_e)
-    if count < FEWEST:
-        raise ValueError(f"{count} frames: a diagnosis needs at least {FEWEST}")
+    if count < MIN_FRAMES:
+        raise ValueError(f"{count} frames: a diagnosis needs at least {MIN_FRAMES}")
     blocks = min(BLOCKS, count // 2)
     every = min(round(1 / share), blocks)
     held = (np.arange(count) * blocks // count) % every == every // 2
     when = np.linspace(0, 1, count)
-    parts = (
-        Stack.of(replace(frames, images_e=frames.images_e[torch.as_tensor(chosen)]), when[chosen])
-        for chosen in (~held, held)
-    )
-    return Cube(*parts)
+
+    def part(chosen: np.ndarray) -> Stacks:
+        some = replace(frames, images_e=frames.images_e[torch.as_tensor(chosen)])
+        return Stacks((Stack.of(some, when[chosen]),))
+
+    return Cube(part(~held), part(held))
 
 
 def _steadied(mean_e: torch.Tensor, frames: Frames) -> torch.Tensor:

@@ -12,7 +12,7 @@ from irlos_pipe.diagnose.checks.drift import Drift
 from irlos_pipe.diagnose.checks.motion import MOVING, motion_ratio
 from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
-from irlos_pipe.diagnose.held_out import Judge, preference
+from irlos_pipe.diagnose.held_out import HeldOutEvaluation, preference
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.refit import PER_PARAMETER, Refit
 from irlos_pipe.diagnose.search.detect import Score
@@ -40,10 +40,10 @@ class Options:
         Significance of a detection in Gaussian σ.
     """
 
-    highest_noll: int = 30
-    held_out: float = 0.25
-    most_names: int = 4
-    sure: float = 5.0
+    highest_noll: int
+    held_out: float
+    most_names: int
+    sure: float
 
 
 @dataclass(frozen=True)
@@ -109,10 +109,10 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool
     before = best.origin
     if not first and before.excess.significance > options.sure and explained(best) < MUST_EXPLAIN:
         return None
-    judges = [Judge(cube.held_out, refit.fitted) for refit in ranked]
-    ranked, judges = by_plausibility(*by_motion(ranked, judges, cube))
+    evaluations = [HeldOutEvaluation(cube.held_out, refit.fitted) for refit in ranked]
+    ranked, judges = by_plausibility(*by_motion(ranked, evaluations, cube))
     best = ranked[0]
-    z = preference(judges[0], Judge(cube.held_out, before.fitted))
+    z = preference(judges[0], HeldOutEvaluation(cube.held_out, before.fitted))
     if z < (PREFERRED if cube.training.photon_limited else 0.0):
         return None
     ranking = ordered_map(lambda r: Ranked(r.name, r.gain, explained(r), r.significance), ranked)
@@ -122,8 +122,8 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool
 
 
 def by_motion(
-    ranked: Sequence[Refit], judges: Sequence[Judge], cube: Cube
-) -> tuple[Sequence[Refit], Sequence[Judge]]:
+    ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation], cube: Cube
+) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
     """Between motion and a detector that blurs, which the mean image hardly tells apart, frames decide."""
     rivals = _rivals(ranked, judges)
     if not ranked[0].effect.blurs or not any(one.effect.blurs and one.name in rivals for one in ranked):
@@ -136,8 +136,8 @@ def by_motion(
 
 
 def by_plausibility(
-    ranked: Sequence[Refit], judges: Sequence[Judge]
-) -> tuple[Sequence[Refit], Sequence[Judge]]:
+    ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]
+) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
     """Of names that the images do not tell apart, one that need not be larger than anything known."""
     if not ranked[0].implausible:
         return ranked, judges
@@ -146,14 +146,14 @@ def by_plausibility(
     return _led_by(better[:1], ranked, judges)
 
 
-def _rivals(ranked: Sequence[Refit], judges: Sequence[Judge]) -> set[str]:
+def _rivals(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> set[str]:
     """Names that these data allow beside the first."""
     return {one.name for one in alternatives(ranked, judges)}
 
 
 def _led_by(
-    first: Sequence[int], ranked: Sequence[Refit], judges: Sequence[Judge]
-) -> tuple[Sequence[Refit], Sequence[Judge]]:
+    first: Sequence[int], ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]
+) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
     """The same in another order: some ahead, the others as they were."""
     order = [*first, *(i for i in range(len(ranked)) if i not in first)]
     return [ranked[i] for i in order], [judges[i] for i in order]

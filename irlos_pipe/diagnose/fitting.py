@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,7 +27,7 @@ MAX_ITERATIONS = 60
 FINISHING, PATIENCE = 20, 8  # iterations in float64, how often
 SETTLED = 1.0  # fall of χ², in units of χ²/ν where the model misfits, that means nothing
 SAME_IMAGE = 1e-6  # χ² between two images that differ by rounding
-EXPLORING = 30  # iterations, which tell whether a fit is promising
+EXPLORING = 30  # iterations after which it is known whether a fit is promising
 ROUGHLY = 0.1  # fall of χ² ahead, in the same units, at which that is known
 
 
@@ -96,9 +96,19 @@ class Fitted:
         """Whether it was fitted in float64."""
         return self.problem.model.psf.dtype == torch.float64
 
-    def values_of(self, name: str) -> np.ndarray:
-        """Parameters of one effect."""
-        return self.problem.model.effects.split(self.effect_values)[name]
+    def effect(self, label: str) -> Effect:
+        """The effect with a `label`."""
+        return self.effects[self.problem.model.effects.labels.index(label)]
+
+    def values_of(self, label: str) -> np.ndarray:
+        """All parameters of the effect with a `label`, fixed ones included."""
+        free = self.problem.model.effects.split(self.effect_values)[label]
+        return self.effect(label).all_values(free).numpy()
+
+    def columns_of(self, label: str) -> list[int]:
+        """Positions of the free parameters of the effect with a `label` in the whole parameter vector."""
+        begin = self.problem.layout.effect_values.start
+        return [begin + index for index in self.problem.model.effects.columns_of(label)]
 
     def continued(self) -> list[Effect]:
         """The effects with the same freedom, to start from where they are now."""
@@ -110,7 +120,7 @@ class Fitted:
         return [_begun_at(effect, [p.start for p in _free(effect)]) for effect in self.effects]
 
 
-def _begun_at(effect: Effect, values: Sequence[float]) -> Effect:
+def _begun_at(effect: Effect, values: Sequence[float] | np.ndarray) -> Effect:
     """With the same freedom."""
     if not effect.parameters:
         return effect
@@ -133,11 +143,11 @@ class Fitter:
     ----------
     views : sequence of View
         Of each recording.
-    stack : Stack or Stacks
+    stack : Stacks
         Their frames.
     """
 
-    def __init__(self, views: Sequence[View], stack: Stack | Stacks):
+    def __init__(self, views: Sequence[View], stack: Stacks):
         self.views, self.stack = views, stack
 
     @cached_property
@@ -145,12 +155,12 @@ class Fitter:
         return [view.quick() for view in self.views]
 
     def fit(self, effects: Sequence[Effect], near: Fitted | None = None) -> Fitted:
-        """Fit from zero wavefront, or from modes, flux and background of another fit."""
+        """Fit `effects` from zero wavefront, or from modes, flux and background of a fit `near` by."""
         problem = self._problem(effects, self._quick)
         return self._exact(self._solved(problem, self._start(problem, near)))
 
     def explored(self, effects: Sequence[Effect], near: Fitted | None = None) -> Fitted:
-        """The same as far as tells whether it is promising."""
+        """Fit `effects`, see `fit`, in float32 to a loose tolerance, which is enough to rank candidates."""
         problem = self._problem(effects, self._quick, ROUGHLY)
         return self._solved(problem, self._start(problem, near), EXPLORING)
 
@@ -191,12 +201,11 @@ class Fitter:
         units of its smallest value per degree of freedom. So it is of the scatter of speckles.
         """
         unit = max(1.0, min(one.chi2 / one.problem.freedom for one in found))
-        best = found[0]
-        for one in found[1:]:
-            worth = unit * self._scatter_between(one, best)
-            if (one.chi2 - best.chi2) / worth + one.penalty - best.penalty < 0:
-                best = one
-        return best
+
+        def worth(one: int, other: int) -> float:
+            return unit * self._scatter_between(found[one], found[other])
+
+        return found[most_plausible([one.chi2 for one in found], [one.penalty for one in found], worth)]
 
     def _scatter_between(self, one: Fitted, other: Fitted) -> float:
         """Variance of the mean image along the difference of two models, in units of that of known noise."""
@@ -239,6 +248,25 @@ class Fitter:
     def _solved(self, problem: JointFit, start: torch.Tensor, max_iterations: int = MAX_ITERATIONS) -> Fitted:
         solution = solve(problem, start, max_iterations=max_iterations)
         return Fitted(problem, solution, float(problem.chi2(solution.values)), self.views)
+
+
+def most_plausible(
+    chi2: Sequence[float], penalty: Sequence[float], worth: Callable[[int, int], float]
+) -> int:
+    """Index of the best of several fits of one model.
+
+    Parameters
+    ----------
+    chi2, penalty : sequence of float
+        χ² of the images, and what the priors add.
+    worth : callable
+        Fall of χ² between two of them that counts as much as a unit of the penalty.
+    """
+    best = 0
+    for one in range(1, len(chi2)):
+        if (chi2[one] - chi2[best]) / worth(one, best) + penalty[one] - penalty[best] < 0:
+            best = one
+    return best
 
 
 def _part(stack: Stack, view: View, first: View, effects: Sequence[Effect]) -> ImageFit:

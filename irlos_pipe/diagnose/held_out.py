@@ -37,17 +37,17 @@ class Gap:
         return (self.before - self.after) / open_ if open_ > 0 else float("nan")
 
 
-class Judge:
+class HeldOutEvaluation:
     """A model's residuals on the held-out frames.
 
     Parameters
     ----------
-    stack : Stack or Stacks
+    stack : Stacks
         Of the held-out frames.
     fitted : Fitted
     """
 
-    def __init__(self, stack: Stack | Stacks, fitted: Fitted):
+    def __init__(self, stack: Stacks, fitted: Fitted):
         self.stack, self.pixels = stack, fitted.problem.pixels
         self.image, columns = fitted.problem.predict_and_jacobian(fitted.x)
         own = columns[fitted.problem.own].mT
@@ -81,14 +81,14 @@ class Judge:
         return (0.5 * (left**2).sum(1) / len(stack)).numpy()
 
 
-def preference(better: Judge, worse: Judge) -> float:
+def preference(better: HeldOutEvaluation, worse: HeldOutEvaluation) -> float:
     """Vuong's statistic: mean difference of the losses over its standard error."""
     difference = worse.losses - better.losses
     error = difference.std(ddof=1) / np.sqrt(better.stack.independent)
     return float(difference.mean() / error) if error > 0 else 0.0
 
 
-def noise_floor(judge: Judge) -> float:
+def noise_floor(judge: HeldOutEvaluation) -> float:
     """What noise alone leaves of the gap: a normal deviate is √(2/π) σ away from zero on average.
 
     What frames differ by in pointing, flux and background is no noise: it is refitted. The root of a
@@ -102,6 +102,6 @@ def noise_floor(judge: Judge) -> float:
     return float(np.sqrt(2 / np.pi) * noise_e / stack.mean_e[good].sum())
 
 
-def gap_between(before: Judge, after: Judge) -> Gap:
+def gap_between(before: HeldOutEvaluation, after: HeldOutEvaluation) -> Gap:
     """Gaps of two models on the same frames."""
     return Gap(before.gap, after.gap, noise_floor(before))

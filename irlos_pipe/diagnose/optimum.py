@@ -12,7 +12,7 @@ from functools import cached_property
 
 import torch
 
-from irlos_pipe.diagnose.cube import Stack, Stacks
+from irlos_pipe.diagnose.cube import Stacks
 from irlos_pipe.diagnose.fitting import Fitted
 from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.score_test import NullModel, frozen_effects
@@ -52,11 +52,11 @@ class Optimum(NullModel):
 
     Parameters
     ----------
-    stack : Stack or Stacks
+    stack : Stacks
     fitted : Fitted
     """
 
-    def __init__(self, stack: Stack | Stacks, fitted: Fitted):
+    def __init__(self, stack: Stacks, fitted: Fitted):
         self.stack, self.fitted = stack, fitted
         problem, x, root = fitted.problem, fitted.x, stack.root
         image, columns = problem.predict_and_jacobian(x)
@@ -95,6 +95,6 @@ class Optimum(NullModel):
         expected = float(gram.trace() / frames + shared @ (1 - (self.basis**2).sum(1)))
         power = ((gram**2).sum() - gram.trace() ** 2 / (len(left) - 1)) / frames**2
         of_pixels = (left**2).sum(0) / (len(left) - 1) / frames
-        power = float(power + 2 * shared @ of_pixels + shared @ shared)
+        variance = 2 * float(power + 2 * shared @ of_pixels + shared @ shared)
         chi2 = float(self.residual @ self.residual)
-        return Excess(chi2 - expected, max(2 * power, 2 * expected) ** 0.5, expected)
+        return Excess(chi2 - expected, float(max(variance, 2 * expected) ** 0.5), expected)

@@ -93,7 +93,7 @@ class Refit:
     @property
     def effect(self) -> Effect:
         """The effect as fitted."""
-        return next(one for one in self.fitted.effects if one.name == self.name)
+        return self.fitted.effect(self.name)
 
     @property
     def base(self) -> Effect:
@@ -103,7 +103,7 @@ class Refit:
     @property
     def values(self) -> np.ndarray:
         """All its parameters."""
-        return self.effect.all_values(self.fitted.values_of(self.name)).numpy()
+        return self.fitted.values_of(self.name)
 
     @property
     def public(self) -> dict:

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.diagnose.cube import Stack, Stacks
+from irlos_pipe.diagnose.cube import Stacks
 from irlos_pipe.diagnose.fitting import Fitted
 from irlos_pipe.diagnose.search.detect import Score
-from irlos_pipe.effects import Effect
+from irlos_pipe.effects import Effect, Parameter
 
 STEP = 1e-3  # of a standard error, in derivatives of public values
 FAR = 1e3  # standard errors, in place of a prior that there is none of
@@ -18,7 +18,7 @@ UNDETERMINED = 0.5  # of the prior's variance that is left, from which the data 
 NOTHING = 1e-9
 
 
-def parameter_covariance(stack: Stack | Stacks, fitted: Fitted) -> np.ndarray:
+def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
     """Covariance of all parameters: from the scatter between frames, at least that of the Fisher matrix."""
     fisher = fitted.solution.covariance[0].numpy()
     if stack.photon_limited:
@@ -39,13 +39,13 @@ def public_sigma(base: Effect, values: np.ndarray, covariance: np.ndarray) -> di
     return _combined(slopes, covariance, 2 * np.where(steps > 0, steps, 1e-9))
 
 
-def determined(effect: Effect, covariance: np.ndarray) -> np.ndarray:
-    """Covariance of an effect's free parameters without the directions that only the prior holds.
+def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.ndarray:
+    """The `covariance` of free `parameters` without the directions that only the prior holds.
 
     Petals may move together, which tip, tilt and piston of the whole pupil do as well: the prior keeps
     such a direction at zero, and its width says nothing about the effect.
     """
-    sigma = np.array([p.prior_sigma for p in effect.parameters])
+    sigma = np.array([p.prior_sigma for p in parameters])
     scale = np.where(np.isfinite(sigma), sigma, np.sqrt(np.diag(covariance)) * FAR)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     kept = vectors[:, values < UNDETERMINED]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from irlos_pipe.diagnose.held_out import Gap
 from irlos_pipe.diagnose.second_recording import Advice
 from irlos_pipe.effects import FixedEffect
 
-NONE, EFFECT, UNKNOWN = "none", "effect", "unknown"
+NONE: Final = "none"
+EFFECT: Final = "effect"
+UNKNOWN: Final = "unknown"
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def diagnose(
     """
     began = time.perf_counter()
     cubes = [split(one.frames, options.held_out) for one in recordings]
-    noise = judge_all([cube.training for cube in cubes])
+    noise = judge_all([part for cube in cubes for part in cube.training.parts])
     cube = Cube.of_all([one.limited_by(noise.kind == PHOTONS) for one in cubes])
     nolls = range(2, options.highest_noll + 1)
     views = [one.view(nolls, device) for one in recordings]

@@ -95,7 +95,7 @@ class Effect:
     parameters: tuple[Parameter, ...] = ()
 
     @classmethod
-    def under(cls, conditions: Conditions, **options: Any) -> Self:
+    def under(cls, conditions: Conditions, *args: Any, **options: Any) -> Self:
         """The effect with starts and priors for these conditions.
 
         Raises
@@ -103,7 +103,7 @@ class Effect:
         ValueError
             If it means nothing under them.
         """
-        return cls(**options)
+        return cls(*args, **options)
 
     @classmethod
     def variants(cls, conditions: Conditions) -> tuple[Effect, ...]:
@@ -115,11 +115,11 @@ class Effect:
         """Options under which the effect has the parameters that given public values need."""
         return {}
 
-    def values_of(self, **public: Any) -> list[float]:
+    def values_of(self, *args: Any, **public: Any) -> list[float]:
         """Solver's parameters for given values of the public ones; here they are the same."""
-        return [float(public.get(p.name, p.null)) for p in self.parameters]
+        return [float(public.get(p.name, p.null or 0.0)) for p in self.parameters]
 
-    def describe(self, values: Values) -> dict[str, Any]:
+    def describe(self, values: np.ndarray) -> dict[str, Any]:
         """Parameters under the public names and units of the effect catalogue."""
         return {p.name: float(v) for p, v in zip(self.parameters, values, strict=True)}
 
@@ -192,6 +192,11 @@ class Effect:
         return self
 
     @property
+    def free(self) -> list[int]:
+        """Positions of the free parameters among those of the base effect."""
+        return list(range(len(self.parameters)))
+
+    @property
     def needs_search(self) -> bool:
         """Whether a fit needs a search first: some parameters mean nothing in the effect's absence."""
         return not self.usual and any(p.null is None for p in self.parameters)
@@ -230,13 +235,18 @@ class FixedEffect(Effect):
             setattr(self, declared, getattr(base, declared))
         self._base = base
         self.values = np.array(np.asarray(values), float)
-        self.free = [i for i, p in enumerate(base.parameters) if p.name in free]
-        self.parameters = tuple(replace(base.parameters[i], start=float(self.values[i])) for i in self.free)
+        self._free = [i for i, p in enumerate(base.parameters) if p.name in free]
+        self.parameters = tuple(replace(base.parameters[i], start=float(self.values[i])) for i in self._free)
 
     @property
     def base(self) -> Effect:
         """See `Effect.base`."""
         return self._base
+
+    @property
+    def free(self) -> list[int]:
+        """See `Effect.free`."""
+        return self._free
 
     def all_values(self, values: Values) -> torch.Tensor:
         """See `Effect.all_values`."""
@@ -283,7 +293,7 @@ class FixedEffect(Effect):
         """See `Effect.phrase`."""
         return self.base.phrase(public)
 
-    def describe(self, values: Values) -> dict[str, Any]:
+    def describe(self, values: np.ndarray) -> dict[str, Any]:
         """See `Effect.describe`."""
         return self.base.describe(self.all_values(values).numpy())
 
@@ -328,7 +338,7 @@ class OtfEffect(Effect):
         def changed(some: torch.Tensor) -> torch.Tensor:
             return self.apply(values.index_copy(0, chosen, some), factor, grid)
 
-        return along_all(changed, values[chosen])
+        return along_all(changed, values[chosen]).unbind()
 
 
 class SamplingEffect(Effect):

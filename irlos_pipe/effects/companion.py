@@ -45,11 +45,10 @@ class Companion(OtfEffect):
 
     def __init__(self, start: tuple[float, float, float] = (0.01, 100.0, 0.0), reach_mas: float = 300.0):
         flux, x, y = start
-        inside = {"lower": -reach_mas, "upper": reach_mas, "null": None}
         self.parameters = (
             Parameter("flux_ratio", "", flux, lower=0.0, upper=1.0, plausible=(0.0, 0.9)),
-            Parameter("x_mas", "mas", x, **inside),
-            Parameter("y_mas", "mas", y, **inside),
+            Parameter("x_mas", "mas", x, lower=-reach_mas, upper=reach_mas, null=None),
+            Parameter("y_mas", "mas", y, lower=-reach_mas, upper=reach_mas, null=None),
         )
 
     @classmethod

@@ -118,7 +118,8 @@ class EffectSet:
             return []
         grid = self.grids.pupil.at(sampling.wavelengths_m)
         dark = torch.zeros(len(sampling.weights), *grid.amplitude.shape, dtype=torch.complex128)
-        field, slopes = dark + torch.as_tensor(grid.amplitude), []
+        field = dark + torch.as_tensor(grid.amplitude)
+        slopes: list[torch.Tensor] = []
         for effect, piece in self.at("pupil"):
             own = values[piece]
             if slopes:
@@ -157,6 +158,11 @@ class EffectSet:
     def pieces(self, values: torch.Tensor) -> list[np.ndarray]:
         """The parameter vector cut into one piece per effect."""
         return [np.asarray(values[piece], float) for piece in self._pieces]
+
+    def columns_of(self, label: str) -> range:
+        """Positions of an effect's parameters in the parameter vector, by `label`."""
+        piece = self._pieces[self.labels.index(label)]
+        return range(piece.start, piece.stop)
 
     def split(self, values: torch.Tensor) -> dict[str, np.ndarray]:
         """The parameter vector cut into one piece per effect, by label."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,7 @@ class LowWindEffect(PupilEffect):
         """See `PupilEffect.opd_nm`."""
         index = torch.as_tensor(petal_index(grid.geometry, *(axis * grid.radius_m for axis in grid.xy)))
         opds = self._petal_opds_nm(values, grid)
-        return sum(torch.where(index == petal, opd, 0.0) for petal, opd in enumerate(opds))
+        return reduce(torch.add, (torch.where(index == petal, opd, 0.0) for petal, opd in enumerate(opds)))
 
     def _petals(self, grid: PupilGrid) -> np.ndarray:
         """Amplitude of each petal, (petals, n, n)."""
@@ -82,8 +83,8 @@ class LowWindEffect(PupilEffect):
 
     def phrase(self, public: Mapping[str, Any]) -> str:
         """See `Effect.phrase`: how much petals differ; what they have in common is no low-wind effect."""
-        piston_nm, *slopes_nm = (float(np.std(public[kind])) for kind in KINDS)
-        differ = f"{piston_nm:.0f} nm RMS in piston and {np.hypot(*slopes_nm):.0f} nm in tip and tilt"
+        piston_nm, tip_nm, tilt_nm = (np.std(public[kind]) for kind in KINDS)
+        differ = f"{piston_nm:.0f} nm RMS in piston and {np.hypot(tip_nm, tilt_nm):.0f} nm in tip and tilt"
         return f"petals that differ by {differ}"
 
     def values_of(

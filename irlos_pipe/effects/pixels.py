@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,8 @@ class InterpixelCrosstalk(DetectorEffect):
         rows, columns = images_e.shape[-2:]
         shape = (-1, 1, rows, columns)
         padded = torch.nn.functional.pad(images_e.reshape(shape), (1, 1, 1, 1), mode="replicate")
-        received = sum(padded[..., r : r + rows, c : c + columns] for r, c in NEIGHBOURS) / 4
+        neighbours = (padded[..., r : r + rows, c : c + columns] for r, c in NEIGHBOURS)
+        received = reduce(torch.add, neighbours) / 4
         return images_e + values[0] * (received.reshape(images_e.shape) - images_e)
 
 

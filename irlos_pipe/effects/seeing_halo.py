@@ -154,9 +154,12 @@ class SeeingHalo(OtfEffect):
         ValueError
             Unless exactly one of the two is given.
         """
-        if (wfe_nm is None) == (scale is None):
+        if wfe_nm is not None and scale is None:
+            total_nm2 = wfe_nm**2
+        elif scale is not None and wfe_nm is None:
+            total_nm2 = scale**2 * self.expected_nm2
+        else:
             raise ValueError("seeing_halo is fixed by either wfe_nm or scale")
-        total_nm2 = scale**2 * self.expected_nm2 if wfe_nm is None else wfe_nm**2
         in_band, *shape = (p.start for p in self.parameters)
         if self.measured:
             return [max(total_nm2 - self.fitting_nm2, 0.0), *shape]

@@ -140,7 +140,7 @@ class HighOrderNcpa(ZernikeTable, _Map):
     def _map_slopes(
         self, values: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
     ) -> Sequence[torch.Tensor]:
-        return torch.tensor(grid.modes(self.nolls)[list(wanted)])
+        return torch.tensor(grid.modes(self.nolls)[list(wanted)]).unbind()
 
 
 class PhaseBump(_Map):
@@ -169,11 +169,10 @@ class PhaseBump(_Map):
 
     def __init__(self, start: tuple[float, float, float, float] = (50.0, 2.0, 0.0, 0.5)):
         height, x, y, width = start
-        inside = {"lower": -REACH_M, "upper": REACH_M, "null": None}
         self.parameters = (
             Parameter("nm", "nm", height, 0.0, 300.0, plausible=(-1000.0, 1000.0)),
-            Parameter("x_m", "m", x, **inside),
-            Parameter("y_m", "m", y, **inside),
+            Parameter("x_m", "m", x, lower=-REACH_M, upper=REACH_M, null=None),
+            Parameter("y_m", "m", y, lower=-REACH_M, upper=REACH_M, null=None),
             Parameter("width_m", "m", width, 0.6, 0.6, 0.1, 3.0, None, (0.15, 2.0)),
         )
 

@@ -8,10 +8,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.declaration import Parameter
 
 
-class ZernikeTable:
+class ZernikeTable(Effect):
     """One parameter per mode; a base class beside that of the plane.
 
     Class attributes
@@ -23,7 +24,6 @@ class ZernikeTable:
     """
 
     table: ClassVar[str]
-    sentence: str
     coefficient: ClassVar[Parameter]
 
     def __init__(self, nolls: Sequence[int]):
@@ -37,15 +37,15 @@ class ZernikeTable:
         """The modes of the table."""
         return {"nolls": sorted(int(noll) for noll in public[cls.table])} if cls.table in public else {}
 
-    def describe(self, values: Sequence[float]) -> dict[str, dict[str, float]]:
+    def describe(self, values: np.ndarray) -> dict[str, dict[str, float]]:
         """Coefficients by Noll index."""
-        return {self.table: {str(n): float(v) for n, v in zip(self.nolls, np.asarray(values), strict=True)}}
+        return {self.table: {str(n): float(v) for n, v in zip(self.nolls, values, strict=True)}}
 
     def phrase(self, public: Mapping[str, Any]) -> str:
         """See `Effect.phrase`; the size is the RMS of all modes together."""
         return self.sentence.format(size=float(np.linalg.norm(list(public[self.table].values()))))
 
-    def values_of(self, **public: Mapping) -> list[float]:
+    def values_of(self, *args: Any, **public: Mapping) -> list[float]:
         """Solver's parameters for a table of coefficients; modes that it lacks are 0."""
         given = {int(noll): float(value) for noll, value in public[self.table].items()}
         return [given.get(noll, 0.0) for noll in self.nolls]

@@ -173,7 +173,7 @@ def fit_focus_stage(
     base = _introduced_nm(effects, commanded_nm, None)
     free = [(e, i) for e, effect in enumerate(effects) for i in range(len(effect.parameters))]
     if not free:
-        known = {label: effect.describe(()) for label, effect in zip(labels, effects, strict=True)}
+        known = {label: effect.describe(np.zeros(0)) for label, effect in zip(labels, effects, strict=True)}
         return FocusStage(base, known, {})
     columns = np.array([_introduced_nm(effects, commanded_nm, one) - base for one in free])
     values, sigma = _determined(columns, estimated_nm - base, [labels[e] for e, _ in free])

@@ -8,12 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.diagnose_cases import CASE, CONDITIONS, FLUX_E, FRAMES, HIGHEST_NOLL, TRUE_NM, WAVELENGTH_NM
+from helpers.diagnose_cases import (
+    CASE,
+    CONDITIONS,
+    FLUX_E,
+    FRAMES,
+    HIGHEST_NOLL,
+    TRUE_NM,
+    WAVELENGTH_NM,
+    options,
+)
 from helpers.optics_cases import READ_NOISE, draw_frames, everything
 from helpers.reference_psf import reference
 
 from irlos_pipe.diagnose.cube import Stack, Stacks
-from irlos_pipe.diagnose.decide import Options
 from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.verdict import Diagnosis
 from irlos_pipe.diagnose.view import Exposures
@@ -52,12 +60,12 @@ def wrong_lens() -> list[Exposures]:
 
 @functools.cache
 def together() -> Diagnosis:
-    return diagnose(wrong_lens(), [], Options(HIGHEST_NOLL))
+    return diagnose(wrong_lens(), [], options())
 
 
 @functools.cache
 def alone() -> Diagnosis:
-    return diagnose(wrong_lens()[:1], [], Options(HIGHEST_NOLL))
+    return diagnose(wrong_lens()[:1], [], options())
 
 
 def test_an_error_of_the_diversity_cannot_be_seen_in_one_recording():

@@ -6,7 +6,6 @@ Truth: scipy's distributions, Monte Carlo, finite differences, and what was put 
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,15 +31,15 @@ from irlos_pipe.diagnose.checks.motion import motion_ratio
 from irlos_pipe.diagnose.checks.noise import judge_noise
 from irlos_pipe.diagnose.checks.screened_pixels import screened_step
 from irlos_pipe.diagnose.cube import split
-from irlos_pipe.diagnose.fitting import Fitter
-from irlos_pipe.diagnose.held_out import Gap, Judge, noise_floor, preference
+from irlos_pipe.diagnose.fitting import most_plausible
+from irlos_pipe.diagnose.held_out import Gap, HeldOutEvaluation, noise_floor, preference
 from irlos_pipe.diagnose.search.companion_search import brightest_copies
 from irlos_pipe.diagnose.search.detect import Score, score_family, scores, whitened_shapes
 from irlos_pipe.diagnose.search.families import Family, families
 from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.diagnose.sizes import detectable, determined, public_sigma
 from irlos_pipe.diagnose.view import Screened
-from irlos_pipe.effects import CATALOGUE, FixedEffect, TipTiltJitter
+from irlos_pipe.effects import CATALOGUE, FixedEffect, Parameter, TipTiltJitter
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.low_wind import LowWindEffect
@@ -58,7 +57,7 @@ STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
 
 def test_held_out_frames_lie_between_the_others_and_are_no_part_of_them():
     parts = split(frames(image()), 0.25)
-    training, held = parts.training.when, parts.held_out.when
+    training, held = parts.training.parts[0].when, parts.held_out.parts[0].when
     assert not set(training) & set(held)
     assert len(held) == pytest.approx(0.25 * FRAMES, abs=2)
     assert training.min() < held.min() < held.max() < training.max()
@@ -71,7 +70,7 @@ def test_too_few_frames_are_refused():
 
 
 def test_poisson_frames_keep_to_the_noise_model():
-    verdict = judge_noise(split(frames(image())).training)
+    verdict = judge_noise(split(frames(image())).training.parts[0])
     assert verdict.kind == "photon-limited"
     assert verdict.holds
     assert verdict.bright_ratio == pytest.approx(1, abs=0.1)
@@ -79,14 +78,14 @@ def test_poisson_frames_keep_to_the_noise_model():
 
 def test_a_wrong_gain_shows_in_the_noise_verdict():
     """Variance twice the mean in every pixel, floor included."""
-    verdict = judge_noise(split(frames(image(), noise=NoiseModel(2.0, 2.0))).training)
+    verdict = judge_noise(split(frames(image(), noise=NoiseModel(2.0, 2.0))).training.parts[0])
     assert not verdict.holds or verdict.kind == "speckle-limited"
 
 
 def test_speckles_that_change_make_a_cube_speckle_limited():
     rng = np.random.default_rng(2)
     moving = [image({**TRUE_NM, 7: TRUE_NM[7] + 60 * rng.standard_normal()}) for _ in range(FRAMES)]
-    assert judge_noise(split(frames(np.array(moving))).training).kind == "speckle-limited"
+    assert judge_noise(split(frames(np.array(moving))).training.parts[0]).kind == "speckle-limited"
 
 
 # -- statistics --------------------------------------------------------------------------------
@@ -143,25 +142,19 @@ def test_scores_of_clean_frames_stay_below_the_threshold_and_inflate_nothing():
 
 @pytest.mark.parametrize(("lower_by", "chosen"), [(20.0, 0), (20_000.0, 1)])
 def test_rounding_of_a_large_chi2_decides_nothing_between_twins_but_a_better_fit_does(lower_by, chosen):
-    problem = SimpleNamespace(freedom=1000)
-    small, large = (
-        SimpleNamespace(chi2=chi2, penalty=penalty, problem=problem)
-        for chi2, penalty in ((100_000.0, 2.0), (100_000.0 - lower_by, 12.0))
-    )
-    fitter = Fitter([], SimpleNamespace(photon_limited=True))
-    assert fitter.most_plausible([small, large]) is (small, large)[chosen]
+    unit = 100.0  # χ²/ν of the better
+    assert most_plausible([100_000.0, 100_000.0 - lower_by], [2.0, 12.0], lambda *_: unit) == chosen
 
 
-def test_of_twins_whose_images_differ_less_than_the_speckles_scatter_the_smaller_aberration_wins():
+@pytest.mark.parametrize(("scatter", "chosen"), [(1.0, 88.0), (4.0, 100.0)])
+def test_of_twins_whose_images_differ_less_than_the_speckles_scatter_the_smaller_aberration_wins(
+    scatter, chosen
+):
     """χ² of a mean image counts by the scatter of the frames along the difference of two models."""
-    problem, nothing = SimpleNamespace(freedom=100), torch.zeros(100, dtype=torch.float64)
-    small = SimpleNamespace(chi2=100.0, penalty=2.0, problem=problem, image_e=nothing)
-    large = SimpleNamespace(chi2=88.0, penalty=10.0, problem=problem, image_e=nothing + 1.0)
-    for scatter, chosen in ((1.0, large), (4.0, small)):  # in units of the noise
-        stack = SimpleNamespace(photon_limited=False, root=nothing + 1.0)
-        stack.covariance_of = lambda shapes, scatter=scatter: scatter * shapes.mT @ shapes
-        assert Fitter([], stack).most_plausible([small, large]) is chosen
-        assert Fitter([], stack).most_plausible([large, small]) is chosen
+    chi2, penalty = [100.0, 88.0], [2.0, 10.0]
+    for order in ([0, 1], [1, 0]):
+        several = [chi2[i] for i in order], [penalty[i] for i in order]
+        assert several[0][most_plausible(*several, lambda *_: scatter)] == chosen
 
 
 def test_candidates_tried_together_beside_frozen_effects_have_the_derivatives_that_each_has_alone():
@@ -277,8 +270,8 @@ def test_images_that_move_from_frame_to_frame_are_told_from_those_that_do_not():
 
 def test_the_held_out_frames_prefer_the_true_model_and_its_gap_is_that_of_noise():
     parts = cube(image(effect=Vibration(), values=[64.0, 0.6]))
-    without = Judge(parts.held_out, fitted(parts.training))
-    with_it = Judge(parts.held_out, fitted(parts.training, [Vibration(start_angle_deg=30.0)]))
+    without = HeldOutEvaluation(parts.held_out, fitted(parts.training))
+    with_it = HeldOutEvaluation(parts.held_out, fitted(parts.training, [Vibration(start_angle_deg=30.0)]))
     assert preference(with_it, without) > 3
     assert with_it.gap == pytest.approx(noise_floor(with_it), rel=0.1)
     assert with_it.gap < without.gap
@@ -288,8 +281,8 @@ def test_directions_that_only_the_prior_holds_are_no_part_of_an_effects_error():
     """Two parameters with a prior of 300 whose difference alone is measured, to ±2: by hand ±1 each."""
     prior = np.eye(2) / 300.0**2
     measured = np.outer([1, -1], [1, -1]) / 2.0**2
-    effect = SimpleNamespace(parameters=2 * (SimpleNamespace(prior_sigma=300.0),))
-    own = determined(effect, np.linalg.inv(measured + prior))
+    parameters = 2 * (Parameter("piston", "nm", 0.0, prior_sigma=300.0),)
+    own = determined(parameters, np.linalg.inv(measured + prior))
     assert np.sqrt(np.diag(own)) == pytest.approx([1.0, 1.0], rel=1e-3)
 
 
@@ -299,8 +292,8 @@ def test_motion_from_frame_to_frame_does_not_raise_the_floor_of_the_gap():
     still = image()
     moved = np.array([image({**TRUE_NM, 2: TRUE_NM[2] + 8 * rng.standard_normal()}) for _ in range(FRAMES)])
     calm, shaken = (split(frames(mean)).limited_by(False) for mean in (still, moved))
-    floors = [noise_floor(Judge(one.held_out, fitted(one.training))) for one in (calm, shaken)]
-    photons = noise_floor(Judge(cube(still).held_out, fitted(cube(still).training)))
+    floors = [noise_floor(HeldOutEvaluation(one.held_out, fitted(one.training))) for one in (calm, shaken)]
+    photons = noise_floor(HeldOutEvaluation(cube(still).held_out, fitted(cube(still).training)))
     assert floors == pytest.approx([photons, photons], rel=0.15)
 
 

@@ -20,7 +20,7 @@ from irlos_pipe.diagnose.checks.noise import judge_all
 from irlos_pipe.diagnose.cube import split
 from irlos_pipe.diagnose.decide import by_plausibility
 from irlos_pipe.diagnose.fitting import Fitter
-from irlos_pipe.diagnose.held_out import Judge
+from irlos_pipe.diagnose.held_out import HeldOutEvaluation
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.refit import is_rival, refits
 from irlos_pipe.diagnose.search.detect import score_family, scores
@@ -46,7 +46,7 @@ def test_of_names_that_fit_alike_one_that_is_plausible_comes_first():
     fitter = Fitter([View(model(), CONDITIONS)], stack.training)
     ranked = refits(fitter, at_rest, scores(at_rest, present))
     ranked.sort(key=lambda one: one.name)  # plate_scale first
-    judges = [Judge(stack.held_out, one.fitted) for one in ranked]
+    judges = [HeldOutEvaluation(stack.held_out, one.fitted) for one in ranked]
     first, second = by_plausibility(ranked, judges)[0]
     assert (first.name, second.name) == ("spectrum", "plate_scale")
     assert second.implausible and not first.implausible
@@ -137,7 +137,7 @@ def test_the_error_of_a_direction_does_not_see_the_jump_at_zero():
 
 
 def test_one_recording_with_speckles_makes_the_noise_that_of_speckles():
-    quiet = cube(image()).training
+    quiet = cube(image()).training.parts[0]
     tilts = np.random.default_rng(3).normal(0, 12, len(quiet.frames.images_e))
     moving = np.array([image({**TRUE_NM, 5: TRUE_NM[5] + 4 * tilt}) for tilt in tilts])
     still = quiet.mean_e.view(WINDOW, WINDOW).expand_as(quiet.frames.images_e)
@@ -147,6 +147,6 @@ def test_one_recording_with_speckles_makes_the_noise_that_of_speckles():
 
 
 def test_a_few_frames_are_held_out_however_small_the_share():
-    frames = cube(image()).training.frames
+    frames = cube(image()).training.parts[0].frames
     parts = split(replace(frames, images_e=frames.images_e[:16]), 0.06)
     assert len(parts.held_out) >= 1 and len(parts.training) >= 8

@@ -49,7 +49,7 @@ def on_sky() -> tuple[Diagnosis, dict[int, float]]:
     settings = PsfSettings(UT4, WINDOW, 9.7, spectrum, KnownWavefront(DIVERSITY))
     conditions = Conditions(settings, BAND, RESIDUAL_LAW, SEEING_ARCSEC, HIGHEST_NOLL, ncpa_law=NCPA_LAW)
     frames = Frames(images, everything(images), NOISE)
-    options = Options(HIGHEST_NOLL, most_names=1)
+    options = Options(HIGHEST_NOLL, held_out=0.25, most_names=1, sure=5.0)
     return diagnose([Exposures(frames, conditions)], [], options), exposed.mean_zernike_nm()
 
 

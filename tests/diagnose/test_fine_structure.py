@@ -6,7 +6,6 @@ Truth: HCIPy's images, what was put into the frames, Monte Carlo, and D/λ by ha
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,8 +16,8 @@ from helpers.optics_cases import READ_NOISE, draw_frames, everything
 from irlos_pipe.diagnose.checks.fine_structure import (
     Beyond,
     FineStructure,
-    fine_structure,
     highest_frequency_per_px,
+    structure_of,
 )
 from irlos_pipe.diagnose.cube import Stack
 from irlos_pipe.estimate.cube import Frames
@@ -29,10 +28,8 @@ FRAMES = 40
 def found(images_e: torch.Tensor, mask: torch.Tensor, expected_e: np.ndarray, case=CASE) -> FineStructure:
     """In frames of which a model expects a mean image."""
     stack = Stack.of(Frames(images_e, mask, READ_NOISE), np.linspace(0, 1, len(images_e)))
-    problem = SimpleNamespace(pixels=[slice(None)])
-    views = [SimpleNamespace(psf=SimpleNamespace(settings=case))]
-    fitted = SimpleNamespace(image_e=torch.as_tensor(expected_e.ravel()), problem=problem, views=views)
-    return fine_structure(SimpleNamespace(stack=stack, fitted=fitted))
+    residual_e = stack.mean_e - torch.as_tensor(expected_e.ravel())
+    return structure_of(stack, residual_e, case)
 
 
 def drawn(mean_e: np.ndarray, seed: int) -> tuple[torch.Tensor, torch.Tensor]:

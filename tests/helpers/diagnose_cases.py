@@ -33,6 +33,11 @@ CONDITIONS = Conditions(CASE, BAND, RESIDUAL_LAW, 0.5, HIGHEST_NOLL, ncpa_law=NC
 COMPANION = {"flux_ratio": 0.03, "x_px": -9.3, "y_px": 6.1}
 
 
+def options(most_names: int = 4) -> Options:
+    """As the stage has them, for the modes of these cubes."""
+    return Options(HIGHEST_NOLL, held_out=0.25, most_names=most_names, sure=5.0)
+
+
 def opd_nm(imager: ReferenceImager, **tilts_px: float) -> np.ndarray:
     """NCPAs and diversity, displaced by some pixels along x and y."""
     total = {noll: TRUE_NM.get(noll, 0.0) + DIVERSITY.get(noll, 0.0) for noll in {*TRUE_NM, *DIVERSITY}}
@@ -75,4 +80,4 @@ def cube(image: np.ndarray, seed: int = 3) -> Frames:
 def diagnosis_of(kind: str) -> Diagnosis:
     """Diagnosis of one of the images above, made once per test process."""
     image = {"plain": plain, "companion": with_companion, "spot": with_opaque_spot}[kind]()
-    return diagnose([Exposures(cube(image), CONDITIONS)], [], Options(HIGHEST_NOLL))
+    return diagnose([Exposures(cube(image), CONDITIONS)], [], options())

@@ -18,7 +18,7 @@ from helpers.optics_cases import (
     settings,
     vector,
 )
-from irlos_pipe.diagnose.cube import Cube, Stack, split
+from irlos_pipe.diagnose.cube import Cube, Stacks, split
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.view import View
@@ -56,9 +56,9 @@ def cube(mean_e: np.ndarray, seed: int = 1) -> Cube:
     return split(frames(mean_e, seed)).limited_by(True)
 
 
-def optimum(stack: Stack, effects=()) -> Optimum:
+def optimum(stack: Stacks, effects=()) -> Optimum:
     return Optimum(stack, fitted(stack, effects))
 
 
-def fitted(stack: Stack, effects=()) -> Fitted:
+def fitted(stack: Stacks, effects=()) -> Fitted:
     return Fitter([View(model(), CONDITIONS)], stack).fit(effects)

@@ -17,7 +17,7 @@ from helpers.stand_in_device import MixedDevicesError, StandInDevice
 from irlos_pipe.diagnose.checks.drift import measure_drift
 from irlos_pipe.diagnose.cube import split
 from irlos_pipe.diagnose.fitting import Fitter
-from irlos_pipe.diagnose.held_out import Judge
+from irlos_pipe.diagnose.held_out import HeldOutEvaluation
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.search.companion_search import companion_gains
 from irlos_pipe.diagnose.search.detect import scores
@@ -93,7 +93,7 @@ def diagnosed(device: str) -> np.ndarray:
     gains = [score.gain for score in scores(optimum, some)]
     drift = measure_drift(parts.training, fitted, sure=5.0)
     companions = companion_gains(optimum).max()
-    gap = Judge(parts.held_out, fitted).gap
+    gap = HeldOutEvaluation(parts.held_out, fitted).gap
     return np.array([*fitted.modes_nm, *gains, companions, *drift.change_nm, gap])
 
 

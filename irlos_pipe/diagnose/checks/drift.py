@@ -55,7 +55,7 @@ class Drift:
         return FixedEffect(NcpaDrift(self.nolls), self.change_nm)
 
 
-def measure_drift(stack: Stack | Stacks, fitted: Fitted, sure: float) -> Drift:
+def measure_drift(stack: Stacks, fitted: Fitted, sure: float) -> Drift:
     """Slopes of the low modes, and how significant they are together, where they are most so.
 
     Parameters

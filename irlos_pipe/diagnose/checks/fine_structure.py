@@ -21,7 +21,7 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 
 MAIN_LOBE = 2  # half width of a Hann window's, in frequencies of the window: what leaks past it is nothing
 FADED = 0.1  # of its middle, below which the window is left out
-FEWEST = 0.1  # of all frequencies; with less beyond the cut-off, pixels are too coarse to show any
+MIN_SHARE = 0.1  # of all frequencies; with less beyond the cut-off, pixels are too coarse to show any
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class FineStructure:
     Attributes
     ----------
     ratio : float
-        Measured over what noise leaves there; 1 where the pixels are too coarse to tell.
+        Measured over what noise leaves there; 1 where the pixels are too coarse to show it.
     significance : float
         In standard deviations of single frames from their mean.
     """
@@ -41,19 +41,28 @@ class FineStructure:
 
 
 def fine_structure(optimum: Optimum) -> FineStructure:
-    """Of the residual of a fitted model, the most significant of its recordings."""
+    """Fine structure of the residual of a fitted model, the most significant of its recordings."""
     fitted = optimum.fitted
     residual_e = optimum.stack.mean_e - fitted.image_e
     found = [
-        _of_recording(part, residual_e[pixels], view.psf.settings)
+        structure_of(part, residual_e[pixels], view.psf.settings)
         for part, pixels, view in zip(optimum.stack.parts, fitted.problem.pixels, fitted.views, strict=True)
     ]
     return max(found, key=lambda one: one.significance)
 
 
-def _of_recording(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings) -> FineStructure:
+def structure_of(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings) -> FineStructure:
+    """Fine structure of one recording.
+
+    Parameters
+    ----------
+    stack : Stack
+    residual_e : tensor, (pixels,)
+        Its mean image minus that of a model [e-].
+    settings : PsfSettings
+    """
     beyond = Beyond(stack.frames.pixel_mask, highest_frequency_per_px(settings))
-    if beyond.share < FEWEST:
+    if beyond.share < MIN_SHARE:
         return FineStructure()
     deviations_e = torch.where(stack.root > 0, stack.deviations / stack.root, 0.0)
     frames = beyond(deviations_e.reshape(-1, *settings.window)) ** 2

@@ -12,7 +12,7 @@ from irlos_pipe.estimate.image_fit import ImageFit
 MOVING = 1.5  # variance ratio from which frames move
 
 
-def motion_ratio(stack: Stack | Stacks, fitted: Fitted) -> float:
+def motion_ratio(stack: Stacks, fitted: Fitted) -> float:
     """Variance of tip and tilt between successive frames over that of photon noise.
 
     Well above 1 for motion, whether or not most of it averages out within a frame; 1 for a detector

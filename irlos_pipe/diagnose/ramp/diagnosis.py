@@ -58,7 +58,7 @@ class RampName:
     @property
     def public(self) -> dict[str, float]:
         """Size, and the part of the ramp that is concerned, under public names."""
-        return self.effect.describe([self.size]) | self.effect.part
+        return self.effect.describe(np.array([self.size])) | self.effect.part
 
     @property
     def phrase(self) -> str:
@@ -204,7 +204,7 @@ def _verdict(data: np.ndarray, shapes: Shapes, fit: _Fit, names: list[RampName])
     unexplained = unexplained or not all(one.plausible for one in names)
     seen = {one.name for one in names}
     smallest = {
-        one.name: one.describe([SEEN_SIGMA * np.sqrt(beside.covariance[-1, -1])])
+        one.name: one.describe(SEEN_SIGMA * np.sqrt(beside.covariance[-1:, -1]))
         for one in shapes
         if not one.part and one.name not in seen
         if (beside := _Fit.of(data, shapes, (*fit.effects, one))) is not None

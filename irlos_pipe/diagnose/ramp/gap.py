@@ -44,15 +44,15 @@ def ramp_gap(
     ]
     groups = [torch.as_tensor(offsets == value) for value in np.unique(offsets)]
     total = sum(float(images[group].mean(0)[good].sum()) for group in groups)
-    gaps = [
+    before, after = (
         sum(float((images[g].mean(0) - model_e[g].mean(0))[good].abs().sum()) for g in groups) / total
         for model_e in predicted
-    ]
+    )
     noise = [
         _noise_e(data, torch.as_tensor(data.introduced_nm == value), int((offsets == value).sum()))
         for value in np.unique(offsets)
     ]
-    return Gap(*gaps, sum(noise) / total)
+    return Gap(before, after, sum(noise) / total)
 
 
 def _with_defocus(model: ImageModel, start_nm: torch.Tensor, defocus_nm: np.ndarray) -> torch.Tensor:

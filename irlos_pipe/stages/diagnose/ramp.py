@@ -113,7 +113,7 @@ def _step(one: RampName, gap: Gap) -> StepRow:
             for other in one.alternatives
         ],
         parameters=one.public,
-        sigma=one.effect.describe([one.sigma]),
+        sigma=one.effect.describe(np.array([one.sigma])),
         significance=one.significance,
         explained=one.explained,
         gap_before=gap.before,

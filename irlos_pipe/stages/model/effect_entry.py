@@ -40,7 +40,7 @@ class EffectEntry:
         ValueError
             Saying what is wrong and what is allowed.
         """
-        name, given = entry, {}
+        name, given = entry, dict[str, Any]()
         if isinstance(entry, dict) and len(entry) == 1:
             name, given = next(iter(entry.items()))
         if not isinstance(name, str) or name not in CATALOGUE:

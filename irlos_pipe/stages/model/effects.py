@@ -127,7 +127,8 @@ def calibrated_effects(
     entries = model.entries()
     effects = [_effect(entry, conditions, recording.name) for entry in entries]
     for label, entry, effect in zip(labels_of(effects), entries, effects, strict=True):
-        found, under = effect, then
+        found: Effect | None = effect
+        under = then
         if not effect.parameters:  # the recipe states what it is under the present seeing
             under = replace(then, seeing_arcsec=conditions.seeing_arcsec)
         elif same_star or effect.instrumental:
