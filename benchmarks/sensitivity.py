@@ -58,7 +58,7 @@ class SensitivityScan:
             np.linspace(mag_j, FAINTEST_MAG_J, MAGNITUDES),
             self.realisations,
             start_nm,
-            Criterion(),
+            Criterion(np.inf, 1.0),
             SEED,
             near_nm=bright.result.zernike_nm,
         )

@@ -64,8 +64,8 @@ class Criterion:
         An estimate further than this from the introduced defocus counts as failed.
     """
 
-    median_nm: float = 30.0
-    failure_fraction: float = 0.1
+    median_nm: float
+    failure_fraction: float
     implausible_nm: float = 500.0
 
 

@@ -105,7 +105,7 @@ def test_a_scan_reaches_the_bound_where_frames_err_by_noise_alone():
         np.array([12.5, 15.0]),
         20,
         true,
-        Criterion(),
+        Criterion(30.0, 0.1),
         seed=5,
     )
     assert curve.abs_error_nm.shape == (2, 160)

@@ -73,7 +73,7 @@ def made(errors, residual=0.0) -> dict[str, np.ndarray]:
 
 def test_curves_pool_the_errors_of_all_samples():
     samples = [made([[1, 2], [30, np.nan]]), made([[3, 4], [50, 40]])]
-    curve = pooled(samples, SHORT, "default_3", Criterion())
+    curve = pooled(samples, SHORT, "default_3", Criterion(30.0, 0.1))
     assert curve.median_abs_error_nm.tolist() == [2.5, 40.0]
     assert (curve.trials, curve.failures.tolist()) == (4, [0, 1])
     assert curve.mag_j.tolist() == [9.0, 13.0]

@@ -130,7 +130,7 @@ def _scan(
         magnitudes,
         sample.realisations,
         torch.zeros(len(data.images_e), len(variant.modes), dtype=torch.float64),
-        Criterion(),
+        Criterion(np.inf, 1.0),  # the limit is that of all samples together
         sample.seed[-1],
     )
 
