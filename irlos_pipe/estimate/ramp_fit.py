@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects import Effect, EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
 from irlos_pipe.effects.effect_set import NOTHING, labels_of
 from irlos_pipe.effects.image_model import ImageModel
@@ -23,8 +24,6 @@ from irlos_pipe.optics.psf import PsfModel
 OUTLIER_CHI2 = 2.0  # a fit this much worse than the median of the ramp gets a second try
 MIN_FRAMES = 3  # whose fits take longer than making a table of images
 CONTRADICTION_NM = 100.0  # and so does one that the scan of defocus puts this far away
-
-DEFOCUS = 4  # Noll
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.conventions.modes import REPORTED_NOLLS, REPORTED_TEXT
+from irlos_pipe.conventions.modes import DEFOCUS, REPORTED_NOLLS, REPORTED_TEXT
 from irlos_pipe.conventions.text import aligned
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import ByNoll, ResultsPart, results_of
@@ -22,7 +22,6 @@ from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
 from irlos_pipe.stages.lift.results import LiftResults, Point
 
-DEFOCUS = 4  # Noll
 Table = list[tuple[str, ...]]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 
+from irlos_pipe.conventions.units import NM, cutoff_per_px
 from irlos_pipe.simulate.effects.base import LightEffect
 from irlos_pipe.simulate.imaging import Imager, PixelGrid
 from irlos_pipe.simulate.light import Ray
@@ -138,5 +139,5 @@ def _shared(positions_mas: np.ndarray, images: int) -> np.ndarray:
 
 
 def _parts_per_pixel(scale_mas: float, diameter_m: float, wavelength_nm: float) -> int:
-    cycles_per_px = np.deg2rad(scale_mas / 3.6e6) * diameter_m / (wavelength_nm * 1e-9)
+    cycles_per_px = cutoff_per_px(wavelength_nm * NM, diameter_m, scale_mas)
     return max(1, int(np.ceil(cycles_per_px / FINEST_CYCLES_PER_PX)))

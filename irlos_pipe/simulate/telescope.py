@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.units import MAS, NM
 from irlos_pipe.simulate.zernikes import zernike
 
 
@@ -93,5 +94,5 @@ class Telescope:
 
 
 def tilt_nm(angle_mas: float) -> float:
-    """Slope of the wavefront that moves the image by an angle [nm per metre of pupil]."""
-    return float(np.deg2rad(angle_mas / 3.6e6) * 1e9)
+    """Return the slope of the wavefront [nm per metre of pupil] that moves the image by `angle_mas`."""
+    return angle_mas * MAS / NM

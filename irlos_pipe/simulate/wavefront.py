@@ -6,13 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.simulate.effects.base import FocusStageEffect, WavefrontEffect
 from irlos_pipe.simulate.effects.focus_stage import reached_nm
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.telescope import Telescope
 from irlos_pipe.simulate.zernikes import rotated_nm
-
-DEFOCUS = 4  # Noll
 
 
 class StaticWavefront:

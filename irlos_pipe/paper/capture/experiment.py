@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import tilt_nm
 from irlos_pipe.effects import expected
 from irlos_pipe.effects.image_model import ImageModel
@@ -22,7 +23,7 @@ from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.paper.common.broad_band import frame_settings, star_scene
 from irlos_pipe.paper.common.cube import NCPA_NM
 from irlos_pipe.paper.common.observation import images_of, model_effects_of, noise_of
-from irlos_pipe.paper.common.ramps import DEFOCUS, TTF, elongation_defocus_nm, from_every_start
+from irlos_pipe.paper.common.ramps import TTF, elongation_defocus_nm, from_every_start
 from irlos_pipe.paper.common.variants import DEFAULT
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects import Effect, FixedEffect, expected, fixed_optics
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import Calibration
@@ -32,7 +33,6 @@ from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE, VARIANTS
 from irlos_pipe.simulate.exposure import Exposed
 from irlos_pipe.simulate.scene import Scene
 
-DEFOCUS = 4  # Noll
 TTF = (2, 3, 4)
 NINE = (2, 3, 4, 5, 7, 8, 9, 10, 11)  # the paper's nine modes: without the astigmatism of the diversity
 STARTS = ("zero", "elongation", "scan", "default")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.bound import cramer_rao_nm
 from irlos_pipe.estimate.lift import LiftOptions, lift
@@ -16,7 +17,7 @@ from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.paper.common.broad_band import frame_settings
 from irlos_pipe.paper.common.observation import model_effects_of, noise_of
-from irlos_pipe.paper.common.ramps import DEFOCUS, TTF, Knowledge
+from irlos_pipe.paper.common.ramps import TTF, Knowledge
 from irlos_pipe.simulate.scene import Scene
 
 FOCUS = TTF.index(DEFOCUS)

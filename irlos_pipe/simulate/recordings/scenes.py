@@ -13,6 +13,7 @@ import numpy as np
 from irlos_pipe.conventions.bands import NARROW_H, H, J
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector_model import DetectorModel
 from irlos_pipe.simulate.effects.base import FocusStageEffect
@@ -74,9 +75,9 @@ def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
 
 def _require_unfolded(scene: Scene) -> None:
     """Refuse a window in which the image of a sampled pupil would repeat itself."""
-    shortest_m = min(nm for nm, _ in scene.spectrum()) * 1e-9
-    per_sample_mas = np.rad2deg(shortest_m / scene.geometry.diameter_m) * 3.6e6
-    needed = math.ceil(max(scene.window) * scene.pixel_scale_mas / per_sample_mas)
+    shortest_m = min(nm for nm, _ in scene.spectrum()) * NM
+    element_px = resolution_px(shortest_m, scene.geometry.diameter_m, scene.pixel_scale_mas)
+    needed = math.ceil(max(scene.window) / element_px)
     if needed > scene.pupil_samples:
         raise ConfigurationError(
             f"recordings.{scene.name}: a window of {max(scene.window)} px of {scene.pixel_scale_mas:g} mas "

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from astropy.io import fits
 
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import json_text, jsonable
 from irlos_pipe.simulate.exposure import LAST_NOLL, Exposure, telescope_of
@@ -16,7 +17,6 @@ from irlos_pipe.simulate.recordings.series import Planned
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.zernikes import rotated_nm
 
-DEFOCUS = 4  # Noll
 VERSION = 1  # of the simulator; raised when the same spec and seed give other data
 
 
