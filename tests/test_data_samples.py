@@ -175,6 +175,7 @@ def telescope():
     sys.path.remove(str(SAMPLES))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noll", "axis"), [(2, 1), (3, 0)], ids=["x-tilt to columns", "y-tilt to rows"])
 def test_a_positive_tilt_moves_the_simulated_image_to_larger_indices(telescope, noll, axis):
     from simulator.imaging import Imager
@@ -190,6 +191,7 @@ def test_a_positive_tilt_moves_the_simulated_image_to_larger_indices(telescope, 
     assert 0.9 < image.sum() < 1
 
 
+@pytest.mark.slow
 def test_the_simulated_residual_follows_the_seeing_law(telescope):
     from simulator.atmosphere import ResidualScreens
 
@@ -200,6 +202,7 @@ def test_the_simulated_residual_follows_the_seeing_law(telescope):
     assert np.abs([np.sum(weight * opd * telescope.modes[1]) for opd in drawn_nm]).max() < 0.01
 
 
+@pytest.mark.slow
 def test_the_simulated_image_motion_has_the_stated_size(telescope):
     from simulator.jitter import jitter_mas
 
@@ -207,6 +210,7 @@ def test_the_simulated_image_motion_has_the_stated_size(telescope):
     assert motion_mas.std(axis=0) == pytest.approx([7.0, 7.0], rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not BENCH.exists(), reason="shared samples are not beside the checkout")
 def test_the_simulator_reproduces_an_independent_bench_recording_within_its_noise(telescope):
     from simulator.imaging import Imager

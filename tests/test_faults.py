@@ -19,6 +19,8 @@ from faults.tree import broken, content, leftovers
 
 from irlos_pipe.pipeline import provenance
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def harness(tmp_path_factory) -> Iterator[Harness]:

@@ -15,6 +15,7 @@ from fuzz.case import KINDS, Case
 SEEDS = range(5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_damaged_input_causes_at_most_one_line_that_says_what_is_wrong(kind):
     verdicts = [judge.judged(kind, seed) for seed in SEEDS]
@@ -70,6 +71,7 @@ DEEDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("deed", DEEDS, ids=lambda deed: deed.__name__)
 def test_the_judge_sees_a_misdeed(deed, monkeypatch):
     def maker(folder: Path, rng: np.random.Generator) -> Case:

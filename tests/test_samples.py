@@ -15,6 +15,8 @@ import pytest
 from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.recipe import load_recipe
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 OWN, SHARED = ROOT / "data_samples", ROOT.parent / "shared" / "samples"
 needs_shared = pytest.mark.skipif(not SHARED.exists(), reason="the shared samples are not here")

@@ -40,6 +40,7 @@ def test_the_fft_baseline_pads_to_the_size_that_the_paper_gives(settings):
     assert fft_model(settings).padded == 540
 
 
+@pytest.mark.slow
 def test_the_fft_baseline_agrees_with_the_model_once_its_samples_are_pixels(settings):
     ours = PsfModel(settings, NOLLS).images(ZERNIKE_NM)[0]
     fine = fft_model(settings, FINE).images(ZERNIKE_NM)[0]
@@ -47,12 +48,14 @@ def test_the_fft_baseline_agrees_with_the_model_once_its_samples_are_pixels(sett
     assert (ours - theirs).abs().max() < 0.01 * ours.max()
 
 
+@pytest.mark.slow
 def test_the_fft_baseline_finds_the_coefficients_of_its_own_image(settings):
     model = fft_model(settings)
     found_nm, _ = fit(model, 1e5 * model.images(ZERNIKE_NM))
     assert np.abs(found_nm - ZERNIKE_NM.numpy()).max() < 1.0
 
 
+@pytest.mark.slow
 def test_solvephase_finds_the_coefficients_of_the_models_image(settings):
     pytest.importorskip("solvephase", reason="a development dependency")
     from benchmarks.baseline_solvephase import SolvephaseFit

@@ -391,6 +391,7 @@ def suite(tmp_path_factory):
     return folder, *run_all(SAMPLE, folder, jobs=1)
 
 
+@pytest.mark.slow
 def test_a_companion_and_an_offset_of_the_focus_stage_are_found_with_their_sizes(suite):
     _, outcomes, failed = suite
     assert failed == {}
@@ -403,6 +404,7 @@ def test_a_companion_and_an_offset_of_the_focus_stage_are_found_with_their_sizes
     assert companion["ncpa_bias_nm"]["after"] < 0.2 * companion["ncpa_bias_nm"]["before"]
 
 
+@pytest.mark.slow
 def test_the_truth_lies_outside_what_the_diagnosis_is_given(suite):
     folder, _, _ = suite
     given = [path.read_bytes() for path in (folder.path / "data").rglob("*") if path.is_file()]
@@ -410,6 +412,7 @@ def test_the_truth_lies_outside_what_the_diagnosis_is_given(suite):
     assert not any(b"flux_ratio" in content or b"focus_stage" in content for content in given)
 
 
+@pytest.mark.slow
 def test_finished_cases_are_kept_and_one_that_breaks_ends_no_other(suite):
     folder, outcomes, _ = suite
     before = {path: path.stat().st_mtime_ns for path in folder.path.rglob("*.*")}
@@ -420,6 +423,7 @@ def test_finished_cases_are_kept_and_one_that_breaks_ends_no_other(suite):
     assert {path: path.stat().st_mtime_ns for path in before} == before
 
 
+@pytest.mark.slow
 def test_the_report_is_a_table_a_file_for_scripts_and_a_picture(suite, tmp_path):
     _, outcomes, _ = suite
     text = write_report(outcomes, {"clean.bench_narrow.00": "OSError: no space"}, tmp_path)
@@ -431,6 +435,7 @@ def test_the_report_is_a_table_a_file_for_scripts_and_a_picture(suite, tmp_path)
     assert (tmp_path / "confusion.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_what_cannot_be_tested_is_told_by_name(tmp_path):
     hidden = single("diversity_error", verdict="none", untestable=["diversity_error"], sizes={"nm": 9.0})
     assert "diversity_error, bench_narrow: 1" in write_report([hidden, outcome(CLEAN)], {}, tmp_path)

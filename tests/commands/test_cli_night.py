@@ -42,6 +42,7 @@ def test_one_line_states_what_is_wrong_and_where_to_look(bench):
     )
 
 
+@pytest.mark.slow
 def test_several_nights_that_need_a_look_are_reported_in_one_line_too(bench):
     for day in (11, 12, 13):
         bench.record(f"2024-02-{day}T03:00:00", numbers={"4": 500.0 if day < 13 else 5.0})

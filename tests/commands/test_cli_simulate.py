@@ -34,6 +34,7 @@ def test_a_dry_run_tells_what_would_be_made_and_touches_nothing(spec, tmp_path):
     assert first.split()[:4] == ["cube", "7", "x", "0.1"] and first.endswith("simulate  not there yet")
 
 
+@pytest.mark.slow
 def test_a_run_tells_what_it_made_and_where_it_is(spec, tmp_path):
     out = tmp_path / "out"
     result = invoke("simulate", spec, "--output", str(out), "--jobs", "1")
@@ -90,6 +91,7 @@ def test_a_folder_in_use_exits_with_75(spec, tmp_path):
         assert invoke("simulate", spec, "--output", str(tmp_path / "out")).exit_code == 75
 
 
+@pytest.mark.slow
 def test_simulated_sky_data_are_reduced_and_scored_like_measured_ones(tmp_path):
     cube = CUBE | {"frames": 12, "mag_j": 7.0, "window": [40, 40], "detector": {"e_per_adu": 2.0}}
     sky = spec_of({"calibration": cube}, ncpa={"total_nm": 100, "modes": 9}, sky={"seeing_arcsec": 0.4})

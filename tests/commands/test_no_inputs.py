@@ -58,6 +58,7 @@ def test_an_input_given_to_it_is_refused(alone):
     assert result.exit_code == 2 and "unknown input 'cube'; the recipe has no inputs" in result.output
 
 
+@pytest.mark.slow
 def test_a_changed_seed_is_the_reason_to_do_it_again(alone):
     alone.run()
     assert "seed changed 0 -> 4" in alone.run("--dry-run", "--seed", "4").output

@@ -15,6 +15,7 @@ def error_nm(diagnosis, which: int) -> float:
     return float(np.linalg.norm(diagnosis.modes_nm[which] - true))
 
 
+@pytest.mark.slow
 def test_a_clean_cube_has_nothing_missing():
     diagnosis = diagnosis_of("plain")
     assert diagnosis.verdict == "none"
@@ -22,6 +23,7 @@ def test_a_clean_cube_has_nothing_missing():
     assert diagnosis.gap.before < 1.2 * diagnosis.gap.floor
 
 
+@pytest.mark.slow
 def test_what_the_free_modes_absorb_is_called_untestable_not_absent():
     diagnosis = diagnosis_of("plain")
     assert "diversity_error" in diagnosis.untestable  # Noll 6 is estimated
@@ -29,6 +31,7 @@ def test_what_the_free_modes_absorb_is_called_untestable_not_absent():
     assert not set(diagnosis.mdb) & set(diagnosis.untestable)
 
 
+@pytest.mark.slow
 def test_a_second_source_is_named_with_its_size():
     (step,) = diagnosis_of("companion").steps
     assert step.name == "companion"
@@ -39,6 +42,7 @@ def test_a_second_source_is_named_with_its_size():
         assert step.public[key] == pytest.approx(value, abs=4 * step.sigma[key] + 1e-3 * value)
 
 
+@pytest.mark.slow
 def test_the_ncpas_improve_and_the_held_out_gap_closes_with_the_name():
     diagnosis = diagnosis_of("companion")
     assert error_nm(diagnosis, 1) < error_nm(diagnosis, 0) / 5
@@ -49,6 +53,7 @@ def test_the_sentence_says_what_and_how_much():
     assert sentence(diagnosis_of("companion")).startswith("The images want a second source of 3.0")
 
 
+@pytest.mark.slow
 def test_an_opaque_spot_which_the_catalogue_lacks_gets_no_name():
     diagnosis = diagnosis_of("spot")
     assert diagnosis.verdict == "unknown"

@@ -68,11 +68,13 @@ def alone() -> Diagnosis:
     return diagnose(wrong_lens()[:1], [], options())
 
 
+@pytest.mark.slow
 def test_an_error_of_the_diversity_cannot_be_seen_in_one_recording():
     assert alone().verdict == "none"
     assert "diversity_error" in alone().untestable
 
 
+@pytest.mark.slow
 def test_with_a_second_diversity_its_error_is_named_with_its_size():
     (step,) = together().steps
     assert step.name == "diversity_error"
@@ -81,6 +83,7 @@ def test_with_a_second_diversity_its_error_is_named_with_its_size():
     assert step.public["nm"] == pytest.approx(told_more_nm, abs=4 * step.sigma["nm"])
 
 
+@pytest.mark.slow
 def test_the_ncpa_that_it_was_taken_for_is_right_then():
     column = alone().nolls.index(6)
     wrong, right = (d.modes_nm[1][column] - TRUE_NM[6] for d in (alone(), together()))
@@ -88,6 +91,7 @@ def test_the_ncpa_that_it_was_taken_for_is_right_then():
     assert abs(right) < 3
 
 
+@pytest.mark.slow
 def test_one_recording_in_two_halves_is_fitted_as_the_whole():
     """Same frames, same settings: the joint fit must give the estimate of the pooled frames."""
     whole = recording({6: -170.0}, {6: -170.0}, 3)
@@ -103,6 +107,7 @@ def test_one_recording_in_two_halves_is_fitted_as_the_whole():
     assert estimates[1][1] == pytest.approx(estimates[0][1], rel=0.1)
 
 
+@pytest.mark.slow
 def test_gradients_of_the_joint_fit_are_those_of_finite_differences():
     taken = wrong_lens()
     problem = Fitter([one.view(range(2, 8), "cpu") for one in taken], means(taken)).fit([]).problem

@@ -104,6 +104,7 @@ def test_significance_stays_finite_and_grows_far_out():
     assert far[2] == pytest.approx(np.sqrt(1e7), rel=1e-2)
 
 
+@pytest.mark.slow
 def test_what_noise_leaves_of_chi2_is_expected_from_the_frames():
     """Monte Carlo: without anything missing the excess scatters about zero by its σ."""
     deviates = [optimum(cube(image(), seed).training).excess.significance for seed in range(12)]
@@ -111,6 +112,7 @@ def test_what_noise_leaves_of_chi2_is_expected_from_the_frames():
     assert 0.5 < np.std(deviates) < 1.6
 
 
+@pytest.mark.slow
 def test_the_noise_of_the_dark_is_no_excess_and_no_significance():
     """Monte Carlo: a pattern as noisy as the mean of the frames, of which the noise model knows."""
     dark_e2 = 4.0
@@ -134,6 +136,7 @@ def test_the_noise_of_the_dark_is_no_excess_and_no_significance():
     assert np.abs(deviates).max() < 4
 
 
+@pytest.mark.slow
 def test_scores_of_clean_frames_stay_below_the_threshold_and_inflate_nothing():
     present, _ = families(CONDITIONS, ["pupil_misregistration", "phase_bump"])  # the slow ones left out
     found = scores(optimum(cube(image(), 5).training), present)
@@ -157,6 +160,7 @@ def test_of_twins_whose_images_differ_less_than_the_speckles_scatter_the_smaller
         assert several[0][most_plausible(*several, lambda *_: scatter)] == chosen
 
 
+@pytest.mark.slow
 def test_candidates_tried_together_beside_frozen_effects_have_the_derivatives_that_each_has_alone():
     at_rest = optimum(cube(image()).training, [PupilMisregistration()])
     part, x = at_rest.fitted.problem.parts[0], at_rest.fitted.x
@@ -199,6 +203,7 @@ def test_a_linear_size_is_near_the_true_one_when_the_effect_is_weak():
     assert score.significance > 3
 
 
+@pytest.mark.slow
 def test_the_smallest_detectable_size_is_detected_half_of_the_time():
     """Gain of 30 expected at the size told for 30: Monte Carlo over 10 cubes, ±1 of its mean."""
     jitter = Family((TipTiltJitter(),))
@@ -255,6 +260,7 @@ def test_a_drift_beyond_the_range_of_one_linear_step_keeps_its_size():
     assert drift.change_nm[drift.nolls.index(5)] == pytest.approx(60.0, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_steady_wavefront_shows_no_drift():
     stack = cube(image(), 8).training
     assert measure_drift(stack, fitted(stack), sure=5.0).significance < 4

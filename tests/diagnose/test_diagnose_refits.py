@@ -52,6 +52,7 @@ def test_of_names_that_fit_alike_one_that_is_plausible_comes_first():
     assert second.implausible and not first.implausible
 
 
+@pytest.mark.slow
 def test_a_name_is_fitted_from_zero_as_well_where_the_model_lies_in_a_false_minimum(monkeypatch):
     """The gradient is put on the image by hand; the wavefront of the model before is 600 nm off."""
     stack = cube(image() + 6.0 * np.arange(WINDOW)).training
@@ -69,6 +70,7 @@ def test_a_name_is_fitted_from_zero_as_well_where_the_model_lies_in_a_false_mini
     assert refits(fitter, lost, [score])[0].fitted.chi2 > 10 * found.fitted.chi2
 
 
+@pytest.mark.slow
 def test_fits_are_the_same_by_one_worker_and_by_two_and_the_best_ends_in_float64():
     at_rest = optimum(cube(image() + 0.5 * np.arange(WINDOW)).training)
     fitter = Fitter([View(model(), CONDITIONS)], at_rest.stack)
@@ -84,6 +86,7 @@ def test_fits_are_the_same_by_one_worker_and_by_two_and_the_best_ends_in_float64
     assert one[0].fitted.problem.model.psf.dtype == torch.float64
 
 
+@pytest.mark.slow
 def test_rivals_of_the_best_have_converged_in_float64_too():
     """What the images hardly tell apart may be exchanged for each other."""
     at_rest = optimum(cube(image(effect=PlateScale(), values=[-0.02])).training)

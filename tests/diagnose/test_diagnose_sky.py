@@ -9,6 +9,7 @@ import functools
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from helpers.optics_cases import BAND, DIVERSITY, NCPA_LAW, RESIDUAL_LAW, draw_frames, everything
 from helpers.simulated_scenes import FINE, NARROW_H, NCPA_NM, UT4, scene
@@ -59,6 +60,7 @@ def error_nm(modes_nm: np.ndarray, nolls: tuple[int, ...]) -> float:
     return float(np.sqrt(sum((modes_nm[nolls.index(n)] - true[n]) ** 2 for n in range(4, 31))))
 
 
+@pytest.mark.slow
 def test_the_ao_residual_is_what_an_on_sky_model_without_it_lacks_first():
     diagnosis, _ = on_sky()
     assert diagnosis.verdict == "effect"
@@ -66,6 +68,7 @@ def test_the_ao_residual_is_what_an_on_sky_model_without_it_lacks_first():
     assert diagnosis.steps[0].explained > 0.9
 
 
+@pytest.mark.slow
 def test_the_ncpa_error_falls_several_times_with_the_residual_in_the_model():
     diagnosis, _ = on_sky()
     before, after = (error_nm(modes_nm, diagnosis.nolls) for modes_nm in diagnosis.modes_nm)

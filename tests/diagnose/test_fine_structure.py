@@ -50,6 +50,7 @@ def test_the_cut_off_is_that_of_the_aperture():
     assert highest_frequency_per_px(CASE) == pytest.approx(8.0 / 1600e-9 * 9.7e-3 / 206264.806, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_noise_alone_is_not_significant():
     expected = plain() * FLUX_E
     significances = [found(*drawn(expected, seed), expected).significance for seed in range(30)]

@@ -53,6 +53,7 @@ def test_the_example_is_differentiated_without_further_ado(dark_spot, psf):
         assert column.numpy() == pytest.approx(numeric.numpy(), abs=1e-6 * float(numeric.abs().max()))
 
 
+@pytest.mark.slow
 def test_the_example_is_searched_for_and_fitted(dark_spot, psf):
     true_nm = ncpa_nm(3, 11, 60.0)
     mean = ImageModel(psf, [dark_spot]).predict(vector(true_nm, NOLLS), 3e6 * ONE, NONE, SPOT)[0].numpy()

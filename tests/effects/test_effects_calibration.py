@@ -58,6 +58,7 @@ def modes_of(opd_nm: np.ndarray) -> dict[int, float]:
     return dict(zip(range(2, LAST + 1), solution[1:], strict=True))
 
 
+@pytest.mark.slow
 def test_a_companion_anywhere_in_the_window_is_found_by_name_and_no_longer_spoils_the_ncpas():
     x, y = (110.0 * f(np.deg2rad(220.0)) * TILT_NM_PER_MAS for f in (np.cos, np.sin))
     image = (hcipy_image() + 0.05 * hcipy_image(reference(SAMPLES).opd_nm({2: x, 3: y}))) / 1.05
@@ -87,6 +88,7 @@ def test_two_companions_are_found_one_after_the_other():
     assert result.chi2_nu < 1.3
 
 
+@pytest.mark.slow
 def test_with_petals_in_the_model_the_modes_are_those_of_the_whole_wavefront():
     (x, y), effect = xy_m(SAMPLES), STRONG["low_wind_effect"]
     piston, tip, tilt = (0.5 * np.array(effect[key])[petal_of(x, y)] for key in effect)
@@ -100,6 +102,7 @@ def test_with_petals_in_the_model_the_modes_are_those_of_the_whole_wavefront():
     assert np.linalg.norm(result.fitted_modes_nm - result.zernike_nm) > 20
 
 
+@pytest.mark.slow
 def test_a_bump_is_found_and_counted_with_the_modes():
     x, y = xy_m(SAMPLES)
     bump_nm = 200.0 * np.exp(-((x + 1.5) ** 2 + (y - 2.0) ** 2) / (2 * 0.4**2))
@@ -111,6 +114,7 @@ def test_a_bump_is_found_and_counted_with_the_modes():
     assert error_nm(result, {noll: NCPA_NM[noll] + added[noll] for noll in added}) < 2.0
 
 
+@pytest.mark.slow
 def test_a_drift_is_measured_in_the_frames_with_its_sign():
     drift_nm = {4: -60.0, 7: 40.0}
     change = reference(SAMPLES).opd_nm(drift_nm)
@@ -121,6 +125,7 @@ def test_a_drift_is_measured_in_the_frames_with_its_sign():
     assert error_nm(result, NCPA_NM) < 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["companion", "phase_bump", "vibration"])
 def test_what_is_not_there_is_not_found(name):
     result = calibrated(hcipy_image(), name)

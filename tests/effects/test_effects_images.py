@@ -6,6 +6,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import pytest
 import torch
 from helpers.effect_cases import NOLLS, SPECTRUM, STRONG, WINDOW, affected, made
 from helpers.optics_cases import DIVERSITY, MAS_RAD, SCALE_MAS, ncpa_nm, settings, vector
@@ -63,6 +64,7 @@ def polar(size: float, angle_deg: float) -> tuple[float, float]:
     return size * np.cos(np.deg2rad(angle_deg)), size * np.sin(np.deg2rad(angle_deg))
 
 
+@pytest.mark.slow
 def test_a_sinusoidal_vibration_is_the_time_average_of_the_moving_image():
     x, y = polar(np.sqrt(2) * 14.0, 35.0)
     phases = np.cos((np.arange(8) + 0.5) * np.pi / 8)  # Gauss-Chebyshev: half a period
@@ -96,6 +98,7 @@ def test_a_diversity_error_is_more_of_the_diversity():
     agree(ours("diversity_error"), truth(larger))
 
 
+@pytest.mark.slow
 def test_a_misplaced_stop_and_turned_vanes_pass_light_where_both_do():
     agree(ours("pupil_misregistration"), truth(transmission=reference().misregistered((0.12, -0.08), 4.0)))
 
@@ -105,10 +108,12 @@ def test_an_amplitude_aberration_multiplies_the_field():
     agree(ours("amplitude_aberration"), truth(transmission=reference().transmission * factor))
 
 
+@pytest.mark.slow
 def test_high_orders_are_further_zernike_modes():
     agree(ours("high_order_ncpa"), truth(reference().opd_nm(STRONG["high_order_ncpa"]["zernike_nm"])))
 
 
+@pytest.mark.slow
 def test_a_bump_is_a_gaussian_in_the_pupil():
     (x, y), bump = xy_m(), STRONG["phase_bump"]
     distance2 = (x - bump["x_m"]) ** 2 + (y - bump["y_m"]) ** 2
@@ -130,6 +135,7 @@ def petal_of(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.select([first, third, x < y], [0, 2, 1], 3)
 
 
+@pytest.mark.slow
 def test_petals_have_their_piston_tip_and_tilt():
     (x, y), effect = xy_m(), STRONG["low_wind_effect"]
     petal = petal_of(x, y)
@@ -137,11 +143,13 @@ def test_petals_have_their_piston_tip_and_tilt():
     agree(ours("low_wind_effect"), truth(piston + 2 / 4.0 * (tip * x + tilt * y)))
 
 
+@pytest.mark.slow
 def test_a_companion_is_a_second_image_elsewhere():
     secondary = truth(tilt_nm(*polar(90.0, 300.0)))
     agree(ours("companion"), (truth() + 0.2 * secondary) / 1.2)
 
 
+@pytest.mark.slow
 def test_a_drift_blurs_the_mean_image_and_moves_single_ones():
     effect, values = made("ncpa_drift")
     whole = ImageModel(model(), [effect])

@@ -45,6 +45,7 @@ def differences(effect, values: torch.Tensor, when=None) -> torch.Tensor:
     return (torch.stack(high) - torch.stack(low)) / (2 * steps[:, None, None, None])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SMOOTH)
 def test_derivatives_at_a_strong_level_are_finite_differences(name):
     effect, values = made(name)
@@ -52,6 +53,7 @@ def test_derivatives_at_a_strong_level_are_finite_differences(name):
         assert ours.numpy() == pytest.approx(theirs.numpy(), abs=2e-5 * float(theirs.abs().max()))
 
 
+@pytest.mark.slow
 def test_effects_in_the_pupil_are_differentiated_through_those_behind_them():
     (stop, turned), (bump, place) = made("pupil_misregistration"), made("phase_bump")
     (petals, steps), (amplitude, factors) = made("low_wind_effect"), made("amplitude_aberration")
@@ -100,6 +102,7 @@ def amplitude(distance_m: float, direction_rad: float, rotation_deg: float) -> n
     return band_limited(with_vanes_turned(UT4, rotation_deg), 64, stop_m=stop_m, subsamples=32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("index", "step"), [(0, 0.004), (1, 0.03), (2, 0.06)])
 def test_derivatives_of_the_misregistered_pupil_are_good_to_a_few_percent(index, step):
     values, move = np.array([0.15, -0.6, 4.0]), np.zeros(3)
@@ -121,6 +124,7 @@ def searched(name: str) -> list[Effect]:
     return kind.under(CONDITIONS, **kind.options_for(**STRONG[name])).candidates(WINDOW, 9.7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(IN_IMAGES))
 def test_every_effect_is_absent_at_its_null_values(name):
     plain = ImageModel(psf()).predict(WAVEFRONTS, FLUX, BACKGROUND)
@@ -131,6 +135,7 @@ def test_every_effect_is_absent_at_its_null_values(name):
         assert absent.numpy() == pytest.approx(plain.numpy(), abs=with_halo_otf * float(plain.max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(IN_IMAGES) - {"ncpa_drift"}))
 def test_every_effect_shows_in_the_derivative_at_its_null_values(name):
     for effect in searched(name)[::7]:
@@ -147,6 +152,7 @@ def test_a_drift_shows_in_single_frames_only():
     assert columns(effect, none, torch.tensor([0.0, 1.0])).abs().amax((1, 2, 3)).min() > 1
 
 
+@pytest.mark.slow
 def test_a_shift_of_the_stop_darkens_the_rim_whichever_way_it_goes():
     """Analysis: to first order the light falls by the projected width of the rim and of the hole."""
     for effect in PupilMisregistration().candidates(WINDOW, 9.7)[:-1]:

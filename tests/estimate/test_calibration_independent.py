@@ -20,6 +20,7 @@ def frames_of(case) -> Frames:
     return Frames(images, everything(images), READ_NOISE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_finds_the_aberrations_of_independent_frames(method):
     case = settings(48)
@@ -36,6 +37,7 @@ def test_the_mean_of_frames_without_model_error_has_a_chi2_of_one():
     assert result.chi2_nu == pytest.approx(1, abs=4 * np.sqrt(2 / freedom))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", [51, (40, 57)], ids=str)
 def test_odd_and_rectangular_windows_in_two_colours_bring_no_bias(window):
     case = settings(window, ((1560.0, 1.0), (1690.0, 2.0)))

@@ -70,6 +70,7 @@ def test_half_a_turn_tells_odd_orders_apart_only(parts):
     assert np.allclose(split.unsplit.zernike_nm[~odd], (parts[0] + parts[1])[~odd], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_errors_and_chi2_are_those_of_monte_carlo(parts, correlated):
     series = make(parts, covariance=correlated)
     roots = np.linalg.cholesky(correlated)

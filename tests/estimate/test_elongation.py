@@ -95,6 +95,7 @@ def test_the_law_gives_the_defocus_of_images_within_its_range(diversity):
     assert np.abs(law.defocus_nm(ratio) - defocus).max() < 65
 
 
+@pytest.mark.slow
 def test_the_law_holds_with_residual_noise_and_another_star_position():
     case = settings(64, J_AND_H[1::3])
     own = PsfModel(case, (4,))

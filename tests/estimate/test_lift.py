@@ -51,6 +51,7 @@ def estimate(model, images, introduced_nm, options=None):
     return fit_ramp(model, data, start, options or LiftOptions()).result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mag_j", [9, 12, 15, 18])
 def test_lift_is_unbiased_efficient_and_its_error_bars_hold(model, mag_j):
     images = 400
@@ -68,6 +69,7 @@ def test_lift_is_unbiased_efficient_and_its_error_bars_hold(model, mag_j):
     assert abs(float(result.chi2_nu.mean()) - 1) < 0.01
 
 
+@pytest.mark.slow
 def test_weights_from_the_image_itself_are_biased_where_the_model_s_are_not(model):
     """The reason for iterating the variances: at low flux, low pixels get too much weight."""
     images = 300
@@ -124,6 +126,7 @@ def test_masked_pixels_carry_no_weight(model):
     assert torch.allclose(a.zernike_nm, b.zernike_nm, atol=0.05)
 
 
+@pytest.mark.slow
 def test_the_capture_range_exceeds_600_nm_either_way(model):
     introduced = np.linspace(-600, 600, 25)
     true = torch.zeros(25, 3, dtype=torch.float64)
@@ -137,6 +140,7 @@ def test_the_capture_range_exceeds_600_nm_either_way(model):
     assert np.abs(result.mode(4)[0].numpy() - introduced).max() < 5
 
 
+@pytest.mark.slow
 def test_frames_that_all_converge_to_a_wrong_defocus_are_found_though_none_stands_out(model):
     """All end near the opposite defocus: none fits better than the others, only the scan can decide."""
     true = torch.zeros(4, 3, dtype=torch.float64)
@@ -192,6 +196,7 @@ def test_pixels_that_are_masked_count_for_nothing_where_variances_follow(model):
     assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
 
 
+@pytest.mark.slow
 def test_variances_that_follow_lead_where_endless_re_weighting_does(model):
     true = random_modes(20, seed=11)
     data = drawn(model, true, 3e4, seed=12)
@@ -205,6 +210,7 @@ def test_variances_that_follow_lead_where_endless_re_weighting_does(model):
     assert ((x - found.solution.values)[:, :3].abs() < 0.02 * found.sigma_nm).all()
 
 
+@pytest.mark.slow
 def test_images_that_are_fitted_in_pieces_find_what_they_find_together(model, monkeypatch):
     true = random_modes(7, seed=21)
     data = drawn(model, true, 3e4, seed=22)

@@ -34,6 +34,7 @@ def drawn(model: ImageModel, flux_e: float) -> torch.Tensor:
     return torch.cat(realisations)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flux_e", [3e5, 3e3])
 @pytest.mark.parametrize("prior", [None, LIMIT])
 def test_estimates_are_those_of_fits_with_derivatives_of_their_own(model, flux_e, prior):

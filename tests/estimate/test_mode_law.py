@@ -32,6 +32,7 @@ def test_an_exact_law_is_returned():
     assert law.plateau_noll == 24
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draws", [1, 20])
 def test_parameters_scatter_as_their_errors_say(draws):
     pulls, deviances = [], []

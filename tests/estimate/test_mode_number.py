@@ -30,26 +30,31 @@ def scan(truth_nm):
     return scan_mode_numbers(frames, cases.settings(WINDOW), CalibrationOptions(), NUMBERS)
 
 
+@pytest.mark.slow
 def test_the_simulated_number_is_recommended(scan):
     choice = choose(scan.misfit)
     assert scan.highest_nolls[choice.recommended] == 15
 
 
+@pytest.mark.slow
 def test_unseen_frames_see_too_few_modes_and_too_many(scan):
     misfit = scan.misfit.mean(axis=1)
     assert misfit[0] > misfit[1] > misfit[2] + 0.1
     assert misfit[2] < misfit[3] < misfit[4]
 
 
+@pytest.mark.slow
 def test_frames_that_were_fitted_do_not_see_too_many(scan):
     assert abs(scan.fitted_chi2_nu[2] - 1) < 0.06
     assert abs(scan.fitted_chi2_nu[4] - 1) < 0.06
 
 
+@pytest.mark.slow
 def test_the_misfit_of_a_good_model_is_one(scan):
     assert scan.misfit[2].mean() == pytest.approx(1, abs=0.05)
 
 
+@pytest.mark.slow
 def test_halves_differ_as_their_mean_errs(scan, truth_nm):
     true = np.array([truth_nm.get(noll, 0.0) for noll in scan.nolls])
     error = np.linalg.norm(scan.mean_nm[2] - true)
@@ -57,6 +62,7 @@ def test_halves_differ_as_their_mean_errs(scan, truth_nm):
     assert np.linalg.norm(scan.mean_nm[0] - true) > 10 * error
 
 
+@pytest.mark.slow
 def test_modes_that_are_not_estimated_count_as_zero(scan):
     assert np.all(scan.zernike_nm[0][:, np.array(scan.nolls) > 6] == 0)
 
@@ -83,6 +89,7 @@ def test_the_smallest_number_within_the_error_of_the_best_is_chosen():
     assert choice.excess[3] > 5 * choice.excess_sigma[3]
 
 
+@pytest.mark.slow
 def test_masked_pixels_do_not_count(scan, truth_nm):
     image = PsfModel(cases.settings(WINDOW), NOLLS).images(cases.vector(truth_nm, NOLLS))
     images = cases.draw_frames(image[0].double().numpy() * FLUX, FRAMES, seed=1)

@@ -83,6 +83,7 @@ def test_what_looks_the_same_is_not_told_apart():
     assert np.isnan([summary.saw_tooth_nm, summary.part_bias_nm]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["slope", "saw_tooth", "part_bias"])
 def test_quoted_errors_are_the_scatter_over_many_ramps(name):
     rng = np.random.default_rng(2)

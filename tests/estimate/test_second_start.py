@@ -51,6 +51,7 @@ def test_frames_that_cannot_be_fitted_do_not_count(frames, truth_nm):
     assert torch.all(median_of_frames_nm(model, images, frames.pixel_mask, frames.noise) == 0)
 
 
+@pytest.mark.slow
 def test_a_fit_that_ended_wrong_is_tried_again(frames, truth_nm, monkeypatch):
     def far_off(scheme, frames, problem):
         start = start_at_centroids(frames, problem)

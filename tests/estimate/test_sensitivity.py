@@ -28,6 +28,7 @@ def bright_image() -> np.ndarray:
     return model.images(torch.zeros(1, 1))[0].double().numpy() * 2e5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.6, 0.05])
 def test_dimmed_frames_have_mean_and_variance_of_a_faint_star(bright_image, factor):
     frames = cases.draw_frames(bright_image, FRAMES, seed=1, noise=NOISE)
@@ -89,6 +90,7 @@ def test_a_magnitude_at_which_everything_fails_has_no_error():
     assert curve.limit_mag == 12.0
 
 
+@pytest.mark.slow
 def test_a_scan_reaches_the_bound_where_frames_err_by_noise_alone():
     """Monte Carlo: noisy frames of the model itself, so that the error is that of an efficient estimate."""
     model = PsfModel(cases.settings(24), [2, 3, 4])

@@ -43,6 +43,7 @@ def jitter_fit(model: PsfModel, seed: int, start_mas: float = 7.0, sigma_mas: fl
     return joint_fit(model, EffectSet((TipTiltJitter(start_mas),), model.grids), sigma_mas**2, 10 * seed)
 
 
+@pytest.mark.slow
 def test_the_size_of_the_object_is_recovered_from_a_ramp(model):
     fits = [jitter_fit(model, seed) for seed in range(12)]
     assert {fit.status for fit in fits} == {"converged"}
@@ -59,6 +60,7 @@ def test_the_defocus_of_every_image_is_recovered_beside(model):
     assert fit.x[:, 2].numpy() == pytest.approx(np.array(DEFOCUS_NM), abs=1.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start_mas", [1.0, 30.0])
 def test_the_result_does_not_depend_on_the_start(model, start_mas):
     near, far = jitter_fit(model, 60), jitter_fit(model, 60, start_mas)

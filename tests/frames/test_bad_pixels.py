@@ -50,6 +50,7 @@ def test_neighbours_predict_a_pixel_of_a_telescope_image(sampling):
     assert np.abs(predicted - image)[2:-2, 2:-2].max() < tolerance * image.max()
 
 
+@pytest.mark.slow
 def test_the_variance_of_the_prediction_is_that_of_noise():
     prediction = neighbour_prediction(ALL, SAMPLING_PX)
     noise = np.random.default_rng(0).normal(0, 2, (4000, *ALL.shape))

@@ -23,6 +23,8 @@ from irlos_pipe.night.tasks import Task
 from irlos_pipe.pipeline import provenance, run_recipe
 from irlos_pipe.product.storage import read_product
 
+pytestmark = pytest.mark.slow
+
 RECIPE = """\
 recipe: small
 inputs: {calibration: none}

@@ -4,6 +4,8 @@ import os
 import signal
 from pathlib import Path
 
+import pytest
+
 from irlos_pipe.night.engines import local_runner
 from irlos_pipe.night.reduce import Reduced
 from irlos_pipe.night.tasks import Task
@@ -15,6 +17,7 @@ def reduce_or_die(task: Task) -> Reduced:
     return Reduced(task.name, task.folder, "new")
 
 
+@pytest.mark.slow
 def test_a_killed_process_costs_only_its_own_task(tmp_path):
     tasks = [Task(name, tmp_path / name, Path("recipe.yaml")) for name in ("bad", "good")]
     found = {one.name: one for one in local_runner(1)(reduce_or_die, tasks)}

@@ -14,6 +14,8 @@ from helpers.simulation_specs import CUBE, RAMP, simulated, spec_of, written
 from irlos_pipe.night.settings import BandSettings
 from irlos_pipe.night.trend import read_trend
 
+pytestmark = pytest.mark.slow
+
 TRUTH_NM = {4: 40.0, 7: -30.0, 11: 20.0}
 SMALL = {
     "model.pupil_samples": 64,

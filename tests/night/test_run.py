@@ -90,6 +90,7 @@ def test_the_exit_code_is_that_of_bad_data_when_nothing_can_be_reduced(bench):
     assert bench.run().exit_code == 3
 
 
+@pytest.mark.slow
 def test_a_failed_limit_is_exit_code_4_and_failed_exposures_are_5(bench):
     folder = bench.record(MORNING, numbers={"4": 500.0})
     state = bench.run()
@@ -107,6 +108,7 @@ def test_a_ramp_without_a_calibration_of_its_configuration_is_a_failure(bench):
     assert "offset: no calibration cube of its configuration" in state.nights["2024-02-10"].failures[0]
 
 
+@pytest.mark.slow
 def test_a_ramp_uses_a_calibration_that_an_earlier_run_found(bench):
     bench.record("2024-02-09T03:00:00")
     bench.run()
@@ -203,6 +205,7 @@ def test_the_tree_must_lie_outside_the_recordings(bench):
 # -- reprocessing ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_after_a_change_exactly_the_stages_that_depend_on_it_are_redone_with_the_reason(bench, monkeypatch):
     for day in (11, 12):
         bench.record(f"2024-02-{day}T03:00:00")
@@ -217,6 +220,7 @@ def test_after_a_change_exactly_the_stages_that_depend_on_it_are_redone_with_the
         assert "stage version 1 -&gt; 2" in bench.page(night.date)
 
 
+@pytest.mark.slow
 def test_a_changed_recording_redoes_its_group_only(bench):
     folder = bench.record(MORNING)
     bench.record("2024-02-11T04:00:00", "other")
@@ -242,6 +246,7 @@ def test_a_dry_run_lists_stages_with_reasons_and_writes_nothing(bench, monkeypat
     assert contents(bench.run_folder()) == before and COUNTS["calibrate"] == 1
 
 
+@pytest.mark.slow
 def test_old_products_stay_complete_when_a_later_stage_of_the_new_ones_fails(bench, monkeypatch):
     folder = bench.record(MORNING)
     bench.run()
@@ -257,6 +262,7 @@ def test_old_products_stay_complete_when_a_later_stage_of_the_new_ones_fails(ben
     assert after["02_calibrate.h5"] != before["02_calibrate.h5"] and not list(folder.glob(".*.part"))
 
 
+@pytest.mark.slow
 def test_an_interrupted_reprocessing_continues_where_it_stopped(bench, monkeypatch):
     folder = bench.record(MORNING)
     bench.run()
@@ -277,6 +283,7 @@ def _interrupted(_):
     raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_a_reverted_change_keeps_the_old_products_and_removes_unfinished_ones(bench, monkeypatch):
     bench.record(MORNING)
     bench.run()

@@ -167,6 +167,7 @@ def test_json_holds_every_point_with_its_band(tree):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ending", "begin"), [("svg", b"<?xml"), ("png", b"\x89PNG")])
 def test_a_plot_is_drawn_to_a_file(tree, ending, begin):
     path = tree / f"focus.{ending}"

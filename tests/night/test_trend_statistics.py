@@ -79,6 +79,7 @@ def test_changes_that_noise_explains_count_as_none():
 # -- bands -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nights", [5, 10, 40])
 @pytest.mark.parametrize("probability", [0.05, 0.01])
 def test_false_alarms_are_not_more_frequent_than_requested(nights, probability):

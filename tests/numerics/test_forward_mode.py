@@ -37,6 +37,7 @@ def test_derivatives_along_one_element_along_a_direction_and_along_several():
     assert pushed_all(squares, VALUES, columns)[:, 1].tolist() == pytest.approx([1.2, -9.6, 0.0])
 
 
+@pytest.mark.slow
 def test_threads_do_not_meet_in_their_derivatives():
     """Without taking turns PyTorch refuses, or mixes their levels up."""
 

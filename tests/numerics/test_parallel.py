@@ -25,6 +25,7 @@ def fitted(count: int) -> torch.Tensor:
         return solve(problem, problem.layout.start(images[:, 0])).values
 
 
+@pytest.mark.slow
 def test_fits_are_the_same_to_the_bit_for_any_number_of_workers():
     """Repeated: a worker that uses two threads inside a product differs now and then only."""
     alone = fitted(1)

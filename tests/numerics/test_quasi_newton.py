@@ -62,6 +62,7 @@ def test_a_quadratic_with_its_own_hessian_takes_one_step():
     assert found.iterations.tolist() == [2, 2, 2]  # where it starts, and where the step leads
 
 
+@pytest.mark.slow
 def test_members_do_not_see_each_other():
     """Those of one piece, of different pieces, and in different threads."""
     many = starts(2 * FRAMES_PER_PIECE + 3)

@@ -125,6 +125,7 @@ CALCULATIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CALCULATIONS)
 def test_no_operation_mixes_tensors_of_two_devices(name):
     expected = CALCULATIONS[name]("cpu")

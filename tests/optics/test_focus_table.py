@@ -74,6 +74,7 @@ def test_derivatives_are_those_of_the_finer_models_images(mode):
     assert (jacobian[:, mode] - truth).abs().max() < 1e-4 * truth.abs().max()
 
 
+@pytest.mark.slow
 def test_effects_are_in_the_table():
     model, fine, x = PsfModel(SETTINGS, TTF), fine_model(), wavefronts()
     held = (

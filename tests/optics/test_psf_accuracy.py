@@ -29,6 +29,7 @@ def images(case, zernike_nm, nolls=NOLLS, dtype=torch.float32) -> np.ndarray:
     return PsfModel(case, nolls, dtype=dtype).images(vector(zernike_nm, nolls))[0].double().numpy()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", [64, 51, (40, 57)], ids=str)
 @pytest.mark.parametrize("wavelength_nm", [1170.0, 1600.0])
 @pytest.mark.parametrize(
@@ -42,6 +43,7 @@ def test_images_agree_with_hcipy_to_1e_4_of_the_peak(window, wavelength_nm, zern
     assert abs(error.sum()) <= 1e-4 * truth.sum()
 
 
+@pytest.mark.slow
 def test_a_broad_band_image_agrees_with_hcipy():
     case = settings(64, J_AND_H)
     truth = reference().spectral_image(STRONG, case)
@@ -93,6 +95,7 @@ def moved_px(case, noll: int, pixels: int) -> float:
     return 2 * pixels + np.sum(slope * (after[:, 2 * pixels :] - before[:, : -2 * pixels])) / np.sum(slope**2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wavelength_nm", WAVELENGTHS_NM)
 @pytest.mark.parametrize("noll", [2, 3], ids=["x-tilt to columns", "y-tilt to rows"])
 def test_a_tilt_moves_the_image_by_its_angle_to_1e_6_at_every_wavelength(noll, wavelength_nm):
@@ -113,6 +116,7 @@ def test_pixels_hold_the_integral_over_their_area():
     assert coarse == pytest.approx(fine.reshape(20, 3, 20, 3).sum((1, 3)), abs=1e-6 * coarse.max())
 
 
+@pytest.mark.slow
 def test_a_wide_window_holds_nearly_all_light():
     total = images(settings(192), {}, (4,), torch.float64).sum()
     assert total == pytest.approx(reference().spectral_image({}, settings(192)).sum(), rel=1e-4)

@@ -107,6 +107,7 @@ def test_derivatives_with_respect_to_an_effect_do_not_vanish_when_it_is_absent(m
         assert column.abs().max() > 0
 
 
+@pytest.mark.slow
 def test_splitting_a_batch_does_not_change_it(model, wavefronts, monkeypatch):
     many = wavefronts.repeat(3, 1)
     together = model.images_and_jacobian(many)

@@ -19,6 +19,7 @@ SPECTRUM = ((1170.0, 0.5), (1625.0, 0.5))
 NOLLS = (2, 3, 4)
 
 
+@pytest.mark.slow
 def test_the_defocus_of_bright_frames_errs_by_a_hundredth_of_a_nanometre():
     truth_nm = torch.tensor([[20.0, -30.0, defocus] for defocus in (-300.0, 0.0, 300.0)]).double()
     diversity = ncpa_nm(3)

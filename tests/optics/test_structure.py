@@ -153,6 +153,7 @@ def screens_nm(variance_nm2: float, seed: int):
         yield from (pair.real, pair.imag)
 
 
+@pytest.mark.slow
 def test_the_long_exposure_is_the_mean_of_images_through_random_screens():
     wavelength_nm, window = NARROW_H[0][0], (32, 32)
     imager = reference(SAMPLES)

@@ -74,6 +74,7 @@ def test_modes_are_orthonormal_over_the_unobscured_disc():
     assert (modes * weight) @ modes.T == pytest.approx(np.eye(66), abs=1e-10)
 
 
+@pytest.mark.slow
 def test_all_modes_are_those_of_hcipy():
     hcipy = pytest.importorskip("hcipy")
     grid = hcipy.make_pupil_grid(32, 2.0)

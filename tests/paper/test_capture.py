@@ -30,28 +30,33 @@ def estimates(found, start) -> Estimates:
 # -- the experiment ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", ["scan", "default"])
 def test_the_scan_and_the_default_find_every_defocus(found, start):
     assert estimates(found, start).captured.all()
     assert estimates(found, start).error_nm.max() < 20
 
 
+@pytest.mark.slow
 def test_a_start_from_zero_misses_large_defocus_only(found):
     zero = estimates(found, "zero")
     assert zero.within(350).captured.all()
     assert not zero.captured.all()
 
 
+@pytest.mark.slow
 def test_estimates_that_are_captured_agree_whatever_the_start(found):
     both = estimates(found, "zero").captured
     assert found["zero/defocus_nm"][both] == pytest.approx(found["scan/defocus_nm"][both], abs=1)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_frames(found):
     again = simulate_ramp(SAMPLE)
     assert np.array_equal(again.data.introduced_nm, found["true_nm"])
 
 
+@pytest.mark.slow
 def test_every_frame_has_its_own_sky_and_pointing():
     ramp = simulate_ramp(replace(SAMPLE, frames=6, reach_nm=1e-6, shift_px=3.0))
     assert np.std(ramp.data.introduced_nm) > 1  # what is left is the defocus of the sky
@@ -60,6 +65,7 @@ def test_every_frame_has_its_own_sky_and_pointing():
     assert 0.5 < columns.std() < 3.0
 
 
+@pytest.mark.slow
 def test_the_ncpas_given_to_lift_err_as_asked():
     ramps = [
         simulate_ramp(replace(SAMPLE, seed=(seed,), frames=1, calibration_error_nm=20.0)) for seed in range(8)
@@ -114,6 +120,7 @@ def output(found, monkeypatch):
     return run_stage(monkeypatch, stage, config, lambda sample: found)
 
 
+@pytest.mark.slow
 def test_the_stage_reports_every_start_and_passes_when_the_default_misses_nothing(output):
     rows = {row.start: row for row in output.results.starts}
     assert tuple(rows) == STARTS
@@ -122,6 +129,7 @@ def test_the_stage_reports_every_start_and_passes_when_the_default_misses_nothin
     assert output.checks[0].value == 0 and output.arrays["true_nm"].value.shape == (12,)
 
 
+@pytest.mark.slow
 def test_the_section_shows_starts_and_their_estimates(output):
     success, scatter, table = section_of(output, "capture", capture_section).blocks
     assert success.title == "Success against defocus"

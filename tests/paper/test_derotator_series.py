@@ -44,6 +44,7 @@ def random_points(count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
     return radius * np.cos(azimuth), radius * np.sin(azimuth)
 
 
+@pytest.mark.slow
 def test_the_bump_is_the_ridge_but_for_piston_tip_and_tilt():
     x, y = random_points()
     bump = phase_bump_nm()
@@ -54,11 +55,13 @@ def test_the_bump_is_the_ridge_but_for_piston_tip_and_tilt():
     assert rms_beyond_tilt_nm(bump) == pytest.approx(186, abs=1)
 
 
+@pytest.mark.slow
 def test_a_good_part_of_the_bump_lies_beyond_the_29_modes():
     beyond = {noll: value for noll, value in phase_bump_nm().items() if noll > 30}
     assert rms_beyond_tilt_nm(beyond) == pytest.approx(62, abs=1)
 
 
+@pytest.mark.slow
 def test_the_truth_at_an_angle_is_what_the_simulator_makes():
     scene = replace(sample().scene(), sky=None, motion=None, frames=1)
     exposed = expose(scene)
@@ -97,6 +100,7 @@ def test_a_wrong_truth_shows_by_its_size(perfect):
     assert errors.rotating_nm < 1e-9
 
 
+@pytest.mark.slow
 def test_both_methods_estimate_the_cube_and_the_default_errs_less():
     found = estimate(sample())
     assert usable_modes(tuple(found["dip_global/noll"]))[2:].all()

@@ -11,6 +11,7 @@ from irlos_pipe.conventions.errors import InputDataError, IrlosError
 from irlos_pipe.paper.common.ensemble import run_samples, sample_key
 
 
+@pytest.mark.slow
 def test_results_stand_in_the_order_of_the_samples_and_are_what_the_function_returns(tmp_path):
     (tmp_path / "a.hold").touch()  # the first sample ends last
     samples = draws(tmp_path)
@@ -42,6 +43,7 @@ class ReleasesFirst:
             self.hold.unlink()
 
 
+@pytest.mark.slow
 def test_results_are_the_same_to_the_bit_for_any_number_of_jobs(tmp_path):
     one, three = (
         run_samples(draw, draws(tmp_path), context(tmp_path / str(jobs), jobs), "draws") for jobs in (1, 3)
@@ -51,6 +53,7 @@ def test_results_are_the_same_to_the_bit_for_any_number_of_jobs(tmp_path):
         assert all(np.array_equal(first[name], second[name]) for name in first)
 
 
+@pytest.mark.slow
 def test_only_what_is_missing_is_computed_again_and_nothing_of_it_changes(tmp_path):
     ctx, samples = context(tmp_path / "scratch"), draws(tmp_path)
     before = run_samples(draw, samples[:2], ctx, "draws")
@@ -63,6 +66,7 @@ def test_only_what_is_missing_is_computed_again_and_nothing_of_it_changes(tmp_pa
     assert np.array_equal(after[1]["product"], before[1]["product"])
 
 
+@pytest.mark.slow
 def test_finished_samples_need_no_process_and_equal_ones_are_computed_once(tmp_path, monkeypatch):
     ctx, samples = context(tmp_path / "scratch"), draws(tmp_path, "a") * 3
     assert len(run_samples(draw, samples, ctx, "draws")) == 3 and computed(tmp_path) == ["a"]
@@ -71,6 +75,7 @@ def test_finished_samples_need_no_process_and_equal_ones_are_computed_once(tmp_p
     assert run_samples(draw, [], ctx, "draws") == []
 
 
+@pytest.mark.slow
 def test_an_error_of_a_sample_keeps_its_kind_and_names_the_sample(tmp_path):
     samples = [{"seed": seed, "name": f"cube {seed}"} for seed in (1, 2)]
     with pytest.raises(InputDataError, match=r"^scan: sample cube 2: no star in the window$"):
@@ -80,6 +85,7 @@ def test_an_error_of_a_sample_keeps_its_kind_and_names_the_sample(tmp_path):
     assert len(list(tmp_path.glob("*.npz"))) == 1  # what was finished stays
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_gives_one_line_and_finished_samples_stay(tmp_path):
     samples = [{"seed": 1}, {"seed": 2}]
     with pytest.raises(IrlosError, match=r"^scan: a worker process was killed, .* run the same command"):
@@ -87,6 +93,7 @@ def test_a_worker_that_dies_gives_one_line_and_finished_samples_stay(tmp_path):
     assert [file.stem for file in tmp_path.glob("*.npz")] == [sample_key(die, samples[0])]
 
 
+@pytest.mark.slow
 def test_every_worker_uses_one_thread_and_this_process_keeps_its_own(tmp_path, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)

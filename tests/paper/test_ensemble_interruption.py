@@ -12,6 +12,8 @@ from conftest import Bench, products
 from helpers.ensemble_cases import NAMES, computed, lift
 from helpers.paths import HELPERS, REPOSITORY
 
+pytestmark = pytest.mark.slow
+
 FAKE_CLI = HELPERS / "ensemble_cases.py"
 
 

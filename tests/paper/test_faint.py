@@ -35,16 +35,19 @@ def found():
 # -- the experiment ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_variant_has_an_error_for_every_frame_and_realisation(found):
     assert all(found[f"0.1/{key}/abs_error_nm"].shape == (2, 4) for key in COMPARED)
 
 
+@pytest.mark.slow
 def test_calibrated_ncpas_leave_the_residual_of_the_sky(found):
     default, none = (np.median(found[f"0.1/{key}/abs_error_nm"][0]) for key in ("default_3", "none_3"))
     assert default < np.abs(found["0.1/residual_nm"]).max() + 10
     assert default < 0.6 * none
 
 
+@pytest.mark.slow
 def test_the_bound_grows_as_the_star_fades(found):
     bright, faint = found["0.1/default_3/crb_nm"]
     # Four magnitudes: between the square root of the flux, and the flux, which read noise alone would give.
@@ -105,6 +108,7 @@ def test_scans_that_cannot_be_made_are_refused(changes, message):
         stage.Config(**changes)
 
 
+@pytest.mark.slow
 def test_the_stage_gives_a_curve_per_variant_and_the_section_draws_them(found, monkeypatch):
     config = stage.Config(exposures_s=(0.1,), faintest_mag_j=(13.0,), magnitudes=2, mag_step=4.0, samples=2)
     output = run_stage(monkeypatch, stage, config, lambda sample: found)

@@ -46,12 +46,14 @@ def found():
 # -- the experiment ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_ncpas_and_residual_beat_the_kernel_tuned_by_hand(found):
     errors = {key: target_errors(found, key).rms_nm for key in VARIANT_KEYS}
     assert errors["default_3"] < 12
     assert errors["default_3"] < 0.5 * errors["hand_9"]
 
 
+@pytest.mark.slow
 def test_every_variant_and_start_is_there_for_every_frame(found):
     assert all(found[f"{key}/defocus_nm"].shape == (3,) for key in VARIANT_KEYS)
     assert all(found[f"{key}/{start}/wrong"].shape == (3,) for key in STARTED for start in STARTS)
@@ -135,6 +137,7 @@ def test_a_minimum_is_wrong_when_another_start_found_a_better_one_elsewhere():
 # -- stage and report ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_stage_sums_up_both_targets_and_the_section_shows_them(found, monkeypatch):
     config = stage.Config(samples=2, offsets=(3, 3), frames_per_offset=(1, 1), cube_frames=40)
     output = run_stage(monkeypatch, stage, config, lambda one: found)
@@ -149,6 +152,7 @@ def test_the_stage_sums_up_both_targets_and_the_section_shows_them(found, monkey
     assert section.blocks[2].marks.count("good") == 2
 
 
+@pytest.mark.slow
 def test_only_the_first_ramp_has_the_papers_number_of_frames(found, monkeypatch):
     seen = []
     config = stage.Config(samples=2, frames_per_offset=(10, 20), frames_of_others=3)

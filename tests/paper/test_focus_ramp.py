@@ -33,11 +33,13 @@ def found():
     return estimate(SAMPLE)
 
 
+@pytest.mark.slow
 def test_calibrated_ncpas_bring_the_error_down_to_a_few_nanometres(found):
     assert ramp_errors(found, "default_3").true_rms_nm < 10
     assert ramp_errors(found, "default_3").true_rms_nm < 0.5 * ramp_errors(found, "none_3").true_rms_nm
 
 
+@pytest.mark.slow
 def test_the_ncpas_given_to_lift_count_as_estimated(found):
     given = found["default_3/modes_nm"][:, 2] - found["default_3/defocus_nm"]
     assert given == pytest.approx(np.full(3, scenes_of(SAMPLE)[0].ncpa_nm[4]), abs=15)
@@ -51,6 +53,7 @@ def test_cube_and_ramp_share_their_ncpas_and_nothing_else():
     assert (len(cube.bands), len(ramp.bands)) == (1, 2)
 
 
+@pytest.mark.slow
 def test_the_true_modes_of_a_still_sky_are_ncpas_plus_introduced_defocus():
     ramp = replace(scenes_of(SAMPLE)[1], sky=None, motion=None)
     true = true_modes_nm(ramp, expose(ramp))
@@ -81,6 +84,7 @@ def test_the_published_variants_have_no_residual_in_their_model_and_the_default_
                for key, variant in LIFT_VARIANTS.items())  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_stage_reports_medians_over_samples_and_the_section_draws_the_first(found, monkeypatch):
     config = stage.Config(samples=3, ways=SAMPLE.variants, offsets=3)
     output = run_stage(monkeypatch, stage, config, lambda sample: found)
@@ -92,6 +96,7 @@ def test_the_stage_reports_medians_over_samples_and_the_section_draws_the_first(
     assert list(table.marks) == ["", "good"]
 
 
+@pytest.mark.slow
 def test_nine_modes_are_drawn_against_the_true_wavefront(found, monkeypatch):
     nine = {"default_9/modes_nm": np.repeat(found["true_nm"][:, :1], 9, axis=1)} | {
         f"default_9/{name}": found[f"default_3/{name}"] for name in ("defocus_nm", "converged")

@@ -42,22 +42,27 @@ def numbers():
     return compare(Sample(cube(), (DEFAULT, "lift_avg"), (0.5,)))
 
 
+@pytest.mark.slow
 def test_the_default_beats_the_mean_image_without_residual(numbers):
     assert numbers[f"{DEFAULT}/modes_nm"] < 0.5 * numbers["lift_avg/modes_nm"]
 
 
+@pytest.mark.slow
 def test_estimates_leave_less_than_was_introduced(numbers):
     assert all(numbers[f"{name}/pupil_nm"] < numbers["introduced_nm"] for name in (DEFAULT, "lift_avg"))
 
 
+@pytest.mark.slow
 def test_the_full_pupil_holds_what_the_modes_hold_and_more(numbers):
     assert all(numbers[f"{name}/pupil_nm"] > numbers[f"{name}/modes_nm"] for name in (DEFAULT, "lift_avg"))
 
 
+@pytest.mark.slow
 def test_a_part_of_the_cube_is_compared_as_well(numbers):
     assert 0 < numbers["fraction_0.5/modes_nm"] < numbers["introduced_nm"]
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_numbers_to_the_bit(numbers):
     again = compare(Sample(cube(), (DEFAULT,)))
     assert again[f"{DEFAULT}/modes_nm"] == numbers[f"{DEFAULT}/modes_nm"]
@@ -67,6 +72,7 @@ def test_samples_of_one_index_share_their_ncpas_at_every_seeing():
     assert cube().scene().ncpa_nm == cube(seeing_arcsec=1.0, shape="aliasing").scene().ncpa_nm
 
 
+@pytest.mark.slow
 def test_introduced_ncpas_have_the_spread_of_the_paper():
     totals = [np.linalg.norm(list(cube(seed=(1, k)).scene().ncpa_nm.values())) for k in range(400)]
     assert np.mean(totals) == pytest.approx(142, abs=4 * 30 / 20)

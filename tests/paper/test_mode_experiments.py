@@ -28,12 +28,14 @@ def numbers():
     return errors_by_number(NumberSample(CUBE, (31, 51), magnitudes, frames))
 
 
+@pytest.mark.slow
 def test_fifty_modes_are_introduced_and_the_rest_is_zero(statistics):
     nolls = np.arange(2, 62)
     assert np.all(statistics["introduced_nm"][nolls <= INTRODUCED] != 0)
     assert np.all(statistics["introduced_nm"][nolls > INTRODUCED] == 0)
 
 
+@pytest.mark.slow
 def test_the_default_hardly_sees_modes_that_are_not_there(statistics):
     nolls = np.arange(2, 62)
     found = {
@@ -49,16 +51,19 @@ def test_the_rms_beyond_counts_modes_not_introduced_only():
     assert beyond_nm(nolls, np.where(nolls > INTRODUCED, 3.0, 100.0)) == pytest.approx(3.0)
 
 
+@pytest.mark.slow
 def test_the_introduced_number_beats_fewer(numbers):
     few, right = numbers["long_exposure/error_nm"][0]
     assert right < 0.5 * few
 
 
+@pytest.mark.slow
 def test_lift_errs_more_on_a_faint_star(numbers):
     bright, faint = numbers["lift_avg/error_nm"]
     assert faint[1] > bright[1]
 
 
+@pytest.mark.slow
 def test_unseen_frames_recommend_no_fewer_than_the_introduced_modes(numbers):
     assert numbers["recommended_noll"] == 51
     assert numbers["held_out"][0] > numbers["held_out"][1]

@@ -22,6 +22,7 @@ def paper(tmp_path, monkeypatch) -> PaperBench:
     return paper_bench.make(tmp_path, monkeypatch)
 
 
+@pytest.mark.slow
 def test_every_experiment_has_a_run_of_its_own_and_a_place_in_the_common_files(paper):
     result = paper.paper()
     assert result.exit_code == 0, result.output
@@ -45,6 +46,7 @@ def test_the_numbers_are_those_of_the_seed_with_sizes_and_without_timings(paper)
     assert alpha["checks_failed"] == [] and paper.numbers()["missing"] == []
 
 
+@pytest.mark.slow
 def test_what_differs_from_run_to_run_stands_apart_and_no_path_stands_anywhere(paper, tmp_path):
     paper.paper()
     text = (paper.output / "paper_results.json").read_text()
@@ -59,6 +61,7 @@ def test_what_differs_from_run_to_run_stands_apart_and_no_path_stands_anywhere(p
     assert other.numbers()["experiments"] == paper.numbers()["experiments"]
 
 
+@pytest.mark.slow
 def test_a_second_run_works_on_nothing_and_changes_nothing(paper):
     paper.paper()
     before = (paper.page(), paper.numbers())
@@ -76,6 +79,7 @@ def test_an_experiment_that_fails_does_not_stop_the_others_and_the_exit_code_is_
     assert "the star is gone" in paper.page() and "The alpha experiment" in paper.page()
 
 
+@pytest.mark.slow
 def test_an_interruption_keeps_what_is_finished_and_the_next_run_goes_on(paper, monkeypatch):
     def interrupted(_):
         raise KeyboardInterrupt
@@ -103,6 +107,7 @@ def test_a_report_that_cannot_be_drawn_does_not_keep_the_others_from_the_page(pa
     assert "cannot be shown: KeyError" in paper.page() and "a few draws" in paper.page()
 
 
+@pytest.mark.slow
 def test_one_experiment_can_be_run_alone_and_the_others_stay_in_the_files(paper):
     paper.paper("--only", "alpha")
     assert COUNTS["calibrate"] == 0 and list(paper.numbers()["experiments"]) == ["alpha"]
@@ -110,6 +115,7 @@ def test_one_experiment_can_be_run_alone_and_the_others_stay_in_the_files(paper)
     assert COUNTS["lift"] == 1 and list(paper.numbers()["experiments"]) == ["zeta", "alpha"]
 
 
+@pytest.mark.slow
 def test_others_that_are_out_of_date_are_left_out(paper):
     paper.paper()
     paper.set("alpha", "limit: 11")
@@ -118,6 +124,7 @@ def test_others_that_are_out_of_date_are_left_out(paper):
     assert "The alpha experiment" not in paper.page()
 
 
+@pytest.mark.slow
 def test_quick_changes_sizes_as_the_file_says_and_takes_another_folder(paper):
     assert paper.paper("--quick").exit_code == 0
     numbers = paper.numbers()
@@ -130,6 +137,7 @@ def test_quick_changes_sizes_as_the_file_says_and_takes_another_folder(paper):
     assert paper.numbers() == numbers
 
 
+@pytest.mark.slow
 def test_a_quick_run_does_not_replace_the_full_one(paper):
     paper.paper()
     refused = paper.paper("--quick")
@@ -180,6 +188,7 @@ def test_a_recipe_that_is_not_wanted_may_be_wrong(paper):
     assert paper.paper("--only", "alpha").exit_code == 0
 
 
+@pytest.mark.slow
 def test_drawings_of_two_experiments_with_the_same_stage_have_identifiers_of_their_own(paper):
     (paper.recipes / "beta.yaml").write_text(paper_bench.RECIPE.format(name="beta", stage="lift"))
     paper.paper()

@@ -55,6 +55,7 @@ def series():
         return bench.run_stage(patch, derotator_series, derotator_series.Config(), angle_estimates)
 
 
+@pytest.mark.slow
 def test_parts_of_a_series_err_as_their_estimates_do(series):
     for method, error in ERROR_NM.items():
         found = series.results.methods[method]
@@ -73,6 +74,7 @@ def test_the_published_method_gets_the_first_frames_only():
     assert frames == {"long_exposure": 50, "dip_global": 50}
 
 
+@pytest.mark.slow
 def test_the_section_of_a_series_shows_angles_parts_and_errors(series):
     section = bench.section_of(series, "derotator_series", derotator_series_section)
     assert {
@@ -175,6 +177,7 @@ def test_the_best_number_is_reported_for_every_method_and_magnitude(numbers):
     assert [one.mag_j for one in dip] == [config.magnitudes[0]]
 
 
+@pytest.mark.slow
 def test_the_section_of_the_numbers_shows_both_figures_and_the_recommendation(numbers):
     section = bench.section_of(numbers, "mode_number", mode_number_section)
     assert titles(section) == [

@@ -144,6 +144,7 @@ def renew(root: Path) -> subprocess.CompletedProcess:
     )
 
 
+@pytest.mark.slow
 def test_the_command_renews_the_page_of_a_source_tree(tmp_path):
     make_tree(tmp_path, "[['{methods/seed}']]")
     assert renew(tmp_path).stdout.endswith("docs/results.md: renewed\n")

@@ -113,6 +113,7 @@ def test_an_offset_that_makes_a_seeing_negative_is_refused():
         run(offset_arcsec=-0.5)
 
 
+@pytest.mark.slow
 def test_the_section_shows_the_relation_both_scales_and_every_condition():
     config = seeing_scales.Config(on_sky_arcsec=(0.65,))
     section = section_of(seeing_scales.run(context(config)), "seeing_scales", seeing_scales_section, config)

@@ -96,6 +96,7 @@ def test_deadbeat_control_leaves_one_step_of_a_random_walk():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "loop", [Integrator(0.5), Integrator(0.15), Integrator(0.4, 2.0), Integrator(0.6, 1.0, 0)]
 )
@@ -196,6 +197,7 @@ def test_a_loop_beyond_its_reach_has_diverged_and_stays_so():
     assert np.isfinite(record.residual_nm[0]).tolist() == [True, True, False, False]
 
 
+@pytest.mark.slow
 def test_the_loop_leaves_what_theory_predicts_of_a_real_drift():
     frames, sub = 3000, 10
     drift = DRIFT.draw_nm(np.random.default_rng(4), frames * sub, 1 / sub).reshape(frames, sub).mean(1)
@@ -218,6 +220,7 @@ def test_the_sensor_s_slope_and_noise_are_found_whatever_the_offset_of_each_sky(
 # -- simulated frames --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_interpolated_frames_are_those_simulated_at_that_defocus():
     star = scene(2)
     table = frame_table(star, 240.0, 8)
@@ -243,6 +246,7 @@ def found():
     return run_loops(LoopSample("test", (3, 1), CONDITIONS, ("uncalibrated",), LOOPS, 10, 1, 120.0, 6))
 
 
+@pytest.mark.slow
 def test_lift_measures_what_the_loop_leaves(found):
     error = (found["measured_nm"] - found["true_nm"])[0, 0]
     assert (
@@ -250,6 +254,7 @@ def test_lift_measures_what_the_loop_leaves(found):
     )  # the sky's own defocus; the NCPAs' bias is in the median
 
 
+@pytest.mark.slow
 def test_the_residual_is_the_drift_less_the_measurements_so_far(found):
     """Drift less the sum of gain times measurement, one frame late."""
     measured = np.nan_to_num(found["measured_nm"][0, 0])
@@ -257,23 +262,27 @@ def test_the_residual_is_the_drift_less_the_measurements_so_far(found):
     assert found["residual_nm"][0, 0] == pytest.approx(found["drift_nm"][0] - command)
 
 
+@pytest.mark.slow
 def test_a_star_too_faint_to_measure_loses_measurements(found):
     assert np.isnan(found["measured_nm"][0, 1]).mean() > 0.5
     assert np.isfinite(found["measured_nm"][0, 0]).all()
 
 
+@pytest.mark.slow
 def test_the_bound_follows_photons(found):
     bright, faint, longer = found["bound_nm"]
     assert longer == pytest.approx(bright / np.sqrt(2), rel=0.01)
     assert faint > 400 * bright  # 13 magnitudes are a factor 398 while photons rule, more with read noise
 
 
+@pytest.mark.slow
 def test_the_expected_noise_is_near_the_bound_of_the_simulated_star(found):
     noise = noise_law(CONDITIONS)
     expected = np.sqrt(noise(25.0, 1) ** 2 - 5.0**2)
     assert expected == pytest.approx(found["bound_nm"][1], rel=0.3)  # whose NCPAs change it a little
 
 
+@pytest.mark.slow
 def test_stage_and_section_show_what_the_loops_left(found, monkeypatch):
     sizes = {"skies": 2, "settle": 4, "configurations": ("uncalibrated",), "half_rate": False}
     stars = {"magnitudes": (12.0, 25.0), "scan_magnitudes": (12.0,), "scan_gains": (0.4,)}

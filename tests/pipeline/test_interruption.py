@@ -10,6 +10,8 @@ import pytest
 from conftest import Bench, products
 from helpers.paths import HELPERS, REPOSITORY
 
+pytestmark = pytest.mark.slow
+
 FAKE_CLI = HELPERS / "fake_stages.py"
 
 

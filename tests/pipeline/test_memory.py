@@ -15,6 +15,8 @@ from helpers.paths import HELPERS, REPOSITORY
 
 from irlos_pipe.frames.blocks import BLOCK_FRAMES
 
+pytestmark = pytest.mark.slow
+
 FEW, MANY = 500, 3000
 FRAME_BYTES = 64 * 64 * 4
 ALLOWED = {"ingest": 2.8, "prior": 0.6, "long_exposure": 0.2, "dip_global": 0.5}  # frames per further frame

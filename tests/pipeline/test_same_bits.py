@@ -15,6 +15,8 @@ from irlos_pipe.product.product import Product
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import load_recipe
 
+pytestmark = pytest.mark.slow
+
 RECIPE = """\
 recipe: small
 inputs: {calibration: data/cube, ramp: data/ramp}

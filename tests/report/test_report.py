@@ -80,6 +80,7 @@ def test_the_report_lies_in_the_run_folder(tmp_path):
     assert write_report(folder) == tmp_path / "report.html"
 
 
+@pytest.mark.slow
 def test_a_full_run_has_all_sections_results_first(full):
     assert full.sections == [
         "calibrate",
@@ -93,26 +94,31 @@ def test_a_full_run_has_all_sections_results_first(full):
     ]
 
 
+@pytest.mark.slow
 def test_the_page_loads_nothing(full):
     assert full.loaded
     assert all(address.startswith("data:") for address in full.loaded)
     assert not re.search(r"<script|<link|@import", full.text)
 
 
+@pytest.mark.slow
 def test_identifiers_are_unique_and_every_reference_has_its_target(full):
     assert len(full.identifiers) == len(set(full.identifiers))
     wanted = {reference[1:] for reference in full.references} | set(re.findall(r"url\(#([^)]*)\)", full.text))
     assert wanted <= set(full.identifiers)
 
 
+@pytest.mark.slow
 def test_elements_are_closed_in_order(full):
     assert full.open == []
 
 
+@pytest.mark.slow
 def test_the_page_stays_small(full):
     assert len(full.text.encode()) < 3e6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "shown",
     [
@@ -139,17 +145,20 @@ def test_the_numbers_to_see_first_are_there_with_their_units(full, shown):
     assert shown in full.text
 
 
+@pytest.mark.slow
 def test_modes_have_names(full):
     assert "4 defocus" in full.text
     assert "5 astigmatism 45°" in full.text
 
 
+@pytest.mark.slow
 def test_the_same_products_give_the_same_file(tmp_path):
     folder = made_run.write_run(tmp_path, made_run.products("ingest", "lift"))
     first = write_report(folder).read_bytes()
     assert write_report(folder).read_bytes() == first
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", ["ingest", "prior", "lift", "sensitivity"])
 def test_a_section_appears_only_with_its_product(tmp_path, stage):
     others = set(made_run.STAGES) - {stage}
@@ -158,6 +167,7 @@ def test_a_section_appears_only_with_its_product(tmp_path, stage):
     assert not others & set(page.sections)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", made_run.STAGES)
 def test_missing_numbers_never_stop_the_report(tmp_path, stage):
     made = [made_run.ingest()] if stage != "ingest" else []
@@ -225,6 +235,7 @@ def test_names_from_files_cannot_change_the_page(tmp_path):
     assert "&lt;script&gt;alert(1)" in report(tmp_path, [product]).text
 
 
+@pytest.mark.slow
 def test_a_night_of_recordings_does_not_blow_up_the_page(tmp_path):
     product = made_run.ingest()
     rows = [made_run.row(f"r{i:03d}", "cube", 1) for i in range(MOST_THUMBNAILS + 20)]

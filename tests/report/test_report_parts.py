@@ -186,6 +186,7 @@ def test_an_axis_is_logarithmic_only_with_something_to_show(values, expected):
     assert seen == [expected]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("image", [np.full((4, 4), NAN), np.zeros((4, 4)), -np.ones((4, 4))])
 def test_images_without_light_can_be_drawn(image):
     for scale in (brightness_scale(image), log_scale(image)):
@@ -213,6 +214,7 @@ def test_the_direction_of_travel_is_told_apart():
     assert "not converged" in drawing
 
 
+@pytest.mark.slow
 def test_a_strip_shows_no_more_than_fits():
     offsets, images = np.arange(30.0), np.ones((30, 4, 4))
     drawing = image_strip(offsets, images, images, 0.1)
@@ -231,6 +233,7 @@ def test_a_perfect_model_leaves_a_usable_residual_scale():
     assert residual_limit(model, model) > 0
 
 
+@pytest.mark.slow
 def test_the_prior_of_ten_thousand_frames_takes_little_more_room_than_that_of_some_hundred():
     def drawn(frames: int) -> int:
         values = np.random.default_rng(1).standard_normal(frames)

@@ -60,11 +60,13 @@ def test_the_residual_follows_the_seeing_law(seeing_arcsec, shape):
     assert np.isclose(found_nm, 104.27 * seeing_arcsec + 58.6, rtol=0.03)
 
 
+@pytest.mark.slow
 def test_the_sampling_of_sky_scenes_keeps_the_law():
     telescope, stack = screens(Sky(0.6), 300, samples=scene(sky=Sky(0.6)).pupil_samples)
     assert np.isclose(np.sqrt(pupil_variance(telescope, stack).mean()), 104.27 * 0.6 + 58.6, rtol=0.03)
 
 
+@pytest.mark.slow
 def test_a_drifting_residual_follows_the_law_on_average_and_bursts():
     sky = Sky(0.8, shape="non_stationary")
     telescope, stack = screens(sky, 2000, step_s=3 * sky.drift_s, samples=32)
@@ -77,6 +79,7 @@ def test_a_drifting_residual_follows_the_law_on_average_and_bursts():
     assert np.isclose(drifted, (1 + own) * (1 + sky.drift_rms**2) ** 4 - 1, rtol=0.25)
 
 
+@pytest.mark.slow
 def test_a_drift_takes_its_time():
     sky = Sky(0.8, shape="non_stationary", drift_s=5.0)
     telescope, stack = screens(sky, 3000, step_s=0.5, samples=32)
@@ -99,6 +102,7 @@ def test_piston_tip_and_tilt_are_removed_over_the_pupil():
     assert np.allclose(moments, 0.0, atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slope", [2.0, 3.0])
 def test_the_spectrum_inside_the_band_has_the_given_slope(slope):
     fx, fy, power = periodogram(*screens(Sky(0.8, slope=slope), 400))
@@ -126,12 +130,14 @@ def test_servo_lag_stretches_the_spectrum_along_the_wind():
     assert 5 < along_mean / across_mean < 15
 
 
+@pytest.mark.slow
 def test_aliasing_raises_the_spectrum_towards_the_cut_off():
     flat = [periodogram(*screens(Sky(0.8, shape=shape), 300)) for shape in ("aliasing", "power_law")]
     ratios = [mean_between(*each, 2.0, 2.4) / mean_between(*each, 0.9, 1.2) for each in flat]
     assert ratios[0] > 2 * ratios[1]
 
 
+@pytest.mark.slow
 def test_the_aliased_spectrum_is_what_a_shack_hartmann_sensor_folds_back():
     sky, pitch_m = Sky(1.0), 0.2
     f = np.array([0.9, -1.6])
@@ -160,6 +166,7 @@ def _reconstructed(f: np.ndarray, g: np.ndarray, pitch_m: float) -> complex:
     return np.linalg.lstsq(gradients(f)[:, None], gradients(g), rcond=None)[0][0]
 
 
+@pytest.mark.slow
 def test_the_frozen_flow_carries_the_pattern_along_the_wind():
     sky, step_s = Sky(1.0, wind_m_s=8.0, wind_angle_deg=70.0), 0.010
     telescope, stack = screens(sky, 400, step_s=step_s)

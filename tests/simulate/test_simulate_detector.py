@@ -47,6 +47,7 @@ def ramp_of_light(frames: int, top_e: float) -> np.ndarray:
     return np.broadcast_to(np.linspace(0, top_e, WINDOW[1]), (frames, *WINDOW)).copy()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("excess", "read_noise_e", "e_per_adu"), [(1.0, 1.0, 0.5), (1.25, 3.0, 2.0), (1.47, 1.0, 0.15)]
 )
@@ -85,6 +86,7 @@ def test_excess_noise_keeps_the_mean_and_never_makes_negative_light():
     assert skew == pytest.approx(2.0 * 1.47 * (2 * 1.47 - 1), rel=0.05)
 
 
+@pytest.mark.slow
 def test_electrons_have_the_noise_that_the_raw_frames_have():
     model = scene(excess_noise_factor=1.25, flat_rms=0.05, dark_e_per_s=100.0, fixed_pattern_adu=5.0)
     mean_e = level(300.0, 2000)
@@ -185,6 +187,7 @@ def test_the_pattern_belongs_to_the_detector_and_not_to_the_recording():
     assert not np.array_equal(first.pedestal_adu, other.pedestal_adu)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "mean", "variance"), [("hot", 1700, 1701), ("dead", 0, 1), ("stuck", 700, 0)]
 )
@@ -201,6 +204,7 @@ def test_late_bad_pixels_are_in_the_frames_and_not_in_the_calibration(kind, mean
     assert readout.dark_adu(rng()).max() < 205 and readout.dead().sum() == 0
 
 
+@pytest.mark.slow
 def test_a_background_gradient_adds_a_plane_without_photon_noise():
     effect = {"background_gradient": {"e_per_pixel": 2.0, "angle_deg": 90.0, "level_e": 100.0}}
     frames = electrons(scene(effect), level(0, 3000), rng())

@@ -92,6 +92,7 @@ def test_a_new_effect_is_one_class_and_one_line_of_the_catalogue(monkeypatch):
     assert worst(image(effects={"grey": {"transmission": 0.7}}), 0.7 * image()) < 1e-6
 
 
+@pytest.mark.slow
 def test_jitter_is_the_mean_over_gaussian_positions():
     sigma_mas = 8.0
     nodes, weights = np.polynomial.hermite_e.hermegauss(7)
@@ -106,6 +107,7 @@ def test_jitter_is_the_mean_over_gaussian_positions():
     assert worst(image(effects=effect, **coarse), expected) < 1e-4
 
 
+@pytest.mark.slow
 def test_jitter_leaves_frames_displaced_by_the_mean_of_its_positions():
     jittering = scene(frames=400, effects={"tip_tilt_jitter": {"sigma_mas": 6.0}}, window=(8, 8), ncpa_nm={})
     tilts = expose(jittering).zernike_nm[:, :2]
@@ -113,6 +115,7 @@ def test_jitter_leaves_frames_displaced_by_the_mean_of_its_positions():
     assert np.allclose(tilts.std(axis=0), tilt_nm_rms(6.0) / np.sqrt(10), rtol=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle_deg", [0.0, 70.0])
 def test_a_vibration_is_the_mean_over_a_sinusoid(angle_deg):
     sigma_mas, angle = 12.0, np.deg2rad(angle_deg)
@@ -122,6 +125,7 @@ def test_a_vibration_is_the_mean_over_a_sinusoid(angle_deg):
     assert worst(image(effects={"vibration": whole_cycles}), expected) < 1e-4
 
 
+@pytest.mark.slow
 def test_a_gaussian_vibration_is_the_mean_over_gaussian_positions():
     nodes, weights = np.polynomial.hermite_e.hermegauss(9)
     expected = sum(w / weights.sum() * moved(0.0, 9.0 * y) for y, w in zip(nodes, weights, strict=True))
@@ -129,6 +133,7 @@ def test_a_gaussian_vibration_is_the_mean_over_gaussian_positions():
     assert worst(image(effects={"vibration": effect}), expected) < 1e-4
 
 
+@pytest.mark.slow
 def test_a_vibration_moves_frames_by_what_is_left_of_its_last_period():
     # A quarter of a period: the mean of a sinusoid of amplitude A over it is A sinc(1/4) cos(phase).
     effect = {"vibration": {"sigma_mas": 5.0, "angle_deg": 30.0, "frequency_hz": 2.5}}
@@ -138,6 +143,7 @@ def test_a_vibration_moves_frames_by_what_is_left_of_its_last_period():
     assert np.allclose(tilts[:, 1], tilts[:, 0] * np.tan(np.deg2rad(30.0)), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_halo_on_the_bench_scatters_the_light_of_its_wavefront_error():
     halo = scene(effects={"seeing_halo": {"wfe_nm": 100.0}}, exposure_s=3.0, ncpa_nm={}, diversity_nm={})
     found = of_light(expose(halo), halo)
@@ -169,6 +175,7 @@ def test_dispersion_moves_wavelengths_apart_about_their_mean():
     assert worst(image(bands=bands, effects=effect), expected) < 1e-6
 
 
+@pytest.mark.slow
 def test_the_spectrum_shifts_and_reddens():
     two = (Band(1500.0, 1e-6, 0.5), Band(1700.0, 1e-6, 0.5))
     shifted = image(bands=two, effects={"spectrum": {"wavelength_nm": 1630.0}})
@@ -209,6 +216,7 @@ def test_a_displaced_stop_passes_light_where_both_pupils_do():
     assert lit[0] > 0 and lit[-1] == len(telescope.u_m) - 1  # moved towards +x
 
 
+@pytest.mark.slow
 def test_clipped_light_is_missing_in_the_image():
     clipped = scene(geometry=PupilGeometry(8.0), effects={"pupil_misregistration": {"dx_m": 0.4}})
     whole = image(geometry=PupilGeometry(8.0), window=(128, 128)).sum()
@@ -217,6 +225,7 @@ def test_clipped_light_is_missing_in_the_image():
     assert np.isclose(found / whole, lost, rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_vanes_turn_anticlockwise():
     turned = telescope_of(scene(effects={"pupil_misregistration": {"rotation_deg": 30.0}})).transmission
     straight = telescope_of(scene()).transmission
@@ -225,6 +234,7 @@ def test_vanes_turn_anticlockwise():
     assert np.abs(turned - straight).mean() > 0.01
 
 
+@pytest.mark.slow
 def test_amplitude_aberrations_shade_the_pupil():
     source = reference(SAMPLES)
     shade = 1 + source.opd_nm({2: 0.1, 4: -0.06})
@@ -266,6 +276,7 @@ def petals_on(source) -> np.ndarray:
     return LowWindEffect(**PETALS).steps_nm(UT4, x, y).reshape(SAMPLES, SAMPLES)
 
 
+@pytest.mark.slow
 def test_low_wind_images_agree_with_hcipy():
     source = reference(SAMPLES)
     opd_nm = source.opd_nm(TOTAL_NM) + petals_on(source).ravel()
@@ -273,6 +284,7 @@ def test_low_wind_images_agree_with_hcipy():
     assert worst(image(effects={"low_wind_effect": PETALS}), expected) < 1e-4
 
 
+@pytest.mark.slow
 def test_low_wind_petals_are_part_of_the_truth():
     exposed = expose(scene(effects={"low_wind_effect": PETALS}, ncpa_nm={}))
     x, y = np.meshgrid(*[exposed.telescope.u_m] * 2)

@@ -56,6 +56,7 @@ def test_frames_are_handed_out_one_by_one_and_reported():
         assert np.array_equal(exposure.mean_e.astype(np.float32), cube.mean_e[index])
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_number_of_frames():
     def peak_bytes(frames: int) -> int:
         tracemalloc.start()
@@ -69,6 +70,7 @@ def test_memory_does_not_grow_with_the_number_of_frames():
     assert peak_bytes(40) < 1.02 * peak_bytes(4)
 
 
+@pytest.mark.slow
 def test_time_passes_between_frames():
     slow = {**QUICK, "frames": 150, "exposure_s": 0.01, "motion": None}
     dense, sparse = (expose(scene(**slow, frame_rate_hz=rate)).zernike_nm[:, 3] for rate in (100.0, 2.0))
@@ -82,6 +84,7 @@ def test_sub_exposures_are_no_longer_than_the_step(exposure_s, expected):
     assert scene(exposure_s=exposure_s).subexposures == 1
 
 
+@pytest.mark.slow
 def test_the_default_step_makes_frames_scatter_hardly_more_than_continuous_exposure():
     def scatter_nm(step_s: float) -> float:
         sampling = Sampling(pupil_samples=32, points_per_band=1, step_s=step_s)
@@ -91,6 +94,7 @@ def test_the_default_step_makes_frames_scatter_hardly_more_than_continuous_expos
     assert 1.0 < scatter_nm(Sampling().step_s) / scatter_nm(0.002) < 1.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("band", [Band(1600.0, 20.0), Band(1215.0, 58.0), Band(1625.0, 84.0)])
 def test_the_default_wavelengths_resolve_the_bands(band):
     few, many = (

@@ -24,6 +24,7 @@ SAMPLES = 768  # of HCIPy's pupil; those of the simulator are 256 and 128
 TOTAL_NM = {**NCPA_NM, 6: NCPA_NM[6] - 170.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("wavelength_nm", "window"), [(1200.0, (64, 64)), (1600.0, (33, 48))])
 def test_static_images_agree_with_hcipy(wavelength_nm, window):
     found = image(bands=(Band(wavelength_nm, 1e-6),), window=window)
@@ -52,6 +53,7 @@ def test_strong_aberrations_are_imaged_as_well():
     assert worst(found, reference(SAMPLES).image(total_nm, 1600.0, (64, 64), 9.7)) < 1e-4
 
 
+@pytest.mark.slow
 def test_a_band_is_the_weighted_sum_of_its_wavelengths():
     bands = (Band(1215.0, 58.0, 0.5), Band(1625.0, 84.0, 0.5))
     nodes, weights = np.polynomial.legendre.leggauss(3)

@@ -31,12 +31,14 @@ def series_mas():
     )
 
 
+@pytest.mark.slow
 def test_the_long_term_rms_per_axis_is_seven_mas(series_mas):
     assert np.allclose(series_mas.std(axis=0), 7.0, rtol=0.03)
     assert np.allclose(series_mas.mean(axis=0), 0.0, atol=0.15)
     assert abs(np.corrcoef(series_mas.T)[0, 1]) < 0.03
 
 
+@pytest.mark.slow
 def test_the_motion_has_the_vibration_lines_of_ut4(series_mas):
     assert tuple(hz for hz, *_ in UT4_LINES) == UT4_LINES_HZ
     f, power = welch(series_mas, RATE_HZ, nperseg=8192, axis=0)
@@ -58,6 +60,7 @@ def expected_psd(f: np.ndarray, axis: int) -> np.ndarray:
     return total
 
 
+@pytest.mark.slow
 def test_tip_and_tilt_vibrate_differently(series_mas):
     f, power = welch(series_mas, RATE_HZ, nperseg=8192, axis=0)
     peak = power[np.abs(f - 48.3) < 0.3].sum(axis=0)

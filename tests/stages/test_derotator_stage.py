@@ -39,6 +39,7 @@ def error_nm(part: PartRow, true_nm: dict[int, float]) -> float:
     return float(np.linalg.norm([value - true_nm[noll] for noll, value in part.zernike_nm.items()]))
 
 
+@pytest.mark.slow
 def test_every_cube_gets_the_estimate_it_would_get_alone(recordings, calibrated):
     alone, _ = bench.run_stage(
         calibrate, {"ingest": bench.ingest_product(recordings[1:2])}, **EACH | {"each": False}
@@ -51,6 +52,7 @@ def test_every_cube_gets_the_estimate_it_would_get_alone(recordings, calibrated)
     )
 
 
+@pytest.mark.slow
 def test_the_contracts_keys_hold_the_mean_over_the_cubes(calibrated):
     results = calibrated[0].results
     for noll, value in results.zernike_nm.items():
@@ -62,11 +64,13 @@ def test_the_contracts_keys_hold_the_mean_over_the_cubes(calibrated):
     assert results.status == {"converged": len(ANGLES)}
 
 
+@pytest.mark.slow
 def test_checks_name_the_cube(calibrated):
     names = {check.name for check in calibrated[0].checks}
     assert {f"at_{angle:.0f}: converged fits" for angle in ANGLES} <= names
 
 
+@pytest.mark.slow
 def test_a_cube_with_one_used_frame_is_left_out_and_told(recordings):
     poor = bench.recording("poor", 70.0, seed=9, used=1)
     products = {"ingest": bench.ingest_product([recordings[0], poor])}
@@ -82,6 +86,7 @@ def test_methods_are_not_compared_cube_by_cube():
         calibrate.Config(each=True, compare=("dip_avg",))
 
 
+@pytest.mark.slow
 def test_both_parts_are_found_within_their_errors(split):
     parts = split.results.parts
     for name, true_nm in (("rotating", bench.ROTATING_NM), ("fixed", bench.FIXED_NM)):
@@ -91,17 +96,20 @@ def test_both_parts_are_found_within_their_errors(split):
     assert 0.5 < split.results.chi2_nu < 1.7
 
 
+@pytest.mark.slow
 def test_the_sense_of_rotation_is_estimated_and_checked(split):
     assert split.results.sense == "clockwise"
     assert all(check.passed for check in split.checks)
 
 
+@pytest.mark.slow
 def test_a_wrong_sense_fails_the_quality_control(calibrated):
     output, _ = bench.run_stage(derotator, calibrated[1], sense="anticlockwise")
     assert [check.passed for check in output.checks] == [False]
     assert output.results.delta_chi2 < -1000
 
 
+@pytest.mark.slow
 def test_maps_are_those_of_the_coefficients(split):
     measured, parts = split.arrays["maps/measured_nm"].value, split.arrays["maps/fixed_nm"].value
     assert measured.shape == (len(ANGLES), *parts.shape)
@@ -113,6 +121,7 @@ def test_maps_are_those_of_the_coefficients(split):
     assert np.allclose((total + left)[lit], measured[0][lit], atol=1e-3)  # at angle 0 nothing is turned
 
 
+@pytest.mark.slow
 def test_the_angle_of_a_k_mirror_counts_twice(recordings):
     halved = [
         replace(one, acquisition=replace(one.acquisition, derotator_angle_deg=angle / 2))
@@ -124,6 +133,7 @@ def test_the_angle_of_a_k_mirror_counts_twice(recordings):
     assert error_nm(output.results.parts["rotating"], bench.ROTATING_NM) < 2
 
 
+@pytest.mark.slow
 def test_one_angle_is_told_and_nothing_is_split(recordings):
     products = {"ingest": bench.ingest_product(recordings[:1])}
     products["calibrate"] = bench.run_stage(calibrate, products, **EACH)[1]
@@ -134,6 +144,7 @@ def test_one_angle_is_told_and_nothing_is_split(recordings):
     assert output.arrays["maps/measured_nm"].value.shape[0] == 1
 
 
+@pytest.mark.slow
 def test_a_joint_estimate_of_all_cubes_cannot_be_split(recordings):
     products = {"ingest": bench.ingest_product(recordings[:1])}
     products["calibrate"] = bench.run_stage(calibrate, products, **EACH | {"each": False})[1]
@@ -148,6 +159,7 @@ def blocks(output) -> dict[str, object]:
     return {block.title: block for block in flat} | {"lead": section.lead}
 
 
+@pytest.mark.slow
 def test_the_section_shows_angles_parts_and_their_consistency(split):
     found = blocks(split)
     assert [row[1] for row in found["Angles"].rows] == ["0°", "40°", "110°", "160°"]
@@ -155,6 +167,7 @@ def test_the_section_shows_angles_parts_and_their_consistency(split):
     assert {"Wavefront at every angle", "Parts of the wavefront", "Consistency"} <= set(found)
 
 
+@pytest.mark.slow
 def test_the_section_of_one_angle_says_what_is_missing(recordings):
     products = {"ingest": bench.ingest_product(recordings[:1])}
     products["calibrate"] = bench.run_stage(calibrate, products, **EACH)[1]

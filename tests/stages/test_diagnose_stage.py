@@ -34,6 +34,7 @@ def results() -> dict:
     return diagnose_results(diagnosis_of("companion")).as_json()
 
 
+@pytest.mark.slow
 def test_the_results_hold_what_scripts_look_for(results):
     assert results.keys() >= KEYS
     assert results["verdict"] == "effect"
@@ -43,6 +44,7 @@ def test_the_results_hold_what_scripts_look_for(results):
     assert results["gap"].keys() == {"before", "after", "floor", "shrink"}
 
 
+@pytest.mark.slow
 def test_limits_of_what_was_not_seen_have_public_names_and_no_positions(results):
     assert results["mdb"]["vibration"].keys() == {"sigma_mas"}
     assert results["mdb"]["pupil_misregistration"].keys() <= {"dx_m", "dy_m", "rotation_deg"}
@@ -73,6 +75,7 @@ def section_of(kind: str):
     return diagnose_section(RunData({}, "", "ok", "", {"diagnose": product}, []))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["plain", "companion", "spot"])
 def test_the_section_begins_with_the_verdict_in_words_and_shows_both_models(kind):
     section = section_of(kind)
@@ -81,6 +84,7 @@ def test_the_section_begins_with_the_verdict_in_words_and_shows_both_models(kind
     assert {"Measured", "Predicted before", "Predicted after", "Residual before", "Gap"} <= set(titles)
 
 
+@pytest.mark.slow
 def test_residuals_before_and_after_are_drawn_on_one_scale():
     """The tick labels of both colour bars agree although the residuals differ by an order of magnitude."""
     pictures = diagnosis_of("companion").pictures

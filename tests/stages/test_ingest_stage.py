@@ -345,6 +345,7 @@ def test_files_are_never_written(tmp_path):
 needs_samples = pytest.mark.skipif(not SHARED.is_dir(), reason="the shared samples are not there")
 
 
+@pytest.mark.slow
 @needs_samples
 def test_the_shared_samples_are_clean():
     output = run(SHARED)

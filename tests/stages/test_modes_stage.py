@@ -28,6 +28,7 @@ def output(products):
     return bench.run_stage(modes, products, numbers=NUMBERS, cubes=2)[0]
 
 
+@pytest.mark.slow
 def test_the_scatter_is_the_rms_over_the_cubes(output):
     noll, std = (output.arrays[name].value for name in ("noll", "std_nm"))
     for mode in bench.NOLLS:
@@ -36,6 +37,7 @@ def test_the_scatter_is_the_rms_over_the_cubes(output):
     assert output.results.draws == 3
 
 
+@pytest.mark.slow
 def test_modes_that_were_not_put_in_are_noise(output):
     noll, std, noise = (output.arrays[name].value for name in ("noll", "std_nm", "noise_nm"))
     absent = noll > 15
@@ -51,6 +53,7 @@ def test_cubes_of_the_same_ncpas_count_once(products):
     assert output.results.numbers is None
 
 
+@pytest.mark.slow
 def test_unseen_frames_recommend_the_number_put_in(output):
     numbers = output.results.numbers
     assert numbers.recommended == 15
@@ -69,6 +72,7 @@ def test_too_few_frames_for_halves_are_told(products):
     assert "no cube has 32 used frames" in output.summary[-1]
 
 
+@pytest.mark.slow
 def test_a_law_needs_enough_modes(products):
     few = dict(products)
     few["calibrate"] = bench.run_stage(calibrate, products, **EACH | {"highest_noll": 6})[1]
@@ -82,6 +86,7 @@ def test_numbers_rise_and_are_those_of_modes(numbers):
         modes.Config(numbers=numbers)
 
 
+@pytest.mark.slow
 def test_the_section_shows_strength_law_and_numbers(output):
     section = section_of(output, "modes", modes_section)
     flat = [one for block in section.blocks for one in getattr(block, "blocks", [block])]

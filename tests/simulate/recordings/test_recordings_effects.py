@@ -60,6 +60,7 @@ def test_every_effect_is_tried():
     assert SIZES.keys() == EFFECTS.keys()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_changes_the_frames_and_is_told_in_the_truth_alone(tmp_path, plain, name):
     image, side_car, told = recording(tmp_path / "out", {name: SIZES[name]})
@@ -69,6 +70,7 @@ def test_an_effect_changes_the_frames_and_is_told_in_the_truth_alone(tmp_path, p
     assert list(told["hidden"]) == [name] and plain[2]["hidden"] == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["diversity_error", "focus_stage_offset", "high_order_ncpa", "phase_bump"])
 def test_errors_of_the_wavefront_are_part_of_the_true_one(tmp_path, plain, name):
     told = recording(tmp_path / "out", {name: SIZES[name]})[2]

@@ -37,6 +37,7 @@ def test_data_and_truth_lie_apart(tmp_path):
     assert sorted(path.stem for path in (tmp_path / "out" / "truth").glob("*.json")) == expected
 
 
+@pytest.mark.slow
 def test_the_same_spec_and_seed_make_the_same_bytes_whatever_the_number_of_processes(tmp_path):
     pair = {"cube": CUBE, "faint": CUBE | {"mag_j": 12.0}}
     sky = spec_of(pair, sky={"seeing_arcsec": 0.5}, motion={}, ncpa={"total_nm": 100})
@@ -76,6 +77,7 @@ def test_only_what_changed_is_made_again_and_the_reason_is_told(tmp_path, change
     assert all(why in step.reason for step in steps if step.reason)
 
 
+@pytest.mark.slow
 def test_what_is_gone_is_made_again_and_force_makes_everything(tmp_path):
     simulated(tmp_path / "out", spec_of(NIGHT))
     before = checksums(tmp_path / "out")

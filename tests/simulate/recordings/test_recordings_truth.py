@@ -12,6 +12,7 @@ from helpers.simulation_specs import CUBE, RAMP, simulated, spec_of, truth
 from irlos_pipe.simulate.recordings.folder import SimulationFolder
 
 
+@pytest.mark.slow
 def test_the_truth_is_the_wavefront_that_was_put_in(tmp_path):
     ncpa = {4: 30.0, 7: -20.0, 31: 10.0}
     effects = {
