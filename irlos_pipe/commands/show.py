@@ -11,6 +11,7 @@ from irlos_pipe.conventions.text import aligned
 from irlos_pipe.pipeline.plan import Selection
 from irlos_pipe.pipeline.run import plan_run
 from irlos_pipe.product.product import Check, Product, Quantity
+from irlos_pipe.product.results import provenance_of
 from irlos_pipe.product.runfolder import RunFolder, existing_run
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import load_recipe
@@ -64,20 +65,20 @@ def _quality_and_time(path: Path) -> tuple[str, str]:
     except InputDataError:
         return "-", "-"
     passed = sum(check.passed for check in product.checks)
-    return f"{passed}/{len(product.checks)}", str(product.provenance.get("finished", "-"))
+    return f"{passed}/{len(product.checks)}", provenance_of(product).finished or "-"
 
 
 def _origin(path: Path, product: Product) -> str:
-    origin = product.provenance
-    software = ", ".join(f"{name} {version}" for name, version in origin.get("software", {}).items())
+    made = provenance_of(product)
+    software = ", ".join(f"{name} {version}" for name, version in made.software.items())
     rows = [
         ("product", f"{path.name}, stage '{product.stage}'"),
-        ("made", str(origin.get("finished"))),
-        ("took", f"{origin.get('seconds')} s on {origin.get('machine', {}).get('host')}"),
-        ("command", str(origin.get("command"))),
+        ("made", made.finished),
+        ("took", f"{made.seconds} s on {made.machine.host}"),
+        ("command", made.command),
         ("software", software),
-        ("inputs", f"{len(origin.get('inputs', []))} files"),
-        ("seed", str(origin.get("seed"))),
+        ("inputs", f"{len(made.inputs)} files"),
+        ("seed", str(made.seed)),
     ]
     return aligned(rows)
 

@@ -42,6 +42,55 @@ class StageResults(ResultsPart):
     stage: ClassVar[str]
 
 
+class InputFileEntry(ResultsPart):
+    """A file that a run read; what its label begins with is the recipe input."""
+
+    label: str
+    sha256: str
+
+
+class Machine(ResultsPart):
+    """The computer that a product was made on."""
+
+    host: str = ""
+    platform: str = ""
+
+
+class Provenance(ResultsPart):
+    """Where a product comes from.
+
+    Attributes
+    ----------
+    key : str
+        Checksum of all that the product depends on; `parts` are what it was made of.
+    summary, failures : list of str
+        Lines for the terminal, and one line per exposure that failed.
+    files : list of str
+        Further files that the stage wrote.
+    software : dict of str to str
+        Versions by package.
+    started, finished : str
+        UTC, ISO 8601; `seconds` lie between.
+    """
+
+    key: str = ""
+    parts: dict[str, Any] = {}
+    recipe: str = ""
+    summary: list[str] = []
+    failures: list[str] = []
+    files: list[str] = []
+    inputs: list[InputFileEntry] = []
+    seed: int | None = None
+    device: str = ""
+    jobs: int | None = None
+    software: dict[str, str] = {}
+    machine: Machine = Machine()
+    command: str = ""
+    started: str = ""
+    finished: str = ""
+    seconds: Number = math.nan
+
+
 Results = TypeVar("Results", bound=StageResults)
 Part = TypeVar("Part", bound=ResultsPart)
 
@@ -86,6 +135,17 @@ def results_of(kind: type[Results], product: Product) -> Results:
         When they are not those of the stage.
     """
     return _parsed(kind, product.results, f"results of stage '{product.stage}'")
+
+
+def provenance_of(product: Product) -> Provenance:
+    """Return the provenance of a `product`.
+
+    Raises
+    ------
+    InputDataError
+        When it is damaged.
+    """
+    return _parsed(Provenance, product.provenance, f"provenance of stage '{product.stage}'")
 
 
 def read_run_results(path: Path) -> RunResults:

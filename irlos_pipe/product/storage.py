@@ -39,6 +39,7 @@ from irlos_pipe.product.checksum import (
     sealed_metadata,
 )
 from irlos_pipe.product.product import Check, Product, Quantity
+from irlos_pipe.product.results import Provenance
 
 SCHEMA = "irlos-product"
 SCHEMA_VERSION = 1
@@ -60,33 +61,13 @@ class _CheckEntry(BaseModel):
         return Check(self.name, value, self.unit, self.low, self.high, self.message)
 
 
-class _InputEntry(BaseModel):
-    """A file that a stage read; there may be more of it."""
-
-    label: str
-    sha256: str
-
-
-class _Provenance(BaseModel):
-    """What the pipeline reads of the provenance; there may be more."""
-
-    key: str = ""
-    parts: dict[str, Any] = {}
-    summary: list[str] = []
-    failures: list[str] = []
-    files: list[str] = []
-    inputs: list[_InputEntry] = []
-    software: dict[str, str] = {}
-    machine: dict[str, Any] = {}
-
-
 class _Sections(BaseModel):
     """The JSON sections of the file."""
 
     results: dict[str, Any]
     checks: list[_CheckEntry]
     config: dict[str, Any]
-    provenance: _Provenance
+    provenance: Provenance
     log: list[str]
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.product.results import provenance_of
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.content import Section, Text
 from irlos_pipe.report.key_numbers import key_numbers
@@ -105,7 +106,7 @@ def _sections(run: RunData) -> list[Section]:
 
 def _plain_section(stage: str, run: RunData) -> Section:
     """Show the summary of a stage for which there are no drawings."""
-    lines = run.products[stage].provenance.get("summary", [])
+    lines = provenance_of(run.products[stage]).summary
     return Section(stage, stage.capitalize(), blocks=[Text("\n".join(lines), verbatim=True)])
 
 

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from irlos_pipe.product.results import Provenance, provenance_of
 from irlos_pipe.report.build import stage_sections
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import renamed
 from irlos_pipe.report.run_data import RunData, read_run
 from irlos_pipe.report.section_origin import finished, warnings
-from irlos_pipe.report.text import duration
+from irlos_pipe.report.text import duration, is_known
 
 LEFT_OUT = {"ingest"}  # frames as they came in: the experiment's own report shows them
 
@@ -31,7 +32,7 @@ class Chapter:
         The whole numbers among the settings of its last stage: how much was drawn.
     seconds : float
         Wall time of all stages.
-    made : dict
+    made : Provenance or None
         Provenance of the last stage.
     """
 
@@ -45,7 +46,7 @@ class Chapter:
     sizes: str = ""
     seconds: float | None = None
     finished: str = ""
-    made: Mapping[str, Any] = field(default_factory=dict)
+    made: Provenance | None = None
 
     @property
     def time(self) -> str:
@@ -72,6 +73,7 @@ def read_chapter(name: str, folder: Path, problem: str = "") -> Chapter:
     """
     run = read_run(folder)
     last = next(reversed(run.products.values()), None)
+    made = [provenance_of(product) for product in run.products.values()]
     return Chapter(
         name,
         run.recipe.get("title") or name,
@@ -81,9 +83,9 @@ def read_chapter(name: str, folder: Path, problem: str = "") -> Chapter:
         _settings(run),
         run.recipe.get("seed"),
         _sizes(last.config) if last else "",
-        sum(product.provenance.get("seconds") or 0 for product in run.products.values()),
+        sum(one.seconds for one in made if is_known(one.seconds)),
         finished(run),
-        last.provenance if last else {},
+        made[-1] if made else None,
     )
 
 

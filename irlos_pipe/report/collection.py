@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
 from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.product.results import Provenance
 from irlos_pipe.report.chapter import Chapter
 from irlos_pipe.report.content import Section, Table
 from irlos_pipe.report.render import rendered
@@ -63,19 +64,15 @@ def _text(value: Any) -> str:
 
 def _origin(chapters: Sequence[Chapter]) -> Section:
     """Where and with what each experiment was run."""
-    made = [one for one in chapters if one.made]
-    table = Table(
-        ("experiment", "finished", "time", "processes", "machine"),
-        [(one.name, one.finished, one.time, _text(one.made.get("jobs")), _machine(one.made)) for one in made],
-    )
-    software = dict.fromkeys(_software(one.made) for one in made)
-    return Section("origin", "Machine and software", "; ".join(software), [table] if made else [])
+    run = [(one, one.made) for one in chapters if one.made]
+    rows = [
+        (one.name, one.finished, one.time, _text(made.jobs), f"{made.machine.host} ({made.machine.platform})")
+        for one, made in run
+    ]
+    table = Table(("experiment", "finished", "time", "processes", "machine"), rows)
+    software = dict.fromkeys(_software(made) for _, made in run)
+    return Section("origin", "Machine and software", "; ".join(software), [table] if run else [])
 
 
-def _machine(made: Mapping[str, Any]) -> str:
-    machine = made.get("machine", {})
-    return f"{machine.get('host', '')} ({machine.get('platform', '')})"
-
-
-def _software(made: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name} {version}" for name, version in made.get("software", {}).items())
+def _software(made: Provenance) -> str:
+    return ", ".join(f"{name} {version}" for name, version in made.software.items())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from irlos_pipe.product.results import provenance_of
 from irlos_pipe.report.content import Figure, Section, Table, Text
 from irlos_pipe.report.drawing import BLUE, ORANGE
 from irlos_pipe.report.images import PANEL_IN, image_panel, log_scale
@@ -26,7 +27,7 @@ def correct_section(run: RunData) -> Section:
 
 
 def _lead(run: RunData, results: CorrectResults) -> str:
-    files = ", ".join(run.products[STAGE].provenance.get("files", []))
+    files = ", ".join(provenance_of(run.products[STAGE]).files)
     return (
         f"Predicted Strehl {number(results.strehl_before, '.3f')} → "
         f"{number(results.strehl_after, '.3f')}{f'; offsets in {files}' if files else ''}."

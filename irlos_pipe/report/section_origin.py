@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from irlos_pipe.product.product import Product
+from irlos_pipe.product.results import Provenance, provenance_of
 from irlos_pipe.report.content import Block, Section, Table, Text
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number
@@ -25,7 +24,7 @@ def origin_section(run: RunData) -> Section:
 
 def finished(run: RunData) -> str:
     """Return when the last stage ended, to the minute; empty without products."""
-    return _moment(_latest(run).get("finished"))
+    return _moment(_latest(run).finished)
 
 
 def warnings(run: RunData) -> list[str]:
@@ -37,31 +36,24 @@ def warnings(run: RunData) -> list[str]:
             for line in product.log
             if line.startswith(("WARNING ", "ERROR ", "CRITICAL "))
         ]
-        found += [f"{stage}: lost: {failure}" for failure in product.provenance.get("failures", [])]
+        found += [f"{stage}: lost: {failure}" for failure in provenance_of(product).failures]
     return found
 
 
-def _latest(run: RunData) -> dict[str, Any]:
+def _latest(run: RunData) -> Provenance:
     """Provenance of the product made last."""
-    return max(
-        (product.provenance for product in run.products.values()),
-        key=lambda provenance: provenance.get("finished") or "",
-        default={},
-    )
+    made = (provenance_of(product) for product in run.products.values())
+    return max(made, key=lambda one: one.finished, default=Provenance())
 
 
-def _moment(iso_time: str | None) -> str:
+def _moment(iso_time: str) -> str:
     return f"{iso_time[:16].replace('T', ' ')} UTC" if iso_time else ""
 
 
-def _lead(provenance: dict[str, Any]) -> str:
-    machine = provenance.get("machine", {})
-    facts = [
-        provenance.get("command", ""),
-        f"seed {provenance.get('seed', '')}",
-        f"{machine.get('host', '')} ({machine.get('platform', '')})",
-    ]
-    facts += [f"{name} {version}" for name, version in provenance.get("software", {}).items()]
+def _lead(made: Provenance) -> str:
+    seed = "" if made.seed is None else made.seed
+    facts = [made.command, f"seed {seed}", f"{made.machine.host} ({made.machine.platform})"]
+    facts += [f"{name} {version}" for name, version in made.software.items()]
     return " · ".join(facts)
 
 
@@ -74,17 +66,17 @@ def _stages(run: RunData) -> Table:
 
 
 def _stage_row(stage: str, product: Product) -> tuple[str, ...]:
-    made = product.provenance
+    made = provenance_of(product)
     return (
         stage,
-        _moment(made.get("finished")),
-        number(made.get("seconds")),
-        made.get("device", ""),
-        str(made.get("jobs", "")),
-        made.get("software", {}).get("irlos_pipe", ""),
+        _moment(made.finished),
+        number(made.seconds),
+        made.device,
+        "" if made.jobs is None else str(made.jobs),
+        made.software.get("irlos_pipe", ""),
     )
 
 
-def _inputs(provenance: dict[str, Any]) -> list[Table]:
-    rows = [(one["label"], one["sha256"][:CHECKSUM_DIGITS]) for one in provenance.get("inputs", [])]
+def _inputs(made: Provenance) -> list[Table]:
+    rows = [(one.label, one.sha256[:CHECKSUM_DIGITS]) for one in made.inputs]
     return [Table(("file", "sha256"), rows, f"Input files ({len(rows)})", folded=True)] if rows else []
