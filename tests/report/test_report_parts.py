@@ -6,11 +6,11 @@ import matplotlib
 import numpy as np
 import pytest
 
+from irlos_pipe.optics.profile import ring_means
 from irlos_pipe.optics.zernike import zernike
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.report.drawing import BLUE, CYCLE, INK, log_y, svg
 from irlos_pipe.report.images import brightness_scale, image_panel, log_scale, thumbnail
-from irlos_pipe.report.radial import ring_means
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_lift import RampPoints, image_strip, ramp_plot, residual_limit
 from irlos_pipe.report.section_prior import prior_section
