@@ -286,5 +286,5 @@ def _first_guess(view: View, stack: Stack, part: ImageFit) -> torch.Tensor:
     masked = (stack.mean_e * (stack.root > 0))[None]
     x = part.layout.start(masked)
     image = masked.reshape(1, *settings.window)
-    x[:, :2] = start_tilts_nm(image, settings.pixel_scale_mas, settings.geometry.diameter_m)
+    x[:, :2] = start_tilts_nm(image, settings)
     return x

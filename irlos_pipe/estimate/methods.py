@@ -116,8 +116,7 @@ class EveryFrame(Scheme):
             model, frames.images_e, frames.pixel_mask, frames.noise, ROUGH_ITERATIONS
         )
         x = start_at_centroids(frames, problem)
-        scale, diameter = model.settings.pixel_scale_mas, model.settings.geometry.diameter_m
-        modelled = start_tilts_nm(model.images(median_nm[None]).double().cpu(), scale, diameter)
+        modelled = start_tilts_nm(model.images(median_nm[None]).double().cpu(), model.settings)
         x[:, :2] += median_nm[:2] - modelled
         x[:, 2 : len(median_nm)] = median_nm[2:]
         return x
@@ -178,7 +177,7 @@ def _centred(images: torch.Tensor, pixel_mask: torch.Tensor, problem: ImageFit) 
     settings, first = problem.model.psf.settings, images.double().mean(1).cpu()
     x = problem.layout.start(first)
     masked = first.reshape(-1, *settings.window) * pixel_mask
-    x[:, :2] = start_tilts_nm(masked, settings.pixel_scale_mas, settings.geometry.diameter_m)
+    x[:, :2] = start_tilts_nm(masked, settings)
     return x
 
 

@@ -80,9 +80,8 @@ def start_from_defocus(model: LightPath, data: RampData, defocus_nm: np.ndarray)
     """
     start = torch.zeros(len(data.images_e), len(model.nolls), dtype=torch.float64)
     start[:, model.nolls.index(DEFOCUS)] = torch.as_tensor(np.nan_to_num(defocus_nm))
-    scale, diameter = model.settings.pixel_scale_mas, model.settings.geometry.diameter_m
-    seen = start_tilts_nm((data.images_e * data.pixel_mask).double(), scale, diameter)
-    modelled = start_tilts_nm(model.images(start).double().cpu(), scale, diameter)
+    seen = start_tilts_nm((data.images_e * data.pixel_mask).double(), model.settings)
+    modelled = start_tilts_nm(model.images(start).double().cpu(), model.settings)
     for axis, noll in enumerate((2, 3)):
         if noll in model.nolls:
             start[:, model.nolls.index(noll)] = (seen - modelled)[:, axis]

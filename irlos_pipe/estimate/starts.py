@@ -22,6 +22,7 @@ from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.solution import INVALID, Solution
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.light_path import AS_BUILT, LightPath
+from irlos_pipe.optics.psf_settings import PsfSettings
 
 SCAN_NM = np.linspace(-700.0, 700.0, 15)  # defocus of the templates
 PLAUSIBLE_CHI2 = 4.0  # χ²/ν of right solutions stays below 3, that of wrong ones is 10 and more
@@ -30,7 +31,7 @@ FEW_FRAMES_ITERATIONS = 60
 START_HIGHEST_NOLL = 30  # modes of a start from single frames
 
 
-def start_tilts_nm(images_e: torch.Tensor, pixel_scale_mas: float, diameter_m: float) -> torch.Tensor:
+def start_tilts_nm(images_e: torch.Tensor, settings: PsfSettings) -> torch.Tensor:
     """Return tip and tilt that move the model to the centroid of the bright pixels, (frames, 2) [nm RMS].
 
     Pixels below a fifth of the brightest are left out, so that noise and halo do not pull.
@@ -38,14 +39,15 @@ def start_tilts_nm(images_e: torch.Tensor, pixel_scale_mas: float, diameter_m: f
     Parameters
     ----------
     images_e : tensor, (frames, rows, columns)
-    pixel_scale_mas, diameter_m : float
+    settings : PsfSettings
     """
     bright = (images_e - 0.2 * images_e.amax((1, 2), keepdim=True)).clamp_min(0)
     total = bright.sum((1, 2)).clamp_min(1e-30)
     rows, columns = images_e.shape[1:]
     y = (bright.sum(2) @ (torch.arange(rows, dtype=bright.dtype) - (rows - 1) / 2)) / total
     x = (bright.sum(1) @ (torch.arange(columns, dtype=bright.dtype) - (columns - 1) / 2)) / total
-    return tilt_nm(torch.stack([x, y], dim=1).double() * pixel_scale_mas, diameter_m)
+    angles_mas = torch.stack([x, y], dim=1).double() * settings.pixel_scale_mas
+    return tilt_nm(angles_mas, settings.geometry.diameter_m)
 
 
 def scan_start_nm(
@@ -138,8 +140,7 @@ def median_of_frames_nm(
     chosen = torch.linspace(0, len(images_e) - 1, min(FEW_FRAMES, len(images_e))).round().long()
     some = images_e[chosen]
     start = torch.zeros(len(some), len(model.nolls), dtype=torch.float64)
-    scale, diameter = model.settings.pixel_scale_mas, model.settings.geometry.diameter_m
-    start[:, :2] = start_tilts_nm((some * pixel_mask).double(), scale, diameter)
+    start[:, :2] = start_tilts_nm((some * pixel_mask).double(), model.settings)
     options = LiftOptions(noise="data", max_iterations=max_iterations)
     result = lift(ImageModel(model), some, pixel_mask, noise, start, options)
     valid = torch.tensor([status != INVALID for status in result.solution.status])
