@@ -20,7 +20,7 @@ STAGE = MethodsResults.stage
 DRAWN = tuple(METHOD_NAMES)
 MARKERS = ("o", "s", "^", "D", "v", "P")
 NAMES = METHOD_NAMES | {PAPER_CHOICE: f"{METHOD_NAMES[PAPER_CHOICE]} (the paper's choice)"}
-SHAPES = {
+SHAPES: dict[str, str] = {
     MODEL_SHAPE: "power law, as modelled",
     "servo_lag": "servo lag along the wind",
     "aliasing": "aliasing",
