@@ -10,7 +10,7 @@ from conftest import invoke
 from helpers import paper_bench
 from helpers.fake_stages import COUNTS
 from helpers.paper_bench import PaperBench
-from helpers.paths import RECIPES
+from helpers.paths import PACKAGE, RECIPES
 
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.paper.run.experiments import find_experiments
@@ -221,6 +221,13 @@ def test_the_recipes_that_come_with_the_sources_are_valid_and_each_has_a_section
     assert [one.recipe.stages[-1] for one in found] == list(EXPERIMENTS)
     for name in EXPERIMENTS:
         assert callable(import_module(f"irlos_pipe.paper.{name}.section").section)
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_an_experiment_imports_from_no_other(name):
+    sources = [path.read_text() for path in (PACKAGE / "paper" / name).glob("*.py")]
+    used = {found for text in sources for found in re.findall(r"from irlos_pipe\.paper\.(\w+)", text)}
+    assert used <= {name, "common"}
 
 
 def test_every_experiment_has_quick_sizes():
