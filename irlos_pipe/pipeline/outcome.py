@@ -9,6 +9,7 @@ from typing import Any
 
 from irlos_pipe.conventions.errors import ExitCode
 from irlos_pipe.product.product import Product
+from irlos_pipe.product.results import RunResults, provenance_of
 
 EXIT_CODES = {
     "ok": ExitCode.DONE,
@@ -64,24 +65,23 @@ def assess(recipe_name: str, products: Mapping[str, Product], error: str = "") -
         What stopped the run, if anything did.
     """
     status = "failed" if error else _status(products)
-    results = {
-        "schema": "irlos-results",
-        "schema_version": 1,
-        "recipe": recipe_name,
-        "status": status,
-        "stages": {name: product.results for name, product in products.items()},
-    }
-    if error:
-        results["error"] = error
-    summary = {name: product.provenance["summary"] for name, product in products.items()}
-    return Outcome(status, results, _quality(recipe_name, products), summary)
+    results = RunResults(
+        schema="irlos-results",
+        schema_version=1,
+        recipe=recipe_name,
+        status=status,
+        stages={name: product.results for name, product in products.items()},
+        **({"error": error} if error else {}),
+    )
+    summary = {name: provenance_of(product).summary for name, product in products.items()}
+    return Outcome(status, results.as_json(), _quality(recipe_name, products), summary)
 
 
 def _status(products: Mapping[str, Product]) -> str:
     # A failed limit outranks lost exposures: it says that the result may not be used.
     if any(not check.passed for product in products.values() for check in product.checks):
         return "qc_failed"
-    if any(product.provenance["failures"] for product in products.values()):
+    if any(provenance_of(product).failures for product in products.values()):
         return "partial"
     return "ok"
 

@@ -15,6 +15,8 @@ from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.product.results import results_of
+from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.model.effect_entry import EffectEntry
 from irlos_pipe.stages.model.light_path import psf_settings, residual_band, seeing_arcsec
 from irlos_pipe.stages.model.section import ModelConfig
@@ -151,5 +153,5 @@ def _measured(product: Product, label: str, entry: EffectEntry, conditions: Cond
     key = f"effects/{label}"
     if key not in product.arrays or not len(product.arrays[key].value):
         return None
-    effect = _under(entry, conditions, product.results.get("effects", {}).get(label, {}))
+    effect = _under(entry, conditions, results_of(CalibrateResults, product).effects.get(label, {}))
     return FixedEffect(effect, np.array(product.arrays[key].value, float))
