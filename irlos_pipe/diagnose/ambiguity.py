@@ -1,4 +1,4 @@
-"""Which other names these data allow beside the best one, and what would tell them apart."""
+"""Which other names these data allow beside the best one, and what would separate them."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ LARGEST_SET = 3
 
 @dataclass(frozen=True)
 class Alternative:
-    """A name that cannot be told from the best one.
+    """A name that cannot be distinguished from the best one.
 
     Attributes
     ----------
     name : str
     reason : str
     separated_by : str
-        What tells them apart.
+        What separates the two.
     likeness : float
         |cos| between what the two add to the image, beyond what the fitted parameters imitate.
     second_recording : str
         How a further recording differs with which they are least alike.
     likeness_then : float
-        The same with it.
+        |cos| with that recording.
     """
 
     name: str
@@ -44,7 +44,10 @@ class Alternative:
 
 
 def alternatives(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> list[Alternative]:
-    """Names that are not significantly worse than the first of `ranked`."""
+    """Names that are not significantly worse than the first of `ranked`.
+
+    `judges`: the evaluation of each on the held-out frames.
+    """
     best = ranked[0]
     found = []
     for other, judge in zip(ranked[1:], judges[1:], strict=True):
@@ -56,7 +59,10 @@ def alternatives(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -
 
 
 def likeness(one: Fitted, other: Fitted, before: Optimum) -> float:
-    """|cos| of the changes of the image that two models make, projected off the fitted parameters."""
+    """|cos| of the changes of the image that models `one` and `other` make.
+
+    They are projected off the fitted parameters of the model `before`.
+    """
     changes = torch.stack(
         [(fitted.image_e - before.fitted.image_e) * before.root for fitted in (one, other)], dim=1
     )

@@ -40,7 +40,18 @@ def conclude(
     options: Options,
     screened: Sequence[Screened] = (),
 ) -> Diagnosis:
-    """The verdict with all its numbers."""
+    """The verdict with all its numbers.
+
+    Parameters
+    ----------
+    cube : Cube
+    search : Search
+        What was found in it.
+    noise : NoiseVerdict
+    options : Options
+    screened : sequence of Screened
+        Pixels masked in the frames.
+    """
     fine = fine_structure(search.final)
     why = why_unknown(search, noise, fine, options)
     steps = [*_drift_steps(cube, search, options), *_steps(cube, search)]
@@ -81,7 +92,15 @@ def conclude(
 
 
 def why_unknown(search: Search, noise: NoiseVerdict, fine: FineStructure, options: Options) -> str:
-    """What speaks against the names found, or for something that has none; empty if nothing does."""
+    """What speaks against the names found, or for something that has none; empty if nothing does.
+
+    Parameters
+    ----------
+    search : Search
+    noise : NoiseVerdict
+    fine : FineStructure
+    options : Options
+    """
     null, final = search.null.excess, search.final.excess
     much = final.significance > options.sure and final.chi2_nu > LEFT_CHI2_NU[noise.kind]
     if much and final.chi2 > LEFT[noise.kind] * null.chi2:

@@ -69,7 +69,7 @@ class Accepted:
 
     @property
     def name(self) -> str:
-        """Of the effect."""
+        """Name of the effect."""
         return self.refit.name
 
 
@@ -100,8 +100,19 @@ class Search:
 
 
 def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool) -> Accepted | None:
-    """The best of the fitted names, if it is significant, if the held-out frames agree, and if,
-    unless it is the `first`, it explains most of what is left.
+    """Choose the best of the fitted names, or None.
+
+    It must be significant, the held-out frames must agree, and a further name must explain most of what is
+    left.
+
+    Parameters
+    ----------
+    ranked : sequence of Refit
+        The best first.
+    cube : Cube
+    options : Options
+    first : bool
+        Whether no name was found before.
     """
     if not ranked or not detected(ranked[0], options.sure):
         return None
@@ -124,7 +135,15 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool
 def by_motion(
     ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation], cube: Cube
 ) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
-    """Between motion and a detector that blurs, which the mean image hardly tells apart, frames decide."""
+    """Decide by the motion of the frames between effects that blur, which a mean image hardly shows.
+
+    Parameters
+    ----------
+    ranked : sequence of Refit
+    judges : sequence of HeldOutEvaluation
+        Of each.
+    cube : Cube
+    """
     rivals = _rivals(ranked, judges)
     if not ranked[0].effect.blurs or not any(one.effect.blurs and one.name in rivals for one in ranked):
         return ranked, judges
@@ -138,7 +157,10 @@ def by_motion(
 def by_plausibility(
     ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]
 ) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
-    """Of names that the images do not tell apart, one that need not be larger than anything known."""
+    """Among indistinguishable names prefer the first with plausible parameters.
+
+    `ranked` and `judges`: see `by_motion`.
+    """
     if not ranked[0].implausible:
         return ranked, judges
     rivals = _rivals(ranked, judges)
@@ -154,13 +176,13 @@ def _rivals(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> set
 def _led_by(
     first: Sequence[int], ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]
 ) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
-    """The same in another order: some ahead, the others as they were."""
+    """Both in another order: the positions `first` ahead, the others as they were."""
     order = [*first, *(i for i in range(len(ranked)) if i not in first)]
     return [ranked[i] for i in order], [judges[i] for i in order]
 
 
 def detected(refit: Refit, sure: float) -> bool:
-    """Whether the fall of χ² and the significance are beyond chance."""
+    """Whether the fall of χ² and the significance of `refit` are beyond chance, the latter above `sure` σ."""
     return (
         refit.significance > sure
         and refit.gain > threshold(refit.parameters, refit.score.trials) * refit.score.inflation
@@ -168,7 +190,10 @@ def detected(refit: Refit, sure: float) -> bool:
 
 
 def threshold(parameters: int, trials: int) -> float:
-    """Fall of χ² that chance does not reach, over many data sets with small errors of the model."""
+    """Fall of χ² that chance does not reach, over many data sets with small errors of the model.
+
+    `parameters` were fitted to the best of `trials`.
+    """
     return parameters + 6 * np.sqrt(2 * parameters) + 20 + 2 * np.log(trials)
 
 
@@ -181,7 +206,16 @@ def explained(refit: Refit) -> float:
 def no_longer_needed(
     fitter: Fitter, current: Optimum, accepted: Sequence[Accepted]
 ) -> tuple[Accepted, Fitted] | None:
-    """A name found earlier without which the model fits as well, and that fit; None if all are needed."""
+    """A name found earlier without which the model fits as well, and that fit; None if all are needed.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    current : Optimum
+        With all names.
+    accepted : sequence of Accepted
+        The last one is not in question.
+    """
     for one in accepted[:-1]:
         kept = [effect for effect in current.fitted.continued() if effect.name != one.name]
         price = PER_PARAMETER * one.refit.parameters * one.refit.score.inflation

@@ -160,7 +160,7 @@ class Fitter:
         return self._exact(self._solved(problem, self._start(problem, near)))
 
     def explored(self, effects: Sequence[Effect], near: Fitted | None = None) -> Fitted:
-        """Fit `effects`, see `fit`, in float32 to a loose tolerance, which is enough to rank candidates."""
+        """Fit `effects` from a fit `near` by, in float32 to a loose tolerance: enough to rank candidates."""
         problem = self._problem(effects, self._quick, ROUGHLY)
         return self._solved(problem, self._start(problem, near), EXPLORING)
 

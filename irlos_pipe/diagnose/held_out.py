@@ -82,7 +82,7 @@ class HeldOutEvaluation:
 
 
 def preference(better: HeldOutEvaluation, worse: HeldOutEvaluation) -> float:
-    """Vuong's statistic: mean difference of the losses over its standard error."""
+    """Vuong's statistic for `better` against `worse`: mean difference of the losses over its error."""
     difference = worse.losses - better.losses
     error = difference.std(ddof=1) / np.sqrt(better.stack.independent)
     return float(difference.mean() / error) if error > 0 else 0.0
@@ -103,5 +103,5 @@ def noise_floor(judge: HeldOutEvaluation) -> float:
 
 
 def gap_between(before: HeldOutEvaluation, after: HeldOutEvaluation) -> Gap:
-    """Gaps of two models on the same frames."""
+    """Gaps of the models `before` and `after` on the same frames."""
     return Gap(before.gap, after.gap, noise_floor(before))

@@ -57,7 +57,7 @@ class JointFit(CheapGradientProblem):
         return [columns[i] for columns in self.columns for i in (0, 1, -2, -1)]
 
     def part(self, x: torch.Tensor, number: int) -> torch.Tensor:
-        """Parameter vector of one recording, (1, its parameters)."""
+        """Parameter vector of recording `number`, (1, its parameters), out of the whole vector `x`."""
         return x[:, self.columns[number]]
 
     # -- Problem -----------------------------------------------------------------------------
@@ -67,7 +67,7 @@ class JointFit(CheapGradientProblem):
         return self.tolerance * (2 * value / self.freedom).clamp_min(1.0)
 
     def objective(self, x: torch.Tensor, which: torch.Tensor) -> torch.Tensor:
-        """Half of χ² plus that of the prior, (1,)."""
+        """See `Problem.objective`: half of χ² plus that of the prior, (1,)."""
         value = _half_chi2(x - self.prior_mean, self.prior_precision)
         for number, part in enumerate(self.parts):
             at = self.part(x, number)
@@ -76,14 +76,14 @@ class JointFit(CheapGradientProblem):
         return value
 
     def cheap_gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Objective and its gradient by autograd, at a tenth of the cost of the normal equations."""
+        """See `CheapGradientProblem`: by autograd, at a tenth of the cost of the normal equations."""
         with torch.enable_grad():
             x = x.detach().requires_grad_()
             value = self.objective(x, which)
             return value.detach(), torch.autograd.grad(value.sum(), x)[0]
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
-        """Objective, gradient and Gauss–Newton Hessian, see `Problem`."""
+        """See `Problem.normal_equations`: with the Gauss–Newton Hessian."""
         offset = x - self.prior_mean
         value = _half_chi2(offset, self.prior_precision)
         gradient, hessian = self.prior_precision * offset, torch.diag_embed(self.prior_precision)

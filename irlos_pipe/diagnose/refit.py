@@ -46,7 +46,7 @@ class Refit:
 
     @property
     def name(self) -> str:
-        """Of the effect."""
+        """Name of the effect."""
         return self.score.name
 
     @property
@@ -131,7 +131,17 @@ def refits(
     scores: Sequence[Score],
     report: Callable[[int], None] = lambda count: None,
 ) -> list[Refit]:
-    """The most promising families fitted, the best first."""
+    """Fit the most promising families, and return the best first.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    origin : Optimum
+        Of the model without them.
+    scores : sequence of Score
+    report : callable
+        Called with the number of finished fits.
+    """
     found: list[Refit] = []
     for some in _rounds(proposals(scores)):
         hopeful = [score for score in some if not _hopeless(score, found)]
@@ -170,12 +180,12 @@ def _near(fitter: Fitter, origin: Optimum, score: Score) -> Refit:
 
 
 def _explored(fitter: Fitter, origin: Optimum, effect: FixedEffect) -> Fitted:
-    """A fit from the model before that goes as far as tells whether it is promising."""
+    """A fit from the model before, see `Fitter.explored`."""
     return fitter.explored([*origin.fitted.continued(), effect], origin.fitted)
 
 
 def _joined(fitter: Fitter, found: Sequence[Refit], new: Sequence[Refit]) -> list[Refit]:
-    """Both, but for fits that failed; whatever is the best of all goes on until it converges."""
+    """Both without failed fits; the best of all continues until it converges."""
     joined = [one for one in (*found, *new) if np.isfinite(one.fitted.chi2)]
     while joined and not (best := _best(joined)).fitted.exact:
         joined[joined.index(best)] = _finished(fitter, best)
@@ -187,19 +197,19 @@ def _best(found: Sequence[Refit]) -> Refit:
 
 
 def _finished(fitter: Fitter, one: Refit) -> Refit:
-    """The same after convergence."""
+    """`one` after convergence."""
     return replace(one, fitted=fitter.finished(one.fitted))
 
 
 def _rivals_finished(fitter: Fitter, found: Sequence[Refit]) -> list[Refit]:
-    """The same with all converged that explain about as much as the best: any of them may be chosen."""
+    """All of `found`; those converge that explain about as much as the best, as any may be chosen."""
     rivals = [one for one in found if not one.fitted.exact and is_rival(_best(found), one)]
     finished = ordered_map(partial(_finished, fitter), rivals)
     return _joined(fitter, [one for one in found if one not in rivals], finished)
 
 
 def is_rival(best: Refit, other: Refit) -> bool:
-    """Whether χ² falls about as far with `other`."""
+    """Whether χ² falls about as far with `other` as with `best`."""
     deficit = (other.fitted.chi2 - best.fitted.chi2) / best.score.inflation
     return deficit < CLEARLY_LESS or other.gain > EXPLAINS_AS_MUCH * best.gain
 
@@ -210,7 +220,7 @@ def _once_more(
     chosen: Sequence[Refit],
     starts: Callable[[Fitter, Refit], list[Fitted]],
 ) -> list[Refit]:
-    """Some of the families begun again, unless the best leaves nothing to explain."""
+    """Fit the `chosen` families from further starts, unless the best leaves nothing to explain."""
     if not found or _best(found).excess.significance < NOTHING_LEFT:
         return list(found)
 

@@ -2,7 +2,7 @@
 
 Fisher matrices need no frames: at the optimum, every recording that might be taken beside the present
 ones is computed, with as many frames and as much light, and what is then left of an effect's derivative
-beyond the fitted parameters, and of the likeness of two names, tells whether it would help.
+beyond the fitted parameters, and of the likeness of two names, says whether it would help.
 """
 
 from __future__ import annotations
@@ -59,8 +59,10 @@ class SecondRecordings:
     def __init__(self, optimum: Optimum):
         self.optimum, self.present = optimum, optimum.stack
         first = optimum.fitted.views[0]
-        self.views = {words: first.under(conditions) for words, conditions in variants(first.conditions)}
-        self.beside = {words: self._beside(optimum.fitted, words) for words in self.views}
+        self.views = {
+            recording: first.under(conditions) for recording, conditions in variants(first.conditions)
+        }
+        self.beside = {recording: self._beside(optimum.fitted, recording) for recording in self.views}
 
     def showing(self, score: Score, gain: float) -> Advice | None:
         """The recording with which an untestable effect is seen best; None if none shows it.
@@ -72,20 +74,22 @@ class SecondRecordings:
         gain : float
             Fall of χ² from which it counts as seen.
         """
-        found = ((words, self._score(score, optimum)) for words, optimum in self.beside.items())
+        found = ((recording, self._score(score, optimum)) for recording, optimum in self.beside.items())
         useful = [
-            (words, one) for words, one in found if one.testable and within_reach(one, gain, plausible=True)
+            (recording, one)
+            for recording, one in found
+            if one.testable and within_reach(one, gain, plausible=True)
         ]
         if not useful:
             return None
-        words, best = max(useful, key=lambda pair: pair[1].observability)
-        return Advice(words, best.observability, detectable(best, gain))
+        recording, best = max(useful, key=lambda pair: pair[1].observability)
+        return Advice(recording, best.observability, detectable(best, gain))
 
     def separating(self, one: Refit, other: Refit) -> tuple[str, float]:
-        """The recording with which two names are least alike, and how much they still are."""
-        found = {words: self._likeness(words, one, other) for words in self.views}
-        words = min(found, key=lambda key: found[key])
-        return words, found[words]
+        """The recording with which fits `one` and `other` are least alike, and how much they still are."""
+        found = {recording: self._likeness(recording, one, other) for recording in self.views}
+        recording = min(found, key=lambda key: found[key])
+        return recording, found[recording]
 
     def _score(self, score: Score, optimum: Optimum) -> Score:
         shapes = whitened_shapes(optimum, [score.candidate])[0]
@@ -94,14 +98,14 @@ class SecondRecordings:
         smallest = torch.where(seen > ABSORBED, left**-0.5, torch.inf).numpy()
         return replace(score, observability=float(seen.max()), smallest=smallest)
 
-    def _likeness(self, words: str, one: Refit, other: Refit) -> float:
+    def _likeness(self, recording: str, one: Refit, other: Refit) -> float:
         models = (one.fitted, other.fitted, one.origin.fitted)
-        first, second, before = (self._beside(fitted, words) for fitted in models)
+        first, second, before = (self._beside(fitted, recording) for fitted in models)
         return likeness(first.fitted, second.fitted, before)
 
-    def _beside(self, fitted: Fitted, words: str) -> Optimum:
+    def _beside(self, fitted: Fitted, recording: str) -> Optimum:
         """A model with one recording more, which shows what it predicts."""
-        first, view = self.present.parts[0], self.views[words]
+        first, view = self.present.parts[0], self.views[recording]
         pair = Fitter([fitted.views[0], view], Stacks((first, first))).at(fitted)
         image_e = pair.image_e[pair.problem.pixels[1]]
         stacks = Stacks((*self.present.parts, _expected(first, image_e)))
@@ -123,10 +127,10 @@ def variants(conditions: Conditions) -> list[tuple[str, Conditions]]:
     found = [(f"{OUT_OF_FOCUS_NM:+.0f} nm out of focus", replace(known, introduced_nm=focus))]
     if any(known.diversity_nm.values()):
         found.append(("without the diversity", replace(known, diversity_nm={})))
-    others = [(words, replace(settings, known=one)) for words, one in found]
+    others = [(recording, replace(settings, known=one)) for recording, one in found]
     for name, limits in BANDS_NM.items():
         if not any(limits[0] <= nm <= limits[1] for nm, _ in settings.spectrum):
             spectrum = tuple((float(nm), 1.0) for nm in np.linspace(*limits, COLOURS))
-            words = f"in the band {name}, {limits[0]:.0f} to {limits[1]:.0f} nm"
-            others.append((words, replace(settings, spectrum=spectrum)))
-    return [(words, replace(conditions, settings=one)) for words, one in others]
+            recording = f"in the band {name}, {limits[0]:.0f} to {limits[1]:.0f} nm"
+            others.append((recording, replace(settings, spectrum=spectrum)))
+    return [(recording, replace(conditions, settings=one)) for recording, one in others]

@@ -1,4 +1,4 @@
-"""The verdict in the words of an engineer."""
+"""The verdict in one or two sentences."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from irlos_pipe.effects import CATALOGUE
 
 
 def sentence(diagnosis: Diagnosis) -> str:
-    """One or two sentences."""
+    """The verdict of a diagnosis in one or two sentences."""
     return f"{_found(diagnosis)}{_advised(diagnosis)}"
 
 

@@ -14,12 +14,15 @@ from irlos_pipe.effects import Effect, Parameter
 
 STEP = 1e-3  # of a standard error, in derivatives of public values
 FAR = 1e3  # standard errors, in place of a prior that there is none of
-UNDETERMINED = 0.5  # of the prior's variance that is left, from which the data tell nothing
+UNDETERMINED = 0.5  # of the prior's variance that is left, from which the data determine nothing
 NOTHING = 1e-9
 
 
 def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
-    """Covariance of all parameters: from the scatter between frames, at least that of the Fisher matrix."""
+    """Covariance of all parameters of `fitted`, from the scatter between the frames of `stack`.
+
+    It is at least that of the Fisher matrix.
+    """
     fisher = fitted.solution.covariance[0].numpy()
     if stack.photon_limited:
         return fisher
@@ -31,7 +34,7 @@ def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
 
 
 def public_sigma(base: Effect, values: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
-    """Standard errors of the public values, by linear propagation of the solver's covariance."""
+    """Standard errors of the public values of effect `base` at `values`, to first order in `covariance`."""
     steps = np.sqrt(np.diag(covariance)) * STEP
     slopes = [
         _difference(base, values + one, values - one) for one in np.diag(np.where(steps > 0, steps, 1e-9))
@@ -57,7 +60,7 @@ def detectable(score: Score, gain: float) -> dict[str, Any]:
     """Public size at which the effect would lower χ² by `gain` times its inflation, parameter by parameter.
 
     Positions and directions, which do not change with the size, are left out; of a displacement whose
-    direction does not matter both components are its size.
+    direction does not matter both components are its size. `score` is that of the effect.
     """
     null = np.array(score.candidate.null_values, float)
     sizes = np.where(np.isfinite(score.smallest), score.smallest, 0.0) * np.sqrt(gain)
@@ -78,6 +81,9 @@ def within_reach(score: Score, gain: float, *, plausible: bool = False) -> bool:
 
     Parameters
     ----------
+    score : Score
+    gain : float
+        See `detectable`.
     plausible : bool
         Within the plausible range instead.
     """

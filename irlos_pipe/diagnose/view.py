@@ -51,7 +51,7 @@ class Exposures:
     screened: Sequence[Screened] = ()
 
     def view(self, nolls: Sequence[int], device: str) -> View:
-        """Its model of the modes `nolls`, in float64: the mean image is more precise than float32."""
+        """Its model of the modes `nolls` on `device`, in float64: a mean is more precise than float32."""
         psf = PsfModel(self.conditions.settings, nolls, device=device, dtype=torch.float64)
         return View(psf, self.conditions)
 
@@ -76,5 +76,5 @@ class View:
         return View(PsfModel(conditions.settings, psf.nolls, device=psf.device, dtype=psf.dtype), conditions)
 
     def seen(self, effect: Effect, first: View) -> Effect:
-        """An effect that is stated for the `first` recording as it acts in this one."""
+        """`effect`, stated for the `first` recording, as it acts in this one."""
         return effect if first is self else effect.seen_in(self.conditions, first.conditions)

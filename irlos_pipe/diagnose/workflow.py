@@ -48,6 +48,8 @@ def diagnose(
         for the first.
     effects : sequence of Effect
         What the model has already.
+    options : Options
+    device : str
     report : callable, optional
         Called with the number of finished fits, for a progress bar.
 

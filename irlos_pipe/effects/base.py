@@ -149,11 +149,19 @@ class Effect:
     def slopes(
         self, values: torch.Tensor, light: torch.Tensor, grid: Any, wanted: Sequence[int]
     ) -> Sequence[torch.Tensor]:
-        """Derivatives of `apply` with respect to the `wanted` parameters, in the pupil and of the OTF."""
+        """Derivatives of `apply`, in the pupil and of the OTF.
+
+        Parameters
+        ----------
+        values, light, grid
+            As those of `apply`.
+        wanted : sequence of int
+            Parameters with respect to which they are.
+        """
         raise NotImplementedError
 
     def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor | None:
-        """The effect's part of the wavefront, (n, n) [nm]; None if it is none."""
+        """The effect's part of the wavefront at `values` on `grid`, (n, n) [nm]; None if it is none."""
         return None
 
     def good_pixels(self, window: tuple[int, int]) -> np.ndarray:
@@ -165,7 +173,7 @@ class Effect:
         return self
 
     def handed_on(self, values: np.ndarray, now: Conditions, then: Calibrated) -> FixedEffect:
-        """The effect for a recording taken under `now`, as a calibration found it under `then`."""
+        """The effect for a recording taken under `now`, as a calibration found its `values` under `then`."""
         return FixedEffect(self, values)
 
     def whole(self, start: FixedEffect, sizes: np.ndarray) -> FixedEffect:
@@ -173,7 +181,7 @@ class Effect:
         return start
 
     def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
-        """Of an effect that copies the star: a candidate with its copy at a position."""
+        """Of an effect that copies the star: a candidate with its copy at (`x_mas`, `y_mas`)."""
         raise NotImplementedError(f"{self.name} adds no copy of the star")
 
     def phrase(self, public: Mapping[str, Any]) -> str:
@@ -299,7 +307,7 @@ class FixedEffect(Effect):
 
 
 def expected(effects: Sequence[Effect]) -> list[Effect]:
-    """The same effects held at what is to be expected: usual ones at their start, others absent."""
+    """`effects` held at what is to be expected: usual ones at their start, others absent."""
     return [effect.expected() for effect in effects]
 
 
@@ -310,13 +318,20 @@ class PupilEffect(Effect):
     order = 1  # after those that change where light passes, which add to the field
 
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """`field`, (wavelengths, n, n), with the effect, which must be linear in it but for what it adds."""
+        """`field` with the effect, which must be linear in it but for what it adds.
+
+        Parameters
+        ----------
+        values : tensor, (parameters,)
+        field : tensor, (wavelengths, n, n)
+        grid : PupilGrid
+        """
         raise NotImplementedError
 
     def slopes(
         self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
-        """Derivatives of `apply` with respect to the `wanted` parameters, (wavelengths, n, n) each."""
+        """See `Effect.slopes`: (wavelengths, n, n) each."""
         return [along(lambda v: self.apply(v, field, grid), values, index) for index in wanted]
 
 
@@ -326,13 +341,20 @@ class OtfEffect(Effect):
     plane = "otf"
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """`factor`, broadcastable to (wavelengths, p, p//2 + 1), times that of the effect."""
+        """`factor` times that of the effect.
+
+        Parameters
+        ----------
+        values : tensor, (parameters,)
+        factor : tensor, broadcastable to (wavelengths, p, p//2 + 1)
+        grid : OtfGrid
+        """
         raise NotImplementedError
 
     def slopes(
         self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
     ) -> Sequence[torch.Tensor]:
-        """Derivatives of `apply` with respect to the `wanted` parameters, of the shape of `factor` each."""
+        """See `Effect.slopes`: of the shape of `factor` each."""
         chosen = torch.as_tensor(list(wanted))
 
         def changed(some: torch.Tensor) -> torch.Tensor:
@@ -347,7 +369,7 @@ class SamplingEffect(Effect):
     plane = "sampling"
 
     def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
-        """`sampling` with the effect; `nominal` is what the recording is said to have."""
+        """`sampling` with the effect at `values`; `nominal` is what the recording is said to have."""
         raise NotImplementedError
 
 
@@ -360,7 +382,16 @@ class TimeEffect(Effect):
     def apply(
         self, values: torch.Tensor, modes_nm: torch.Tensor, nolls: tuple[int, ...], when: torch.Tensor
     ) -> torch.Tensor:
-        """Coefficients of `nolls`, (times, modes) [nm], at the times `when`: first frame 0, last frame 1."""
+        """Coefficients of the modes with the effect, (times, modes) [nm].
+
+        Parameters
+        ----------
+        values : tensor, (parameters,)
+        modes_nm : tensor, (times, modes)
+        nolls : tuple of int
+        when : tensor, (times,)
+            First frame 0, last frame 1.
+        """
         raise NotImplementedError
 
 
@@ -370,7 +401,7 @@ class DetectorEffect(Effect):
     plane = "detector"
 
     def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
-        """Images (..., rows, columns) [e-] as the detector shows them."""
+        """Images `images_e`, (..., rows, columns) [e-], as the detector shows them at `values`."""
         raise NotImplementedError
 
 
@@ -411,5 +442,13 @@ class RampEffect(Effect):
     def apply(
         self, values: torch.Tensor, introduced_nm: torch.Tensor, commanded_nm: np.ndarray
     ) -> torch.Tensor:
-        """Introduced defocus with the effect, (frames,); `commanded_nm`: in order of recording."""
+        """Introduced defocus with the effect, (frames,) [nm].
+
+        Parameters
+        ----------
+        values : tensor, (parameters,)
+        introduced_nm : tensor, (frames,)
+        commanded_nm : ndarray, (frames,)
+            In order of recording.
+        """
         raise NotImplementedError

@@ -54,7 +54,7 @@ class AtmosphericDispersion(OtfEffect):
         return dict(zip(("mas_per_um", "angle_deg"), size_and_angle(*values), strict=True))
 
     def values_of(self, mas_per_um: float, angle_deg: float) -> list[float]:
-        """Solver's parameters for a known dispersion."""
+        """See `Effect.values_of`."""
         return components(mas_per_um, angle_deg)
 
 
@@ -114,7 +114,7 @@ class Spectrum(SamplingEffect):
     def values_of(
         self, wavelength_nm: float | None = None, slope: float = 0.0, width: float = 1.0
     ) -> list[float]:
-        """Solver's parameters for a known spectrum."""
+        """See `Effect.values_of`."""
         return [0.0 if wavelength_nm is None else wavelength_nm - self.mean_nm, slope, width - 1]
 
 
@@ -130,7 +130,7 @@ class Unseen(SamplingEffect):
         self.name, self.order, self.parameters = effect.name, effect.order, effect.parameters
 
     def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
-        """`sampling` as it is."""
+        """See `SamplingEffect.apply`: nothing changes."""
         return sampling
 
 

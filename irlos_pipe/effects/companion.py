@@ -73,7 +73,7 @@ class Companion(OtfEffect):
         return {"flux_ratio": flux, "sep_mas": sep_mas, "pa_deg": pa_deg}
 
     def values_of(self, flux_ratio: float, sep_mas: float, pa_deg: float) -> list[float]:
-        """Solver's parameters for a known companion."""
+        """See `Effect.values_of`."""
         return [flux_ratio, *components(sep_mas, pa_deg)]
 
     def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
@@ -81,7 +81,7 @@ class Companion(OtfEffect):
         return FixedEffect(self, [0.0, x_mas, y_mas], free=("flux_ratio",))
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
-        """One per position on a grid over half the window about the star."""
+        """See `Effect.candidates`: one per position on a grid over half the window about the star."""
         reach = (n / 2 * pixel_scale_mas for n in window[::-1])
         columns, rows = (STEP_MAS * np.arange(-(r // STEP_MAS), r // STEP_MAS + 1) for r in reach)
         return [self.displaced(x, y) for y in rows for x in columns if np.hypot(x, y) >= INNER_MAS]

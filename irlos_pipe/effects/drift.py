@@ -35,7 +35,7 @@ class NcpaDrift(ZernikeTable, TimeEffect):
 
     @classmethod
     def under(cls, conditions: Conditions, nolls: Sequence[int] = range(2, 12)) -> NcpaDrift:
-        """By default Noll 2 to 11."""
+        """See `Effect.under`: by default Noll 2 to 11."""
         return cls(nolls)
 
     def apply(

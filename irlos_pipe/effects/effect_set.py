@@ -88,12 +88,12 @@ class EffectSet:
         return Tangents(self._pupil_slopes(values, sampling), self._transfer_derivatives(values, sampling))
 
     def modes_at(self, values: torch.Tensor, modes_nm: torch.Tensor, when: torch.Tensor) -> torch.Tensor:
-        """Coefficients at the times `when` of the recording, see `TimeEffect.apply`."""
+        """Coefficients `modes_nm` with the effects at `values`, at times `when`, see `TimeEffect.apply`."""
         nolls = self.grids.nolls
         return reduce(lambda x, e: e[0].apply(values[e[1]], x, nolls, when), self.at("time"), modes_nm)
 
     def detect(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
-        """Electrons in the pixels as the detector shows them."""
+        """Electrons `images_e` in the pixels as the detector shows them with the effects at `values`."""
         return reduce(lambda x, e: e[0].apply(values[e[1]], x), self.at("detector"), images_e)
 
     def opd_nm(self, values: torch.Tensor) -> torch.Tensor:
@@ -174,12 +174,19 @@ class EffectSet:
         return dict(zip(self.labels, (effect.describe(piece) for effect, piece in pairs), strict=True))
 
     def held(self, values: torch.Tensor) -> EffectSet:
-        """The same effects, nothing free, at `values`."""
+        """The effects with all parameters held at `values`."""
         pairs = zip(self.effects, self._pieces, strict=True)
         return EffectSet([_held(effect, values[piece]) for effect, piece in pairs], self.grids)
 
     def held_but(self, values: torch.Tensor, index: int) -> tuple[EffectSet, slice]:
-        """The same but for the effect with one parameter, and that effect's part of `values`."""
+        """The effects held at `values`, except the one that has the parameter `index`.
+
+        Returns
+        -------
+        EffectSet
+        slice
+            The part of `values` of the effect that is free.
+        """
         own = next(piece for piece in self._pieces if piece.start <= index < piece.stop)
         pairs = zip(self.effects, self._pieces, strict=True)
         held = [e if piece == own else _held(e, values[piece]) for e, piece in pairs]

@@ -73,11 +73,24 @@ class ImageModel:
         held: bool = False,
         modal: bool = True,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Images as `predict`, and derivatives (images, modes + effect parameters + 2, rows, columns).
+        """Images and their derivatives.
 
-        The last two are with respect to flux and background. Derivatives have the precision of the
-        propagation unless the model has detector effects. Those with respect to effect parameters are
-        left out where the effects are `held`, those with respect to modes unless they are `modal`.
+        Derivatives have the precision of the propagation unless the model has detector effects.
+
+        Parameters
+        ----------
+        modes_nm, flux_e, background_e, values, when
+            See `predict`.
+        held : bool
+            Leave out derivatives with respect to effect parameters.
+        modal : bool
+            Include those with respect to modes.
+
+        Returns
+        -------
+        images : tensor, (images, rows, columns)
+        jacobian : tensor, (images, modes + effect parameters + 2, rows, columns)
+            The last two are with respect to flux and background.
         """
         unit, jacobian = self._unit_and_jacobian(modes_nm, values, when, held, modal)
         flux, background = (v[:, None, None].to(unit.device) for v in (flux_e, background_e))
@@ -96,6 +109,11 @@ class ImageModel:
 
     def predict_and_pullback(self, modes_nm: torch.Tensor, flux_e: torch.Tensor, background_e: torch.Tensor):
         """Images without free effects in the precision of the propagation, and the transposed Jacobian.
+
+        Parameters
+        ----------
+        modes_nm, flux_e, background_e
+            See `predict`.
 
         Returns
         -------

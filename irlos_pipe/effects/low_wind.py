@@ -90,5 +90,5 @@ class LowWindEffect(PupilEffect):
     def values_of(
         self, piston_nm: Sequence[float], tip_nm: Sequence[float], tilt_nm: Sequence[float]
     ) -> list[float]:
-        """Solver's parameters for known petals."""
+        """See `Effect.values_of`."""
         return [float(value) for kind in (piston_nm, tip_nm, tilt_nm) for value in kind]

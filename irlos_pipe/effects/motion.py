@@ -111,10 +111,10 @@ class Vibration(OtfEffect):
         return {"sigma_mas": float(np.sqrt(max(values[0], 0.0))), "angle_deg": angle}
 
     def values_of(self, sigma_mas: float, angle_deg: float) -> list[float]:
-        """Solver's parameters for a known motion."""
+        """See `Effect.values_of`."""
         return [sigma_mas**2, float(np.deg2rad(angle_deg))]
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
-        """One per direction."""
+        """See `Effect.candidates`: one per direction."""
         angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
         return [FixedEffect(self, [0.0, angle], free=("variance_mas2",)) for angle in angles]

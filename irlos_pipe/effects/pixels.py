@@ -106,7 +106,7 @@ class BackgroundGradient(DetectorEffect):
         return dict(zip(("e_per_pixel", "angle_deg"), size_and_angle(*values), strict=True))
 
     def values_of(self, e_per_pixel: float, angle_deg: float) -> list[float]:
-        """Solver's parameters for a known slope."""
+        """See `Effect.values_of`."""
         return components(e_per_pixel, angle_deg)
 
 

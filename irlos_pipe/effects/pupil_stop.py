@@ -75,11 +75,11 @@ class PupilMisregistration(PupilEffect):
         }
 
     def values_of(self, dx_m: float, dy_m: float, rotation_deg: float) -> list[float]:
-        """Solver's parameters for a known misregistration."""
+        """See `Effect.values_of`."""
         return [float(np.hypot(dx_m, dy_m)), float(np.arctan2(dy_m, dx_m)), rotation_deg]
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
-        """One per direction of the shift, and the rotation."""
+        """See `Effect.candidates`: one per direction of the shift, and the rotation."""
         angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
         shifts = [FixedEffect(self, [0.0, angle, 0.0], free=("distance_m",)) for angle in angles]
         return [*shifts, FixedEffect(self, [0.0, 0.0, 0.0], free=("rotation_deg",))]
@@ -140,7 +140,7 @@ def _subsamples(geometry: PupilGeometry, samples: int) -> int:
 
 
 def with_vanes_turned(geometry: PupilGeometry, angle_deg: float) -> PupilGeometry:
-    """The same pupil with its spider turned anticlockwise about the axis."""
+    """The pupil `geometry` with its spider turned by `angle_deg`, anticlockwise about the axis."""
     return replace(geometry, vanes=tuple(_turned(vane, angle_deg) for vane in geometry.vanes))
 
 
@@ -170,7 +170,7 @@ class AmplitudeAberration(ZernikeTable, PupilEffect):
 
     @classmethod
     def under(cls, conditions: Conditions, nolls: Sequence[int] = range(2, 12)) -> AmplitudeAberration:
-        """By default the modes up to spherical, Noll 2 to 11."""
+        """See `Effect.under`: by default the modes up to spherical, Noll 2 to 11."""
         return cls(nolls)
 
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:

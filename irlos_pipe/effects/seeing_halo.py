@@ -113,7 +113,7 @@ class SeeingHalo(OtfEffect):
         return f"an AO residual of {public['wfe_nm']:.0f} nm RMS"
 
     def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """``½ (2π/λ)² D(b)``, D in nm²."""
+        """``½ (2π/λ)² D(b)`` at `values` on `grid`, D in nm²."""
         on = self._on(grid)
         structure = on.in_band.structure_nm2(*values) + self._beyond(values[0]) * on.fitting_nm2
         return 0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2 * structure[on.place]
@@ -147,7 +147,7 @@ class SeeingHalo(OtfEffect):
         }
 
     def values_of(self, wfe_nm: float | None = None, scale: float | None = None) -> list[float]:
-        """Solver's parameters for a known total residual, its shape as expected.
+        """See `Effect.values_of`: the total residual is given, its shape is as expected.
 
         Raises
         ------
@@ -166,7 +166,7 @@ class SeeingHalo(OtfEffect):
         return [total_nm2 * in_band / self.expected_nm2, *shape]
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
-        """The whole halo scaled: the turbulence beyond the cut-off is not there without the effect."""
+        """See `Effect.candidates`: the whole halo scaled, as there is no turbulence without the effect."""
         return [ScaledHalo(self)]
 
     def _beyond(self, variance_nm2):

@@ -85,7 +85,7 @@ class DiversityError(_Map):
         return values[0] * torch.as_tensor(np.tensordot(direction, grid.modes(list(self.diversity_nm)), 1))
 
     def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> None:
-        """Nothing: it belongs to the diversity, not to the aberrations."""
+        """See `Effect.opd_nm`: nothing, as it belongs to the diversity and not to the aberrations."""
 
 
 class _SameFraction(DiversityError):
@@ -130,7 +130,7 @@ class HighOrderNcpa(ZernikeTable, _Map):
 
     @classmethod
     def under(cls, conditions: Conditions, nolls: Sequence[int] = ()) -> HighOrderNcpa:
-        """By default the next two radial orders."""
+        """See `Effect.under`: by default the next two radial orders."""
         order = noll_to_nm(conditions.highest_noll + 1)[0] + EXTRA_ORDERS
         return cls(nolls or range(conditions.highest_noll + 1, order * (order + 1) // 2 + 1))
 
@@ -195,7 +195,7 @@ class PhaseBump(_Map):
         return torch.exp(-(u**2 + v**2) / 2) * torch.tensor(grid.lit), u, v
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
-        """One per position on a grid and per width."""
+        """See `Effect.candidates`: one per position on a grid and per width."""
         steps = np.arange(-REACH_M + BUMP_STEP_M / 2, REACH_M, BUMP_STEP_M)
         return [
             FixedEffect(self, [0.0, x, y, width], free=("nm",))

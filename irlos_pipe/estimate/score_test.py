@@ -93,7 +93,7 @@ class LinearEstimate:
 
     @classmethod
     def of(cls, null: NullModel, candidate: Effect, shapes: torch.Tensor) -> LinearEstimate:
-        """The estimate of `candidate` from its whitened derivatives `shapes`, (pixels, parameters)."""
+        """The estimate of `candidate` beside `null` from its whitened derivatives `shapes`, (pixels, m)."""
         power, left = (shapes**2).sum(0), torch.diagonal(null.norm2(shapes))
         seen = left / power.clamp_min(1e-300)
         usable = (power > MEANINGLESS * power.max()) & (seen > ABSORBED)

@@ -2,7 +2,7 @@
 
 The mean image hardly shows a drift. One linear step from the common solution gives every frame its
 coefficients; their slopes are judged by their own scatter about the straight line. A large drift leaves
-the range of one linear step: what the step makes of images that drift as measured tells by how much.
+the range of one linear step: the response of the step to images that drift as measured says by how much.
 """
 
 from __future__ import annotations
@@ -60,6 +60,8 @@ def measure_drift(stack: Stacks, fitted: Fitted, sure: float) -> Drift:
 
     Parameters
     ----------
+    stack : Stacks
+    fitted : Fitted
     sure : float
         Significance from which a drift is worth more than one linear step.
     """
@@ -115,7 +117,7 @@ class LinearStep:
 
 
 def slopes(series: np.ndarray, when: np.ndarray) -> np.ndarray:
-    """Of straight lines through columns, per unit of time, (columns,)."""
+    """Slopes of straight lines through the columns of `series` at the times `when`, (columns,)."""
     course = when - when.mean()
     return course @ series / (course @ course)
 

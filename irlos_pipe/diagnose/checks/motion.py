@@ -16,7 +16,7 @@ def motion_ratio(stack: Stacks, fitted: Fitted) -> float:
     """Variance of tip and tilt between successive frames over that of photon noise.
 
     Well above 1 for motion, whether or not most of it averages out within a frame; 1 for a detector
-    that blurs. Of several recordings the mean.
+    that blurs. Of several recordings, which `stack` and `fitted` hold, it is the mean.
     """
     problem = fitted.problem
     pairs = enumerate(zip(stack.parts, problem.parts, strict=True))

@@ -52,7 +52,7 @@ class NoiseVerdict:
 
 
 def judge_all(stacks: Sequence[Stack]) -> NoiseVerdict:
-    """The verdict on the recording whose noise is furthest from the noise model's, of those with speckles."""
+    """Noise verdict of the recording that deviates most from the noise model; speckles take precedence."""
     found = [judge_noise(stack) for stack in stacks]
     found = [one for one in found if one.kind == SPECKLES] or found
     return max(found, key=lambda one: abs(np.log(max(one.bright_ratio, 1e-9))))

@@ -23,10 +23,11 @@ OFF = 0.1  # of the star's signal in the pixel, below which the model may be to 
 
 
 def screened_step(screened: Sequence[Screened], optimum: Optimum, frames: int, gap: Gap) -> Step | None:
-    """The name for those of the pixels whose mean is not what the model predicts; None if all are.
+    """The step for those of the pixels whose mean is not what the model predicts; None if all agree.
 
     Parameters
     ----------
+    screened : sequence of Screened
     optimum : Optimum
         Of the model at the end, its first recording that of the pixels.
     frames : int

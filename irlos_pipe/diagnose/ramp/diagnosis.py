@@ -1,4 +1,4 @@
-"""What a focus stage does wrong, from the defocus of a ramp's frames against what it was told.
+"""What a focus stage does wrong, from the defocus of a ramp's frames against its command.
 
 Every error of the stage adds a known course to the introduced defocus, times its size, so that all choices
 of a few errors are fitted linearly to the means of the visits and compared.
@@ -19,7 +19,7 @@ from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.base import RampEffect
 
 PER_PARAMETER = 8.0  # of χ², that a size or an edge has to earn
-CLOSE = 6.0  # of χ², by which two names differ that are not told apart
+CLOSE = 6.0  # of χ², by which two indistinguishable names differ at most
 WORST_CONDITION = 1e3
 SEEN_SIGMA = 5.2  # from which an error counts as seen
 LEFT, LEFT_CHI2_NU = 0.1, 3.0  # part of χ², and χ²/ν, from which something is left
@@ -114,6 +114,10 @@ def diagnose_ramp(
         In order of recording; failed estimates are NaN.
     used : ndarray of bool, (frames,)
         Frames that the fit may see.
+    sure : float
+        Significance of a detection in Gaussian σ.
+    most : int
+        Errors at which to stop.
     """
     visits = Visits.of(commanded_nm, estimated_nm, used)
     data = (visits.mean_nm - visits.commanded_nm) / visits.sigma_nm

@@ -1,4 +1,4 @@
-"""The gap between the held-out images of a ramp and those that its offsets, told or corrected, predict."""
+"""The gap between held-out images of a ramp and those that its offsets predict, before and after."""
 
 from __future__ import annotations
 
@@ -29,10 +29,11 @@ def ramp_gap(
     ----------
     model : ImageModel
         Noll 2, 3 and 4 among its modes; no free effects.
+    data : RampData
     start_nm : tensor, (frames, modes)
         Estimates of the modes, for all but the defocus.
     before_nm, after_nm : ndarray, (frames,)
-        Introduced defocus as told and as corrected.
+        Introduced defocus as commanded and as corrected.
     held_out : ndarray of bool, (frames,)
     """
     chosen = torch.as_tensor(held_out)

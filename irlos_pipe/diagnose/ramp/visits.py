@@ -39,7 +39,13 @@ class Visits:
 
     @classmethod
     def of(cls, commanded_nm: np.ndarray, estimated_nm: np.ndarray, used: np.ndarray) -> Visits:
-        """Means of the used frames in order of recording; failed estimates are NaN.
+        """Means of the used frames.
+
+        Parameters
+        ----------
+        commanded_nm, estimated_nm : ndarray, (frames,)
+            In order of recording; failed estimates are NaN.
+        used : ndarray of bool, (frames,)
 
         Raises
         ------
@@ -82,7 +88,7 @@ def _of_unknown_history(offsets_nm: np.ndarray) -> np.ndarray:
 
 
 def course(effect: RampEffect, commanded_nm: np.ndarray) -> np.ndarray:
-    """What a unit of the effect adds to the introduced defocus, (frames or visits,)."""
+    """What a unit of `effect` adds to the introduced defocus at the offsets `commanded_nm`, (offsets,)."""
     zero, one = torch.zeros(len(commanded_nm), dtype=torch.float64), torch.ones(1, dtype=torch.float64)
     return effect.apply(one, zero, np.asarray(commanded_nm, float)).numpy()
 

@@ -15,7 +15,7 @@ COMMON = {"pixel_scale_mas": "pixel scale", "derotator_angle_deg": "derotator an
 
 
 def by_setting(ingest: Product, input_name: str) -> list[list[Recording]]:
-    """Used frames of a recipe input's recordings in order of time, one list per setting.
+    """Return the used frames of the input `input_name` of `ingest` in order of time, one list per setting.
 
     The setting with the largest diversity comes first: errors of the diversity are stated for it.
 
@@ -50,7 +50,7 @@ def introduced_nm(recording: Recording) -> float:
 
 
 def screened_pixels(ingest: Product, recording: Recording) -> list[Screened]:
-    """Pixels that ingest found bad by what they showed, with the mean of it over the used frames."""
+    """Return the pixels of a `recording` that `ingest` found bad, with the mean of what they showed."""
     shown_e = screened_e(ingest, recording)
     return [Screened(*pixel, value_e) for pixel, value_e in shown_e.items() if np.isfinite(value_e)]
 

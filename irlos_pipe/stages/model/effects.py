@@ -57,7 +57,12 @@ def model_effects(
     recording: Recording,
     highest_noll: int = HIGHEST_REPORTED_NOLL,
 ) -> list[Effect]:
-    """The effects of the recipe's model for one recording, see `conditions_of` for the parameters.
+    """Return the effects of the recipe's model for one recording.
+
+    Parameters
+    ----------
+    instrument, model, recording, highest_noll
+        See `conditions_of`.
 
     Raises
     ------
@@ -93,7 +98,7 @@ def image_effects(effects: Sequence[Effect]) -> list[Effect]:
 
 
 def good_pixels(effects: Sequence[Effect], window: tuple[int, int]) -> np.ndarray:
-    """False for the bad pixels that the model lists, (rows, columns)."""
+    """Return False for the bad pixels of a `window` that the model's `effects` list, (rows, columns)."""
     return np.all([np.ones(window, bool), *(effect.good_pixels(window) for effect in effects)], axis=0)
 
 
@@ -117,11 +122,19 @@ def calibrated_effects(
     *,
     same_star: bool = False,
 ) -> dict[str, FixedEffect]:
-    """Effects as `calibrate` found them, for a recording taken under another seeing.
+    """Return effects as `calibrate` found them, by label, for a recording taken under another seeing.
 
-    The in-band residual is scaled by the seeing law and the non-linearity keeps its bend per electron;
-    the rest is taken as it is. What belongs to the star, its light or the moment stays behind, unless
-    the recipe gives it or the recording is of the `same_star`.
+    Each effect says what it is then, see `Effect.handed_on`. What belongs to the star, its light or the
+    moment stays behind, unless the recipe gives it or the recording is of the same star.
+
+    Parameters
+    ----------
+    product : Product
+        Of the calibration.
+    instrument, model, recording
+        See `conditions_of`.
+    calibration_seeing_arcsec : float
+    same_star : bool
     """
     conditions = conditions_of(instrument, model, recording)
     known: dict[str, FixedEffect] = {}

@@ -75,7 +75,10 @@ def _require_samples(instrument: Instrument, model: ModelConfig, recording: Reco
 
 
 def residual_band(instrument: Instrument, model: ModelConfig) -> ResidualBand:
-    """Spatial frequencies of the AO residual; below 1/D there is only tip and tilt."""
+    """Return the frequencies of the AO residual of an `instrument`; `model` may change them.
+
+    Below 1/D there is only tip and tilt.
+    """
     facility = instrument.facility
     return ResidualBand(
         1 / facility.pupil.diameter_m,
@@ -85,7 +88,7 @@ def residual_band(instrument: Instrument, model: ModelConfig) -> ResidualBand:
 
 
 def seeing_arcsec(instrument: Instrument, acquisition: Acquisition) -> float:
-    """Seeing of a recording, or the instrument's typical one where it is not known."""
+    """Return the seeing of a recording's `acquisition`, or the `instrument`'s typical one."""
     return acquisition.seeing_arcsec or instrument.facility.typical_seeing_arcsec
 
 
@@ -103,15 +106,22 @@ def require_one_setup(recordings: Sequence[Recording]) -> None:
             )
 
 
-def differences(one: Recording, other: Recording, words: Mapping[str, str]) -> list[str]:
-    """What differs between two recordings, in `words` for numbers of the acquisition, or the window."""
+def differences(one: Recording, other: Recording, terms: Mapping[str, str]) -> list[str]:
+    """Return what differs between recordings `one` and `other`.
+
+    Parameters
+    ----------
+    one, other : Recording
+    terms : mapping of str to str
+        What to call numbers of the acquisition that may differ; the window is compared as well.
+    """
     here, there = one.acquisition, other.acquisition
-    differing = [said for key, said in words.items() if getattr(here, key) != getattr(there, key)]
+    differing = [term for key, term in terms.items() if getattr(here, key) != getattr(there, key)]
     return differing if one.window == other.window else [*differing, "window"]
 
 
 def used_in_time_order(ingest: Product, input_name: str) -> list[Recording]:
-    """Used frames of a recipe input's recordings, which must share one set-up, in order of time."""
+    """Return the used frames of the input `input_name` of `ingest`, in order of time, of one set-up."""
     recordings = [r.accepted() for r in in_time_order(recordings_from_product(ingest, input_name))]
     require_one_setup(recordings)
     return recordings
