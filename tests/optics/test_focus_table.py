@@ -65,6 +65,17 @@ def test_the_series_leaves_out_less_than_a_millionth_of_the_peak():
     assert largest(one - other, one) < 1e-6
 
 
+def test_the_pullback_and_another_window_are_those_of_the_finer_model():
+    x, fine = wavefronts(), fine_model()
+    table = FocusTable(PsfModel(SETTINGS, TTF), Optics(), REACH)
+    factors = torch.as_tensor(np.random.default_rng(2).normal(size=(len(x), *WINDOW)))
+    slopes, truth = (model.images_and_pullback(x)[1](factors) for model in (table, fine))
+    assert (slopes - truth).abs().max() < 1e-3 * truth.abs().max()
+    small = (table.in_window((32, 36), 100.0, 320.0), fine.in_window((32, 36), 400.0, 900.0))
+    images, truth = (model.images(x) for model in small)
+    assert images.shape == (len(x), 32, 36) and largest(images - truth, truth) < 5e-5
+
+
 @pytest.mark.parametrize("mode", range(3))
 def test_derivatives_are_those_of_the_finer_models_images(mode):
     x, fine = wavefronts(), fine_model()
