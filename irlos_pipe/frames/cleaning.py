@@ -98,11 +98,7 @@ class Cleaned:
 
 
 def clean(
-    raw: RawFrames,
-    detector: Detector,
-    sampling_px: float,
-    thresholds: Thresholds,
-    limits: Limits,
+    raw: RawFrames, detector: Detector, sampling_px: float, thresholds: Thresholds, limits: Limits
 ) -> Cleaned:
     """Calibrate a recording, find its bad pixels and cosmic hits, and judge its frames.
 
@@ -113,7 +109,7 @@ def clean(
     detector : Detector
         Declared constants of the detector.
     thresholds, limits : Thresholds, Limits
-        From when on a pixel is bad, and a frame is not used.
+        Limits beyond which a pixel is bad, and a frame is not used.
     sampling_px : float
         Pixels per lambda/D at the shortest wavelength. Undersampled images (2x2 modes) are not
         searched for hits and deviant pixels, since a star is as sharp as those.
@@ -136,15 +132,15 @@ def clean(
     reasons = also(reasons, in_core, COSMIC)
     noise = search.noise(images, good, reasons)
     return Cleaned(
-        images,
-        reasons,
-        good,
-        background,
-        hits,
-        noise,
-        level,
-        _background_variance_e2(raw.calibration, detector, noise),
-        _dark_variance_e2(raw.calibration, detector, picked(images, reasons == ""), good),
+        images_e=images,
+        reasons=reasons,
+        good=good,
+        background=background,
+        hits=hits,
+        noise=noise,
+        saturation_adu=level,
+        background_variance_e2=_background_variance_e2(raw.calibration, detector, noise),
+        dark_variance_e2=_dark_variance_e2(raw.calibration, detector, picked(images, reasons == ""), good),
     )
 
 
@@ -281,11 +277,11 @@ def _unusable(raw: RawFrames, reasons: np.ndarray) -> Cleaned:
     zeros = np.zeros(raw.window)
     background = Background(zeros, np.ones(raw.window), np.zeros(raw.window, dtype=bool))
     return Cleaned(
-        np.zeros(raw.adu.shape, np.float32),
-        reasons,
-        np.ones(raw.window, dtype=bool),
-        background,
-        NO_HITS,
-        MeasuredNoise(),
-        None,
+        images_e=np.zeros(raw.adu.shape, np.float32),
+        reasons=reasons,
+        good=np.ones(raw.window, dtype=bool),
+        background=background,
+        hits=NO_HITS,
+        noise=MeasuredNoise(),
+        saturation_adu=None,
     )

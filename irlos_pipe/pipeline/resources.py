@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -13,15 +14,8 @@ from tqdm import tqdm
 
 from irlos_pipe.conventions.errors import ConfigurationError
 
-
-def silent_progress(iterable: Iterable | None = None, total: int | None = None, desc: str = "") -> tqdm:
-    """Return a progress bar that shows nothing; `iterable`, `total` and `desc` are those of tqdm."""
-    return tqdm(iterable, total=total, desc=desc, disable=True)
-
-
-def terminal_progress(iterable: Iterable | None = None, total: int | None = None, desc: str = "") -> tqdm:
-    """Return a progress bar on stderr that disappears; `iterable`, `total` and `desc` are those of tqdm."""
-    return tqdm(iterable, total=total, desc=desc, leave=False, dynamic_ncols=True)
+silent_progress = partial(tqdm, disable=True)
+terminal_progress = partial(tqdm, leave=False, dynamic_ncols=True)  # on stderr; disappears when it is full
 
 
 @dataclass(frozen=True)
