@@ -28,9 +28,6 @@ INLINE = re.compile(r"`([^`\n]+)`")
 # A path of the source tree, not an example of the user's.
 OF_THE_TREE = re.compile(r"(?:irlos_pipe|docs|recipes|tests|benchmarks|data_samples)/[\w./-]*")
 
-# Pages whose long lines and old file names are about to go.
-LATE = {"night.md", "reliability.md", "scale_out.md"}
-
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(REPOSITORY).as_posix())
 each_text = pytest.mark.parametrize(
     "path", [*PAGES, *RECIPES], ids=lambda path: path.relative_to(REPOSITORY).as_posix()
@@ -81,8 +78,6 @@ def test_every_make_target_exists(page):
 
 @each_page
 def test_every_link_and_every_file_of_the_tree_exists(page):
-    if page.name in LATE:
-        pytest.skip("being rewritten")
     text = page.read_text(encoding="utf-8")
     links = [link.split("#")[0] for link in re.findall(r"\]\(([^)]+)\)", text) if "://" not in link]
     assert [link for link in links if not (page.parent / link).exists()] == []
@@ -92,8 +87,6 @@ def test_every_link_and_every_file_of_the_tree_exists(page):
 
 @each_page
 def test_lines_are_short(page):
-    if page.name in LATE:
-        pytest.skip("being rewritten")
     text = re.sub(r"^<!-- .*?^<!-- ", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
     lines = [line for line in FENCE.sub("", text).splitlines() if not line.startswith("|")]
     assert [line for line in lines if len(line) > LINE_LENGTH] == []

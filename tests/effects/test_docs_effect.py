@@ -1,4 +1,4 @@
-"""The worked example of docs/architecture.md is run. Truth: finite differences, and its own image."""
+"""The worked example of docs/extending.md is run. Truth: finite differences, and its own image."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf import PsfModel
 
-TEXT = (REPOSITORY / "docs" / "architecture.md").read_text()
+TEXT = (REPOSITORY / "docs" / "extending.md").read_text()
 NOLLS = tuple(range(2, 12))
 ONE, NONE = torch.ones(1, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
 SPOT = torch.tensor([0.5, -1.6, 1.2], dtype=torch.float64)
