@@ -31,8 +31,8 @@ class Config(StageConfig):
     reach_nm: float = Field(900.0, gt=0, le=1500, description="defocus is uniform within ± this [nm RMS]")
     required_nm: float = Field(600.0, gt=0, description="capture range that is asked for [nm RMS]")
     shift_px: float = Field(2.0, ge=0, le=10, description="star within ± this of the centre, each axis [px]")
-    mag_j: float = Field(12.0, ge=0, le=25)
-    seeing_arcsec: float = Field(0.5, gt=0, le=3)
+    mag_j: float = Field(12.0, ge=0, le=25, description="J magnitude of the star")
+    seeing_arcsec: float = Field(0.5, gt=0, le=3, description="seeing on SPARTA's scale")
     calibration_error_nm: float = Field(15.0, ge=0, description="error of the NCPAs given to LIFT [nm RMS]")
     bin_nm: float = Field(100.0, gt=0, description="width of the bins of the success curve [nm RMS]")
 

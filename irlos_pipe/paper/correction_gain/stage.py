@@ -23,10 +23,10 @@ class Config(StageConfig):
     """Sizes of the experiment."""
 
     samples: int = Field(4, ge=1, le=1000, description="stars at each seeing; the first is drawn")
-    seeings_arcsec: tuple[float, ...] = Field((0.35, 1.0))
+    seeings_arcsec: tuple[float, ...] = Field((0.35, 1.0), description="seeings on SPARTA's scale")
     frames: int = Field(300, ge=10, le=10000, description="frames of the cube that is calibrated")
     star_frames: int = Field(100, ge=1, le=10000, description="frames of 0.1 s averaged to a star's image")
-    mag_j: float = Field(7.0, ge=0, le=20)
+    mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude of the star")
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:

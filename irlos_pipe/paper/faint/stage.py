@@ -38,7 +38,7 @@ class Config(StageConfig):
     exposures_s: tuple[float, ...] = Field((0.1, 1.0), min_length=1, description="lengths of an exposure")
     faintest_mag_j: tuple[float, ...] = Field((19.0, 21.0), description="for each length of exposure")
     magnitudes: int = Field(9, ge=1, le=50, description="of the scan, the faintest one included")
-    mag_step: float = Field(1.0, gt=0, le=5)
+    mag_step: float = Field(1.0, gt=0, le=5, description="step of the magnitudes")
     cube_frames: int = Field(300, ge=10, le=10000, description="frames of the calibration cube")
     mag_j: float = Field(7.1, ge=0, le=20, description="of the frames that are dimmed")
     seeing_arcsec: float = Field(0.5, gt=0, le=3, description="by MASS-DIMM")

@@ -23,14 +23,14 @@ DRAWN = {  # the ramps drawn side by side, where they were run
     "default_9": "this pipeline",
 }
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW, INK)
-HIDDEN_MODES = (2, 3)  # tip and tilt: where the star lies says nothing about the optics
+HIDDEN_MODES = (2, 3)  # tip and tilt: the star's position says nothing about the optics
 KINDS = {"rms_nm": ("introduced", "o", ORANGE), "true_rms_nm": ("introduced + NCPA + AO residual", "s", BLUE)}
 MODES_CAPTION = (
     "First ramp, nine modes, median per offset. Dashed: the true wavefront (introduced defocus, NCPAs, AO "
     "residual of each frame). NCPAs given to LIFT count as estimated; tip and tilt are not drawn."
 )
 ERROR_CAPTION = (
-    "RMS of estimated minus introduced defocus of every ramp, and against the defocus there was (introduced, "
+    "RMS of estimated minus introduced defocus of every ramp, and against the true defocus (introduced, "
     "NCPAs, mean AO residual of each frame; NCPAs given to LIFT count as estimated). Bars: medians."
 )
 COLUMNS = (
@@ -40,7 +40,7 @@ COLUMNS = (
     "offset [nm]",
     "error [nm RMS]",
     "about the line [nm RMS]",
-    "against what there was [nm RMS]",
+    "against the true defocus [nm RMS]",
 )
 
 

@@ -35,12 +35,12 @@ class Config(StageConfig):
     samples: int = Field(8, ge=1, le=1000, description="sets of NCPAs; the ramp of the first is drawn")
     reach_nm: float = Field(300.0, gt=0, le=600, description="the ramp goes from minus to plus this [nm RMS]")
     offsets: int = Field(13, ge=3, le=200, description="positions of the ramp")
-    frames_per_offset: int = Field(2, ge=1, le=1000)
+    frames_per_offset: int = Field(2, ge=1, le=1000, description="frames at every position")
     cube_frames: int = Field(300, ge=10, le=10000, description="frames of the calibration cube")
     ways: tuple[str, ...] = Field(tuple(LIFT_VARIANTS), min_length=1, description="variants of LIFT")
-    seeing_arcsec: float = Field(0.35, gt=0, le=3)
-    cube_mag_j: float = Field(7.0, ge=0, le=20)
-    ramp_mag_j: float = Field(12.0, ge=0, le=20)
+    seeing_arcsec: float = Field(0.35, gt=0, le=3, description="seeing on SPARTA's scale")
+    cube_mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude in the calibration cube")
+    ramp_mag_j: float = Field(12.0, ge=0, le=20, description="J magnitude in the ramp")
 
     @field_validator("ways")
     @classmethod

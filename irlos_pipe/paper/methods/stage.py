@@ -43,7 +43,7 @@ class Config(StageConfig):
     fractions: tuple[float, ...] = Field(
         (0.25, 0.5), min_length=1, description="parts of a cube, for the speckle floor"
     )
-    mag_j: float = Field(7.0, ge=0, le=20)
+    mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude of the star")
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:

@@ -36,7 +36,7 @@ class Config(StageConfig):
     magnitudes: tuple[float, ...] = Field(
         (7.0, 14.0, 16.0, 18.0), min_length=1, description="of the star, in J"
     )
-    seeing_arcsec: float = Field(0.5, gt=0, le=5)
+    seeing_arcsec: float = Field(0.5, gt=0, le=5, description="seeing on SPARTA's scale")
 
     @field_validator("numbers")
     @classmethod

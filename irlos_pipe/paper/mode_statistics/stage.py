@@ -42,8 +42,8 @@ class Config(StageConfig):
     highest_noll: int = Field(
         101, ge=INTRODUCED + 10, le=231, description="modes Noll 2 to this are estimated"
     )
-    seeing_arcsec: float = Field(0.5, gt=0, le=5)
-    mag_j: float = Field(7.0, ge=0, le=20)
+    seeing_arcsec: float = Field(0.5, gt=0, le=5, description="seeing on SPARTA's scale")
+    mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude of the star")
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:

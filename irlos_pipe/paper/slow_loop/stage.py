@@ -59,7 +59,7 @@ class Config(StageConfig):
     scan_gains: tuple[float, ...] = Field((0.05, 0.1, 0.2, 0.6, 0.8), description="gains of the scan")
     half_rate: bool = Field(True, description="also frames of 2 s, with the default calibration")
     delay: int = Field(1, ge=0, le=10, description="frames between exposure and correction")
-    seeing_arcsec: float = Field(0.5, gt=0, le=3)
+    seeing_arcsec: float = Field(0.5, gt=0, le=3, description="seeing on SPARTA's scale")
     calibration_frames: int = Field(100, ge=10, le=10000, description="frames of the calibration cube")
     layer: Layer = Layer()
 
