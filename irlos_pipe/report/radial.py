@@ -1,4 +1,4 @@
-"""Radial profiles on a logarithmic axis."""
+"""Radial profiles on a logarithmic axis: of a star, or of given curves."""
 
 from __future__ import annotations
 
@@ -8,9 +8,37 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from irlos_pipe.frames.detector import star_position
+from irlos_pipe.optics.profile import ring_means
 from irlos_pipe.report.drawing import log_y, svg
 
 SIZE_IN = (4.4, 3.2)
+
+
+def star_profile(
+    name: str,
+    images: Mapping[str, tuple[np.ndarray, str, str]],
+    model_e: np.ndarray,
+    pixel_scale_mas: float | None,
+) -> Markup:
+    """Draw radial means about the centroid of a star.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page.
+    images : mapping
+        By label: image (rows, columns) [e-], NaN where it is not used, colour and line style.
+    model_e : ndarray, (rows, columns)
+        Model of the star, which gives the centroid.
+    pixel_scale_mas : float or None
+        None draws radii in pixels.
+    """
+    centre, curves = star_position(np.nan_to_num(model_e)), {}
+    for label, (image, colour, style) in images.items():
+        radius_px, mean = ring_means(image, centre)
+        curves[label] = (radius_px * (pixel_scale_mas or 1.0), mean, colour, style)
+    return profile_plot(name, curves, ("mas" if pixel_scale_mas else "px", "mean of the ring [e⁻]"))
 
 
 def profile_plot(

@@ -10,12 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.effects.public_values import rows_of
-from irlos_pipe.frames.detector import star_position
-from irlos_pipe.optics.profile import ring_means
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import BLUE, CYCLE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.images import SIGMA_LIMIT, SIGNED, brightness_scale, image_panel, symmetric_scale
-from irlos_pipe.report.radial import profile_plot
+from irlos_pipe.report.radial import star_profile
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import mode_label, number, plural, with_error
 from irlos_pipe.report.wavefront_plots import wavefront_map
@@ -113,19 +111,10 @@ def _profile(run: RunData) -> list[Figure]:
     }
     if sigma is not None:
         images["1σ noise"] = (sigma, GREEN, "--")
-    centre = star_position(np.nan_to_num(model))
-    curves = {}
-    for name, (image, colour, style) in images.items():
-        radius, mean = ring_means(image if good is None else np.where(good, image, np.nan), centre)
-        curves[name] = (radius * (mas or 1.0), mean, colour, style)
-    return [
-        Figure(
-            profile_plot("cal-profile", curves, ("mas" if mas else "px", "mean of the ring [e⁻]")),
-            "Radial profile",
-            "About the star's centroid.",
-            "full",
-        )
-    ]
+    if good is not None:
+        images = {key: (np.where(good, one[0], np.nan), *one[1:]) for key, one in images.items()}
+    plot = star_profile("cal-profile", images, model, mas)
+    return [Figure(plot, "Radial profile", "About the star's centroid.", "full")]
 
 
 def _bars(results: CalibrateResults) -> list[Figure]:

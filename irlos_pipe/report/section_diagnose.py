@@ -9,8 +9,6 @@ from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.effects.public_values import rows_of
-from irlos_pipe.frames.detector import star_position
-from irlos_pipe.optics.profile import ring_means
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Text
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.images import (
@@ -21,7 +19,7 @@ from irlos_pipe.report.images import (
     panel_axes,
     symmetric_scale,
 )
-from irlos_pipe.report.radial import profile_plot
+from irlos_pipe.report.radial import star_profile
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import is_known, number, rounded_by_error, with_error
 from irlos_pipe.stages.diagnose.results import AlternativeRow, DiagnoseResults, GapRow, RankedRow, StepRow
@@ -112,19 +110,13 @@ def _profile(run: RunData) -> list[Figure]:
     sigma = run.error_of(STAGE, "measured_e")
     if measured is None or before is None or after is None:
         return []
-    mas = run.pixel_scale_mas(STAGE)
-    centre = star_position(np.nan_to_num(after))
     images = {
         "measured": (measured, INK, "o"),
         "|residual| before": (np.abs(measured - before), ORANGE, "-"),
         "|residual| after": (np.abs(measured - after), BLUE, "-"),
         "1σ noise": (measured * np.nan if sigma is None else sigma, GREEN, "--"),
     }
-    curves = {}
-    for name, (image, colour, style) in images.items():
-        radius, mean = ring_means(image, centre)
-        curves[name] = (radius * (mas or 1.0), mean, colour, style)
-    plot = profile_plot("dia-profile", curves, ("mas" if mas else "px", "mean of the ring [e⁻]"))
+    plot = star_profile("dia-profile", images, after, run.pixel_scale_mas(STAGE))
     return [Figure(plot, "Radial profile", "About the star's centroid, held-out frames.", "full")]
 
 

@@ -37,7 +37,7 @@ Offsets = tuple[np.ndarray, np.ndarray, np.ndarray]  # Noll indices, offsets [nm
 class Config(StageConfig):
     """Settings of the correction."""
 
-    input: str = Field("calibration", description="recipe input whose set-up the prediction uses")
+    input: str = Field("calibration", description="recipe input whose configuration the prediction uses")
     gain: float = Field(1.0, gt=0, le=1, description="part of the measured aberration to correct")
 
 

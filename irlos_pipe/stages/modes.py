@@ -34,15 +34,20 @@ class Config(StageConfig):
     """Settings of the mode statistics."""
 
     same_ncpas: bool = Field(
-        False, description="the cubes share their NCPAs, and count as one draw of every mode"
+        False, description="whether the cubes have the same NCPAs, and so count as one draw of every mode"
     )
     law_highest_noll: int | None = Field(
-        None, ge=7, le=231, description="the law is fitted to Noll 4 to this; none: to all estimated"
+        None,
+        ge=7,
+        le=231,
+        description="highest Noll mode that the law is fitted to, from 4 on; null: all estimated modes",
     )
     numbers: tuple[int, ...] = Field(
         (21, 36, 45, 55, 66, 78, 91, 105), description="highest Noll modes to try"
     )
-    cubes: int = Field(4, ge=0, description="cubes that the numbers are tried on, the first ones")
+    cubes: int = Field(
+        4, ge=0, description="number of cubes, from the first, that the numbers of modes are tried on"
+    )
 
     @field_validator("numbers")
     @classmethod

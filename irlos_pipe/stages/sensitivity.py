@@ -49,16 +49,20 @@ class Config(StageConfig):
     )
     mag_step: float = Field(1.0, gt=0, le=5, description="step of the magnitude grid")
     faintest_mag_j: float = Field(
-        19.0, ge=0, le=30, description="end of the magnitude grid, which begins at the ramp's own"
+        19.0, ge=0, le=30, description="end of the magnitude grid, which begins at the magnitude of the ramp"
     )
     realisations: int = Field(5, ge=1, le=1000, description="noise realisations per frame and magnitude")
-    frames_per_offset: int = Field(2, ge=1, le=1000, description="frames of every offset that are used")
+    frames_per_offset: int = Field(2, ge=1, le=1000, description="number of frames used of every offset")
     modes: tuple[tuple[int, ...], ...] = Field(
-        ((2, 3, 4), (2, 3, 4, 5, 7, 8, 9, 10, 11)), description="sets of Noll modes"
+        ((2, 3, 4), (2, 3, 4, 5, 7, 8, 9, 10, 11)), description="sets of Noll modes to be estimated"
     )
-    calibrated: tuple[bool, ...] = Field((True, False), description="with and without NCPAs")
-    limit_nm: float = Field(30.0, gt=0, description="limiting magnitude: largest median error [nm RMS]")
-    limit_failures: float = Field(0.1, ge=0, le=1, description="limiting magnitude: largest part of failures")
+    calibrated: tuple[bool, ...] = Field(
+        (True, False), description="whether the NCPAs are known: with, without, or both"
+    )
+    limit_nm: float = Field(30.0, gt=0, description="largest median error at the limiting magnitude [nm RMS]")
+    limit_failures: float = Field(
+        0.1, ge=0, le=1, description="largest part of failures at the limiting magnitude"
+    )
 
     @field_validator("modes")
     @classmethod

@@ -30,22 +30,27 @@ class Config(Limits):
     """Settings of the calibration."""
 
     input: str = Field("calibration", description="recipe input that holds the cubes")
-    each: bool = Field(False, description="every recording by itself, instead of one estimate from all")
-    method: MethodName = Field("long_exposure", description="what is fitted to what")
+    each: bool = Field(False, description="calibrate every recording by itself instead of all together")
+    method: MethodName = Field(
+        "long_exposure", description="calibration method: which images are fitted, and by how many wavefronts"
+    )
     loss: Literal["gaussian", "huber", "l1"] | None = Field(
-        None, description="loss (l1: kink rounded over 1 sigma; huber: 2); none: the method's own"
+        None,
+        description="loss function (l1 is rounded within 1 sigma, huber within 2); null: that of the method",
     )
     optimiser: Literal["lm", "lbfgs"] = Field(
-        "lm", description="Levenberg-Marquardt, or L-BFGS with autograd"
+        "lm", description="solver: Levenberg-Marquardt, or L-BFGS with autograd"
     )
     highest_noll: int | None = Field(
-        None, ge=4, le=231, description="modes 2 to this are estimated; none: the method's own"
+        None, ge=4, le=231, description="highest Noll mode estimated, from 2 on; null: that of the method"
     )
     prior_scale: float | None = Field(
-        3.0, gt=0, le=1000, description="prior width over the NCPA law; none: no prior"
+        3.0, gt=0, le=1000, description="width of the prior over that of the NCPA law; null: no prior"
     )
-    max_iterations: int = Field(60, ge=1, le=10000, description="per fit")
-    compare: tuple[MethodName, ...] = Field((), description="methods to run beside, for the report only")
+    max_iterations: int = Field(60, ge=1, le=10000, description="largest number of iterations of a fit")
+    compare: tuple[MethodName, ...] = Field(
+        (), description="further methods to run, for comparison in the report only"
+    )
 
     @model_validator(mode="after")
     def _compared_on_all(self) -> Config:

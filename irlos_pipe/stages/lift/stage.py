@@ -46,15 +46,21 @@ class Config(StageConfig):
     input: str = Field("ramp", description="recipe input that holds the ramp")
     modes: tuple[int, ...] = Field((2, 3, 4), description="Noll modes to estimate; 4 (defocus) among them")
     calibrated: bool = Field(True, description="make the NCPAs of `calibrate` a part of the known wavefront")
-    halo: Literal["calibrated", "fit", "off"] = Field("calibrated", description="AO residual in the model")
+    halo: Literal["calibrated", "fit", "off"] = Field(
+        "calibrated", description="AO residual in the model: as calibrated, fitted to the ramp, or none"
+    )
     object_sigma_mas: ObjectSigma = Field(
         "calibrated",
-        description="kernel of object and jitter: a number [mas], as calibrated, or fitted to the ramp",
+        description="width of the kernel of object and jitter: a number [mas], as calibrated, or "
+        "fitted to the ramp",
     )
     estimator: Literal["ml", "map"] = Field("ml", description="maximum likelihood, or with a Gaussian prior")
-    prior_scale: float = Field(3.0, gt=0, le=1000, description="MAP: prior width over the NCPA law")
+    prior_scale: float = Field(
+        3.0, gt=0, le=1000, description="width of the prior of MAP over that of the NCPA law"
+    )
     noise: Literal["data", "model", "iterative"] = Field(
-        "iterative", description="where the variances come from"
+        "iterative",
+        description="variances of the pixels: from the data, from the start's model, or renewed with the fit",
     )
     start: Start = Field(
         "elongation",
@@ -62,7 +68,7 @@ class Config(StageConfig):
         "at the commanded defocus (needed without diversity, where the sign of defocus is ambiguous), or at "
         "zero",
     )
-    max_iterations: int = Field(40, ge=1, le=1000, description="per fit")
+    max_iterations: int = Field(40, ge=1, le=1000, description="largest number of iterations of a fit")
     compare: bool = Field(
         True, description="repeat without the NCPAs and without the AO residual, for the report"
     )
