@@ -51,7 +51,7 @@ class Case:
     level : str
         Of all hidden effects; empty without.
     number : int
-        Tells draws of the same case apart.
+        Distinguishes draws of the same case.
     """
 
     kind: str

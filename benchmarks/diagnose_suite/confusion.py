@@ -60,7 +60,7 @@ def called(outcome: Outcome) -> str:
     """Column of a case: the first name, or the verdict."""
     if is_untestable(outcome):
         return UNTESTABLE
-    return named(outcome)[0] if outcome["told"]["verdict"] == EFFECT else outcome["told"]["verdict"]
+    return named(outcome)[0] if outcome["diagnosis"]["verdict"] == EFFECT else outcome["diagnosis"]["verdict"]
 
 
 def draw_confusion(confusion: Confusion, path: Path) -> None:

@@ -33,7 +33,7 @@ def smallest_sizes(outcomes: Sequence[Outcome], clean: str = CLEAN) -> dict[str,
     """Smallest detectable sizes in every setting: those of the median of its clean recordings."""
     tables: dict[str, list[Mapping]] = {}
     for one in of_kind(outcomes, clean):
-        tables.setdefault(one["truth"]["setting"], []).append(one["told"]["mdb"])
+        tables.setdefault(one["truth"]["setting"], []).append(one["diagnosis"]["mdb"])
     return {setting: _median(several) for setting, several in tables.items()}
 
 

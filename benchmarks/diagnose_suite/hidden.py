@@ -37,7 +37,7 @@ class Hidden:
 
     @property
     def known(self) -> dict[str, Any]:
-        """What a recipe's model would be told of it."""
+        """What a recipe's model would state of it."""
         public = {one.name for one in CATALOGUE[self.effect].public}
         return {key: value for key, value in {**self.parameters, **self.truth}.items() if key in public}
 
@@ -88,8 +88,8 @@ def _vibration(rng: np.random.Generator, size: float, setting: Setting) -> Hidde
 
 
 def _dispersion(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    told = {"mas_per_um": size, "angle_deg": _angle_deg(rng)}
-    return Hidden("atmospheric_dispersion", told, {"mas_per_um": size})
+    values = {"mas_per_um": size, "angle_deg": _angle_deg(rng)}
+    return Hidden("atmospheric_dispersion", values, {"mas_per_um": size})
 
 
 def _spectrum(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
@@ -161,8 +161,8 @@ def _bad_pixels(rng: np.random.Generator, size: float, setting: Setting) -> Hidd
     reach = setting.window // 2 - 4 if kind == "hot" else 3
     pixels = setting.window // 2 + rng.integers(-reach, reach, (int(rng.integers(1, 5)), 2))
     unique = sorted({(int(row), int(column)) for row, column in pixels})
-    told = {"pixels": [list(pixel) for pixel in unique], "kind": kind, "level_e": size}
-    return Hidden("bad_pixels", told, {"pixels": told["pixels"]})
+    values = {"pixels": [list(pixel) for pixel in unique], "kind": kind, "level_e": size}
+    return Hidden("bad_pixels", values, {"pixels": values["pixels"]})
 
 
 def _stage(effect: str, key: str = "nm") -> Draw:

@@ -14,13 +14,13 @@ Outcome = Mapping[str, Any]
 
 def named(outcome: Outcome) -> list[str]:
     """Names in the order found; none unless the verdict is that an effect was found."""
-    told = outcome["told"]
-    return [step["effect"] for step in told["steps"]] if told["verdict"] == EFFECT else []
+    diagnosis = outcome["diagnosis"]
+    return [step["effect"] for step in diagnosis["steps"]] if diagnosis["verdict"] == EFFECT else []
 
 
 def ambiguity_sets(outcome: Outcome) -> list[set[str]]:
-    """Every name with those that it was not told apart from."""
-    steps = outcome["told"]["steps"] if outcome["told"]["verdict"] == EFFECT else []
+    """Every name with those that it was not distinguished from."""
+    steps = outcome["diagnosis"]["steps"] if outcome["diagnosis"]["verdict"] == EFFECT else []
     return [{step["effect"], *step["indistinguishable"]} for step in steps]
 
 
@@ -61,8 +61,8 @@ def extra_names(outcome: Outcome) -> list[str]:
 
 def is_untestable(outcome: Outcome) -> bool:
     """Whether nothing was found, and the diagnosis says that these data cannot show the hidden effect."""
-    hidden, told = set(outcome["truth"]["effects"]), outcome["told"]
-    return told["verdict"] == NONE and bool(hidden & set(told["untestable"]))
+    hidden, diagnosis = set(outcome["truth"]["effects"]), outcome["diagnosis"]
+    return diagnosis["verdict"] == NONE and bool(hidden & set(diagnosis["untestable"]))
 
 
 # -- the case as a whole -----------------------------------------------------------------------
@@ -70,7 +70,7 @@ def is_untestable(outcome: Outcome) -> bool:
 
 def is_right(outcome: Outcome) -> bool:
     """Whether the case came out as it should."""
-    kind, verdict = outcome["truth"]["kind"], outcome["told"]["verdict"]
+    kind, verdict = outcome["truth"]["kind"], outcome["diagnosis"]["verdict"]
     if kind.endswith(CLEAN):
         return verdict == NONE
     if kind.endswith(OUTSIDE):

@@ -1,4 +1,4 @@
-"""How large hidden effects are, from sizes that just show to sizes that nobody would overlook.
+"""How large hidden effects are, from sizes that just show to sizes that are hard to overlook.
 
 Weak is about four times the smallest detectable size that `diagnose` prints for clean recordings of the
 setting, medium and strong are what instruments are known to do. Where a size is no single number: RMS

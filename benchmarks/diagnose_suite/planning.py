@@ -43,7 +43,7 @@ class Plan:
 
 
 def plan_case(case: Case, spec_path: Path) -> Plan:
-    """Plan a case; its spec, which tells the truth, is written to `spec_path`."""
+    """Plan a case; its spec, which states the truth, is written to `spec_path`."""
     hidden = _hidden(case)
     spec_path.write_text(yaml_text(spec_of(case, hidden)))
     recordings = plan_recordings(load_spec(spec_path))

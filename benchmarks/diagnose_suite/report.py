@@ -1,4 +1,4 @@
-"""What the suite tells: a table for people, `suite.json` and `confusion.png` for everything else."""
+"""What the suite reports: a table for people, `suite.json` and `confusion.png` for everything else."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def write_report(outcomes: Sequence[Outcome], failed: Mapping[str, str], folder:
     folder.mkdir(parents=True, exist_ok=True)
     write_bytes(folder / RESULTS, json_text(content).encode())
     draw_confusion(confusion, folder / PICTURE)
-    told = (_table(parts), _untestable(outcomes), _not_right(outcomes), _broken(failed))
-    return "\n".join([*chain.from_iterable(told), "", str(folder / RESULTS)])
+    lines = (_table(parts), _untestable(outcomes), _not_right(outcomes), _broken(failed))
+    return "\n".join([*chain.from_iterable(lines), "", str(folder / RESULTS)])
 
 
 # -- for people --------------------------------------------------------------------------------
@@ -78,12 +78,12 @@ def _not_right(outcomes: Sequence[Outcome]) -> Iterator[str]:
 
 
 def verdict_text(outcome: Outcome) -> str:
-    """The verdict in a line: names with what they were not told apart from, or the reason for none."""
-    told, sets = outcome["told"], ambiguity_sets(outcome)
-    if told["verdict"] != "effect":
-        nearest = (told.get("nearest") or {}).get("effect")
-        why = told.get("why_unknown", "")
-        return f"{told['verdict']}{f', nearest {nearest}' if nearest else ''}{f': {why}' if why else ''}"
+    """The verdict in a line: names with what they were not distinguished from, or the reason for none."""
+    diagnosis, sets = outcome["diagnosis"], ambiguity_sets(outcome)
+    if diagnosis["verdict"] != "effect":
+        nearest = (diagnosis.get("nearest") or {}).get("effect")
+        why = diagnosis.get("why_unknown", "")
+        return f"{diagnosis['verdict']}{f', nearest {nearest}' if nearest else ''}{f': {why}' if why else ''}"
     names = [
         name + (f" ({' or '.join(sorted(alike - {name}))})" if len(alike) > 1 else "")
         for name, alike in zip(named(outcome), sets, strict=True)
@@ -106,12 +106,12 @@ def _row_json(row: Row) -> dict[str, Any]:
 
 
 def _case_json(outcome: Outcome, smallest: Mapping[str, Mapping]) -> dict[str, Any]:
-    truth, told = outcome["truth"], outcome["told"]
+    truth, diagnosis = outcome["truth"], outcome["diagnosis"]
     single = truth["kind"] == SINGLE
     return {
         "case": outcome["case"],
         **truth,
-        "verdict": told["verdict"],
+        "verdict": diagnosis["verdict"],
         "called": called(outcome),
         "named": named(outcome),
         "ambiguity_sets": ambiguity_sets(outcome),
@@ -119,7 +119,7 @@ def _case_json(outcome: Outcome, smallest: Mapping[str, Mapping]) -> dict[str, A
         "untestable": is_untestable(outcome),
         "over_smallest": in_smallest(outcome, smallest.get(truth["setting"], {})) if single else None,
         "size_inside": true_size_inside(outcome) if single else None,
-        "shrink": told["gap"]["shrink"],
+        "shrink": diagnosis["gap"]["shrink"],
         "ncpa_error_nm": outcome["ncpa_error_nm"],
         "ncpa_bias_nm": outcome["ncpa_bias_nm"],
         "cpu_s": outcome["cpu_s"],

@@ -34,7 +34,7 @@ class Row:
     ----------
     what : str
     aim : str
-        What it should be; empty for what is only told.
+        What it should be; empty for what is only reported.
     value : Rate or float
     """
 
@@ -77,7 +77,7 @@ def _clean(outcomes: Sequence[Outcome]) -> list[Row]:
 
 
 def _is_alarm(outcome: Outcome) -> bool:
-    return outcome["told"]["verdict"] != NONE
+    return outcome["diagnosis"]["verdict"] != NONE
 
 
 def _singles(singles: Singles) -> list[Row]:
@@ -87,8 +87,8 @@ def _singles(singles: Singles) -> list[Row]:
         Row("named first, or in a set of <= 3", ">= 97 %", Rate.of(map(is_in_set, testable))),
         Row("named first", ">= 92 %", Rate.of(map(is_first, testable))),
         Row("with a further name that is not there", "", Rate.of(bool(extra_names(o)) for o in testable)),
-        Row("unknown", "", Rate.of(o["told"]["verdict"] == UNKNOWN for o in testable)),
-        Row("nothing", "", Rate.of(o["told"]["verdict"] == NONE for o in testable)),
+        Row("unknown", "", Rate.of(o["diagnosis"]["verdict"] == UNKNOWN for o in testable)),
+        Row("nothing", "", Rate.of(o["diagnosis"]["verdict"] == NONE for o in testable)),
         Row("first set holds the truth", "", Rate.of(map(is_in_set, verdicts))),
         Row("mean size of the first set", "", float(np.mean(sizes)) if sizes else float("nan")),
         Row("below 3 MDB: named first", "", Rate.of(map(is_first, singles.small))),
@@ -108,18 +108,18 @@ def _others(outcomes: Sequence[Outcome]) -> list[Row]:
 
 def _outside_rows(what: str, outside: Sequence[Outcome]) -> list[Row]:
     return [
-        Row(f"{what}: unknown", ">= 85 %", Rate.of(o["told"]["verdict"] == UNKNOWN for o in outside)),
+        Row(f"{what}: unknown", ">= 85 %", Rate.of(o["diagnosis"]["verdict"] == UNKNOWN for o in outside)),
         Row(f"{what}: a confident wrong name", "<= 10 %", Rate.of(map(_is_confident, outside))),
-        Row(f"{what}: nothing", "", Rate.of(o["told"]["verdict"] == NONE for o in outside)),
+        Row(f"{what}: nothing", "", Rate.of(o["diagnosis"]["verdict"] == NONE for o in outside)),
     ]
 
 
 def _is_confident(outcome: Outcome) -> bool:
-    return outcome["told"]["verdict"] == EFFECT
+    return outcome["diagnosis"]["verdict"] == EFFECT
 
 
 def _models(found: Sequence[Outcome]) -> list[Row]:
-    shrinks = [one["told"]["gap"]["shrink"] for one in found]
+    shrinks = [one["diagnosis"]["gap"]["shrink"] for one in found]
     inside = [verdict for verdict in map(true_size_inside, found) if verdict is not None]
     halved, alone = bias_removed(found)
     return [
@@ -167,5 +167,5 @@ def _cost(outcomes: Sequence[Outcome]) -> list[Row]:
     rows = [Row(f"CPU s to {s}, median", "", _median_of([o["cpu_s"][s] for o in outcomes])) for s in stages]
     return [
         *rows,
-        Row("seconds per diagnosis, median", "", _median_of([o["told"]["seconds"] for o in outcomes])),
+        Row("seconds per diagnosis, median", "", _median_of([o["diagnosis"]["seconds"] for o in outcomes])),
     ]

@@ -23,7 +23,7 @@ def true_size_inside(outcome: Outcome) -> bool | None:
     point of χ²; errors of different sizes are taken as independent.
     """
     (effect,) = outcome["truth"]["effects"]
-    step = next((one for one in outcome["told"]["steps"] if one["effect"] == effect), None)
+    step = next((one for one in outcome["diagnosis"]["steps"] if one["effect"] == effect), None)
     if step is None or not is_first(outcome):
         return None
     truth = outcome["truth"]["sizes"][effect]

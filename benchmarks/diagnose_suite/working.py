@@ -61,7 +61,12 @@ def work(case: Case, folder: Folder) -> dict[str, Any]:
         outcome = _worked(case, folder)
         folder.outcome(case).parent.mkdir(parents=True, exist_ok=True)
         write_bytes(folder.outcome(case), json_text(outcome).encode())
-    return json.loads(folder.outcome(case).read_text())
+    return _present_keys(json.loads(folder.outcome(case).read_text()))
+
+
+def _present_keys(outcome: dict[str, Any]) -> dict[str, Any]:
+    """An outcome as it is written now; `told` is the former spelling of `diagnosis`."""
+    return {"diagnosis" if key == "told" else key: value for key, value in outcome.items()}
 
 
 def _worked(case: Case, folder: Folder) -> dict[str, Any]:
@@ -70,16 +75,18 @@ def _worked(case: Case, folder: Folder) -> dict[str, Any]:
     began = time.process_time()
     make_case(case, folder.data(case), folder.truth)
     made = time.process_time()
-    told = diagnosed(case, folder.data(case), folder.run(case), case.model_effects)
+    diagnosis = diagnosed(case, folder.data(case), folder.run(case), case.model_effects)
     ended = time.process_time()
     truth = json.loads((folder.truth / f"{case.name}.json").read_text())
-    errors_nm = None if case.is_ramp else ncpa_errors_nm(told, truth)
+    errors_nm = None if case.is_ramp else ncpa_errors_nm(diagnosis, truth)
     return {
         "case": case.name,
         "truth": {key: truth[key] for key in ("kind", "setting", "level", "effects", "sizes")},
-        "told": {key: value for key, value in told.items() if key not in NOT_KEPT},
+        "diagnosis": {key: value for key, value in diagnosis.items() if key not in NOT_KEPT},
         "ncpa_error_nm": errors_nm,
-        "ncpa_bias_nm": _biases_nm(case, folder, told, truth) if _may_be_biased(case, errors_nm) else None,
+        "ncpa_bias_nm": _biases_nm(case, folder, diagnosis, truth)
+        if _may_be_biased(case, errors_nm)
+        else None,
         "cpu_s": {"simulate": made - began, "diagnose": ended - made},
     }
 
@@ -105,11 +112,11 @@ def settings_of(effects: Sequence[Any] | None) -> list[str]:
     return [f"model.effects={yaml.safe_dump(list(effects), default_flow_style=True, width=1000000).strip()}"]
 
 
-def ncpa_errors_nm(told: dict[str, Any], truth: dict[str, Any]) -> dict[str, float]:
+def ncpa_errors_nm(diagnosis: dict[str, Any], truth: dict[str, Any]) -> dict[str, float]:
     """RMS error of Noll 2 to 30 with the model as it was, and with what was found."""
     true_nm = truth["mean_zernike_nm"][CUBE]
     return {
-        when: float(np.linalg.norm([told["zernike_nm"][when][str(n)] - true_nm[str(n)] for n in NOLLS]))
+        when: float(np.linalg.norm([diagnosis["zernike_nm"][when][str(n)] - true_nm[str(n)] for n in NOLLS]))
         for when in ("before", "after")
     }
 
@@ -119,7 +126,9 @@ def _may_be_biased(case: Case, errors_nm: dict[str, float] | None) -> bool:
     return case.kind == SINGLE and errors_nm is not None and errors_nm["before"] > BIASED_NM
 
 
-def _biases_nm(case: Case, folder: Folder, told: dict[str, Any], truth: dict[str, Any]) -> dict[str, float]:
+def _biases_nm(
+    case: Case, folder: Folder, diagnosis: dict[str, Any], truth: dict[str, Any]
+) -> dict[str, float]:
     """RMS of what the model as it was, and that with what was found, add to the error of the true model.
 
     The same frames are fitted, so the noise and speckles that they share are none of it.
@@ -127,7 +136,7 @@ def _biases_nm(case: Case, folder: Folder, told: dict[str, Any], truth: dict[str
     effects = case.true_model(with_noll_indices(truth["known"]))
     best = diagnosed(case, folder.data(case), folder.reference(case), effects)["zernike_nm"]["before"]
     return {
-        when: float(np.linalg.norm([told["zernike_nm"][when][str(n)] - best[str(n)] for n in NOLLS]))
+        when: float(np.linalg.norm([diagnosis["zernike_nm"][when][str(n)] - best[str(n)] for n in NOLLS]))
         for when in ("before", "after")
     }
 

@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from irlos_pipe.diagnose.checks.bad_pixels import smallest_excess
 from irlos_pipe.diagnose.checks.fine_structure import FineStructure, fine_structure
 from irlos_pipe.diagnose.checks.motion import motion_ratio
 from irlos_pipe.diagnose.checks.noise import PHOTONS, SPECKLES, NoiseVerdict
-from irlos_pipe.diagnose.checks.screened_pixels import screened_step
+from irlos_pipe.diagnose.checks.pixels import screened_step, smallest_excess
 from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.decide import Accepted, Options, Search, threshold
 from irlos_pipe.diagnose.fitting import Fitted

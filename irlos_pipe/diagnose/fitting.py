@@ -24,7 +24,7 @@ from irlos_pipe.numerics.solution import Solution
 
 PRIOR_SCALE = 3.0  # over the law of the NCPAs
 MAX_ITERATIONS = 60
-FINISHING, PATIENCE = 20, 8  # iterations in float64, how often
+FINISHING, PATIENCE = 20, 8  # iterations in float64, and repetitions
 SETTLED = 1.0  # fall of χ², in units of χ²/ν where the model misfits, that means nothing
 SAME_IMAGE = 1e-6  # χ² between two images that differ by rounding
 EXPLORING = 30  # iterations after which it is known whether a fit is promising

@@ -20,8 +20,8 @@ def _found(diagnosis: Diagnosis) -> str:
         nearest = diagnosis.nearest
         near = "" if nearest is None else f"; the nearest is {_phrase(nearest)}"
         return f"Something is missing that nothing in the catalogue explains: {diagnosis.why_unknown}{near}."
-    wanted = " and ".join(_phrase(step) for step in diagnosis.steps)
-    return f"The images want {wanted}{_others(diagnosis.steps)}; {_rest(diagnosis)}."
+    lacking = " and ".join(_phrase(step) for step in diagnosis.steps)
+    return f"The model lacks {lacking}{_others(diagnosis.steps)}; {_rest(diagnosis)}."
 
 
 def _rest(diagnosis: Diagnosis) -> str:
@@ -42,14 +42,14 @@ def _advised(diagnosis: Diagnosis) -> str:
     for name, advice in diagnosis.advice.items():
         by_recording.setdefault(advice.recording, []).append(name)
     return "".join(
-        f" Untestable here: {', '.join(names)}; a second recording {words} would show it."
-        for words, names in by_recording.items()
+        f" Untestable here: {', '.join(names)}; a second recording {recording} would show it."
+        for recording, names in by_recording.items()
     )
 
 
 def _others(steps: Sequence[Step]) -> str:
     others = [f"{step.name}: {other.name}" for step in steps for other in step.alternatives]
-    return f" (not told apart from {', '.join(others)})" if others else ""
+    return f" (not distinguished from {', '.join(others)})" if others else ""
 
 
 def _limit(diagnosis: Diagnosis) -> str:

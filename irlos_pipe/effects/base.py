@@ -58,7 +58,7 @@ class Effect:
         How a diagnosis finds it: by a score test of the mean image, from estimates of single frames, pixel
         by pixel, or from the offsets of a ramp.
     blurs : {"", "motion", "detector"}
-        What blurs the image, of effects that the mean image hardly tells apart.
+        What blurs the image, of effects that the mean image hardly distinguishes.
     speckles : bool
         Whether it makes frames scatter by more than photon noise.
     copies_star : bool
@@ -69,7 +69,7 @@ class Effect:
         What a diagnosis says of one that it found, and of the smallest one that it would have seen; format
         strings of the public values.
     look_alike : str
-        The effect it is most easily mistaken for, and what tells them apart.
+        The effect it is most easily mistaken for, and what distinguishes the two.
     reference : str
     """
 
@@ -411,7 +411,7 @@ class RampEffect(Effect):
     Class attributes
     ----------------
     separated_by : str
-        Ramp that tells it from other errors of the stage.
+        Ramp that distinguishes it from other errors of the stage.
     """
 
     plane = "ramp"

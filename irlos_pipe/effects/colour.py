@@ -3,7 +3,7 @@
 Dispersion shifts the images of the wavelengths against each other; a wrong spectrum or pixel scale
 changes λ, the photon weights, or the angle of a pixel, of which the image sees the ratio only: in a
 narrow band a shifted centre and another scale are nearly one effect, and only Noll 4 and the halo, which
-know λ by itself, tell them apart.
+know λ by itself, distinguish them.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Spectrum(SamplingEffect):
         number("width", "in units of the assumed one", 0.01, 10.0, required=False),
     )
     sentence = "a spectrum about {wavelength_nm:.1f} nm, {width:.2f} times as wide"
-    look_alike = "plate_scale in a narrow band; a second filter tells them apart"
+    look_alike = "plate_scale in a narrow band; a second filter distinguishes them"
     reference = "Filter curve of the recording; Goodman 2005, Introduction to Fourier Optics, section 6.2"
     parameters = (
         Parameter("shift_nm", "nm", 0.0, 0.0, 50.0, -200.0, 200.0, plausible=(-100.0, 100.0)),
@@ -143,7 +143,7 @@ class PlateScale(SamplingEffect):
     name = "plate_scale"
     public = (number("fraction", "of the assumed scale", -0.05, 0.05),)
     sentence = "pixels larger by {fraction:.2%}"
-    look_alike = "spectrum in a narrow band; two stars of known distance tell them apart"
+    look_alike = "spectrum in a narrow band; two stars of known distance distinguish them"
     reference = "Goodman 2005, Introduction to Fourier Optics, section 5.2"
     parameters = (
         Parameter("fraction", "", 0.0, prior_sigma=0.02, lower=-0.05, upper=0.05, plausible=(-0.03, 0.03)),

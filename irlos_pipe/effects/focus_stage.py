@@ -32,7 +32,7 @@ class FocusStageHysteresis(RampEffect):
     public = (number("nm", "nm RMS, half the width of the loop", -1000.0, 1000.0),)
     sentence = "a focus stage hysteresis of {nm:+.0f} nm"
     separated_by = "every offset reached from both sides"
-    look_alike = "a drift of focus; every offset from both sides tells them apart"
+    look_alike = "a drift of focus; every offset from both sides distinguishes them"
     reference = "Saw-tooth of the first target in the on-sky experiment of LIFT for IRLOS"
     parameters = (Parameter("nm", "nm", 0.0, plausible=(-150.0, 150.0)),)
 

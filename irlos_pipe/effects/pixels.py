@@ -55,7 +55,7 @@ class DetectorNonlinearity(DetectorEffect):
     order = 1
     public = (number("fraction_at_peak", "lost at the brightest pixel of the mean image", -0.4, 0.4),)
     sentence = "a loss of {fraction_at_peak:.1%} at the brightest pixel"
-    look_alike = "tip_tilt_jitter, which conserves the light; a fainter star tells them apart"
+    look_alike = "tip_tilt_jitter, which conserves the light; a fainter star distinguishes them"
     reference = "Plazas et al. 2017, JINST 12, C04009"
     parameters = (Parameter("fraction_at_peak", "", 0.0, 0.0, 0.1, -0.4, 0.4, plausible=(-0.05, 0.35)),)
 

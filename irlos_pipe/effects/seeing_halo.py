@@ -2,8 +2,9 @@
 
 The structure function D is that of the residual inside the correction band (free variance,
 slope, two-fold and four-fold anisotropy; the variance, because ∂μ/∂σ vanishes at σ = 0) plus that of the
-von Kármán turbulence beyond it. Its light falls mostly outside a window of 0.6", where it cannot be told
-from flux and background: the seeing fixes it, and where that was not measured, the residual in the band.
+von Kármán turbulence beyond it. The light of the latter falls mostly outside a window of 0.6", where it
+cannot be distinguished from flux and background: the seeing fixes it, and where that was not measured, the
+residual in the band.
 """
 
 from __future__ import annotations

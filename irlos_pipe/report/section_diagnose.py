@@ -33,7 +33,7 @@ FINE = (
 GAP_IN, BAR_IN, WIDTH_IN = (3.7, 2.85), 0.22, 4.4
 MAP_PERCENTILE = 99.5
 PERCENTILE = 99.5  # of the residual before, for the common scale of the residuals
-STEP_COLUMNS = ("name", "parameter", "value", "significance", "explained", "not told apart from")
+STEP_COLUMNS = ("name", "parameter", "value", "significance", "explained", "not distinguished from")
 
 
 def diagnose_section(run: RunData) -> Section:
@@ -172,7 +172,7 @@ def _separation(results: DiagnoseResults) -> list[Table]:
         for step in results.steps
         for other in step.alternatives
     ]
-    return [Table(("names", "why", "what tells them apart"), rows, "Not told apart")] if rows else []
+    return [Table(("names", "why", "what distinguishes them"), rows, "Not distinguished")] if rows else []
 
 
 def _what_separates(other: AlternativeRow) -> str:

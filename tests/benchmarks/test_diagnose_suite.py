@@ -56,7 +56,7 @@ def outcome(kind, hidden=(), verdict="none", names=(), *, sizes=None, found=None
             "effects": list(hidden),
             "sizes": {hidden[0]: sizes} if sizes else {},
         },
-        "told": {
+        "diagnosis": {
             "verdict": verdict,
             "steps": steps,
             "untestable": told.get("untestable", []),
@@ -398,7 +398,7 @@ def test_a_companion_and_an_offset_of_the_focus_stage_are_found_with_their_sizes
     assert [one["case"] for one in outcomes] == sorted(case.name for case in SAMPLE)
     assert all(is_right(one) for one in outcomes)
     companion = outcomes[-1]
-    truth, (step,) = companion["truth"]["sizes"]["companion"], companion["told"]["steps"]
+    truth, (step,) = companion["truth"]["sizes"]["companion"], companion["diagnosis"]["steps"]
     assert step["parameters"]["flux_ratio"] == pytest.approx(truth["flux_ratio"], rel=0.03)
     assert companion["ncpa_error_nm"]["after"] < 0.5 * companion["ncpa_error_nm"]["before"]
     assert companion["ncpa_bias_nm"]["after"] < 0.2 * companion["ncpa_bias_nm"]["before"]

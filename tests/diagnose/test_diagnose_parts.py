@@ -25,17 +25,15 @@ from helpers.diagnose_frames import (
 from helpers.optics_cases import READ_NOISE
 from scipy import stats
 
-from irlos_pipe.diagnose.checks.bad_pixels import outstanding_pixels
 from irlos_pipe.diagnose.checks.drift import measure_drift
 from irlos_pipe.diagnose.checks.motion import motion_ratio
 from irlos_pipe.diagnose.checks.noise import judge_noise
-from irlos_pipe.diagnose.checks.screened_pixels import screened_step
+from irlos_pipe.diagnose.checks.pixels import outstanding_pixels, screened_step
 from irlos_pipe.diagnose.cube import split
 from irlos_pipe.diagnose.fitting import most_plausible
 from irlos_pipe.diagnose.held_out import Gap, HeldOutEvaluation, noise_floor, preference
 from irlos_pipe.diagnose.search.companion_search import brightest_copies
-from irlos_pipe.diagnose.search.detect import Score, score_family, scores, whitened_shapes
-from irlos_pipe.diagnose.search.families import Family, families
+from irlos_pipe.diagnose.search.detect import Family, Score, families, score_family, scores, whitened_shapes
 from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.diagnose.sizes import detectable, determined, public_sigma
 from irlos_pipe.diagnose.view import Screened

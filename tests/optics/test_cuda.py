@@ -20,8 +20,7 @@ from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.held_out import HeldOutEvaluation
 from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.search.companion_search import companion_gains
-from irlos_pipe.diagnose.search.detect import scores
-from irlos_pipe.diagnose.search.families import families
+from irlos_pipe.diagnose.search.detect import families, scores
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.effects import Conditions, TipTiltJitter
 from irlos_pipe.effects.image_model import ImageModel

@@ -36,7 +36,7 @@ def brightest_copies(optimum: Optimum, effect: Effect) -> list[FixedEffect]:
 
 
 def around(effect: Effect) -> list[FixedEffect]:
-    """Positions of `effect` on all sides, which tell how faint a copy of the star can be seen there."""
+    """Positions of `effect` on all sides, which say how faint a copy of the star can be seen there."""
     angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
     return [effect.displaced(RING_MAS * np.cos(angle), RING_MAS * np.sin(angle)) for angle in angles]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -10,17 +10,64 @@ import numpy as np
 import torch
 
 from irlos_pipe.diagnose.optimum import Optimum
-from irlos_pipe.diagnose.search.bundle import Bundle
 from irlos_pipe.diagnose.search.companion_search import around, brightest_copies
-from irlos_pipe.diagnose.search.families import Family
 from irlos_pipe.diagnose.significance import significance_of
-from irlos_pipe.effects import Effect, FixedEffect
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
+from irlos_pipe.effects.base import PupilEffect
 from irlos_pipe.estimate.score_test import ABSORBED, LinearEstimate, derivatives
 from irlos_pipe.numerics.parallel import ordered_map
+from irlos_pipe.optics.grids import PupilGrid
 
 BUNDLED = 16  # candidates in the pupil
 LINEAR = 0.5  # of the prior's σ: how far from nothing a fit begins at most
 FURTHER_STARTS, FAR_APART = 2, 0.2  # of a fit; part of the range of a position or direction
+
+
+@dataclass(frozen=True)
+class Family:
+    """One effect that may be missing.
+
+    Attributes
+    ----------
+    variants : tuple of Effect
+        Shapes of the same effect that are tried.
+    positions : int
+        Where the effect was looked for before, of which these are the best.
+    """
+
+    variants: tuple[Effect, ...]
+    positions: int = 1
+
+    @property
+    def effect(self) -> Effect:
+        """The first of the variants."""
+        return self.variants[0]
+
+
+def families(conditions: Conditions, present: Iterable[str]) -> tuple[list[Family], list[str]]:
+    """Families that a score test finds, beside the effects that the model has.
+
+    Parameters
+    ----------
+    conditions : Conditions
+    present : iterable of str
+        Names of the effects of the model.
+
+    Returns
+    -------
+    list of Family
+    list of str
+        Effects that mean nothing under these conditions.
+    """
+    model, found, meaningless = {*present}, [], []
+    for name, kind in CATALOGUE.items():
+        if kind.found_by != "score" or name in model:
+            continue
+        try:
+            found.append(Family(kind.variants(conditions)))
+        except ValueError:
+            meaningless.append(name)
+    return found, meaningless
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +213,7 @@ def whitened_shapes(optimum: Optimum, candidates: Sequence[Effect]) -> list[torc
 
 
 def _together(candidates: Sequence[Effect]) -> Effect:
-    return candidates[0] if len(candidates) == 1 else Bundle(candidates)
+    return candidates[0] if len(candidates) == 1 else _Bundle(candidates)
 
 
 def _bundles(candidates: Sequence[Effect]) -> list[Sequence[Effect]]:
@@ -198,3 +245,42 @@ def _score(optimum: Optimum, trials: int, candidate: Effect, shapes: torch.Tenso
         tuple(p.name for p, use in zip(candidate.parameters, linear.usable.tolist(), strict=True) if use),
         trials,
     )
+
+
+class _Bundle(PupilEffect):
+    """Several candidates in the pupil as one effect, at their null values, where each leaves the field.
+
+    The light path up to them is computed once for all.
+
+    Parameters
+    ----------
+    candidates : sequence of Effect
+        Of one family, in the pupil.
+    """
+
+    name = "bundle"
+
+    def __init__(self, candidates: Sequence[Effect]):
+        self.bundled, self.order = tuple(candidates), candidates[0].order
+        self.parameters = tuple(p for one in candidates for p in one.parameters)
+
+    @property
+    def null_values(self) -> list[float]:
+        """See `Effect.null_values`."""
+        return [value for one in self.bundled for value in one.null_values]
+
+    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.apply`."""
+        return field
+
+    def slopes(
+        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `PupilEffect.slopes`."""
+        every = [slope for one in self.bundled for slope in _slopes_at_null(one, field, grid)]
+        return [every[index] for index in wanted]
+
+
+def _slopes_at_null(candidate: Effect, field: torch.Tensor, grid: PupilGrid) -> Sequence[torch.Tensor]:
+    null = torch.tensor(candidate.null_values, dtype=torch.float64)
+    return candidate.slopes(null, field, grid, range(len(null)))

@@ -142,12 +142,13 @@ def model_yaml(model: ModelConfig, entries: Sequence[dict[str, Any]]) -> bytes:
 
 def _with_one_list_of_pixels(effects: list[Any]) -> list[Any]:
     """Entries of which a single one lists all bad pixels."""
-    listed = [e["bad_pixels"]["pixels"] for e in effects if isinstance(e, dict) and "bad_pixels" in e]
+    (name,) = (name for name, kind in CATALOGUE.items() if kind.found_by == "pixels")
+    listed = [entry[name]["pixels"] for entry in effects if isinstance(entry, dict) and name in entry]
     if len(listed) < 2:
         return effects
-    others = [e for e in effects if not (isinstance(e, dict) and "bad_pixels" in e)]
+    others = [entry for entry in effects if not (isinstance(entry, dict) and name in entry)]
     pixels = sorted({tuple(pixel) for part in listed for pixel in part})
-    return [*others, {"bad_pixels": {"pixels": [list(pixel) for pixel in pixels]}}]
+    return [*others, {name: {"pixels": [list(pixel) for pixel in pixels]}}]
 
 
 def recipe_entry(step: Step) -> dict[str, Any]:

@@ -29,7 +29,7 @@ class GapRow(ResultsPart):
 
 
 class AlternativeRow(ResultsPart):
-    """An effect that the images do not tell from the one found, see `diagnose.ambiguity.Alternative`."""
+    """An effect not distinguished from the one found, see `diagnose.ambiguity.Alternative`."""
 
     name: str = ""
     reason: str = ""

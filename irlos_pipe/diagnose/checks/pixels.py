@@ -1,7 +1,8 @@
-"""Pixels that the screening of the frames masked and no map lists: is their signal not the star's?
+"""Single pixels that are bad: those that stand out of the residual, and those that ingest has masked.
 
-They are no part of any fit. Their raw mean against the prediction of a model that knows nothing of them
-says whether they are bad, and what the gap would have been with them.
+The former are looked for where the model explains their neighbours well. The latter are no part of any
+fit: their mean against the prediction of a model without them says whether they are bad, and what the gap
+would have been with them.
 """
 
 from __future__ import annotations
@@ -9,17 +10,55 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 
-from irlos_pipe.diagnose.checks.bad_pixels import OUTSTANDING
 from irlos_pipe.diagnose.held_out import Gap
 from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.search.detect import Family
 from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.diagnose.verdict import Step
 from irlos_pipe.diagnose.view import Screened
 from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.pixels import BadPixels
 
+OUTSTANDING = 50.0  # fall of χ² by a pixel's own offset: 7 σ, one of some thousand pixels
+ALONE = 4.0  # times the largest residual of the neighbours
+MOST = 20
+
 OFF = 0.1  # of the star's signal in the pixel, below which the model may be to blame
+
+
+def outstanding_pixels(optimum: Optimum) -> list[tuple[int, int]]:
+    """(row, column) of the pixels that nothing smooth explains, the worst first."""
+    problem = optimum.fitted.problem
+    left = 1 - (optimum.basis**2).sum(1)
+    pulls = (optimum.residual / left.clamp_min(1e-6).sqrt()).abs().reshape(-1, *problem.window)
+    pull = pulls.amax(0)
+    around = _largest_neighbour(pull)
+    chosen = (pull**2 > OUTSTANDING) & (pull > ALONE * around)
+    found = torch.nonzero(chosen)[pull[chosen].argsort(descending=True)]
+    return [(int(row), int(column)) for row, column in found[:MOST]]
+
+
+def smallest_excess(optimum: Optimum) -> dict[str, dict[str, float]]:
+    """Excess of a single pixel that would stand out, median over the window [e-], under the effect's name."""
+    error = optimum.stack.variance_e2.sqrt()
+    return {BadPixels.name: {"excess_e": float(OUTSTANDING**0.5 * error[error.isfinite()].median())}}
+
+
+def bad_pixel_family(optimum: Optimum) -> list[Family]:
+    """The family of these pixels together; none where there are none."""
+    pixels = outstanding_pixels(optimum)
+    looked_at = int((optimum.root > 0).sum())
+    return [Family((BadPixels(pixels),), looked_at)] if pixels else []
+
+
+def _largest_neighbour(image: torch.Tensor) -> torch.Tensor:
+    """Largest of the eight neighbours."""
+    rows, columns = image.shape
+    padded = torch.nn.functional.pad(image[None, None], (1, 1, 1, 1))[0, 0]
+    shifted = [padded[r : r + rows, c : c + columns] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
+    return torch.stack(shifted).amax(0)
 
 
 def screened_step(screened: Sequence[Screened], optimum: Optimum, frames: int, gap: Gap) -> Step | None:
