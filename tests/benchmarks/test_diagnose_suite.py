@@ -41,8 +41,10 @@ CASES = all_cases()
 SMALL_MDB = {"companion": {"flux_ratio": 0.001}}
 
 
-def outcome(kind, hidden=(), verdict="none", names=(), *, sizes=None, found=None, sigma=None, **told) -> dict:
-    """What a case came to: `names` are the names found, each with those it was not told apart from."""
+def outcome(
+    kind, hidden=(), verdict="none", names=(), *, sizes=None, found=None, sigma=None, **reported
+) -> dict:
+    """What a case came to: `names` are the names found, each with those it was not distinguished from."""
     steps = [
         {"effect": name, "indistinguishable": list(others), "parameters": found or {}, "sigma": sigma or {}}
         for name, *others in (one.split("|") for one in names)
@@ -59,13 +61,13 @@ def outcome(kind, hidden=(), verdict="none", names=(), *, sizes=None, found=None
         "diagnosis": {
             "verdict": verdict,
             "steps": steps,
-            "untestable": told.get("untestable", []),
-            "mdb": told.get("mdb", {}),
-            "gap": {"shrink": told.get("shrink")},
+            "untestable": reported.get("untestable", []),
+            "mdb": reported.get("mdb", {}),
+            "gap": {"shrink": reported.get("shrink")},
             "seconds": 30.0,
         },
-        "ncpa_error_nm": told.get("errors", {"before": 1.0, "after": 1.0}),
-        "ncpa_bias_nm": told.get("biases"),
+        "ncpa_error_nm": reported.get("errors", {"before": 1.0, "after": 1.0}),
+        "ncpa_bias_nm": reported.get("biases"),
         "cpu_s": {"simulate": 1.0, "diagnose": 20.0},
     }
 
@@ -115,10 +117,10 @@ def test_names_and_seeds_are_each_case_s_own():
 def test_the_documents_tell_how_many_cases_there_are():
     root = REPOSITORY
     assert f"{len(CASES)} simulated recordings" in (root / "README.md").read_text()
-    told = (root / "docs" / "diagnose_suite.md").read_text()
+    reported = (root / "docs" / "diagnose_suite.md").read_text()
     kinds = [case.kind for case in CASES]
     for kind in (CLEAN, SINGLE, PAIR, OUTSIDE):
-        assert f"| `{kind}` | {kinds.count(kind)} |" in told
+        assert f"| `{kind}` | {kinds.count(kind)} |" in reported
 
 
 def test_a_level_is_larger_than_the_one_before():
@@ -370,8 +372,8 @@ def test_the_true_model_of_an_effect_with_a_table_can_be_given_to_a_recipe():
     """As it comes back from the file of the truth, whose keys are text."""
     sky = SETTINGS["sky_narrow"]
     known = {"amplitude_aberration": drawn("amplitude_aberration", 0.1, sky, np.random.default_rng(1)).known}
-    told = json.loads(json.dumps(known))
-    effects = Case(SINGLE, sky, ("amplitude_aberration",), "weak").true_model(with_noll_indices(told))
+    reported = json.loads(json.dumps(known))
+    effects = Case(SINGLE, sky, ("amplitude_aberration",), "weak").true_model(with_noll_indices(reported))
     recipe = load_recipe(RECIPES / "diagnose.yaml", settings_of(effects))
     assert recipe.model.entries()[-1].values == known["amplitude_aberration"]
 
@@ -427,16 +429,16 @@ def test_finished_cases_are_kept_and_one_that_breaks_ends_no_other(suite):
 def test_the_report_is_a_table_a_file_for_scripts_and_a_picture(suite, tmp_path):
     _, outcomes, _ = suite
     text = write_report(outcomes, {"clean.bench_narrow.00": "OSError: no space"}, tmp_path)
-    told = json.loads((tmp_path / "suite.json").read_text())
+    reported = json.loads((tmp_path / "suite.json").read_text())
     assert "named first" in text
     assert "no space" in text
-    assert told["cases"] == 2
-    assert [one["right"] for one in told["outcomes"]] == [True, True]
+    assert reported["cases"] == 2
+    assert [one["right"] for one in reported["outcomes"]] == [True, True]
     assert (tmp_path / "confusion.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.slow
-def test_what_cannot_be_tested_is_told_by_name(tmp_path):
+def test_what_cannot_be_tested_is_listed_by_name(tmp_path):
     hidden = single("diversity_error", verdict="none", untestable=["diversity_error"], sizes={"nm": 9.0})
     assert "diversity_error, bench_narrow: 1" in write_report([hidden, outcome(CLEAN)], {}, tmp_path)
 

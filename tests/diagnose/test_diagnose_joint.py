@@ -31,7 +31,7 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf_settings import KnownWavefront
 
 NOLLS = tuple(range(2, HIGHEST_NOLL + 1))
-TOLD = ({6: -170.0}, {})  # diversities of the two recordings
+STATED = ({6: -170.0}, {})  # diversities of the two recordings
 REALLY_NM = -130.0  # what the first has
 
 
@@ -54,8 +54,8 @@ def means(taken: list[Exposures]) -> Stacks:
 
 
 def wrong_lens() -> list[Exposures]:
-    """With a lens that is not as told, and without it."""
-    return [recording(TOLD[0], {6: REALLY_NM}, 1), recording(TOLD[1], {}, 2)]
+    """With a lens that is not as stated, and without it."""
+    return [recording(STATED[0], {6: REALLY_NM}, 1), recording(STATED[1], {}, 2)]
 
 
 @functools.cache
@@ -79,15 +79,15 @@ def test_with_a_second_diversity_its_error_is_named_with_its_size():
     (step,) = together().steps
     assert step.name == "diversity_error"
     assert "diversity_error" not in together().untestable
-    told_more_nm = -(REALLY_NM - TOLD[0][6])  # along the diversity's own direction
-    assert step.public["nm"] == pytest.approx(told_more_nm, abs=4 * step.sigma["nm"])
+    stated_more_nm = -(REALLY_NM - STATED[0][6])  # along the diversity's own direction
+    assert step.public["nm"] == pytest.approx(stated_more_nm, abs=4 * step.sigma["nm"])
 
 
 @pytest.mark.slow
 def test_the_ncpa_that_it_was_taken_for_is_right_then():
     column = alone().nolls.index(6)
     wrong, right = (d.modes_nm[1][column] - TRUE_NM[6] for d in (alone(), together()))
-    assert wrong == pytest.approx(REALLY_NM - TOLD[0][6], abs=3)
+    assert wrong == pytest.approx(REALLY_NM - STATED[0][6], abs=3)
     assert abs(right) < 3
 
 

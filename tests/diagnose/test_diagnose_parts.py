@@ -120,10 +120,10 @@ def test_the_noise_of_the_dark_is_no_excess_and_no_significance():
         exposed = frames(image() + pattern_e + 20.0, seed)
         known = replace(exposed, noise=replace(READ_NOISE, shared_e2=dark_e2))
         found.append([optimum(split(one).training) for one in (known, exposed)])
-    told, untold = np.array([[one.excess.significance for one in pair] for pair in found]).T
-    assert abs(told.mean()) < 1.5
-    assert abs(told).max() < 4
-    assert untold.min() > 5
+    known, unknown = np.array([[one.excess.significance for one in pair] for pair in found]).T
+    assert abs(known.mean()) < 1.5
+    assert abs(known).max() < 4
+    assert unknown.min() > 5
     shape = torch.zeros(CASE.window, dtype=torch.float64)
     shape[3:9, 4:8] = 1.0
     shape = shape.flatten()[:, None]
@@ -203,7 +203,7 @@ def test_a_linear_size_is_near_the_true_one_when_the_effect_is_weak():
 
 @pytest.mark.slow
 def test_the_smallest_detectable_size_is_detected_half_of_the_time():
-    """Gain of 30 expected at the size told for 30: Monte Carlo over 10 cubes, ±1 of its mean."""
+    """Gain of 30 expected at the size reported for 30: Monte Carlo over 10 cubes, ±1 of its mean."""
     jitter = Family((TipTiltJitter(),))
     null = score_family(optimum(cube(image(), 3).training), jitter)
     size = detectable(null, 30.0)["sigma_mas"]
@@ -264,7 +264,7 @@ def test_a_steady_wavefront_shows_no_drift():
     assert measure_drift(stack, fitted(stack), sure=5.0).significance < 4
 
 
-def test_images_that_move_from_frame_to_frame_are_told_from_those_that_do_not():
+def test_images_that_move_from_frame_to_frame_are_distinguished_from_those_that_do_not():
     rng = np.random.default_rng(6)
     moving = np.array([image({**TRUE_NM, 2: TRUE_NM[2] + 8 * rng.standard_normal()}) for _ in range(FRAMES)])
     still, shaken = (cube(mean).training for mean in (image(), moving))

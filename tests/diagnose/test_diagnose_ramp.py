@@ -24,7 +24,7 @@ def diagnosed(estimated_nm: np.ndarray, seed: int = 0, commanded_nm: np.ndarray 
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_a_stage_that_does_as_it_is_told_gets_no_name(seed):
+def test_a_stage_that_follows_its_commands_gets_no_name(seed):
     assert diagnosed(COMMANDED_NM, seed).verdict == "none"
 
 
@@ -46,7 +46,7 @@ def test_each_error_is_named_with_its_size(course, name, size):
     assert found.explained > 0.9
 
 
-def test_a_bias_of_the_upper_part_is_told_from_one_of_the_whole():
+def test_a_bias_of_the_upper_part_is_distinguished_from_one_of_the_whole():
     result = diagnosed(COMMANDED_NM + 50.0 * (COMMANDED_NM > 60))
     (found,) = result.names
     assert found.name == "focus_stage_offset"
@@ -58,7 +58,7 @@ def test_two_errors_at_once_are_both_named():
     assert {one.name for one in result.names} == {"focus_stage_scale", "focus_stage_hysteresis"}
 
 
-def test_frames_in_another_order_than_told_are_no_error_of_the_stage():
+def test_frames_in_another_order_than_commanded_are_no_error_of_the_stage():
     rng = np.random.default_rng(5)
     mixed = np.repeat(rng.permutation(np.array(OFFSETS_NM, float)), 6)
     assert diagnosed(mixed).verdict == "unknown"

@@ -102,11 +102,11 @@ def test_the_residual_is_described_by_its_total_and_its_direction():
     halo = SeeingHalo(BAND, RESIDUAL_LAW, 0.5)
     variance = 120.0**2 - halo.fitting_nm2
     stretch = [0.8 * np.cos(2 * np.deg2rad(70)), 0.8 * np.sin(2 * np.deg2rad(70))]
-    told = halo.describe(np.array([variance, 2.2, *stretch, 0.3, -0.4]))
-    assert told["wfe_nm"] == pytest.approx(120)
-    assert told["slope"] == 2.2
-    assert (told["stretch"], told["stretch_angle_deg"]) == pytest.approx((0.8, 70))
-    assert told["cross"] == pytest.approx(0.5)
+    described = halo.describe(np.array([variance, 2.2, *stretch, 0.3, -0.4]))
+    assert described["wfe_nm"] == pytest.approx(120)
+    assert described["slope"] == 2.2
+    assert (described["stretch"], described["stretch_angle_deg"]) == pytest.approx((0.8, 70))
+    assert described["cross"] == pytest.approx(0.5)
     assert halo.describe(np.array(halo.values_of(wfe_nm=120.0)))["wfe_nm"] == pytest.approx(120)
 
 
@@ -132,12 +132,14 @@ def test_without_a_measured_seeing_the_whole_halo_grows_with_the_residual(model)
     assert unchanged.max() > 0.1 * exponents[True][0].max()
 
 
-def test_a_halo_that_is_searched_for_is_told_by_its_total():
+def test_a_halo_that_is_searched_for_is_described_by_its_total():
     halo = SeeingHalo(BAND, RESIDUAL_LAW, 0.5, measured=False)
     (searched,) = halo.candidates((64, 64), 9.7)
-    told = searched.describe([0.25])
-    assert told == {"wfe_nm": pytest.approx((104.27 * 0.5 + 58.6) / 2)}
-    assert halo.describe(np.array(halo.values_of(**told)))["wfe_nm"] == pytest.approx(told["wfe_nm"])
+    described = searched.describe(np.array([0.25]))
+    assert described == {"wfe_nm": pytest.approx((104.27 * 0.5 + 58.6) / 2)}
+    assert halo.describe(np.array(halo.values_of(**described)))["wfe_nm"] == pytest.approx(
+        described["wfe_nm"]
+    )
 
 
 @pytest.mark.parametrize(("seeing_arcsec", "wfe_nm"), [(0.35, 95.1), (1.0, 162.9)])

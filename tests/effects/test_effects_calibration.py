@@ -108,9 +108,9 @@ def test_a_bump_is_found_and_counted_with_the_modes():
     bump_nm = 200.0 * np.exp(-((x + 1.5) ** 2 + (y - 2.0) ** 2) / (2 * 0.4**2))
     added = modes_of(bump_nm)
     result = calibrated(hcipy_image(bump_nm), "phase_bump")
-    told = result.effects["phase_bump"]
+    described = result.effects["phase_bump"]
     true = {"nm": 200, "x_m": -1.5, "y_m": 2.0, "width_m": 0.4}
-    assert told == pytest.approx(true, rel=0.05)
+    assert described == pytest.approx(true, rel=0.05)
     assert error_nm(result, {noll: NCPA_NM[noll] + added[noll] for noll in added}) < 2.0
 
 

@@ -108,9 +108,9 @@ def test_every_effect_says_what_it_is_what_it_looks_like_and_where_that_is_writt
 @pytest.mark.parametrize("name", STRONG)
 def test_public_values_survive_the_way_to_the_solver_and_back(name):
     effect, values = made(name)
-    told = effect.describe(values.numpy())
+    described = effect.describe(values.numpy())
     for key, value in STRONG[name].items():
-        back = {int(k): v for k, v in told[key].items()} if isinstance(value, dict) else told[key]
+        back = {int(k): v for k, v in described[key].items()} if isinstance(value, dict) else described[key]
         assert back == pytest.approx(value) if key != "pixels" else back == value
 
 

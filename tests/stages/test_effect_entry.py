@@ -72,6 +72,7 @@ def test_bad_pixels_are_a_mask_and_no_part_of_an_image():
     ({"low_wind_effect": {"piston_nm": [1], "tip_nm": [0] * 4, "tilt_nm": [0] * 4}}, "list of four numbers"),
     ({"bad_pixels": {"pixels": [3, 4]}}, r"must be a list of \[row, column\]"),
     ({"vibration": {"speed": 3}}, r"options: \{shape\}"),
+    ({"vibration": {"shape": "square"}}, "vibration.shape must be sinusoidal or gaussian, not 'square'"),
 ])  # fmt: skip
 def test_a_wrong_entry_is_refused_with_what_is_allowed(entry, message):
     with pytest.raises(ValueError, match=message):
@@ -82,7 +83,6 @@ def test_a_wrong_entry_is_refused_with_what_is_allowed(entry, message):
     ("diversity_error", {6: 0.0}, "diversity_error for cube: there is no diversity"),
     ("bad_pixels", {6: 1.0}, "bad_pixels for cube: there is nothing to estimate"),
     ({"bad_pixels": {"pixels": [[64, 0]]}}, {6: 1.0}, "outside the window"),
-    ({"vibration": {"shape": "square"}}, {6: 1.0}, "sinusoidal or gaussian"),
     ({"seeing_halo": {"wfe_nm": 100, "scale": 1}}, {6: 1.0}, "either wfe_nm or scale"),
 ])  # fmt: skip
 def test_an_effect_that_means_nothing_for_a_recording_is_an_error_of_the_recipe(entry, diversity, message):
@@ -115,9 +115,9 @@ def test_options_choose_modes_and_shapes():
     assert vibration.shape == "gaussian"
 
 
-def test_public_values_are_told_one_number_a_row():
-    told = {"sigma_mas": 7.0, "zernike_nm": {"70": 1.0}, "tip_nm": [2.0, 3.0], "pixels": [[4, 5]]}
-    assert rows_of(told) == [
+def test_public_values_are_listed_one_number_a_row():
+    public = {"sigma_mas": 7.0, "zernike_nm": {"70": 1.0}, "tip_nm": [2.0, 3.0], "pixels": [[4, 5]]}
+    assert rows_of(public) == [
         ("sigma_mas", 7.0), ("zernike_nm 70", 1.0), ("tip_nm 1", 2.0), ("tip_nm 2", 3.0),
         ("pixels 1 1", 4), ("pixels 1 2", 5),
     ]  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,6 +79,8 @@ def _check(label: str, public: Public, value: Any) -> None:
     fits, text = shapes[public.kind]
     if not fits(value):
         raise ValueError(f"{label} must be {text}, not {value!r}")
+    if public.choices and value not in public.choices:
+        raise ValueError(f"{label} must be {' or '.join(public.choices)}, not {value!r}")
     if not all(public.lower <= number <= public.upper for number in _numbers(public, value)):
         raise ValueError(f"{label} must {_limits(public)}, not {value!r}")
 
@@ -104,7 +107,7 @@ def _is_noll(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1
 
 
-def _is_list(value: Any, fits) -> bool:
+def _is_list(value: Any, fits: Callable[[Any], bool]) -> bool:
     return isinstance(value, (list, tuple)) and len(value) > 0 and all(fits(one) for one in value)
 
 
