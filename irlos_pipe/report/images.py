@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -111,7 +112,8 @@ def thumbnail(image: np.ndarray) -> Markup:
     """Return a small picture without axes as an ``img`` element."""
     data = io.BytesIO()
     pixels = BRIGHTNESS(brightness_scale(image)(np.ma.masked_invalid(image)), bytes=True)
-    matplotlib.image.imsave(data, pixels, format="png", origin="lower", metadata={"Software": None})
+    unsigned: dict[str, Any] = {"Software": None}
+    matplotlib.image.imsave(data, pixels, format="png", origin="lower", metadata=unsigned)
     content = base64.b64encode(data.getvalue()).decode()
     return Markup('<img class="thumbnail" alt="mean frame" src="data:image/png;base64,{}">').format(content)
 

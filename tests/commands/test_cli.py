@@ -142,7 +142,7 @@ def test_wrong_usage_exits_with_2(arguments):
     assert invoke(*arguments).exit_code == 2
 
 
-def test_a_missing_cuda_device_is_told(bench, monkeypatch):
+def test_a_missing_cuda_device_is_reported(bench, monkeypatch):
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     result = invoke("run", str(bench.recipe), "--output", str(bench.output), "--device", "cuda")
     assert result.exit_code == 2 and "finds no CUDA device" in result.stderr
@@ -198,7 +198,7 @@ def test_status_still_lists_the_products_when_the_inputs_are_gone(bench):
 
 
 @pytest.mark.parametrize("command", ["status", "report"])
-def test_a_folder_without_a_run_is_told(tmp_path, command):
+def test_a_folder_without_a_run_is_reported(tmp_path, command):
     result = invoke(command, str(tmp_path))
     assert result.exit_code == 3 and "not the folder of a run" in result.stderr
 

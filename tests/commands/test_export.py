@@ -64,7 +64,7 @@ def test_arrays_go_into_fits_extensions_with_units_and_errors(product, tmp_path)
         ("x.txt", ["noll"], "unknown file type"),
     ],
 )
-def test_an_export_that_cannot_be_is_told_and_leaves_no_file(product, tmp_path, file, names, message):
+def test_an_impossible_export_is_reported_and_leaves_no_file(product, tmp_path, file, names, message):
     result = export(product, tmp_path / file, *names)
     assert result.exit_code == 2 and message in result.stderr and not (tmp_path / file).exists()
 

@@ -182,7 +182,7 @@ def test_products_without_arrays_and_results_still_have_a_section(tmp_path, stag
     assert page.sections == [stage, "origin"]
 
 
-def test_a_stage_without_drawings_shows_what_it_told_on_the_terminal(tmp_path):
+def test_a_stage_without_drawings_shows_its_summary(tmp_path):
     made = [Product("unheard_of", {}, {}, provenance={"summary": ["axis at 31.5, 30.2 px"]})]
     assert "axis at 31.5, 30.2 px" in report(tmp_path, made).text
 

@@ -200,7 +200,7 @@ def test_axes_are_in_mas_where_the_pixel_scale_is_known():
     assert "x [px]" in image_panel("a", image, brightness_scale(image), None, "e-")
 
 
-def test_the_direction_of_travel_is_told_apart():
+def test_directions_of_travel_and_failed_fits_are_in_the_legend():
     points = RampPoints(
         np.array([0.0, 1.0, 0.5]),
         np.array([0.1, 1.1, NAN]),

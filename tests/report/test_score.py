@@ -171,7 +171,7 @@ def bad_truth(tmp_path: Path, content: str) -> Path:
         (lambda path: bad_truth(path, "[1]"), "bad.json: holds a list"),
     ],
 )
-def test_a_truth_that_cannot_be_used_is_told_in_one_line(tmp_path, make, message):
+def test_a_truth_that_cannot_be_used_is_reported_in_one_line(tmp_path, make, message):
     folder = made_run.write_run(tmp_path / "run", made_run.products("ingest", "calibrate"))
     with pytest.raises(InputDataError, match=message) as problem:
         score_run(folder, make(tmp_path))

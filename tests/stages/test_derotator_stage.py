@@ -71,7 +71,7 @@ def test_checks_name_the_cube(calibrated):
 
 
 @pytest.mark.slow
-def test_a_cube_with_one_used_frame_is_left_out_and_told(recordings):
+def test_a_cube_with_one_used_frame_is_left_out_and_reported(recordings):
     poor = bench.recording("poor", 70.0, seed=9, used=1)
     products = {"ingest": bench.ingest_product([recordings[0], poor])}
     output, _ = bench.run_stage(calibrate, products, **EACH)
@@ -134,7 +134,7 @@ def test_the_angle_of_a_k_mirror_counts_twice(recordings):
 
 
 @pytest.mark.slow
-def test_one_angle_is_told_and_nothing_is_split(recordings):
+def test_one_angle_is_reported_and_nothing_is_split(recordings):
     products = {"ingest": bench.ingest_product(recordings[:1])}
     products["calibrate"] = bench.run_stage(calibrate, products, **EACH)[1]
     output, _ = bench.run_stage(derotator, products)

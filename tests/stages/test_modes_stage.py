@@ -64,7 +64,7 @@ def test_unseen_frames_recommend_the_number_put_in(output):
     assert output.arrays["numbers/misfit"].value.shape[:2] == (2, len(NUMBERS))
 
 
-def test_too_few_frames_for_halves_are_told(products):
+def test_too_few_frames_for_halves_are_reported(products):
     short = {"ingest": bench.ingest_product([bench.recording("short", 0.0, 1, frames=20)])}
     short["calibrate"] = bench.run_stage(calibrate, short, **EACH)[1]
     output, _ = bench.run_stage(modes, short)
