@@ -47,6 +47,7 @@ class RecordingSetup:
     diversity_nm: Mapping[int, float]
 
 
+@dataclass(frozen=True)
 class SimulatedEffect:
     """An effect by its name in recipes, models, truth files and reports."""
 

@@ -65,7 +65,7 @@ def effects_of(effects: Mapping[str, Mapping[str, Any]]) -> list[SimulatedEffect
 
 
 def _effect(kind: type[SimulatedEffect], parameters: Mapping[str, Any]) -> SimulatedEffect:
-    where, known = f"effects.{kind.name}", fields(kind)  # type: ignore[arg-type]  # all are dataclasses
+    where, known = f"effects.{kind.name}", fields(kind)
     require_known(where, parameters, [one.name for one in known])
     missing = sorted(one.name for one in known if one.default is MISSING and one.name not in parameters)
     if missing:

@@ -57,7 +57,7 @@ def _section(effect: type[SimulatedEffect]) -> type[EffectSection]:
     public = {one.name: one for one in (*CATALOGUE[effect.name].public, *CATALOGUE[effect.name].options)}
     hints = get_type_hints(effect)
     keys: dict[str, Any] = {}
-    for field in dataclasses.fields(effect):  # type: ignore[arg-type]  # all effects are dataclasses
+    for field in dataclasses.fields(effect):
         declared: Public | Own = field.metadata.get("own") or public.get(field.name) or Own("")
         names = [field.name, *filter(None, [field.metadata.get("formerly")])]
         keys[field.name] = (

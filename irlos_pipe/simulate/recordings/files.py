@@ -62,7 +62,9 @@ class RecorderFolder(Layout):
         """See `Layout.file_stem`."""
         return self._planned.name.rpartition("/")[2]
 
-    def write(self, folder, readout, frames_adu, rng):
+    def write(
+        self, folder: Path, readout: Readout, frames_adu: Iterable[np.ndarray], rng: np.random.Generator
+    ) -> None:
         """See `Layout.write`."""
         path = folder / f"{self.file_stem()}.fits"
         fits.PrimaryHDU(header=_primary_header(self._scene)).writeto(path)
@@ -100,7 +102,9 @@ class MuseRaw(Layout):
         """See `Layout.file_stem`."""
         return f"MUSE.{_iso_time(self._scene.start_unix_s)}"
 
-    def write(self, folder, readout, frames_adu, rng):
+    def write(
+        self, folder: Path, readout: Readout, frames_adu: Iterable[np.ndarray], rng: np.random.Generator
+    ) -> None:
         """See `Layout.write`."""
         path = folder / f"{self.file_stem()}.fits"
         fits.PrimaryHDU(header=self._muse_header()).writeto(path)
