@@ -9,6 +9,7 @@ from helpers import paths
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.overrides import overridden, parse_setting
+from irlos_pipe.instrument.instrument import PROFILES
 from irlos_pipe.recipe import load_recipe
 
 COMPANION = {"flux_ratio": 0.04, "sep_mas": 150.0, "pa_deg": 300.0}
@@ -195,6 +196,15 @@ def test_a_section_can_be_taken_from_a_file(bench, monkeypatch):
     model = load_recipe(bench.recipe, settings).model
     assert (model.pupil_samples, model.cutoff_per_m) == (96, 3.0)
     assert [(one.name, one.values) for one in model.entries()] == [("companion", COMPANION)]
+
+
+def test_the_adaptive_optics_are_those_of_the_profile_unless_the_recipe_gives_others(bench, tmp_path):
+    profile = yaml.safe_load((PROFILES / "irlos.yaml").read_text())
+    profile["facts"]["ao_cutoff_per_m"]["value"] = 7.5
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(profile))
+    own = load_recipe(bench.recipe, [f"instrument={tmp_path / 'mine.yaml'}", "model.outer_scale_m=22"])
+    resolved = yaml.safe_load(own.resolved_yaml())["model"]
+    assert (resolved["cutoff_per_m"], resolved["outer_scale_m"]) == (7.5, 22.0)
 
 
 def test_a_file_for_a_section_that_is_not_there_is_reported(bench):
