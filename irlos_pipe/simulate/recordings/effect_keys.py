@@ -16,6 +16,7 @@ from pydantic import AfterValidator, AliasChoices, Field, create_model, model_va
 
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.declaration import Public
+from irlos_pipe.simulate.checks import SceneError
 from irlos_pipe.simulate.effects.base import Own, SimulatedEffect
 from irlos_pipe.simulate.effects.catalogue import EFFECTS, effects_of
 from irlos_pipe.simulate.recordings.keys import Pixel, Section, require_nolls
@@ -35,7 +36,11 @@ class EffectSection(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> EffectSection:
-        effects_of({type(self).__name__: self.model_dump(exclude_none=True)})
+        name = type(self).__name__
+        try:
+            effects_of({name: self.model_dump(exclude_none=True)})
+        except SceneError as problem:
+            raise ValueError(str(problem).removeprefix(f"effects.{name}: ")) from None
         return self
 
 

@@ -118,6 +118,7 @@ def test_values_that_make_no_sense_are_refused_in_one_line(tmp_path, key, value)
         ({"effects": {"bad_pixels": [[30, 2]]}}, "[30, 2] lies outside the window"),
         ({"effects": {"spectrum": {"weights": [1, 2]}}}, "give one per band, 1"),
         ({"effects": {"diversity_error": {"nm": 9}}, "diversity": None}, "needs a diversity"),
+        ({"effects": {"seeing_halo": {}}}, "seeing_halo = {}: give either scale or wfe_nm"),
         ({"ncpa": {}}, "give either total_nm"),
         ({"ncpa": {"total_nm": 3, "zernike_nm": {4: 1}}}, "give either total_nm"),
         ({"detector": {"e_per_adu": 9.8}}, "below the noise of rounding"),
