@@ -167,7 +167,7 @@ def _table(rows: list[VariantRow]) -> Table:
     ]
     marks = ["good" if row.key.startswith("default") else "" for row in rows]
     caption = "Medians over the ramps, 16th to 84th percentile in brackets."
-    return Table(COLUMNS, body, "Variants of estimating the ramp", caption, marks)
+    return Table(COLUMNS, body, "Variants of LIFT", caption, marks)
 
 
 def _spread(found: Percentiles, pattern: str = ".1f") -> str:
