@@ -49,6 +49,7 @@ def test_the_ncpas_improve_and_the_held_out_gap_closes_with_the_name():
     assert diagnosis.gap.shrink > 0.95
 
 
+@pytest.mark.slow
 def test_the_sentence_says_what_and_how_much():
     assert sentence(diagnosis_of("companion")).startswith("The model lacks a second source of 3.0")
 

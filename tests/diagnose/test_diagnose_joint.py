@@ -123,6 +123,7 @@ def test_gradients_of_the_joint_fit_are_those_of_finite_differences():
         assert float(gradient[column]) == pytest.approx(float(slope), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_second_recording_that_shows_an_error_of_the_diversity_is_the_one_without_it():
     """Out of focus by a stage, the same lens hides the same error; without the lens Noll 6 stands alone."""
     advice = alone().advice["diversity_error"]
@@ -130,5 +131,6 @@ def test_the_second_recording_that_shows_an_error_of_the_diversity_is_the_one_wi
     assert advice.smallest["nm"] < 5
 
 
+@pytest.mark.slow
 def test_two_recordings_of_other_diversity_need_no_further_one_for_it():
     assert "diversity_error" not in together().advice

@@ -75,6 +75,7 @@ def test_the_ncpa_error_falls_several_times_with_the_residual_in_the_model():
     assert after < before / 3
 
 
+@pytest.mark.slow
 def test_without_the_residual_the_fit_still_ends_beside_the_truth_and_not_at_its_twin():
     """The twin has Noll 6 at twice the diversity, some 340 nm away."""
     diagnosis, _ = on_sky()

@@ -69,6 +69,7 @@ def test_a_companion_anywhere_in_the_window_is_found_by_name_and_no_longer_spoil
     assert found.chi2_nu < 1.3 < 10 < without.chi2_nu
 
 
+@pytest.mark.slow
 def test_two_companions_are_found_one_after_the_other():
     imager = reference(SAMPLES)
     true = [

@@ -30,6 +30,7 @@ def test_every_method_finds_the_aberrations_of_independent_frames(method):
     assert set(result.frame_status) == {"converged"}
 
 
+@pytest.mark.slow
 def test_the_mean_of_frames_without_model_error_has_a_chi2_of_one():
     case = settings(48)
     result = calibrate(frames_of(case), case, CalibrationOptions(highest_noll=HIGHEST_NOLL, prior=PRIOR))

@@ -15,15 +15,16 @@ from helpers.paths import HELPERS, REPOSITORY
 
 from irlos_pipe.frames.blocks import BLOCK_FRAMES
 
-pytestmark = pytest.mark.slow
-
 FEW, MANY = 500, 3000
 FRAME_BYTES = 64 * 64 * 4
 ALLOWED = {"ingest": 2.8, "prior": 0.6, "long_exposure": 0.2, "dip_global": 0.5}  # frames per further frame
 
 BLOCKS_BYTES = 3 * BLOCK_FRAMES * 64 * 64 * 8  # that one run finds in freed memory, another not
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="peak memory needs Linux")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="peak memory needs Linux"),
+]
 
 
 def rises(frames: int) -> dict[str, int]:

@@ -248,6 +248,7 @@ def test_a_night_of_recordings_does_not_blow_up_the_page(tmp_path):
     assert f"r{MOST_THUMBNAILS + 19:03d}" in text
 
 
+@pytest.mark.slow
 def test_no_frames_are_read_for_the_page(tmp_path, monkeypatch):
     read = []
     real = storage._read_array
