@@ -12,8 +12,9 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import MAS, NM
-from irlos_pipe.effects.base import Effect, OtfEffect, SamplingEffect
+from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.declaration import Conditions, Parameter, direction, number
+from irlos_pipe.effects.planes import OtfEffect, SamplingEffect
 from irlos_pipe.effects.public_values import components, size_and_angle
 from irlos_pipe.optics.grids import OtfGrid, Sampling
 from irlos_pipe.optics.phasor import phasor

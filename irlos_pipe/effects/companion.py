@@ -8,8 +8,9 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import MAS
-from irlos_pipe.effects.base import Effect, FixedEffect, OtfEffect
+from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Conditions, Parameter, direction, number
+from irlos_pipe.effects.planes import OtfEffect
 from irlos_pipe.effects.public_values import components, size_and_angle
 from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.phasor import phasor

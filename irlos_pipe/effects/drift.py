@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import torch
 
-from irlos_pipe.effects.base import TimeEffect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public
+from irlos_pipe.effects.planes import TimeEffect
 from irlos_pipe.effects.zernike_table import ZernikeTable
 
 

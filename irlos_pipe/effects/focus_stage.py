@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from irlos_pipe.effects.base import RampEffect
 from irlos_pipe.effects.declaration import Parameter, number
+from irlos_pipe.effects.planes import RampEffect
 
 
 def travel_direction(commanded_nm: np.ndarray) -> np.ndarray:

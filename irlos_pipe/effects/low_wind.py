@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from irlos_pipe.effects.base import PupilEffect
 from irlos_pipe.effects.declaration import Parameter, Public
+from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.optics.grids import PupilGrid
 from irlos_pipe.optics.petals import PETALS, petal_amplitudes, petal_index
 

@@ -12,9 +12,10 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import MAS
-from irlos_pipe.effects.base import Effect, FixedEffect, OtfEffect
+from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.bessel import j0_of_twice_root
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public, direction, number
+from irlos_pipe.effects.planes import OtfEffect
 from irlos_pipe.optics.grids import OtfGrid
 
 LARGEST_MAS = 60.0

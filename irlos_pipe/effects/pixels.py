@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from irlos_pipe.effects.base import DetectorEffect, FixedEffect
+from irlos_pipe.effects.base import FixedEffect
 from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, Public, direction, number
+from irlos_pipe.effects.planes import DetectorEffect
 from irlos_pipe.effects.public_values import components, size_and_angle
 
 NEIGHBOURS = ((0, 1), (2, 1), (1, 0), (1, 2))  # offsets in an image padded by one pixel

@@ -10,8 +10,9 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.pupil import PupilGeometry, Vane
-from irlos_pipe.effects.base import Effect, FixedEffect, PupilEffect
+from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public, number
+from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.effects.zernike_table import ZernikeTable
 from irlos_pipe.optics.grids import PupilGrid
 from irlos_pipe.optics.pupil import band_limited

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 
-from irlos_pipe.effects.base import Effect, FixedEffect, PupilEffect
+from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public, number
+from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.effects.zernike_table import ZernikeTable
 from irlos_pipe.numerics.forward_mode import along
 from irlos_pipe.optics.grids import PupilGrid

@@ -16,7 +16,7 @@ from irlos_pipe.diagnose.ramp.visits import Visits, candidates, course
 from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.diagnose.verdict import EFFECT, NONE, UNKNOWN
 from irlos_pipe.effects import CATALOGUE
-from irlos_pipe.effects.base import RampEffect
+from irlos_pipe.effects.planes import RampEffect
 
 PER_PARAMETER = 8.0  # of χ², that a size or an edge has to earn
 CLOSE = 6.0  # of χ², by which two indistinguishable names differ at most

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects import CATALOGUE
-from irlos_pipe.effects.base import RampEffect
 from irlos_pipe.effects.focus_stage import travel_direction
+from irlos_pipe.effects.planes import RampEffect
 
 MODEL_NM = 4.0  # error of a visit's mean that no number of frames lowers
 

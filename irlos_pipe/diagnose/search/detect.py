@@ -13,7 +13,7 @@ from irlos_pipe.diagnose.optimum import Optimum
 from irlos_pipe.diagnose.search.companion_search import around, brightest_copies
 from irlos_pipe.diagnose.significance import significance_of
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
-from irlos_pipe.effects.base import PupilEffect
+from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.estimate.score_test import ABSORBED, LinearEstimate, derivatives
 from irlos_pipe.numerics.parallel import ordered_map
 from irlos_pipe.optics.grids import PupilGrid

@@ -1,0 +1,160 @@
+"""One base class of effects per plane of the light path.
+
+Each asks for one method, `apply`, which takes what arrives at the plane and returns it as the effect leaves
+it; derivatives come from forward-mode differentiation of it, unless an effect knows a quicker way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from irlos_pipe.effects.base import Effect
+from irlos_pipe.numerics.forward_mode import along, along_all
+from irlos_pipe.optics.grids import OtfGrid, PupilGrid, Sampling
+
+
+class PupilEffect(Effect):
+    """Acts on the complex amplitude in the pupil."""
+
+    plane = "pupil"
+    order = 1  # after those that change where light passes, which add to the field
+
+    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """`field` with the effect, which must be linear in it but for what it adds.
+
+        Parameters
+        ----------
+        values : tensor, (parameters,)
+        field : tensor, (wavelengths, n, n)
+        grid : PupilGrid
+        """
+        raise NotImplementedError
+
+    def slopes(
+        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `Effect.slopes`: (wavelengths, n, n) each."""
+        return [along(lambda v: self.apply(v, field, grid), values, index) for index in wanted]
+
+
+class OtfEffect(Effect):
+    """Multiplies the OTF by a factor, real or complex."""
+
+    plane = "otf"
+
+    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+        """`factor` times that of the effect.
+
+        Parameters
+        ----------
+        values : tensor, (parameters,)
+        factor : tensor, broadcastable to (wavelengths, p, p//2 + 1)
+        grid : OtfGrid
+        """
+        raise NotImplementedError
+
+    def slopes(
+        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
+    ) -> Sequence[torch.Tensor]:
+        """See `Effect.slopes`: of the shape of `factor` each."""
+        chosen = torch.as_tensor(list(wanted))
+
+        def changed(some: torch.Tensor) -> torch.Tensor:
+            return self.apply(values.index_copy(0, chosen, some), factor, grid)
+
+        return along_all(changed, values[chosen]).unbind()
+
+
+class SamplingEffect(Effect):
+    """Changes wavelengths, their weights, or the pixel scale."""
+
+    plane = "sampling"
+
+    def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
+        """`sampling` with the effect at `values`; `nominal` is what the recording is said to have."""
+        raise NotImplementedError
+
+
+class TimeEffect(Effect):
+    """Changes the wavefront during the recording."""
+
+    plane = "time"
+    found_by = "frames"
+
+    def apply(
+        self, values: torch.Tensor, modes_nm: torch.Tensor, nolls: tuple[int, ...], when: torch.Tensor
+    ) -> torch.Tensor:
+        """Coefficients of the modes with the effect, (times, modes) [nm].
+
+        Parameters
+        ----------
+        values : tensor, (parameters,)
+        modes_nm : tensor, (times, modes)
+        nolls : tuple of int
+        when : tensor, (times,)
+            First frame 0, last frame 1.
+        """
+        raise NotImplementedError
+
+
+class DetectorEffect(Effect):
+    """Acts on the electrons in the pixels."""
+
+    plane = "detector"
+
+    def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
+        """Images `images_e`, (..., rows, columns) [e-], as the detector shows them at `values`."""
+        raise NotImplementedError
+
+
+class RampEffect(Effect):
+    """Changes the defocus that a focus stage really introduces.
+
+    Class attributes
+    ----------------
+    separated_by : str
+        Ramp that distinguishes it from other errors of the stage.
+    """
+
+    plane = "ramp"
+    in_image = False
+    found_by = "ramp"
+    separated_by: str = ""
+
+    @classmethod
+    def on_whole_ramp(cls, *, turns: bool) -> list[RampEffect]:
+        """The error of a whole ramp, of which `turns` says whether the stage moves both ways."""
+        return [cls()]
+
+    @classmethod
+    def on_parts(cls, offsets_nm: np.ndarray) -> list[RampEffect]:
+        """Errors that concern a part of a ramp with these offsets; here none."""
+        return []
+
+    @property
+    def part(self) -> dict[str, float]:
+        """Options that limit it to a part of the ramp; empty where it concerns all of it."""
+        return {}
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`."""
+        part = ", ".join(f"{key.removesuffix('_nm')} {nm:+.0f} nm" for key, nm in self.part.items())
+        return super().phrase(public) + (f" ({part})" if part else "")
+
+    def apply(
+        self, values: torch.Tensor, introduced_nm: torch.Tensor, commanded_nm: np.ndarray
+    ) -> torch.Tensor:
+        """Introduced defocus with the effect, (frames,) [nm].
+
+        Parameters
+        ----------
+        values : tensor, (parameters,)
+        introduced_nm : tensor, (frames,)
+        commanded_nm : ndarray, (frames,)
+            In order of recording.
+        """
+        raise NotImplementedError
