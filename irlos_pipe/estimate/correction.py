@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.profile import ring_means
 from irlos_pipe.optics.psf import PsfModel
@@ -61,7 +62,7 @@ def predict_correction(
         ``make_optics(model)`` gives what AO residual, jitter and other effects make of the light path.
     """
     model = PsfModel(replace(settings, known=KnownWavefront()), nolls)
-    motion = np.isin(nolls, (2, 3))
+    motion = np.isin(nolls, TIP_TILT)
     now_nm = np.where(motion, fitted_modes_nm - zernike_nm, fitted_modes_nm)
     left_nm = np.where(motion, now_nm, fitted_modes_nm - gain * zernike_nm)
     wavefronts = torch.as_tensor(np.stack([now_nm, left_nm]))

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.optics.rotation import partner, rotation_matrix
 from irlos_pipe.optics.zernike import noll_to_nm
 
-POINTING = (2, 3)
 MIN_SPREAD = 0.01  # 1 − |mean of exp(imα)|²; below it the parts' errors exceed tenfold that of the sum
 
 
@@ -129,7 +129,7 @@ class Split:
 
 def usable_modes(nolls: Sequence[int], highest_noll: int | None = None) -> np.ndarray:
     """Whether `nolls` up to `highest_noll` can be rotated, (modes,): not tip, tilt, nor without a partner."""
-    among = {noll for noll in nolls if noll not in POINTING and noll <= (highest_noll or noll)}
+    among = {noll for noll in nolls if noll not in TIP_TILT and noll <= (highest_noll or noll)}
     return np.array([noll in among and partner(noll) in among for noll in nolls])
 
 

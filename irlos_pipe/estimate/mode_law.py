@@ -18,6 +18,7 @@ from scipy.optimize import least_squares
 from scipy.special import digamma
 
 from irlos_pipe.conventions.laws import NcpaLaw
+from irlos_pipe.conventions.modes import TIP_TILT
 
 LIMITS = ((1e-2, 1e-3, 1e-3), (1e4, 3.0, 1e3))
 SMALL_PART = 0.1  # of C: an exponential below it has vanished in the plateau
@@ -106,7 +107,7 @@ def mode_scatter(nolls: Sequence[int], zernike_nm: np.ndarray, sigma_nm: np.ndar
 
 def equalised_tilts(scatter: ModeScatter) -> ModeScatter:
     """Give tip and tilt their common standard deviation, as in the paper."""
-    tilts = np.isin(scatter.nolls, (2, 3))
+    tilts = np.isin(scatter.nolls, TIP_TILT)
 
     def equal(values: np.ndarray) -> np.ndarray:
         return np.where(tilts, np.sqrt(np.mean(values[tilts] ** 2)) if tilts.any() else 0.0, values)

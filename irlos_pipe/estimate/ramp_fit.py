@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.modes import DEFOCUS
+from irlos_pipe.conventions.modes import DEFOCUS, TIP_TILT
 from irlos_pipe.effects import Effect, EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
 from irlos_pipe.effects.effect_set import NOTHING, labels_of
 from irlos_pipe.effects.image_model import ImageModel
@@ -82,7 +82,7 @@ def start_from_defocus(model: LightPath, data: RampData, defocus_nm: np.ndarray)
     start[:, model.nolls.index(DEFOCUS)] = torch.as_tensor(np.nan_to_num(defocus_nm))
     seen = start_tilts_nm((data.images_e * data.pixel_mask).double(), model.settings)
     modelled = start_tilts_nm(model.images(start).double().cpu(), model.settings)
-    for axis, noll in enumerate((2, 3)):
+    for axis, noll in enumerate(TIP_TILT):
         if noll in model.nolls:
             start[:, model.nolls.index(noll)] = (seen - modelled)[:, axis]
     return start

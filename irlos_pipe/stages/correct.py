@@ -11,7 +11,7 @@ import numpy as np
 from astropy.io import fits
 from pydantic import Field
 
-from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS
+from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.effects import fixed_optics
 from irlos_pipe.estimate.correction import Prediction, predict_correction
 from irlos_pipe.optics.wavefront import clear_pupil, opd_maps_nm
@@ -124,7 +124,7 @@ def _arrays(
     offsets: Offsets,
     prediction: Prediction,
 ) -> dict[str, Quantity]:
-    seen = np.where(np.isin(nolls, (2, 3)), 0.0, zernike_nm)
+    seen = np.where(np.isin(nolls, TIP_TILT), 0.0, zernike_nm)
     left = np.where(np.isin(nolls, offsets[0]), (1 - ctx.config.gain) * seen, seen)
     lit = clear_pupil(ctx.instrument.pupil, MAP_SAMPLES)
     before_nm, after_nm = (opd_maps_nm(nolls, modes_nm, lit) for modes_nm in (seen, left))

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter, fit_mode_law, mode_scatter
 from irlos_pipe.estimate.mode_number import MIN_FRAMES, Choice, ModeScan, choose, scan_mode_numbers
 from irlos_pipe.frames.recording import Recording
@@ -26,7 +27,6 @@ NAME = "modes"
 VERSION = 4
 NEEDS = ("ingest", "calibrate")
 READS = ("ingest", "calibrate")
-POINTING = (2, 3)  # where the star lies in the window
 MIN_MODES = 4
 
 
@@ -183,11 +183,11 @@ def _scatter(cubes: list[CubeEstimate], same_ncpas: bool) -> ModeScatter:
 def _fitted(scatter: ModeScatter, highest_noll: int | None) -> np.ndarray:
     """Modes the law is fitted to: no tip and tilt."""
     nolls = np.array(scatter.nolls)
-    fitted = ~np.isin(nolls, POINTING) & (nolls <= (highest_noll or nolls[-1]))
+    fitted = ~np.isin(nolls, TIP_TILT) & (nolls <= (highest_noll or nolls[-1]))
     if fitted.sum() < MIN_MODES:
         raise ConfigurationError(
             f"a law needs at least {MIN_MODES} modes beyond tilt: raise calibrate.highest_noll to "
-            f"{POINTING[-1] + MIN_MODES} or more"
+            f"{TIP_TILT[-1] + MIN_MODES} or more"
         )
     return fitted
 

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from scipy import stats
 
+from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.diagnose.cube import Stack, Stacks
 from irlos_pipe.diagnose.fitting import Fitted
 from irlos_pipe.diagnose.significance import gaussian_sigma
@@ -24,7 +25,6 @@ from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 
 NOLLS = range(2, 12)
 TIMES = 9  # of a recording, at which a drift is looked at
-POINTING = (2, 3)  # where the star is says nothing about the optics: no part of the test
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Drift:
 
     def detectable_nm(self, sure: float) -> np.ndarray:
         """Change of each mode alone that would be significant, (modes,)."""
-        tested = sum(noll not in POINTING for noll in self.nolls)
+        tested = sum(noll not in TIP_TILT for noll in self.nolls)
         return self.sigma_nm * np.sqrt(stats.chi2.isf(stats.norm.sf(sure), tested))
 
     def effect(self) -> FixedEffect:
@@ -129,7 +129,7 @@ def _drift(step: LinearStep, trials: int) -> Drift:
     change = slopes(series, stack.when)
     scatter = np.cov((series - np.outer(course, change)).T) * (len(stack) - 1) / (len(stack) - 2)
     covariance = scatter / (course @ course) * len(stack) / stack.independent
-    tested = [i for i, noll in enumerate(nolls) if noll not in POINTING]
+    tested = [i for i, noll in enumerate(nolls) if noll not in TIP_TILT]
     own = covariance[np.ix_(tested, tested)]
     hotelling = float(change[tested] @ np.linalg.solve(own, change[tested]))
     significance = gaussian_sigma(hotelling, len(tested), stack.independent - 1, trials)

@@ -9,7 +9,7 @@ import numpy as np
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.laws import NcpaLaw
-from irlos_pipe.conventions.modes import REPORTED_NOLLS
+from irlos_pipe.conventions.modes import REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.estimate.derotation import Series, Split
 from irlos_pipe.optics.rotation import partner, rotation_matrix
 from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM, NARROW_H, NARROW_THROUGHPUT, ObservedCube
@@ -20,8 +20,6 @@ from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Scene
-
-POINTING = (2, 3)
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ def draw_truth(seed: Sequence[int], law: NcpaLaw, rotating_nm: float, fixed_nm: 
 
 def rms_beyond_tilt_nm(zernike_nm: Mapping[int, float]) -> float:
     """Return the RMS over the disc without tip and tilt [nm]."""
-    return float(np.sqrt(sum(value**2 for noll, value in zernike_nm.items() if noll not in POINTING)))
+    return float(np.sqrt(sum(value**2 for noll, value in zernike_nm.items() if noll not in TIP_TILT)))
 
 
 @dataclass(frozen=True)
@@ -155,7 +153,7 @@ def split_errors(series: Series, split: Split, truth: Truth) -> SplitErrors:
 def _whole(split: Split, truth: Truth) -> np.ndarray:
     """Error of the rotating part in all modes that turn."""
     found = dict(zip(split.nolls, split.rotating.zernike_nm, strict=True))
-    turning = [noll for noll in truth.rotating_nm if partner(noll) != noll and noll not in POINTING]
+    turning = [noll for noll in truth.rotating_nm if partner(noll) != noll and noll not in TIP_TILT]
     return _values(found, turning) - _values(truth.rotating_nm, turning)
 
 

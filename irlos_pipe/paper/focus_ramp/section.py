@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import LogLocator, NullLocator
 
+from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.paper.common.results import Percentiles
 from irlos_pipe.paper.common.section import array_of
 from irlos_pipe.paper.focus_ramp.results import FocusRampResults, VariantRow
@@ -23,7 +24,6 @@ DRAWN = {  # the ramps drawn side by side, where they were run
     "default_9": "this pipeline",
 }
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, YELLOW, INK)
-HIDDEN_MODES = (2, 3)  # tip and tilt: the star's position says nothing about the optics
 KINDS = {"rms_nm": ("introduced", "o", ORANGE), "true_rms_nm": ("introduced + NCPA + AO residual", "s", BLUE)}
 MODES_CAPTION = (
     "First ramp, nine modes, median per offset. Dashed: the true wavefront (introduced defocus, NCPAs, AO "
@@ -102,7 +102,7 @@ def _draw_variant(
     upper: Axes, lower: Axes, variant: VariantRow, introduced: np.ndarray, true: np.ndarray, modes: np.ndarray
 ) -> None:
     """Estimated and true coefficients above, their difference below."""
-    drawn = [noll for noll in variant.modes if noll not in HIDDEN_MODES]
+    drawn = [noll for noll in variant.modes if noll not in TIP_TILT]
     lower.axhline(0, color=INK, linewidth=0.9)
     for noll, colour in zip(drawn, COLOURS, strict=False):
         estimated, there = modes[:, variant.modes.index(noll)], true[:, noll - 2]
