@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.bands import H, J
 from irlos_pipe.diagnose.ambiguity import likeness
 from irlos_pipe.diagnose.cube import Stack, Stacks
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
@@ -24,7 +25,7 @@ from irlos_pipe.effects import Conditions
 from irlos_pipe.estimate.score_test import ABSORBED, MEANINGLESS
 
 OUT_OF_FOCUS_NM = 200.0
-BANDS_NM = {"J": (1157.0, 1273.0), "H": (1541.0, 1709.0)}
+BANDS = {"J": J, "H": H}
 COLOURS = 3
 
 
@@ -128,7 +129,7 @@ def variants(conditions: Conditions) -> list[tuple[str, Conditions]]:
     if any(known.diversity_nm.values()):
         found.append(("without the diversity", replace(known, diversity_nm={})))
     others = [(recording, replace(settings, known=one)) for recording, one in found]
-    for name, limits in BANDS_NM.items():
+    for name, limits in ((name, band.limits_nm) for name, band in BANDS.items()):
         if not any(limits[0] <= nm <= limits[1] for nm, _ in settings.spectrum):
             spectrum = tuple((float(nm), 1.0) for nm in np.linspace(*limits, COLOURS))
             recording = f"in the band {name}, {limits[0]:.0f} to {limits[1]:.0f} nm"

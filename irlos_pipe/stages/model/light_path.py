@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.units import NM
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
@@ -65,7 +66,7 @@ def psf_settings(
 def _require_samples(instrument: Instrument, model: ModelConfig, recording: Recording) -> None:
     """Turn the model's refusal of a wide window into an error of the recipe."""
     acquisition, step_m = recording.acquisition, instrument.pupil.diameter_m / model.pupil_samples
-    shortest_m = min(wavelength_nm for wavelength_nm, _ in acquisition.spectrum) * 1e-9
+    shortest_m = min(wavelength_nm for wavelength_nm, _ in acquisition.spectrum) * NM
     try:
         require_resolved(max(recording.window), acquisition.pixel_scale_mas, shortest_m, step_m)
     except ValueError as problem:
