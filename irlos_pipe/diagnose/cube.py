@@ -99,7 +99,7 @@ class Stacks:
         return scatter + shapes.mT @ (self.shared[:, None] * shapes)
 
     def limited_by(self, photons: bool) -> Stacks:
-        """The same frames, the noise model trusted if `photons` limit them."""
+        """Trust the noise model of these frames if `photons` limit them, else their scatter."""
         return Stacks(tuple(replace(part, photon_limited=photons) for part in self.parts))
 
     def __len__(self) -> int:
@@ -149,7 +149,7 @@ class Cube:
         return cls(*(Stacks(tuple(part for one in some for part in one.parts)) for some in pairs))
 
     def limited_by(self, photons: bool) -> Cube:
-        """The same frames, the noise model trusted if `photons` limit them."""
+        """Trust the noise model of these frames if `photons` limit them, else their scatter."""
         return Cube(self.training.limited_by(photons), self.held_out.limited_by(photons))
 
 

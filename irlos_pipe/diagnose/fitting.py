@@ -57,7 +57,7 @@ class Fitted:
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """Of the model, in the order of the light path."""
+        """Effects of the model, in the order of the light path."""
         return self.problem.model.effects.effects
 
     @property

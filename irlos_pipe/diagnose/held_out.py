@@ -1,4 +1,4 @@
-"""Models judged on frames that no fit has seen.
+"""Models evaluated on frames that no fit has seen.
 
 What belongs to single frames, tip, tilt, flux and background, is refitted linearly; all else is frozen.
 """
@@ -74,7 +74,7 @@ class HeldOutEvaluation:
         return np.concatenate([self._losses(stack, pixels) for stack, pixels in pairs])
 
     def _losses(self, stack: Stack, pixels: slice) -> np.ndarray:
-        """Of the frames of one recording."""
+        """Losses of the frames of one recording."""
         images, basis = stack.frames.images_e.double().flatten(1), self.basis[pixels]
         residual = torch.where(stack.root > 0, images - self.image[pixels], 0.0) * stack.root
         left = residual - (residual @ basis) @ basis.mT

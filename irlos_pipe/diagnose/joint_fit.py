@@ -115,7 +115,7 @@ class JointFit(CheapGradientProblem):
 
     @torch.no_grad()
     def chi2(self, x: torch.Tensor) -> torch.Tensor:
-        """Of all mean images together."""
+        """χ² of all mean images together at `x`."""
         left = (part.reduced_chi2(self.part(x, n))[0] * part.freedom for n, part in enumerate(self.parts))
         return torch.stack(list(left)).sum()
 

@@ -81,7 +81,7 @@ class Refit:
 
     @cached_property
     def significance(self) -> float:
-        """Of the change that it makes of the image, against noise or the scatter of frames, in Gaussian σ."""
+        """Significance in Gaussian σ of its change of the image, against noise or the scatter of frames."""
         origin, stack = self.origin, self.origin.stack
         if stack.photon_limited:
             return gaussian_sigma(max(self.gain, 0.0), self.parameters, np.inf, self.score.trials)

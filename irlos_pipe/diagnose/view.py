@@ -64,7 +64,7 @@ class View:
     conditions: Conditions
 
     def quick(self) -> View:
-        """The same in float32: good enough to find the way."""
+        """This light path in float32, which is precise enough for most of a fit."""
         psf = self.psf
         return View(
             PsfModel(psf.settings, psf.nolls, device=psf.device, dtype=torch.float32), self.conditions

@@ -175,7 +175,7 @@ class Effect:
         return start
 
     def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
-        """Of an effect that copies the star: a candidate with its copy at (`x_mas`, `y_mas`)."""
+        """Return a candidate whose copy of the star lies at (`x_mas`, `y_mas`)."""
         raise NotImplementedError(f"{self.name} adds no copy of the star")
 
     def phrase(self, public: Mapping[str, Any]) -> str:

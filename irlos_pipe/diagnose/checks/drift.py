@@ -123,7 +123,7 @@ def slopes(series: np.ndarray, when: np.ndarray) -> np.ndarray:
 
 
 def _drift(step: LinearStep, trials: int) -> Drift:
-    """Of one recording, as the linear step has it."""
+    """The drift of one recording, as the linear step has it."""
     stack, nolls = step.stack, step.nolls
     series, course = step.modes_nm(stack.deviations), stack.when - stack.when.mean()
     change = slopes(series, stack.when)

@@ -24,7 +24,7 @@ def motion_ratio(stack: Stacks, fitted: Fitted) -> float:
 
 
 def _ratio(stack: Stack, part: ImageFit, x: torch.Tensor) -> float:
-    """Of one recording."""
+    """The ratio of one recording."""
     frames = stack.frames
     columns = part.predict_and_jacobian(x)[1][0, [0, 1, -2, -1]].cpu().double().mT
     variance = frames.noise.variance_e2(stack.mean_e)

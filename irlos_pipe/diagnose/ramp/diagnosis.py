@@ -173,7 +173,7 @@ def _all_fits(data: np.ndarray, shapes: Shapes, most: int) -> list[_Fit]:
 
 
 def _significance(fit: _Fit, effect: RampEffect, shapes: Shapes) -> float:
-    """Of one error beside the others, in Gaussian σ."""
+    """Significance of one error beside the others, in Gaussian σ."""
     at = fit.effects.index(effect)
     fall = fit.sizes[at] ** 2 / fit.covariance[at, at]
     return gaussian_sigma(float(fall), 1, np.inf, len(shapes))

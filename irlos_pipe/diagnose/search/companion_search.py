@@ -50,7 +50,7 @@ def companion_gains(optimum: Optimum) -> np.ndarray:
     root = optimum.root
 
     def correlate(weights: torch.Tensor, images: torch.Tensor) -> torch.Tensor:
-        """Of every recording's part, summed over the recordings."""
+        """Correlation of the parts of every recording, summed over the recordings."""
         spectra = [torch.fft.rfft2(one.reshape(-1, *window), s=padded) for one in (weights, images)]
         return torch.fft.irfft2(spectra[0] * spectra[1].conj(), s=padded).sum(0)
 

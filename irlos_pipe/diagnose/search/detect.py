@@ -133,7 +133,7 @@ class Score:
         return self._begun_at(np.clip(self.sizes, null - reach, null + reach))
 
     def restart(self) -> FixedEffect:
-        """The same effect without the estimate."""
+        """The whole effect at its start, without the estimate."""
         return self._begun_at([p.start for p in self.candidate.parameters])
 
     def _begun_at(self, sizes: Sequence[float] | np.ndarray) -> FixedEffect:
