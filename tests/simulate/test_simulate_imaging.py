@@ -31,6 +31,7 @@ def test_static_images_agree_with_hcipy(wavelength_nm, window):
     assert worst(found, reference(SAMPLES).image(TOTAL_NM, wavelength_nm, window, 9.7)) < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("wavelength_nm", "window"), [(1200.0, (64, 64)), (1600.0, (33, 48))])
 def test_the_coarser_sampling_of_sky_scenes_is_as_good(wavelength_nm, window):
     calm = {"sky": Sky(1e-4, wfe_nm=0.1), "motion": Motion(rms_mas=0.0), "window": window}
