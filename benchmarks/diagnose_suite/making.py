@@ -16,7 +16,7 @@ from irlos_pipe.files.json import json_text
 from irlos_pipe.simulate.detector import Readout
 from irlos_pipe.simulate.exposure import exposures, telescope_of
 from irlos_pipe.simulate.recordings.files import layout_of
-from irlos_pipe.simulate.recordings.series import Planned
+from irlos_pipe.simulate.recordings.planned import Planned
 
 DETECTOR_STREAM = 1  # child of a scene's seed; the wavefront has its own
 

@@ -16,8 +16,9 @@ from benchmarks.diagnose_suite.levels import size_of
 from benchmarks.diagnose_suite.settings import OFFSETS_NM, RAMP_FRAMES, SKY_PUPIL_SAMPLES
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.simulate.recordings import load_spec
-from irlos_pipe.simulate.recordings.series import Planned, plan_recordings
+from irlos_pipe.simulate.recordings.planned import Planned
+from irlos_pipe.simulate.recordings.series import plan_recordings
+from irlos_pipe.simulate.recordings.spec import load_spec
 from irlos_pipe.simulate.scene import Scene
 
 CUBE, RAMP, CALIBRATION = "cube", "ramp", "calibration"

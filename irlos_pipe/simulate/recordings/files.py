@@ -11,7 +11,7 @@ from astropy.io import fits
 
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.simulate.detector import Readout
-from irlos_pipe.simulate.recordings.series import LOOP_HZ, Planned
+from irlos_pipe.simulate.recordings.planned import LOOP_HZ, Planned
 from irlos_pipe.simulate.recordings.side_car import side_car
 from irlos_pipe.simulate.scene import Scene
 

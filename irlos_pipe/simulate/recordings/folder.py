@@ -12,8 +12,7 @@ from typing import Any
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.json import changed_values
 from irlos_pipe.simulate.recordings.files import layout_of
-from irlos_pipe.simulate.recordings.series import Planned
-from irlos_pipe.simulate.recordings.spec import DOUBLE
+from irlos_pipe.simulate.recordings.planned import DOUBLE, Planned
 from irlos_pipe.simulate.recordings.truth import made_from
 
 MAX_REASONS = 3

@@ -12,7 +12,7 @@ import numpy as np
 from irlos_pipe.simulate.detector import Readout
 from irlos_pipe.simulate.exposure import exposures
 from irlos_pipe.simulate.recordings.files import layout_of
-from irlos_pipe.simulate.recordings.series import Planned
+from irlos_pipe.simulate.recordings.planned import Planned
 from irlos_pipe.simulate.recordings.truth import WavefrontTruth, truth_content
 
 DETECTOR_STREAM = 1  # child of the scene's seed; the wavefront has its own

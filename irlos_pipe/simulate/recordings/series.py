@@ -4,50 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from irlos_pipe.simulate.effects.catalogue import effects_of
 from irlos_pipe.simulate.effects.focus_stage import reached_nm
+from irlos_pipe.simulate.recordings.planned import LOOP_HZ, Defocus, Planned
 from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys
 from irlos_pipe.simulate.recordings.scenes import base_scene, number
 from irlos_pipe.simulate.recordings.spec import Spec
-from irlos_pipe.simulate.scene import Scene
 
 FIRST_START_UNIX_S = 1_707_618_000
 SLOT_S = 86_400  # between the starts of two sections of a spec, so that changing one moves no other
 MOVE_S = 24  # of focus stage or derotator, between the recordings of a series
-LOOP_HZ = 200
 FIRST_COUNTER, COUNTER_WRAP = 1000, 2**30
-
-Defocus = float | tuple[float, ...]  # of all frames, or of every frame [nm RMS]
-
-
-@dataclass(frozen=True)
-class Planned:
-    """A recording to be made.
-
-    Attributes
-    ----------
-    name : str
-        ``calibration``, or ``ramp/offset_03`` in a series.
-    scene : Scene
-        What happens; the defocus is what the focus stage reaches.
-    commanded_nm : float or tuple of float
-        Introduced defocus as commanded, which the side-car states [nm RMS].
-    hidden : mapping
-        Effects that the side-car does not state, those of the focus stage included.
-    layout, mode : str
-        Of the files; mode string of a MUSE file.
-    """
-
-    name: str
-    scene: Scene
-    commanded_nm: Defocus
-    hidden: Mapping[str, Mapping[str, Any]]
-    layout: str
-    mode: str
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,11 @@ from irlos_pipe.files.overrides import absolute, parse_setting, read_overridden
 from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument
+from irlos_pipe.simulate.recordings.planned import DOUBLE
 from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys, Shared
 
 SETTING_EXAMPLE = "KEY=VALUE, for example recordings.calibration.frames=20"
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._+:-]*$"  # becomes the name of a folder
-DOUBLE = "__"  # stands for '/' in the names of truth files
 
 
 class SpecKeys(Shared):

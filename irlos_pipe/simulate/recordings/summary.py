@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from irlos_pipe.simulate.recordings.planned import Planned
 from irlos_pipe.simulate.recordings.run import UP_TO_DATE, Step
-from irlos_pipe.simulate.recordings.series import Planned
 from irlos_pipe.simulate.recordings.spec import Spec
 
 BYTES_PER_VALUE = 2

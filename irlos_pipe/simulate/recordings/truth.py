@@ -13,7 +13,7 @@ from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import json_text, jsonable
 from irlos_pipe.simulate.exposure import LAST_NOLL, Exposure, telescope_of
-from irlos_pipe.simulate.recordings.series import Planned
+from irlos_pipe.simulate.recordings.planned import Planned
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.zernikes import rotated_nm
 

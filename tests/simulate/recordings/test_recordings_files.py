@@ -19,9 +19,10 @@ from irlos_pipe.readers.acquisition import resolve
 from irlos_pipe.readers.find import read_recordings, recording_files
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.simulate.detector import Readout
-from irlos_pipe.simulate.recordings import load_spec
 from irlos_pipe.simulate.recordings.files import layout_of
-from irlos_pipe.simulate.recordings.series import Planned, plan_recordings
+from irlos_pipe.simulate.recordings.planned import Planned
+from irlos_pipe.simulate.recordings.series import plan_recordings
+from irlos_pipe.simulate.recordings.spec import load_spec
 
 SKY = {"sky": {"seeing_arcsec": 0.7}}
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from helpers.simulation_specs import CUBE, RAMP, spec_of, written
 
-from irlos_pipe.simulate.recordings import load_spec
-from irlos_pipe.simulate.recordings.series import Planned, plan_recordings, visiting_order
+from irlos_pipe.simulate.recordings.planned import Planned
+from irlos_pipe.simulate.recordings.series import plan_recordings, visiting_order
+from irlos_pipe.simulate.recordings.spec import load_spec
 
 FIVE = [-200, -100, 0, 100, 200]
 

@@ -14,9 +14,9 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.simulate.effects.catalogue import EFFECTS, effects_of
-from irlos_pipe.simulate.recordings import load_spec
 from irlos_pipe.simulate.recordings.effect_keys import EffectKeys
 from irlos_pipe.simulate.recordings.series import plan_recordings
+from irlos_pipe.simulate.recordings.spec import load_spec
 
 EXAMPLES = sorted((RECIPES / "simulations").glob("*.yaml"))
 EFFECT_LINE = re.compile(r"^ *(?:# )?([a-z_]+): (\{[^#]*\})", re.MULTILINE)
