@@ -178,7 +178,7 @@ def lift_latency(inputs: Inputs, count: int) -> dict:
     table = tabulated(ImageModel(model), start_nm)  # built once, before the loop is closed
     for _ in range(count):
         with torch.inference_mode(), stopwatch() as watch:  # no bookkeeping for derivatives: a tenth
-            lift(table, image_e, frames.pixel_mask, frames.noise, start_nm)
+            lift(table, image_e, frames.good, frames.noise, start_nm)
         times_s.append((watch.wall_s, watch.cpu_s))
     wall_s, cpu_s = np.array(times_s).T
     return {

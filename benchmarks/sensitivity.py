@@ -77,4 +77,4 @@ class SensitivityScan:
         image_model = ImageModel(model, self._effects(calibrated=True))
         mean_e = image_model.predict(modes_nm, flux_e, torch.zeros_like(flux_e)).clamp_min(0)
         images_e = torch.poisson(mean_e, generator=torch.Generator().manual_seed(SEED)).float()
-        return RampData(images_e, real.pixel_mask, real.noise, self.introduced_nm)
+        return RampData(images_e, real.good, real.noise, self.introduced_nm)

@@ -42,7 +42,7 @@ class Stack:
     @classmethod
     def of(cls, frames: Frames, when: np.ndarray) -> Stack:
         """Mean and variance of `frames`, taken at the times `when`."""
-        good = frames.pixel_mask.flatten()
+        good = frames.good.flatten()
         mean = frames.mean_e
         variance = (mean_variance_e2(frames) * _steadied(mean, frames)).flatten()
         return cls(frames, when, mean.flatten(), torch.where(good, variance, torch.inf))
@@ -58,7 +58,7 @@ class Stack:
     @cached_property
     def deviations(self) -> torch.Tensor:
         """Frames of equal flux minus their mean, over the standard error of the mean, (frames, pixels)."""
-        images = self.frames.images_e.double().flatten(1) * self.frames.pixel_mask.flatten()
+        images = self.frames.images_e.double().flatten(1) * self.frames.good.flatten()
         flux = images.sum(1, keepdim=True)
         equal = images * (flux.mean() / flux)
         return (equal - equal.mean(0)) * self.root

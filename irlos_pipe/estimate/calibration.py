@@ -206,7 +206,7 @@ class _Task:
         sigma_nm = None if prior is None else prior.sigma_nm(nolls)
         layout = Layout(nolls, model.effects.parameters, prior_sigma_nm=sigma_nm)
         images, variance = self.options.scheme.data(self.frames)
-        variance = masked_variance(variance, self.frames.pixel_mask)
+        variance = masked_variance(variance, self.frames.good)
         data = (one.flatten(-2).to(self.psf.device) for one in (images, variance))
         return ImageFit(model, layout, *data, loss=self.options.loss_function)
 
@@ -214,7 +214,7 @@ class _Task:
         """The start with the low modes of single frames."""
         nolls = [noll for noll in self.psf.nolls if noll <= START_HIGHEST_NOLL]
         model, cube = EVERY_FRAME.psf_model(self.psf.settings, nolls, self.psf.device), self.frames
-        median_nm = median_of_frames_nm(model, cube.images_e, cube.pixel_mask, cube.noise)
+        median_nm = median_of_frames_nm(model, cube.images_e, cube.good, cube.noise)
         return start_at_centroids(cube, problem, median_nm)
 
     def _solve(self, problem: ImageFit, start: torch.Tensor, report: Report | None = None) -> Solution:
@@ -246,7 +246,7 @@ def _result(
     found = options.scheme.estimates(frames, problem, solution)
     mean, sigma = frames.mean_e, mean_variance_e2(frames).sqrt()
     model_image = problem.predict(found.values)[0].reshape(mean.shape).cpu()
-    pull = ((mean - model_image) / sigma)[frames.pixel_mask]
+    pull = ((mean - model_image) / sigma)[frames.good]
     effect_values = found.values[0, layout.effect_values]
     return Calibration(
         options,

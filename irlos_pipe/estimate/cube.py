@@ -21,13 +21,13 @@ class Frames:
     Attributes
     ----------
     images_e : tensor, (frames, rows, columns)
-    pixel_mask : tensor of bool, (rows, columns)
+    good : tensor of bool, (rows, columns)
         True for good pixels.
     noise : NoiseModel
     """
 
     images_e: torch.Tensor
-    pixel_mask: torch.Tensor
+    good: torch.Tensor
     noise: NoiseModel
 
     @cached_property
@@ -54,7 +54,7 @@ def mean_variance_e2(frames: Frames) -> torch.Tensor:
     the variance and lower χ².
     """
     photons = frames.noise.scatter_e2(frames.mean_e)
-    ratio = local_mean(frames.scatter_e2 / photons, frames.pixel_mask.double())
+    ratio = local_mean(frames.scatter_e2 / photons, frames.good.double())
     return photons * ratio.clamp_min(1.0) / len(frames.images_e) + frames.noise.shared_e2
 
 

@@ -76,11 +76,11 @@ class GaussianFit(Problem):
     its own brightest pixel, pixels weighted alike.
     """
 
-    def __init__(self, images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float):
+    def __init__(self, images_e: torch.Tensor, good: torch.Tensor, angle_deg: float):
         rows, columns = images_e.shape[1:]
-        peak = (images_e * pixel_mask).amax((1, 2)).clamp_min(1e-30)
+        peak = (images_e * good).amax((1, 2)).clamp_min(1e-30)
         self.images = (images_e / peak[:, None, None]).double().flatten(1)
-        self.weight = pixel_mask.double().flatten()
+        self.weight = good.double().flatten()
         y, x = torch.meshgrid(
             torch.arange(rows) - (rows - 1) / 2, torch.arange(columns) - (columns - 1) / 2, indexing="ij"
         )
@@ -141,30 +141,30 @@ class GaussianFit(Problem):
         )
 
 
-def fit_gaussians(images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float) -> Solution:
-    """Fit a Gaussian with an axis at `angle_deg` to the good pixels `pixel_mask` of all `images_e`."""
-    problem = GaussianFit(images_e, pixel_mask, angle_deg)
+def fit_gaussians(images_e: torch.Tensor, good: torch.Tensor, angle_deg: float) -> Solution:
+    """Fit a Gaussian with an axis at `angle_deg` to the good pixels `good` of all `images_e`."""
+    problem = GaussianFit(images_e, good, angle_deg)
     return solve(problem, problem.start(), max_iterations=80)
 
 
 @torch.no_grad()
-def axis_ratios(images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float) -> np.ndarray:
+def axis_ratios(images_e: torch.Tensor, good: torch.Tensor, angle_deg: float) -> np.ndarray:
     """Return the ratio σ1/σ2 of every image, (images,); NaN where the fit failed.
 
     Parameters
     ----------
     images_e : tensor, (images, rows, columns)
-    pixel_mask : tensor of bool, (rows, columns)
+    good : tensor of bool, (rows, columns)
     angle_deg : float
         Direction of the first axis, from +x towards +y.
     """
     blocks = images_e.split(IMAGES_AT_ONCE)
-    (ratio,) = joined_map(lambda block: (_ratios(block, pixel_mask, angle_deg),), blocks, len(images_e))
+    (ratio,) = joined_map(lambda block: (_ratios(block, good, angle_deg),), blocks, len(images_e))
     return ratio.numpy()
 
 
-def _ratios(images_e: torch.Tensor, pixel_mask: torch.Tensor, angle_deg: float) -> torch.Tensor:
-    fit = fit_gaussians(images_e, pixel_mask, angle_deg)
+def _ratios(images_e: torch.Tensor, good: torch.Tensor, angle_deg: float) -> torch.Tensor:
+    fit = fit_gaussians(images_e, good, angle_deg)
     return torch.where(fit.converged, torch.exp(fit.values[:, 2] - fit.values[:, 3]), torch.nan)
 
 

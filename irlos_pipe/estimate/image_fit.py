@@ -222,6 +222,6 @@ class ImageFit(Problem):
         return self._map(lambda part, _: (self.predict(part).cpu(),), x, torch.arange(len(x)))[0]
 
 
-def masked_variance(variance_e2: torch.Tensor, pixel_mask: torch.Tensor) -> torch.Tensor:
-    """Return `variance_e2` with infinity where `pixel_mask` is False: bad pixels carry no weight."""
-    return torch.where(pixel_mask.to(variance_e2.device), variance_e2, math.inf)
+def masked_variance(variance_e2: torch.Tensor, good: torch.Tensor) -> torch.Tensor:
+    """Return `variance_e2` with infinity where `good` is False: bad pixels carry no weight."""
+    return torch.where(good.to(variance_e2.device), variance_e2, math.inf)

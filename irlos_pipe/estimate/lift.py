@@ -109,7 +109,7 @@ class LiftResult:
 def lift(
     model: ImageModel,
     images_e: torch.Tensor,
-    pixel_mask: torch.Tensor,
+    good: torch.Tensor,
     noise: NoiseModel,
     start_nm: torch.Tensor,
     options: LiftOptions = LiftOptions(),
@@ -124,7 +124,7 @@ def lift(
         Its effects have no free parameters; its known wavefront has the diversity and, if calibrated, the
         NCPAs.
     images_e : tensor, (images, rows, columns)
-    pixel_mask : tensor of bool, (rows, columns)
+    good : tensor of bool, (rows, columns)
     noise : NoiseModel
     start_nm : tensor, (images, modes)
     options : LiftOptions
@@ -136,21 +136,21 @@ def lift(
     LiftResult
     """
     images_e = images_e if images_e.is_floating_point() else images_e.double()
-    result = _in_pieces(model, images_e, pixel_mask, noise, start_nm, options, report)
+    result = _in_pieces(model, images_e, good, noise, start_nm, options, report)
     stuck = _at_limit(model, result.zernike_nm)
     if not stuck.any():
         return result
-    again = lift(model.general, images_e[stuck], pixel_mask, noise, start_nm[stuck], options.of(stuck))
+    again = lift(model.general, images_e[stuck], good, noise, start_nm[stuck], options.of(stuck))
     return result.updated(stuck, again, torch.ones(len(again.zernike_nm), dtype=torch.bool))
 
 
-def _in_pieces(model: ImageModel, images_e, pixel_mask, noise, start_nm, options, report) -> LiftResult:
+def _in_pieces(model: ImageModel, images_e, good, noise, start_nm, options, report) -> LiftResult:
     """Fits of any number of images, of which few are worked on at a time."""
     if len(images_e) <= IMAGES_AT_ONCE:
-        return _lift(model, images_e, pixel_mask, noise, start_nm, options, report)
+        return _lift(model, images_e, good, noise, start_nm, options, report)
     return LiftResult.joined(
         [
-            _lift(model, images_e[some], pixel_mask, noise, start_nm[some], options.of(some), report)
+            _lift(model, images_e[some], good, noise, start_nm[some], options.of(some), report)
             for some in torch.arange(len(images_e)).tensor_split(-(-len(images_e) // IMAGES_AT_ONCE))
         ]
     )
@@ -162,18 +162,18 @@ def _at_limit(model: ImageModel, zernike_nm: torch.Tensor) -> torch.Tensor:
     return ((zernike_nm <= lower) | (zernike_nm >= upper)).any(1) & torch.isfinite(zernike_nm).all(1)
 
 
-def _lift(model: ImageModel, images_e, pixel_mask, noise, start_nm, options, report) -> LiftResult:
+def _lift(model: ImageModel, images_e, good, noise, start_nm, options, report) -> LiftResult:
     """A fit with the variances of the images, and unless these are wanted another with those of the model."""
     nolls = model.psf.nolls
     layout = Layout(nolls, prior_mean_nm=options.prior_mean_nm, prior_sigma_nm=options.prior_sigma_nm)
-    x = layout.start(images_e.flatten(1) * pixel_mask.flatten(), start_nm)
+    x = layout.start(images_e.flatten(1) * good.flatten(), start_nm)
     variance = noise.variance_e2(smooth(images_e))
-    problem = image_problem(model, layout, images_e, variance, pixel_mask, options.alike)
+    problem = image_problem(model, layout, images_e, variance, good, options.alike)
     if options.noise != "data":
         rough = problem.with_tolerance(COARSE_TOLERANCE if options.noise == "iterative" else ROUGH_TOLERANCE)
         x = _finite(solve(rough, x, max_iterations=options.max_iterations, report=report), x)
         report = None
-        problem = _with_model_variance(problem, x, images_e, pixel_mask, noise, options)
+        problem = _with_model_variance(problem, x, images_e, good, noise, options)
     solution = solve(problem, x, max_iterations=options.max_iterations, report=report)
     model_e = problem.predict_all(_finite(solution, x))
     modes = layout.modes
@@ -187,14 +187,14 @@ def _lift(model: ImageModel, images_e, pixel_mask, noise, start_nm, options, rep
     )
 
 
-def _with_model_variance(rough: ImageFit, x, images_e, pixel_mask, noise, options: LiftOptions) -> ImageFit:
+def _with_model_variance(rough: ImageFit, x, images_e, good, noise, options: LiftOptions) -> ImageFit:
     """The problem with the variances of the model at `x`, or of the model wherever it goes."""
     model, layout = rough.model, rough.layout
     if options.noise == "iterative":
         flat = images_e[:, None].flatten(2).to(model.psf.device)
-        return PhotonFit(model, layout, flat, pixel_mask.flatten(), noise)
+        return PhotonFit(model, layout, flat, good.flatten(), noise)
     variance = noise.variance_e2(rough.predict_all(x)).reshape(images_e.shape)
-    return image_problem(model, layout, images_e, variance, pixel_mask, options.alike)
+    return image_problem(model, layout, images_e, variance, good, options.alike)
 
 
 def _finite(solution: Solution, before: torch.Tensor) -> torch.Tensor:
@@ -207,7 +207,7 @@ def image_problem(
     layout: Layout,
     images_e: torch.Tensor,
     variance_e2: torch.Tensor,
-    pixel_mask: torch.Tensor,
+    good: torch.Tensor,
     alike: Alike | None = None,
 ) -> ImageFit:
     """Pose a problem of one image and one parameter vector each, for a whole batch.
@@ -216,11 +216,11 @@ def image_problem(
     ----------
     model, layout : ImageModel, Layout
     images_e, variance_e2 : tensor, (images, rows, columns)
-    pixel_mask : tensor of bool, (rows, columns)
+    good : tensor of bool, (rows, columns)
     alike : Alike, optional
         Where the images are realisations of a few frames.
     """
-    variance = masked_variance(variance_e2, pixel_mask)[:, None].flatten(2)
+    variance = masked_variance(variance_e2, good)[:, None].flatten(2)
     device = model.psf.device
     arguments = model, layout, images_e[:, None].flatten(2).to(device), variance.to(device)
     return ImageFit(*arguments) if alike is None else AlikeFit(*arguments, alike=alike)

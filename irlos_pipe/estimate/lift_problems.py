@@ -100,7 +100,7 @@ class PhotonFit(ImageFit):
     Parameters
     ----------
     images_e : tensor, (batch, 1, pixels)
-    pixel_mask : tensor of bool, (pixels,)
+    good : tensor of bool, (pixels,)
     noise : NoiseModel
     """
 
@@ -111,23 +111,23 @@ class PhotonFit(ImageFit):
         model: ImageModel,
         layout: Layout,
         images_e: torch.Tensor,
-        pixel_mask: torch.Tensor,
+        good: torch.Tensor,
         noise: NoiseModel,
     ):
-        mask = pixel_mask.to(images_e.device)
-        super().__init__(model, layout, images_e, torch.where(mask, 1.0, torch.inf)[None, None])
-        self._noise, self._mask = noise, mask.double()
+        here = good.to(images_e.device)
+        super().__init__(model, layout, images_e, torch.where(here, 1.0, torch.inf)[None, None])
+        self._noise, self._good = noise, here.double()
         self._least = self._sum(images_e, images_e)
 
     def _sum(self, images_e: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
         """Minus the quasi-likelihood of images (b, 1, pixels), (b,), float64."""
         pixels = self._noise.minus_quasi_likelihood(images_e.double(), model_e.double())
-        return (pixels @ self._mask)[:, 0]
+        return (pixels @ self._good)[:, 0]
 
     def _whitened(self, model_e: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         data = self.images[which.to(self.images.device)]
         model_e = model_e[:, None].to(data.dtype)
-        root = self._noise.variance_e2(model_e).rsqrt() * self._mask.to(data.dtype)
+        root = self._noise.variance_e2(model_e).rsqrt() * self._good.to(data.dtype)
         return (data - model_e) * root, root
 
     def _value(self, residual: torch.Tensor, model_e: torch.Tensor, which: torch.Tensor) -> torch.Tensor:

@@ -112,9 +112,7 @@ class EveryFrame(Scheme):
     def start(self, frames: Frames, problem: ImageFit) -> torch.Tensor:
         """See `Scheme.start`: what a few frames agree on, and tip and tilt of every frame by itself."""
         model = problem.model.psf
-        median_nm = median_of_frames_nm(
-            model, frames.images_e, frames.pixel_mask, frames.noise, ROUGH_ITERATIONS
-        )
+        median_nm = median_of_frames_nm(model, frames.images_e, frames.good, frames.noise, ROUGH_ITERATIONS)
         x = start_at_centroids(frames, problem)
         modelled = start_tilts_nm(model.images(median_nm[None]).double().cpu(), model.settings)
         x[:, :2] += median_nm[:2] - modelled
@@ -165,18 +163,18 @@ def start_at_centroids(
     """
     x = torch.empty(len(problem.images), problem.layout.size, dtype=torch.float64)
     for block in blocks(len(x)):
-        x[block] = _centred(problem.images[block], frames.pixel_mask, problem)
+        x[block] = _centred(problem.images[block], frames.good, problem)
     if start_nm is not None:
         common = min(len(start_nm), len(problem.layout.nolls))
         x[:, :common] = torch.as_tensor(start_nm[:common])
     return x
 
 
-def _centred(images: torch.Tensor, pixel_mask: torch.Tensor, problem: ImageFit) -> torch.Tensor:
+def _centred(images: torch.Tensor, good: torch.Tensor, problem: ImageFit) -> torch.Tensor:
     """Start of members from images (b, repeats, pixels): flux, and tip and tilt of the centroid."""
     settings, first = problem.model.psf.settings, images.double().mean(1).cpu()
     x = problem.layout.start(first)
-    masked = first.reshape(-1, *settings.window) * pixel_mask
+    masked = first.reshape(-1, *settings.window) * good
     x[:, :2] = start_tilts_nm(masked, settings)
     return x
 

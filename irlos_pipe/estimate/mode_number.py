@@ -187,7 +187,7 @@ def held_out_misfit(frames: Frames, fit: Calibration, unseen: np.ndarray) -> np.
     fit : Calibration
     unseen : ndarray of int, (blocks, frames)
     """
-    good = frames.pixel_mask.numpy()
+    good = frames.good.numpy()
     half = _of(frames, unseen)
     changing = mean_variance_e2(half) - half.noise.shared_e2  # both halves share the rest
     sigma = (len(unseen) * changing).sqrt().numpy()[good]

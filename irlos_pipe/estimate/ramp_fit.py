@@ -33,13 +33,13 @@ class RampData:
     Attributes
     ----------
     images_e : tensor, (frames, rows, columns)
-    pixel_mask : tensor of bool, (rows, columns)
+    good : tensor of bool, (rows, columns)
     noise : NoiseModel
     introduced_nm : ndarray, (frames,)
     """
 
     images_e: torch.Tensor
-    pixel_mask: torch.Tensor
+    good: torch.Tensor
     noise: NoiseModel
     introduced_nm: np.ndarray
 
@@ -80,7 +80,7 @@ def start_from_defocus(model: LightPath, data: RampData, defocus_nm: np.ndarray)
     """
     start = torch.zeros(len(data.images_e), len(model.nolls), dtype=torch.float64)
     start[:, model.nolls.index(DEFOCUS)] = torch.as_tensor(np.nan_to_num(defocus_nm))
-    seen = start_tilts_nm((data.images_e * data.pixel_mask).double(), model.settings)
+    seen = start_tilts_nm((data.images_e * data.good).double(), model.settings)
     modelled = start_tilts_nm(model.images(start).double().cpu(), model.settings)
     for axis, noll in enumerate(TIP_TILT):
         if noll in model.nolls:
@@ -116,7 +116,7 @@ def fit_ramp(
     complete = ImageModel(model, held)
     if len(start_nm) >= MIN_FRAMES:
         complete = tabulated(complete, start_nm)
-    result = lift(complete, data.images_e, data.pixel_mask, data.noise, start_nm, options, report=report)
+    result = lift(complete, data.images_e, data.good, data.noise, start_nm, options, report=report)
     result = second_try(complete, data, result, options)
     return RampFit(result, complete, held.describe(NOTHING), shared, start_nm)
 
@@ -124,8 +124,8 @@ def fit_ramp(
 def _fit_effects(model: PsfModel, data: RampData, start_nm: torch.Tensor, effects: EffectSet) -> SharedFit:
     layout = Layout(model.nolls)
     variance = data.noise.variance_e2(smooth(data.images_e))
-    problem = image_problem(ImageModel(model, effects), layout, data.images_e, variance, data.pixel_mask)
-    return fit_shared(problem, layout.start((data.images_e * data.pixel_mask).flatten(1), start_nm))
+    problem = image_problem(ImageModel(model, effects), layout, data.images_e, variance, data.good)
+    return fit_shared(problem, layout.start((data.images_e * data.good).flatten(1), start_nm))
 
 
 def second_try(model: ImageModel, data: RampData, result: LiftResult, options: LiftOptions) -> LiftResult:
@@ -140,12 +140,12 @@ def second_try(model: ImageModel, data: RampData, result: LiftResult, options: L
     """
     if not {2, 3, 4} <= set(model.psf.nolls):
         return result
-    start = scan_start_nm(model.psf, data.images_e, data.pixel_mask, model.optics)
+    start = scan_start_nm(model.psf, data.images_e, data.good, model.optics)
     suspect = _suspect(result, start)
     if not suspect.any():
         return result
     images_e, own = data.images_e[suspect], options.of(suspect)
-    again = lift(model, images_e, data.pixel_mask, data.noise, start[suspect], own)
+    again = lift(model, images_e, data.good, data.noise, start[suspect], own)
     better = again.solution.converged & ~(again.chi2_nu > result.chi2_nu[suspect] * 0.999)
     better |= again.solution.converged & ~result.solution.converged[suspect]
     return result.updated(suspect, again, better)

@@ -159,7 +159,7 @@ def scan(
         dimmed = torch.cat(
             [dim(data.images_e, signal_e, factor, data.noise, generator) for _ in range(realisations)]
         )
-        result = lift(model, dimmed, data.pixel_mask, data.noise, start, options)
+        result = lift(model, dimmed, data.good, data.noise, start, options)
         error = np.abs(result.mode(4)[0].numpy() - introduced)
         failed = ~result.solution.converged.numpy() | ~(error < criterion.implausible_nm)
         errors.append(np.where(failed, np.nan, error))

@@ -51,7 +51,7 @@ def start_tilts_nm(images_e: torch.Tensor, settings: PsfSettings) -> torch.Tenso
 
 
 def scan_start_nm(
-    model: LightPath, images_e: torch.Tensor, pixel_mask: torch.Tensor, optics: Optics = AS_BUILT
+    model: LightPath, images_e: torch.Tensor, good: torch.Tensor, optics: Optics = AS_BUILT
 ) -> torch.Tensor:
     """Return tip, tilt and defocus of the template that resembles each image most, other modes 0.
 
@@ -60,7 +60,7 @@ def scan_start_nm(
     model : LightPath
         Noll 2, 3 and 4 among its modes.
     images_e : tensor, (images, rows, columns)
-    pixel_mask : tensor of bool, (rows, columns)
+    good : tensor of bool, (rows, columns)
     optics : Optics
         What effects make of the light path.
 
@@ -72,7 +72,7 @@ def scan_start_nm(
     coefficients = torch.zeros(len(SCAN_NM), len(model.nolls), dtype=torch.float64)
     coefficients[:, focus] = torch.as_tensor(SCAN_NM)
     templates = model.images(coefficients, optics).cpu()
-    best, shift_px = _most_alike(templates, images_e, pixel_mask)
+    best, shift_px = _most_alike(templates, images_e, good)
     start = torch.zeros(len(images_e), len(model.nolls), dtype=torch.float64)
     start[:, focus] = torch.as_tensor(SCAN_NM)[best]
     pixel_nm = tilt_nm(model.settings.pixel_scale_mas, model.settings.geometry.diameter_m)
@@ -88,14 +88,14 @@ def _standardised(images: torch.Tensor) -> torch.Tensor:
 
 
 def _most_alike(
-    templates: torch.Tensor, images: torch.Tensor, pixel_mask: torch.Tensor
+    templates: torch.Tensor, images: torch.Tensor, good: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Template of the highest correlation with each image (images,), and its shift (images, 2) [px]."""
-    rows, columns = pixel_mask.shape
+    rows, columns = good.shape
     spectra = torch.fft.rfft2(_standardised(templates)).conj_physical()
     best, peaks = [], []
     for image in images:
-        spectrum = torch.fft.rfft2(_standardised(image * pixel_mask))
+        spectrum = torch.fft.rfft2(_standardised(image * good))
         correlation = torch.fft.irfft2(spectrum * spectra, s=(rows, columns)).flatten(1)
         best.append(int(correlation.amax(1).argmax()))
         row, column = divmod(int(correlation[best[-1]].argmax()), columns)
@@ -116,7 +116,7 @@ def is_plausible(problem: ImageFit, solution: Solution) -> bool:
 def median_of_frames_nm(
     model: LightPath,
     images_e: torch.Tensor,
-    pixel_mask: torch.Tensor,
+    good: torch.Tensor,
     noise: NoiseModel,
     max_iterations: int = FEW_FRAMES_ITERATIONS,
 ) -> torch.Tensor:
@@ -127,7 +127,7 @@ def median_of_frames_nm(
     model : LightPath
         With Noll 2 and 3 as its first modes.
     images_e : tensor, (frames, rows, columns)
-    pixel_mask : tensor of bool, (rows, columns)
+    good : tensor of bool, (rows, columns)
     noise : NoiseModel
     max_iterations : int
         Of every fit.
@@ -140,9 +140,9 @@ def median_of_frames_nm(
     chosen = torch.linspace(0, len(images_e) - 1, min(FEW_FRAMES, len(images_e))).round().long()
     some = images_e[chosen]
     start = torch.zeros(len(some), len(model.nolls), dtype=torch.float64)
-    start[:, :2] = start_tilts_nm((some * pixel_mask).double(), model.settings)
+    start[:, :2] = start_tilts_nm((some * good).double(), model.settings)
     options = LiftOptions(noise="data", max_iterations=max_iterations)
-    result = lift(ImageModel(model), some, pixel_mask, noise, start, options)
+    result = lift(ImageModel(model), some, good, noise, start, options)
     valid = torch.tensor([status != INVALID for status in result.solution.status])
     estimates = result.zernike_nm[valid]
     return estimates.median(dim=0).values if len(estimates) else start.new_zeros(len(model.nolls))

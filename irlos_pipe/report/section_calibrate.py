@@ -66,7 +66,7 @@ def _images(run: RunData, results: CalibrateResults) -> list[Figure]:
         return []
     scale, mas = brightness_scale(measured, model), run.pixel_scale_mas(STAGE)
     pictures = [
-        image_panel("cal-measured", measured, scale, mas, BRIGHTNESS_UNIT, good=_pixel_mask(run)),
+        image_panel("cal-measured", measured, scale, mas, BRIGHTNESS_UNIT, good=_good_pixels(run)),
         image_panel("cal-model", model, scale, mas, BRIGHTNESS_UNIT),
     ]
     return [
@@ -80,12 +80,12 @@ def _residual(run: RunData, results: CalibrateResults, residual_e: np.ndarray) -
     sigma_e = run.error_of(STAGE, "mean_image_e")
     if sigma_e is None:
         return []
-    image, scale = _in_sigma(residual_e, sigma_e, _pixel_mask(run)), symmetric_scale(SIGMA_LIMIT)
+    image, scale = _in_sigma(residual_e, sigma_e, _good_pixels(run)), symmetric_scale(SIGMA_LIMIT)
     panel = image_panel("cal-residual", image, scale, run.pixel_scale_mas(STAGE), "σ", SIGNED)
     return [Figure(panel, "Residual", f"Measured − model; χ²/ν {_chi2(results)}.", "third")]
 
 
-def _pixel_mask(run: RunData) -> np.ndarray | None:
+def _good_pixels(run: RunData) -> np.ndarray | None:
     masks = [recording.good for recording in run.recordings_of(STAGE)]
     return np.all(masks, axis=0) if masks and len({mask.shape for mask in masks}) == 1 else None
 
@@ -103,7 +103,7 @@ def _profile(run: RunData) -> list[Figure]:
     measured, model = run.array(STAGE, "mean_image_e"), run.array(STAGE, "model_image_e")
     if measured is None or model is None:
         return []
-    mas, good, sigma = run.pixel_scale_mas(STAGE), _pixel_mask(run), run.error_of(STAGE, "mean_image_e")
+    mas, good, sigma = run.pixel_scale_mas(STAGE), _good_pixels(run), run.error_of(STAGE, "mean_image_e")
     images = {
         "measured": (measured, INK, "o"),
         "model": (model, BLUE, "-"),

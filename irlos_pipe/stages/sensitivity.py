@@ -179,7 +179,7 @@ def _curve(
     model = ramp_model(ctx, ramp, nolls, ncpa_nm)
     start = ramp_start(ctx, model, ramp, ncpa_nm, "elongation")[chosen]
     data = RampData(
-        ramp.data.images_e[chosen], ramp.data.pixel_mask, ramp.data.noise, ramp.data.introduced_nm[chosen]
+        ramp.data.images_e[chosen], ramp.data.good, ramp.data.noise, ramp.data.introduced_nm[chosen]
     )
     effects = effects_for_lift(ctx, ramp.recordings[0], "calibrated", "calibrated", calibrated=calibrated)
     bright = fit_ramp(model, data, start, LiftOptions(), effects)

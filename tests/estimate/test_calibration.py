@@ -58,7 +58,7 @@ def test_one_invalid_frame_is_flagged_and_left_out(cube):
     images = frames.images_e.clone()
     images[3, 20, 20] = float("inf")
     result = calibrate(
-        Frames(images, frames.pixel_mask, frames.noise),
+        Frames(images, frames.good, frames.noise),
         cases.settings(),
         CalibrationOptions("lift_slices", highest_noll=15, prior=cases.PRIOR),
     )
@@ -69,7 +69,7 @@ def test_one_invalid_frame_is_flagged_and_left_out(cube):
 
 def test_a_single_frame_is_refused(cube):
     frames, _ = cube
-    single = Frames(frames.images_e[:1], frames.pixel_mask, frames.noise)
+    single = Frames(frames.images_e[:1], frames.good, frames.noise)
     with pytest.raises(ValueError, match="at least two frames"):
         calibrate(single, cases.settings(), CalibrationOptions(prior=cases.PRIOR))
 

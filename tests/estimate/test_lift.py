@@ -148,7 +148,7 @@ def test_frames_that_all_converge_to_a_wrong_defocus_are_found_though_none_stand
     images = drawn(model, true, cases.photons(12), seed=12)
     data = RampData(images, cases.everything(images), NOISE, true[:, 2].numpy())
     start = start_from_defocus(model, data, np.zeros(4))
-    first = lift(ImageModel(model), images, data.pixel_mask, NOISE, start)
+    first = lift(ImageModel(model), images, data.good, NOISE, start)
     assert (first.solution.converged & ((first.mode(4)[0] - true[:, 2]).abs() > 100)).all()
     result = fit_ramp(model, data, start, LiftOptions()).result
     assert torch.allclose(result.mode(4)[0], true[:, 2], atol=5)

@@ -36,7 +36,7 @@ def solution(objective: float, status: str = CONVERGED) -> Solution:
 
 def test_the_median_of_a_few_frames_is_near_the_truth(frames, truth_nm):
     model = PsfModel(cases.settings(WINDOW), NOLLS)
-    found = median_of_frames_nm(model, frames.images_e, frames.pixel_mask, frames.noise)
+    found = median_of_frames_nm(model, frames.images_e, frames.good, frames.noise)
     assert (found - truth_nm[0]).norm() < 5
 
 
@@ -45,10 +45,10 @@ def test_frames_that_cannot_be_fitted_do_not_count(frames, truth_nm):
     spread = torch.linspace(0, len(images) - 1, FEW_FRAMES).round().long()
     images[spread[:3], 5, 5] = float("nan")
     model = PsfModel(cases.settings(WINDOW), NOLLS)
-    found = median_of_frames_nm(model, images, frames.pixel_mask, frames.noise)
+    found = median_of_frames_nm(model, images, frames.good, frames.noise)
     assert (found - truth_nm[0]).norm() < 5
     images[spread, 5, 5] = float("nan")
-    assert torch.all(median_of_frames_nm(model, images, frames.pixel_mask, frames.noise) == 0)
+    assert torch.all(median_of_frames_nm(model, images, frames.good, frames.noise) == 0)
 
 
 @pytest.mark.slow

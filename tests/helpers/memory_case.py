@@ -75,7 +75,7 @@ def main(frames: int) -> dict[str, int]:
         return Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
 
     def prior(count: int) -> None:
-        axis_ratios(cube(count).images_e, cube(count).pixel_mask, 0.0)
+        axis_ratios(cube(count).images_e, cube(count).good, 0.0)
 
     def calibration(method: str) -> Callable[[int], None]:
         options = CalibrationOptions(method, highest_noll=HIGHEST_NOLL, max_iterations=1, prior=cases.PRIOR)

@@ -69,7 +69,7 @@ def estimated_by_lift(device: str) -> np.ndarray:
     true[:, 2] = torch.as_tensor(introduced_nm)
     images = cases.draw_frames(PsfModel(SMALL, TTF).images(true).double().numpy() * 1e5, 4, seed=2)
     data = RampData(images, cases.everything(images), cases.READ_NOISE, introduced_nm)
-    start = scan_start_nm(model, images, data.pixel_mask)
+    start = scan_start_nm(model, images, data.good)
     fit = fit_ramp(model, data, start, LiftOptions(max_iterations=8), [TipTiltJitter()])
     return np.concatenate([fit.result.zernike_nm.numpy().ravel(), fit.result.sigma_nm.numpy().ravel()])
 

@@ -61,7 +61,7 @@ def structure_of(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings) 
         Its mean image minus that of a model [e-].
     settings : PsfSettings
     """
-    beyond = Beyond(stack.frames.pixel_mask, highest_frequency_per_px(settings))
+    beyond = Beyond(stack.frames.good, highest_frequency_per_px(settings))
     if beyond.share < MIN_SHARE:
         return FineStructure()
     deviations_e = torch.where(stack.root > 0, stack.deviations / stack.root, 0.0)
@@ -84,18 +84,18 @@ class Beyond:
 
     Parameters
     ----------
-    pixel_mask : tensor of bool, (rows, columns)
+    good : tensor of bool, (rows, columns)
         True for good pixels; others are filled from around them.
     frequency_per_px : float
         [cycles/px]
     """
 
-    def __init__(self, pixel_mask: torch.Tensor, frequency_per_px: float):
-        self.weight = pixel_mask.double()
-        rows, columns = (torch.fft.fftfreq(size, dtype=torch.float64) for size in pixel_mask.shape)
-        least = frequency_per_px + MAIN_LOBE / min(pixel_mask.shape)
+    def __init__(self, good: torch.Tensor, frequency_per_px: float):
+        self.weight = good.double()
+        rows, columns = (torch.fft.fftfreq(size, dtype=torch.float64) for size in good.shape)
+        least = frequency_per_px + MAIN_LOBE / min(good.shape)
         self.band = torch.hypot(rows[:, None], columns) > least
-        self.fade = torch.outer(*(_hann(size) for size in pixel_mask.shape))
+        self.fade = torch.outer(*(_hann(size) for size in good.shape))
 
     def __call__(self, images: torch.Tensor) -> torch.Tensor:
         """The filtered images (images, rows, columns)."""

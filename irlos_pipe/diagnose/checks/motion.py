@@ -28,7 +28,7 @@ def _ratio(stack: Stack, part: ImageFit, x: torch.Tensor) -> float:
     frames = stack.frames
     columns = part.predict_and_jacobian(x)[1][0, [0, 1, -2, -1]].cpu().double().mT
     variance = frames.noise.variance_e2(stack.mean_e)
-    root = torch.where(frames.pixel_mask.flatten(), variance**-0.5, 0.0)
+    root = torch.where(frames.good.flatten(), variance**-0.5, 0.0)
     whitened = columns * root[:, None]
     covariance = torch.linalg.inv(whitened.mT @ whitened)
     images = frames.images_e.double().flatten(1) * root

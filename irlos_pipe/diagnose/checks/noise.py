@@ -61,7 +61,7 @@ def judge_all(stacks: Sequence[Stack]) -> NoiseVerdict:
 def judge_noise(stack: Stack) -> NoiseVerdict:
     """Compare variances with the noise model's."""
     images = stack.frames.images_e.double().numpy()
-    good = stack.frames.pixel_mask.numpy()
+    good = stack.frames.good.numpy()
     mean = images.mean(0)
     differences = np.diff(images, axis=0).reshape(len(images) - 1, -1)
     shapes = np.stack([mean, *np.gradient(mean), np.ones_like(mean)]).reshape(4, -1)

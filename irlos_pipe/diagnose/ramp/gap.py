@@ -38,7 +38,7 @@ def ramp_gap(
     """
     chosen = torch.as_tensor(held_out)
     images, offsets = data.images_e.double()[chosen], data.introduced_nm[held_out]
-    good = data.pixel_mask
+    good = data.good
     predicted = [
         _predicted(model, data, images, _with_defocus(model, start_nm, defocus)[chosen])
         for defocus in (before_nm, after_nm)
@@ -74,7 +74,7 @@ def _refitted(
     model: ImageModel, data: RampData, images: torch.Tensor, modes_nm: torch.Tensor
 ) -> torch.Tensor:
     """Gauss–Newton steps of tip, tilt, flux and background."""
-    root = torch.where(data.pixel_mask, data.noise.variance_e2(images) ** -0.5, 0.0).flatten(1)
+    root = torch.where(data.good, data.noise.variance_e2(images) ** -0.5, 0.0).flatten(1)
     own = [model.psf.nolls.index(2), model.psf.nolls.index(3), -2, -1]
     modes, light = modes_nm.clone(), torch.stack([images.sum((1, 2)), torch.zeros(len(images))], dim=1)
     for _ in range(STEPS):
@@ -96,4 +96,4 @@ def _noise_e(data: RampData, at_offset: torch.Tensor, averaged: int) -> float:
     photons = data.noise.scatter_e2(images.mean(0))
     scatter = images.var(0, correction=1) if len(images) > 1 else photons
     sigma = (torch.maximum(photons, scatter) / averaged + data.noise.shared_e2).sqrt()
-    return float(np.sqrt(2 / np.pi) * sigma[data.pixel_mask].sum())
+    return float(np.sqrt(2 / np.pi) * sigma[data.good].sum())

@@ -159,7 +159,7 @@ def elongation_defocus_nm(scene: Scene, data: RampData) -> np.ndarray:
     """
     model = PsfModel(settings_of(scene), [DEFOCUS])
     law = calibrate_law(model, fixed_optics(expected(model_effects_of(scene)), model.grids))
-    return law.defocus_nm(axis_ratios(data.images_e, data.pixel_mask, law.angle_deg))
+    return law.defocus_nm(axis_ratios(data.images_e, data.good, law.angle_deg))
 
 
 @dataclass(frozen=True)
@@ -244,10 +244,10 @@ def from_every_start(
     starts = {
         "zero": start_from_defocus(model.psf, data, np.zeros(len(data.images_e))),
         "elongation": elongation_nm,
-        "scan": scan_start_nm(model.psf, data.images_e, data.pixel_mask, model.optics),
+        "scan": scan_start_nm(model.psf, data.images_e, data.good, model.optics),
     }
     found = {
-        name: (start, lift(model, data.images_e, data.pixel_mask, data.noise, start, options))
+        name: (start, lift(model, data.images_e, data.good, data.noise, start, options))
         for name, start in starts.items()
     }
     start, result = found["elongation"]

@@ -47,7 +47,7 @@ def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: Cali
     """
     first, highest_noll = recordings[0], options.last_noll
     effects = model_effects(ctx.instrument, ctx.model, first, highest_noll)
-    images_e, pixel_mask, noise = pooled_images(recordings)
-    good = pixel_mask & torch.as_tensor(good_pixels(effects, first.window))
+    images_e, good, noise = pooled_images(recordings)
+    good = good & torch.as_tensor(good_pixels(effects, first.window))
     settings = psf_settings(ctx.instrument, ctx.model, first)
     return CubeInput(Frames(images_e, good, noise), settings, image_effects(effects))

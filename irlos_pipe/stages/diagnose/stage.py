@@ -99,9 +99,9 @@ def pooled_frames(recordings: Sequence[Recording], good: np.ndarray) -> Frames:
     InputDataError
         With too few frames.
     """
-    images_e, pixel_mask, noise = pooled_images(recordings)
+    images_e, recorded_good, noise = pooled_images(recordings)
     if len(images_e) < MIN_FRAMES:
         raise InputDataError(
             f"{recordings[0].name}: a diagnosis needs {MIN_FRAMES} used frames, not {len(images_e)}"
         )
-    return Frames(images_e, pixel_mask & torch.as_tensor(good), noise)
+    return Frames(images_e, recorded_good & torch.as_tensor(good), noise)

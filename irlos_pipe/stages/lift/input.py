@@ -52,9 +52,9 @@ def read_ramp(ctx: StageContext, input_name: str) -> Ramp:
     """Return all used frames of the recipe input `input_name`, in order of time; `ctx` has the products."""
     recordings = used_in_time_order(ctx.products["ingest"], input_name)
     introduced_nm = np.concatenate([r.introduced_defocus_nm for r in recordings]).astype(float)
-    images_e, pixel_mask, noise = pooled_images(recordings)
+    images_e, good, noise = pooled_images(recordings)
     listed = good_pixels(model_effects(ctx.instrument, ctx.model, recordings[0]), recordings[0].window)
-    data = RampData(images_e, pixel_mask & torch.as_tensor(listed), noise, introduced_nm)
+    data = RampData(images_e, good & torch.as_tensor(listed), noise, introduced_nm)
     names = [r.name for r in recordings for _ in range(r.frames)]
     return Ramp(recordings, data, names, [i for r in recordings for i in range(r.frames)], introduced_nm)
 
@@ -146,7 +146,7 @@ def ramp_start(
         Elongation prior, scan of defocus, commanded defocus, or zero.
     """
     if start == "scan":
-        return scan_start_nm(model, ramp.data.images_e, ramp.data.pixel_mask)
+        return scan_start_nm(model, ramp.data.images_e, ramp.data.good)
     defocus = ramp.commanded_nm if start == "commanded" else np.zeros(len(ramp.names))
     if start == "elongation" and "prior" in ctx.products:
         defocus = np.array(ctx.products["prior"].arrays["defocus_nm"].value, float) - ncpa_nm.get(4, 0.0)
