@@ -115,19 +115,25 @@ def make_plan(recipe: Recipe, folder: Path, files: Iterable[InputFile], selectio
 
 
 def with_repairs(steps: Sequence[Step]) -> list[Step]:
-    """Return the plan with steps also for products whose arrays are damaged and that another step reads.
+    """Return the plan with damaged products made again.
 
     `make_plan` looks at the metadata of products only, so that planning is quick.
+
+    Raises
+    ------
+    ConfigurationError
+        When a product that ``--from`` builds on is damaged.
     """
-    repaired: list[Step] = []
-    wanted: set[str] = set()
-    for step in reversed(steps):
-        if step.name in wanted and step.action is Action.SKIP and not is_intact(step.path):
-            step = replace(step, action=Action.RUN, reason=DAMAGED, current=False)
-        if step.action is Action.RUN:
-            wanted |= {*reads(STAGES[step.name], [other.name for other in steps])} - {step.name}
-        repaired.append(step)
-    return repaired[::-1]
+    return [_repaired(step, steps) for step in steps]
+
+
+def _repaired(step: Step, steps: Sequence[Step]) -> Step:
+    if step.action not in (Action.SKIP, Action.USE) or is_intact(step.path):
+        return step
+    if step.action is Action.USE:
+        first = next(other.name for other in steps if other.action is not Action.USE)
+        raise _unusable(step.name, first, f"{step.path}: {DAMAGED}")
+    return replace(step, action=Action.RUN, reason=DAMAGED, current=False)
 
 
 def _range(recipe: Recipe, selection: Selection) -> tuple[int, int]:
@@ -153,13 +159,17 @@ def _used_step(name: str, path: Path, parts: dict[str, Any], first: str) -> Step
     try:
         stored = _stored(name, path)
     except InputDataError as error:
-        raise ConfigurationError(
-            f"--from {first}: the product of '{name}' cannot be used ({error}); "
-            f"run with --from {name}, or without --from"
-        ) from error
+        raise _unusable(name, first, str(error)) from error
     outdated = changes(stored["parts"], parts)
     reason = f"used as it is, though {outdated}" if outdated else UP_TO_DATE
     return Step(name, path, stored["key"], stored["parts"], Action.USE, reason, True)
+
+
+def _unusable(name: str, first: str, why: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"--from {first}: the product of '{name}' cannot be used ({why}); "
+        f"run with --from {name}, or without --from"
+    )
 
 
 def _step(name: str, path: Path, parts: dict[str, Any], *, selected: bool, force: bool) -> Step:

@@ -159,6 +159,8 @@ class StoredArrays(Mapping[str, Quantity]):
                 if not self._found:
                     require_unchanged(self._path)
                 with h5py.File(self._path, "r") as file:
+                    if not self._found:
+                        require_self_contained(file)
                     self._found[name] = _read_quantity(file, name)
         return self._found[name]
 

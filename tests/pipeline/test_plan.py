@@ -1,6 +1,7 @@
 """What a run would do, and the reason it gives."""
 
 import sys
+from pathlib import Path
 
 import pytest
 from helpers.running import STAGES, reasons, results, run
@@ -112,16 +113,28 @@ def test_a_damaged_product_is_made_again(bench):
     assert run(bench)[1] == ["calibrate"] and results(bench)["status"] == "ok"
 
 
-def test_a_product_with_damaged_arrays_is_made_again_when_they_are_needed(bench):
-    run(bench)
-    path = bench.output / "01_ingest.h5"
+def damage_arrays(path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[-1] ^= 1
     path.write_bytes(content)
-    assert set(reasons(bench).values()) == {"up to date"}
-    assert run(bench, "calibrate.method=dip_global")[1] == ["ingest", "calibrate"]
+
+
+@pytest.mark.parametrize("product", ["01_ingest.h5", "03_lift.h5"])
+def test_a_product_with_damaged_arrays_is_made_again_whether_or_not_a_stage_reads_it(bench, product):
+    run(bench)
+    damage_arrays(bench.output / product)
+    assert run(bench)[1] == [product[3:-3]]
     assert results(bench)["status"] == "ok"
-    assert run(bench, "calibrate.method=dip_global")[1] == []
+    assert run(bench)[1] == []
+
+
+def test_a_run_from_a_stage_refuses_damaged_arrays_and_leaves_the_results(bench):
+    run(bench)
+    damage_arrays(bench.output / "01_ingest.h5")
+    before = (bench.output / "results.json").read_bytes()
+    with pytest.raises(ConfigurationError, match="product of 'ingest' cannot be used"):
+        run(bench, "calibrate.method=dip_global", selection=Selection("calibrate"))
+    assert (bench.output / "results.json").read_bytes() == before
 
 
 def test_a_product_of_another_stage_in_its_place_is_made_again(bench):

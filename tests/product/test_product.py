@@ -177,7 +177,7 @@ def test_a_product_without_a_checksum_is_read(path):
     assert read_product(path).results["frames"] == 5
 
 
-@pytest.mark.parametrize(
+FORGERIES = pytest.mark.parametrize(
     ("forge", "reason"),
     [
         (
@@ -193,6 +193,9 @@ def test_a_product_without_a_checksum_is_read(path):
         (lambda file: file.__setitem__("arrays/x", file["arrays"]), "not a readable product"),
     ],
 )
+
+
+@FORGERIES
 def test_what_leads_out_of_a_product_or_is_not_in_it_is_refused(path, forge, reason):
     write_product(make_product(), path)
     path.write_bytes(path.read_bytes()[block_of(path) :])
@@ -200,6 +203,19 @@ def test_what_leads_out_of_a_product_or_is_not_in_it_is_refused(path, forge, rea
         forge(file)
     with pytest.raises(InputDataError, match=reason):
         read_product(path, arrays=False)
+
+
+@FORGERIES
+def test_what_leads_out_of_a_sealed_product_is_refused_when_an_array_is_read(path, forge, reason):
+    write_product(make_product(), path)
+    metadata = seal.sealed_metadata(path)
+    with h5py.File(path, "r+") as file:
+        forge(file)
+    content = bytearray(path.read_bytes())
+    seal.seal(memoryview(content), metadata)
+    path.write_bytes(content)
+    with pytest.raises(InputDataError, match=reason):
+        _ = open_product(path).arrays["zernike_nm"]
 
 
 def test_a_file_of_another_kind_is_no_product(path):

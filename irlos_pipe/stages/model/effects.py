@@ -157,7 +157,7 @@ def calibrated_effects(
 
 def _brightest_e(product: Product) -> float:
     """Brightest pixel of the modelled mean image; the mean over cubes that were reduced one by one."""
-    models = [one.value for name, one in product.arrays.items() if name.endswith("model_image_e")]
+    models = [product.arrays[name].value for name in product.arrays if name.endswith("model_image_e")]
     return float(np.mean([np.max(image) for image in models])) if models else float("nan")
 
 
