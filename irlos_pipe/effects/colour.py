@@ -73,7 +73,7 @@ class Spectrum(SamplingEffect):
     name = "spectrum"
     instrumental = False  # belongs to the filter
     public = (
-        number("wavelength_nm", "nm, weighted mean", 300.0, 5000.0, required=False),
+        number("wavelength_nm", "nm, true weighted mean, not its shift", 300.0, 5000.0, required=False),
         number("slope", "1/µm, relative change of the weight", -5.0, 5.0, required=False),
         number("width", "in units of the assumed one", 0.01, 10.0, required=False),
     )

@@ -8,7 +8,7 @@ A new effect is one file here and one line in `irlos_pipe.simulate.effects.catal
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -36,6 +36,19 @@ class Own:
 def own(unit: str, lower: float = -INFINITE, upper: float = INFINITE, default: Any = None) -> Any:
     """Declare a field that only the simulator has: `unit`, limits `lower` and `upper`, and its `default`."""
     return field(default=default, metadata={"own": Own(unit, lower, upper)})
+
+
+def wider(lower: float, upper: float, default: Any = MISSING) -> Any:
+    """Declare a field of which more can be simulated than models accept.
+
+    Parameters
+    ----------
+    lower, upper : float
+        Limits of every number in it.
+    default : optional
+        Without one the field is required.
+    """
+    return field(default=default, metadata={"wider": (lower, upper)})
 
 
 @dataclass(frozen=True)

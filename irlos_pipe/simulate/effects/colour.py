@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.simulate.effects.base import LightEffect, RecordingSetup, own
+from irlos_pipe.simulate.effects.base import LightEffect, RecordingSetup, own, wider
 from irlos_pipe.simulate.light import Band, Ray, mean_centre_nm
 
 
@@ -26,8 +26,8 @@ class Spectrum(LightEffect):
     """
 
     name = "spectrum"
-    wavelength_nm: float | None = None
-    slope: float = 0.0
+    wavelength_nm: float | None = wider(500.0, 5000.0, None)
+    slope: float = wider(-20.0, 20.0, 0.0)
     weights: Sequence[float] | None = own("factor on the photons of each band", 0.0, 1000.0)
 
     def misfit(self, setup: RecordingSetup) -> str:
@@ -53,7 +53,7 @@ class AtmosphericDispersion(LightEffect):
     """Images move by `mas_per_um` about the mean wavelength, towards `angle_deg`."""
 
     name = "atmospheric_dispersion"
-    mas_per_um: float
+    mas_per_um: float = wider(-5000.0, 5000.0)
     angle_deg: float = 0.0
 
     def rays(self, rays: list[Ray]) -> list[Ray]:
@@ -68,7 +68,7 @@ class PlateScale(LightEffect):
     """The pixels are larger on the sky than declared, by a `fraction`."""
 
     name = "plate_scale"
-    fraction: float
+    fraction: float = wider(-1.0, 1.0)
 
     def pixel_scale_mas(self, assumed_mas: float) -> float:
         """See `LightEffect.pixel_scale_mas`."""

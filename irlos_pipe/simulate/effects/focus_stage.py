@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from irlos_pipe.simulate.effects.base import FocusStageEffect, SimulatedEffect, own
+from irlos_pipe.simulate.effects.base import FocusStageEffect, SimulatedEffect, own, wider
 
 REST_NM = 0.0  # where the stage stands before the first move
 
@@ -21,7 +21,7 @@ class FocusStageScale(FocusStageEffect):
     """The introduced defocus is larger than commanded by a `fraction`."""
 
     name = "focus_stage_scale"
-    fraction: float
+    fraction: float = wider(-1.0, 10.0)
 
     def reached_nm(
         self, reached_nm: np.ndarray, commanded_nm: np.ndarray, rng: np.random.Generator
@@ -45,7 +45,7 @@ class FocusStageHysteresis(FocusStageEffect):
     """
 
     name = "focus_stage_hysteresis"
-    nm: float
+    nm: float = wider(-1e4, 1e4)
     scatter_nm: float = own("nm RMS, drawn for every move", 0.0, 5000.0, 0.0)
     direction: float | None = own("+1 or -1, of the move to the first position", -1.0, 1.0)
 
@@ -63,7 +63,7 @@ class FocusStageOffset(FocusStageEffect):
     """Bias `nm` of the commanded positions larger than `above_nm` and smaller than `below_nm`."""
 
     name = "focus_stage_offset"
-    nm: float
+    nm: float = wider(-1e4, 1e4)
     above_nm: float | None = None
     below_nm: float | None = None
 

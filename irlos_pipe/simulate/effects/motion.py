@@ -14,7 +14,7 @@ import numpy as np
 
 from irlos_pipe.conventions.facility import VibrationLine
 from irlos_pipe.simulate.checks import SceneError, require_known
-from irlos_pipe.simulate.effects.base import MotionEffect, own
+from irlos_pipe.simulate.effects.base import MotionEffect, own, wider
 from irlos_pipe.simulate.motion_blur import MotionBlur
 
 JITTER_CORRELATION_S = 0.010
@@ -27,7 +27,7 @@ class TipTiltJitter(MotionEffect):
     """Isotropic Gaussian motion; the mean of a frame is that of its independent positions."""
 
     name = "tip_tilt_jitter"
-    sigma_mas: float
+    sigma_mas: float = wider(0.0, 200.0)
     correlation_s: float = own("s, time after which the image has moved on", 1e-6, 10.0, JITTER_CORRELATION_S)
 
     def blur(self, exposure_s: float, lines: Sequence[VibrationLine], rng: np.random.Generator) -> MotionBlur:
@@ -45,7 +45,7 @@ class Vibration(MotionEffect):
     """
 
     name = "vibration"
-    sigma_mas: float
+    sigma_mas: float = wider(0.0, 200.0)
     angle_deg: float = 0.0
     frequency_hz: float | None = own(
         "Hz; the telescope's strongest line above 20 Hz if left out", 1e-3, 1000.0

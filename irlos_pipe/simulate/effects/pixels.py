@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from irlos_pipe.simulate.detector_model import Pixel, marked, outside_window
-from irlos_pipe.simulate.effects.base import DetectorEffect, RecordingSetup, own
+from irlos_pipe.simulate.effects.base import DetectorEffect, RecordingSetup, own, wider
 from irlos_pipe.simulate.pixels import Pixels, shared
 
 Kind = Literal["hot", "dead", "stuck"]
@@ -32,7 +32,7 @@ class DetectorNonlinearity(DetectorEffect):
     """A further bend of the response, stated as the `fraction_at_peak` that the mean image's peak loses."""
 
     name = "detector_nonlinearity"
-    fraction_at_peak: float
+    fraction_at_peak: float = wider(-0.4, 0.5)
 
     def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
         """See `DetectorEffect.on`."""
@@ -46,7 +46,7 @@ class BackgroundGradient(DetectorEffect):
     """A plane left of pedestal or background: `level_e`, rising by `e_per_pixel` towards `angle_deg`."""
 
     name = "background_gradient"
-    e_per_pixel: float = 0.0
+    e_per_pixel: float = wider(-1e5, 1e6, 0.0)
     angle_deg: float = 0.0
     level_e: float = own("e- per frame, at the centre", -1e6, 1e6, 0.0)
 

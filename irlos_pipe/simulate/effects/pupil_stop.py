@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.simulate.effects.base import PupilEffect
+from irlos_pipe.simulate.effects.base import PupilEffect, wider
 from irlos_pipe.simulate.telescope import Telescope
 
 
@@ -16,9 +16,9 @@ class PupilMisregistration(PupilEffect):
     """An internal stop displaced by (`dx_m`, `dy_m`), and the vanes turned by `rotation_deg`."""
 
     name = "pupil_misregistration"
-    dx_m: float = 0.0
-    dy_m: float = 0.0
-    rotation_deg: float = 0.0
+    dx_m: float = wider(-2.0, 2.0, 0.0)
+    dy_m: float = wider(-2.0, 2.0, 0.0)
+    rotation_deg: float = wider(-720.0, 720.0, 0.0)
 
     @property
     def stop_m(self) -> tuple[float, float] | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.simulate.effects.base import RecordingSetup, WavefrontEffect
+from irlos_pipe.simulate.effects.base import RecordingSetup, WavefrontEffect, wider
 from irlos_pipe.simulate.telescope import Telescope
 
 
@@ -16,7 +16,7 @@ class HighOrderNcpa(WavefrontEffect):
     """Further static modes `zernike_nm`, Noll: nm RMS."""
 
     name = "high_order_ncpa"
-    zernike_nm: Mapping[int, float]
+    zernike_nm: Mapping[int, float] = wider(-1e4, 1e4)
 
     def static_zernike_nm(self, diversity_nm: Mapping[int, float]) -> Mapping[int, float]:
         """See `WavefrontEffect.static_zernike_nm`."""
@@ -28,7 +28,7 @@ class DiversityError(WavefrontEffect):
     """The amplitude of the diversity is larger than declared by `nm`."""
 
     name = "diversity_error"
-    nm: float
+    nm: float = wider(-1e4, 1e4)
 
     def misfit(self, setup: RecordingSetup) -> str:
         """See `SimulatedEffect.misfit`."""
@@ -49,10 +49,10 @@ class PhaseBump(WavefrontEffect):
     """A Gaussian of height `nm` and standard deviation `width_m` at (`x_m`, `y_m`)."""
 
     name = "phase_bump"
-    nm: float
-    x_m: float
-    y_m: float
-    width_m: float
+    nm: float = wider(-1e4, 1e4)
+    x_m: float = wider(-10.0, 10.0)
+    y_m: float = wider(-10.0, 10.0)
+    width_m: float = wider(1e-3, 10.0)
 
     def static_opd_nm(self, telescope: Telescope) -> np.ndarray:
         """See `WavefrontEffect.static_opd_nm`."""
@@ -65,7 +65,7 @@ class NcpaDrift(WavefrontEffect):
     """Modes that grow linearly from nothing to `zernike_nm`, Noll: nm RMS, over the recording."""
 
     name = "ncpa_drift"
-    zernike_nm: Mapping[int, float]
+    zernike_nm: Mapping[int, float] = wider(-1e4, 1e4)
 
     def drift_zernike_nm(self) -> Mapping[int, float]:
         """See `WavefrontEffect.drift_zernike_nm`."""

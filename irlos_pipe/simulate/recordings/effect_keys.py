@@ -64,6 +64,8 @@ def _section(effect: type[SimulatedEffect]) -> type[EffectSection]:
     keys: dict[str, Any] = {}
     for field in dataclasses.fields(effect):
         declared: Public | Own = field.metadata.get("own") or public.get(field.name) or Own("")
+        if limits := field.metadata.get("wider"):
+            declared = dataclasses.replace(declared, lower=limits[0], upper=limits[1])
         names = [field.name, *filter(None, [field.metadata.get("formerly")])]
         keys[field.name] = (
             _type(hints[field.name], declared),
