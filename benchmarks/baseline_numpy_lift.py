@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from irlos_pipe.optics.propagate import MAS
+from irlos_pipe.optics.fourier_matrices import MAS
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.zernike import zernike_basis

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 import solvephase
 
-from irlos_pipe.optics.propagate import MAS
+from irlos_pipe.optics.fourier_matrices import MAS
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 

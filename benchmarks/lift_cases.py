@@ -32,7 +32,7 @@ from irlos_pipe.stages.lift.input import (
     ramp_start,
     read_ramp,
 )
-from irlos_pipe.stages.model.light_path import psf_settings
+from irlos_pipe.stages.model.recording_settings import psf_settings
 
 REALISATIONS, FACTOR, SEED = 10, 0.5, 5
 REPEATS = 5  # of fits that take less than a second; the median counts

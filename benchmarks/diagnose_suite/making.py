@@ -13,8 +13,8 @@ from benchmarks.diagnose_suite.foreign import Image
 from benchmarks.diagnose_suite.planning import plan_case
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import json_text
-from irlos_pipe.simulate.detector import Readout
 from irlos_pipe.simulate.exposure import exposures, telescope_of
+from irlos_pipe.simulate.readout import Readout
 from irlos_pipe.simulate.recordings.files import layout_of
 from irlos_pipe.simulate.recordings.planned import Planned
 

@@ -9,7 +9,7 @@ import torch
 
 from irlos_pipe.diagnose.fitting import Fitted
 from irlos_pipe.diagnose.held_out import HeldOutEvaluation, preference
-from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.refit import CLEARLY_LESS, EXPLAINS_AS_MUCH, Refit
 
 SURE = 3.0  # Vuong's statistic on the held-out frames

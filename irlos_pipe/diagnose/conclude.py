@@ -8,18 +8,24 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from irlos_pipe.diagnose.acceptance import Accepted, Options, Search, threshold
 from irlos_pipe.diagnose.checks.fine_structure import FineStructure, fine_structure
 from irlos_pipe.diagnose.checks.motion import motion_ratio
 from irlos_pipe.diagnose.checks.noise import PHOTONS, SPECKLES, NoiseVerdict
 from irlos_pipe.diagnose.checks.pixels import screened_step, smallest_excess
 from irlos_pipe.diagnose.cube import Cube
-from irlos_pipe.diagnose.decide import Accepted, Options, Search, threshold
+from irlos_pipe.diagnose.effect_sizes import (
+    detectable,
+    determined,
+    parameter_covariance,
+    public_sigma,
+    within_reach,
+)
 from irlos_pipe.diagnose.fitting import Fitted
 from irlos_pipe.diagnose.held_out import HeldOutEvaluation, gap_between
-from irlos_pipe.diagnose.optimum import Optimum
-from irlos_pipe.diagnose.search.detect import Score
+from irlos_pipe.diagnose.null_model import Optimum
+from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.diagnose.second_recording import Advice, SecondRecordings
-from irlos_pipe.diagnose.sizes import detectable, determined, parameter_covariance, public_sigma, within_reach
 from irlos_pipe.diagnose.verdict import EFFECT, NONE, UNKNOWN, Diagnosis, Pictures, Step
 from irlos_pipe.diagnose.view import Screened
 from irlos_pipe.effects import FixedEffect

@@ -9,8 +9,8 @@ from functools import cached_property, partial
 import numpy as np
 
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
-from irlos_pipe.diagnose.optimum import Excess, Optimum
-from irlos_pipe.diagnose.search.detect import Score
+from irlos_pipe.diagnose.null_model import Excess, Optimum
+from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.numerics.parallel import ordered_map

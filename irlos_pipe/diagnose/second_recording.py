@@ -16,11 +16,11 @@ import torch
 from irlos_pipe.conventions.bands import H, J
 from irlos_pipe.diagnose.ambiguity import likeness
 from irlos_pipe.diagnose.cube import Stack, Stacks
+from irlos_pipe.diagnose.effect_sizes import detectable, within_reach
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
-from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.refit import Refit
-from irlos_pipe.diagnose.search.detect import Score, whitened_shapes
-from irlos_pipe.diagnose.sizes import detectable, within_reach
+from irlos_pipe.diagnose.search.scores import Score, whitened_shapes
 from irlos_pipe.effects import Conditions
 from irlos_pipe.estimate.score_test import ABSORBED, MEANINGLESS
 

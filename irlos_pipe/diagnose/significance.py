@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy import special, stats
 
-from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.null_model import Optimum
 
 MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames
 

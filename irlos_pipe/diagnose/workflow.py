@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from irlos_pipe.diagnose.acceptance import Accepted, Options, Search, choose, explained, no_longer_needed
 from irlos_pipe.diagnose.checks.drift import Drift, measure_drift
 from irlos_pipe.diagnose.checks.noise import PHOTONS, judge_all
 from irlos_pipe.diagnose.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnose.conclude import conclude
 from irlos_pipe.diagnose.cube import Cube, split
-from irlos_pipe.diagnose.decide import Accepted, Options, Search, choose, explained, no_longer_needed
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
-from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.refit import Refit, refits
-from irlos_pipe.diagnose.search.detect import Score, families, scores
+from irlos_pipe.diagnose.search.scores import Score, families, scores
 from irlos_pipe.diagnose.verdict import Diagnosis
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.effects import Conditions, Effect

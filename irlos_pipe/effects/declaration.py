@@ -8,7 +8,7 @@ from typing import Literal
 
 from irlos_pipe.conventions.laws import NcpaLaw, ResidualLaw
 from irlos_pipe.optics.psf_settings import PsfSettings
-from irlos_pipe.optics.structure import ResidualBand
+from irlos_pipe.optics.structure_function import ResidualBand
 
 INFINITE = float("inf")
 Plane = Literal["pupil", "otf", "sampling", "time", "detector", "ramp"]

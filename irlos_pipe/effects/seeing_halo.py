@@ -22,9 +22,9 @@ from irlos_pipe.conventions.units import NM
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, direction, number
 from irlos_pipe.effects.planes import OtfEffect
+from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.grids import OtfGrid
-from irlos_pipe.optics.propagate import FocalGrid
-from irlos_pipe.optics.structure import (
+from irlos_pipe.optics.structure_function import (
     InBandResidual,
     ResidualBand,
     fitting_structure_nm2,

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.modes import TIP_TILT
+from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.optics.grids import Optics
-from irlos_pipe.optics.profile import ring_means
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 

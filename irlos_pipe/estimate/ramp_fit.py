@@ -14,7 +14,7 @@ from irlos_pipe.effects.effect_set import NOTHING, labels_of
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import LiftOptions, LiftResult, image_problem, lift, smooth
 from irlos_pipe.estimate.parameters import Layout
-from irlos_pipe.estimate.shared import SharedFit, fit_shared
+from irlos_pipe.estimate.ramp_shared import SharedFit, fit_shared
 from irlos_pipe.estimate.starts import scan_start_nm, start_tilts_nm
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel

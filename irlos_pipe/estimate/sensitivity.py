@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.bound import cramer_rao_nm
+from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
 from irlos_pipe.estimate.lift import LiftOptions, lift
 from irlos_pipe.estimate.lift_problems import alike
 from irlos_pipe.estimate.ramp_fit import RampData

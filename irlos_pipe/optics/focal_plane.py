@@ -7,9 +7,7 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from irlos_pipe.optics.grids import Sampling
-from irlos_pipe.optics.matrix_dft import MatrixDft
-from irlos_pipe.optics.propagate import (
+from irlos_pipe.optics.fourier_matrices import (
     FocalGrid,
     baseline_to_pixels,
     focal_samples_for,
@@ -17,6 +15,8 @@ from irlos_pipe.optics.propagate import (
     quick_fft_length,
     require_resolved,
 )
+from irlos_pipe.optics.grids import Sampling
+from irlos_pipe.optics.matrix_dft import MatrixDft
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 COMPLEX = {torch.float32: torch.complex64, torch.float64: torch.complex128}

@@ -16,8 +16,8 @@ import torch
 
 from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.conventions.units import NM
+from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.phasor import phasor
-from irlos_pipe.optics.propagate import FocalGrid
 from irlos_pipe.optics.pupil import band_limited_pupil
 from irlos_pipe.optics.zernike import zernike_basis
 

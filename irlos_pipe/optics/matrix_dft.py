@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from irlos_pipe.optics.propagate import FocalGrid
+from irlos_pipe.optics.fourier_matrices import FocalGrid
 
 
 def mirrored(array: torch.Tensor) -> torch.Tensor:

@@ -28,11 +28,11 @@ from numpy.polynomial import chebyshev
 
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.numerics.parallel import ordered_map
-from irlos_pipe.optics.colour import Colour
 from irlos_pipe.optics.focal_plane import COMPLEX, FocalPlane
 from irlos_pipe.optics.grids import Grids, Optics, PupilGrid, Sampling, Tangents
 from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, Pullback
 from irlos_pipe.optics.matrix_dft import MatrixDft, mirrored, products_up_to
+from irlos_pipe.optics.monochromatic import Colour
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.zernike import noll_to_nm, zernike_basis
 

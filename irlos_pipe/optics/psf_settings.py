@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.conventions.units import NM
-from irlos_pipe.optics.propagate import pupil_samples_for
+from irlos_pipe.optics.fourier_matrices import pupil_samples_for
 
 # For single frames, see `PsfSettings.for_single_frames`.
 FRAME_PUPIL_SAMPLES = 64

@@ -11,8 +11,8 @@ from pathlib import Path
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
 from irlos_pipe.files.atomic import write_if_changed
 from irlos_pipe.files.json import json_text
+from irlos_pipe.pipeline.execution import Job
 from irlos_pipe.pipeline.inputs import InputFile, input_files, remember
-from irlos_pipe.pipeline.job import Job
 from irlos_pipe.pipeline.outcome import Outcome, assess
 from irlos_pipe.pipeline.plan import Action, Selection, Step, make_plan, with_repairs
 from irlos_pipe.pipeline.provenance import command_line

@@ -14,7 +14,7 @@ from irlos_pipe.conventions.seeing import SPARTA
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.frames.recording import HEADER, PROFILE, RECIPE, SIDECAR, Acquisition, Detector
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.readers.raw import RawRecording
+from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
 
 REQUIRED = ("role", "spectrum", "diversity")  # no value is safe to assume

@@ -9,7 +9,7 @@ from astropy.io import fits
 
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.fitsfile import first_image, has_image, hdu_label, image_array, stem
-from irlos_pipe.readers.raw import RawRecording
+from irlos_pipe.readers.raw_file import RawRecording
 
 LAYOUT = "fits_cube"
 

@@ -16,7 +16,7 @@ from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers import aot, cube, muse_raw, recorder
 from irlos_pipe.readers.fitsfile import has_fits_name, open_fits
-from irlos_pipe.readers.raw import RawRecording
+from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import sidecar_path
 
 

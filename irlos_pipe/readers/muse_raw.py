@@ -15,7 +15,7 @@ from irlos_pipe.conventions.seeing import SPARTA
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.instrument.instrument import Instrument, Mode
 from irlos_pipe.readers.fitsfile import hdu_label, header_number, image_array, stem
-from irlos_pipe.readers.raw import RawRecording
+from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.times import unix_seconds
 
 LAYOUT = "muse_raw"

@@ -12,7 +12,7 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.calibration_files import PREFIX, calibration_files, read_calibration_maps
 from irlos_pipe.readers.fitsfile import has_fits_name, hdu_label, native, open_fits, require_cube, stem
-from irlos_pipe.readers.raw import RawRecording
+from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.times import column, pair_by_counter, unix_seconds
 
 LAYOUT = "sparta_recorder"

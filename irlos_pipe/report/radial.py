@@ -9,7 +9,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from irlos_pipe.frames.detector import star_position
-from irlos_pipe.optics.profile import ring_means
+from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.report.drawing import log_y, svg
 
 SIZE_IN = (4.4, 3.2)

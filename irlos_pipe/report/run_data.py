@@ -14,7 +14,7 @@ from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import Results, read_run_results, results_of
 from irlos_pipe.product.runfolder import existing_run
 from irlos_pipe.product.storage import open_product
-from irlos_pipe.stages.ingest.recordings import Overview, overviews_from_product
+from irlos_pipe.stages.ingest.recording_arrays import Overview, overviews_from_product
 
 
 @dataclass(frozen=True)

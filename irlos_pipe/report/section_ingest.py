@@ -12,7 +12,7 @@ from irlos_pipe.report.content import Section, Table, Text
 from irlos_pipe.report.images import thumbnail
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number, plural
-from irlos_pipe.stages.ingest.recordings import Overview
+from irlos_pipe.stages.ingest.recording_arrays import Overview
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
 
 STAGE = "ingest"

@@ -1,117 +1,102 @@
-"""Raw frames in ADU, and the electrons that a calibration makes of them.
-
-`irlos_pipe.simulate.pixels` argues the order of what happens between photon and converter.
-"""
+"""Constants of the infrared detector."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.simulate.detector_model import ADC_TOP_ADU, marked
-from irlos_pipe.simulate.effects.base import DetectorEffect
-from irlos_pipe.simulate.pixels import Pixels, nominal_pixels, pedestal_map_adu
-from irlos_pipe.simulate.scene import Scene
+from irlos_pipe.conventions.errors import ConfigurationError
 
-DARK_FRAMES = 64  # averaged to the dark image
-FLAT_ERROR = 1e-4  # of the measured flat, relative RMS
-
-
-def pixels_of(scene: Scene, mean_image_e: np.ndarray) -> Pixels:
-    """Return the pixels of a `scene` with its effects.
-
-    Parameters
-    ----------
-    scene : Scene
-    mean_image_e : ndarray, (rows, columns)
-        Mean image, at whose peak a non-linearity is stated [e-].
-    """
-    pixels = nominal_pixels(scene.detector, scene.window, scene.exposure_s)
-    for effect in scene.acting(DetectorEffect):
-        pixels = effect.on(pixels, mean_image_e)
-    return pixels
-
-
-def electrons(scene: Scene, mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return frames as a perfect calibration of the raw ones would: noisy electrons.
-
-    Parameters
-    ----------
-    scene : Scene
-    mean_e : ndarray, (frames, rows, columns)
-        Mean photo-electrons.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    ndarray, (frames, rows, columns), float32
-        Without pedestal and dark, divided by the flat; not rounded to whole ADU [e-].
-    """
-    pixels, detector = pixels_of(scene, mean_e.mean(axis=0, dtype=np.float64)), scene.detector
-    signal_e = pixels.signal_e(mean_e, detector.read_noise_e, rng)
-    top_e = (detector.saturation_adu - detector.pedestal_adu) * detector.e_per_adu
-    read_e = pixels.read(np.minimum(signal_e, top_e), pixels.stuck_e)
-    return _over_flat(read_e - pixels.dark_e * pixels.response, pixels.response).astype(np.float32)
+ADC_TOP_ADU = 65535.0
+Pixel = tuple[int, int]
 
 
 @dataclass(frozen=True)
-class Readout:
-    """Turns the mean images of one recording into what its files hold.
+class DetectorModel:
+    """An avalanche photodiode array (SAPHIRA); pixels are (row, column), electrons are photo-electrons.
 
     Attributes
     ----------
-    pixels : Pixels
-    pedestal_adu : ndarray, (rows, columns)
-        Level of each pixel without light [ADU].
+    e_per_adu : float
+        Gain [e-/ADU], avalanche gain included.
+    read_noise_e : float
+        Noise of a pixel without light, rounding to whole ADU included [e- RMS per frame].
+    pedestal_adu : float
+        Electronic level without light; it carries no shot noise [ADU].
+    fixed_pattern_adu : float
+        Scatter of the pedestal from pixel to pixel [ADU RMS].
+    excess_noise_factor : float
+        F, variance of the photon signal over its Poisson variance; 1.25 is claimed, 1.47 measured.
+    flat_rms : float
+        Scatter of the avalanche gain from pixel to pixel, relative.
+    dark_e_per_s : float
+        Dark current of every pixel [e-/s].
+    dead : tuple of Pixel
+        Pixels that do not respond to light; the map of dead pixels shows them.
+    hot_e_per_s : tuple of (Pixel, float)
+        Pixels with a dark current of their own [e-/s]; the dark image shows them.
+    crosstalk_fraction : float
+        Charge that diffuses from a pixel to its four neighbours together, before the multiplication.
+    coupling_fraction : float
+        Signal that a pixel induces in its four neighbours together (inter-pixel capacitance), after
+        the multiplication: it correlates the noise, diffusion does not.
+    nonlinearity_per_e : float
+        k of the response ``s (1 - k s)`` [1/e-].
+    full_well_e : float
+        Signal at which a pixel stops collecting [e-].
+    saturation_adu : float
+        Level that nothing exceeds; raw frames end at 65535 in any case [ADU].
+    pattern_seed : int
+        Of everything that is fixed in the detector: pedestal and gain of each pixel.
     """
 
-    pixels: Pixels
-    pedestal_adu: np.ndarray
+    e_per_adu: float = 0.5
+    read_noise_e: float = 1.0
+    pedestal_adu: float = 200.0
+    fixed_pattern_adu: float = 0.0
+    excess_noise_factor: float = 1.0
+    flat_rms: float = 0.0
+    dark_e_per_s: float = 0.0
+    dead: tuple[Pixel, ...] = ()
+    hot_e_per_s: tuple[tuple[Pixel, float], ...] = ()
+    crosstalk_fraction: float = 0.0
+    coupling_fraction: float = 0.0
+    nonlinearity_per_e: float = 0.0
+    full_well_e: float = float("inf")
+    saturation_adu: float = float("inf")
+    pattern_seed: int = 0
 
-    @classmethod
-    def of(cls, scene: Scene, mean_image_e: np.ndarray) -> Readout:
-        """Return the read-out of a `scene` with the mean image `mean_image_e`, (rows, columns) [e-].
+    @property
+    def analogue_noise_e(self) -> float:
+        """Read noise before rounding to whole ADU, which adds ``e_per_adu / sqrt(12)`` [e- RMS].
 
         Raises
         ------
         ConfigurationError
-            When read noise and gain contradict each other.
+            When rounding alone is noisier than `read_noise_e`.
         """
-        _ = scene.detector.analogue_noise_e
-        return cls(pixels_of(scene, mean_image_e), pedestal_map_adu(scene.detector, scene.window))
-
-    @property
-    def top_adu(self) -> int:
-        """Return the highest value of a raw frame [ADU]."""
-        return int(min(self.pixels.detector.saturation_adu, ADC_TOP_ADU))
-
-    def frames_adu(self, mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return raw frames (..., rows, columns) uint16 [ADU] of mean `mean_e` [e-] with noise of `rng`."""
-        signal_e = self.pixels.signal_e(mean_e, self.pixels.detector.analogue_noise_e, rng)
-        return self.pixels.read(self._converted(signal_e), self._converted(self.pixels.stuck_e))
-
-    def dark_adu(self, rng: np.random.Generator) -> np.ndarray:
-        """Return the mean of `DARK_FRAMES` raw frames without light, (rows, columns) float32 [ADU]."""
-        signal_e = self.pixels.dark_signal_e(DARK_FRAMES, self.pixels.detector.analogue_noise_e, rng)
-        return self._converted(signal_e).mean(axis=0, dtype=np.float64).astype(np.float32)
-
-    def flat(self, rng: np.random.Generator) -> np.ndarray | None:
-        """Return the relative response as measured, (rows, columns) float32; None for a uniform detector."""
-        if self.pixels.detector.flat_rms == 0:
-            return None
-        error = 1 + FLAT_ERROR * rng.standard_normal(self.pixels.response.shape)
-        return (self.pixels.response * error).astype(np.float32)
-
-    def dead(self) -> np.ndarray:
-        """Return the map of dead pixels, (rows, columns) uint8: 1 is dead."""
-        return marked(self.pixels.detector.dead, self.pedestal_adu.shape).astype(np.uint8)
-
-    def _converted(self, signal_e: np.ndarray) -> np.ndarray:
-        level_adu = np.rint(np.nan_to_num(signal_e) / self.pixels.detector.e_per_adu + self.pedestal_adu)
-        return np.clip(level_adu, 0, self.top_adu).astype(np.uint16)
+        rest_e2 = self.read_noise_e**2 - self.e_per_adu**2 / 12
+        if rest_e2 < 0:
+            raise ConfigurationError(
+                f"detector: read_noise_e = {self.read_noise_e:g} is below the noise of rounding, "
+                f"e_per_adu/sqrt(12) = {self.e_per_adu / 12**0.5:.3g} e-; raise it, or lower e_per_adu"
+            )
+        return float(np.sqrt(rest_e2))
 
 
-def _over_flat(signal_e: np.ndarray, response: np.ndarray) -> np.ndarray:
-    """Divide by the response; dead pixels keep what they read."""
-    return signal_e / np.where(response > 0, response, 1.0)
+def outside_window(where: str, pixels: Iterable[Pixel], window: tuple[int, int]) -> str:
+    """Return which of the `pixels` given as `where` lies outside a `window`; empty if none does."""
+    for pixel in pixels:
+        if pixel[0] >= window[0] or pixel[1] >= window[1]:
+            return f"{where}: pixel {list(pixel)} lies outside the window of {list(window)} (rows, columns)"
+    return ""
+
+
+def marked(pixels: Iterable[Pixel], window: tuple[int, ...]) -> np.ndarray:
+    """Return True at the listed `pixels` (row, column), (rows, columns) as the `window` has."""
+    mask = np.zeros(window, dtype=bool)
+    for row, column in pixels:
+        mask[row, column] = True
+    return mask

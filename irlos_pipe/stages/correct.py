@@ -18,9 +18,9 @@ from irlos_pipe.optics.wavefront import clear_pupil, opd_maps_nm
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.product.results import ByNoll, Number, StageResults
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.ingest.recordings import recordings_from_product
+from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.effects import calibrated_effects
-from irlos_pipe.stages.model.light_path import psf_settings, seeing_arcsec
+from irlos_pipe.stages.model.recording_settings import psf_settings, seeing_arcsec
 
 NAME = "correct"
 VERSION = 3

@@ -17,11 +17,11 @@ from irlos_pipe.frames.recording import Recording
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.product.results import Number, ResultsPart, StageResults, results_of
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.calibrate.each import CubeEstimate, cube_estimates
 from irlos_pipe.stages.calibrate.input import cube_input
+from irlos_pipe.stages.calibrate.per_recording import CubeEstimate, cube_estimates
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
-from irlos_pipe.stages.ingest.recordings import recordings_from_product
+from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 
 NAME = "modes"
 VERSION = 4

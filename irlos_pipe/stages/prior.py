@@ -18,7 +18,7 @@ from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.product.results import Number, ResultsPart, StageResults
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.model.effects import good_pixels, model_effects
-from irlos_pipe.stages.model.light_path import psf_settings, used_in_time_order
+from irlos_pipe.stages.model.recording_settings import psf_settings, used_in_time_order
 
 NAME = "prior"
 VERSION = 2

@@ -34,7 +34,7 @@ from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.recipe import load_recipe
 from irlos_pipe.simulate.effects.catalogue import effects_of
 from irlos_pipe.simulate.recordings.series import plan_recordings
-from irlos_pipe.simulate.recordings.side_car import side_car
+from irlos_pipe.simulate.recordings.sidecar import side_car
 from irlos_pipe.simulate.recordings.spec import load_spec
 
 CASES = all_cases()

@@ -30,12 +30,12 @@ from irlos_pipe.diagnose.checks.motion import motion_ratio
 from irlos_pipe.diagnose.checks.noise import judge_noise
 from irlos_pipe.diagnose.checks.pixels import outstanding_pixels, screened_step
 from irlos_pipe.diagnose.cube import split
+from irlos_pipe.diagnose.effect_sizes import detectable, determined, public_sigma
 from irlos_pipe.diagnose.fitting import most_plausible
 from irlos_pipe.diagnose.held_out import Gap, HeldOutEvaluation, noise_floor, preference
 from irlos_pipe.diagnose.search.companion_search import brightest_copies
-from irlos_pipe.diagnose.search.detect import Family, Score, families, score_family, scores, whitened_shapes
+from irlos_pipe.diagnose.search.scores import Family, Score, families, score_family, scores, whitened_shapes
 from irlos_pipe.diagnose.significance import gaussian_sigma
-from irlos_pipe.diagnose.sizes import detectable, determined, public_sigma
 from irlos_pipe.diagnose.view import Screened
 from irlos_pipe.effects import CATALOGUE, FixedEffect, Parameter, TipTiltJitter
 from irlos_pipe.effects.companion import Companion

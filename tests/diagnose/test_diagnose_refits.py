@@ -15,21 +15,21 @@ from helpers.diagnose_frames import CONDITIONS, NOLLS, TRUE_NM, WINDOW, cube, fi
 from helpers.optics_cases import vector
 from scipy import stats
 
+from irlos_pipe.diagnose.acceptance import by_plausibility
 from irlos_pipe.diagnose.checks.noise import judge_all
 from irlos_pipe.diagnose.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnose.cube import split
-from irlos_pipe.diagnose.decide import by_plausibility
+from irlos_pipe.diagnose.effect_sizes import public_sigma
 from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.held_out import HeldOutEvaluation
-from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.refit import is_rival, refits
-from irlos_pipe.diagnose.search.detect import Family, families, score_family, scores
+from irlos_pipe.diagnose.search.scores import Family, families, score_family, scores
 from irlos_pipe.diagnose.significance import gaussian_sigma
-from irlos_pipe.diagnose.sizes import public_sigma
 from irlos_pipe.diagnose.view import View
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.colour import PlateScale
-from irlos_pipe.effects.pixels import BackgroundGradient
+from irlos_pipe.effects.detector import BackgroundGradient
 from irlos_pipe.numerics.parallel import workers
 
 

@@ -11,7 +11,7 @@ from scipy.special import j0
 
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.bessel import j0_of_twice_root
-from irlos_pipe.effects.pixels import BadPixels, DetectorNonlinearity
+from irlos_pipe.effects.detector import BadPixels, DetectorNonlinearity
 
 CONTRACT = {
     "tip_tilt_jitter", "vibration", "seeing_halo", "atmospheric_dispersion", "spectrum", "plate_scale",

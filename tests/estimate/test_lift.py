@@ -7,7 +7,7 @@ import torch
 from helpers import optics_cases as cases
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.bound import cramer_rao_nm
+from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
 from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
 from irlos_pipe.estimate.lift import LiftOptions, image_problem, lift
 from irlos_pipe.estimate.lift_problems import PhotonFit
@@ -16,7 +16,7 @@ from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.optics.propagate import MAS
+from irlos_pipe.optics.fourier_matrices import MAS
 from irlos_pipe.optics.psf import PsfModel
 
 TWO_COLOURS = ((1215.0, 1.0), (1625.0, 1.0))

@@ -7,7 +7,7 @@ import torch
 from helpers.optics_cases import BAND, NARROW_H, RESIDUAL_LAW, settings
 
 from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter, expected
-from irlos_pipe.effects.pixels import InterpixelCrosstalk
+from irlos_pipe.effects.detector import InterpixelCrosstalk
 from irlos_pipe.estimate.ramp_fit import ramp_effects
 from irlos_pipe.optics.grids import Grids
 from irlos_pipe.optics.psf import PsfModel

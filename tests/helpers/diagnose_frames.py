@@ -20,7 +20,7 @@ from helpers.optics_cases import (
 )
 from irlos_pipe.diagnose.cube import Cube, Stacks, split
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
-from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.view import View
 from irlos_pipe.effects import Conditions
 from irlos_pipe.effects.image_model import ImageModel

@@ -12,7 +12,7 @@ import yaml
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.product.product import Check, Product, Quantity
 from irlos_pipe.product.storage import write_product
-from irlos_pipe.stages.ingest.recordings import arrays_from_recording
+from irlos_pipe.stages.ingest.recording_arrays import arrays_from_recording
 
 SIDE = 12
 OFFSETS_NM = (-100.0, 100.0, 0.0)

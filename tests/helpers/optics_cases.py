@@ -11,7 +11,7 @@ from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
-from irlos_pipe.optics.structure import ResidualBand
+from irlos_pipe.optics.structure_function import ResidualBand
 
 FACILITY = load_instrument("irlos").facility
 UT4, RESIDUAL_LAW, NCPA_LAW = FACILITY.pupil, FACILITY.residual_law, FACILITY.ncpa_law

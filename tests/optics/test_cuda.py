@@ -18,14 +18,14 @@ from irlos_pipe.diagnose.checks.drift import measure_drift
 from irlos_pipe.diagnose.cube import split
 from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.held_out import HeldOutEvaluation
-from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.search.companion_search import companion_gains
-from irlos_pipe.diagnose.search.detect import families, scores
+from irlos_pipe.diagnose.search.scores import families, scores
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.effects import Conditions, TipTiltJitter
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.bound import cramer_rao_nm
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.elongation import calibrate_law
 from irlos_pipe.estimate.lift import LiftOptions

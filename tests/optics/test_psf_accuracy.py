@@ -14,7 +14,7 @@ from helpers.reference_psf import reference
 from scipy.special import j1
 
 from irlos_pipe.conventions.pupil import PupilGeometry
-from irlos_pipe.optics.propagate import FocalGrid, baseline_to_pixels
+from irlos_pipe.optics.fourier_matrices import FocalGrid, baseline_to_pixels
 from irlos_pipe.optics.psf import PsfModel
 
 NOLLS = tuple(range(2, 52))

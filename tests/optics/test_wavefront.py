@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers.optics_cases import UT4
 
-from irlos_pipe.optics.profile import ring_means
+from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.optics.psf_settings import KnownWavefront
 from irlos_pipe.optics.wavefront import clear_disc, clear_pupil, modes_at, opd_maps_nm
 

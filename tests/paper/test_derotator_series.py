@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irlos_pipe.estimate.derotation import Series, split_series, usable_modes
+from irlos_pipe.estimate.derotator import Series, split_series, usable_modes
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.zernike import zernike_basis
 from irlos_pipe.paper.common.phase_bump import phase_bump_nm, ridge_nm

@@ -12,9 +12,9 @@ from irlos_pipe.effects import SeeingHalo
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.grids import OtfGrid
-from irlos_pipe.optics.propagate import FocalGrid
-from irlos_pipe.optics.structure import ResidualBand
+from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.variants import DEFAULT, VARIANTS, partial_halo, sharpest_half
 from irlos_pipe.paper.methods.experiment import Sample, compare, speckle_floor_nm

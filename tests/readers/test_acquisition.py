@@ -9,7 +9,7 @@ from helpers.sparta_files import sidecar, write_sidecar
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.acquisition import resolve
-from irlos_pipe.readers.raw import RawRecording
+from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
 
 IRLOS = load_instrument("irlos")

@@ -12,7 +12,7 @@ from irlos_pipe.conventions.seeing import SeeingScale
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.acquisition import resolve
 from irlos_pipe.readers.find import read_recordings
-from irlos_pipe.readers.raw import RawRecording
+from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
 IRLOS = load_instrument("irlos")

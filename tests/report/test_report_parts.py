@@ -6,7 +6,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from irlos_pipe.optics.profile import ring_means
+from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.optics.zernike import zernike
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.report.drawing import BLUE, CYCLE, INK, log_y, svg

@@ -14,9 +14,9 @@ import pytest
 from helpers.simulated_scenes import FACILITY
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.simulate.detector import Readout, electrons
-from irlos_pipe.simulate.detector_model import DetectorModel
+from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.light import Band
+from irlos_pipe.simulate.readout import Readout, electrons
 from irlos_pipe.simulate.scene import Scene
 
 WINDOW = (40, 48)

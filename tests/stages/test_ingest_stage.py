@@ -28,7 +28,11 @@ from irlos_pipe.product.product import Product
 from irlos_pipe.product.storage import read_product, write_product
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest import stage as ingest
-from irlos_pipe.stages.ingest.recordings import overviews_from_product, recordings_from_product, screened_e
+from irlos_pipe.stages.ingest.recording_arrays import (
+    overviews_from_product,
+    recordings_from_product,
+    screened_e,
+)
 from irlos_pipe.stages.model.section import ModelConfig
 
 SHARED = paths.SHARED / "samples"

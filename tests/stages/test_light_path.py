@@ -8,8 +8,8 @@ import pytest
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.optics.structure import ResidualBand
-from irlos_pipe.stages.model.light_path import psf_settings, residual_band, seeing_arcsec
+from irlos_pipe.optics.structure_function import ResidualBand
+from irlos_pipe.stages.model.recording_settings import psf_settings, residual_band, seeing_arcsec
 from irlos_pipe.stages.model.section import ModelConfig
 
 IRLOS = load_instrument("irlos")

@@ -15,7 +15,7 @@ import torch
 
 from irlos_pipe.conventions.units import cutoff_per_px
 from irlos_pipe.diagnose.cube import Stack
-from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.estimate.cube import local_mean
 from irlos_pipe.optics.psf_settings import PsfSettings
 

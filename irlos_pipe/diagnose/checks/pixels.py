@@ -13,13 +13,13 @@ import numpy as np
 import torch
 
 from irlos_pipe.diagnose.held_out import Gap
-from irlos_pipe.diagnose.optimum import Optimum
-from irlos_pipe.diagnose.search.detect import Family
+from irlos_pipe.diagnose.null_model import Optimum
+from irlos_pipe.diagnose.search.scores import Family
 from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.diagnose.verdict import Step
 from irlos_pipe.diagnose.view import Screened
 from irlos_pipe.effects import FixedEffect
-from irlos_pipe.effects.pixels import BadPixels
+from irlos_pipe.effects.detector import BadPixels
 
 OUTSTANDING = 50.0  # fall of χ² by a pixel's own offset: 7 σ, one of some thousand pixels
 ALONE = 4.0  # times the largest residual of the neighbours

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.companion import INNER_MAS
 

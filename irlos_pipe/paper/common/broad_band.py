@@ -11,7 +11,7 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.paper.common.cube import DIVERSITY_NM, JITTER_MAS
 from irlos_pipe.paper.common.observation import settings_of
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.detector_model import DetectorModel
+from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.scene import Sampling, Scene

@@ -17,7 +17,7 @@ from irlos_pipe.optics.wavefront import modes_at, opd_maps_nm
 from irlos_pipe.paper.common.observation import frames_of, model_effects_of, settings_of
 from irlos_pipe.paper.common.variants import Variant
 from irlos_pipe.simulate.atmosphere import Shape, Sky
-from irlos_pipe.simulate.detector_model import DetectorModel
+from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.exposure import Exposed, expose
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion

@@ -16,9 +16,9 @@ from irlos_pipe.effects import Conditions, Effect, SeeingHalo, TipTiltJitter
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
-from irlos_pipe.optics.structure import ResidualBand
-from irlos_pipe.simulate.detector import electrons
+from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.simulate.exposure import Exposed
+from irlos_pipe.simulate.readout import electrons
 from irlos_pipe.simulate.scene import Scene
 
 SIDE_CAR_POINTS = 3  # wavelengths per band that a side-car lists

@@ -6,7 +6,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.optics.profile import ring_means
+from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.paper.common.section import array_of
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
 from irlos_pipe.paper.correction_gain.results import CorrectionGainResults, SeeingRow

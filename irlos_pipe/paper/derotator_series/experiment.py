@@ -10,7 +10,7 @@ import numpy as np
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.modes import REPORTED_NOLLS, TIP_TILT
-from irlos_pipe.estimate.derotation import Series, Split
+from irlos_pipe.estimate.derotator import Series, Split
 from irlos_pipe.optics.rotation import partner, rotation_matrix
 from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM, NARROW_H, NARROW_THROUGHPUT, ObservedCube
 from irlos_pipe.paper.common.phase_bump import phase_bump_nm

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from pydantic import Field
 
-from irlos_pipe.estimate.derotation import Series, try_both_senses, usable_modes
+from irlos_pipe.estimate.derotator import Series, try_both_senses, usable_modes
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.variants import frames_per_method
 from irlos_pipe.paper.derotator_series.experiment import (

@@ -9,7 +9,7 @@ import numpy as np
 
 from irlos_pipe.paper.slow_loop.frames import FrameTable
 from irlos_pipe.paper.slow_loop.sensor import FocusSensor
-from irlos_pipe.simulate.detector import electrons
+from irlos_pipe.simulate.readout import electrons
 from irlos_pipe.simulate.scene import Scene
 
 

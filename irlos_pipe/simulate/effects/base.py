@@ -16,9 +16,9 @@ import numpy as np
 from irlos_pipe.conventions.facility import Facility, VibrationLine
 from irlos_pipe.conventions.pupil import PupilGeometry
 from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.simulate.charge import Pixels
 from irlos_pipe.simulate.light import Band, Ray
 from irlos_pipe.simulate.motion_blur import MotionBlur
-from irlos_pipe.simulate.pixels import Pixels
 from irlos_pipe.simulate.telescope import Telescope
 
 INFINITE = float("inf")

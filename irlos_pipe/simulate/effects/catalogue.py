@@ -10,15 +10,15 @@ from irlos_pipe.simulate.checks import SceneError, require_known
 from irlos_pipe.simulate.effects.base import SimulatedEffect
 from irlos_pipe.simulate.effects.colour import AtmosphericDispersion, PlateScale, Spectrum
 from irlos_pipe.simulate.effects.companion import Companion
-from irlos_pipe.simulate.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
-from irlos_pipe.simulate.effects.low_wind import LowWindEffect
-from irlos_pipe.simulate.effects.motion import TipTiltJitter, Vibration
-from irlos_pipe.simulate.effects.pixels import (
+from irlos_pipe.simulate.effects.detector import (
     BackgroundGradient,
     BadPixels,
     DetectorNonlinearity,
     InterpixelCrosstalk,
 )
+from irlos_pipe.simulate.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
+from irlos_pipe.simulate.effects.low_wind import LowWindEffect
+from irlos_pipe.simulate.effects.motion import TipTiltJitter, Vibration
 from irlos_pipe.simulate.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
 from irlos_pipe.simulate.effects.seeing_halo import SeeingHalo
 from irlos_pipe.simulate.effects.wavefront import DiversityError, HighOrderNcpa, NcpaDrift, PhaseBump

@@ -10,9 +10,9 @@ import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.files.yaml import yaml_text
-from irlos_pipe.simulate.detector import Readout
+from irlos_pipe.simulate.readout import Readout
 from irlos_pipe.simulate.recordings.planned import LOOP_HZ, Planned
-from irlos_pipe.simulate.recordings.side_car import side_car
+from irlos_pipe.simulate.recordings.sidecar import side_car
 from irlos_pipe.simulate.scene import Scene
 
 UNSIGNED = 32768  # FITS has no unsigned integers: what is added to the stored ones

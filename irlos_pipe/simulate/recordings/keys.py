@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from irlos_pipe.simulate.atmosphere import Shape, Sky
-from irlos_pipe.simulate.detector_model import ADC_TOP_ADU, DetectorModel
+from irlos_pipe.simulate.detector import ADC_TOP_ADU, DetectorModel
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.scene import Sampling
 

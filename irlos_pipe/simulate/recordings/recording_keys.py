@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from irlos_pipe.simulate.detector_model import outside_window
+from irlos_pipe.simulate.detector import outside_window
 from irlos_pipe.simulate.effects.base import RecordingSetup
 from irlos_pipe.simulate.effects.catalogue import effects_of
 from irlos_pipe.simulate.recordings.effect_keys import EffectKeys

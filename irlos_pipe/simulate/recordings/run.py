@@ -14,10 +14,10 @@ from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
 from irlos_pipe.files.atomic import write_if_changed
 from irlos_pipe.product.runfolder import owned_folder
 from irlos_pipe.simulate.recordings.folder import SimulationFolder
-from irlos_pipe.simulate.recordings.making import LOG, make_all
 from irlos_pipe.simulate.recordings.planned import Planned
 from irlos_pipe.simulate.recordings.series import plan_recordings
 from irlos_pipe.simulate.recordings.spec import Spec
+from irlos_pipe.simulate.recordings.workers import LOG, make_all
 
 FORCED, UP_TO_DATE = "--force", "up to date"
 

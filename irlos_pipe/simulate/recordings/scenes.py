@@ -15,7 +15,7 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.detector_model import DetectorModel
+from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.effects.base import FocusStageEffect
 from irlos_pipe.simulate.effects.catalogue import EFFECTS
 from irlos_pipe.simulate.light import Band

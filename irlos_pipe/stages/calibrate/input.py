@@ -14,7 +14,7 @@ from irlos_pipe.frames.recording import Recording
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.model.effects import good_pixels, image_effects, model_effects
-from irlos_pipe.stages.model.light_path import pooled_images, psf_settings
+from irlos_pipe.stages.model.recording_settings import pooled_images, psf_settings
 
 
 @dataclass(frozen=True)

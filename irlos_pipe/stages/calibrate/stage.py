@@ -12,11 +12,11 @@ from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, cal
 from irlos_pipe.estimate.parameters import NcpaPrior
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.calibrate.each import Cube, each_output
 from irlos_pipe.stages.calibrate.input import cube_input
 from irlos_pipe.stages.calibrate.output import Limits, joint_output, wfe_nm
-from irlos_pipe.stages.ingest.recordings import recordings_from_product
-from irlos_pipe.stages.model.light_path import require_one_setup, seeing_arcsec
+from irlos_pipe.stages.calibrate.per_recording import Cube, each_output
+from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
+from irlos_pipe.stages.model.recording_settings import require_one_setup, seeing_arcsec
 
 NAME = "calibrate"
 VERSION = 7

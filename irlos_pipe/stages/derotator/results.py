@@ -25,7 +25,7 @@ class PartRow(ResultsPart):
 
 
 class ConsistencyRow(ResultsPart):
-    """Mean RMS difference between two angles, see `estimate.derotation.Consistency`."""
+    """Mean RMS difference between two angles, see `estimate.derotator.Consistency`."""
 
     measured_nm: Number = math.nan
     turned_back_nm: Number = math.nan

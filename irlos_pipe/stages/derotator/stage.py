@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import Field
 
 from irlos_pipe.conventions.errors import ConfigurationError
-from irlos_pipe.estimate.derotation import Series, split_series, try_both_senses, usable_modes
+from irlos_pipe.estimate.derotator import Series, split_series, try_both_senses, usable_modes
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.calibrate.each import CubeEstimate, cube_estimates
+from irlos_pipe.stages.calibrate.per_recording import CubeEstimate, cube_estimates
 from irlos_pipe.stages.calibrate.results import AngleRow
 from irlos_pipe.stages.derotator.output import SplitOutput, rms_nm, series_arrays
 from irlos_pipe.stages.derotator.results import DerotatorResults

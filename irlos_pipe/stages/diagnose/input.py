@@ -8,8 +8,8 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.diagnose.view import Screened
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.product.product import Product
-from irlos_pipe.stages.ingest.recordings import recordings_from_product, screened_e
-from irlos_pipe.stages.model.light_path import differences, in_time_order
+from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product, screened_e
+from irlos_pipe.stages.model.recording_settings import differences, in_time_order
 
 COMMON = {"pixel_scale_mas": "pixel scale", "derotator_angle_deg": "derotator angle"}
 

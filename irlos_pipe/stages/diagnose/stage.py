@@ -10,7 +10,7 @@ import torch
 from pydantic import Field
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.diagnose.decide import Options
+from irlos_pipe.diagnose.acceptance import Options
 from irlos_pipe.diagnose.verdict import Diagnosis
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.diagnose.workflow import diagnose
@@ -29,7 +29,7 @@ from irlos_pipe.stages.diagnose.output import (
 )
 from irlos_pipe.stages.diagnose.ramp import run_on_ramp
 from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects
-from irlos_pipe.stages.model.light_path import pooled_images
+from irlos_pipe.stages.model.recording_settings import pooled_images
 
 NAME = "diagnose"
 VERSION = 8

@@ -16,7 +16,7 @@ from irlos_pipe.frames.measured_noise import mean_variance
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.acquisition import Resolved, resolve
 from irlos_pipe.readers.find import read_recordings, recording_files, unique_name
-from irlos_pipe.readers.raw import RawRecording
+from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
 

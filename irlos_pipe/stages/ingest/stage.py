@@ -20,8 +20,8 @@ from irlos_pipe.readers.find import recording_files
 from irlos_pipe.readers.times import frames_missing, relative_times
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.ingest.config import Config
-from irlos_pipe.stages.ingest.recordings import arrays_of
-from irlos_pipe.stages.ingest.report import checks, dark_row, row, summary
+from irlos_pipe.stages.ingest.output import checks, dark_row, row, summary
+from irlos_pipe.stages.ingest.recording_arrays import arrays_of
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
 from irlos_pipe.stages.ingest.sources import Source, read_sources, with_darks
 

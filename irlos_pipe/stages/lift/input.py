@@ -17,7 +17,7 @@ from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.model.effects import calibrated_effects, good_pixels, image_effects, model_effects
-from irlos_pipe.stages.model.light_path import pooled_images, psf_settings, used_in_time_order
+from irlos_pipe.stages.model.recording_settings import pooled_images, psf_settings, used_in_time_order
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.model.effect_entry import EffectEntry
-from irlos_pipe.stages.model.light_path import psf_settings, residual_band, seeing_arcsec
+from irlos_pipe.stages.model.recording_settings import psf_settings, residual_band, seeing_arcsec
 from irlos_pipe.stages.model.section import ModelConfig
 
 

@@ -18,7 +18,7 @@ from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.acquisition import resolve
 from irlos_pipe.readers.find import read_recordings, recording_files
 from irlos_pipe.readers.sidecar import AcquisitionKeys
-from irlos_pipe.simulate.detector import Readout
+from irlos_pipe.simulate.readout import Readout
 from irlos_pipe.simulate.recordings.files import layout_of
 from irlos_pipe.simulate.recordings.planned import Planned
 from irlos_pipe.simulate.recordings.series import plan_recordings

@@ -12,11 +12,11 @@ from irlos_pipe.conventions.units import NM
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.optics.propagate import require_resolved
+from irlos_pipe.optics.fourier_matrices import require_resolved
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
-from irlos_pipe.optics.structure import ResidualBand
+from irlos_pipe.optics.structure_function import ResidualBand
 from irlos_pipe.product.product import Product
-from irlos_pipe.stages.ingest.recordings import recordings_from_product
+from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.section import ModelConfig
 
 SETUP_KEYS = {key: key for key in ("pixel_scale_mas", "spectrum", "diversity")}

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import torch
 
-from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.search.companion_search import around, brightest_copies
 from irlos_pipe.diagnose.significance import significance_of
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect

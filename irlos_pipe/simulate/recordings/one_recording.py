@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.simulate.detector import Readout
 from irlos_pipe.simulate.exposure import exposures
+from irlos_pipe.simulate.readout import Readout
 from irlos_pipe.simulate.recordings.files import layout_of
 from irlos_pipe.simulate.recordings.planned import Planned
 from irlos_pipe.simulate.recordings.truth import WavefrontTruth, truth_content

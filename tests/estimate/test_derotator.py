@@ -4,7 +4,7 @@ errors against Monte Carlo; the variance for equal errors against the textbook f
 import numpy as np
 import pytest
 
-from irlos_pipe.estimate.derotation import Series, consistency, split_series, try_both_senses, usable_modes
+from irlos_pipe.estimate.derotator import Series, consistency, split_series, try_both_senses, usable_modes
 from irlos_pipe.optics.zernike import zernike_basis
 
 NOLLS = tuple(range(4, 29))

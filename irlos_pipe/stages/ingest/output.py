@@ -12,9 +12,9 @@ from irlos_pipe.frames.detector import star_position
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.frames.screening import SATURATED, tally
 from irlos_pipe.product.product import Check
-from irlos_pipe.readers.raw import RawRecording
+from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.stages.ingest.config import Config
-from irlos_pipe.stages.ingest.recordings import found_bad
+from irlos_pipe.stages.ingest.recording_arrays import found_bad
 from irlos_pipe.stages.ingest.results import RecordingRow
 from irlos_pipe.stages.ingest.sources import Source
 

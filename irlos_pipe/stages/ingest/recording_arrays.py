@@ -15,7 +15,7 @@ from irlos_pipe.frames.cleaning import Cleaned
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import results_of
-from irlos_pipe.readers.raw import RawRecording
+from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.stages.ingest.results import IngestResults
 
 ROOT = "recordings"

@@ -13,9 +13,9 @@ from irlos_pipe.diagnose.checks.motion import MOVING, motion_ratio
 from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.held_out import HeldOutEvaluation, preference
-from irlos_pipe.diagnose.optimum import Optimum
+from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.refit import PER_PARAMETER, Refit
-from irlos_pipe.diagnose.search.detect import Score
+from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.diagnose.verdict import Ranked
 from irlos_pipe.numerics.parallel import ordered_map
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from irlos_pipe.simulate.detector_model import ADC_TOP_ADU, DetectorModel
+from irlos_pipe.simulate.detector import ADC_TOP_ADU, DetectorModel
 from irlos_pipe.simulate.recordings.planned import Defocus, Planned
 from irlos_pipe.simulate.scene import Scene
 

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import NM
-from irlos_pipe.optics.propagate import half_plane_counts
+from irlos_pipe.optics.fourier_matrices import half_plane_counts
 
 
 class Colour(NamedTuple):

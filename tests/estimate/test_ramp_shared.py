@@ -12,7 +12,7 @@ from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import image_problem, smooth
 from irlos_pipe.estimate.parameters import Layout
-from irlos_pipe.estimate.shared import SharedFit, fit_shared
+from irlos_pipe.estimate.ramp_shared import SharedFit, fit_shared
 from irlos_pipe.optics.psf import PsfModel
 
 NOLLS = (2, 3, 4)

@@ -17,7 +17,7 @@ from scipy.special import gamma, j0, kv
 from irlos_pipe.effects import EffectSet, SeeingHalo
 from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.optics.structure import (
+from irlos_pipe.optics.structure_function import (
     InBandResidual,
     ResidualBand,
     fitting_structure_nm2,

@@ -9,7 +9,7 @@ import numpy as np
 
 from irlos_pipe.diagnose.cube import Stacks
 from irlos_pipe.diagnose.fitting import Fitted
-from irlos_pipe.diagnose.search.detect import Score
+from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.effects import Effect, Parameter
 
 STEP = 1e-3  # of a standard error, in derivatives of public values

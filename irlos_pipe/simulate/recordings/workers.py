@@ -18,8 +18,8 @@ from tqdm import tqdm
 
 from irlos_pipe.files.processes import in_processes
 from irlos_pipe.simulate.recordings.folder import WORK_PREFIX, SimulationFolder
+from irlos_pipe.simulate.recordings.one_recording import Made, record
 from irlos_pipe.simulate.recordings.planned import Planned
-from irlos_pipe.simulate.recordings.record import Made, record
 from irlos_pipe.simulate.recordings.truth import write_truth
 
 LOG = logging.getLogger("irlos_pipe.run")

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import convolve
 
-from irlos_pipe.simulate.detector_model import DetectorModel, marked
+from irlos_pipe.simulate.detector import DetectorModel, marked
 
 NEIGHBOURS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
 PEDESTAL_STREAM, RESPONSE_STREAM = 0, 1  # of a detector's `pattern_seed`

@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from irlos_pipe.simulate.detector_model import Pixel, marked, outside_window
+from irlos_pipe.simulate.charge import Pixels, shared
+from irlos_pipe.simulate.detector import Pixel, marked, outside_window
 from irlos_pipe.simulate.effects.base import DetectorEffect, RecordingSetup, own, wider
-from irlos_pipe.simulate.pixels import Pixels, shared
 
 Kind = Literal["hot", "dead", "stuck"]
 

@@ -1,0 +1,117 @@
+"""Raw frames in ADU, and the electrons that a calibration makes of them.
+
+`irlos_pipe.simulate.charge` argues the order of what happens between photon and converter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irlos_pipe.simulate.charge import Pixels, nominal_pixels, pedestal_map_adu
+from irlos_pipe.simulate.detector import ADC_TOP_ADU, marked
+from irlos_pipe.simulate.effects.base import DetectorEffect
+from irlos_pipe.simulate.scene import Scene
+
+DARK_FRAMES = 64  # averaged to the dark image
+FLAT_ERROR = 1e-4  # of the measured flat, relative RMS
+
+
+def pixels_of(scene: Scene, mean_image_e: np.ndarray) -> Pixels:
+    """Return the pixels of a `scene` with its effects.
+
+    Parameters
+    ----------
+    scene : Scene
+    mean_image_e : ndarray, (rows, columns)
+        Mean image, at whose peak a non-linearity is stated [e-].
+    """
+    pixels = nominal_pixels(scene.detector, scene.window, scene.exposure_s)
+    for effect in scene.acting(DetectorEffect):
+        pixels = effect.on(pixels, mean_image_e)
+    return pixels
+
+
+def electrons(scene: Scene, mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return frames as a perfect calibration of the raw ones would: noisy electrons.
+
+    Parameters
+    ----------
+    scene : Scene
+    mean_e : ndarray, (frames, rows, columns)
+        Mean photo-electrons.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ndarray, (frames, rows, columns), float32
+        Without pedestal and dark, divided by the flat; not rounded to whole ADU [e-].
+    """
+    pixels, detector = pixels_of(scene, mean_e.mean(axis=0, dtype=np.float64)), scene.detector
+    signal_e = pixels.signal_e(mean_e, detector.read_noise_e, rng)
+    top_e = (detector.saturation_adu - detector.pedestal_adu) * detector.e_per_adu
+    read_e = pixels.read(np.minimum(signal_e, top_e), pixels.stuck_e)
+    return _over_flat(read_e - pixels.dark_e * pixels.response, pixels.response).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Readout:
+    """Turns the mean images of one recording into what its files hold.
+
+    Attributes
+    ----------
+    pixels : Pixels
+    pedestal_adu : ndarray, (rows, columns)
+        Level of each pixel without light [ADU].
+    """
+
+    pixels: Pixels
+    pedestal_adu: np.ndarray
+
+    @classmethod
+    def of(cls, scene: Scene, mean_image_e: np.ndarray) -> Readout:
+        """Return the read-out of a `scene` with the mean image `mean_image_e`, (rows, columns) [e-].
+
+        Raises
+        ------
+        ConfigurationError
+            When read noise and gain contradict each other.
+        """
+        _ = scene.detector.analogue_noise_e
+        return cls(pixels_of(scene, mean_image_e), pedestal_map_adu(scene.detector, scene.window))
+
+    @property
+    def top_adu(self) -> int:
+        """Return the highest value of a raw frame [ADU]."""
+        return int(min(self.pixels.detector.saturation_adu, ADC_TOP_ADU))
+
+    def frames_adu(self, mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return raw frames (..., rows, columns) uint16 [ADU] of mean `mean_e` [e-] with noise of `rng`."""
+        signal_e = self.pixels.signal_e(mean_e, self.pixels.detector.analogue_noise_e, rng)
+        return self.pixels.read(self._converted(signal_e), self._converted(self.pixels.stuck_e))
+
+    def dark_adu(self, rng: np.random.Generator) -> np.ndarray:
+        """Return the mean of `DARK_FRAMES` raw frames without light, (rows, columns) float32 [ADU]."""
+        signal_e = self.pixels.dark_signal_e(DARK_FRAMES, self.pixels.detector.analogue_noise_e, rng)
+        return self._converted(signal_e).mean(axis=0, dtype=np.float64).astype(np.float32)
+
+    def flat(self, rng: np.random.Generator) -> np.ndarray | None:
+        """Return the relative response as measured, (rows, columns) float32; None for a uniform detector."""
+        if self.pixels.detector.flat_rms == 0:
+            return None
+        error = 1 + FLAT_ERROR * rng.standard_normal(self.pixels.response.shape)
+        return (self.pixels.response * error).astype(np.float32)
+
+    def dead(self) -> np.ndarray:
+        """Return the map of dead pixels, (rows, columns) uint8: 1 is dead."""
+        return marked(self.pixels.detector.dead, self.pedestal_adu.shape).astype(np.uint8)
+
+    def _converted(self, signal_e: np.ndarray) -> np.ndarray:
+        level_adu = np.rint(np.nan_to_num(signal_e) / self.pixels.detector.e_per_adu + self.pedestal_adu)
+        return np.clip(level_adu, 0, self.top_adu).astype(np.uint16)
+
+
+def _over_flat(signal_e: np.ndarray, response: np.ndarray) -> np.ndarray:
+    """Divide by the response; dead pixels keep what they read."""
+    return signal_e / np.where(response > 0, response, 1.0)
