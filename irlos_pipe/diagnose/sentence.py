@@ -21,7 +21,7 @@ def _found(diagnosis: Diagnosis) -> str:
         near = "" if nearest is None else f"; the nearest is {_phrase(nearest)}"
         return f"Something is missing that nothing in the catalogue explains: {diagnosis.why_unknown}{near}."
     lacking = " and ".join(_phrase(step) for step in diagnosis.steps)
-    return f"The model lacks {lacking}{_others(diagnosis.steps)}; {_rest(diagnosis)}."
+    return f"Missing in the model: {lacking}{_others(diagnosis.steps)}; {_rest(diagnosis)}."
 
 
 def _rest(diagnosis: Diagnosis) -> str:

@@ -1,4 +1,4 @@
-"""What the correction would buy: images with and without the measured aberrations."""
+"""What the correction would gain: images with and without the measured aberrations."""
 
 from __future__ import annotations
 

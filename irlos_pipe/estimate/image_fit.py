@@ -150,7 +150,7 @@ class ImageFit(Problem):
         return image.flatten(1), columns.flatten(2)
 
     def predict_and_all_derivatives(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The same with those with respect to effect parameters that are held, before flux and background."""
+        """Return images and derivatives; columns: modes, effects (held ones too), flux, background."""
         image, columns = self.model.predict_and_jacobian(*self._arguments(x))
         return image.flatten(1), columns.flatten(2)
 

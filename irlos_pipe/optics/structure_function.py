@@ -121,7 +121,7 @@ class InBandResidual:
         stretch_cos, stretch_sin : tensor or float
             PSD ∝ exp(stretch_cos cos 2θ + stretch_sin sin 2θ).
         cross_cos, cross_sin : tensor or float
-            The same with cos 4θ and sin 4θ.
+            Anisotropy that goes with cos 4θ and sin 4θ.
         """
         frequencies = self._frequencies(slope)
         directions = self._angles((stretch_cos, stretch_sin, cross_cos, cross_sin))

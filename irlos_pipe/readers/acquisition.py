@@ -51,7 +51,7 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     recipe : AcquisitionKeys
         What the recipe says; it wins over everything.
     instrument : Instrument
-        Its profile stands in for what nobody says, where that is safe.
+        Its profile gives the values that are stated nowhere else, where that is safe.
 
     Raises
     ------

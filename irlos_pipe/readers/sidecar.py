@@ -95,7 +95,7 @@ class AcquisitionKeys(_Section):
 
 
 def sidecar_path(data_file: Path) -> Path:
-    """Return where the side-car of a data file is, or ought to be.
+    """Return where the side-car of a data file is, or would be.
 
     ``<stem>.yaml`` beside the file if there is one, else ``acquisition.yaml`` in its folder.
     """

@@ -172,7 +172,7 @@ def _separation(results: DiagnoseResults) -> list[Table]:
         for step in results.steps
         for other in step.alternatives
     ]
-    return [Table(("names", "why", "what distinguishes them"), rows, "Not distinguished")] if rows else []
+    return [Table(("effects", "why", "what distinguishes them"), rows, "Not distinguished")] if rows else []
 
 
 def _what_separates(other: AlternativeRow) -> str:

@@ -1,4 +1,4 @@
-"""Section on LIFT: the ramp, what the parts of the model buy, images per offset."""
+"""Section on LIFT: the ramp, what each part of the model contributes, images per offset."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _ramp(frames: Sequence[Point]) -> list[Figure]:
 
 def _variants(results: LiftResults) -> Table:
     lines = {"as configured": results.summary} | results.compare
-    title = "What the parts of the model buy" if len(lines) > 1 else "Ramp in numbers"
+    title = "Contribution of each part of the model" if len(lines) > 1 else "Ramp in numbers"
     caption = "Saw-tooth: offsets reached upwards minus those reached downwards, fitted with the line."
     return Table(VARIANT_COLUMNS, [_variant_row(*one) for one in lines.items()], title, caption)
 

@@ -51,7 +51,7 @@ def test_the_ncpas_improve_and_the_held_out_gap_closes_with_the_name():
 
 @pytest.mark.slow
 def test_the_sentence_says_what_and_how_much():
-    assert sentence(diagnosis_of("companion")).startswith("The model lacks a second source of 3.0")
+    assert sentence(diagnosis_of("companion")).startswith("Missing in the model: a second source of 3.0")
 
 
 @pytest.mark.slow

@@ -114,7 +114,7 @@ def test_a_worker_that_is_killed_ends_the_run_with_one_line_and_the_next_run_goe
     _, errors = process.communicate(timeout=30)
     assert process.returncode == 1
     assert [line for line in errors.splitlines() if "error" in line] == [
-        "irlos: error: draws: a worker process was killed, perhaps for want of memory; finished samples "
+        "irlos: error: draws: a worker process was killed, perhaps because memory ran out; finished samples "
         "stay: run the same command to go on, with fewer --jobs"
     ]
     goes_on(bench)

@@ -111,7 +111,7 @@ def _naming(sample: Any, desc: str) -> Iterator[None]:
         yield
     except BrokenProcessPool as error:
         raise IrlosError(
-            f"{desc}: a worker process was killed, perhaps for want of memory; finished samples "
+            f"{desc}: a worker process was killed, perhaps because memory ran out; finished samples "
             "stay: run the same command to go on, with fewer --jobs"
         ) from error
     except IrlosError as error:

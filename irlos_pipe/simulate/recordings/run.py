@@ -107,7 +107,7 @@ def _reported_in_one_line(folder: Path) -> Iterator[None]:
         raise IrlosError(f"{where}: cannot be written: {error.strerror or error}") from error
     except BrokenProcessPool as error:
         raise IrlosError(
-            "a worker process was killed, perhaps for want of memory; finished recordings stay: "
+            "a worker process was killed, perhaps because memory ran out; finished recordings stay: "
             "run the same command to go on, with fewer --jobs"
         ) from error
     except MemoryError as error:

@@ -50,7 +50,7 @@ def read_sources(
         ``keys_for(input_name)``: side-car keys from the recipe, which win.
 
     instrument : Instrument
-        Its profile stands in for what nobody says.
+        Its profile gives the values that are stated nowhere else.
     log : logging.Logger
         Gets remarks and warnings.
 

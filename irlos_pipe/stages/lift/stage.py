@@ -79,7 +79,7 @@ class Config(StageConfig):
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
-    """Estimate the ramp, and repeat it with parts of the model left out to show what each buys."""
+    """Estimate the ramp, and repeat it with parts of the model left out to show what each contributes."""
     if 4 not in ctx.config.modes:
         raise InputDataError(
             f"lift.modes {list(ctx.config.modes)} lacks 4 (defocus), which is what LIFT is for"
