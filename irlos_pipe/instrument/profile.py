@@ -115,7 +115,7 @@ def parse_profile(data: dict, lines: dict, path: Path) -> Profile:
 
 def _require_number(name: str, entries: list[Fact] | None, low: float, high: float) -> None:
     if entries is None:
-        raise ValueError(f"fact '{name}' is missing")
+        raise ValueError(f"fact '{name}' is missing; the profile 'irlos' shows all facts")
     for entry in entries:
         if not isinstance(entry.value, (int, float)) or not low <= entry.value <= high:
             raise ValueError(f"fact '{name}' = {entry.value!r} should be a number from {low:g} to {high:g}")

@@ -9,7 +9,7 @@ import textwrap
 SCRIPT = """
     import sys, time
     from tqdm import tqdm
-    from irlos_pipe.processes import in_processes
+    from irlos_pipe.files.processes import in_processes
 
     def work(path):
         list(tqdm([1], disable=True))

@@ -6,12 +6,14 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.simulate.atmosphere import Shape, Sky
 from irlos_pipe.simulate.detector import ADC_TOP_ADU, DetectorModel
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.scene import Sampling
 
 LARGEST_NM = 10_000.0
+FACILITY_KEYS = ("cutoff_per_m", "outer_scale_m")  # of the section `sky`
 BandName = Literal["narrow_h", "j", "h", "j_h"]
 
 
@@ -83,6 +85,11 @@ class SkyKeys(Section):
     )
     drift_s: float = Field(Sky.drift_s, gt=0, le=1e4, description="correlation time of that drift")
 
+    def completed(self, facility: Facility) -> SkyKeys:
+        """Return the section with what it leaves out taken from the `facility`."""
+        absent = [name for name in FACILITY_KEYS if getattr(self, name) is None]
+        return self.model_copy(update={name: getattr(facility, name) for name in absent})
+
     @model_validator(mode="after")
     def _wind(self) -> SkyKeys:
         if self.wind_m_s == 0 and self.shape in ("servo_lag", "aliasing"):
@@ -109,6 +116,13 @@ class MotionKeys(Section):
         Motion.line_coherence_s, gt=0, le=1e4, description="time over which a line keeps its phase"
     )
     lines: list[VibrationLine] | None = Field(None, description="vibrations: {hz, share_x, share_y}")
+
+    def completed(self, facility: Facility) -> MotionKeys:
+        """Return the section with what it leaves out taken from the `facility`."""
+        if self.lines is not None:
+            return self
+        lines = [VibrationLine(hz=hz, share_x=x, share_y=y) for hz, x, y in facility.vibration_lines]
+        return self.model_copy(update={"lines": lines})
 
     @model_validator(mode="after")
     def _shares(self) -> MotionKeys:

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.simulate.detector import outside_window
 from irlos_pipe.simulate.effects.base import RecordingSetup
 from irlos_pipe.simulate.effects.catalogue import effects_of
@@ -135,6 +136,12 @@ class RecordingKeys(Shared):
         merged = {name: self._merged(name, shared) for name in Shared.model_fields}
         own = {name: getattr(self, name) for name in self.model_fields_set}
         return RecordingKeys.model_validate({**own, **{k: v for k, v in merged.items() if v is not None}})
+
+    def completed(self, facility: Facility) -> RecordingKeys:
+        """Return this recording with what sky and motion leave out taken from the `facility`."""
+        sections = {"sky": self.sky, "motion": self.motion}
+        known = {name: section.completed(facility) for name, section in sections.items() if section}
+        return self.model_copy(update=known)
 
     def misfit(self) -> str:
         """Say which effect does not fit the recording; asked when the shared sections are in."""

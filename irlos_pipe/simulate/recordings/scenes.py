@@ -21,7 +21,14 @@ from irlos_pipe.simulate.effects.catalogue import EFFECTS
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
-from irlos_pipe.simulate.recordings.keys import AberrationKeys, BandKeys, DetectorKeys, MotionKeys, SkyKeys
+from irlos_pipe.simulate.recordings.keys import (
+    FACILITY_KEYS,
+    AberrationKeys,
+    BandKeys,
+    DetectorKeys,
+    MotionKeys,
+    SkyKeys,
+)
 from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys
 from irlos_pipe.simulate.recordings.spec import Spec
 from irlos_pipe.simulate.scene import Sampling, Scene
@@ -33,7 +40,6 @@ BANDS = {
     "j_h": (Band.of(J, 0.5), Band.of(H, 0.5)),
 }
 THROUGHPUT = {"narrow_h": 0.14, "j": 0.5, "h": 0.5, "j_h": 1.0}  # of the photons in J+H
-FACILITY_KEYS = ("cutoff_per_m", "outer_scale_m")  # of the section `sky`
 
 
 def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:

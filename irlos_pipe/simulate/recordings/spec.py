@@ -96,7 +96,9 @@ def _checked(path: Path, data: Mapping[str, Any], errors: ValidationErrors) -> S
     instrument_name, instrument = checked_instrument(keys.instrument, absolute(path).parent, errors)
     errors.raise_if_any()
     assert instrument is not None, "what is wrong has been reported"
-    complete = {name: recording for name, recording in recordings.items() if recording is not None}
+    complete = {
+        name: one.completed(instrument.facility) for name, one in recordings.items() if one is not None
+    }
     return Spec(keys.simulation, keys.title, keys.seed, instrument_name, instrument, complete)
 
 

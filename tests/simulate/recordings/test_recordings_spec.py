@@ -13,6 +13,7 @@ from helpers.simulation_specs import CUBE, RAMP, spec_of, written
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.files.json import jsonable
+from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.effects.catalogue import EFFECTS, effects_of
 from irlos_pipe.simulate.recordings.effect_keys import EffectKeys
 from irlos_pipe.simulate.recordings.series import plan_recordings
@@ -52,6 +53,18 @@ def test_a_vibration_may_have_its_former_spelling(tmp_path):
     effects = {"vibration": {"sigma_mas": 5, "distribution": "gaussian"}}
     (one,) = plan_recordings(loaded(tmp_path, spec_of({"one": CUBE | {"effects": effects}})))
     assert one.hidden["vibration"]["shape"] == "gaussian" and "distribution" not in one.hidden["vibration"]
+
+
+def test_the_resolved_spec_holds_what_the_profile_gives(tmp_path):
+    spec = loaded(tmp_path, spec_of({"one": CUBE | {"sky": {"seeing_arcsec": 0.6}, "motion": {}}}))
+    one = yaml.safe_load(spec.resolved_yaml())["recordings"]["one"]
+    facility = load_instrument("irlos").facility
+    assert (one["sky"]["cutoff_per_m"], one["sky"]["outer_scale_m"]) == (
+        facility.cutoff_per_m,
+        facility.outer_scale_m,
+    )
+    lines = [(line["hz"], line["share_x"], line["share_y"]) for line in one["motion"]["lines"]]
+    assert lines == [tuple(line) for line in facility.vibration_lines] and lines
 
 
 def test_a_spectrum_is_stated_by_its_centre_and_not_by_a_shift(tmp_path):
