@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -21,3 +23,14 @@ class PupilGeometry:
     diameter_m: float
     obscuration_m: float = 0.0
     vanes: tuple[Vane, ...] = ()
+
+
+def with_vanes_turned(geometry: PupilGeometry, angle_deg: float) -> PupilGeometry:
+    """Return the pupil `geometry` with its spider turned anticlockwise by `angle_deg` about the axis."""
+    return replace(geometry, vanes=tuple(_turned(vane, angle_deg) for vane in geometry.vanes))
+
+
+def _turned(vane: Vane, angle_deg: float) -> Vane:
+    turn = np.exp(1j * np.deg2rad(angle_deg))
+    start, end = (complex(*point) * turn for point in (vane.start_m, vane.end_m))
+    return Vane((start.real, start.imag), (end.real, end.imag), vane.width_m)

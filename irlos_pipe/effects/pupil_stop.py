@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.pupil import PupilGeometry, Vane
+from irlos_pipe.conventions.pupil import PupilGeometry, with_vanes_turned
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public, number
 from irlos_pipe.effects.planes import PupilEffect
@@ -138,17 +137,6 @@ def _clear(geometry: PupilGeometry, samples: int) -> np.ndarray:
 def _subsamples(geometry: PupilGeometry, samples: int) -> int:
     """Even number of fine cells of about `CELL_M` per coarse cell."""
     return 2 * int(np.ceil(geometry.diameter_m / samples / CELL_M / 2))
-
-
-def with_vanes_turned(geometry: PupilGeometry, angle_deg: float) -> PupilGeometry:
-    """The pupil `geometry` with its spider turned by `angle_deg`, anticlockwise about the axis."""
-    return replace(geometry, vanes=tuple(_turned(vane, angle_deg) for vane in geometry.vanes))
-
-
-def _turned(vane: Vane, angle_deg: float) -> Vane:
-    turn = np.exp(1j * np.deg2rad(angle_deg))
-    start, end = (complex(*point) * turn for point in (vane.start_m, vane.end_m))
-    return Vane((start.real, start.imag), (end.real, end.imag), vane.width_m)
 
 
 class AmplitudeAberration(ZernikeTable, PupilEffect):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from irlos_pipe.conventions.pupil import PupilGeometry, Vane
@@ -69,14 +67,3 @@ def _behind(vane: Vane, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
     along = (x_m - x0) * cos + (y_m - y0) * sin
     across = (y_m - y0) * cos - (x_m - x0) * sin
     return (along >= 0) & (along <= length) & (np.abs(across) <= vane.width_m / 2)
-
-
-def with_vanes_turned(geometry: PupilGeometry, angle_deg: float) -> PupilGeometry:
-    """Return the pupil `geometry` with its spider turned anticlockwise by `angle_deg` about the axis."""
-    return replace(geometry, vanes=tuple(_turned(vane, angle_deg) for vane in geometry.vanes))
-
-
-def _turned(vane: Vane, angle_deg: float) -> Vane:
-    turn = np.exp(1j * np.deg2rad(angle_deg))
-    start, end = (complex(*point) * turn for point in (vane.start_m, vane.end_m))
-    return Vane((start.real, start.imag), (end.real, end.imag), vane.width_m)

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.diagnose.acceptance import Options
+from irlos_pipe.diagnose.cube import MIN_FRAMES
 from irlos_pipe.diagnose.verdict import Diagnosis
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.diagnose.workflow import diagnose
@@ -35,7 +36,6 @@ NAME = "diagnose"
 VERSION = 8
 NEEDS = ("ingest",)
 READS = ("ingest", "calibrate", "lift")
-MIN_FRAMES = 16  # scatter means nothing with less
 EXPECTED_FITS = 11  # of one cube, for the progress bar
 
 
