@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from irlos_pipe.estimate.effect_modes import drifts, measured_drift
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
 from irlos_pipe.estimate.lbfgs import solve_lbfgs
 from irlos_pipe.estimate.methods import (
+    DEFAULT_METHOD,
     EVERY_FRAME,
     METHODS,
     Report,
@@ -28,12 +30,15 @@ from irlos_pipe.estimate.parameters import Layout, NcpaPrior
 from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.estimate.starts import START_HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
 from irlos_pipe.estimate.twin import TwinCheck
-from irlos_pipe.numerics.loss import LOSSES, Loss
+from irlos_pipe.numerics.loss import LOSSES, Loss, LossName
 from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 Fit = tuple[ImageFit, Solution]
+
+
+OptimiserName = Literal["lm", "lbfgs"]
 
 
 @dataclass(frozen=True)
@@ -52,9 +57,9 @@ class CalibrationOptions:
     prior : NcpaPrior or None
     """
 
-    method: str = "long_exposure"
-    loss: str | None = None
-    optimiser: str = "lm"
+    method: str = DEFAULT_METHOD
+    loss: LossName | None = None
+    optimiser: OptimiserName = "lm"
     highest_noll: int | None = None
     prior: NcpaPrior | None = None
     max_iterations: int = 60

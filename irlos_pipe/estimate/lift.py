@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import torch
 
@@ -26,6 +27,9 @@ from irlos_pipe.numerics.solution import Solution, joined, mixed
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
 IMAGES_AT_ONCE = 128  # a dozen copies of them are made on the way
 COARSE_TOLERANCE = 1000.0  # 30 σ: near enough to go on with variances that follow the model
+
+
+NoiseSource = Literal["data", "model", "iterative"]
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,7 @@ class LiftOptions:
         Where many images are realisations of a few frames: quicker, covariances are those of the frames.
     """
 
-    noise: str = "iterative"
+    noise: NoiseSource = "iterative"
     prior_mean_nm: torch.Tensor | None = None
     prior_sigma_nm: torch.Tensor | None = None
     max_iterations: int = 40

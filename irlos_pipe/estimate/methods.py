@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -21,6 +22,7 @@ from irlos_pipe.estimate.starts import median_of_frames_nm, start_tilts_nm
 from irlos_pipe.estimate.twin import TwinCheck, check_twin
 from irlos_pipe.frames.blocks import blocks
 from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.numerics.solution import INVALID, Solution
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -210,6 +212,10 @@ def linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> E
 MEAN_IMAGE, EVERY_FRAME, ALL_FRAMES = MeanImage(), EveryFrame(), AllFrames()
 
 
+MethodName = Literal["long_exposure", "dip_global", "dip_avg", "dip_joint", "lift_avg", "lift_slices"]
+DEFAULT_METHOD: MethodName = "long_exposure"
+
+
 @dataclass(frozen=True)
 class Method:
     """A calibration method.
@@ -230,13 +236,13 @@ class Method:
 
     name: str
     scheme: Scheme
-    loss: str
+    loss: LossName
     highest_noll: int
     effects: bool
     description: str
 
 
-METHODS = {
+METHODS: dict[str, Method] = {
     method.name: method
     for method in (
         Method(

@@ -9,11 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 
 HUBER_KNEE = 2.0  # residuals beyond this many sigma count linearly
 L1_ROUNDING = 1.0  # the kink of |r| is rounded over this many sigma: noise blurs a sharper one anyway
+
+
+LossName = Literal["gaussian", "huber", "l1"]
 
 
 @dataclass(frozen=True)
@@ -35,7 +39,7 @@ class Loss:
         statistical criterion of `solve`); re-weighting reaches an L1 minimum only linearly.
     """
 
-    name: str
+    name: LossName
     whitened: bool
     value: Callable[[torch.Tensor], torch.Tensor]
     weight: Callable[[torch.Tensor], torch.Tensor]
@@ -78,4 +82,4 @@ L1 = Loss(
     _l1_curvature,
     relative_tolerance=2e-4,
 )
-LOSSES = {loss.name: loss for loss in (GAUSSIAN, HUBER, L1)}
+LOSSES: dict[str, Loss] = {loss.name: loss for loss in (GAUSSIAN, HUBER, L1)}

@@ -11,10 +11,11 @@ from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects import Effect, FixedEffect, SeeingHalo, expected
 from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
 from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.methods import DEFAULT_METHOD
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 
-DEFAULT = "long_exposure"
+DEFAULT = DEFAULT_METHOD
 PAPER_CHOICE = "dip_global"
 PUBLISHED = ("lift_avg", "dip_avg", "dip_joint", "lift_slices", PAPER_CHOICE)
 METHOD_NAMES = {

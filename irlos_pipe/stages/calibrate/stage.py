@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from pydantic import Field, model_validator
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.laws import NcpaLaw
-from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, OptimiserName, calibrate
+from irlos_pipe.estimate.methods import DEFAULT_METHOD, MethodName
 from irlos_pipe.estimate.parameters import NcpaPrior
 from irlos_pipe.frames.recording import Recording
+from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.input import cube_input
 from irlos_pipe.stages.calibrate.output import Limits, joint_output, wfe_nm
@@ -23,7 +23,6 @@ VERSION = 7
 NEEDS = ("ingest",)
 READS = ("ingest",)
 MIN_FRAMES = 2
-MethodName = Literal["long_exposure", "dip_global", "dip_avg", "dip_joint", "lift_avg", "lift_slices"]
 
 
 class Config(Limits):
@@ -32,22 +31,28 @@ class Config(Limits):
     input: str = Field("calibration", description="recipe input that holds the cubes")
     each: bool = Field(False, description="calibrate every recording by itself instead of all together")
     method: MethodName = Field(
-        "long_exposure", description="calibration method: which images are fitted, and by how many wavefronts"
+        DEFAULT_METHOD,
+        description="calibration method: which images are fitted, and by how many wavefronts",
     )
-    loss: Literal["gaussian", "huber", "l1"] | None = Field(
-        None,
+    loss: LossName | None = Field(
+        CalibrationOptions.loss,
         description="loss function (l1 is rounded within 1 sigma, huber within 2); null: that of the method",
     )
-    optimiser: Literal["lm", "lbfgs"] = Field(
-        "lm", description="solver: Levenberg-Marquardt, or L-BFGS with autograd"
+    optimiser: OptimiserName = Field(
+        CalibrationOptions.optimiser, description="solver: Levenberg-Marquardt, or L-BFGS with autograd"
     )
     highest_noll: int | None = Field(
-        None, ge=4, le=231, description="highest Noll mode estimated, from 2 on; null: that of the method"
+        CalibrationOptions.highest_noll,
+        ge=4,
+        le=231,
+        description="highest Noll mode estimated, from 2 on; null: that of the method",
     )
     prior_scale: float | None = Field(
         3.0, gt=0, le=1000, description="width of the prior over that of the NCPA law; null: no prior"
     )
-    max_iterations: int = Field(60, ge=1, le=10000, description="largest number of iterations of a fit")
+    max_iterations: int = Field(
+        CalibrationOptions.max_iterations, ge=1, le=10000, description="largest number of iterations of a fit"
+    )
     compare: tuple[MethodName, ...] = Field(
         (), description="further methods to run, for comparison in the report only"
     )

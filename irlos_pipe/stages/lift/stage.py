@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.laws import NcpaLaw
-from irlos_pipe.estimate.lift import LiftOptions
+from irlos_pipe.estimate.lift import LiftOptions, NoiseSource
 from irlos_pipe.estimate.parameters import NcpaPrior
 from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise
 from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
@@ -58,8 +58,8 @@ class Config(StageConfig):
     prior_scale: float = Field(
         3.0, gt=0, le=1000, description="width of the prior of MAP over that of the NCPA law"
     )
-    noise: Literal["data", "model", "iterative"] = Field(
-        "iterative",
+    noise: NoiseSource = Field(
+        LiftOptions.noise,
         description="variances of the pixels: from the data, from the start's model, or renewed with the fit",
     )
     start: Start = Field(
@@ -68,7 +68,9 @@ class Config(StageConfig):
         "at the commanded defocus (needed without diversity, where the sign of defocus is ambiguous), or at "
         "zero",
     )
-    max_iterations: int = Field(40, ge=1, le=1000, description="largest number of iterations of a fit")
+    max_iterations: int = Field(
+        LiftOptions.max_iterations, ge=1, le=1000, description="largest number of iterations of a fit"
+    )
     compare: bool = Field(
         True, description="repeat without the NCPAs and without the AO residual, for the report"
     )
