@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.optics.fourier_matrices import MAS
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.zernike import zernike_basis

@@ -25,7 +25,7 @@ from benchmarks.frames import (
     draw,
 )
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.parameters import NcpaPrior
+from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings

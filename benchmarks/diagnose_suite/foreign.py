@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.signal import fftconvolve
 
-from irlos_pipe.conventions.pupil import Vane
+from irlos_pipe.conventions.pupil_drawing import Vane
 from irlos_pipe.simulate.aperture import centres
 
 Image = Callable[[np.ndarray], np.ndarray]

@@ -378,7 +378,7 @@ def paper(
       paper_results.json  all numbers with seeds and sizes, for scripts
       <experiment>/       the run of each: report.html, results.json, products (irlos show)
     """
-    from irlos_pipe.paper.run.experiments import find_experiments
+    from irlos_pipe.paper.run.recipes import find_experiments
     from irlos_pipe.paper.run.run import run_paper, summary_text
     from irlos_pipe.pipeline.terminal import messages
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from irlos_pipe.conventions.laws import NcpaLaw, ResidualLaw
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 
 VibrationLine = tuple[float, float, float]  # frequency [Hz], shares of the variance along x and along y
 

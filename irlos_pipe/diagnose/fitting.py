@@ -15,7 +15,8 @@ from irlos_pipe.diagnose.view import View
 from irlos_pipe.effects import Effect, FixedEffect, Parameter
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.estimate.parameters import Layout, NcpaPrior
+from irlos_pipe.estimate.ncpa_prior import NcpaPrior
+from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.starts import start_tilts_nm
 from irlos_pipe.estimate.twin import twin_of
 from irlos_pipe.numerics.levenberg_marquardt import solve

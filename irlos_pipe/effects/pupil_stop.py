@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.pupil import PupilGeometry, with_vanes_turned
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, with_vanes_turned
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public, number
 from irlos_pipe.effects.planes import PupilEffect

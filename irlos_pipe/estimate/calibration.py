@@ -26,7 +26,8 @@ from irlos_pipe.estimate.methods import (
     linear_estimates,
     start_at_centroids,
 )
-from irlos_pipe.estimate.parameters import Layout, NcpaPrior
+from irlos_pipe.estimate.ncpa_prior import NcpaPrior
+from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.estimate.starts import START_HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
 from irlos_pipe.estimate.twin import TwinCheck

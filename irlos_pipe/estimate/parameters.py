@@ -1,4 +1,4 @@
-"""Named parameters of an image fit, the vector a solver sees, and what is known of them beforehand."""
+"""Named parameters of an image fit, and the vector that a solver sees."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ from dataclasses import dataclass, field
 
 import torch
 
-from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.effects.declaration import Parameter
 
 INFINITE = float("inf")
-POINTING_NM = 5000.0  # tip and tilt: where the star lies in the window says nothing about the optics
-FOCUS_NM = 400.0  # an uncontrolled focus bias is common
 
 
 @dataclass(frozen=True)
@@ -86,26 +83,3 @@ class Layout:
         x[:, self.effect_values] = torch.tensor([p.start for p in self.effects], dtype=torch.float64)
         x[:, -2] = images_e.double().sum(1).cpu()
         return x
-
-
-@dataclass(frozen=True)
-class NcpaPrior:
-    """Gaussian prior of the modes about zero: the instrument's law of NCPAs, widened.
-
-    Attributes
-    ----------
-    law : NcpaLaw
-    scale : float
-        Factor on the law; above 1 the prior only steadies what the data do not determine.
-    """
-
-    law: NcpaLaw
-    scale: float
-
-    def sigma_nm(self, nolls: Sequence[int]) -> torch.Tensor:
-        """Standard deviation of every mode, (modes,) [nm RMS]; tip, tilt and focus are left almost free."""
-        sigma = torch.as_tensor(self.scale * self.law.sigma_nm(nolls))
-        noll = torch.as_tensor(list(nolls))
-        sigma[noll < 4] = POINTING_NM
-        sigma[noll == 4] = FOCUS_NM
-        return sigma

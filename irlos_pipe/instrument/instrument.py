@@ -11,7 +11,7 @@ from typing import Any
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.laws import NcpaLaw, ResidualLaw
-from irlos_pipe.conventions.pupil import PupilGeometry, Vane
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.overrides import absolute

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.phasor import phasor

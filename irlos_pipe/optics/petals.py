@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from irlos_pipe.conventions.pupil import PupilGeometry, Vane
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.optics.pupil import band_limited_parts
 
 PETALS = 4

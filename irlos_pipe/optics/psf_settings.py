@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.optics.fourier_matrices import pupil_samples_for
 

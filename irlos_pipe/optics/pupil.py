@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from irlos_pipe.conventions.pupil import PupilGeometry, Vane
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 
 SUBSAMPLES = 16  # fine cells per side of a coarse cell; coverage of a fine cell is linear in distance
 ROWS_AT_A_TIME = 64

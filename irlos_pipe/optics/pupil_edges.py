@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from irlos_pipe.conventions.pupil import PupilGeometry, Vane
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.optics.pupil import (
     PAD,
     across_m,

@@ -1,1 +1,1 @@
-"""HDF5 products, the run folder, export and comparison with a known truth."""
+"""HDF5 products, typed results, the run folder and export."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from irlos_pipe.conventions.pupil import PupilGeometry, Vane
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 
 FINEST_CELL_M = 0.002  # of the brute-force drawing: a twentieth of a vane
 

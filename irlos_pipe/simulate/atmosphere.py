@@ -9,7 +9,7 @@ import numpy as np
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.laws import ResidualLaw
-from irlos_pipe.simulate.checks import SceneError, require_known
+from irlos_pipe.simulate.errors import SceneError, require_known
 
 VON_KARMAN = 0.0229  # rad² m^(-11/3) r0^(-5/3)
 SEEING_NM = 500.0

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from irlos_pipe.conventions.facility import VibrationLine
-from irlos_pipe.simulate.checks import SceneError
+from irlos_pipe.simulate.errors import SceneError
 
 SHORTEST_STEP_S = 1 / 800  # eight samples per period of the fastest line of UT4
 

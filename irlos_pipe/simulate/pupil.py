@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.signal import firwin
 
-from irlos_pipe.conventions.pupil import PupilGeometry, with_vanes_turned
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, with_vanes_turned
 from irlos_pipe.simulate.aperture import centres, clear_fraction
 from irlos_pipe.simulate.effects.base import PupilEffect
 from irlos_pipe.simulate.scene import Scene

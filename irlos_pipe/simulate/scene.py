@@ -10,12 +10,12 @@ from typing import TypeVar
 import numpy as np
 
 from irlos_pipe.conventions.facility import Facility
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.checks import SceneError
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
 from irlos_pipe.simulate.effects.catalogue import effects_of
+from irlos_pipe.simulate.errors import SceneError
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
 

@@ -7,7 +7,7 @@ import scipy.fft
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.simulate.atmosphere import Sky, residual_psd
-from irlos_pipe.simulate.checks import SceneError
+from irlos_pipe.simulate.errors import SceneError
 from irlos_pipe.simulate.telescope import Telescope
 
 SCREEN_OVER_PUPIL = 1.6  # edge of the periodic screen over the pupil's

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import MAS, NM
 from irlos_pipe.simulate.zernikes import zernike
 

@@ -10,7 +10,7 @@ import torch
 from helpers.effect_cases import CONDITIONS, NOLLS, SPECTRUM, STRONG, WINDOW, made
 from helpers.optics_cases import UT4, ncpa_nm, settings, vector
 
-from irlos_pipe.conventions.pupil import with_vanes_turned
+from irlos_pipe.conventions.pupil_drawing import with_vanes_turned
 from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.pupil_stop import PupilMisregistration

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.exposure import Exposed, expose
 from irlos_pipe.simulate.light import Band

@@ -13,7 +13,7 @@ from helpers.optics_cases import J_AND_H, MAS_RAD, SCALE_MAS, ncpa_nm, settings,
 from helpers.reference_psf import reference
 from scipy.special import j1
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.optics.fourier_matrices import FocalGrid, baseline_to_pixels
 from irlos_pipe.optics.psf import PsfModel
 

@@ -8,7 +8,7 @@ from helpers.optics_cases import UT4
 from helpers.reference_psf import reference
 from scipy.special import j1
 
-from irlos_pipe.conventions.pupil import PupilGeometry, Vane
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.optics.fourier_matrices import require_resolved
 from irlos_pipe.optics.pupil import CLEAN_BAND, area_weighted_pupil, band_limited_pupil, grid_centres
 

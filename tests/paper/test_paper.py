@@ -13,7 +13,7 @@ from helpers.paper_bench import PaperBench
 from helpers.paths import PACKAGE, RECIPES
 
 from irlos_pipe.files.yaml import load_yaml
-from irlos_pipe.paper.run.experiments import find_experiments
+from irlos_pipe.paper.run.recipes import find_experiments
 from irlos_pipe.stages import EXPERIMENTS
 
 

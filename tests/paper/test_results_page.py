@@ -10,7 +10,7 @@ from helpers.paths import REPOSITORY
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.json import jsonable
-from irlos_pipe.paper.run.experiments import find_experiments
+from irlos_pipe.paper.run.recipes import find_experiments
 from irlos_pipe.paper.run.results_page import PAGE, RESULTS, read_layouts, renewed, with_tables
 from irlos_pipe.paper.run.tables import TableLayout, cell, find, render_table
 

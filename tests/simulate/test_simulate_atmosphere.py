@@ -9,7 +9,7 @@ import pytest
 from helpers.simulated_scenes import FACILITY, scene
 
 from irlos_pipe.simulate.atmosphere import Sky, aliasing_psd, von_karman_nm2_m2
-from irlos_pipe.simulate.checks import SceneError
+from irlos_pipe.simulate.errors import SceneError
 from irlos_pipe.simulate.pupil import pupil_of
 from irlos_pipe.simulate.scene import Sampling
 from irlos_pipe.simulate.screens import ResidualScreens

@@ -12,12 +12,12 @@ from helpers.reference_psf import reference
 from helpers.simulated_scenes import NCPA_NM, UT4, image, of_light, scene, tilt_nm_rms, worst
 from scipy.ndimage import label
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.checks import SceneError
 from irlos_pipe.simulate.effects.base import PupilEffect
 from irlos_pipe.simulate.effects.catalogue import EFFECTS
 from irlos_pipe.simulate.effects.low_wind import LowWindEffect
+from irlos_pipe.simulate.errors import SceneError
 from irlos_pipe.simulate.exposure import expose, telescope_of, with_effective_sky
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.scene import Sampling

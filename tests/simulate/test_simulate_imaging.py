@@ -11,7 +11,7 @@ from helpers.simulated_scenes import MAS_RAD, NCPA_NM, UT4, image, scene, tilt_n
 from scipy.integrate import dblquad
 from scipy.special import j1
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.exposure import expose, exposures, telescope_of
 from irlos_pipe.simulate.light import Band

@@ -11,7 +11,7 @@ from scipy.signal import welch
 
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.camera import Camera
-from irlos_pipe.simulate.checks import SceneError
+from irlos_pipe.simulate.errors import SceneError
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.motion import Motion, MotionSeries
 from irlos_pipe.simulate.pupil import pupil_of

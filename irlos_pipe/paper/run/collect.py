@@ -10,7 +10,7 @@ from typing import Any
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
 from irlos_pipe.files.atomic import write_if_changed
 from irlos_pipe.files.json import json_text
-from irlos_pipe.paper.run.experiments import Experiment
+from irlos_pipe.paper.run.recipes import Experiment
 from irlos_pipe.pipeline import Selection, plan_run
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.runfolder import RunFolder, existing_run

@@ -9,7 +9,7 @@ from pathlib import Path
 from irlos_pipe.conventions.errors import ExitCode, IrlosError
 from irlos_pipe.conventions.text import aligned
 from irlos_pipe.paper.run.collect import collect_numbers, collect_reports, require_size
-from irlos_pipe.paper.run.experiments import Experiment
+from irlos_pipe.paper.run.recipes import Experiment
 from irlos_pipe.pipeline import Outcome, Resources, run_recipe
 from irlos_pipe.pipeline.runlog import RUN
 from irlos_pipe.pipeline.terminal import quality_line

@@ -11,8 +11,6 @@ from pydantic import Field
 
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
-from irlos_pipe.paper.slow_loop.closed import Loop
-from irlos_pipe.paper.slow_loop.control import Integrator, best_gain
 from irlos_pipe.paper.slow_loop.disturbance import SodiumLayer
 from irlos_pipe.paper.slow_loop.experiment import (
     UNCALIBRATED,
@@ -23,6 +21,8 @@ from irlos_pipe.paper.slow_loop.experiment import (
     noise_law,
     run_loops,
 )
+from irlos_pipe.paper.slow_loop.linear_theory import Integrator, best_gain
+from irlos_pipe.paper.slow_loop.loops import Loop
 from irlos_pipe.paper.slow_loop.outcome import LoopOutcome, outcome_of
 from irlos_pipe.paper.slow_loop.results import LoopRow, SlowLoopResults
 from irlos_pipe.product.product import Check, Quantity

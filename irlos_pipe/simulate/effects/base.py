@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from irlos_pipe.conventions.facility import Facility, VibrationLine
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.charge import Pixels
 from irlos_pipe.simulate.light import Band, Ray

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import Any
 
-from irlos_pipe.simulate.checks import SceneError, require_known
 from irlos_pipe.simulate.effects.base import SimulatedEffect
 from irlos_pipe.simulate.effects.colour import AtmosphericDispersion, PlateScale, Spectrum
 from irlos_pipe.simulate.effects.companion import Companion
@@ -22,6 +21,7 @@ from irlos_pipe.simulate.effects.motion import TipTiltJitter, Vibration
 from irlos_pipe.simulate.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
 from irlos_pipe.simulate.effects.seeing_halo import SeeingHalo
 from irlos_pipe.simulate.effects.wavefront import DiversityError, HighOrderNcpa, NcpaDrift, PhaseBump
+from irlos_pipe.simulate.errors import SceneError, require_known
 
 # By name, in the order in which effects of one plane act.
 EFFECTS: dict[str, type[SimulatedEffect]] = {

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.conventions.pupil import PupilGeometry, Vane
-from irlos_pipe.simulate.checks import SceneError
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.simulate.effects.base import PupilEffect
+from irlos_pipe.simulate.errors import SceneError
 
 FIRST_PETAL_DEG = 45.0
 

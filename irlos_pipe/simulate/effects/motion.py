@@ -13,8 +13,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from irlos_pipe.conventions.facility import VibrationLine
-from irlos_pipe.simulate.checks import SceneError, require_known
 from irlos_pipe.simulate.effects.base import MotionEffect, own, wider
+from irlos_pipe.simulate.errors import SceneError, require_known
 from irlos_pipe.simulate.motion_blur import MotionBlur
 
 JITTER_CORRELATION_S = 0.010

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.simulate.atmosphere import Sky
-from irlos_pipe.simulate.checks import SceneError
 from irlos_pipe.simulate.effects.base import SkyEffect
+from irlos_pipe.simulate.errors import SceneError
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,10 @@ from pydantic import AfterValidator, AliasChoices, Field, create_model, model_va
 
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.declaration import Public
-from irlos_pipe.simulate.checks import SceneError
 from irlos_pipe.simulate.effects.base import Own, SimulatedEffect
 from irlos_pipe.simulate.effects.catalogue import EFFECTS, effects_of
-from irlos_pipe.simulate.recordings.keys import Pixel, Section, require_nolls
+from irlos_pipe.simulate.errors import SceneError
+from irlos_pipe.simulate.recordings.section_keys import Pixel, Section, require_nolls
 
 PETALS = 4
 

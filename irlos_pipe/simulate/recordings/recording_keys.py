@@ -11,7 +11,7 @@ from irlos_pipe.simulate.detector import outside_window
 from irlos_pipe.simulate.effects.base import RecordingSetup
 from irlos_pipe.simulate.effects.catalogue import effects_of
 from irlos_pipe.simulate.recordings.effect_keys import EffectKeys
-from irlos_pipe.simulate.recordings.keys import (
+from irlos_pipe.simulate.recordings.section_keys import (
     AberrationKeys,
     BandKeys,
     BandName,

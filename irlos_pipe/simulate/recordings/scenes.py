@@ -21,7 +21,8 @@ from irlos_pipe.simulate.effects.catalogue import EFFECTS
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
-from irlos_pipe.simulate.recordings.keys import (
+from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys
+from irlos_pipe.simulate.recordings.section_keys import (
     FACILITY_KEYS,
     AberrationKeys,
     BandKeys,
@@ -29,7 +30,6 @@ from irlos_pipe.simulate.recordings.keys import (
     MotionKeys,
     SkyKeys,
 )
-from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys
 from irlos_pipe.simulate.recordings.spec import Spec
 from irlos_pipe.simulate.scene import Sampling, Scene
 

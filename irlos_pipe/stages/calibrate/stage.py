@@ -8,7 +8,7 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, OptimiserName, calibrate
 from irlos_pipe.estimate.methods import DEFAULT_METHOD, MethodName
-from irlos_pipe.estimate.parameters import NcpaPrior
+from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.stages.base import StageContext, StageOutput

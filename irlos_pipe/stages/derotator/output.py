@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.conventions.pupil import PupilGeometry
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.estimate.derotator import Consistency, Part, Senses, Series, Split, consistency
 from irlos_pipe.optics.wavefront import clear_disc, opd_maps_nm
 from irlos_pipe.product.product import Check, Quantity

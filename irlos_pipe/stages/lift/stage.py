@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.estimate.lift import LiftOptions, NoiseSource
-from irlos_pipe.estimate.parameters import NcpaPrior
+from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise
 from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
 from irlos_pipe.product.product import Check, Quantity

@@ -1,4 +1,4 @@
-"""The controller of the slow loop and its linear theory.
+"""Linear theory of the slow loop and its controller; `loops` closes them on simulated frames.
 
 Frame k is exposed while the command stays at ``c_k``; its measurement ``m_k`` is ready `delay` frames
 after the exposure has ended: ``c_{k+1+delay} = c_{k+delay} + gain · m_k``.
