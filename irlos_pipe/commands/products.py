@@ -1,0 +1,107 @@
+"""Commands on a finished run: status, show, report, export, score."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from irlos_pipe.commands.options import FOLDER
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=FOLDER)
+def status(folder: Path) -> None:
+    """Show for each product of the run in DIR whether it is up to date, and if not, why.
+
+    \b
+    Example:
+      irlos status demo
+    """
+    from irlos_pipe.commands.text import status_text
+
+    click.echo(status_text(folder))
+
+
+@click.command()
+@click.argument("product", metavar="PRODUCT.h5", type=FOLDER)
+def show(product: Path) -> None:
+    """Show what PRODUCT.h5 contains: arrays with units, results, configuration, QC, provenance, log.
+
+    \b
+    Example:
+      irlos show demo/03_calibrate.h5
+    """
+    from irlos_pipe.commands.text import product_text
+
+    click.echo(product_text(product))
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=FOLDER)
+def report(folder: Path) -> None:
+    """Write DIR/report.html again from the products of a run.
+
+    \b
+    Example:
+      irlos report demo
+    """
+    from irlos_pipe.product.runfolder import existing_run, owned_folder
+
+    with owned_folder(existing_run(folder).path) as run_folder:
+        from irlos_pipe.report.build import write_report
+
+        click.echo(write_report(run_folder.path))
+
+
+@click.command()
+@click.argument("product", metavar="PRODUCT.h5", type=FOLDER)
+@click.option(
+    "--array",
+    "arrays",
+    metavar="NAME",
+    multiple=True,
+    required=True,
+    help="Array to copy; irlos show PRODUCT.h5 lists the names. May be repeated.",
+)
+@click.option("--output", type=FOLDER, required=True, metavar="FILE", help="File to write, .fits or .csv.")
+@click.option("--force", is_flag=True, help="Replace FILE if it exists.")
+def export(product: Path, arrays: tuple[str, ...], output: Path, force: bool) -> None:
+    """Copy arrays out of PRODUCT.h5 into a FITS or CSV file.
+
+    A FITS file holds arrays of any shape, one extension each, with the unit in BUNIT and errors in
+    extensions of their own. A CSV file holds columns of equal length, or one matrix.
+
+    \b
+    Examples:
+      irlos export demo/03_calibrate.h5 --array zernike_nm --output ncpa.csv
+      irlos export demo/01_ingest.h5 --array recordings/calibration/sky/images_e --output frames.fits
+    """
+    from irlos_pipe.product.export import export_arrays
+    from irlos_pipe.product.storage import read_product
+
+    export_arrays(read_product(product), arrays, output, replace=force)
+    click.echo(output)
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=FOLDER)
+@click.option(
+    "--truth",
+    type=FOLDER,
+    required=True,
+    metavar="PATH",
+    help="Truth of the recordings: a JSON file, or a folder of them.",
+)
+def score(folder: Path, truth: Path) -> None:
+    """Compare the results of the run in DIR with the truth of simulated data.
+
+    The table lists the errors of every calibration method and of the ramp.
+
+    \b
+    Example:
+      irlos score demo --truth data_samples/truth
+    """
+    from irlos_pipe.report.score import score_run
+
+    click.echo(score_run(folder, truth))

@@ -1,0 +1,165 @@
+"""Commands that make their own data: simulate, paper."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from irlos_pipe.commands.exits import EXIT_CODES, report_error, terminated_like_interrupted
+from irlos_pipe.commands.options import FOLDER, resources_of
+
+
+@click.command(epilog=EXIT_CODES)
+@click.argument("spec", metavar="SPEC.yaml", type=FOLDER)
+@click.option(
+    "--output", type=FOLDER, required=True, metavar="DIR", help="Folder for the recordings and their truth."
+)
+@click.option(
+    "--set",
+    "settings",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Change a value of the specification; VALUE is YAML. May be repeated.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    metavar="N",
+    help="Seed of the random numbers (default: that of the specification).",
+)
+@click.option("--force", is_flag=True, help="Make recordings again even if they are up to date.")
+@click.option("--dry-run", is_flag=True, help="Print what would be made and why; change nothing.")
+@click.option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="Number of processes (default: all processors)."
+)
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def simulate(
+    spec: Path,
+    output: Path,
+    settings: tuple[str, ...],
+    seed: int | None,
+    force: bool,
+    dry_run: bool,
+    jobs: int | None,
+    quiet: bool,
+) -> None:
+    """Simulate the recordings that SPEC.yaml specifies and write them to the folder DIR.
+
+    The specification states star, aberrations, sky, image motion, detector and other disturbances;
+    those in recipes/simulations have comments and are meant to be copied. The same specification
+    and seed give the same data for any --jobs. A recording that exists already is not made again;
+    a recording appears only when it is complete.
+
+    \b
+    Examples:
+      irlos simulate recipes/simulations/on_sky.yaml --output sim --dry-run
+      irlos simulate recipes/simulations/on_sky.yaml --output sim
+      irlos run recipes/full_reduction.yaml --output sim/run \\
+            --input calibration=sim/data/calibration --input ramp=sim/data/ramp
+      irlos score sim/run --truth sim/truth
+      irlos simulate recipes/simulations/on_sky.yaml --output sim-1 --seed 1
+      irlos simulate recipes/simulations/on_sky.yaml --output faint \\
+            --set recordings.ramp.mag_j=16 --set sky.seeing_arcsec=1.0
+      irlos simulate recipes/simulations/bench.yaml --output mine \\
+            --set 'effects={companion: {flux_ratio: 0.05, sep_mas: 150, pa_deg: 30}}'
+
+    \b
+    DIR will hold:
+      data/<recording>/         what an observer gets: frames, darks, side-car
+      truth/<recording>.json    the truth: wavefront, hidden effects, all parameters
+      truth/*_wavefront.fits    mean wavefront, pupil, Zernikes per frame
+      simulation.resolved.yaml  the specification with every default; can be simulated again
+    """
+    from irlos_pipe.conventions.text import aligned
+    from irlos_pipe.pipeline.terminal import messages
+    from irlos_pipe.simulate.recordings.run import plan_simulation
+    from irlos_pipe.simulate.recordings.run import simulate as simulate_recordings
+    from irlos_pipe.simulate.recordings.spec import load_spec
+    from irlos_pipe.simulate.recordings.summary import plan_rows, where_text
+
+    checked = load_spec(spec, settings, seed)
+    if dry_run:
+        click.echo(aligned(plan_rows(plan_simulation(checked, output, force))))
+        return
+    resources = resources_of("cpu", jobs, quiet)
+    with terminated_like_interrupted(), messages(-1 if quiet else 0):
+        simulate_recordings(checked, output, force, resources.jobs, resources.progress)
+    if not quiet:
+        click.echo(where_text(checked, output))
+
+
+@click.command(epilog=EXIT_CODES)
+@click.option(
+    "--output", type=FOLDER, required=True, metavar="DIR", help="Folder for the runs of all experiments."
+)
+@click.option(
+    "--quick",
+    is_flag=True,
+    help="Use small samples (recipes/paper/quick.yaml), which takes minutes instead of hours.",
+)
+@click.option("--only", metavar="NAME", multiple=True, help="Run only this experiment. May be repeated.")
+@click.option(
+    "--recipes",
+    type=FOLDER,
+    default=Path("recipes/paper"),
+    show_default=True,
+    metavar="DIR",
+    help="Folder with the recipes of the experiments.",
+)
+@click.option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="Number of processes (default: all processors)."
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    metavar="N",
+    help="Seed of the random numbers (default: those of the recipes).",
+)
+@click.option(
+    "-v", "--verbose", count=True, help="Print more messages; -vv prints debugging messages as well."
+)
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def paper(
+    output: Path,
+    quick: bool,
+    only: tuple[str, ...],
+    recipes: Path,
+    jobs: int | None,
+    seed: int | None,
+    verbose: int,
+    quiet: bool,
+) -> None:
+    """Run every experiment of the paper on simulated data and summarise all of them in DIR.
+
+    Experiments that are up to date are skipped, and an interrupted run continues where it stopped,
+    even in the middle of an experiment. An experiment that fails does not stop the others (exit
+    code 5). Results do not depend on --jobs.
+
+    \b
+    Examples:
+      irlos paper --output runs/paper-quick --quick
+      irlos paper --output runs/paper
+      irlos paper --output runs/paper --only methods --only slow_loop -v
+
+    \b
+    DIR will hold:
+      report.html         every figure and table, in the order of the paper
+      paper_results.json  all numbers with seeds and sizes, for scripts
+      <experiment>/       the run of each: report.html, results.json, products (irlos show)
+    """
+    from irlos_pipe.paper.run.recipes import find_experiments
+    from irlos_pipe.paper.run.run import run_paper, summary_text
+    from irlos_pipe.pipeline.terminal import messages
+
+    if verbose and quiet:
+        raise click.UsageError("-v and -q exclude each other")
+    experiments = find_experiments(recipes, quick=quick, only=only, seed=seed)
+    with terminated_like_interrupted(), messages(-1 if quiet else verbose):
+        ran = run_paper(experiments, output, quick, resources_of("cpu", jobs, quiet))
+    if not quiet:
+        click.echo(summary_text(ran))
+    for name, problem in ran.problems.items():
+        report_error(f"{name}: {problem}")
+    sys.exit(ran.exit_code)
