@@ -194,6 +194,7 @@ def test_the_quick_search_finds_the_companion_that_the_exact_score_prefers():
     assert best.values[1:] == pytest.approx(place, abs=9.8)
 
 
+@pytest.mark.slow
 def test_a_linear_size_is_near_the_true_one_when_the_effect_is_weak():
     stack = cube(image(effect=TipTiltJitter(), values=[4.0])).training
     score = score_family(optimum(stack), Family((TipTiltJitter(),)))

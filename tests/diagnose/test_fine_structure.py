@@ -37,6 +37,7 @@ def drawn(mean_e: np.ndarray, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
     return images, everything(images)
 
 
+@pytest.mark.slow
 def test_the_image_of_a_telescope_has_nothing_beyond_the_cut_off():
     image = torch.as_tensor(plain())[None]
     mask = torch.ones(CASE.window, dtype=torch.bool)

@@ -48,6 +48,7 @@ def test_odd_and_rectangular_windows_in_two_colours_bring_no_bias(window):
     assert np.sqrt(np.mean((error / result.sigma_nm) ** 2)) < 1.8
 
 
+@pytest.mark.slow
 def test_the_other_sign_of_the_diversity_is_told_apart():
     """With the wrong sign assumed, the fit must not pass for a good one."""
     case, wrong = settings(48), settings(48, diversity={6: 170.0})

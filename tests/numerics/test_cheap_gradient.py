@@ -33,6 +33,7 @@ def star() -> PsfModel:
 
 
 @pytest.mark.parametrize("name", list(STRONG))
+@pytest.mark.slow
 def test_the_cheap_gradient_is_that_of_the_normal_equations(name):
     effect, values = made(name)
     model = ImageModel(star(), [effect])

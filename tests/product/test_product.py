@@ -92,6 +92,7 @@ def flipped(path, place):
     path.write_bytes(changed)
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_anywhere_is_noticed(path):
     write_product(make_product(), path)
     content = path.read_bytes()
@@ -105,6 +106,7 @@ def test_a_flipped_bit_anywhere_is_noticed(path):
             open_product(path).arrays["zernike_nm"]
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_in_the_metadata_is_noticed_when_nothing_else_is_read(path):
     write_product(make_product(), path)
     content = path.read_bytes()

@@ -47,6 +47,7 @@ def test_pixels_coarser_than_the_image_are_integrated_as_well(sky):
     assert worst(found, fine.reshape(6, 8, 6, 8).sum(axis=(1, 3))) < 1e-4
 
 
+@pytest.mark.slow
 def test_strong_aberrations_are_imaged_as_well():
     strong_nm = {noll: 3 * value for noll, value in NCPA_NM.items()}
     found = image(ncpa_nm=strong_nm, introduced_nm=400.0, window=(64, 64))

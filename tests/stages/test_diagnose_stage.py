@@ -51,6 +51,7 @@ def test_limits_of_what_was_not_seen_have_public_names_and_no_positions(results)
     assert 0 < results["mdb"]["vibration"]["sigma_mas"] < 5
 
 
+@pytest.mark.slow
 def test_the_model_with_what_was_found_is_a_valid_section_of_a_recipe():
     entries = [recipe_entry(step) for step in diagnosis_of("companion").steps]
     model = ModelConfig(effects=("tip_tilt_jitter",))
