@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+PETALS = 4  # of the pupil that effects of petals are stated for: one between every two vanes
+
 
 @dataclass(frozen=True)
 class Vane:

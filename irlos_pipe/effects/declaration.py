@@ -55,7 +55,7 @@ class Public:
     ----------
     name, unit : str
     kind : str
-        A number; a table of Noll indices; four numbers, one per petal; a list of (row, column); a name.
+        A number; a table of Noll indices; as many numbers as petals; a list of (row, column); a name.
     lower, upper : float
         Limits of every number in it.
     required : bool

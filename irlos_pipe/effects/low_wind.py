@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.pupil_drawing import PETALS
 from irlos_pipe.effects.declaration import Parameter, Public
 from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.optics.grids import PupilGrid
-from irlos_pipe.optics.petals import PETALS, petal_amplitudes, petal_index
+from irlos_pipe.optics.petals import petal_amplitudes, petal_index
 
 KINDS, KIND_NOLLS = ("piston_nm", "tip_nm", "tilt_nm"), (1, 2, 3)
 PETAL_SIGMA_NM = 300.0

@@ -6,10 +6,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
+from irlos_pipe.conventions.pupil_drawing import PETALS, PupilGeometry, Vane
 from irlos_pipe.optics.pupil import band_limited_parts
 
-PETALS = 4
 FIRST_PETAL_RAD = np.pi / 4  # the first petal lies on this diagonal
 
 

@@ -69,7 +69,7 @@ def test_bad_pixels_are_a_mask_and_no_part_of_an_image():
     ({"tip_tilt_jitter": {"sigma_mas": -1}}, "tip_tilt_jitter.sigma_mas must lie between 0 and 60"),
     ({"tip_tilt_jitter": {"sigma_mas": "8"}}, "sigma_mas must be a number"),
     ({"high_order_ncpa": {"zernike_nm": [1, 2]}}, "must be a table {Noll index: value}"),
-    ({"low_wind_effect": {"piston_nm": [1], "tip_nm": [0] * 4, "tilt_nm": [0] * 4}}, "list of four numbers"),
+    ({"low_wind_effect": {"piston_nm": [1], "tip_nm": [0] * 4, "tilt_nm": [0] * 4}}, "list of 4 numbers"),
     ({"bad_pixels": {"pixels": [3, 4]}}, r"must be a list of \[row, column\]"),
     ({"vibration": {"speed": 3}}, r"options: \{shape\}"),
     ({"vibration": {"shape": "square"}}, "vibration.shape must be sinusoidal or gaussian, not 'square'"),

@@ -14,14 +14,13 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import AfterValidator, AliasChoices, Field, create_model, model_validator
 
+from irlos_pipe.conventions.pupil_drawing import PETALS
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.declaration import Public
 from irlos_pipe.simulate.effects.base import Own, SimulatedEffect
 from irlos_pipe.simulate.effects.catalogue import EFFECTS, effects_of
 from irlos_pipe.simulate.errors import SceneError
 from irlos_pipe.simulate.recordings.section_keys import Pixel, Section, require_nolls
-
-PETALS = 4
 
 
 class EffectSection(Section):

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from irlos_pipe.conventions.pupil_drawing import PETALS
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.declaration import Public
@@ -72,7 +73,7 @@ def _check(label: str, public: Public, value: Any) -> None:
         "number": (lambda v: _is_number(v), "a number"),
         "word": (lambda v: isinstance(v, str), "a word"),
         "zernike": (_is_table, "a table {Noll index: value}"),
-        "petals": (lambda v: _is_list(v, _is_number) and len(v) == 4, "a list of four numbers"),
+        "petals": (lambda v: _is_list(v, _is_number) and len(v) == PETALS, f"a list of {PETALS} numbers"),
         "pixels": (lambda v: _is_list(v, _is_pixel), "a list of [row, column]"),
         "nolls": (lambda v: _is_list(v, _is_noll), "a list of Noll indices"),
     }
