@@ -273,6 +273,7 @@ def test_images_that_move_from_frame_to_frame_are_distinguished_from_those_that_
     assert motion_ratio(shaken, fitted(shaken)) > 3
 
 
+@pytest.mark.slow
 def test_the_held_out_frames_prefer_the_true_model_and_its_gap_is_that_of_noise():
     parts = cube(image(effect=Vibration(), values=[64.0, 0.6]))
     without = HeldOutEvaluation(parts.held_out, fitted(parts.training))

@@ -59,6 +59,7 @@ def test_noise_alone_is_not_significant():
     assert abs(np.mean(significances)) < 1.0
 
 
+@pytest.mark.slow
 def test_an_error_of_the_flat_of_one_percent_is_seen():
     expected = plain() * FLUX_E
     gain = 1 + 0.01 * np.random.default_rng(1).standard_normal(expected.shape)

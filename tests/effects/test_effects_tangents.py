@@ -77,6 +77,7 @@ def test_effects_in_the_pupil_are_differentiated_through_those_behind_them():
 
 
 @pytest.mark.parametrize("name", SMOOTH)
+@pytest.mark.slow
 def test_modes_flux_and_background_are_differentiated_through_the_effect(name):
     effect, values = made(name)
     whole = ImageModel(psf(), [effect])

@@ -153,6 +153,7 @@ def finished(tmp_path):
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.layout.__name__} {case.file}")
 @pytest.mark.parametrize("as_file", [True, False], ids=["file", "folder"])
+@pytest.mark.slow
 def test_a_product_is_out_of_date_when_a_file_changes_that_was_read(tmp_path, finished, case, as_file):
     given = finished(case.layout, as_file=as_file)
     altered(tmp_path / "data" / case.file)

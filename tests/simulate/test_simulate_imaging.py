@@ -98,6 +98,7 @@ def test_pixels_integrate_over_their_full_area():
     assert worst(halves.reshape(24, 2, 24, 2).sum(axis=(1, 3)), image(window=(24, 24))) < 1e-6
 
 
+@pytest.mark.slow
 def test_photons_follow_magnitude_exposure_and_throughput():
     faint = scene(mag_j=12.0, exposure_s=2.0, throughput=0.3, frame_rate_hz=0.5)
     assert np.isclose(faint.photons, 150_000 * 10**1.2 * 2 * 0.3)

@@ -62,6 +62,7 @@ def test_the_model_with_what_was_found_is_a_valid_section_of_a_recipe():
     assert companion.fit
 
 
+@pytest.mark.slow
 def test_the_companion_found_is_one_that_the_recipe_can_place():
     (step,) = diagnosis_of("companion").steps
     made = EffectEntry.of(recipe_entry(step))
