@@ -7,7 +7,7 @@ The order is that of the hardware, an HgCdTe avalanche photodiode array (SAPHIRA
 2. The number of electrons is drawn (Poisson).
 3. Each is multiplied on its own. With gamma-distributed gains of mean 1 and variance F - 1 the sum
    of n of them is gamma-distributed with shape n/(F - 1): variance F n, and never negative. The mean
-   gain differs from pixel to pixel, which is what the flat shows.
+   gain differs from pixel to pixel, which is what the flat shows, with an error where one is given.
 4. Inter-pixel capacitance induces a part of the multiplied signal in the neighbours, noise included.
 5. The capacitance of the node grows with its charge: response ``s (1 - k s)``, then the full well.
 6. The source follower and the amplifier add the read noise; what was left of pedestal or
@@ -27,7 +27,7 @@ from scipy.ndimage import convolve
 from irlos_pipe.simulate.detector import DetectorModel, marked
 
 NEIGHBOURS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
-PEDESTAL_STREAM, RESPONSE_STREAM = 0, 1  # of a detector's `pattern_seed`
+PEDESTAL_STREAM, FLAT_STREAM, FLAT_ERROR_STREAM = 0, 1, 2  # of a detector's `pattern_seed`
 
 
 @dataclass(frozen=True)
@@ -163,11 +163,28 @@ def compressed(signal_e: np.ndarray, nonlinearity_per_e: float, full_well_e: flo
     return np.minimum(held_e * (1 - nonlinearity_per_e * held_e), full_well_e)
 
 
+def flat_map(detector: DetectorModel, window: tuple[int, int]) -> np.ndarray:
+    """Return the part of the relative gain of each pixel that the flat shows; 0 in dead pixels.
+
+    Parameters
+    ----------
+    detector : DetectorModel
+    window : (int, int)
+        Rows and columns [px].
+    """
+    gain = _scattered(detector.flat_rms, detector, window, FLAT_STREAM)
+    return np.where(marked(detector.dead, window), 0.0, gain)
+
+
 def response_map(detector: DetectorModel, window: tuple[int, int]) -> np.ndarray:
     """Return the relative gain of each pixel of the `detector` in a `window`; 0 in dead pixels."""
-    rng = np.random.default_rng([detector.pattern_seed, RESPONSE_STREAM])
-    response = np.maximum(1 + detector.flat_rms * rng.standard_normal(window), 0.0)
-    return np.where(marked(detector.dead, window), 0.0, response)
+    error = _scattered(detector.flat_error_rms, detector, window, FLAT_ERROR_STREAM)
+    return flat_map(detector, window) * error
+
+
+def _scattered(rms: float, detector: DetectorModel, window: tuple[int, int], stream: int) -> np.ndarray:
+    rng = np.random.default_rng([detector.pattern_seed, stream])
+    return np.maximum(1 + rms * rng.standard_normal(window), 0.0)
 
 
 def pedestal_map_adu(detector: DetectorModel, window: tuple[int, int]) -> np.ndarray:

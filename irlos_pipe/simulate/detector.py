@@ -30,7 +30,9 @@ class DetectorModel:
     excess_noise_factor : float
         F, variance of the photon signal over its Poisson variance; 1.25 is claimed, 1.47 measured.
     flat_rms : float
-        Scatter of the avalanche gain from pixel to pixel, relative.
+        Scatter of the avalanche gain from pixel to pixel, relative; the flat shows it.
+    flat_error_rms : float
+        Further scatter of the gain, relative, which the flat does not show.
     dark_e_per_s : float
         Dark current of every pixel [e-/s].
     dead : tuple of Pixel
@@ -58,6 +60,7 @@ class DetectorModel:
     fixed_pattern_adu: float = 0.0
     excess_noise_factor: float = 1.0
     flat_rms: float = 0.0
+    flat_error_rms: float = 0.0
     dark_e_per_s: float = 0.0
     dead: tuple[Pixel, ...] = ()
     hot_e_per_s: tuple[tuple[Pixel, float], ...] = ()

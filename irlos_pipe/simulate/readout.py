@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.simulate.charge import Pixels, nominal_pixels, pedestal_map_adu
+from irlos_pipe.simulate.charge import Pixels, flat_map, nominal_pixels, pedestal_map_adu
 from irlos_pipe.simulate.detector import ADC_TOP_ADU, marked
 from irlos_pipe.simulate.effects.base import DetectorEffect
 from irlos_pipe.simulate.scene import Scene
@@ -52,7 +52,8 @@ def electrons(scene: Scene, mean_e: np.ndarray, rng: np.random.Generator) -> np.
     signal_e = pixels.signal_e(mean_e, detector.read_noise_e, rng)
     top_e = (detector.saturation_adu - detector.pedestal_adu) * detector.e_per_adu
     read_e = pixels.read(np.minimum(signal_e, top_e), pixels.stuck_e)
-    return _over_flat(read_e - pixels.dark_e * pixels.response, pixels.response).astype(np.float32)
+    flat = flat_map(detector, scene.window)
+    return _over_flat(read_e - pixels.dark_e * pixels.response, flat).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -97,11 +98,11 @@ class Readout:
         return self._converted(signal_e).mean(axis=0, dtype=np.float64).astype(np.float32)
 
     def flat(self, rng: np.random.Generator) -> np.ndarray | None:
-        """Return the relative response as measured, (rows, columns) float32; None for a uniform detector."""
+        """Return the relative response as the flat shows it, (rows, columns) float32; None for a uniform detector."""
         if self.pixels.detector.flat_rms == 0:
             return None
-        error = 1 + FLAT_ERROR * rng.standard_normal(self.pixels.response.shape)
-        return (self.pixels.response * error).astype(np.float32)
+        flat = flat_map(self.pixels.detector, self.pedestal_adu.shape)
+        return (flat * (1 + FLAT_ERROR * rng.standard_normal(flat.shape))).astype(np.float32)
 
     def dead(self) -> np.ndarray:
         """Return the map of dead pixels, (rows, columns) uint8: 1 is dead."""
@@ -112,6 +113,6 @@ class Readout:
         return np.clip(level_adu, 0, self.top_adu).astype(np.uint16)
 
 
-def _over_flat(signal_e: np.ndarray, response: np.ndarray) -> np.ndarray:
-    """Divide by the response; dead pixels keep what they read."""
-    return signal_e / np.where(response > 0, response, 1.0)
+def _over_flat(signal_e: np.ndarray, flat: np.ndarray) -> np.ndarray:
+    """Divide by the flat; dead pixels keep what they read."""
+    return signal_e / np.where(flat > 0, flat, 1.0)

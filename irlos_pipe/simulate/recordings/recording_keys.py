@@ -20,6 +20,7 @@ from irlos_pipe.simulate.recordings.section_keys import (
     DiversityKeys,
     MotionKeys,
     Nanometres,
+    PupilKeys,
     SamplingKeys,
     Section,
     SkyKeys,
@@ -49,6 +50,7 @@ class Shared(Section):
     ncpa: AberrationKeys | None = Field(None, description="static aberrations behind the derotator")
     rotating: AberrationKeys | None = Field(None, description="those before it, as they are at angle 0")
     diversity: DiversityKeys | None = Field(None, description="aberration put in on purpose")
+    pupil: PupilKeys | None = Field(None, description="what of the pupil differs from the profile")
     sky: SkyKeys | None = Field(None, description="AO residual; left out on the bench")
     motion: MotionKeys | None = Field(None, description="image motion; left out on the bench")
     detector: DetectorKeys | None = Field(None, description="detector constants")

@@ -13,6 +13,7 @@ import numpy as np
 from irlos_pipe.conventions.bands import NARROW_H, H, J
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import DetectorModel
@@ -20,7 +21,7 @@ from irlos_pipe.simulate.effects.base import FocusStageEffect
 from irlos_pipe.simulate.effects.catalogue import EFFECTS
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
-from irlos_pipe.simulate.ncpa import draw_ncpa_nm
+from irlos_pipe.simulate.ncpa import draw_ncpa_nm, draw_tail_nm
 from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys
 from irlos_pipe.simulate.recordings.section_keys import (
     FACILITY_KEYS,
@@ -28,6 +29,7 @@ from irlos_pipe.simulate.recordings.section_keys import (
     BandKeys,
     DetectorKeys,
     MotionKeys,
+    PupilKeys,
     SkyKeys,
 )
 from irlos_pipe.simulate.recordings.spec import Spec
@@ -48,12 +50,13 @@ def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
     Raises
     ------
     ConfigurationError
-        When the window is wider than the images that the sampling of the pupil allows.
+        When the window is wider than the images that the sampling of the pupil allows, or the central hole
+        as wide as the pupil.
     """
     diversity = keys.diversity
     scene = Scene(
         name=name,
-        facility=_facility(spec.instrument.facility, keys.sky),
+        facility=_facility(spec.instrument.facility, name, keys),
         bands=_bands(keys.bands),
         seed=(spec.seed,),
         frames=keys.frames,
@@ -106,10 +109,15 @@ def _aberrations(keys: AberrationKeys | None, spec: Spec, what: str) -> dict[int
     """Coefficients; the draw is the same for all recordings of a spec."""
     if keys is None:
         return {}
-    if keys.total_nm is None:
-        return dict(keys.zernike_nm or {})
-    rng = np.random.default_rng([spec.seed, number(what)])
-    return draw_ncpa_nm(rng, spec.instrument.facility.ncpa_law, keys.total_nm, keys.modes)
+    modes_nm = dict(keys.zernike_nm or {})
+    if keys.total_nm is not None:
+        rng = np.random.default_rng([spec.seed, number(what)])
+        modes_nm = draw_ncpa_nm(rng, spec.instrument.facility.ncpa_law, keys.total_nm, keys.modes)
+    if keys.tail_nm:
+        rng = np.random.default_rng([spec.seed, number(f"{what} tail")])
+        for noll, value_nm in draw_tail_nm(rng, keys.tail_nm, *keys.tail_nolls).items():
+            modes_nm[noll] = modes_nm.get(noll, 0.0) + value_nm
+    return modes_nm
 
 
 def _bands(bands: str | list[BandKeys]) -> tuple[Band, ...]:
@@ -125,10 +133,22 @@ def _throughput(keys: RecordingKeys) -> float:
     return default if keys.throughput is None else keys.throughput
 
 
-def _facility(facility: Facility, keys: SkyKeys | None) -> Facility:
-    """The instrument's facility with what the section `sky` changes of it."""
-    given = {name: getattr(keys, name) for name in FACILITY_KEYS} if keys else {}
+def _facility(facility: Facility, name: str, keys: RecordingKeys) -> Facility:
+    """The instrument's facility with what the sections `sky` and `pupil` change of it."""
+    given = {name: getattr(keys.sky, name) for name in FACILITY_KEYS} if keys.sky else {}
+    if keys.pupil is not None:
+        given["pupil"] = _pupil(facility.pupil, name, keys.pupil)
     return replace(facility, **{name: value for name, value in given.items() if value is not None})
+
+
+def _pupil(pupil: PupilGeometry, name: str, keys: PupilKeys) -> PupilGeometry:
+    """The profile's pupil with what the section `pupil` changes of it."""
+    if keys.obscuration_m >= pupil.diameter_m:
+        raise ConfigurationError(
+            f"recordings.{name}: pupil.obscuration_m = {keys.obscuration_m:g} leaves nothing of a pupil of "
+            f"{pupil.diameter_m:g} m; give less"
+        )
+    return replace(pupil, obscuration_m=keys.obscuration_m)
 
 
 def _sky(keys: SkyKeys | None) -> Sky | None:

@@ -49,12 +49,27 @@ class AberrationKeys(Section):
     total_nm: float | None = Field(None, ge=0, le=5000, description="RMS of the drawn modes together, nm")
     modes: int = Field(50, ge=2, le=500, description="number of drawn modes, from Noll 2 on")
     zernike_nm: Zernikes | None = Field(None, description="Noll index: nm RMS, instead of a draw")
+    tail_nm: float = Field(0.0, ge=0, le=1000, description="RMS of every mode of a further, drawn tail")
+    tail_nolls: tuple[int, int] = Field((52, 200), description="first and last Noll index of the tail")
+
+    @model_validator(mode="after")
+    def _tail(self) -> AberrationKeys:
+        first, last = self.tail_nolls
+        if not 2 <= first <= last <= 1000:
+            raise ValueError("tail_nolls: give the first and the last Noll index, from 2 to 1000")
+        return self
 
     @model_validator(mode="after")
     def _one_way(self) -> AberrationKeys:
         if (self.total_nm is None) == (self.zernike_nm is None):
             raise ValueError("give either total_nm (drawn from the seed) or zernike_nm, Noll index: nm RMS")
         return self
+
+
+class PupilKeys(Section):
+    """The pupil as it is, where it differs from that of the instrument's profile, which nobody is told."""
+
+    obscuration_m: float = Field(ge=0, description="diameter of the central hole")
 
 
 class DiversityKeys(Section):
@@ -156,6 +171,9 @@ class DetectorKeys(Section):
     )
     flat_rms: float = Field(
         DetectorModel.flat_rms, ge=0, le=0.5, description="scatter of the gain between pixels, relative"
+    )
+    flat_error_rms: float = Field(
+        DetectorModel.flat_error_rms, ge=0, le=0.5, description="scatter of the gain that no flat shows"
     )
     dark_e_per_s: float = Field(
         DetectorModel.dark_e_per_s, ge=0, le=1e6, description="dark current of every pixel"
