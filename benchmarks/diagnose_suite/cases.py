@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 from zlib import crc32
@@ -52,6 +52,10 @@ class Case:
         Of all hidden effects; empty without.
     number : int
         Distinguishes draws of the same case.
+    dirty : bool
+        Whether everything has a mild error beside what is hidden.
+    suite_seed : int
+        Of all draws; the same case with another seed is another recording.
     """
 
     kind: str
@@ -59,17 +63,21 @@ class Case:
     effects: tuple[str, ...] = ()
     level: str = ""
     number: int = 0
+    dirty: bool = False
+    suite_seed: int = 0
 
     @property
     def name(self) -> str:
-        """Of its files: ``single.bench_narrow.companion.weak``."""
+        """Of its files: ``single.bench_narrow.companion.weak``, ``dirty.single.…``."""
+        world = "dirty" if self.dirty else ""
         last = self.level if self.kind in (SINGLE, RAMP_SINGLE) else f"{self.number:02d}"
-        return ".".join(part for part in (self.kind, self.setting.name, "+".join(self.effects), last) if part)
+        parts = (world, self.kind, self.setting.name, "+".join(self.effects), last)
+        return ".".join(part for part in parts if part)
 
     @property
     def seed(self) -> int:
-        """The same in every run, its own in every case."""
-        return crc32(self.name.encode())
+        """The same in every run of one suite seed, its own in every case."""
+        return crc32(self.name.encode(), self.suite_seed)
 
     @property
     def is_ramp(self) -> bool:
@@ -90,9 +98,22 @@ class Case:
         return [*usual, *({effect: dict(value)} for effect, value in known.items() if effect not in usual)]
 
 
-def all_cases() -> list[Case]:
-    """Every case: those of one kind together, settings in turn."""
-    return [*_clean(), *_singles(), *_pairs(), *_outside(), *_ramps()]
+def all_cases(suite_seed: int = 0, dirty: bool = False) -> list[Case]:
+    """Every case: those of one kind together, settings in turn.
+
+    Parameters
+    ----------
+    suite_seed : int
+    dirty : bool
+        All cases with mild errors, after the clean recordings without any, whose smallest detectable sizes
+        say how large a hidden effect is.
+    """
+    cases = [*_clean(), *_singles(), *_pairs(), *_outside(), *_ramps()]
+    seeded = [replace(case, suite_seed=suite_seed) for case in cases]
+    if not dirty:
+        return seeded
+    clean = [case for case in seeded if case.kind in (CLEAN, RAMP_CLEAN)]
+    return clean + [replace(case, dirty=True) for case in seeded]
 
 
 def _clean() -> Iterator[Case]:

@@ -68,11 +68,8 @@ def blurred_ghost(rng: np.random.Generator) -> Foreign:
     ratio, sigma_px = float(rng.uniform(0.02, 0.06)), float(rng.uniform(2.5, 4.0))
     distance, angle = rng.uniform(8, 18), rng.uniform(0, 2 * np.pi)
     shift = (float(distance * np.sin(angle)), float(distance * np.cos(angle)))
-
-    def image(image_e: np.ndarray) -> np.ndarray:
-        return image_e + ratio * ndimage.gaussian_filter(ndimage.shift(image_e, shift), sigma_px)
-
-    return Foreign({"flux_ratio": ratio, "sigma_px": sigma_px, "shift_px": list(shift)}, image)
+    truth = {"flux_ratio": ratio, "sigma_px": sigma_px, "shift_px": list(shift)}
+    return Foreign(truth, second_image(ratio, shift, sigma_px))
 
 
 def scattered_light(rng: np.random.Generator) -> Foreign:
@@ -125,6 +122,15 @@ FOREIGN: dict[str, Callable[[np.random.Generator], Foreign]] = {
         flat_field_error,
     )
 }
+
+
+def second_image(ratio: float, shift_px: tuple[float, float], sigma_px: float) -> Image:
+    """Adds a copy of the image, `ratio` as bright, displaced by (y, x) and blurred by a Gaussian."""
+
+    def image(image_e: np.ndarray) -> np.ndarray:
+        return image_e + ratio * ndimage.gaussian_filter(ndimage.shift(image_e, shift_px), sigma_px)
+
+    return image
 
 
 def warped(image_e: np.ndarray, matrix: np.ndarray) -> np.ndarray:

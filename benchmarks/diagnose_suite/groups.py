@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.diagnose_suite.cases import CLEAN, SINGLE
-from benchmarks.diagnose_suite.judging import Outcome, is_untestable
+from benchmarks.diagnose_suite.judging import Outcome, is_dirty, is_untestable
 from benchmarks.diagnose_suite.sizes import in_smallest
 
 CLEARLY_THERE = 3.0  # times the smallest detectable size
@@ -24,15 +24,23 @@ class Singles:
     untestable: Sequence[Outcome]
 
 
+def in_world(outcomes: Sequence[Outcome], dirty: bool) -> list[Outcome]:
+    """Outcomes of cases with mild errors of everything (`dirty`), or of those without."""
+    return [one for one in outcomes if is_dirty(one) == dirty]
+
+
 def of_kind(outcomes: Sequence[Outcome], kind: str) -> list[Outcome]:
     """Outcomes of one kind of case."""
     return [one for one in outcomes if one["truth"]["kind"] == kind]
 
 
 def smallest_sizes(outcomes: Sequence[Outcome], clean: str = CLEAN) -> dict[str, dict[str, Any]]:
-    """Smallest detectable sizes in every setting: those of the median of its clean recordings."""
+    """Smallest detectable sizes in every setting: those of the median of its clean recordings.
+
+    Recordings with mild errors of everything are none of these.
+    """
     tables: dict[str, list[Mapping]] = {}
-    for one in of_kind(outcomes, clean):
+    for one in of_kind(in_world(outcomes, dirty=False), clean):
         tables.setdefault(one["truth"]["setting"], []).append(one["diagnosis"]["mdb"])
     return {setting: _median(several) for setting, several in tables.items()}
 
@@ -50,13 +58,15 @@ def _median(tables: Sequence[Any]) -> Any:
     return float(np.median(np.abs(present)))
 
 
-def sorted_singles(outcomes: Sequence[Outcome], kind: str = SINGLE, clean: str = CLEAN) -> Singles:
-    """Split the recordings with one effect.
+def sorted_singles(
+    outcomes: Sequence[Outcome], kind: str = SINGLE, clean: str = CLEAN, dirty: bool = False
+) -> Singles:
+    """Split the recordings with one effect, beside mild errors of everything (`dirty`) or alone.
 
     An effect is untestable where the diagnosis says so, and small below `CLEARLY_THERE` times the
     smallest detectable size of clean recordings; where that is not known it counts as large.
     """
-    smallest, singles = smallest_sizes(outcomes, clean), of_kind(outcomes, kind)
+    smallest, singles = smallest_sizes(outcomes, clean), of_kind(in_world(outcomes, dirty), kind)
     untestable = [one for one in singles if is_untestable(one)]
     rest = [one for one in singles if not is_untestable(one)]
     sizes = [in_smallest(one, smallest.get(one["truth"]["setting"], {})) for one in rest]

@@ -143,11 +143,14 @@ def _drift(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
     return Hidden("ncpa_drift", table, table)
 
 
-def _companion(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    """Beyond λ/D and within the window."""
+def companion_place(rng: np.random.Generator, setting: Setting) -> dict[str, float]:
+    """Place beyond λ/D and within the window."""
     farthest = 0.42 * setting.window * PIXEL_SCALE_MAS
-    place = {"sep_mas": float(rng.uniform(60, farthest)), "pa_deg": _angle_deg(rng)}
-    return Hidden("companion", {"flux_ratio": size, **place}, {"flux_ratio": size})
+    return {"sep_mas": float(rng.uniform(60, farthest)), "pa_deg": _angle_deg(rng)}
+
+
+def _companion(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
+    return Hidden("companion", {"flux_ratio": size, **companion_place(rng, setting)}, {"flux_ratio": size})
 
 
 def _gradient(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:

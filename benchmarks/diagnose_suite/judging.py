@@ -5,28 +5,55 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, PAIR
 
 NONE, EFFECT, UNKNOWN = "none", "effect", "unknown"
+GRADES = ("complete", "partial", "resembles", UNKNOWN, NONE)
 LARGEST_SET = 3
+NEAR_MAS = 41.0  # λ/D at 1.6 µm: within it a second image is where it is said to be
+SECOND_IMAGES = ("companion", "ghost")
 Outcome = Mapping[str, Any]
+
+
+def is_dirty(outcome: Outcome) -> bool:
+    """Whether everything has a mild error beside what is hidden."""
+    return bool(outcome["truth"].get("dirty", False))
+
+
+def grade(outcome: Outcome) -> str:
+    """How far the diagnosis says to have come, one of `GRADES`; a report without grades has the verdict's."""
+    diagnosis = outcome["diagnosis"]
+    if "grade" in diagnosis:
+        return diagnosis["grade"]
+    if diagnosis["verdict"] == EFFECT:
+        return "partial" if diagnosis.get("unexplained", False) else "complete"
+    return diagnosis["verdict"]
 
 
 def named(outcome: Outcome) -> list[str]:
     """Names in the order found; none unless the verdict is that an effect was found."""
-    diagnosis = outcome["diagnosis"]
-    return [step["effect"] for step in diagnosis["steps"]] if diagnosis["verdict"] == EFFECT else []
+    return [step["effect"] for step in _adopted(outcome)]
 
 
 def ambiguity_sets(outcome: Outcome) -> list[set[str]]:
     """Every name with those that it was not distinguished from."""
-    steps = outcome["diagnosis"]["steps"] if outcome["diagnosis"]["verdict"] == EFFECT else []
-    return [{step["effect"], *step["indistinguishable"]} for step in steps]
+    return [{step["effect"], *step["indistinguishable"]} for step in _adopted(outcome)]
+
+
+def _adopted(outcome: Outcome) -> list[Mapping[str, Any]]:
+    return list(outcome["diagnosis"]["steps"]) if outcome["diagnosis"]["verdict"] == EFFECT else []
 
 
 def is_first(outcome: Outcome) -> bool:
     """Whether the hidden effect is the first name."""
-    return named(outcome)[:1] == outcome["truth"]["effects"][:1]
+    return _hidden_among(outcome, _adopted(outcome)[:1])
+
+
+def is_named(outcome: Outcome) -> bool:
+    """Whether the hidden effect is one of the names."""
+    return _hidden_among(outcome, _adopted(outcome))
 
 
 def is_in_set(outcome: Outcome) -> bool:
@@ -60,9 +87,57 @@ def extra_names(outcome: Outcome) -> list[str]:
 
 
 def is_untestable(outcome: Outcome) -> bool:
-    """Whether nothing was found, and the diagnosis says that these data cannot show the hidden effect."""
+    """Whether nothing was found, and the diagnosis says that these data cannot show the hidden effect.
+
+    Where everything has a mild error, others may be found: those that are there.
+    """
     hidden, diagnosis = set(outcome["truth"]["effects"]), outcome["diagnosis"]
-    return diagnosis["verdict"] == NONE and bool(hidden & set(diagnosis["untestable"]))
+    found = (
+        is_named(outcome) or first_is_wrong(outcome) if is_dirty(outcome) else diagnosis["verdict"] != NONE
+    )
+    return not found and bool(hidden & set(diagnosis["untestable"]))
+
+
+# -- beside mild errors of everything ----------------------------------------------------------
+
+
+def first_is_wrong(outcome: Outcome) -> bool:
+    """Whether the first name is neither what is hidden nor a mild error that is there."""
+    return any(not _is_there(outcome, step) for step in _adopted(outcome)[:1])
+
+
+def wrong_names(outcome: Outcome) -> list[str]:
+    """Names of what is neither hidden nor a mild error that is there."""
+    return [step["effect"] for step in _adopted(outcome) if not _is_there(outcome, step)]
+
+
+def _is_there(outcome: Outcome, step: Mapping[str, Any]) -> bool:
+    """Whether a name is that of something true: hidden, or one of the mild errors."""
+    mild = outcome["truth"].get("mild", {})
+    if _hidden_among(outcome, [step]):
+        return True
+    if step["effect"] in SECOND_IMAGES:
+        return "ghost" in mild and _distance_mas(step["parameters"], mild["ghost"]) < NEAR_MAS
+    return step["effect"] in mild
+
+
+def _hidden_among(outcome: Outcome, steps: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether one of some names is the first hidden effect."""
+    hidden = outcome["truth"]["effects"][:1]
+    return any([step["effect"]] == hidden and _is_in_place(outcome, step) for step in steps)
+
+
+def _is_in_place(outcome: Outcome, step: Mapping[str, Any]) -> bool:
+    """Whether a second image is the hidden one, where there is a mild one too."""
+    truth, effect = outcome["truth"], step["effect"]
+    if effect not in SECOND_IMAGES or "ghost" not in truth.get("mild", {}):
+        return True
+    return _distance_mas(step["parameters"], truth["known"][effect]) < NEAR_MAS
+
+
+def _distance_mas(one: Mapping[str, float], other: Mapping[str, float]) -> float:
+    places = [each["sep_mas"] * np.exp(1j * np.deg2rad(each["pa_deg"])) for each in (one, other)]
+    return float(abs(places[0] - places[1]))
 
 
 # -- the case as a whole -----------------------------------------------------------------------
@@ -71,6 +146,8 @@ def is_untestable(outcome: Outcome) -> bool:
 def is_right(outcome: Outcome) -> bool:
     """Whether the case came out as it should."""
     kind, verdict = outcome["truth"]["kind"], outcome["diagnosis"]["verdict"]
+    if is_dirty(outcome):
+        return not first_is_wrong(outcome) and _is_found_beside_others(outcome)
     if kind.endswith(CLEAN):
         return verdict == NONE
     if kind.endswith(OUTSIDE):
@@ -78,3 +155,11 @@ def is_right(outcome: Outcome) -> bool:
     if kind == PAIR:
         return all_named(outcome) and not extra_names(outcome)
     return is_untestable(outcome) or (is_in_set(outcome) and not extra_names(outcome))
+
+
+def _is_found_beside_others(outcome: Outcome) -> bool:
+    """Whether what is hidden is among the names, if the catalogue has it and the data can show it."""
+    kind = outcome["truth"]["kind"]
+    if kind == PAIR:
+        return all_named(outcome)
+    return kind.endswith((CLEAN, OUTSIDE)) or is_named(outcome) or is_untestable(outcome)

@@ -35,9 +35,14 @@ def make_case(case: Case, data: Path, truth: Path) -> None:
     plan = plan_case(case, truth / f"{case.name}.yaml")
     zernike_nm = {}
     for planned in plan.recordings:
-        zernike_nm[planned.name] = _record(planned, data / planned.name, plan.foreign.image, case)
+        zernike_nm[planned.name] = _record(
+            planned, data / planned.name, plan.image, case.setting.highest_noll
+        )
     content = {
         "kind": case.kind,
+        "suite_seed": case.suite_seed,
+        "dirty": case.dirty,
+        "mild": plan.mild.truth,
         "setting": case.setting.name,
         "level": case.level,
         "effects": list(case.effects),
@@ -49,10 +54,11 @@ def make_case(case: Case, data: Path, truth: Path) -> None:
     write_bytes(truth / f"{case.name}.json", json_text(content).encode())
 
 
-def _record(planned: Planned, folder: Path, hide: Image, case: Case) -> dict[int, float]:
+def _record(planned: Planned, folder: Path, hide: Image, highest_noll: int) -> dict[int, float]:
     """Write one recording; returns the modes of its mean wavefront, Noll: nm RMS.
 
-    They are fitted together with all modes that the model of the case has, as an estimate has them.
+    They are fitted together with all modes that the wavefront has, at least up to `highest_noll`: those of
+    the model, as an estimate has them.
     """
     scene, opd_nm = planned.scene, 0.0
     mean_e = np.empty((scene.frames, *scene.window))
@@ -60,7 +66,7 @@ def _record(planned: Planned, folder: Path, hide: Image, case: Case) -> dict[int
         mean_e[index] = hide(exposure.mean_e)
         opd_nm = opd_nm + exposure.opd_nm / scene.frames
     _write(planned, folder, mean_e)
-    fitted = telescope_of(scene).fit_zernike_nm(opd_nm, case.setting.highest_noll)
+    fitted = telescope_of(scene).fit_zernike_nm(opd_nm, max(highest_noll, *scene.ncpa_nm))
     return dict(enumerate(fitted.tolist(), start=2))
 
 

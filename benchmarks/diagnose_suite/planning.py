@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.diagnose_suite.cases import IN_SKY_MODEL, MIXED_UP, Case
-from benchmarks.diagnose_suite.foreign import FOREIGN, Foreign
+from benchmarks.diagnose_suite.foreign import FOREIGN, Foreign, Image
 from benchmarks.diagnose_suite.hidden import Hidden, drawn
 from benchmarks.diagnose_suite.levels import size_of
+from benchmarks.diagnose_suite.mild import Mild, drawn_mild
 from benchmarks.diagnose_suite.settings import OFFSETS_NM, RAMP_FRAMES, SKY_PUPIL_SAMPLES
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.instrument.instrument import load_instrument
@@ -22,7 +23,7 @@ from irlos_pipe.simulate.recordings.spec import load_spec
 from irlos_pipe.simulate.scene import Scene
 
 CUBE, RAMP, CALIBRATION = "cube", "ramp", "calibration"
-SECTIONS, HIDDEN, OUTSIDE, ORDER = range(4)  # streams of random numbers of a case
+SECTIONS, HIDDEN, OUTSIDE, ORDER, MILD = range(5)  # streams of random numbers of a case
 
 
 @dataclass(frozen=True)
@@ -36,31 +37,47 @@ class Plan:
         Effects of the catalogue.
     foreign : Foreign
         The effect that it does not have, or none.
+    mild : Mild
+        What else is a little wrong.
     """
 
     recordings: Sequence[Planned]
     hidden: Sequence[Hidden]
     foreign: Foreign
+    mild: Mild
+
+    @property
+    def image(self) -> Image:
+        """What happens to the images beyond the simulator: first in the optics, then in the pixels."""
+        return lambda image_e: self.foreign.image(self.mild.image(image_e))
 
 
 def plan_case(case: Case, spec_path: Path) -> Plan:
     """Plan a case; its spec, which states the truth, is written to `spec_path`."""
-    hidden = _hidden(case)
+    hidden, mild = _hidden(case), _mild(case)
     spec_path.write_text(yaml_text(spec_of(case, hidden)))
     recordings = plan_recordings(load_spec(spec_path))
     foreign = _foreign(case)
     if case.effects == (MIXED_UP,):
         recordings = _mixed_up(recordings, _rng(case, ORDER))
-    return Plan([_with_patches(one, foreign) for one in recordings], hidden, foreign)
+    return Plan([_with_patches(one, foreign) for one in recordings], hidden, foreign, mild)
 
 
 def spec_of(case: Case, hidden: Sequence[Hidden]) -> dict[str, Any]:
-    """The case as a spec of `irlos simulate`."""
-    sections = case.setting.sections(_rng(case, SECTIONS))
+    """The case as a spec of `irlos simulate`.
+
+    What is hidden takes the place of the mild error of the same parameter, so that it has its level's size.
+    """
+    mild = _mild(case)
+    sections = mild.over(case.setting.sections(_rng(case, SECTIONS)))
     of_sky = [one for one in hidden if case.setting.on_sky and one.effect in IN_SKY_MODEL]
     for one in of_sky:
         sections = _with_sky_of(sections, one)
-    effects = {one.effect: dict(one.parameters) for one in hidden if one not in of_sky}
+    effects = {
+        one.effect: {**mild.effects.get(one.effect, {}), **one.parameters}
+        for one in hidden
+        if one not in of_sky
+    }
     if "seeing_halo" in effects:
         sections = sections | {"sampling": {**sections["sampling"], "pupil_samples": SKY_PUPIL_SAMPLES}}
     head = {"simulation": "hidden_effect", "seed": case.seed}
@@ -77,6 +94,10 @@ def _hidden(case: Case) -> list[Hidden]:
     rng = _rng(case, HIDDEN)
     sizes = [size_of(effect, case.setting.name, case.level) for effect in case.effects]
     return [drawn(*one, case.setting, rng) for one in zip(case.effects, sizes, strict=True)]
+
+
+def _mild(case: Case) -> Mild:
+    return drawn_mild(case.setting, _rng(case, MILD)) if case.dirty else Mild()
 
 
 def _foreign(case: Case) -> Foreign:

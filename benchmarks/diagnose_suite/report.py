@@ -10,10 +10,20 @@ from typing import Any
 
 from benchmarks.diagnose_suite.cases import RAMP_SINGLE, SINGLE
 from benchmarks.diagnose_suite.confusion import Confusion, called, draw_confusion
-from benchmarks.diagnose_suite.groups import smallest_sizes
-from benchmarks.diagnose_suite.judging import Outcome, ambiguity_sets, is_right, is_untestable, named
+from benchmarks.diagnose_suite.groups import in_world, smallest_sizes
+from benchmarks.diagnose_suite.judging import (
+    Outcome,
+    ambiguity_sets,
+    first_is_wrong,
+    grade,
+    is_dirty,
+    is_right,
+    is_untestable,
+    named,
+)
 from benchmarks.diagnose_suite.rates import Rate
 from benchmarks.diagnose_suite.scoring import Row, score
+from benchmarks.diagnose_suite.scoring_dirty import score_dirty
 from benchmarks.diagnose_suite.sizes import in_smallest, true_size_inside
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import json_text
@@ -29,11 +39,13 @@ def write_report(outcomes: Sequence[Outcome], failed: Mapping[str, str], folder:
     failed : mapping of str to str
         What stopped the cases that have no outcome, by name.
     """
-    parts, confusion = score(outcomes), Confusion.of(outcomes)
+    dirty = in_world(outcomes, dirty=True)
+    parts = score_dirty(outcomes) if dirty else score(outcomes)
+    confusion = Confusion.of(dirty or outcomes)
     smallest = smallest_sizes(outcomes)
     content = {
         "schema": "irlos-diagnose-suite",
-        "schema_version": 1,
+        "schema_version": 2,
         "cases": len(outcomes),
         "failed": dict(failed),
         "numbers": {part: [_row_json(row) for row in rows] for part, rows in parts.items()},
@@ -74,7 +86,7 @@ def _not_right(outcomes: Sequence[Outcome]) -> Iterator[str]:
     if wrong:
         yield f"\nnot as hidden ({len(wrong)} cases)"
     for one in wrong:
-        yield f"  {one['case']}: {verdict_text(one)}"
+        yield f"  {one['case']}: {grade(one)}, {gap_text(one)}: {verdict_text(one)}"
 
 
 def verdict_text(outcome: Outcome) -> str:
@@ -89,6 +101,16 @@ def verdict_text(outcome: Outcome) -> str:
         for name, alike in zip(named(outcome), sets, strict=True)
     ]
     return ", ".join(names)
+
+
+def gap_text(outcome: Outcome) -> str:
+    """The held-out gap before and after, and its floor."""
+    before, after, floor = (outcome["diagnosis"]["gap"].get(key) for key in ("before", "after", "floor"))
+    return f"gap {_percent(before)} to {_percent(after)}, floor {_percent(floor)}"
+
+
+def _percent(part: float | None) -> str:
+    return "-" if part is None else f"{part:.2%}"
 
 
 def _broken(failed: Mapping[str, str]) -> Iterator[str]:
@@ -107,19 +129,21 @@ def _row_json(row: Row) -> dict[str, Any]:
 
 def _case_json(outcome: Outcome, smallest: Mapping[str, Mapping]) -> dict[str, Any]:
     truth, diagnosis = outcome["truth"], outcome["diagnosis"]
-    single = truth["kind"] == SINGLE
+    single, clean = truth["kind"] == SINGLE, not is_dirty(outcome)
     return {
         "case": outcome["case"],
         **truth,
         "verdict": diagnosis["verdict"],
+        "grade": grade(outcome),
         "called": called(outcome),
         "named": named(outcome),
         "ambiguity_sets": ambiguity_sets(outcome),
         "right": is_right(outcome),
+        "wrong_first_name": None if clean else first_is_wrong(outcome),
         "untestable": is_untestable(outcome),
         "over_smallest": in_smallest(outcome, smallest.get(truth["setting"], {})) if single else None,
-        "size_inside": true_size_inside(outcome) if single else None,
-        "shrink": diagnosis["gap"]["shrink"],
+        "size_inside": true_size_inside(outcome) if single and clean else None,
+        "gap": diagnosis["gap"],
         "ncpa_error_nm": outcome["ncpa_error_nm"],
         "ncpa_bias_nm": outcome["ncpa_bias_nm"],
         "cpu_s": outcome["cpu_s"],

@@ -55,16 +55,17 @@ def score(outcomes: Sequence[Outcome]) -> dict[str, list[Row]]:
     singles = sorted_singles(outcomes)
     found = [one for one in singles.testable if is_first(one)]
     return {
-        "clean": _clean(outcomes),
+        "clean": clean_rows(outcomes),
         "one effect": _singles(singles),
         "other": _others(outcomes),
         "model with what was found": _models(found),
         "ramps": _ramps(outcomes),
-        "cost": _cost(outcomes),
+        "cost": cost_rows(outcomes),
     }
 
 
-def _clean(outcomes: Sequence[Outcome]) -> list[Row]:
+def clean_rows(outcomes: Sequence[Outcome]) -> list[Row]:
+    """Rows of the recordings in which nothing is hidden."""
     clean = of_kind(outcomes, CLEAN)
     alarms = Row("something called missing", "<= 2 %", Rate.of(map(_is_alarm, clean)))
     settings = sorted({one["truth"]["setting"] for one in clean})
@@ -123,7 +124,7 @@ def _models(found: Sequence[Outcome]) -> list[Row]:
     inside = [verdict for verdict in map(true_size_inside, found) if verdict is not None]
     halved, alone = bias_removed(found)
     return [
-        Row("held-out gap: median shrink", ">= 0.9", _median_of(shrinks)),
+        Row("held-out gap: median shrink", ">= 0.9", median_of(shrinks)),
         Row("  without one: the gap was no larger than its floor", "", float(shrinks.count(None))),
         Row("true size in the 95 % interval", ">= 85 %", Rate.of(inside)),
         Row("NCPA error halved where biased > 5 nm", "all", Rate.of(halved)),
@@ -131,7 +132,8 @@ def _models(found: Sequence[Outcome]) -> list[Row]:
     ]
 
 
-def _median_of(values: Sequence[float | None]) -> float:
+def median_of(values: Sequence[float | None]) -> float:
+    """Median of the values that are known; NaN without any."""
     known = [value for value in values if value is not None]
     return float(np.median(known)) if known else float("nan")
 
@@ -162,10 +164,11 @@ def _ramps(outcomes: Sequence[Outcome]) -> list[Row]:
     ]
 
 
-def _cost(outcomes: Sequence[Outcome]) -> list[Row]:
+def cost_rows(outcomes: Sequence[Outcome]) -> list[Row]:
+    """Rows of the time that it took."""
     stages = ("simulate", "diagnose")
-    rows = [Row(f"CPU s to {s}, median", "", _median_of([o["cpu_s"][s] for o in outcomes])) for s in stages]
+    rows = [Row(f"CPU s to {s}, median", "", median_of([o["cpu_s"][s] for o in outcomes])) for s in stages]
     return [
         *rows,
-        Row("seconds per diagnosis, median", "", _median_of([o["diagnosis"]["seconds"] for o in outcomes])),
+        Row("seconds per diagnosis, median", "", median_of([o["diagnosis"]["seconds"] for o in outcomes])),
     ]

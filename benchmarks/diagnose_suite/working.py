@@ -23,6 +23,7 @@ from irlos_pipe.recipe import load_recipe
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 NOT_KEPT = ("noise", "sentence", "model", "sigma_nm")
+TRUTH_KEPT = ("kind", "suite_seed", "dirty", "setting", "level", "effects", "sizes", "known", "mild")
 NOLLS = range(2, 31)  # of which the error is reported
 BIASED_NM = 5.0  # from which an effect biases them
 
@@ -61,12 +62,20 @@ def work(case: Case, folder: Folder) -> dict[str, Any]:
         outcome = _worked(case, folder)
         folder.outcome(case).parent.mkdir(parents=True, exist_ok=True)
         write_bytes(folder.outcome(case), json_text(outcome).encode())
-    return _present_keys(json.loads(folder.outcome(case).read_text()))
+    outcome = _present_keys(json.loads(folder.outcome(case).read_text()))
+    if outcome["truth"]["suite_seed"] != case.suite_seed:
+        raise ValueError(
+            f"{folder.outcome(case)} has the seed {outcome['truth']['suite_seed']}, not {case.suite_seed}; "
+            "give another folder"
+        )
+    return outcome
 
 
 def _present_keys(outcome: dict[str, Any]) -> dict[str, Any]:
     """An outcome as it is written now; `told` is the former spelling of `diagnosis`."""
-    return {"diagnosis" if key == "told" else key: value for key, value in outcome.items()}
+    renamed = {"diagnosis" if key == "told" else key: value for key, value in outcome.items()}
+    formerly = {"suite_seed": 0, "dirty": False, "known": {}, "mild": {}}
+    return renamed | {"truth": formerly | renamed["truth"]}
 
 
 def _worked(case: Case, folder: Folder) -> dict[str, Any]:
@@ -81,7 +90,7 @@ def _worked(case: Case, folder: Folder) -> dict[str, Any]:
     errors_nm = None if case.is_ramp else ncpa_errors_nm(diagnosis, truth)
     return {
         "case": case.name,
-        "truth": {key: truth[key] for key in ("kind", "setting", "level", "effects", "sizes")},
+        "truth": {key: truth[key] for key in TRUTH_KEPT},
         "diagnosis": {key: value for key, value in diagnosis.items() if key not in NOT_KEPT},
         "ncpa_error_nm": errors_nm,
         "ncpa_bias_nm": _biases_nm(case, folder, diagnosis, truth)
@@ -122,8 +131,10 @@ def ncpa_errors_nm(diagnosis: dict[str, Any], truth: dict[str, Any]) -> dict[str
 
 
 def _may_be_biased(case: Case, errors_nm: dict[str, float] | None) -> bool:
-    """Whether it is worth while to fit the true model."""
-    return case.kind == SINGLE and errors_nm is not None and errors_nm["before"] > BIASED_NM
+    """Whether it is worth while to fit the true model; of mild errors nobody has one."""
+    return (
+        case.kind == SINGLE and not case.dirty and errors_nm is not None and errors_nm["before"] > BIASED_NM
+    )
 
 
 def _biases_nm(

@@ -28,7 +28,9 @@ def draw_ncpa_nm(
     return dict(enumerate((drawn_nm * total_nm / np.linalg.norm(drawn_nm)).tolist(), start=2))
 
 
-def draw_tail_nm(rng: np.random.Generator, rms_nm: float, first_noll: int, last_noll: int) -> dict[int, float]:
+def draw_tail_nm(
+    rng: np.random.Generator, rms_nm: float, first_noll: int, last_noll: int
+) -> dict[int, float]:
     """Draw modes of equal standard deviation, as fine as the polish of the optics leaves them.
 
     Parameters

@@ -98,7 +98,7 @@ class Readout:
         return self._converted(signal_e).mean(axis=0, dtype=np.float64).astype(np.float32)
 
     def flat(self, rng: np.random.Generator) -> np.ndarray | None:
-        """Return the relative response as the flat shows it, (rows, columns) float32; None for a uniform detector."""
+        """Return the relative response as the flat shows it, (rows, columns) float32; None if uniform."""
         if self.pixels.detector.flat_rms == 0:
             return None
         flat = flat_map(self.pixels.detector, self.pedestal_adu.shape)

@@ -115,7 +115,8 @@ def test_every_mistake_is_told_at_once_with_line_and_suggestion(tmp_path):
         ("window", "[4, 64]"), ("pixel_scale_mas", "0"), ("offsets_nm", "[.nan]"), ("offsets_nm", "[1.0e+9]"),
         ("sky.seeing_arcsec", "0"), ("motion.rms_mas", "-3"), ("detector.e_per_adu", "0"),
         ("detector.excess_noise_factor", "0.5"), ("detector.flat_rms", "7"), ("ncpa.total_nm", "1e99"),
-        ("ncpa.zernike_nm", "{1: 5}"), ("pupil.obscuration_m", "-1"), ("effects.companion.flux_ratio", "-.inf"), ("bands", "[]"),
+        ("ncpa.zernike_nm", "{1: 5}"), ("pupil.obscuration_m", "-1"),
+        ("effects.companion.flux_ratio", "-.inf"), ("bands", "[]"),
         ("bands", "[{centre_nm: 600, half_width_nm: 500}]"), ("effects.low_wind_effect.piston_nm", "[1, 2]"),
     ],
 )  # fmt: skip
