@@ -144,6 +144,8 @@ def by_motion(
         Of each.
     cube : Cube
     """
+    if not cube.training.in_time:
+        return ranked, judges
     rivals = _rivals(ranked, judges)
     if not ranked[0].effect.blurs or not any(one.effect.blurs and one.name in rivals for one in ranked):
         return ranked, judges

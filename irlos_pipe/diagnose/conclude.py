@@ -11,7 +11,7 @@ import torch
 from irlos_pipe.diagnose.acceptance import Accepted, Options, Search, threshold
 from irlos_pipe.diagnose.checks.fine_structure import FineStructure, fine_structure
 from irlos_pipe.diagnose.checks.motion import motion_ratio
-from irlos_pipe.diagnose.checks.noise import PHOTONS, SPECKLES, NoiseVerdict
+from irlos_pipe.diagnose.checks.noise import PHOTONS, SPECKLES, UNSEEN, NoiseVerdict
 from irlos_pipe.diagnose.checks.pixels import screened_step, smallest_excess
 from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.effect_sizes import (
@@ -35,7 +35,8 @@ from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
 # Part of the excess, and χ² over its expectation, from which much is left. With known noise a right name
 # leaves less than a thousandth; the residual of an AO system has more shapes than its model. Complete models
 # leave up to 1.14 on the bench, by errors of the discretisation, and on sky.
-LEFT, LEFT_CHI2_NU = {PHOTONS: 0.003, SPECKLES: 0.05}, {PHOTONS: 1.3, SPECKLES: 1.2}
+LEFT = {PHOTONS: 0.003, SPECKLES: 0.05, UNSEEN: 0.05}
+LEFT_CHI2_NU = {PHOTONS: 1.3, SPECKLES: 1.2, UNSEEN: 1.2}
 
 
 def conclude(
@@ -68,7 +69,7 @@ def conclude(
     seconds = SecondRecordings(search.final)
     steps = [_with_separation(step, search, seconds) for step in steps]
     known = steps if not why else []
-    frames = sum(len(stack.parts[0]) for stack in (cube.training, cube.held_out))
+    frames = len({*cube.training.parts[0].when, *cube.held_out.parts[0].when})
     pixels = screened_step(screened, final, frames, gap)
     if pixels is not None:
         known, gap = [pixels, *known], replace(gap, before=pixels.gap.before)
@@ -88,7 +89,8 @@ def conclude(
         excess_sigma=(search.null.excess.significance, search.final.excess.significance),
         motion_ratio=motion_ratio(cube.training, search.final.fitted),
         drift_significance=search.drift.significance if search.drift else float("nan"),
-        frames=(len(cube.training), len(cube.held_out)),
+        frames=cube.frames,
+        held_out=cube.training.held_out,
         nolls=search.null.fitted.problem.layout.nolls,
         modes_nm=(total_modes_nm(search.null.fitted), total_modes_nm(final.fitted)),
         modes_sigma_nm=_modes_sigma_nm(final),
@@ -176,7 +178,7 @@ def _with_separation(step: Step, search: Search, seconds: SecondRecordings) -> S
 
 def _steps(cube: Cube, search: Search) -> list[Step]:
     fitted = search.final.fitted
-    covariance = parameter_covariance(cube.training, fitted)
+    covariance = parameter_covariance(search.final.stack, fitted)
     return [_step(cube, one, fitted, covariance) for one in search.accepted]
 
 

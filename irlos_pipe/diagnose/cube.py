@@ -1,10 +1,15 @@
-"""The frames of a diagnosis: those that fits may see, and those held out to judge them."""
+"""The data of a diagnosis: those that fits may see, and those held out to judge them.
+
+What is held out are frames, as here, or pixels (`few_frames`). The classes say how uncertain a mean image is,
+and what its independent parts are.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar, Literal
 
 import numpy as np
 import torch
@@ -12,8 +17,7 @@ import torch
 from irlos_pipe.estimate.cube import Frames, autocorrelation_time, mean_variance_e2
 from irlos_pipe.estimate.lift import smooth
 
-BLOCKS = 20  # of a cube in time; every fourth is held out
-MIN_FRAMES = 16  # frames without which scatter means nothing
+HeldOutKind = Literal["frames", "pixels"]
 FAINT_SIGMA = 30.0  # signal of the mean over its noise below which a pixel's variance is taken from around it
 LEADING = 8  # principal components of a cube that show its autocorrelation
 
@@ -72,6 +76,16 @@ class Stack:
         leading = (left * values)[:, :LEADING].numpy()
         return len(self) / float(np.median(autocorrelation_time(leading)))
 
+    def losses(self, image_e: torch.Tensor, basis: torch.Tensor) -> np.ndarray:
+        """Half of χ² of every frame, (frames,).
+
+        Against `image_e` (pixels,), with what whitened `basis` (pixels, m) can imitate projected out.
+        """
+        images = self.frames.images_e.double().flatten(1)
+        residual = torch.where(self.root > 0, images - image_e, 0.0) * self.root
+        left = residual - (residual @ basis) @ basis.mT
+        return (0.5 * (left**2).sum(1) / len(self)).numpy()
+
 
 @dataclass(frozen=True)
 class Stacks:
@@ -79,9 +93,22 @@ class Stacks:
 
     Every frame belongs to one recording, of whose mean it is a part; its deviations are zero in the
     pixels of the others, and are scaled so that covariances over all frames are those of all the means.
+
+    Attributes
+    ----------
+    parts : tuple of Stack
+    held_out : {"frames", "pixels"}
+        What is held out.
+    in_time : bool
+        Whether the frames show what changes with time.
+    own_refitted : bool
+        Whether tip, tilt, flux and background of the held-out data are their own.
     """
 
     parts: tuple[Stack, ...]
+    held_out: ClassVar[HeldOutKind] = "frames"
+    in_time: ClassVar[bool] = True
+    own_refitted: ClassVar[bool] = True
 
     @property
     def root(self) -> torch.Tensor:
@@ -98,9 +125,40 @@ class Stacks:
         scatter = torch.atleast_2d(torch.cov((self.deviations @ shapes).mT)) / self.independent
         return scatter + shapes.mT @ (self.shared[:, None] * shapes)
 
+    def chance(self, basis: torch.Tensor) -> tuple[float, float]:
+        """χ² that noise and speckles leave of the means after a fit, and the standard error of that.
+
+        `basis`: whitened derivatives of the fitted parameters (pixels, parameters), orthonormal.
+        """
+        left = self.deviations - (self.deviations @ basis) @ basis.mT
+        gram = left @ left.mT / (len(left) - 1)
+        frames, shared = self.independent, self.shared
+        expected = float(gram.trace() / frames + shared @ (1 - (basis**2).sum(1)))
+        power = ((gram**2).sum() - gram.trace() ** 2 / (len(left) - 1)) / frames**2
+        of_pixels = (left**2).sum(0) / (len(left) - 1) / frames
+        variance = 2 * float(power + 2 * shared @ of_pixels + shared @ shared)
+        return expected, float(max(variance, 2 * expected) ** 0.5)
+
+    def noise_e(self, basis: torch.Tensor) -> torch.Tensor:
+        """Standard errors of the means after a fit of `basis` (see `chance`), unbiased, (pixels,).
+
+        The root of a variance that n frames give is too small by 1 / 4 (n - 1) on average.
+        """
+        freedom = len(self) - 1
+        left = self.deviations - (self.deviations @ basis) @ basis.mT
+        variance = self.variance_e2 * (left**2).sum(0) / freedom / self.independent
+        return variance.sqrt() * (1 + 1 / (4 * freedom))
+
+    def against(self, residual: torch.Tensor, parameters: int) -> Stacks:
+        """These data, their errors as a model of so many `parameters` with this whitened `residual` has them.
+
+        The scatter of frames does not depend on any model.
+        """
+        return self
+
     def limited_by(self, photons: bool) -> Stacks:
         """Trust the noise model of these frames if `photons` limit them, else their scatter."""
-        return Stacks(tuple(replace(part, photon_limited=photons) for part in self.parts))
+        return replace(self, parts=tuple(replace(part, photon_limited=photons) for part in self.parts))
 
     def __len__(self) -> int:
         return sum(len(part) for part in self.parts)
@@ -137,50 +195,25 @@ class Stacks:
 
 @dataclass(frozen=True)
 class Cube:
-    """Training and held-out frames."""
+    """Training and held-out data."""
 
     training: Stacks
     held_out: Stacks
 
     @classmethod
     def of_all(cls, cubes: Sequence[Cube]) -> Cube:
-        """Several recordings as one."""
+        """Several recordings, split alike, as one."""
         pairs = ([c.training for c in cubes], [c.held_out for c in cubes])
-        return cls(*(Stacks(tuple(part for one in some for part in one.parts)) for some in pairs))
+        return cls(*(replace(some[0], parts=tuple(p for one in some for p in one.parts)) for some in pairs))
+
+    @property
+    def frames(self) -> tuple[int, int]:
+        """Frames that fits see, and those held out."""
+        return len(self.training), len(self.held_out) if self.training.held_out == "frames" else 0
 
     def limited_by(self, photons: bool) -> Cube:
         """Trust the noise model of these frames if `photons` limit them, else their scatter."""
         return Cube(self.training.limited_by(photons), self.held_out.limited_by(photons))
-
-
-def split(frames: Frames, share: float = 0.25) -> Cube:
-    """Hold out a share of the frames in blocks of time that interleave with the others.
-
-    Parameters
-    ----------
-    frames : Frames
-        In order of time.
-    share : float
-        Part of the frames to hold out.
-
-    Raises
-    ------
-    ValueError
-        If there are too few frames.
-    """
-    count = len(frames.images_e)
-    if count < MIN_FRAMES:
-        raise ValueError(f"{count} frames: a diagnosis needs at least {MIN_FRAMES}")
-    blocks = min(BLOCKS, count // 2)
-    every = min(round(1 / share), blocks)
-    held = (np.arange(count) * blocks // count) % every == every // 2
-    when = np.linspace(0, 1, count)
-
-    def part(chosen: np.ndarray) -> Stacks:
-        some = replace(frames, images_e=frames.images_e[torch.as_tensor(chosen)])
-        return Stacks((Stack.of(some, when[chosen]),))
-
-    return Cube(part(~held), part(held))
 
 
 def _steadied(mean_e: torch.Tensor, frames: Frames) -> torch.Tensor:

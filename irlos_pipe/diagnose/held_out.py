@@ -1,6 +1,7 @@
-"""Models evaluated on frames that no fit has seen.
+"""Models evaluated on frames or pixels that no fit has seen.
 
-What belongs to single frames, tip, tilt, flux and background, is refitted linearly; all else is frozen.
+What belongs to single frames, tip, tilt, flux and background, is refitted linearly to frames; all else is
+frozen.
 """
 
 from __future__ import annotations
@@ -10,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from irlos_pipe.diagnose.cube import Stack, Stacks
+from irlos_pipe.diagnose.cube import Stacks
 from irlos_pipe.diagnose.fitting import Fitted
 
 
 @dataclass(frozen=True)
 class Gap:
-    """``Σ|measured − predicted| / Σ measured`` of the mean held-out images.
+    """``Σ|measured − predicted| / Σ measured`` of the mean held-out images, or of their held-out pixels.
 
     Attributes
     ----------
@@ -38,19 +39,19 @@ class Gap:
 
 
 class HeldOutEvaluation:
-    """A model's residuals on the held-out frames.
+    """A model's residuals on the held-out data.
 
     Parameters
     ----------
     stack : Stacks
-        Of the held-out frames.
+        Held out.
     fitted : Fitted
     """
 
     def __init__(self, stack: Stacks, fitted: Fitted):
         self.stack, self.pixels = stack, fitted.problem.pixels
         self.image, columns = fitted.problem.predict_and_jacobian(fitted.x)
-        own = columns[fitted.problem.own].mT
+        own = columns[fitted.problem.own if stack.own_refitted else []].mT
         root = stack.root[:, None]
         self.basis, triangle = torch.linalg.qr(own * root)
         self.moves = own @ torch.linalg.inv(triangle)
@@ -69,16 +70,9 @@ class HeldOutEvaluation:
 
     @property
     def losses(self) -> np.ndarray:
-        """Half of χ² of every frame, (frames,)."""
+        """Half of χ² of every frame or patch of pixels, (frames or patches,)."""
         pairs = zip(self.stack.parts, self.pixels, strict=True)
-        return np.concatenate([self._losses(stack, pixels) for stack, pixels in pairs])
-
-    def _losses(self, stack: Stack, pixels: slice) -> np.ndarray:
-        """Losses of the frames of one recording."""
-        images, basis = stack.frames.images_e.double().flatten(1), self.basis[pixels]
-        residual = torch.where(stack.root > 0, images - self.image[pixels], 0.0) * stack.root
-        left = residual - (residual @ basis) @ basis.mT
-        return (0.5 * (left**2).sum(1) / len(stack)).numpy()
+        return np.concatenate([part.losses(self.image[at], self.basis[at]) for part, at in pairs])
 
 
 def preference(better: HeldOutEvaluation, worse: HeldOutEvaluation) -> float:
@@ -91,14 +85,11 @@ def preference(better: HeldOutEvaluation, worse: HeldOutEvaluation) -> float:
 def noise_floor(judge: HeldOutEvaluation) -> float:
     """What noise alone leaves of the gap: a normal deviate is √(2/π) σ away from zero on average.
 
-    What frames differ by in pointing, flux and background is no noise: it is refitted. The root of a
-    variance that n frames give is too small by 1 / 4 (n - 1) on average.
+    What frames differ by in pointing, flux and background is no noise: it is refitted.
     """
     stack = judge.stack
-    good, freedom = stack.root > 0, len(stack) - 1
-    left = stack.deviations - (stack.deviations @ judge.basis) @ judge.basis.mT
-    variance = stack.variance_e2 * (left**2).sum(0) / freedom / stack.independent
-    noise_e = variance[good].sqrt().sum() * (1 + 1 / (4 * freedom))
+    good = stack.root > 0
+    noise_e = stack.noise_e(judge.basis)[good].sum()
     return float(np.sqrt(2 / np.pi) * noise_e / stack.mean_e[good].sum())
 
 

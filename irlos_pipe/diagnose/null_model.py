@@ -57,10 +57,11 @@ class Optimum(NullModel):
     """
 
     def __init__(self, stack: Stacks, fitted: Fitted):
-        self.stack, self.fitted = stack, fitted
+        self.fitted = fitted
         problem, x, root = fitted.problem, fitted.x, stack.root
         image, columns = problem.predict_and_jacobian(x)
         residual = (stack.mean_e - image) * root
+        self.stack = stack.against(residual, len(columns))
         precision = problem.prior_precision[0].sqrt()
         design = torch.cat([(columns * root).mT, torch.diag(precision)])
         design = design / design.norm(dim=0).clamp_min(1e-300)
@@ -88,13 +89,6 @@ class Optimum(NullModel):
 
     @cached_property
     def excess(self) -> Excess:
-        """χ² beyond noise, the latter from the scatter of the frames and from what they share."""
-        left = self.deviations - (self.deviations @ self.basis) @ self.basis.mT
-        gram = left @ left.mT / (len(left) - 1)
-        frames, shared = self.stack.independent, self.stack.shared
-        expected = float(gram.trace() / frames + shared @ (1 - (self.basis**2).sum(1)))
-        power = ((gram**2).sum() - gram.trace() ** 2 / (len(left) - 1)) / frames**2
-        of_pixels = (left**2).sum(0) / (len(left) - 1) / frames
-        variance = 2 * float(power + 2 * shared @ of_pixels + shared @ shared)
-        chi2 = float(self.residual @ self.residual)
-        return Excess(chi2 - expected, float(max(variance, 2 * expected) ** 0.5), expected)
+        """χ² beyond noise and the scatter of frames."""
+        expected, sigma = self.stack.chance(self.basis)
+        return Excess(float(self.residual @ self.residual) - expected, sigma, expected)

@@ -15,7 +15,7 @@ import torch
 
 from irlos_pipe.conventions.bands import H, J
 from irlos_pipe.diagnose.ambiguity import likeness
-from irlos_pipe.diagnose.cube import Stack, Stacks
+from irlos_pipe.diagnose.cube import Stack
 from irlos_pipe.diagnose.effect_sizes import detectable, within_reach
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.null_model import Optimum
@@ -107,9 +107,9 @@ class SecondRecordings:
     def _beside(self, fitted: Fitted, recording: str) -> Optimum:
         """A model with one recording more, which shows what it predicts."""
         first, view = self.present.parts[0], self.views[recording]
-        pair = Fitter([fitted.views[0], view], Stacks((first, first))).at(fitted)
+        pair = Fitter([fitted.views[0], view], replace(self.present, parts=(first, first))).at(fitted)
         image_e = pair.image_e[pair.problem.pixels[1]]
-        stacks = Stacks((*self.present.parts, _expected(first, image_e)))
+        stacks = replace(self.present, parts=(*self.present.parts, _expected(first, image_e)))
         return Optimum(stacks, Fitter([*fitted.views, view], stacks).at(fitted))
 
 
@@ -118,7 +118,7 @@ def _expected(like: Stack, image_e: torch.Tensor) -> Stack:
     noise, frames = like.frames.noise, len(like)
     louder = like.variance_e2 * frames / noise.variance_e2(like.mean_e)
     variance = noise.variance_e2(image_e) / frames * louder[louder.isfinite()].median()
-    return Stack(like.frames, like.when, image_e, variance, like.photon_limited)
+    return replace(like, mean_e=image_e, variance_e2=variance)
 
 
 def variants(conditions: Conditions) -> list[tuple[str, Conditions]]:

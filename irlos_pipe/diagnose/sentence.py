@@ -10,7 +10,18 @@ from irlos_pipe.effects import CATALOGUE
 
 def sentence(diagnosis: Diagnosis) -> str:
     """The verdict of a diagnosis in one or two sentences."""
-    return f"{_found(diagnosis)}{_advised(diagnosis)}"
+    return f"{_found(diagnosis)}{_advised(diagnosis)}{_weaker(diagnosis)}"
+
+
+def _weaker(diagnosis: Diagnosis) -> str:
+    """What held-out pixels cannot say."""
+    if diagnosis.held_out == "frames":
+        return ""
+    return (
+        f" Too few frames to hold some out ({diagnosis.frames[0]}): pixels that no fit has seen judge, "
+        "errors come from the noise as told, scaled by the misfit, and neither speckles that did not average "
+        "out nor changes with time can be distinguished from what the model lacks."
+    )
 
 
 def _found(diagnosis: Diagnosis) -> str:

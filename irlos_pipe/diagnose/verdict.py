@@ -11,6 +11,7 @@ import numpy as np
 from irlos_pipe.diagnose.ambiguity import Alternative
 from irlos_pipe.diagnose.checks.fine_structure import FineStructure
 from irlos_pipe.diagnose.checks.noise import NoiseVerdict
+from irlos_pipe.diagnose.cube import HeldOutKind
 from irlos_pipe.diagnose.held_out import Gap
 from irlos_pipe.diagnose.second_recording import Advice
 from irlos_pipe.effects import FixedEffect
@@ -120,6 +121,10 @@ class Diagnosis:
         For those of them that a second recording beside this one would show.
     fine : FineStructure
         Left by the model with the names: whether pixels hold what no light can have made.
+    frames : (int, int)
+        That fits saw, and held out.
+    held_out : {"frames", "pixels"}
+        What no fit saw.
     chi2_nu : (float, float)
         Of the mean training image over its expectation, before and after.
     modes_nm : (ndarray, ndarray)
@@ -141,6 +146,7 @@ class Diagnosis:
     motion_ratio: float
     drift_significance: float
     frames: tuple[int, int]
+    held_out: HeldOutKind
     nolls: tuple[int, ...]
     modes_nm: tuple[np.ndarray, np.ndarray]
     modes_sigma_nm: np.ndarray

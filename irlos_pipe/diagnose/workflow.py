@@ -13,14 +13,15 @@ from irlos_pipe.diagnose.checks.drift import Drift, measure_drift
 from irlos_pipe.diagnose.checks.noise import PHOTONS, judge_all
 from irlos_pipe.diagnose.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnose.conclude import conclude
-from irlos_pipe.diagnose.cube import Cube, split
+from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.refit import Refit, refits
 from irlos_pipe.diagnose.search.scores import Score, families, scores
+from irlos_pipe.diagnose.splitting import hold_out_of
 from irlos_pipe.diagnose.verdict import Diagnosis
 from irlos_pipe.diagnose.view import Exposures
-from irlos_pipe.effects import Conditions, Effect
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect
 
 Report = Callable[[int], None]
 
@@ -52,13 +53,10 @@ def diagnose(
     report : callable, optional
         Called with the number of finished fits, for a progress bar.
 
-    Raises
-    ------
-    ValueError
-        If there are too few frames.
     """
     began = time.perf_counter()
-    cubes = [split(one.frames, options.held_out) for one in recordings]
+    hold_out = hold_out_of(recordings)
+    cubes = [hold_out.split(one.frames, options.held_out) for one in recordings]
     noise = judge_all([part for cube in cubes for part in cube.training.parts])
     cube = Cube.of_all([one.limited_by(noise.kind == PHOTONS) for one in cubes])
     nolls = range(2, options.highest_noll + 1)
@@ -116,7 +114,8 @@ class Task:
 
     def _with_drift(self, null: Optimum) -> tuple[Drift | None, Optimum]:
         """The drift of the frames, and the model with it if it is significant."""
-        if any(effect.found_by == "frames" for effect in null.fitted.effects):
+        known = any(effect.found_by == "frames" for effect in null.fitted.effects)
+        if known or not self.cube.training.in_time:
             return None, null
         drift = measure_drift(self.cube.training, null.fitted, self.options.sure)
         if drift.significance < self.options.sure:
@@ -130,6 +129,8 @@ class Task:
         missing, meaningless = families(self.conditions, [effect.name for effect in present])
         listed = any(effect.found_by == "pixels" for effect in present)
         pixels = [] if listed else bad_pixel_family(current)
+        if not self.cube.training.in_time:
+            meaningless += [name for name, kind in CATALOGUE.items() if kind.found_by == "frames"]
         return scores(current, [*missing, *pixels]), meaningless
 
     def _next_name(self, current: Optimum, found: list[Score], *, first: bool) -> Accepted | None:

@@ -15,6 +15,7 @@ from irlos_pipe.effects.effect_set import occurrences
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.effect_modes import drifts, measured_drift
+from irlos_pipe.estimate.few_frames import covariance_from_noise
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
 from irlos_pipe.estimate.lbfgs import solve_lbfgs
 from irlos_pipe.estimate.methods import (
@@ -40,6 +41,7 @@ Fit = tuple[ImageFit, Solution]
 
 
 OptimiserName = Literal["lm", "lbfgs"]
+ErrorsFrom = Literal["frames", "noise"]
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,10 @@ class Calibration:
     fitted_modes_nm : ndarray, (modes,)
         The same without that part: what goes with the effects in a model.
     covariance_nm2 : ndarray, (modes, modes)
-        From the scatter over frames, autocorrelation included.
+        See `errors_from`.
+    errors_from : {"frames", "noise"}
+        The scatter over frames, autocorrelation included; or, of too few frames, the noise model, scaled by
+        the misfit of the model (see `few_frames`).
     effects : dict
         Public parameters of the effects, by effect.
     effect_values : dict of str to ndarray
@@ -118,6 +123,7 @@ class Calibration:
     zernike_nm: np.ndarray
     fitted_modes_nm: np.ndarray
     covariance_nm2: np.ndarray
+    errors_from: ErrorsFrom
     effects: dict[str, dict]
     effect_values: dict[str, np.ndarray]
     frames_nm: np.ndarray
@@ -146,7 +152,7 @@ def calibrate(
     device: str = "cpu",
     report: Report | None = None,
 ) -> Calibration:
-    """Estimate the static aberrations of a cube.
+    """Estimate the static aberrations of a cube, or of a single image.
 
     Parameters
     ----------
@@ -162,13 +168,7 @@ def calibrate(
     report : callable, optional
         Called with the number of finished frames, for a progress bar.
 
-    Raises
-    ------
-    ValueError
-        With fewer than two frames.
     """
-    if len(frames.images_e) < 2:
-        raise ValueError("a calibration needs at least two frames")
     began = time.perf_counter()
     options = options.resolved()
     effects = tuple(effects) if METHODS[options.method].effects else ()
@@ -259,7 +259,7 @@ def _result(
         layout.nolls,
         found.zernike_nm,
         found.values[0, layout.modes].numpy(),
-        covariance_of_mean(found.frames_nm[np.isfinite(found.frames_nm).all(1)]),
+        *_errors(frames, problem, solution, found.frames_nm),
         effects.describe(effect_values),
         effects.split(effect_values),
         found.frames_nm,
@@ -272,3 +272,12 @@ def _result(
         options.scheme.twin(problem, solution),
         seconds,
     )
+
+
+def _errors(
+    frames: Frames, problem: ImageFit, solution: Solution, frames_nm: np.ndarray
+) -> tuple[np.ndarray, ErrorsFrom]:
+    """Covariance of the modes [nm²], and where it comes from."""
+    if frames.show_scatter:
+        return covariance_of_mean(frames_nm[np.isfinite(frames_nm).all(1)]), "frames"
+    return covariance_from_noise(problem, solution), "noise"

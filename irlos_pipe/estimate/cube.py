@@ -11,6 +11,7 @@ import torch
 from irlos_pipe.frames.blocks import frame_flux, frame_variance, mean_frame
 from irlos_pipe.frames.noise import NoiseModel
 
+FRAMES_OF_SCATTER = 16  # whose scatter says how uncertain their mean is; of fewer, the noise model does
 LOCAL_PX = 5  # side of the square over which scatter is averaged
 
 
@@ -41,6 +42,11 @@ class Frames:
         return torch.from_numpy(frame_variance(self.images_e.numpy(), self.mean_e.numpy()))
 
     @property
+    def show_scatter(self) -> bool:
+        """Whether the frames are enough to tell the errors of their mean from their scatter."""
+        return len(self.images_e) >= FRAMES_OF_SCATTER
+
+    @property
     def flux_e(self) -> torch.Tensor:
         """Signal of each image, (frames,), float64."""
         return torch.from_numpy(frame_flux(self.images_e.numpy()))
@@ -51,9 +57,11 @@ def mean_variance_e2(frames: Frames) -> torch.Tensor:
 
     The ratio of scatter to photon noise is averaged over 5×5 pixels, about λ/D, before it is held
     above one: pixel by pixel, scatter from few frames is uncertain, and its excursions would raise
-    the variance and lower χ².
+    the variance and lower χ². A single frame has no scatter: its noise is that of the noise model.
     """
     photons = frames.noise.scatter_e2(frames.mean_e)
+    if len(frames.images_e) == 1:
+        return photons + frames.noise.shared_e2
     ratio = local_mean(frames.scatter_e2 / photons, frames.good.double())
     return photons * ratio.clamp_min(1.0) / len(frames.images_e) + frames.noise.shared_e2
 

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects import Effect, EffectSet, FixedEffect
+from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.numerics.forward_mode import pushed
 from irlos_pipe.optics.grids import PupilGrid
 
@@ -43,6 +44,27 @@ def effects_in_modes_nm(
     directions = torch.eye(len(values), dtype=torch.float64)
     slopes = [pushed(modes, values, direction) for direction in directions]
     return modes(values), torch.stack(slopes, dim=1) if slopes else torch.zeros(len(nolls), 0)
+
+
+def whole_wavefront(problem: ImageFit, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return what effects add to the modes at parameters `x`, and the derivatives of their sum.
+
+    Parameters
+    ----------
+    problem : ImageFit
+    x : tensor, (parameters,)
+
+    Returns
+    -------
+    added_nm : tensor, (modes,)
+    derivatives : tensor, (modes, parameters)
+    """
+    layout = problem.layout
+    added, slopes = effects_in_modes_nm(problem.model.effects, x[layout.effect_values], layout.nolls)
+    derivatives = torch.zeros(len(layout.nolls), layout.size, dtype=torch.float64)
+    derivatives[:, layout.modes] = torch.eye(len(layout.nolls), dtype=torch.float64)
+    derivatives[:, layout.effect_values] = slopes.double()
+    return added, derivatives
 
 
 def _projection(grid: PupilGrid, nolls: Sequence[int]) -> np.ndarray:

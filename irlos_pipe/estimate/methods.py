@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
-from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
+from irlos_pipe.estimate.effect_modes import whole_wavefront
 from irlos_pipe.estimate.frame_fits import fit_frames
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.starts import median_of_frames_nm, start_tilts_nm
@@ -194,10 +194,7 @@ def linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> E
     solution : Solution
     """
     x, layout = solution.values[:1], problem.layout
-    added, slopes = effects_in_modes_nm(problem.model.effects, x[0, layout.effect_values], layout.nolls)
-    read = torch.zeros(len(layout.nolls), layout.size, dtype=torch.float64)
-    read[:, layout.modes] = torch.eye(len(layout.nolls), dtype=torch.float64)
-    read[:, layout.effect_values] = slopes.double()
+    added, read = whole_wavefront(problem, x[0])
     _, jacobian = problem.predict_and_jacobian(x)
     weight = problem.root_weight[0].double().mean(0) ** 2
     gain = read @ solution.covariance[0] @ (jacobian[0].double() * weight).cpu()

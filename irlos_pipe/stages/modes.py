@@ -208,7 +208,9 @@ def _law_lines(draws: int, modes: int, laws: Mapping[str, ModeLaw]) -> list[str]
 def _scatter_arrays(
     cubes: list[CubeEstimate], scatter: ModeScatter, laws: Mapping[str, ModeLaw]
 ) -> dict[str, Quantity]:
-    over_frames = np.sqrt(np.mean([np.nanvar(cube.frames_nm, axis=0, ddof=1) for cube in cubes], axis=0))
+    several = [cube.frames_nm for cube in cubes if len(cube.frames_nm) > 1]
+    variances = [np.nanvar(one, axis=0, ddof=1) for one in several] or [np.full(len(scatter.nolls), np.nan)]
+    over_frames = np.sqrt(np.mean(variances, axis=0))
     arrays = {
         "noll": Quantity(np.array(scatter.nolls), "", "Noll index"),
         "std_nm": Quantity(scatter.std_nm, "nm", "RMS over the draws, about zero", scatter.std_sigma_nm),

@@ -29,13 +29,13 @@ from irlos_pipe.diagnose.checks.drift import measure_drift
 from irlos_pipe.diagnose.checks.motion import motion_ratio
 from irlos_pipe.diagnose.checks.noise import judge_noise
 from irlos_pipe.diagnose.checks.pixels import outstanding_pixels, screened_step
-from irlos_pipe.diagnose.cube import split
 from irlos_pipe.diagnose.effect_sizes import detectable, determined, public_sigma
 from irlos_pipe.diagnose.fitting import most_plausible
 from irlos_pipe.diagnose.held_out import Gap, HeldOutEvaluation, noise_floor, preference
 from irlos_pipe.diagnose.search.companion_search import brightest_copies
 from irlos_pipe.diagnose.search.scores import Family, Score, families, score_family, scores, whitened_shapes
 from irlos_pipe.diagnose.significance import gaussian_sigma
+from irlos_pipe.diagnose.splitting import HeldOutFrames
 from irlos_pipe.diagnose.view import Screened
 from irlos_pipe.effects import CATALOGUE, FixedEffect, Parameter, TipTiltJitter
 from irlos_pipe.effects.companion import Companion
@@ -44,7 +44,6 @@ from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.effects.motion import Vibration
 from irlos_pipe.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
 from irlos_pipe.effects.wavefront import HighOrderNcpa, PhaseBump
-from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel
 
 STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
@@ -54,21 +53,15 @@ STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
 
 
 def test_held_out_frames_lie_between_the_others_and_are_no_part_of_them():
-    parts = split(frames(image()), 0.25)
+    parts = HeldOutFrames().split(frames(image()), 0.25)
     training, held = parts.training.parts[0].when, parts.held_out.parts[0].when
     assert not set(training) & set(held)
     assert len(held) == pytest.approx(0.25 * FRAMES, abs=2)
     assert training.min() < held.min() < held.max() < training.max()
 
 
-def test_too_few_frames_are_refused():
-    few = Frames(torch.zeros(6, 8, 8), torch.ones(8, 8, dtype=torch.bool), READ_NOISE)
-    with pytest.raises(ValueError, match="6 frames"):
-        split(few)
-
-
 def test_poisson_frames_keep_to_the_noise_model():
-    verdict = judge_noise(split(frames(image())).training.parts[0])
+    verdict = judge_noise(HeldOutFrames().split(frames(image())).training.parts[0])
     assert verdict.kind == "photon-limited"
     assert verdict.holds
     assert verdict.bright_ratio == pytest.approx(1, abs=0.1)
@@ -76,14 +69,19 @@ def test_poisson_frames_keep_to_the_noise_model():
 
 def test_a_wrong_gain_shows_in_the_noise_verdict():
     """Variance twice the mean in every pixel, floor included."""
-    verdict = judge_noise(split(frames(image(), noise=NoiseModel(2.0, 2.0))).training.parts[0])
+    verdict = judge_noise(
+        HeldOutFrames().split(frames(image(), noise=NoiseModel(2.0, 2.0))).training.parts[0]
+    )
     assert not verdict.holds or verdict.kind == "speckle-limited"
 
 
 def test_speckles_that_change_make_a_cube_speckle_limited():
     rng = np.random.default_rng(2)
     moving = [image({**TRUE_NM, 7: TRUE_NM[7] + 60 * rng.standard_normal()}) for _ in range(FRAMES)]
-    assert judge_noise(split(frames(np.array(moving))).training.parts[0]).kind == "speckle-limited"
+    assert (
+        judge_noise(HeldOutFrames().split(frames(np.array(moving))).training.parts[0]).kind
+        == "speckle-limited"
+    )
 
 
 # -- statistics --------------------------------------------------------------------------------
@@ -119,7 +117,7 @@ def test_the_noise_of_the_dark_is_no_excess_and_no_significance():
         pattern_e = np.sqrt(dark_e2) * np.random.default_rng(100 + seed).standard_normal(CASE.window)
         exposed = frames(image() + pattern_e + 20.0, seed)
         known = replace(exposed, noise=replace(READ_NOISE, shared_e2=dark_e2))
-        found.append([optimum(split(one).training) for one in (known, exposed)])
+        found.append([optimum(HeldOutFrames().split(one).training) for one in (known, exposed)])
     known, unknown = np.array([[one.excess.significance for one in pair] for pair in found]).T
     assert abs(known.mean()) < 1.5
     assert abs(known).max() < 4
@@ -297,7 +295,7 @@ def test_motion_from_frame_to_frame_does_not_raise_the_floor_of_the_gap():
     rng = np.random.default_rng(9)
     still = image()
     moved = np.array([image({**TRUE_NM, 2: TRUE_NM[2] + 8 * rng.standard_normal()}) for _ in range(FRAMES)])
-    calm, shaken = (split(frames(mean)).limited_by(False) for mean in (still, moved))
+    calm, shaken = (HeldOutFrames().split(frames(mean)).limited_by(False) for mean in (still, moved))
     floors = [noise_floor(HeldOutEvaluation(one.held_out, fitted(one.training))) for one in (calm, shaken)]
     photons = noise_floor(HeldOutEvaluation(cube(still).held_out, fitted(cube(still).training)))
     assert floors == pytest.approx([photons, photons], rel=0.15)

@@ -18,7 +18,6 @@ from scipy import stats
 from irlos_pipe.diagnose.acceptance import by_plausibility
 from irlos_pipe.diagnose.checks.noise import judge_all
 from irlos_pipe.diagnose.checks.pixels import bad_pixel_family
-from irlos_pipe.diagnose.cube import split
 from irlos_pipe.diagnose.effect_sizes import public_sigma
 from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.held_out import HeldOutEvaluation
@@ -26,6 +25,7 @@ from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.refit import is_rival, refits
 from irlos_pipe.diagnose.search.scores import Family, families, score_family, scores
 from irlos_pipe.diagnose.significance import gaussian_sigma
+from irlos_pipe.diagnose.splitting import HeldOutFrames
 from irlos_pipe.diagnose.view import View
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.colour import PlateScale
@@ -150,5 +150,5 @@ def test_one_recording_with_speckles_makes_the_noise_that_of_speckles():
 
 def test_a_few_frames_are_held_out_however_small_the_share():
     frames = cube(image()).training.parts[0].frames
-    parts = split(replace(frames, images_e=frames.images_e[:16]), 0.06)
+    parts = HeldOutFrames().split(replace(frames, images_e=frames.images_e[:16]), 0.06)
     assert len(parts.held_out) >= 1 and len(parts.training) >= 8

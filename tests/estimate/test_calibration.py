@@ -67,11 +67,37 @@ def test_one_invalid_frame_is_flagged_and_left_out(cube):
     assert np.linalg.norm(result.zernike_nm - true) < 0.6
 
 
-def test_a_single_frame_is_refused(cube):
+@pytest.mark.parametrize("count", [1, 3])
+def test_errors_of_one_frame_or_a_few_are_those_of_independent_repetitions(cube, count):
+    """Monte Carlo: pulls of many fits to frames of their own, against the truth."""
+    frames, true = cube
+    starts = range(0, FRAMES - count + 1, count)
+    pulls = []
+    for start in starts:
+        some = Frames(frames.images_e[start : start + count], frames.good, frames.noise)
+        result = calibrate(some, cases.settings(), CalibrationOptions(highest_noll=15, prior=cases.PRIOR))
+        assert result.errors_from == "noise"
+        assert 0.8 < result.chi2_nu < 1.2
+        pulls.append((result.zernike_nm - true) / result.sigma_nm)
+    # 14 modes of each are nearly independent: the RMS of so many pulls is uncertain by 4 to 7 %.
+    assert 0.8 < np.sqrt(np.mean(np.square(pulls))) < 1.2
+
+
+def test_errors_of_one_frame_grow_with_the_misfit_but_not_beyond_the_prior(cube):
     frames, _ = cube
-    single = Frames(frames.images_e[:1], frames.good, frames.noise)
-    with pytest.raises(ValueError, match="at least two frames"):
-        calibrate(single, cases.settings(), CalibrationOptions(prior=cases.PRIOR))
+    quiet = NoiseModel(0.01, 0.01)  # told a hundredth of the true variance
+    one = frames.images_e[:1]
+    told, wrong = (
+        calibrate(
+            Frames(one, frames.good, noise),
+            cases.settings(),
+            CalibrationOptions(highest_noll=15, prior=cases.PRIOR),
+        )
+        for noise in (frames.noise, quiet)
+    )
+    assert wrong.chi2_nu == pytest.approx(100 * told.chi2_nu, rel=0.05)
+    assert wrong.sigma_nm == pytest.approx(told.sigma_nm, rel=0.1)
+    assert np.all(wrong.sigma_nm[2:] < cases.PRIOR.sigma_nm(NOLLS)[2:].numpy())
 
 
 def test_a_centro_symmetric_pupil_gives_the_twin_the_same_image():

@@ -18,9 +18,10 @@ from helpers.optics_cases import (
     settings,
     vector,
 )
-from irlos_pipe.diagnose.cube import Cube, Stacks, split
+from irlos_pipe.diagnose.cube import Cube, Stacks
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.null_model import Optimum
+from irlos_pipe.diagnose.splitting import HeldOutFrames
 from irlos_pipe.diagnose.view import View
 from irlos_pipe.effects import Conditions
 from irlos_pipe.effects.image_model import ImageModel
@@ -53,7 +54,7 @@ def frames(mean_e: np.ndarray, seed: int = 1, noise: NoiseModel = READ_NOISE) ->
 
 
 def cube(mean_e: np.ndarray, seed: int = 1) -> Cube:
-    return split(frames(mean_e, seed)).limited_by(True)
+    return HeldOutFrames().split(frames(mean_e, seed)).limited_by(True)
 
 
 def optimum(stack: Stacks, effects=()) -> Optimum:

@@ -15,12 +15,12 @@ from helpers.effect_cases import NOLLS, SPECTRUM, STRONG, WINDOW, made
 from helpers.stand_in_device import MixedDevicesError, StandInDevice
 
 from irlos_pipe.diagnose.checks.drift import measure_drift
-from irlos_pipe.diagnose.cube import split
 from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.held_out import HeldOutEvaluation
 from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.search.companion_search import companion_gains
 from irlos_pipe.diagnose.search.scores import families, scores
+from irlos_pipe.diagnose.splitting import HeldOutFrames
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.effects import Conditions, TipTiltJitter
 from irlos_pipe.effects.image_model import ImageModel
@@ -83,7 +83,10 @@ def bounded(device: str) -> np.ndarray:
 
 def diagnosed(device: str) -> np.ndarray:
     """A fit of the mean image, what two families, companions and a drift would add, and the gap held out."""
-    parts, view = split(cube()), Exposures(cube(), CONDITIONS).view(range(2, HIGHEST_NOLL + 1), device)
+    parts, view = (
+        HeldOutFrames().split(cube()),
+        Exposures(cube(), CONDITIONS).view(range(2, HIGHEST_NOLL + 1), device),
+    )
     fitted = Fitter([view], parts.training).fit([TipTiltJitter()])
     optimum = Optimum(parts.training, fitted)
     some = [

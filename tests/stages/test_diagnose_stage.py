@@ -102,22 +102,22 @@ def test_residuals_before_and_after_are_drawn_on_one_scale():
     assert [t.split(">")[1] for t in ticks[0]] == [t.split(">")[1] for t in ticks[1]]
 
 
-def test_too_few_frames_are_refused_with_the_name_of_the_recording():
-    frames, good = cube(with_companion()).images_e[:6].numpy(), np.ones(CASE.window, bool)
+def test_a_recording_without_frames_is_refused_with_its_name():
+    frames, good = cube(with_companion()).images_e[:0].numpy(), np.ones(CASE.window, bool)
     acquisition = Acquisition("psf", Detector(1.0, 1.0), ((1600.0, 1.0),), {}, 9.7)
     recording = Recording(
         "short",
         "cube",
         frames,
-        np.ones(6, bool),
-        np.full(6, ""),
+        np.ones(0, bool),
+        np.full(0, ""),
         good,
-        np.arange(6.0),
-        np.arange(6),
-        np.zeros(6),
+        np.arange(0.0),
+        np.arange(0),
+        np.zeros(0),
         acquisition,
     )
-    with pytest.raises(InputDataError, match="short: a diagnosis needs 16 used frames"):
+    with pytest.raises(InputDataError, match="short: no used frame is left"):
         pooled_frames([recording], good)
 
 

@@ -31,7 +31,7 @@ class FineStructure:
     Attributes
     ----------
     ratio : float
-        Measured over what noise leaves there; 1 where the pixels are too coarse to show it.
+        Measured over what noise leaves there; 1 where the pixels are too coarse or too few to show it.
     significance : float
         In standard deviations of single frames from their mean.
     """
@@ -41,7 +41,12 @@ class FineStructure:
 
 
 def fine_structure(optimum: Optimum) -> FineStructure:
-    """Fine structure of the residual of a fitted model, the most significant of its recordings."""
+    """Fine structure of the residual of a fitted model, the most significant of its recordings.
+
+    With pixels held out it cannot be told from the gaps they leave.
+    """
+    if optimum.stack.held_out == "pixels":
+        return FineStructure()
     fitted = optimum.fitted
     residual_e = optimum.stack.mean_e - fitted.image_e
     found = [

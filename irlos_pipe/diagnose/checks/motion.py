@@ -16,8 +16,11 @@ def motion_ratio(stack: Stacks, fitted: Fitted) -> float:
     """Variance of tip and tilt between successive frames over that of photon noise.
 
     Well above 1 for motion, whether or not most of it averages out within a frame; 1 for a detector
-    that blurs. Of several recordings, which `stack` and `fitted` hold, it is the mean.
+    that blurs. Of several recordings, which `stack` and `fitted` hold, it is the mean. NaN where frames
+    are too few to show it.
     """
+    if not stack.in_time:
+        return float("nan")
     problem = fitted.problem
     pairs = enumerate(zip(stack.parts, problem.parts, strict=True))
     return float(np.mean([_ratio(one, part, problem.part(fitted.x, n)) for n, (one, part) in pairs]))

@@ -18,7 +18,7 @@ from irlos_pipe.diagnose.cube import Stack
 FAINT, BRIGHT = 0.5, 0.02  # share of the pixels below the median; of the peak above which it is bright
 SPECKLE = 1.3  # measured over predicted variance of bright pixels from which speckles set the scatter
 TOLERANCE = 0.3  # of the variance
-PHOTONS, SPECKLES = "photon-limited", "speckle-limited"
+PHOTONS, SPECKLES, UNSEEN = "photon-limited", "speckle-limited", "unseen"
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,8 @@ class NoiseVerdict:
 
     Attributes
     ----------
-    kind : {"photon-limited", "speckle-limited"}
+    kind : {"photon-limited", "speckle-limited", "unseen"}
+        The last of a single frame.
     bright_ratio, faint_ratio : float
         Measured over predicted variance of bright and of faint pixels.
     """
@@ -39,12 +40,16 @@ class NoiseVerdict:
     @property
     def holds(self) -> bool:
         """Whether nothing is quieter than the noise model, nor louder without speckles to blame."""
+        if self.kind == UNSEEN:
+            return True
         quietest = min(self.faint_ratio, self.bright_ratio)
         return quietest > 1 - TOLERANCE and (self.kind != PHOTONS or self.faint_ratio < 1 + TOLERANCE)
 
     @property
     def text(self) -> str:
         """One line for people."""
+        if self.kind == UNSEEN:
+            return "as told: one frame shows no scatter"
         ratios = f"{self.bright_ratio:.2f} in bright, {self.faint_ratio:.2f} in faint pixels"
         return f"{self.kind}, variance over prediction {ratios}" + (
             "" if self.holds else "; the noise model does not hold"
@@ -54,12 +59,15 @@ class NoiseVerdict:
 def judge_all(stacks: Sequence[Stack]) -> NoiseVerdict:
     """Noise verdict of the recording that deviates most from the noise model; speckles take precedence."""
     found = [judge_noise(stack) for stack in stacks]
+    found = [one for one in found if one.kind != UNSEEN] or found[:1]
     found = [one for one in found if one.kind == SPECKLES] or found
     return max(found, key=lambda one: abs(np.log(max(one.bright_ratio, 1e-9))))
 
 
 def judge_noise(stack: Stack) -> NoiseVerdict:
     """Compare variances with the noise model's."""
+    if len(stack) < 2:
+        return NoiseVerdict(UNSEEN, float("nan"), float("nan"))
     images = stack.frames.images_e.double().numpy()
     good = stack.frames.good.numpy()
     mean = images.mean(0)

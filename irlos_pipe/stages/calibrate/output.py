@@ -17,6 +17,8 @@ from irlos_pipe.stages.base import StageConfig, StageOutput
 from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate, Twin
 from irlos_pipe.stages.model.effects import effect_arrays
 
+COVARIANCE = {"frames": "from the scatter over frames", "noise": "from the noise model and the misfit"}
+
 
 class Limits(StageConfig):
     """Limits of the quality control, part of the stage's settings."""
@@ -84,6 +86,7 @@ def estimate_keys(result: Calibration) -> dict[str, Any]:
         "wfe_nm": wfe_nm(result.nolls, result.zernike_nm),
         "wfe_sigma_nm": wfe_nm(result.nolls, result.sigma_nm),
         "frames": len(result.frames_nm),
+        "errors_from": result.errors_from,
         "seconds": round(result.seconds, 3),
         "chi2_nu": result.chi2_nu,
         "loss": result.options.loss,
@@ -106,7 +109,7 @@ def arrays_of(result: Calibration) -> dict[str, Quantity]:
             result.zernike_nm, "nm", "static wavefront without the diversity", result.sigma_nm
         ),
         "modes_nm": Quantity(result.fitted_modes_nm, "nm", "modes without the part of effects in the pupil"),
-        "covariance_nm2": Quantity(result.covariance_nm2, "nm2", "from the scatter over frames"),
+        "covariance_nm2": Quantity(result.covariance_nm2, "nm2", COVARIANCE[result.errors_from]),
         "frames_nm": Quantity(result.frames_nm, "nm", "coefficients of every frame (frame, mode)"),
         "frame_status": Quantity(np.array(result.frame_status, dtype=object), "", "outcome of every fit"),
         "iterations": Quantity(result.iterations, "", "of every fit"),
@@ -167,9 +170,11 @@ def effect_lines(effects: dict[str, dict]) -> list[str]:
 def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
     wfe, sigma = wfe_nm(result.nolls, result.zernike_nm), wfe_nm(result.nolls, result.sigma_nm)
     last = result.nolls[reported(result.nolls)][-1]
+    few = ["  errors from the noise model, scaled by the misfit: too few frames to show their scatter"]
     return [
         f"NCPA            {wfe:.1f} ± {sigma:.1f} nm RMS in Noll 2–{last} "
         f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f})",
+        *(few if result.errors_from == "noise" else []),
         *effect_lines(result.effects),
         *(
             f"  beside: {wfe_nm(other.nolls, other.zernike_nm):.1f} nm RMS ({other.options.method}, "

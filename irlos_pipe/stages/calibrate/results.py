@@ -19,6 +19,8 @@ class Estimate(ResultsPart):
         RMS of the reported modes, and the total error expected of them.
     frames : int
         Used frames.
+    errors_from : str
+        ``frames``: from their scatter; ``noise``: of too few frames, see `estimate.few_frames`.
     seconds : float
         Time of the fit.
     chi2_nu : float
@@ -35,6 +37,7 @@ class Estimate(ResultsPart):
     wfe_nm: Number = math.nan
     wfe_sigma_nm: Number = math.nan
     frames: int = 0
+    errors_from: str = "frames"
     seconds: Number = math.nan
     chi2_nu: Number = math.nan
     loss: str = ""

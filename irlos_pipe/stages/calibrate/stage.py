@@ -19,10 +19,9 @@ from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.recording_settings import require_one_setup, seeing_arcsec
 
 NAME = "calibrate"
-VERSION = 7
+VERSION = 8
 NEEDS = ("ingest",)
 READS = ("ingest",)
-MIN_FRAMES = 2
 
 
 class Config(Limits):
@@ -88,8 +87,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
 
 def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
     require_one_setup(recordings)
-    if sum(r.frames for r in recordings) < MIN_FRAMES:
-        raise InputDataError(_too_few(recordings[0]))
+    if not any(r.frames for r in recordings):
+        raise InputDataError(_no_frame(recordings[0]))
     result = _calibrate(ctx, recordings, ctx.config.options(ctx.instrument.facility.ncpa_law))
     others = [
         _calibrate(ctx, recordings, ctx.config.options(ctx.instrument.facility.ncpa_law, method))
@@ -101,8 +100,8 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
 
 
 def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
-    usable = [r for r in recordings if r.frames >= MIN_FRAMES]
-    failures = [_too_few(r) for r in recordings if r.frames < MIN_FRAMES]
+    usable = [r for r in recordings if r.frames]
+    failures = [_no_frame(r) for r in recordings if not r.frames]
     if not usable:
         raise InputDataError(failures[0])
     cubes = [
@@ -117,8 +116,8 @@ def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput
     return each_output(ctx.config, cubes, failures)
 
 
-def _too_few(recording: Recording) -> str:
-    return f"{recording.name}: a calibration needs at least two used frames"
+def _no_frame(recording: Recording) -> str:
+    return f"{recording.name}: no used frame is left to calibrate with"
 
 
 def _calibrate(

@@ -59,6 +59,7 @@ def diagnose_results(result: Diagnosis) -> DiagnoseResults:
         motion_ratio=result.motion_ratio,
         drift_significance=result.drift_significance,
         frames=FrameCounts(training=result.frames[0], held_out=result.frames[1]),
+        held_out=result.held_out,
         zernike_nm=ModesChange(before=modes[0], after=modes[1]),
         sigma_nm=_by_noll(result, result.modes_sigma_nm),
         seconds=round(result.seconds, 3),
@@ -118,11 +119,12 @@ def _finite(sigma_e: np.ndarray) -> np.ndarray:
 
 def summary_lines(result: Diagnosis) -> list[str]:
     """Return the lines for the terminal."""
-    gap = result.gap
+    gap, held_out = result.gap, result.held_out
     lines = [f"diagnosis       {result.verdict}: {sentence(result)}"]
     lines.append(
-        f"  gap             {gap.before:.4f} -> {gap.after:.4f}, floor {gap.floor:.4f} (held-out frames), "
-        f"χ²/ν {result.chi2_nu[0]:.2f} -> {result.chi2_nu[1]:.2f}, {result.seconds:.0f} s"
+        f"  gap             {gap.before:.4f} -> {gap.after:.4f}, floor {gap.floor:.4f} "
+        f"(held-out {held_out}), χ²/ν {result.chi2_nu[0]:.2f} -> {result.chi2_nu[1]:.2f}, "
+        f"{result.seconds:.0f} s"
     )
     lines.append(f"  noise           {result.noise.text}")
     fine = result.fine

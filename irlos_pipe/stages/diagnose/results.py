@@ -152,6 +152,8 @@ class DiagnoseResults(StageResults):
         File with the model and what was found.
     chi2_nu, excess_sigma : Change
         Reduced χ² of the mean image, and its excess in σ.
+    held_out : str
+        ``frames`` or ``pixels``: what no fit has seen.
     motion_ratio, drift_significance : float
         Image motion over its expectation; drift in σ.
     zernike_nm : ModesChange
@@ -179,6 +181,7 @@ class DiagnoseResults(StageResults):
     motion_ratio: Number = math.nan
     drift_significance: Number = math.nan
     frames: FrameCounts = FrameCounts()
+    held_out: str = "frames"
     zernike_nm: ModesChange = ModesChange()
     sigma_nm: ByNoll = {}
     defocus_error_nm: Change = Change()

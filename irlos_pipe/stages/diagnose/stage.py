@@ -11,7 +11,6 @@ from pydantic import Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.diagnose.acceptance import Options
-from irlos_pipe.diagnose.cube import MIN_FRAMES
 from irlos_pipe.diagnose.verdict import Diagnosis
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.diagnose.workflow import diagnose
@@ -33,7 +32,7 @@ from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_ef
 from irlos_pipe.stages.model.recording_settings import pooled_images
 
 NAME = "diagnose"
-VERSION = 8
+VERSION = 9
 NEEDS = ("ingest",)
 READS = ("ingest", "calibrate", "lift")
 EXPECTED_FITS = 11  # of one cube, for the progress bar
@@ -46,7 +45,12 @@ class Config(StageConfig):
     highest_noll: int = Field(
         66, ge=4, le=231, description="modes 2 to this belong to every model; beyond: high_order_ncpa"
     )
-    held_out: float = Field(0.25, gt=0.05, le=0.5, description="part of the frames that no fit sees")
+    held_out: float = Field(
+        0.25,
+        gt=0.05,
+        le=0.5,
+        description="part of the frames, or of the pixels of fewer than 16, that no fit sees",
+    )
     most_names: int = Field(4, ge=1, le=10, description="names at which to stop")
     sure_sigma: float = Field(5.0, ge=3, le=20, description="significance of a detection")
 
@@ -97,11 +101,9 @@ def pooled_frames(recordings: Sequence[Recording], good: np.ndarray) -> Frames:
     Raises
     ------
     InputDataError
-        With too few frames.
+        Without a frame.
     """
     images_e, recorded_good, noise = pooled_images(recordings)
-    if len(images_e) < MIN_FRAMES:
-        raise InputDataError(
-            f"{recordings[0].name}: a diagnosis needs {MIN_FRAMES} used frames, not {len(images_e)}"
-        )
+    if not len(images_e):
+        raise InputDataError(f"{recordings[0].name}: no used frame is left to diagnose")
     return Frames(images_e, recorded_good & torch.as_tensor(good), noise)
