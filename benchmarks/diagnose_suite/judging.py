@@ -86,6 +86,12 @@ def extra_names(outcome: Outcome) -> list[str]:
     ]
 
 
+def is_in_some_set(outcome: Outcome) -> bool:
+    """Whether the hidden effect is one of the names, or in the ambiguity set of at most three of one."""
+    sets = [one for one in ambiguity_sets(outcome) if len(one) <= LARGEST_SET]
+    return is_named(outcome) or any(outcome["truth"]["effects"][0] in one for one in sets)
+
+
 def is_untestable(outcome: Outcome) -> bool:
     """Whether nothing was found, and the diagnosis says that these data cannot show the hidden effect.
 
@@ -112,9 +118,9 @@ def wrong_names(outcome: Outcome) -> list[str]:
 
 
 def _is_there(outcome: Outcome, step: Mapping[str, Any]) -> bool:
-    """Whether a name is that of something true: hidden, or one of the mild errors."""
+    """Whether a name is that of something hidden, what is not distinguished from it, or a mild error."""
     mild = outcome["truth"].get("mild", {})
-    if _hidden_among(outcome, [step]):
+    if _hidden_among(outcome, [step]) or set(outcome["truth"]["effects"]) & set(step["indistinguishable"]):
         return True
     if step["effect"] in SECOND_IMAGES:
         return "ghost" in mild and _distance_mas(step["parameters"], mild["ghost"]) < NEAR_MAS

@@ -6,14 +6,14 @@ Sizes are those of the limits below, in every recording; signs, directions, plac
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from benchmarks.diagnose_suite.foreign import Image, second_image, unchanged
 from benchmarks.diagnose_suite.hidden import PIXEL_SCALE_MAS, companion_place
-from benchmarks.diagnose_suite.settings import Setting
+from benchmarks.diagnose_suite.settings import NARROW, Setting
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.light import mean_centre_nm
 from irlos_pipe.simulate.recordings.scenes import BANDS
@@ -36,6 +36,7 @@ LAWS: tuple[Mapping[str, Any], ...] = (
     {"shape": "aliasing"},
 )
 OUTER_SCALES = (0.5, 2.0)  # of the profile's
+ALIKE_IN_NARROW_BAND = frozenset({"plate_scale", "spectrum"})  # both only scale the image
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,26 @@ class Mild:
         changed = {name: {**sections.get(name, {}), **own} for name, own in self.sections.items()}
         shared = {"effects": {name: dict(own) for name, own in self.effects.items()}} if self.effects else {}
         return dict(sections) | changed | shared
+
+    def without(self, hidden: Mapping[str, Mapping[str, Any]], setting: Setting) -> Mild:
+        """Return the errors that remain beside what is hidden.
+
+        What is hidden takes the place of an error of the same parameter, and of one that has the same image:
+        two of them would add up or cancel.
+
+        Parameters
+        ----------
+        hidden : mapping
+            Effects with the simulator's parameters.
+        setting : Setting
+        """
+        alike = ALIKE_IN_NARROW_BAND if setting.bands == NARROW and ALIKE_IN_NARROW_BAND & set(hidden) else ()
+        rest = {
+            name: {key: value for key, value in own.items() if key not in hidden.get(name, {})}
+            for name, own in self.effects.items()
+            if name not in alike
+        }
+        return replace(self, effects={name: own for name, own in rest.items() if own})
 
     @property
     def image(self) -> Image:

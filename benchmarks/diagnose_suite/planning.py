@@ -54,7 +54,8 @@ class Plan:
 
 def plan_case(case: Case, spec_path: Path) -> Plan:
     """Plan a case; its spec, which states the truth, is written to `spec_path`."""
-    hidden, mild = _hidden(case), _mild(case)
+    hidden = _hidden(case)
+    mild = _mild(case, hidden)
     spec_path.write_text(yaml_text(spec_of(case, hidden)))
     recordings = plan_recordings(load_spec(spec_path))
     foreign = _foreign(case)
@@ -64,11 +65,8 @@ def plan_case(case: Case, spec_path: Path) -> Plan:
 
 
 def spec_of(case: Case, hidden: Sequence[Hidden]) -> dict[str, Any]:
-    """The case as a spec of `irlos simulate`.
-
-    What is hidden takes the place of the mild error of the same parameter, so that it has its level's size.
-    """
-    mild = _mild(case)
+    """The case as a spec of `irlos simulate`."""
+    mild = _mild(case, hidden)
     sections = mild.over(case.setting.sections(_rng(case, SECTIONS)))
     of_sky = [one for one in hidden if case.setting.on_sky and one.effect in IN_SKY_MODEL]
     for one in of_sky:
@@ -96,8 +94,11 @@ def _hidden(case: Case) -> list[Hidden]:
     return [drawn(*one, case.setting, rng) for one in zip(case.effects, sizes, strict=True)]
 
 
-def _mild(case: Case) -> Mild:
-    return drawn_mild(case.setting, _rng(case, MILD)) if case.dirty else Mild()
+def _mild(case: Case, hidden: Sequence[Hidden]) -> Mild:
+    if not case.dirty:
+        return Mild()
+    parameters = {one.effect: one.parameters for one in hidden}
+    return drawn_mild(case.setting, _rng(case, MILD)).without(parameters, case.setting)
 
 
 def _foreign(case: Case) -> Foreign:

@@ -13,6 +13,7 @@ from benchmarks.diagnose_suite.judging import (
     first_is_wrong,
     grade,
     is_first,
+    is_in_some_set,
     is_named,
     named,
     wrong_names,
@@ -43,6 +44,7 @@ def _singles(singles: Singles) -> list[Row]:
     testable, small = singles.testable, singles.small
     return [
         Row("named", ">= 90 %", Rate.of(map(is_named, testable))),
+        Row("  named, or in a set of <= 3", "", Rate.of(map(is_in_some_set, testable))),
         Row("named first", ">= 80 %", Rate.of(map(is_first, testable))),
         Row("wrong first name", "<= 5 %", Rate.of(map(first_is_wrong, testable))),
         Row("some wrong name", "", Rate.of(bool(wrong_names(one)) for one in testable)),

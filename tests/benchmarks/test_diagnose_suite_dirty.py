@@ -17,6 +17,7 @@ from benchmarks.diagnose_suite.judging import (
     first_is_wrong,
     grade,
     is_first,
+    is_in_some_set,
     is_named,
     is_right,
     is_untestable,
@@ -153,11 +154,20 @@ def test_the_simulated_telescope_has_the_errors(tmp_path):
     assert {"shape": scene.sky.shape, "outer_scale_m": scene.facility.outer_scale_m}.items() <= law.items()
 
 
+def test_in_a_narrow_band_nothing_scales_the_image_beside_a_hidden_scale(tmp_path):
+    narrow, broad = (
+        planned(f"single.bench_{band}.plate_scale.medium", tmp_path).recordings[0].scene.effects
+        for band in ("narrow", "broad")
+    )
+    assert "spectrum" not in narrow and "spectrum" in broad
+
+
 @pytest.mark.parametrize(("effect", "key"), [("plate_scale", "fraction"), ("pupil_misregistration", "dx_m")])
 def test_what_is_hidden_takes_the_place_of_the_mild_error_of_its_kind(effect, key, tmp_path):
     plan = planned(f"single.bench_narrow.{effect}.strong", tmp_path)
     (hidden,) = plan.hidden
     assert plan.recordings[0].scene.effects[effect][key] == hidden.parameters[key]
+    assert effect not in plan.mild.truth
 
 
 def test_the_colour_of_the_star_is_hidden_beside_a_displaced_band(tmp_path):
@@ -195,6 +205,12 @@ def test_a_first_name_of_something_that_is_not_there_is_wrong():
     one = outcome("vibration", "phase_bump", "vibration")
     assert is_named(one) and first_is_wrong(one) and not is_right(one)
     assert wrong_names(one) == ["phase_bump"]
+
+
+def test_a_name_that_is_not_distinguished_from_the_hidden_effect_is_not_wrong():
+    one = outcome("plate_scale", "spectrum")
+    one["diagnosis"]["steps"][0]["indistinguishable"] = ["plate_scale"]
+    assert not is_named(one) and is_in_some_set(one) and not first_is_wrong(one)
 
 
 @pytest.mark.parametrize("effect", ["companion", "ghost"])
