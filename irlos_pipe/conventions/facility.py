@@ -32,6 +32,8 @@ class Facility:
         Seeing that is assumed where none was measured.
     vibration_lines : tuple of (hz, share_x, share_y)
         Vibrations of the telescope; the slow wander has the rest of the variance.
+    numerical_aperture : float
+        NA / n of the beam in which the focus stage moves; 0 where it is not known.
     """
 
     pupil: PupilGeometry
@@ -42,3 +44,4 @@ class Facility:
     ncpa_law: NcpaLaw
     typical_seeing_arcsec: float
     vibration_lines: tuple[VibrationLine, ...] = ()
+    numerical_aperture: float = 0.0

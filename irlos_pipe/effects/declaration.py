@@ -11,7 +11,7 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.structure_function import ResidualBand
 
 INFINITE = float("inf")
-Plane = Literal["pupil", "otf", "sampling", "time", "detector", "ramp"]
+Plane = Literal["pupil", "otf", "sampling", "time", "detector", "ramp", "lens"]
 Kind = Literal["number", "zernike", "petals", "pixels", "nolls", "word"]
 Role = Literal["size", "position", "direction", "component"]
 FoundBy = Literal["score", "frames", "pixels", "ramp"]
@@ -96,6 +96,8 @@ class Conditions:
         Otherwise the seeing is a typical one.
     ncpa_law : NcpaLaw, optional
         Prior of the modes.
+    numerical_aperture : float
+        NA / n of the beam in which the focus moves; 0 where it is not known.
     """
 
     settings: PsfSettings
@@ -105,6 +107,7 @@ class Conditions:
     highest_noll: int
     seeing_measured: bool = True
     ncpa_law: NcpaLaw | None = None
+    numerical_aperture: float = 0.0
 
     @property
     def diversity_nm(self) -> Mapping[int, float]:

@@ -15,6 +15,7 @@ import torch
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.numerics.forward_mode import along, along_all
 from irlos_pipe.optics.grids import OtfGrid, PupilGrid, Sampling
+from irlos_pipe.optics.psf_settings import PsfSettings
 
 
 class PupilEffect(Effect):
@@ -76,6 +77,21 @@ class SamplingEffect(Effect):
 
     def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
         """`sampling` with the effect at `values`; `nominal` is what the recording is said to have."""
+        raise NotImplementedError
+
+
+class LensEffect(Effect):
+    """Changes what introduced defocus is; held in the settings of the light path."""
+
+    plane = "lens"
+    in_image = False
+    found_by = "ramp"
+
+    def __init__(self, numerical_aperture: float = 0.0):
+        """Start from the `numerical_aperture`, NA / n, of the beam in which the focus moves."""
+
+    def apply(self, values: torch.Tensor, settings: PsfSettings) -> PsfSettings:
+        """`settings` of a light path with the effect at `values`."""
         raise NotImplementedError
 
 

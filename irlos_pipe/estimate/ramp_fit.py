@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -42,6 +42,10 @@ class RampData:
     good: torch.Tensor
     noise: NoiseModel
     introduced_nm: np.ndarray
+
+    def of(self, which: torch.Tensor) -> RampData:
+        """Return `which` of the frames."""
+        return replace(self, images_e=self.images_e[which], introduced_nm=self.introduced_nm[which.numpy()])
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,7 @@ def fit_ramp(
     options: LiftOptions,
     effects: Sequence[Effect] = (),
     *,
+    seen: np.ndarray | None = None,
     report: Callable[[int], None] | None = None,
 ) -> RampFit:
     """Estimate every frame; effects with free parameters are first fitted to the whole ramp.
@@ -107,11 +112,14 @@ def fit_ramp(
     options : LiftOptions
     effects : sequence of Effect
         Fixed ones stay, free parameters are shared by all frames.
+    seen : ndarray of bool, (frames,), optional
+        Frames that determine these; by default all.
     report : callable, optional
         See `solve`.
     """
     free = EffectSet(effects, model.grids)
-    shared = _fit_effects(model, data, start_nm, free) if free.parameters else None
+    which = torch.as_tensor(np.ones(len(start_nm), bool) if seen is None else seen)
+    shared = _fit_effects(model, data.of(which), start_nm[which], free) if free.parameters else None
     held = free.held(shared.values if shared else NOTHING)
     complete = ImageModel(model, held)
     if len(start_nm) >= MIN_FRAMES:

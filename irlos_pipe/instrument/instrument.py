@@ -206,6 +206,7 @@ def _facility(values: _Values) -> Facility:
         ncpa_law=NcpaLaw(amplitude_nm, decay, plateau_nm),
         typical_seeing_arcsec=values.number("seeing_arcsec"),
         vibration_lines=lines,
+        numerical_aperture=float(values.get("focus_numerical_aperture", 0.0)),
     )
 
 

@@ -24,6 +24,7 @@ import torch
 from scipy.special import jv
 
 from irlos_pipe.conventions.units import NM, cutoff_per_px, tilt_nm
+from irlos_pipe.optics.defocus import shaped_modes
 from irlos_pipe.optics.grids import Optics, Tangents
 from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, LightPath, Pullback
 from irlos_pipe.optics.shift import ShiftMatrices, kernel_half_length
@@ -83,7 +84,8 @@ class FocusTable:
     def _terms(self, psf: LightPath, optics: Optics) -> int:
         """Length of the series."""
         grid = psf.grids.pupil
-        mode = grid.modes([self.nolls[self.focus]])[0][np.hypot(*grid.xy) <= 1]
+        noll, sine = self.nolls[self.focus], psf.settings.focus_sine
+        mode = shaped_modes(grid, [noll], sine)[0][np.hypot(*grid.xy) <= 1]
         phase = 2 * np.pi * NM / _shortest_m(psf, optics) * self.half_nm * np.ptp(mode)
         orders = np.arange(int(2 * phase) + 40)
         return int(orders[np.abs(jv(orders, phase)) > TRUNCATION].max()) + 1

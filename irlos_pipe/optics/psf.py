@@ -26,15 +26,17 @@ import numpy as np
 import torch
 from numpy.polynomial import chebyshev
 
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.numerics.parallel import ordered_map
+from irlos_pipe.optics.defocus import defocus_series, shaped_modes
 from irlos_pipe.optics.focal_plane import COMPLEX, FocalPlane
 from irlos_pipe.optics.grids import Grids, Optics, PupilGrid, Sampling, Tangents
 from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, Pullback
 from irlos_pipe.optics.matrix_dft import MatrixDft, mirrored, products_up_to
 from irlos_pipe.optics.monochromatic import Colour
 from irlos_pipe.optics.psf_settings import PsfSettings
-from irlos_pipe.optics.zernike import noll_to_nm, zernike_basis
+from irlos_pipe.optics.zernike import noll_to_nm
 
 CHUNK_ELEMENTS = 6_000_000  # complex numbers held per batch of frames
 
@@ -101,19 +103,24 @@ class PsfModel:
 
     def _set_pupil(self, grid: PupilGrid) -> None:
         self.amplitude = self._map(grid.amplitude)
-        self.basis = self._map(grid.modes(self.nolls).copy()).flatten(1)
+        self.basis = self._map(self._modes(grid, self.nolls)).flatten(1)
         known = np.zeros_like(grid.amplitude)
         for noll, nm in self.settings.known.total_nm.items():
-            known += nm * grid.modes([noll])[0]
+            known += nm * self._modes(grid, [noll])[0]
         self.known_nm = self._map(known)
+
+    def _modes(self, grid: PupilGrid, nolls: Sequence[int]) -> np.ndarray:
+        """Modes as maps (modes, n, n), defocus in its shape."""
+        return shaped_modes(grid, nolls, self.settings.focus_sine)
 
     def _set_products(self, grid: PupilGrid) -> None:
         """Every mode in products of Chebyshev polynomials, and the transforms that serve these products."""
-        degree = max((noll_to_nm(noll)[0] for noll in self.nolls), default=0)
+        companions = defocus_series(self.settings.focus_sine) if DEFOCUS in self.nolls else ()
+        degree = max((noll_to_nm(noll)[0] for noll in (*self.nolls, *companions)), default=0)
         pairs = products_up_to(degree)
         vander = chebyshev.chebvander(grid.u_m / grid.u_m[-1], degree)
         columns = np.stack([np.outer(vander[:, b], vander[:, a])[grid.lit] for a, b in pairs], axis=1)
-        modes = zernike_basis(self.nolls, *grid.xy)[:, grid.lit].T
+        modes = self._modes(grid, self.nolls)[:, grid.lit].T
         signs = [-1.0 if a % 2 and b % 2 else 1.0 for a, b in pairs]  # as `MatrixDft.products` returns them
         self.combine = self._real(np.linalg.lstsq(columns, modes, rcond=None)[0].T * signs)  # (K, pairs)
         self.polynomials = vander.T

@@ -65,6 +65,9 @@ class PsfSettings:
         peak and 2e-4 of one spread to the window's edge, with 200 mas by 2e-6 and 5e-5.
     halo_margin_mas : float
         The same for the period of the OTF factors, whose wings are wider.
+    focus_sine : float
+        NA / n of the beam in which the focus moves; above 0, Noll 4 stands for the shape of
+        `optics.defocus` everywhere.
     """
 
     geometry: PupilGeometry
@@ -75,6 +78,7 @@ class PsfSettings:
     pupil_samples: int = 128
     margin_mas: float = 200.0
     halo_margin_mas: float = 500.0
+    focus_sine: float = 0.0
 
     @property
     def shortest_m(self) -> float:

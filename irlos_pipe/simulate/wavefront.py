@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from irlos_pipe.conventions.modes import DEFOCUS
-from irlos_pipe.simulate.effects.base import FocusStageEffect, WavefrontEffect
+from irlos_pipe.simulate.effects.base import FocusStageEffect, LensEffect, WavefrontEffect
 from irlos_pipe.simulate.effects.focus_stage import reached_nm
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.telescope import Telescope
@@ -33,6 +33,9 @@ class StaticWavefront:
         self._commanded_nm = scene.introduced_per_frame_nm
         reached = reached_nm(self._commanded_nm, scene.acting(FocusStageEffect), scene.rng("focus_stage"))
         self._missed_nm = reached - self._commanded_nm
+        shapes = [effect.defocus(telescope) for effect in scene.acting(LensEffect)]
+        self._declared_defocus = telescope.mode(DEFOCUS)
+        self._defocus = shapes[0] if shapes else self._declared_defocus
         self._diversity_nm = telescope.opd_nm(scene.diversity_nm)
         effects = scene.acting(WavefrontEffect)
         self._static_nm = telescope.opd_nm(_static_zernike_nm(scene, effects))
@@ -44,12 +47,13 @@ class StaticWavefront:
 
     def truth_nm(self, frame: int) -> np.ndarray:
         """Return the wavefront of a `frame` beyond diversity and introduced defocus as declared [nm]."""
-        defocus_nm = self._missed_nm[frame] * self._telescope.mode(DEFOCUS)
-        return self._static_nm + self._elapsed[frame] * self._drift_nm + defocus_nm
+        missed_nm = self._missed_nm[frame] * self._defocus
+        shape_nm = self._commanded_nm[frame] * (self._defocus - self._declared_defocus)
+        return self._static_nm + self._elapsed[frame] * self._drift_nm + missed_nm + shape_nm
 
     def total_nm(self, frame: int) -> np.ndarray:
         """Return the whole wavefront of a `frame`, (n, n) [nm]."""
-        declared_nm = self._diversity_nm + self._commanded_nm[frame] * self._telescope.mode(DEFOCUS)
+        declared_nm = self._diversity_nm + self._commanded_nm[frame] * self._declared_defocus
         return self.truth_nm(frame) + declared_nm
 
     def same(self, frame: int, other: int) -> bool:

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from irlos_pipe.conventions.facility import Facility, VibrationLine
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.charge import Pixels
@@ -151,6 +152,14 @@ class WavefrontEffect(SimulatedEffect):
     def drift_zernike_nm(self) -> Mapping[int, float]:
         """Return the change from the first frame to the last, Noll: nm RMS."""
         return {}
+
+
+class LensEffect(SimulatedEffect):
+    """Changes the wavefront that a moved focus makes."""
+
+    def defocus(self, telescope: Telescope) -> np.ndarray:
+        """Return the wavefront (n, n) of introduced defocus on `telescope`, its part of Noll 4 being one."""
+        return telescope.mode(DEFOCUS)
 
 
 class FocusStageEffect(SimulatedEffect):

@@ -16,6 +16,7 @@ from irlos_pipe.simulate.effects.detector import (
     InterpixelCrosstalk,
 )
 from irlos_pipe.simulate.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
+from irlos_pipe.simulate.effects.high_aperture import HighAperture
 from irlos_pipe.simulate.effects.low_wind import LowWindEffect
 from irlos_pipe.simulate.effects.motion import TipTiltJitter, Vibration
 from irlos_pipe.simulate.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
@@ -44,6 +45,7 @@ EFFECTS: dict[str, type[SimulatedEffect]] = {
         FocusStageScale,
         FocusStageHysteresis,
         FocusStageOffset,
+        HighAperture,
         InterpixelCrosstalk,
         DetectorNonlinearity,
         BackgroundGradient,

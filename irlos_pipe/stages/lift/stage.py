@@ -3,28 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Literal
 
 import numpy as np
-import torch
-from pydantic import BeforeValidator, Field
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.conventions.laws import NcpaLaw
-from irlos_pipe.estimate.lift import LiftOptions, NoiseSource
-from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise
-from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
+from irlos_pipe.estimate.ramp_fit import RampFit
 from irlos_pipe.product.product import Check, Quantity
-from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.lift.input import (
-    Ramp,
-    calibrated_ncpa_nm,
-    effects_for_lift,
-    ramp_model,
-    ramp_start,
-    read_ramp,
-)
+from irlos_pipe.stages.base import StageContext, StageOutput
+from irlos_pipe.stages.lift.config import Config
+from irlos_pipe.stages.lift.fit import fit_frames
+from irlos_pipe.stages.lift.input import Ramp, read_ramp
 from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point
 from irlos_pipe.stages.model.effects import model_effects
 
@@ -32,52 +21,6 @@ NAME = "lift"
 VERSION = 7
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
-# "told" is the former spelling of "commanded".
-Start = Annotated[
-    Literal["elongation", "scan", "commanded", "zero"],
-    BeforeValidator(lambda value: "commanded" if value == "told" else value),
-]
-ObjectSigma = Literal["calibrated", "fit"] | Annotated[float, Field(ge=0, le=200)]
-
-
-class Config(StageConfig):
-    """Settings of LIFT."""
-
-    input: str = Field("ramp", description="recipe input that holds the ramp")
-    modes: tuple[int, ...] = Field((2, 3, 4), description="Noll modes to estimate; 4 (defocus) among them")
-    calibrated: bool = Field(True, description="make the NCPAs of `calibrate` a part of the known wavefront")
-    halo: Literal["calibrated", "fit", "off"] = Field(
-        "calibrated", description="AO residual in the model: as calibrated, fitted to the ramp, or none"
-    )
-    object_sigma_mas: ObjectSigma = Field(
-        "calibrated",
-        description="width of the kernel of object and jitter: a number [mas], as calibrated, or "
-        "fitted to the ramp",
-    )
-    estimator: Literal["ml", "map"] = Field("ml", description="maximum likelihood, or with a Gaussian prior")
-    prior_scale: float = Field(
-        3.0, gt=0, le=1000, description="width of the prior of MAP over that of the NCPA law"
-    )
-    noise: NoiseSource = Field(
-        LiftOptions.noise,
-        description="variances of the pixels: from the data, from the start's model, or renewed with the fit",
-    )
-    start: Start = Field(
-        "elongation",
-        description="where the iteration begins: at the elongation prior, at the best of a scan of defocus, "
-        "at the commanded defocus (needed without diversity, where the sign of defocus is ambiguous), or at "
-        "zero",
-    )
-    max_iterations: int = Field(
-        LiftOptions.max_iterations, ge=1, le=1000, description="largest number of iterations of a fit"
-    )
-    compare: bool = Field(
-        True, description="repeat without the NCPAs and without the AO residual, for the report"
-    )
-    min_converged: float = Field(0.9, ge=0, le=1, description="QC limit on the part of frames that converge")
-    max_residual_nm: float = Field(
-        30.0, gt=0, description="QC limit on the scatter about the straight line [nm RMS]"
-    )
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
@@ -87,7 +30,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             f"lift.modes {list(ctx.config.modes)} lacks 4 (defocus), which is what LIFT is for"
         )
     ramp = read_ramp(ctx, ctx.config.input)
-    fit = _fit(ctx, ramp, calibrated=ctx.config.calibrated, halo=ctx.config.halo)
+    fit = fit_frames(ctx, ramp, calibrated=ctx.config.calibrated, halo=ctx.config.halo)
     focus = _focus_stage(ctx, ramp, fit)
     ramp = replace(ramp, data=replace(ramp.data, introduced_nm=focus.introduced_nm))
     summary = _summarise(ramp, fit)
@@ -100,23 +43,6 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     )
 
 
-def _fit(ctx: StageContext[Config], ramp: Ramp, *, calibrated: bool, halo: str) -> RampFit:
-    ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
-    model = ramp_model(ctx, ramp, ctx.config.modes, ncpa_nm)
-    recording, kernel = ramp.recordings[0], ctx.config.object_sigma_mas
-    effects = effects_for_lift(ctx, recording, halo, kernel, calibrated=calibrated)
-    start = ramp_start(ctx, model, ramp, ncpa_nm, ctx.config.start)
-    with ctx.progress(total=len(ramp.names), desc="lift") as bar:
-        return fit_ramp(
-            model,
-            ramp.data,
-            start,
-            _options(ctx.config, ctx.instrument.facility.ncpa_law, start),
-            effects,
-            report=bar.update,
-        )
-
-
 def _focus_stage(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> FocusStage:
     """What the focus stage really did, as far as the recipe's model says that it may err."""
     effects = model_effects(ctx.instrument, ctx.model, ramp.recordings[0])
@@ -127,24 +53,13 @@ def _focus_stage(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> FocusSt
         raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
 
 
-def _options(config: Config, ncpa_law: NcpaLaw, start_nm: torch.Tensor) -> LiftOptions:
-    """ML, or MAP about the start's defocus and zero for the other modes."""
-    if config.estimator == "ml":
-        return LiftOptions(config.noise, max_iterations=config.max_iterations)
-    mean = torch.zeros_like(start_nm)
-    focus = config.modes.index(4)
-    mean[:, focus] = start_nm[:, focus]
-    sigma_nm = NcpaPrior(ncpa_law, config.prior_scale).sigma_nm(config.modes)
-    return LiftOptions(config.noise, mean, sigma_nm, config.max_iterations)
-
-
 def _comparison(ctx: StageContext[Config], ramp: Ramp) -> dict[str, RampSummary]:
     """Estimate the same ramp without NCPAs and without the AO residual."""
     config, found = ctx.config, {}
     if config.calibrated:
-        found["without NCPAs"] = _fit(ctx, ramp, calibrated=False, halo=config.halo)
+        found["without NCPAs"] = fit_frames(ctx, ramp, calibrated=False, halo=config.halo)
     if config.halo != "off" and ctx.model.effects:
-        found["without AO residual"] = _fit(ctx, ramp, calibrated=config.calibrated, halo="off")
+        found["without AO residual"] = fit_frames(ctx, ramp, calibrated=config.calibrated, halo="off")
     return {name: _summarise(ramp, fit) for name, fit in found.items()}
 
 

@@ -48,6 +48,7 @@ def conditions_of(
         highest_noll,
         seeing_measured=recording.acquisition.seeing_measured,
         ncpa_law=instrument.facility.ncpa_law,
+        numerical_aperture=instrument.facility.numerical_aperture,
     )
 
 

@@ -9,6 +9,8 @@ import torch
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.units import NM
+from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects.planes import LensEffect
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
@@ -53,7 +55,7 @@ def psf_settings(
             "calibration and LIFT need full-pupil recordings"
         )
     _require_samples(instrument, model, recording)
-    return PsfSettings(
+    settings = PsfSettings(
         instrument.pupil,
         recording.window,
         acquisition.pixel_scale_mas,
@@ -61,6 +63,19 @@ def psf_settings(
         KnownWavefront(acquisition.diversity, introduced_nm or {}, ncpa_nm or {}),
         model.pupil_samples,
     )
+    return _through_lenses(settings, model, instrument.facility.numerical_aperture)
+
+
+def _through_lenses(settings: PsfSettings, model: ModelConfig, aperture: float) -> PsfSettings:
+    """`settings` with the lens effects of the `model`; those without values have the profile's `aperture`."""
+    for entry in model.entries():
+        kind = CATALOGUE[entry.name]
+        if issubclass(kind, LensEffect):
+            effect = kind(aperture)
+            start = [one.start for one in effect.parameters]
+            values = effect.values_of(**entry.values) if entry.values else start
+            settings = effect.apply(torch.tensor(values, dtype=torch.float64), settings)
+    return settings
 
 
 def _require_samples(instrument: Instrument, model: ModelConfig, recording: Recording) -> None:

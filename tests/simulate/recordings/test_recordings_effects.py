@@ -36,6 +36,7 @@ SIZES = {
     "focus_stage_hysteresis": {"nm": 40},
     "focus_stage_offset": {"nm": 40},
     "focus_stage_scale": {"fraction": 0.2},
+    "high_aperture": {"sine": 0.85},
 }
 FINE = {"pupil_samples": 64, "points_per_band": 3}
 BRIGHT = {"mag_j": 6.0, "detector": {"e_per_adu": 5.0, "read_noise_e": 2.0}}

@@ -1,0 +1,71 @@
+"""Settings of stage `lift`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from irlos_pipe.estimate.lift import LiftOptions, NoiseSource
+from irlos_pipe.stages.base import StageConfig
+
+# "told" is the former spelling of "commanded".
+Start = Annotated[
+    Literal["elongation", "scan", "commanded", "zero"],
+    BeforeValidator(lambda value: "commanded" if value == "told" else value),
+]
+ObjectSigma = Literal["calibrated", "fit"] | Annotated[float, Field(ge=0, le=200)]
+
+
+class Config(StageConfig):
+    """Settings of LIFT."""
+
+    input: str = Field("ramp", description="recipe input that holds the ramp")
+    modes: tuple[int, ...] = Field((2, 3, 4), description="Noll modes to estimate; 4 (defocus) among them")
+    common_modes: tuple[int, ...] = Field(
+        (),
+        description="Noll modes of a static wavefront that all frames share, fitted to the ramp by phase "
+        "diversity; instead of a calibration",
+    )
+    calibrated: bool = Field(True, description="make the NCPAs of `calibrate` a part of the known wavefront")
+    halo: Literal["calibrated", "fit", "off"] = Field(
+        "calibrated", description="AO residual in the model: as calibrated, fitted to the ramp, or none"
+    )
+    object_sigma_mas: ObjectSigma = Field(
+        "calibrated",
+        description="width of the kernel of object and jitter: a number [mas], as calibrated, or "
+        "fitted to the ramp",
+    )
+    estimator: Literal["ml", "map"] = Field("ml", description="maximum likelihood, or with a Gaussian prior")
+    prior_scale: float = Field(
+        3.0, gt=0, le=1000, description="width of the prior of MAP over that of the NCPA law"
+    )
+    noise: NoiseSource = Field(
+        LiftOptions.noise,
+        description="variances of the pixels: from the data, from the start's model, or renewed with the fit",
+    )
+    start: Start = Field(
+        "elongation",
+        description="where the iteration begins: at the elongation prior, at the best of a scan of defocus, "
+        "at the commanded defocus (needed without diversity, where the sign of defocus is ambiguous), or at "
+        "zero",
+    )
+    max_iterations: int = Field(
+        LiftOptions.max_iterations, ge=1, le=1000, description="largest number of iterations of a fit"
+    )
+    compare: bool = Field(
+        True, description="repeat without the NCPAs and without the AO residual, for the report"
+    )
+    min_converged: float = Field(0.9, ge=0, le=1, description="QC limit on the part of frames that converge")
+    max_residual_nm: float = Field(
+        30.0, gt=0, description="QC limit on the scatter about the straight line [nm RMS]"
+    )
+
+    @model_validator(mode="after")
+    def _common_modes_are_not_estimated_twice(self) -> Config:
+        twice = sorted({*self.common_modes} & {*self.modes})
+        if twice:
+            raise ValueError(f"mode {twice[0]} is both in 'modes' and in 'common_modes'; name it once")
+        if min(self.common_modes, default=2) < 2:
+            raise ValueError("'common_modes' are Noll modes from 2 on")
+        return self
