@@ -1,7 +1,9 @@
 """Make a FITS cube with a side-car from the bead's focus ramp that pyOTF publishes as a fixture.
 
-``python beads_to_fits.py RAMP OUTPUT_FOLDER``; RAMP is the TIFF file (25 planes, needs Pillow), or an npz file with
-the planes as ``cube``. Source of the data: github.com/david-hoffman/pyOTF, folder fixtures, Apache-2.0.
+``python beads_to_fits.py RAMP OUTPUT_FOLDER``; RAMP is the TIFF file (25 planes, needs Pillow), or an npz
+file with the planes as ``cube``.
+
+Source of the data: github.com/david-hoffman/pyOTF, folder fixtures, Apache-2.0.
 """
 
 from __future__ import annotations

@@ -12,11 +12,14 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.diagnose.held_out import Gap
 from irlos_pipe.diagnose.ramp.diagnosis import RampDiagnosis, RampName, diagnose_ramp
 from irlos_pipe.diagnose.ramp.gap import ramp_gap
+from irlos_pipe.diagnose.ramp.light_path import LightPathName
+from irlos_pipe.diagnose.verdict import EFFECT
 from irlos_pipe.effects import EffectSet
 from irlos_pipe.effects.effect_set import NOTHING
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.stages.base import StageContext, StageOutput
+from irlos_pipe.stages.diagnose.lens import wanted_lens
 from irlos_pipe.stages.diagnose.output import MODEL_FILE, gap_row
 from irlos_pipe.stages.diagnose.results import AlternativeRow, Change, DiagnoseResults, StepRow
 from irlos_pipe.stages.lift.input import Ramp, calibrated_ncpa_nm, effects_for_lift, ramp_model, read_ramp
@@ -34,17 +37,20 @@ def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[s
     began = time.perf_counter()
     ramp = read_ramp(ctx, ctx.config.input)
     lift = ctx.products["lift"]
-    estimated = np.asarray(lift.arrays["defocus_nm"].value, float)
     held_out = frames_held_out(ramp.commanded_nm, every)
+    ctx, lens, fit = wanted_lens(ctx, ramp, held_out, ctx.config.sure_sigma)
+    estimated = fit.defocus_nm if lens and fit else np.asarray(lift.arrays["defocus_nm"].value, float)
     try:
         result = diagnose_ramp(ramp.commanded_nm, estimated, ~held_out, ctx.config.sure_sigma)
     except ValueError as problem:
         raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
     corrected = result.introduced_nm(ramp.commanded_nm)
-    gap = _gap(ctx, ramp, lift, corrected, held_out)
-    results = _results(ramp, result, gap, estimated, corrected, time.perf_counter() - began)
-    output = StageOutput(_arrays(ramp, estimated, corrected), results, summary=_summary(result, gap))
-    return output, [entry(one) for one in result.names]
+    model, modes = _lift_model(ctx, ramp, lift) if fit is None else (fit.model.general, fit.result.zernike_nm)
+    gap = ramp_gap(model, ramp.data, modes, ramp.commanded_nm, corrected, held_out)
+    results = _results(ramp, result, lens, gap, estimated, corrected, time.perf_counter() - began)
+    output = StageOutput(_arrays(ramp, estimated, corrected), results, summary=_summary(result, lens, gap))
+    lenses = [entry(lens.effect.name, lens.public)] if lens else []
+    return output, [*lenses, *(entry(one.name, one.public) for one in result.names)]
 
 
 def frames_held_out(commanded_nm: np.ndarray, every: int) -> np.ndarray:
@@ -60,8 +66,8 @@ def frames_held_out(commanded_nm: np.ndarray, every: int) -> np.ndarray:
     return count % every == every - 1
 
 
-def _gap(ctx: StageContext, ramp: Ramp, lift: Product, corrected_nm: np.ndarray, held_out: np.ndarray) -> Gap:
-    """On images, with the model that `lift` had."""
+def _lift_model(ctx: StageContext, ramp: Ramp, lift: Product) -> tuple[ImageModel, torch.Tensor]:
+    """The model that `lift` had, and its estimates (frames, modes)."""
     config = lift.config
     ncpa_nm = calibrated_ncpa_nm(ctx) if config["calibrated"] else {}
     model = ramp_model(ctx, ramp, tuple(config["modes"]), ncpa_nm)
@@ -69,13 +75,13 @@ def _gap(ctx: StageContext, ramp: Ramp, lift: Product, corrected_nm: np.ndarray,
     effects = effects_for_lift(ctx, recording, config["halo"], kernel, calibrated=config["calibrated"])
     free = EffectSet(effects, model.grids)
     held = ImageModel(model, free.held(free.starts) if free.parameters else free.held(NOTHING))
-    modes = torch.as_tensor(np.nan_to_num(np.asarray(lift.arrays["zernike_nm"].value, float)))
-    return ramp_gap(held, ramp.data, modes, ramp.commanded_nm, corrected_nm, held_out)
+    return held, torch.as_tensor(np.nan_to_num(np.asarray(lift.arrays["zernike_nm"].value, float)))
 
 
 def _results(
     ramp: Ramp,
     result: RampDiagnosis,
+    lens: LightPathName | None,
     gap: Gap,
     estimated: np.ndarray,
     corrected: np.ndarray,
@@ -83,9 +89,9 @@ def _results(
 ) -> DiagnoseResults:
     errors = [_rms(estimated - introduced) for introduced in (ramp.commanded_nm, corrected)]
     return DiagnoseResults(
-        verdict=result.verdict,
-        sentence=sentence(result),
-        steps=[_step(one, gap) for one in result.names],
+        verdict=EFFECT if lens else result.verdict,
+        sentence=sentence(result, lens),
+        steps=[*_lens_steps(lens), *(_step(one, gap) for one in result.names)],
         nearest=_step(result.nearest[0], gap) if result.nearest else None,
         gap=gap_row(gap),
         unexplained=result.verdict == "unknown",
@@ -98,9 +104,25 @@ def _results(
     )
 
 
-def entry(one: RampName) -> dict[str, Any]:
-    """Return the effect as an entry of the section `model` of a recipe."""
-    return {one.name: one.public}
+def entry(name: str, public: dict[str, Any]) -> dict[str, Any]:
+    """Return the effect `name` with its `public` values as an entry of the section `model` of a recipe."""
+    return {name: public}
+
+
+def _lens_steps(lens: LightPathName | None) -> list[StepRow]:
+    if lens is None:
+        return []
+    found = lens.comparison
+    return [
+        StepRow(
+            effect=lens.effect.name,
+            parameters=lens.public,
+            significance=found.significance,
+            explained=1 - (found.chi2_nu[1] - 1) / (found.chi2_nu[0] - 1),
+            gap_before=found.gap[0],
+            gap_after=found.gap[1],
+        )
+    ]
 
 
 def _step(one: RampName, gap: Gap) -> StepRow:
@@ -122,8 +144,14 @@ def _step(one: RampName, gap: Gap) -> StepRow:
     )
 
 
-def sentence(result: RampDiagnosis) -> str:
-    """Return the verdict as a sentence."""
+def sentence(result: RampDiagnosis, lens: LightPathName | None = None) -> str:
+    """Return the verdict as a sentence; `lens` is what the images want of the light path."""
+    if lens is not None:
+        return f"The images need {lens.phrase}. With it: {_stage_sentence(result)}"
+    return _stage_sentence(result)
+
+
+def _stage_sentence(result: RampDiagnosis) -> str:
     if result.verdict == "unknown":
         near = " and ".join(one.phrase for one in result.nearest)
         nearest = f"; the nearest is {near}" if near else ""
@@ -141,9 +169,9 @@ def _arrays(ramp: Ramp, estimated: np.ndarray, corrected: np.ndarray) -> dict[st
     }
 
 
-def _summary(result: RampDiagnosis, gap: Gap) -> list[str]:
+def _summary(result: RampDiagnosis, lens: LightPathName | None, gap: Gap) -> list[str]:
     return [
-        f"diagnosis       {result.verdict}: {sentence(result)}",
+        f"diagnosis       {EFFECT if lens else result.verdict}: {sentence(result, lens)}",
         f"  gap             {gap.before:.4f} -> {gap.after:.4f}, floor {gap.floor:.4f} (held-out frames), "
         f"χ²/ν of the offsets {result.chi2_nu[0]:.2f} -> {result.chi2_nu[1]:.2f}",
     ]
