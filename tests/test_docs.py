@@ -64,9 +64,10 @@ def test_every_recipe_in_a_command_exists_and_takes_the_settings(path):
         recipes = [REPOSITORY / argument for argument in arguments if argument.startswith("recipes/")]
         settings = [value for name, value in pairwise(arguments) if name == "--set"]
         assert [recipe for recipe in recipes if not recipe.exists()] == []
+        given = [value.split("=")[0] for name, value in pairwise(arguments) if name == "--input"]
         if arguments[0] == "run":
             for recipe in recipes:
-                load_recipe(recipe, settings, [])
+                load_recipe(recipe, settings, [f"{name}={REPOSITORY}" for name in given])
 
 
 @each_page

@@ -214,7 +214,7 @@ def _verdict(data: np.ndarray, shapes: Shapes, fit: _Fit, names: list[RampName])
         if (beside := _Fit.of(data, shapes, (*fit.effects, one))) is not None
     }
     verdict = UNKNOWN if unexplained else EFFECT if names else NONE
-    ramp_effects = {name for name, kind in CATALOGUE.items() if kind.found_by == "ramp"}
+    ramp_effects = {name for name, kind in CATALOGUE.items() if issubclass(kind, RampEffect)}
     untestable = sorted(ramp_effects - seen - set(smallest))
     known, nearest = ([], names) if unexplained else (names, [])
     chi2_nu = (float(data @ data) / len(data), after)
