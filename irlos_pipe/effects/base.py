@@ -59,6 +59,8 @@ class Effect:
         Whether it adds a displaced image of the star, for which a diagnosis searches the whole window.
     repeatable : bool
         Whether a model may have several of its kind.
+    widens : str
+        Effect of which this is a wider form: a diagnosis tries it where that one is found, and nowhere else.
     sentence, limit : str
         What a diagnosis says of one that it found, and of the smallest one that it would have seen; format
         strings of the public values.
@@ -82,6 +84,7 @@ class Effect:
     speckles: bool = False
     copies_star: bool = False
     repeatable: bool = False
+    widens: str = ""
     sentence: str = ""
     limit: str = ""
     look_alike: str = ""
@@ -154,6 +157,15 @@ class Effect:
         """
         raise NotImplementedError
 
+    @property
+    def copies(self) -> Sequence[Effect]:
+        """Images of the star that have a focus of their own, each a `planes.CopyOfStar`; here none."""
+        return ()
+
+    def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
+        """Of a copy of the star; see `planes.CopyOfStar`."""
+        raise NotImplementedError
+
     def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor | None:
         """The effect's part of the wavefront at `values` on `grid`, (n, n) [nm]; None if it is none."""
         return None
@@ -173,6 +185,10 @@ class Effect:
     def whole(self, start: FixedEffect, sizes: np.ndarray) -> FixedEffect:
         """What a fit begins with whose search found `start` with these `sizes`; here the same."""
         return start
+
+    def widened(self, narrower: np.ndarray) -> FixedEffect:
+        """Return the effect, all free, where it does what that of `widens` does with the values `narrower`."""
+        raise NotImplementedError(f"{self.name} is not the wider form of another effect")
 
     def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
         """Return a candidate whose copy of the star lies at (`x_mas`, `y_mas`)."""
@@ -281,6 +297,16 @@ class FixedEffect(Effect):
     def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor | None:
         """See `Effect.opd_nm`."""
         return self.base.opd_nm(self.all_values(values), grid)
+
+    @property
+    def copies(self) -> Sequence[Effect]:
+        """See `Effect.copies`."""
+        free = [self.base.parameters[i].name for i in self.free]
+        return [FixedEffect(one, self.values, free) for one in self.base.copies]
+
+    def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
+        """See `Effect.defocus_nm`."""
+        return self.base.defocus_nm(self.all_values(values))
 
     def good_pixels(self, window: tuple[int, int]) -> np.ndarray:
         """See `Effect.good_pixels`."""

@@ -19,6 +19,7 @@ from irlos_pipe.effects.detector import (
 )
 from irlos_pipe.effects.drift import NcpaDrift
 from irlos_pipe.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
+from irlos_pipe.effects.ghost import Ghost
 from irlos_pipe.effects.high_aperture import HighAperture
 from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.effects.motion import TipTiltJitter, Vibration
@@ -43,6 +44,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         PhaseBump,
         NcpaDrift,
         Companion,
+        Ghost,
         InterpixelCrosstalk,
         DetectorNonlinearity,
         BackgroundGradient,

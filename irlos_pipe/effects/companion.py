@@ -60,7 +60,7 @@ class Companion(OtfEffect):
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
         flux, *_ = values
-        return factor * (1 + _copy(values, grid)) / (1 + flux)
+        return factor * (1 + copy_of_star(values, grid)) / (1 + flux)
 
     @classmethod
     def together(cls, effects: Sequence[Effect]) -> Effect:
@@ -107,11 +107,11 @@ class _Companions(OtfEffect):
         pieces = values.split([len(one.parameters) for one in self.companions])
         pairs = zip(self.companions, pieces, strict=True)
         every = [companion.all_values(piece) for companion, piece in pairs]
-        light = 1 + sum((_copy(one, grid) for one in every), torch.zeros(()))
+        light = 1 + sum((copy_of_star(one, grid) for one in every), torch.zeros(()))
         return factor * light / (1 + sum(one[0] for one in every))
 
 
-def _copy(values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-    """What a companion adds to the OTF of the star."""
+def copy_of_star(values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+    """What a second image adds to the OTF of the star; `values`: flux ratio and place [mas], (3,)."""
     flux, x, y = values
     return flux * phasor(-2 * np.pi * grid.path_m(x * MAS, y * MAS) / grid.wavelengths_m)

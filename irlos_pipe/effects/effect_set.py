@@ -11,11 +11,14 @@ from typing import Any, get_args
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Parameter, Plane
+from irlos_pipe.numerics.forward_mode import along_all
 from irlos_pipe.optics.grids import Grids, Optics, OtfGrid, Sampling, Tangents
 
 PLANES: tuple[Plane, ...] = get_args(Plane)
+Acting = tuple[Effect, slice]  # and its part of the parameter vector
 NOTHING = torch.zeros(0, dtype=torch.float64)
 
 
@@ -40,10 +43,10 @@ class EffectSet:
         self._pieces = [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     @cached_property
-    def _acting(self) -> list[tuple[Effect, slice]]:
+    def _acting(self) -> list[Acting]:
         """The effects one after the other with their parts of the parameter vector, some kinds as one."""
         pairs = zip(self.effects, self._pieces, strict=True)
-        acting: list[tuple[Effect, slice]] = []
+        acting: list[Acting] = []
         for _, group in groupby(pairs, key=lambda pair: pair[0].name):
             same, pieces = zip(*group, strict=True)
             joined = type(same[0].base).together(same) if len(same) > 1 else None
@@ -58,7 +61,7 @@ class EffectSet:
         """Free parameters of all effects in order."""
         return tuple(parameter for effect in self.effects for parameter in effect.parameters)
 
-    def at(self, plane: Plane) -> list[tuple[Effect, slice]]:
+    def at(self, plane: Plane) -> list[Acting]:
         """Effects at one plane with their parts of the parameter vector."""
         return [pair for pair in self._acting if pair[0].plane == plane]
 
@@ -76,16 +79,21 @@ class EffectSet:
     def __call__(self, values: torch.Tensor = NOTHING) -> Optics:
         """What the effects make of pupil, OTF and sampling."""
         sampling = self._sampling(values)
-        return Optics(
+        star = Optics(
             self._pupil(values, sampling) if self.at("pupil") else None,
-            self._transfer(values, sampling) if self.at("otf") else None,
+            self._transfer(values, sampling, self.at("otf")) if self.at("otf") else None,
             sampling if self.at("sampling") else None,
         )
+        copies = (self._copied(values, sampling, star, path) for path in self._copies)
+        return star._replace(copies=tuple(copies))
 
     def tangents(self, values: torch.Tensor) -> Tangents:
         """Derivatives of pupil and OTF factors with respect to the parameters at these planes."""
         sampling = self._sampling(values)
-        return Tangents(self._pupil_slopes(values, sampling), self._transfer_derivatives(values, sampling))
+        transfer = self._transfer_derivatives(values, sampling, self.at("otf"))
+        star = Tangents(self._pupil_slopes(values, sampling), transfer)
+        copies = (self._copied_tangents(values, sampling, star, path) for path in self._copies)
+        return star._replace(copies=tuple(copies))
 
     def modes_at(self, values: torch.Tensor, modes_nm: torch.Tensor, when: torch.Tensor) -> torch.Tensor:
         """Coefficients `modes_nm` with the effects at `values`, at times `when`, see `TimeEffect.apply`."""
@@ -129,13 +137,15 @@ class EffectSet:
             field = effect.apply(own, field, grid)
         return slopes
 
-    def _transfer(self, values: torch.Tensor, sampling: Sampling) -> torch.Tensor:
+    def _transfer(self, values: torch.Tensor, sampling: Sampling, pairs: Sequence[Acting]) -> torch.Tensor:
+        """Product of the factors of `pairs` of effects."""
         grid = OtfGrid.of(self.grids.focal, sampling)
-        return reduce(lambda f, e: e[0].apply(values[e[1]], f, grid), self.at("otf"), _clear_factor(grid))
+        return reduce(lambda f, e: e[0].apply(values[e[1]], f, grid), pairs, _clear_factor(grid))
 
-    def _transfer_derivatives(self, values: torch.Tensor, sampling: Sampling) -> list[torch.Tensor]:
-        """Each factor's own derivatives times the factors of the others."""
-        pairs = self.at("otf")
+    def _transfer_derivatives(
+        self, values: torch.Tensor, sampling: Sampling, pairs: Sequence[Acting]
+    ) -> list[torch.Tensor]:
+        """Own derivatives of the factor of every effect in `pairs` times the factors of the others."""
         if not self.free_at("otf"):
             return []
         grid, changes = OtfGrid.of(self.grids.focal, sampling), []
@@ -147,6 +157,51 @@ class EffectSet:
                 own = effect.slopes(values[piece], clear, grid, range(len(effect.parameters)))
                 changes += [others * slope for slope in own]
         return changes
+
+    # -- copies of the star ------------------------------------------------------------------
+
+    @cached_property
+    def _copies(self) -> list[tuple[list[Acting], Acting]]:
+        """Effects of the OTF on the light path of every copy of the star, and the copy itself among them."""
+        pairs, found = self.at("otf"), []
+        for place, (effect, piece) in enumerate(pairs):
+            for copy in effect.copies:
+                found.append(([*pairs[:place], (copy, piece), *pairs[place + 1 :]], (copy, piece)))
+        return found
+
+    def defocus_nm(self, values: torch.Tensor) -> list[torch.Tensor]:
+        """Defocus of every copy of the star beyond that of the star, scalars [nm RMS]."""
+        return [copy.defocus_nm(values[piece]) for _, (copy, piece) in self._copies]
+
+    def _copied(self, values: torch.Tensor, sampling: Sampling, star: Optics, path) -> Optics:
+        """The light path of a copy beside that of the `star`."""
+        pairs, (copy, piece) = path
+        pupil = self._pupil(values, sampling) if star.pupil is None else star.pupil
+        shifted = pupil * self._shift(sampling, copy.defocus_nm(values[piece]))
+        return Optics(shifted, self._transfer(values, sampling, pairs), star.sampling)
+
+    def _copied_tangents(self, values: torch.Tensor, sampling: Sampling, star: Tangents, path) -> Tangents:
+        """Derivatives of `_copied`; of the star they are `star`."""
+        pairs, (copy, piece) = path
+        shift = self._shift(sampling, copy.defocus_nm(values[piece]))
+        slopes = [slope * shift for slope in star.pupil]
+        transfer = self._transfer_derivatives(values, sampling, pairs)
+        if not copy.parameters:
+            return Tangents(slopes, transfer)
+        grid = self.grids.pupil.at(sampling.wavelengths_m)
+        turned = 1j * grid.phase_per_nm * self._defocus * self._pupil(values, sampling) * shift
+        rates = along_all(copy.defocus_nm, values[piece])
+        first = piece.start - self.free_at("otf")[0]
+        by_place = {first + i: rate * turned for i, rate in enumerate(rates) if rate}
+        return Tangents(slopes, transfer, by_place)
+
+    def _shift(self, sampling: Sampling, defocus_nm: torch.Tensor) -> torch.Tensor:
+        """Factor of the field by which its focus changes, (wavelengths, n, n)."""
+        return self.grids.pupil.at(sampling.wavelengths_m).phasor(defocus_nm * self._defocus)
+
+    @property
+    def _defocus(self) -> torch.Tensor:
+        return torch.tensor(self.grids.pupil.modes([DEFOCUS])[0])
 
     # -- bookkeeping -------------------------------------------------------------------------
 

@@ -29,8 +29,8 @@ def _variance(start_mas: float) -> Parameter:
     return Parameter("variance_mas2", "mas²", start_mas**2, lower=0.0, upper=upper, plausible=PLAUSIBLE_MAS2)
 
 
-def _damping(variance_mas2: torch.Tensor, length2_m2: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-    """``w`` of the module's docstring."""
+def damping(variance_mas2: torch.Tensor, length2_m2: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+    """Return ``w`` of the module's docstring, of a variance [mas²] along baselines of squared `length2_m2`."""
     return 2 * np.pi**2 * MAS**2 * variance_mas2 * length2_m2 / grid.wavelengths_m**2
 
 
@@ -53,7 +53,7 @@ class TipTiltJitter(OtfEffect):
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
-        return factor * torch.exp(-_damping(values[0], grid.length2_m2, grid))
+        return factor * torch.exp(-damping(values[0], grid.length2_m2, grid))
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """RMS per axis [mas]."""
@@ -102,7 +102,7 @@ class Vibration(OtfEffect):
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
         along = grid.path_m(torch.cos(values[1]), torch.sin(values[1]))
-        damping = _damping(values[0], along**2, grid)
+        damping = damping(values[0], along**2, grid)
         own = torch.exp(-damping) if self.shape == "gaussian" else j0_of_twice_root(damping)
         return factor * own
 

@@ -70,6 +70,17 @@ class OtfEffect(Effect):
         return along_all(changed, values[chosen]).unbind()
 
 
+class CopyOfStar(OtfEffect):
+    """A further image of the star that has a focus of its own: the OTF factor of its light path.
+
+    There it stands in the place of the effect that has it among its `Effect.copies`, and has its parameters.
+    """
+
+    def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
+        """Noll 4 beyond that of the star, a scalar [nm RMS]."""
+        raise NotImplementedError
+
+
 class SamplingEffect(Effect):
     """Changes wavelengths, their weights, or the pixel scale."""
 

@@ -19,7 +19,7 @@ import torch
 from irlos_pipe.effects import Effect, EffectSet, FixedEffect
 from irlos_pipe.effects.effect_set import NOTHING
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.effects.planes import OtfEffect, PupilEffect
+from irlos_pipe.effects.planes import CopyOfStar, OtfEffect, PupilEffect
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.optics.grids import OtfGrid, PupilGrid
 
@@ -171,16 +171,33 @@ def _null_model(problem: ImageFit, x: torch.Tensor) -> NullModel:
 
 
 class _FrozenTransfer(OtfEffect):
-    """OTF factors that do not change while candidates are tried, computed once."""
+    """OTF factors that do not change while candidates are tried, computed once, and copies of the star."""
 
     name = "frozen"
 
-    def __init__(self, factor: torch.Tensor):
-        self.factor = factor
+    def __init__(self, factor: torch.Tensor, copies: Sequence[Effect] = ()):
+        self.factor, self._copies = factor, copies
+
+    @property
+    def copies(self) -> Sequence[Effect]:
+        """See `Effect.copies`."""
+        return self._copies
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
         return factor * self.factor
+
+
+class _FrozenCopy(_FrozenTransfer, CopyOfStar):
+    """A copy of the star that does not change, with its further defocus."""
+
+    def __init__(self, factor: torch.Tensor, defocus_nm: torch.Tensor):
+        super().__init__(factor)
+        self._defocus_nm = defocus_nm
+
+    def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
+        """See `CopyOfStar.defocus_nm`."""
+        return self._defocus_nm
 
 
 class _FrozenPupil(PupilEffect):
@@ -208,5 +225,9 @@ def frozen_effects(effects: EffectSet, values: torch.Tensor) -> list[Effect]:
     grid = grids.pupil.at(grids.sampling.wavelengths_m)
     fixed = [effect for effect in held.effects if effect.plane not in ("pupil", "otf")]
     fixed += [_FrozenPupil(effect, grid) for effect, _ in held.at("pupil")]
-    transfer = held().transfer
-    return fixed if transfer is None else [*fixed, _FrozenTransfer(transfer)]
+    optics = held()
+    if optics.transfer is None:
+        return fixed
+    pairs = zip(optics.copies, held.defocus_nm(NOTHING), strict=True)
+    copies = [_FrozenCopy(copy.transfer, defocus_nm) for copy, defocus_nm in pairs]
+    return [*fixed, _FrozenTransfer(optics.transfer, copies)]

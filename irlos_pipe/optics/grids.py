@@ -6,9 +6,10 @@ the propagation chooses its own precision.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -159,11 +160,14 @@ class Optics(NamedTuple):
     transfer : tensor, (wavelengths, p, p//2 + 1)
         Factor of the OTF.
     sampling : Sampling
+    copies : tuple of Optics
+        Further images of the star with a wavefront of their own, without further copies; all add.
     """
 
     pupil: torch.Tensor | None = None
     transfer: torch.Tensor | None = None
     sampling: Sampling | None = None
+    copies: tuple[Optics, ...] = ()
 
 
 class Tangents(NamedTuple):
@@ -173,10 +177,16 @@ class Tangents(NamedTuple):
     ----------
     pupil : tensor, (parameters, wavelengths, n, n), or empty
     transfer : sequence of tensor, (wavelengths, p, p//2 + 1) each
+    pupil_too : mapping of int to tensor, (wavelengths, n, n)
+        Of the pupil with respect to parameters of the OTF, by their positions among these.
+    copies : tuple of Tangents
+        Of each of the copies, with respect to the same parameters.
     """
 
     pupil: Sequence[torch.Tensor] = ()
     transfer: Sequence[torch.Tensor] = ()
+    pupil_too: Mapping[int, torch.Tensor] = MappingProxyType({})
+    copies: tuple[Tangents, ...] = ()
 
 
 class Grids(NamedTuple):

@@ -8,6 +8,8 @@ One pass along the light path, shapes ``(frame, wavelength, y, x)``::
     OTF        O = FFT(I) · T(λ)                     AO residual, motion, companion, dispersion
     image      Σ_λ w(λ) G(λ) O G(λ)ᵀ                 exactly the detector's pixels: colours, plate scale
 
+A copy of the star that has a wavefront of its own, such as a ghost out of focus, goes along a second path
+like this one, and both images add.
 What physical effects make of P, T, and of the sampling (λ, w, pixel scale in G) arrives as one
 `Optics`. Flux, background and the detector follow in `image_model`. Derivatives are hand-written:
 ``∂I/∂a_k = -(4π/λ) Im(U* F[Z_k E])``, and because a Zernike polynomial of degree n is a sum of
@@ -21,6 +23,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial, reduce
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -157,13 +160,18 @@ class PsfModel:
 
     def images(self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
         """See `LightPath.images`."""
-        opd = self._opd_nm(modes_nm)
-        one_colour = partial(self._one_colour, opd, optics)
-        return reduce(torch.add, ordered_map(one_colour, range(len(self.weights))))
+        one_path = partial(self._one_path, self._opd_nm(modes_nm))
+        return reduce(torch.add, ordered_map(one_path, self._paths(optics)))
 
-    def _one_colour(self, opd: torch.Tensor, optics: Optics, index: int) -> torch.Tensor:
+    def _paths(self, optics: Optics, tangents: Tangents = NO_TANGENTS) -> list[_Path]:
+        """What light of every wavelength meets, of the star and of its copies."""
+        own = tangents.copies or [NO_TANGENTS] * len(optics.copies)
+        pairs = [(optics, tangents), *zip(optics.copies, own, strict=True)]
+        return [_Path(*pair, index) for pair in pairs for index in range(len(self.weights))]
+
+    def _one_path(self, opd: torch.Tensor, path: _Path) -> torch.Tensor:
         """Weighted images at one wavelength."""
-        colour = self._colour(index, optics)
+        colour, index = self._colour(path.index, path.optics), path.index
         return colour.image(_intensity(self.focal_plane.dfts[index].amplitude(colour.field(opd))))
 
     @torch.no_grad()
@@ -187,25 +195,31 @@ class PsfModel:
         return torch.cat(images), torch.cat(jacobians)
 
     def _chunk(self, modes_nm, optics: Optics, tangents: Tangents, modal: bool):
-        opd = self._opd_nm(modes_nm)
-        one_colour = partial(self._one_colour_with_jacobian, opd, optics, tangents, modal)
-        images, jacobians = zip(*ordered_map(one_colour, range(len(self.weights))), strict=True)
+        one_path = partial(self._one_path_with_jacobian, self._opd_nm(modes_nm), modal)
+        images, jacobians = zip(*ordered_map(one_path, self._paths(optics, tangents)), strict=True)
         return reduce(torch.Tensor.add_, images), reduce(torch.Tensor.add_, jacobians).transpose(0, 1)
 
-    def _one_colour_with_jacobian(self, opd, optics: Optics, tangents: Tangents, modal: bool, index: int):
+    def _one_path_with_jacobian(self, opd, modal: bool, path: _Path):
         """Weighted images, and derivatives (parameters, frames, rows, columns), at one wavelength."""
-        colour, dft = self._colour(index, optics), self.focal_plane.dfts[index]
+        _, tangents, index = path
+        colour, dft = self._colour(index, path.optics), self.focal_plane.dfts[index]
         field = colour.field(opd)
         if modal:
             amplitude, changes = self._amplitude_and_modal(dft, field, float(colour.wavelength_m))
             columns = [colour.image(changes)]
         else:
             amplitude, columns = dft.amplitude(field), []
-        for one in tangents.pupil:
-            change = dft.amplitude(colour.field(opd, mirrored(self._complex(one[index]))))
-            columns.append(colour.image(2 * (amplitude * change).sum(1))[None])
+
+        def by_pupil(slope: torch.Tensor) -> torch.Tensor:
+            change = dft.amplitude(colour.field(opd, mirrored(self._complex(slope[index]))))
+            return colour.image(2 * (amplitude * change).sum(1))[None]
+
+        columns += [by_pupil(one) for one in tangents.pupil]
         intensity = _intensity(amplitude)
-        columns += [colour.image(intensity, self._like_images(one[index]))[None] for one in tangents.transfer]
+        by_transfer = [colour.image(intensity, self._like_images(one[index])) for one in tangents.transfer]
+        for place, one in tangents.pupil_too.items():
+            by_transfer[place] = by_transfer[place] + by_pupil(one)[0]
+        columns += [one[None] for one in by_transfer]
         return colour.image(intensity), columns[0] if len(columns) == 1 else torch.cat(columns)
 
     @torch.no_grad()
@@ -213,18 +227,17 @@ class PsfModel:
         self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT
     ) -> tuple[torch.Tensor, Pullback]:
         """See `LightPath.images_and_pullback`; it costs as little as the images."""
-        opd = self._opd_nm(modes_nm)
-        one_colour = partial(self._one_colour_with_pullback, opd, optics)
-        images, to_opd = zip(*ordered_map(one_colour, range(len(self.weights))), strict=True)
+        one_path = partial(self._one_path_with_pullback, self._opd_nm(modes_nm))
+        images, to_opd = zip(*ordered_map(one_path, self._paths(optics)), strict=True)
 
         def pullback(factors: torch.Tensor) -> torch.Tensor:
             return reduce(torch.add, [back(factors) for back in to_opd]) @ self.basis.mT
 
         return reduce(torch.add, images), pullback
 
-    def _one_colour_with_pullback(self, opd: torch.Tensor, optics: Optics, index: int):
+    def _one_path_with_pullback(self, opd: torch.Tensor, path: _Path):
         """Weighted images at one wavelength, and their pullback to the OPD, (frames, n · n)."""
-        colour, dft = self._colour(index, optics), self.focal_plane.dfts[index]
+        colour, dft = self._colour(path.index, path.optics), self.focal_plane.dfts[path.index]
         field = colour.field(opd)
         amplitude = dft.amplitude(field)
         scale = 4 * np.pi * NM / float(colour.wavelength_m)
@@ -245,6 +258,14 @@ class PsfModel:
         beat[len(even) :].addcmul_(odd[:, :, 1], imag)
         scale = -4 * np.pi * NM / wavelength_m
         return amplitude, ((scale * self.combine) @ beat.flatten(1)).unflatten(1, beat.shape[1:])
+
+
+class _Path(NamedTuple):
+    """Light of the star, or of a copy of it, at the wavelength with an index."""
+
+    optics: Optics
+    tangents: Tangents
+    index: int
 
 
 def _intensity(amplitude: torch.Tensor) -> torch.Tensor:

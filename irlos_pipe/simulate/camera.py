@@ -41,8 +41,9 @@ class Camera:
 
     def __init__(self, scene: Scene, pupil: Pupil, motion_mas: float = 0.0):
         scale_mas, rays = true_pixel_scale_mas(scene), rays_of(scene)
-        wavelengths_nm = list(dict.fromkeys(ray.wavelength_nm for ray in rays))
-        self._parts = _parts_per_pixel(scale_mas, scene.geometry.diameter_m, min(wavelengths_nm))
+        self._parts = _parts_per_pixel(
+            scale_mas, scene.geometry.diameter_m, min(ray.wavelength_nm for ray in rays)
+        )
         self._part_mas = scale_mas / self._parts
         self._sampled, self._blurred = scene.moves, motion_mas > 0
         reach_px = int(np.ceil(REACH_SIGMAS * motion_mas / scale_mas))
@@ -50,7 +51,7 @@ class Camera:
         rows, columns = (self._parts * (size + 2 * self._margin) for size in scene.window)
         self._imager = Imager(
             pupil.u_m,
-            {wavelength_nm: amplitude(scene, pupil, wavelength_nm) for wavelength_nm in wavelengths_nm},
+            {one: amplitude(scene, pupil, *one) for one in dict.fromkeys(ray.pupil for ray in rays)},
             nominal_area_m2(scene),
             rays,
             PixelGrid((rows, columns), self._part_mas, 1 if self._sampled else STATIC_NODES),

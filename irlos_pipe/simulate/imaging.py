@@ -56,12 +56,12 @@ class Imager:
     ----------
     u_m : ndarray, (n,)
         Samples of the pupil along x and along y [m].
-    amplitudes : mapping of float to ndarray, (n, n)
-        Pupil amplitude, real or complex, at every wavelength [nm] of the rays.
+    amplitudes : mapping of (float, float) to ndarray, (n, n)
+        Pupil amplitude, real or complex, for every `Ray.pupil`.
     area_m2 : float
         Clear area that stands for all the star's light.
     rays : sequence of Ray
-        Those of one wavelength in succession share the field in the pupil.
+        Those of one `Ray.pupil` share the field there.
     pixels : PixelGrid
     dtype : numpy.complex64 or numpy.complex128
     """
@@ -69,7 +69,7 @@ class Imager:
     def __init__(
         self,
         u_m: np.ndarray,
-        amplitudes: Mapping[float, np.ndarray],
+        amplitudes: Mapping[tuple[float, float], np.ndarray],
         area_m2: float,
         rays: Sequence[Ray],
         pixels: PixelGrid,
@@ -78,12 +78,12 @@ class Imager:
         self._dtype, self._pixels = dtype, pixels
         self._real = np.finfo(dtype).dtype
         self._amplitudes = {
-            wavelength_nm: np.asarray(amplitude, dtype if np.iscomplexobj(amplitude) else self._real)
-            for wavelength_nm, amplitude in amplitudes.items()
+            pupil: np.asarray(amplitude, dtype if np.iscomplexobj(amplitude) else self._real)
+            for pupil, amplitude in amplitudes.items()
         }
-        self._by_wavelength: dict[float, list[tuple[Ray, np.ndarray, np.ndarray]]] = {}
+        self._by_pupil: dict[tuple[float, float], list[tuple[Ray, np.ndarray, np.ndarray]]] = {}
         for ray in rays:
-            self._by_wavelength.setdefault(ray.wavelength_nm, []).append((ray, *self._matrices(u_m, ray)))
+            self._by_pupil.setdefault(ray.pupil, []).append((ray, *self._matrices(u_m, ray)))
         # Parseval: the integral of |FT|² over all angles is λ² times the energy in the pupil.
         self._norm = ((u_m[1] - u_m[0]) ** 2 * MAS / NM) ** 2 / area_m2
 
@@ -111,19 +111,19 @@ class Imager:
 
     def _batch(self, opd_nm: np.ndarray) -> np.ndarray:
         intensity = np.zeros((), self._real)
-        for wavelength_nm, paths in self._by_wavelength.items():
-            field = self._field(opd_nm, wavelength_nm)
+        for pupil, paths in self._by_pupil.items():
+            field = self._field(opd_nm, pupil)
             for ray, to_rows, to_columns in paths:
                 focal = to_rows @ (field @ to_columns)
-                scale = self._real.type(ray.weight * self._norm / wavelength_nm**2)
+                scale = self._real.type(ray.weight * self._norm / ray.wavelength_nm**2)
                 intensity = intensity + scale * (focal.real**2 + focal.imag**2)
         return self._pixels.integrated(intensity)
 
-    def _field(self, opd_nm: np.ndarray, wavelength_nm: float) -> np.ndarray:
+    def _field(self, opd_nm: np.ndarray, pupil: tuple[float, float]) -> np.ndarray:
         """Field in the pupil, (times, n, n)."""
-        phase = opd_nm * self._real.type(2 * np.pi / wavelength_nm)
+        phase = opd_nm * self._real.type(2 * np.pi / pupil[0])
         field = np.empty(phase.shape, self._dtype)
         np.cos(phase, out=field.real)
         np.sin(phase, out=field.imag)
-        field *= self._amplitudes[wavelength_nm]
+        field *= self._amplitudes[pupil]
         return field

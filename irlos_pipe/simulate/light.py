@@ -41,11 +41,19 @@ class Ray:
         Weight: photons in parts of the star's.
     offset_mas : (float, float)
         Where its image lies, (x, y) from the optical axis.
+    defocus_nm : float
+        Noll 4 beyond that of the star [nm RMS].
     """
 
     wavelength_nm: float
     weight: float
     offset_mas: tuple[float, float] = (0.0, 0.0)
+    defocus_nm: float = 0.0
+
+    @property
+    def pupil(self) -> tuple[float, float]:
+        """Wavelength and defocus, by which the amplitude in the pupil differs."""
+        return self.wavelength_nm, self.defocus_nm
 
     def moved(self, distance_mas: float, angle_deg: float) -> Ray:
         """Return the ray displaced by `distance_mas` towards `angle_deg`, counted from +x towards +y."""

@@ -8,6 +8,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.signal import firwin
 
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, with_vanes_turned
 from irlos_pipe.simulate.aperture import centres, clear_fraction
 from irlos_pipe.simulate.effects.base import PupilEffect
@@ -87,8 +88,8 @@ def _build(
     return Pupil(as_built, centres(total, step_m), transmission, drawn)
 
 
-def amplitude(scene: Scene, pupil: Pupil, wavelength_nm: float) -> np.ndarray:
-    """Return the pupil amplitude (n, n), complex where an effect makes steps.
+def amplitude(scene: Scene, pupil: Pupil, wavelength_nm: float, defocus_nm: float = 0.0) -> np.ndarray:
+    """Return the pupil amplitude (n, n), complex where an effect makes steps and out of focus.
 
     Steps between petals lie on the vanes, so they belong to the drawing rather than to the smooth
     wavefront that multiplies the samples.
@@ -98,9 +99,12 @@ def amplitude(scene: Scene, pupil: Pupil, wavelength_nm: float) -> np.ndarray:
     scene : Scene
     pupil : Pupil
         The scene's.
-    wavelength_nm : float
+    wavelength_nm, defocus_nm : float
+        Defocus beyond that of the wavefront, Noll 4 [nm RMS].
     """
     transparency: np.ndarray | float = 1.0
+    if defocus_nm:
+        transparency = np.exp(2j * np.pi / wavelength_nm * defocus_nm * pupil.mode(DEFOCUS))
     for effect in scene.acting(PupilEffect):
         transparency = transparency * effect.transparency(pupil)
     steps = steps_nm(scene, pupil, *pupil.drawing_grid_m())

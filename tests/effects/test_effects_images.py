@@ -8,10 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from helpers.effect_cases import NOLLS, SPECTRUM, STRONG, WINDOW, affected, made
+from helpers.effect_cases import CONDITIONS, NOLLS, SPECTRUM, STRONG, WINDOW, affected, made
 from helpers.optics_cases import DIVERSITY, MAS_RAD, SCALE_MAS, ncpa_nm, settings, vector
 from helpers.reference_psf import reference
 
+from irlos_pipe.effects import CATALOGUE, EffectSet, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.optics.psf import PsfModel
 
@@ -147,6 +148,41 @@ def test_petals_have_their_piston_tip_and_tilt():
 def test_a_companion_is_a_second_image_elsewhere():
     secondary = truth(tilt_nm(*polar(90.0, 300.0)))
     agree(ours("companion"), (truth() + 0.2 * secondary) / 1.2)
+
+
+@pytest.mark.slow
+def test_a_ghost_is_a_second_image_elsewhere_out_of_focus_and_blurred():
+    """The blur is the mean over Gaussian positions by Gauss-Hermite quadrature."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(7)
+    weights, (x, y) = weights / weights.sum(), polar(90.0, 120.0)
+    ghost = sum(
+        wx * wy * truth(tilt_nm(x + 10.0 * dx, y + 10.0 * dy) + reference().opd_nm({4: 90.0}))
+        for dx, wx in zip(nodes, weights, strict=True)
+        for dy, wy in zip(nodes, weights, strict=True)
+    )
+    agree(ours("ghost"), (truth() + 0.2 * ghost) / 1.2)
+
+
+def test_ghosts_of_one_star_add_and_a_companion_has_its_ghosts_too():
+    """Truth: sums of images with one effect each, of the definition."""
+    at = vector(STATIC_NM, NOLLS)
+
+    def image(*entries) -> np.ndarray:
+        made = [CATALOGUE[name].under(CONDITIONS) for name, _ in entries]
+        held = [FixedEffect(one, one.values_of(**public)) for one, (_, public) in zip(made, entries)]
+        return model().images(at, EffectSet(held, model().grids)())[0].numpy()
+
+    first, star = STRONG["ghost"], image(("tip_tilt_jitter", {"sigma_mas": 0.0}))
+    second = first | {"flux_ratio": 0.1, "pa_deg": 20.0, "defocus_nm": -50.0}
+    parts = [1.2 * image(("ghost", first)) - star, 1.1 * image(("ghost", second)) - star]
+    assert image(("ghost", first), ("ghost", second)) == pytest.approx((star + sum(parts)) / 1.3, abs=1e-9)
+    place = {"flux_ratio": 0.1, "sep_mas": 50.0, "pa_deg": 200.0}
+    both = image(("companion", place), ("ghost", first))
+    (x, y), (dx, dy) = polar(90.0, 120.0), polar(50.0, 200.0)
+    sharp = {"sep_mas": np.hypot(x + dx, y + dy), "pa_deg": np.rad2deg(np.arctan2(y + dy, x + dx))}
+    of_companion = 1.2 * image(("ghost", first | sharp)) - star
+    expected = (1.1 * image(("companion", place)) + parts[0] + 0.1 * of_companion) / 1.1 / 1.2
+    assert both == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.slow

@@ -11,9 +11,10 @@ from helpers.effect_cases import CONDITIONS, NOLLS, SPECTRUM, STRONG, WINDOW, ma
 from helpers.optics_cases import UT4, ncpa_nm, settings, vector
 
 from irlos_pipe.conventions.pupil_drawing import with_vanes_turned
-from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect
+from irlos_pipe.effects import CATALOGUE, Effect, EffectSet, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.pupil_stop import PupilMisregistration
+from irlos_pipe.estimate.score_test import frozen_effects
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.pupil import band_limited
 
@@ -74,6 +75,38 @@ def test_effects_in_the_pupil_are_differentiated_through_those_behind_them():
         high, low = (whole.predict(WAVEFRONTS, FLUX, BACKGROUND, values + s * move) for s in (1, -1))
         theirs = ((high - low) / (2 * move[index])).numpy()
         assert jacobian[:, index].numpy() == pytest.approx(theirs, abs=2e-5 * np.abs(theirs).max())
+
+
+def test_effects_are_differentiated_in_the_star_and_in_its_ghosts():
+    """Of two ghosts the second is held but for its focus, as after a calibration."""
+    (ghost, first), (jitter, blur), (bump, place) = made("ghost"), made("tip_tilt_jitter"), made("phase_bump")
+    second = FixedEffect(ghost, [0.1, -40.0, 70.0, -60.0, 0.0], free=("defocus_nm",))
+    effects = [ghost, second, jitter, FixedEffect(bump, place, free=("nm",))]
+    whole = ImageModel(psf(), effects)
+    values = torch.cat([place[:1], first, torch.tensor([-60.0]), blur])
+    assert [len(one.parameters) for one in whole.effects.effects] == [1, 5, 1, 1]
+    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values)[1][:, len(NOLLS) : -2]
+    for index in range(len(values)):
+        move = torch.zeros_like(values)
+        move[index] = 1e-4 * max(0.1, abs(float(values[index])))
+        high, low = (whole.predict(WAVEFRONTS, FLUX, BACKGROUND, values + s * move) for s in (1, -1))
+        theirs = ((high - low) / (2 * move[index])).numpy()
+        assert jacobian[:, index].numpy() == pytest.approx(theirs, abs=2e-5 * np.abs(theirs).max())
+
+
+def test_ghosts_are_there_in_the_pullback_and_among_frozen_effects():
+    """Truth: the Jacobian, and the model itself."""
+    ghost, values = made("ghost")
+    whole = ImageModel(psf(), [FixedEffect(ghost, values)])
+    images, jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND)
+    same, pullback = whole.predict_and_pullback(WAVEFRONTS, FLUX, BACKGROUND)
+    factors = torch.linspace(-1, 1, images.numel()).double().view_as(images)
+    expected = (jacobian * factors[:, None]).sum((2, 3))
+    assert same.numpy() == pytest.approx(images.numpy(), rel=1e-9)
+    assert pullback(factors).numpy() == pytest.approx(expected.numpy(), rel=1e-6)
+    frozen = frozen_effects(EffectSet([ghost], psf().grids), values)
+    theirs = ImageModel(psf(), frozen).predict(WAVEFRONTS, FLUX, BACKGROUND)
+    assert theirs.numpy() == pytest.approx(images.numpy(), rel=1e-9)
 
 
 @pytest.mark.parametrize("name", SMOOTH)

@@ -31,6 +31,7 @@ STRONG = {
     "phase_bump": {"nm": 250.0, "x_m": 1.6, "y_m": -1.1, "width_m": 0.45},
     "ncpa_drift": {"zernike_nm": {4: 120.0, 7: -80.0}},
     "companion": {"flux_ratio": 0.2, "sep_mas": 90.0, "pa_deg": 300.0},
+    "ghost": {"flux_ratio": 0.2, "sep_mas": 90.0, "pa_deg": 120.0, "defocus_nm": 90.0, "blur_mas": 10.0},
     "interpixel_crosstalk": {"fraction": 0.08},
     "detector_nonlinearity": {"fraction_at_peak": 0.06},
     "background_gradient": {"e_per_pixel": 4.0, "angle_deg": 30.0},

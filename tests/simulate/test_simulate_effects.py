@@ -37,6 +37,7 @@ CONTRACT = {
     "phase_bump",
     "ncpa_drift",
     "companion",
+    "ghost",
     "interpixel_crosstalk",
     "detector_nonlinearity",
     "background_gradient",
@@ -321,6 +322,31 @@ def test_a_companion_adds_its_light_in_its_place():
     found = image(effects={"companion": {"flux_ratio": 0.04, "sep_mas": 150.0, "pa_deg": 300.0}})
     second = moved(150 * np.cos(angle), 150 * np.sin(angle))
     assert worst(found, image() + 0.04 * second) < 1e-6
+
+
+def test_a_ghost_is_sharp_unless_it_is_said_to_be_out_of_focus_or_blurred():
+    place = {"flux_ratio": 0.04, "sep_mas": 150.0, "pa_deg": 300.0}
+    assert np.array_equal(image(effects={"ghost": place}), image(effects={"companion": place}))
+    angle = np.deg2rad(300.0)
+    second = moved(150 * np.cos(angle), 150 * np.sin(angle), introduced_nm=80.0)
+    found = image(effects={"ghost": place | {"defocus_nm": 80.0}})
+    assert worst(found, image() + 0.04 * second) < 1e-6
+
+
+def test_the_blur_of_a_ghost_is_that_of_gaussian_motion():
+    """Truth: jitter of the star's image, which the simulator applies to the spectrum of the image."""
+    ghost = {"flux_ratio": 1.0, "sep_mas": 0.0, "pa_deg": 0.0, "blur_mas": 12.0}
+    found = image(effects={"ghost": ghost}) - image()
+    jitter = {"tip_tilt_jitter": {"sigma_mas": 12.0, "correlation_s": 1e-9}}
+    assert worst(found, image(effects=jitter)) < 1e-4
+
+
+def test_a_companion_has_a_ghost_too():
+    ghost = {"flux_ratio": 0.1, "sep_mas": 100.0, "pa_deg": 0.0}
+    companion = {"flux_ratio": 0.2, "sep_mas": 80.0, "pa_deg": 90.0}
+    found = image(effects={"ghost": ghost, "companion": companion})
+    expected = image() + 0.2 * moved(0.0, 80.0) + 0.1 * moved(100.0, 0.0) + 0.02 * moved(100.0, 80.0)
+    assert worst(found, expected) < 1e-6
 
 
 @pytest.mark.parametrize(

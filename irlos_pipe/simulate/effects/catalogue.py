@@ -16,6 +16,7 @@ from irlos_pipe.simulate.effects.detector import (
     InterpixelCrosstalk,
 )
 from irlos_pipe.simulate.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
+from irlos_pipe.simulate.effects.ghost import Ghost
 from irlos_pipe.simulate.effects.high_aperture import HighAperture
 from irlos_pipe.simulate.effects.low_wind import LowWindEffect
 from irlos_pipe.simulate.effects.motion import TipTiltJitter, Vibration
@@ -35,6 +36,7 @@ EFFECTS: dict[str, type[SimulatedEffect]] = {
         AtmosphericDispersion,
         PlateScale,
         Companion,
+        Ghost,
         PupilMisregistration,
         AmplitudeAberration,
         LowWindEffect,

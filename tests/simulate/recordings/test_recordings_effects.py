@@ -29,6 +29,7 @@ SIZES = {
     "phase_bump": {"nm": 150, "x_m": 1.5, "y_m": -1.0, "width_m": 0.8},
     "ncpa_drift": {"zernike_nm": {4: 80}},
     "companion": {"flux_ratio": 0.05, "sep_mas": 60, "pa_deg": 30},
+    "ghost": {"flux_ratio": 0.05, "sep_mas": 60, "pa_deg": 30, "defocus_nm": 50},
     "interpixel_crosstalk": {"fraction": 0.05},
     "detector_nonlinearity": {"fraction_at_peak": 0.05},
     "background_gradient": {"e_per_pixel": 5.0, "angle_deg": 30},
