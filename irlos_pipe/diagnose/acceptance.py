@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.refit import PER_PARAMETER, Refit
 from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.diagnose.verdict import Ranked
+from irlos_pipe.effects.effect_set import label_of, occurrences
 from irlos_pipe.numerics.parallel import ordered_map
 
 MUST_EXPLAIN = 0.8  # of what is left, for a further name
@@ -121,7 +123,7 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool
     if not first and before.excess.significance > options.sure and explained(best) < MUST_EXPLAIN:
         return None
     evaluations = [HeldOutEvaluation(cube.held_out, refit.fitted) for refit in ranked]
-    ranked, judges = by_plausibility(*by_motion(ranked, evaluations, cube))
+    ranked, judges = by_simplicity(*by_plausibility(*by_motion(ranked, evaluations, cube)))
     best = ranked[0]
     z = preference(judges[0], HeldOutEvaluation(cube.held_out, before.fitted))
     if z < (PREFERRED if cube.training.photon_limited else 0.0):
@@ -168,6 +170,18 @@ def by_plausibility(
     rivals = _rivals(ranked, judges)
     better = [i for i, one in enumerate(ranked) if one.name in rivals and not one.implausible]
     return _led_by(better[:1], ranked, judges)
+
+
+def by_simplicity(
+    ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]
+) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
+    """Prefer to an effect the one of which it is a wider form, if these data do not distinguish them.
+
+    `ranked` and `judges`: see `by_motion`.
+    """
+    rivals = _rivals(ranked, judges)
+    narrower = [i for i, one in enumerate(ranked) if one.name == ranked[0].base.widens and one.name in rivals]
+    return _led_by(narrower, ranked, judges)
 
 
 def _rivals(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> set[str]:
@@ -218,8 +232,9 @@ def no_longer_needed(
     accepted : sequence of Accepted
         The last one is not in question.
     """
-    for one in accepted[:-1]:
-        kept = [effect for effect in current.fitted.continued() if effect.name != one.name]
+    effects = dict(zip(current.fitted.problem.model.effects.labels, current.fitted.continued(), strict=True))
+    for one, own in list(zip(accepted, labels_in(current.fitted, accepted), strict=True))[:-1]:
+        kept = [effect for label, effect in effects.items() if label != own]
         price = PER_PARAMETER * one.refit.parameters * one.refit.score.inflation
         without = fitter.explored(kept, current.fitted)
         if without.chi2 - current.fitted.chi2 < PLAINLY * price:
@@ -227,3 +242,11 @@ def no_longer_needed(
         if without.chi2 - current.fitted.chi2 < price:
             return one, without
     return None
+
+
+def labels_in(fitted: Fitted, accepted: Sequence[Accepted]) -> list[str]:
+    """Labels of `accepted` names in a model that has them all: the last of their kinds, in this order."""
+    names = [one.name for one in accepted]
+    kinds = Counter(effect.name for effect in fitted.effects)
+    kinds.subtract(names)
+    return [label_of(name, kinds[name] + n) for name, n in zip(names, occurrences(names), strict=True)]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from irlos_pipe.diagnose.acceptance import Accepted, Options, Search, threshold
+from irlos_pipe.diagnose.acceptance import Accepted, Options, Search, labels_in, threshold
 from irlos_pipe.diagnose.checks.fine_structure import FineStructure, fine_structure
 from irlos_pipe.diagnose.checks.motion import motion_ratio
 from irlos_pipe.diagnose.checks.noise import PHOTONS, SPECKLES, UNSEEN, NoiseVerdict
@@ -28,7 +28,7 @@ from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.diagnose.second_recording import Advice, SecondRecordings
 from irlos_pipe.diagnose.verdict import EFFECT, NONE, UNKNOWN, Diagnosis, Pictures, Step
 from irlos_pipe.diagnose.view import Screened
-from irlos_pipe.effects import FixedEffect
+from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
 
@@ -64,8 +64,10 @@ def conclude(
     final = search.final if not why else search.null
     judges = [HeldOutEvaluation(cube.held_out, optimum.fitted) for optimum in (search.null, final)]
     gap = gap_between(*judges)
-    testable = [s for s in search.scores if s.testable and within_reach(s, _least_gain(s))]
-    hidden = [s for s in search.scores if s not in testable]
+    present = {effect.name for effect in search.final.fitted.effects}
+    unseen = [s for s in search.scores if s.name not in present]
+    testable = [s for s in unseen if s.testable and within_reach(s, _least_gain(s))]
+    hidden = [s for s in unseen if s not in testable]
     seconds = SecondRecordings(search.final)
     steps = [_with_separation(step, search, seconds) for step in steps]
     known = steps if not why else []
@@ -80,7 +82,7 @@ def conclude(
         unexplained=bool(why) or fine.significance > options.sure,
         why_unknown=why,
         gap=gap,
-        mdb={s.name: _smallest(s) for s in testable} | _elsewhere(search, options),
+        mdb=_with_wider_forms({s.name: _smallest(s) for s in testable}) | _elsewhere(search, options),
         untestable=[*(s.name for s in hidden), *search.meaningless],
         advice=_advice(hidden, seconds),
         noise=noise,
@@ -145,6 +147,12 @@ def _smallest(score: Score) -> dict:
     return {key: size for public in found for key, size in public.items()}
 
 
+def _with_wider_forms(smallest: dict[str, dict]) -> dict[str, dict]:
+    """`smallest` detectable sizes, and those of wider forms of the same effects, which act alike at best."""
+    kinds = [kind for kind in CATALOGUE.values() if kind.widens in smallest]
+    return smallest | {kind.name: smallest[kind.widens] for kind in kinds}
+
+
 def _elsewhere(search: Search, options: Options) -> dict[str, dict]:
     """Smallest detectable drift and excess of bad pixels; these two have no score test."""
     limits = {}
@@ -164,7 +172,8 @@ def _advice(hidden: Sequence[Score], seconds: SecondRecordings) -> dict[str, Adv
 
 def _with_separation(step: Step, search: Search, seconds: SecondRecordings) -> Step:
     """`step` with the second recordings that distinguish its alternatives from it best."""
-    pairs = [(one.refit, rival) for one in search.accepted if one.name == step.name for rival in one.rivals]
+    named = zip(labels_in(search.final.fitted, search.accepted), search.accepted, strict=True)
+    pairs = [(one.refit, rival) for label, one in named if label == step.label for rival in one.rivals]
     advised = [seconds.separating(refit, rival) for refit, rival in pairs]
     alternatives = [
         replace(other, second_recording=recording, likeness_then=cosine)
@@ -179,15 +188,16 @@ def _with_separation(step: Step, search: Search, seconds: SecondRecordings) -> S
 def _steps(cube: Cube, search: Search) -> list[Step]:
     fitted = search.final.fitted
     covariance = parameter_covariance(search.final.stack, fitted)
-    return [_step(cube, one, fitted, covariance) for one in search.accepted]
+    pairs = zip(search.accepted, labels_in(fitted, search.accepted), strict=True)
+    return [_step(cube, one, label, fitted, covariance) for one, label in pairs]
 
 
-def _step(cube: Cube, accepted: Accepted, fitted: Fitted, covariance: np.ndarray) -> Step:
+def _step(cube: Cube, accepted: Accepted, label: str, fitted: Fitted, covariance: np.ndarray) -> Step:
     refit = accepted.refit
     base = refit.base
-    effect, values = fitted.effect(refit.name), fitted.values_of(refit.name)
+    effect, values = fitted.effect(label), fitted.values_of(label)
     full = np.zeros((len(values), len(values)))
-    columns = fitted.columns_of(refit.name)
+    columns = fitted.columns_of(label)
     own = determined(effect.parameters, covariance[np.ix_(columns, columns)])
     full[np.ix_(effect.free, effect.free)] = own
     judges = (HeldOutEvaluation(cube.held_out, one) for one in (refit.origin.fitted, refit.fitted))
@@ -201,6 +211,7 @@ def _step(cube: Cube, accepted: Accepted, fitted: Fitted, covariance: np.ndarray
         gap_between(*judges),
         accepted.alternatives,
         accepted.ranking,
+        label,
     )
 
 

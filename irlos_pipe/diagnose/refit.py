@@ -12,7 +12,8 @@ from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.null_model import Excess, Optimum
 from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.diagnose.significance import gaussian_sigma
-from irlos_pipe.effects import Effect, FixedEffect
+from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect
+from irlos_pipe.effects.effect_set import label_of
 from irlos_pipe.numerics.parallel import ordered_map
 
 PROPOSALS = 8
@@ -48,6 +49,12 @@ class Refit:
     def name(self) -> str:
         """Name of the effect."""
         return self.score.name
+
+    @property
+    def label(self) -> str:
+        """Label of the effect in the model: the last of its kind."""
+        kinds = [effect.name for effect in self.origin.fitted.effects]
+        return label_of(self.name, kinds.count(self.name))
 
     @property
     def gain(self) -> float:
@@ -93,7 +100,7 @@ class Refit:
     @property
     def effect(self) -> Effect:
         """The effect as fitted."""
-        return self.fitted.effect(self.name)
+        return self.fitted.effect(self.label)
 
     @property
     def base(self) -> Effect:
@@ -103,7 +110,7 @@ class Refit:
     @property
     def values(self) -> np.ndarray:
         """All its parameters."""
-        return self.fitted.values_of(self.name)
+        return self.fitted.values_of(self.label)
 
     @property
     def public(self) -> dict:
@@ -152,6 +159,7 @@ def refits(
         found = _once_more(fitter, found, [*detectors, *_leading(found, but=detectors)], _from_zero)
     several = [one for one in found if one.score.elsewhere]
     found = _once_more(fitter, found, _leading(several), _from_elsewhere)
+    found = _joined(fitter, found, ordered_map(partial(_widened, fitter), _with_wider_forms(found)))
     return sorted(_rivals_finished(fitter, found), key=lambda one: -one.merit)
 
 
@@ -242,6 +250,22 @@ def _from_zero(fitter: Fitter, one: Refit) -> list[Fitted]:
 def _from_elsewhere(fitter: Fitter, one: Refit) -> list[Fitted]:
     """From the next best places or directions: the best of a linear estimate may be a wrong one."""
     return [_explored(fitter, one.origin, other.start()) for other in one.score.elsewhere]
+
+
+def _with_wider_forms(found: Sequence[Refit]) -> list[tuple[Refit, type[Effect]]]:
+    """The best and its rivals, as far as wider forms of them are known, with these."""
+    close = [one for one in found if is_rival(_best(found), one)]
+    return [(one, kind) for one in close for kind in CATALOGUE.values() if kind.widens == one.name]
+
+
+def _widened(fitter: Fitter, pair: tuple[Refit, type[Effect]]) -> Refit:
+    """A wider form of what was fitted, from where it is: a second image may be out of focus."""
+    one, kind = pair
+    effect = kind.under(fitter.views[0].conditions).widened(one.values)
+    labels = one.fitted.problem.model.effects.labels
+    others = [o for o, label in zip(one.fitted.continued(), labels, strict=True) if label != one.label]
+    score = replace(one.score, candidate=effect, sizes=effect.values, besides=(), elsewhere=())
+    return Refit(score, one.origin, fitter.explored([*others, effect], one.fitted))
 
 
 def proposals(scores: Sequence[Score]) -> list[Score]:

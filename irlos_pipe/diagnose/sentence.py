@@ -59,7 +59,7 @@ def _advised(diagnosis: Diagnosis) -> str:
 
 
 def _others(steps: Sequence[Step]) -> str:
-    others = [f"{step.name}: {other.name}" for step in steps for other in step.alternatives]
+    others = [f"{step.label}: {other.name}" for step in steps for other in step.alternatives]
     return f" (not distinguished from {', '.join(others)})" if others else ""
 
 

@@ -62,6 +62,8 @@ class Step:
     alternatives : sequence of Alternative
     ranking : sequence of Ranked
         Families that were fitted, the best first.
+    label : str
+        Of the effect among those of the final model; by default its name.
     """
 
     effect: FixedEffect
@@ -73,6 +75,10 @@ class Step:
     gap: Gap
     alternatives: Sequence[Alternative] = ()
     ranking: Sequence[Ranked] = ()
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "label", self.label or self.name)
 
     @property
     def name(self) -> str:

@@ -187,7 +187,7 @@ class Effect:
         return start
 
     def widened(self, narrower: np.ndarray) -> FixedEffect:
-        """Return the effect, all free, where it does what that of `widens` does with the values `narrower`."""
+        """Return the effect, all free, where it acts as that of `widens` does at the values `narrower`."""
         raise NotImplementedError(f"{self.name} is not the wider form of another effect")
 
     def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:

@@ -20,7 +20,7 @@ INNER_MAS = 30.0  # closer than this the pair is unresolved
 
 
 class Companion(OtfEffect):
-    """Second source with the spectrum of the star: a binary, or a reflection between plane surfaces.
+    """Second source with the spectrum of the star, as sharp as the star: a binary, or a chance neighbour.
 
     The images of both add, ``(1 + f exp(-2πi b·s/λ)) / (1 + f)`` on the OTF. The total light stays; the
     position means nothing without the companion and is scanned in a search.
@@ -41,7 +41,7 @@ class Companion(OtfEffect):
     copies_star = repeatable = True
     sentence = "a second source of {flux_ratio:.2%} at {sep_mas:.0f} mas, PA {pa_deg:.0f}°"
     limit = "a companion of {flux_ratio:.1g}"
-    look_alike = "vibration when closer than λ/D; a ghost, which moves with focus"
+    look_alike = "vibration when closer than λ/D; a ghost, which other stars have too"
     reference = "Labeyrie 1970, A&A 6, 85"
 
     def __init__(self, start: tuple[float, float, float] = (0.01, 100.0, 0.0), reach_mas: float = 300.0):
@@ -81,7 +81,7 @@ class Companion(OtfEffect):
         """See `Effect.displaced`."""
         return FixedEffect(self, [0.0, x_mas, y_mas], free=("flux_ratio",))
 
-    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[FixedEffect]:
         """See `Effect.candidates`: one per position on a grid over half the window about the star."""
         reach = (n / 2 * pixel_scale_mas for n in window[::-1])
         columns, rows = (STEP_MAS * np.arange(-(r // STEP_MAS), r // STEP_MAS + 1) for r in reach)

@@ -261,7 +261,12 @@ def occurrences(names: Iterable[str]) -> list[int]:
 def labels_of(effects: Sequence[Effect]) -> list[str]:
     """Unique labels of `effects` in this order: the name, and of a second of its kind ``name_2``."""
     names = [effect.name for effect in effects]
-    return [f"{name}_{n + 1}" if n else name for name, n in zip(names, occurrences(names), strict=True)]
+    return [label_of(name, before) for name, before in zip(names, occurrences(names), strict=True)]
+
+
+def label_of(name: str, before: int) -> str:
+    """Label of an effect with this `name` of which there are some `before` it."""
+    return f"{name}_{before + 1}" if before else name
 
 
 def _clear_factor(grid: OtfGrid) -> torch.Tensor:

@@ -30,7 +30,7 @@ def _variance(start_mas: float) -> Parameter:
 
 
 def damping(variance_mas2: torch.Tensor, length2_m2: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-    """Return ``w`` of the module's docstring, of a variance [mas²] along baselines of squared `length2_m2`."""
+    """Return ``w`` of the module's docstring, for baselines of the squared length `length2_m2`."""
     return 2 * np.pi**2 * MAS**2 * variance_mas2 * length2_m2 / grid.wavelengths_m**2
 
 
@@ -102,8 +102,8 @@ class Vibration(OtfEffect):
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
         along = grid.path_m(torch.cos(values[1]), torch.sin(values[1]))
-        damping = damping(values[0], along**2, grid)
-        own = torch.exp(-damping) if self.shape == "gaussian" else j0_of_twice_root(damping)
+        w = damping(values[0], along**2, grid)
+        own = torch.exp(-w) if self.shape == "gaussian" else j0_of_twice_root(w)
         return factor * own
 
     def describe(self, values: np.ndarray) -> dict[str, float]:

@@ -229,5 +229,5 @@ def frozen_effects(effects: EffectSet, values: torch.Tensor) -> list[Effect]:
     if optics.transfer is None:
         return fixed
     pairs = zip(optics.copies, held.defocus_nm(NOTHING), strict=True)
-    copies = [_FrozenCopy(copy.transfer, defocus_nm) for copy, defocus_nm in pairs]
+    copies = [_FrozenCopy(one.transfer, nm) for one, nm in pairs if one.transfer is not None]
     return [*fixed, _FrozenTransfer(optics.transfer, copies)]

@@ -171,7 +171,7 @@ class PsfModel:
 
     def _one_path(self, opd: torch.Tensor, path: _Path) -> torch.Tensor:
         """Weighted images at one wavelength."""
-        colour, index = self._colour(path.index, path.optics), path.index
+        colour, index = self._colour(path.colour, path.optics), path.colour
         return colour.image(_intensity(self.focal_plane.dfts[index].amplitude(colour.field(opd))))
 
     @torch.no_grad()
@@ -237,7 +237,7 @@ class PsfModel:
 
     def _one_path_with_pullback(self, opd: torch.Tensor, path: _Path):
         """Weighted images at one wavelength, and their pullback to the OPD, (frames, n · n)."""
-        colour, dft = self._colour(path.index, path.optics), self.focal_plane.dfts[path.index]
+        colour, dft = self._colour(path.colour, path.optics), self.focal_plane.dfts[path.colour]
         field = colour.field(opd)
         amplitude = dft.amplitude(field)
         scale = 4 * np.pi * NM / float(colour.wavelength_m)
@@ -261,11 +261,11 @@ class PsfModel:
 
 
 class _Path(NamedTuple):
-    """Light of the star, or of a copy of it, at the wavelength with an index."""
+    """Light of the star, or of a copy of it, at the wavelength with the index `colour`."""
 
     optics: Optics
     tangents: Tangents
-    index: int
+    colour: int
 
 
 def _intensity(amplitude: torch.Tensor) -> torch.Tensor:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.diagnose_cases import COMPANION, TRUE_NM, diagnosis_of
+from helpers.diagnose_cases import COMPANION, FURTHER, GHOST, TRUE_NM, diagnosis_of
 
 from irlos_pipe.diagnose.sentence import sentence
 
@@ -13,6 +13,14 @@ def error_nm(diagnosis, which: int) -> float:
     """Error of the NCPAs before (0) or after (1)."""
     true = np.array([TRUE_NM[noll] for noll in diagnosis.nolls])
     return float(np.linalg.norm(diagnosis.modes_nm[which] - true))
+
+
+def assert_sized(step, second: dict[str, float]) -> None:
+    """Flux ratio and place are those of a second image, within four standard errors."""
+    x, y = (9.7 * second[key] for key in ("x_px", "y_px"))
+    true = {"sep_mas": np.hypot(x, y), "pa_deg": np.rad2deg(np.arctan2(y, x)) % 360}
+    for key, value in {"flux_ratio": second["flux_ratio"], **true}.items():
+        assert step.public[key] == pytest.approx(value, abs=4 * step.sigma[key] + 1e-3 * value), key
 
 
 @pytest.mark.slow
@@ -35,11 +43,30 @@ def test_what_the_free_modes_absorb_is_called_untestable_not_absent():
 def test_a_second_source_is_named_with_its_size():
     (step,) = diagnosis_of("companion").steps
     assert step.name == "companion"
-    assert step.alternatives == []
-    x, y = (9.7 * COMPANION[key] for key in ("x_px", "y_px"))
-    true = {"flux_ratio": 0.03, "sep_mas": np.hypot(x, y), "pa_deg": np.rad2deg(np.arctan2(y, x)) % 360}
-    for key, value in true.items():
-        assert step.public[key] == pytest.approx(value, abs=4 * step.sigma[key] + 1e-3 * value)
+    assert_sized(step, COMPANION)
+
+
+@pytest.mark.slow
+def test_a_second_image_as_sharp_as_the_star_may_as_well_be_a_ghost_of_the_optics():
+    (step,) = diagnosis_of("companion").steps
+    assert [one.name for one in step.alternatives] == ["ghost"]
+    assert "companion: ghost" in sentence(diagnosis_of("companion"))
+
+
+@pytest.mark.slow
+def test_one_that_is_out_of_focus_is_a_ghost():
+    (step,) = diagnosis_of("ghost").steps
+    assert (step.name, step.alternatives) == ("ghost", [])
+    assert_sized(step, GHOST)
+    assert step.public["defocus_nm"] == pytest.approx(80.0, abs=4 * step.sigma["defocus_nm"])
+
+
+@pytest.mark.slow
+def test_a_third_source_is_a_second_companion():
+    first, second = diagnosis_of("two").steps
+    assert (first.label, second.label) == ("companion", "companion_2")
+    assert_sized(first, COMPANION)
+    assert_sized(second, FURTHER)
 
 
 @pytest.mark.slow

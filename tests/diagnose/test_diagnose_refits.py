@@ -37,11 +37,16 @@ def fitter_of(stack) -> Fitter:
     return Fitter([View(model(), CONDITIONS)], stack)
 
 
+def only(*names: str) -> list[Family]:
+    """Families of these effects."""
+    return [family for family in families(CONDITIONS, [])[0] if family.effect.name in names]
+
+
 def test_of_names_that_fit_alike_one_that_is_plausible_comes_first():
     """5 % more wavelength is 5 % less of a pixel in a narrow band, which no lens makes; filters do differ."""
     stack = cube(image(effect=PlateScale(), values=[-0.045]))
     at_rest = optimum(stack.training)
-    present, _ = families(CONDITIONS, [n for n in CATALOGUE if n not in ("plate_scale", "spectrum")])
+    present = only("plate_scale", "spectrum")
     fitter = Fitter([View(model(), CONDITIONS)], stack.training)
     ranked = refits(fitter, at_rest, scores(at_rest, present))
     ranked.sort(key=lambda one: one.name)  # plate_scale first
@@ -73,7 +78,7 @@ def test_a_name_is_fitted_from_zero_as_well_where_the_model_lies_in_a_false_mini
 def test_fits_are_the_same_by_one_worker_and_by_two_and_the_best_ends_in_float64():
     at_rest = optimum(cube(image() + 0.5 * np.arange(WINDOW)).training)
     fitter = Fitter([View(model(), CONDITIONS)], at_rest.stack)
-    present, _ = families(CONDITIONS, ["companion", "phase_bump", "pupil_misregistration"])
+    present = only(*{*CATALOGUE} - {"companion", "phase_bump", "pupil_misregistration"})
     both = []
     for count in (1, 2):
         with workers(count), torch.no_grad():
@@ -89,8 +94,7 @@ def test_fits_are_the_same_by_one_worker_and_by_two_and_the_best_ends_in_float64
 def test_rivals_of_the_best_have_converged_in_float64_too():
     """What the images hardly tell apart may be exchanged for each other."""
     at_rest = optimum(cube(image(effect=PlateScale(), values=[-0.02])).training)
-    tested = ("plate_scale", "spectrum", "companion")
-    present, _ = families(CONDITIONS, [name for name in CATALOGUE if name not in tested])
+    present = only("plate_scale", "spectrum", "companion")
     best, *others = refits(fitter_of(at_rest.stack), at_rest, scores(at_rest, present))
     rivals = [one for one in others if is_rival(best, one)]
     assert rivals
@@ -152,3 +156,11 @@ def test_a_few_frames_are_held_out_however_small_the_share():
     frames = cube(image()).training.parts[0].frames
     parts = HeldOutFrames().split(replace(frames, images_e=frames.images_e[:16]), 0.06)
     assert len(parts.held_out) >= 1 and len(parts.training) >= 8
+
+
+def test_of_what_a_model_may_have_several_times_a_further_one_is_looked_for():
+    def names(*present: str) -> set[str]:
+        return {family.effect.name for family in families(CONDITIONS, present)[0]}
+
+    assert names() - names("companion", "phase_bump", "vibration") == {"vibration"}
+    assert "ghost" not in names()  # looked for where a companion is found

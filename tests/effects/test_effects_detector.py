@@ -16,7 +16,7 @@ from irlos_pipe.effects.detector import BadPixels, DetectorNonlinearity
 CONTRACT = {
     "tip_tilt_jitter", "vibration", "seeing_halo", "atmospheric_dispersion", "spectrum", "plate_scale",
     "diversity_error", "pupil_misregistration", "amplitude_aberration", "low_wind_effect", "high_order_ncpa",
-    "phase_bump", "ncpa_drift", "companion", "interpixel_crosstalk", "detector_nonlinearity",
+    "phase_bump", "ncpa_drift", "companion", "ghost", "interpixel_crosstalk", "detector_nonlinearity",
     "background_gradient", "bad_pixels", "focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale",
 }  # fmt: skip
 

@@ -168,8 +168,10 @@ def test_ghosts_of_one_star_add_and_a_companion_has_its_ghosts_too():
     at = vector(STATIC_NM, NOLLS)
 
     def image(*entries) -> np.ndarray:
-        made = [CATALOGUE[name].under(CONDITIONS) for name, _ in entries]
-        held = [FixedEffect(one, one.values_of(**public)) for one, (_, public) in zip(made, entries)]
+        held = [
+            FixedEffect(effect := CATALOGUE[name].under(CONDITIONS), effect.values_of(**public))
+            for name, public in entries
+        ]
         return model().images(at, EffectSet(held, model().grids)())[0].numpy()
 
     first, star = STRONG["ghost"], image(("tip_tilt_jitter", {"sigma_mas": 0.0}))

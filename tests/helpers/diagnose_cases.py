@@ -31,6 +31,8 @@ TRUE_NM = ncpa_nm(5, HIGHEST_NOLL, 100.0)
 CASE = settings(WINDOW)
 CONDITIONS = Conditions(CASE, BAND, RESIDUAL_LAW, 0.5, HIGHEST_NOLL, ncpa_law=NCPA_LAW)
 COMPANION = {"flux_ratio": 0.03, "x_px": -9.3, "y_px": 6.1}
+FURTHER = {"flux_ratio": 0.01, "x_px": 7.8, "y_px": 10.4}
+GHOST = COMPANION | {"defocus_nm": 80.0}
 
 
 def options(most_names: int = 4) -> Options:
@@ -38,11 +40,12 @@ def options(most_names: int = 4) -> Options:
     return Options(HIGHEST_NOLL, held_out=0.25, most_names=most_names, sure=5.0)
 
 
-def opd_nm(imager: ReferenceImager, **tilts_px: float) -> np.ndarray:
-    """NCPAs and diversity, displaced by some pixels along x and y."""
+def opd_nm(imager: ReferenceImager, **moved: float) -> np.ndarray:
+    """NCPAs and diversity, displaced by some pixels along x and y, and with further defocus [nm RMS]."""
     total = {noll: TRUE_NM.get(noll, 0.0) + DIVERSITY.get(noll, 0.0) for noll in {*TRUE_NM, *DIVERSITY}}
-    total[2] += shift_nm(tilts_px.get("x_px", 0.0))
-    total[3] += shift_nm(tilts_px.get("y_px", 0.0))
+    total[2] += shift_nm(moved.get("x_px", 0.0))
+    total[3] += shift_nm(moved.get("y_px", 0.0))
+    total[4] += moved.get("defocus_nm", 0.0)
     return imager.opd_nm(total)
 
 
@@ -52,12 +55,17 @@ def plain() -> np.ndarray:
     return imager.image(opd_nm(imager), WAVELENGTH_NM, CASE.window, 9.7)
 
 
+def with_second_images(*seconds: dict[str, float]) -> np.ndarray:
+    """Images of the star beside it, each of its share, place and focus: the sum of all images."""
+    imager, total = reference(), 1 + sum(one["flux_ratio"] for one in seconds)
+    images = (imager.image(opd_nm(imager, **one), WAVELENGTH_NM, CASE.window, 9.7) for one in seconds)
+    lights = (one["flux_ratio"] * image for one, image in zip(seconds, images, strict=True))
+    return (plain() + sum(lights)) / total
+
+
 def with_companion() -> np.ndarray:
-    """A second source: the sum of two images."""
-    imager, ratio = reference(), COMPANION["flux_ratio"]
-    place = {key: COMPANION[key] for key in ("x_px", "y_px")}
-    second = imager.image(opd_nm(imager, **place), WAVELENGTH_NM, CASE.window, 9.7)
-    return (plain() + ratio * second) / (1 + ratio)
+    """A second source."""
+    return with_second_images(COMPANION)
 
 
 def with_opaque_spot(radius_m: float = 0.45) -> np.ndarray:
@@ -79,5 +87,11 @@ def cube(image: np.ndarray, seed: int = 3) -> Frames:
 @functools.cache
 def diagnosis_of(kind: str) -> Diagnosis:
     """Diagnosis of one of the images above, made once per test process."""
-    image = {"plain": plain, "companion": with_companion, "spot": with_opaque_spot}[kind]()
-    return diagnose([Exposures(cube(image), CONDITIONS)], [], options())
+    images = {
+        "plain": plain,
+        "companion": with_companion,
+        "two": functools.partial(with_second_images, COMPANION, FURTHER),
+        "ghost": functools.partial(with_second_images, GHOST),
+        "spot": with_opaque_spot,
+    }
+    return diagnose([Exposures(cube(images[kind]()), CONDITIONS)], [], options())

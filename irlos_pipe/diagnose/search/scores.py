@@ -47,6 +47,8 @@ class Family:
 def families(conditions: Conditions, present: Iterable[str]) -> tuple[list[Family], list[str]]:
     """Families that a score test finds, beside the effects that the model has.
 
+    Of a kind that a model may have several times, a further one is looked for.
+
     Parameters
     ----------
     conditions : Conditions
@@ -61,7 +63,7 @@ def families(conditions: Conditions, present: Iterable[str]) -> tuple[list[Famil
     """
     model, found, meaningless = {*present}, [], []
     for name, kind in CATALOGUE.items():
-        if kind.found_by != "score" or name in model:
+        if kind.found_by != "score" or kind.widens or (name in model and not kind.repeatable):
             continue
         try:
             found.append(Family(kind.variants(conditions)))

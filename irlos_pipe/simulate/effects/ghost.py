@@ -14,7 +14,7 @@ NODES = 6  # per axis of the Gauss-Hermite rule of the blur
 
 @dataclass(frozen=True)
 class Ghost(LightEffect):
-    """Light in addition to what arrives, at `sep_mas` towards `pa_deg`, `defocus_nm` out of focus, blurred."""
+    """All light again, at `sep_mas` towards `pa_deg`, `defocus_nm` out of focus and blurred."""
 
     name = "ghost"
     flux_ratio: float

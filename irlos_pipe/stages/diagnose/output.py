@@ -73,7 +73,7 @@ def gap_row(gap: Gap) -> GapRow:
 
 def _step(step: Step) -> StepRow:
     return StepRow(
-        effect=step.name,
+        effect=step.label,
         indistinguishable=[other.name for other in step.alternatives],
         alternatives=[AlternativeRow(**asdict(other)) for other in step.alternatives],
         parameters=step.public,
