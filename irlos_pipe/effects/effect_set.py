@@ -192,7 +192,7 @@ class EffectSet:
         turned = 1j * grid.phase_per_nm * self._defocus * self._pupil(values, sampling) * shift
         rates = along_all(copy.defocus_nm, values[piece])
         first = piece.start - self.free_at("otf")[0]
-        by_place = {first + i: rate * turned for i, rate in enumerate(rates) if rate}
+        by_place = [(first + i, rate * turned) for i, rate in enumerate(rates) if rate]
         return Tangents(slopes, transfer, by_place)
 
     def _shift(self, sampling: Sampling, defocus_nm: torch.Tensor) -> torch.Tensor:

@@ -6,10 +6,9 @@ the propagation chooses its own precision.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -177,15 +176,15 @@ class Tangents(NamedTuple):
     ----------
     pupil : tensor, (parameters, wavelengths, n, n), or empty
     transfer : sequence of tensor, (wavelengths, p, p//2 + 1) each
-    pupil_too : mapping of int to tensor, (wavelengths, n, n)
-        Of the pupil with respect to parameters of the OTF, by their positions among these.
+    pupil_too : sequence of (int, tensor)
+        Of the pupil with respect to parameters of the OTF: positions among these, (wavelengths, n, n).
     copies : tuple of Tangents
         Of each of the copies, with respect to the same parameters.
     """
 
     pupil: Sequence[torch.Tensor] = ()
     transfer: Sequence[torch.Tensor] = ()
-    pupil_too: Mapping[int, torch.Tensor] = MappingProxyType({})
+    pupil_too: Sequence[tuple[int, torch.Tensor]] = ()
     copies: tuple[Tangents, ...] = ()
 
 

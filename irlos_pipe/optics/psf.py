@@ -217,7 +217,7 @@ class PsfModel:
         columns += [by_pupil(one) for one in tangents.pupil]
         intensity = _intensity(amplitude)
         by_transfer = [colour.image(intensity, self._like_images(one[index])) for one in tangents.transfer]
-        for place, one in tangents.pupil_too.items():
+        for place, one in tangents.pupil_too:
             by_transfer[place] = by_transfer[place] + by_pupil(one)[0]
         columns += [one[None] for one in by_transfer]
         return colour.image(intensity), columns[0] if len(columns) == 1 else torch.cat(columns)

@@ -18,6 +18,7 @@ CONTRACT = {
     "diversity_error", "pupil_misregistration", "amplitude_aberration", "low_wind_effect", "high_order_ncpa",
     "phase_bump", "ncpa_drift", "companion", "ghost", "interpixel_crosstalk", "detector_nonlinearity",
     "background_gradient", "bad_pixels", "focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale",
+    "high_aperture",
 }  # fmt: skip
 
 
