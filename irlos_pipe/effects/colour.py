@@ -8,6 +8,9 @@ know λ by itself, distinguish them.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import torch
 
@@ -77,7 +80,9 @@ class Spectrum(SamplingEffect):
         number("slope", "1/µm, relative change of the weight", -5.0, 5.0, required=False),
         number("width", "in units of the assumed one", 0.01, 10.0, required=False),
     )
-    sentence = "a spectrum about {wavelength_nm:.1f} nm, {width:.2f} times as wide"
+    sentence = (
+        "a spectrum about {wavelength_nm:.1f} nm instead of {told_nm:.1f} nm, {width:.2f} times as wide"
+    )
     look_alike = "plate_scale in a narrow band; a second filter distinguishes them"
     reference = "Filter curve of the recording; Goodman 2005, Introduction to Fourier Optics, section 6.2"
     parameters = (
@@ -112,6 +117,10 @@ class Spectrum(SamplingEffect):
         shift, slope, stretch = (float(v) for v in values)
         return {"wavelength_nm": self.mean_nm + shift, "slope": slope, "width": 1 + stretch}
 
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`: the wanted and the told centre."""
+        return super().phrase({**public, "told_nm": self.mean_nm})
+
     def values_of(
         self, wavelength_nm: float | None = None, slope: float = 0.0, width: float = 1.0
     ) -> list[float]:
@@ -139,16 +148,33 @@ class PlateScale(SamplingEffect):
     """The pixels are larger on the sky than assumed, by a fraction.
 
     A lens away from its place, or another focal length: every angle that a pixel covers changes alike.
+
+    Parameters
+    ----------
+    told_mas : float
+        The assumed scale.
     """
 
     name = "plate_scale"
     public = (number("fraction", "of the assumed scale", -0.05, 0.05),)
-    sentence = "pixels larger by {fraction:.2%}"
     look_alike = "spectrum in a narrow band; two stars of known distance distinguish them"
     reference = "Goodman 2005, Introduction to Fourier Optics, section 5.2"
     parameters = (
         Parameter("fraction", "", 0.0, prior_sigma=0.02, lower=-0.05, upper=0.05, plausible=(-0.03, 0.03)),
     )
+
+    def __init__(self, told_mas: float):
+        self.told_mas = told_mas
+
+    @classmethod
+    def under(cls, conditions: Conditions) -> PlateScale:
+        """See `Effect.under`."""
+        return cls(conditions.settings.pixel_scale_mas)
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`: the wanted and the told scale."""
+        wanted_mas = self.told_mas * (1 + public["fraction"])
+        return f"pixels of {wanted_mas:.3f} mas instead of {self.told_mas:.3f} mas"
 
     def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:
         """See `SamplingEffect.apply`."""

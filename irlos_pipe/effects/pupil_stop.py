@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -42,7 +43,6 @@ class PupilMisregistration(PupilEffect):
         number("dy_m", "m", -1.0, 1.0, role="component"),
         number("rotation_deg", "deg of the vanes, anticlockwise", -180.0, 180.0),
     )
-    sentence = "a stop {dx_m:.3f}, {dy_m:.3f} m off, vanes turned by {rotation_deg:.1f}°"
     look_alike = "amplitude_aberration of Noll 2 and 3, which has no sharp edges"
     reference = "Dohlen et al. 2006, SPIE 6269, 62690Q; VLT pupil stops"
 
@@ -73,6 +73,16 @@ class PupilMisregistration(PupilEffect):
             "dy_m": distance * float(np.sin(direction)),
             "rotation_deg": rotation,
         }
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`: what rounds to nothing is left out."""
+        x, y, turn = (
+            f"{public[key]:+{form}}"
+            for key, form in (("dx_m", ".3f"), ("dy_m", ".3f"), ("rotation_deg", ".1f"))
+        )
+        turned = f"vanes turned by {turn}° against the profile" if float(turn) else ""
+        moved = f"a stop {x}, {y} m off" if float(x) or float(y) else ""
+        return " and ".join(filter(None, [turned, moved])) or "an internal stop in its place"
 
     def values_of(self, dx_m: float, dy_m: float, rotation_deg: float) -> list[float]:
         """See `Effect.values_of`."""

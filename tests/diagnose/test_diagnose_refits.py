@@ -44,7 +44,7 @@ def only(*names: str) -> list[Family]:
 
 def test_of_names_that_fit_alike_one_that_is_plausible_comes_first():
     """5 % more wavelength is 5 % less of a pixel in a narrow band, which no lens makes; filters do differ."""
-    stack = cube(image(effect=PlateScale(), values=[-0.045]))
+    stack = cube(image(effect=PlateScale(9.7), values=[-0.045]))
     at_rest = optimum(stack.training)
     present = only("plate_scale", "spectrum")
     fitter = Fitter([View(model(), CONDITIONS)], stack.training)
@@ -93,7 +93,7 @@ def test_fits_are_the_same_by_one_worker_and_by_two_and_the_best_ends_in_float64
 @pytest.mark.slow
 def test_rivals_of_the_best_have_converged_in_float64_too():
     """What the images hardly tell apart may be exchanged for each other."""
-    at_rest = optimum(cube(image(effect=PlateScale(), values=[-0.02])).training)
+    at_rest = optimum(cube(image(effect=PlateScale(9.7), values=[-0.02])).training)
     present = only("plate_scale", "spectrum", "companion")
     best, *others = refits(fitter_of(at_rest.stack), at_rest, scores(at_rest, present))
     rivals = [one for one in others if is_rival(best, one)]

@@ -121,3 +121,17 @@ def test_starts_lie_within_bounds_and_strong_levels_are_plausible(name):
     for parameter, value in zip(effect.parameters, values, strict=True):
         assert parameter.lower <= parameter.start <= parameter.upper
         assert parameter.plausible[0] <= value <= parameter.plausible[1]
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "wanted"),
+    [
+        ("pupil_misregistration", [0.0, 0.3, 3.9], "vanes turned by +3.9° against the profile"),
+        ("pupil_misregistration", [0.1, 0.0, -0.02], "a stop +0.100, +0.000 m off"),
+        ("plate_scale", [0.01], "pixels of 9.797 mas instead of 9.700 mas"),
+        ("spectrum", [20.0, 0.0, 0.1], "a spectrum about 1469.3 nm instead of 1449.3 nm, 1.10 times as wide"),
+    ],
+)
+def test_a_fact_told_wrong_is_named_with_the_wanted_and_the_told_value(name, values, wanted):
+    effect = CATALOGUE[name].under(CONDITIONS)
+    assert effect.phrase(effect.describe(np.array(values))) == wanted

@@ -91,7 +91,7 @@ def test_effects_are_in_the_table():
     held = (
         FixedEffect(TipTiltJitter(), TipTiltJitter().values_of(6.0)),
         FixedEffect(AtmosphericDispersion(), AtmosphericDispersion().values_of(20.0, 30.0)),
-        FixedEffect(PlateScale(), [0.02]),
+        FixedEffect(PlateScale(9.7), [0.02]),
     )
     halo = cases.halo_and_jitter(model).effects[0]
     held += (FixedEffect(halo, [p.start for p in halo.parameters]),)
