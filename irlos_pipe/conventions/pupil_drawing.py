@@ -1,12 +1,13 @@
-"""The telescope pupil as a drawing: outline, central hole and vanes, in metres."""
+"""The telescope pupil as a drawing, in metres: what light passes, and what stands in its way."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
+from irlos_pipe.conventions.placement import Placement
+from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Part
 
-PETALS = 4  # of the pupil that effects of petals are stated for: one between every two vanes
+BEYOND_RIM = 1.005  # of the diameter: as far as parts may reach
 
 
 @dataclass(frozen=True)
@@ -17,22 +18,109 @@ class Vane:
     end_m: tuple[float, float]
     width_m: float
 
+    def placed(self, placement: Placement) -> Vane:
+        """Return the vane carried to a `placement`."""
+        (x0, y0), (x1, y1) = placement.forth(*self.start_m), placement.forth(*self.end_m)
+        return Vane((float(x0), float(y0)), (float(x1), float(y1)), self.width_m)
+
+    def distance_from_axis_m(self) -> float:
+        """Return how near the optical axis its middle line comes [m]."""
+        start, end = complex(*self.start_m), complex(*self.end_m)
+        along = end - start
+        share = min(max(-(start * along.conjugate()).real / abs(along) ** 2, 0.0), 1.0)
+        return abs(start + share * along)
+
 
 @dataclass(frozen=True)
 class PupilGeometry:
-    """Outline of an obscured circular pupil [m]."""
+    """The pupil: an aperture, less a central hole, obstructions and vanes.
+
+    Attributes
+    ----------
+    diameter_m : float
+        Of the disc that contains it, on which Zernike polynomials have unit RMS.
+    obscuration_m : float
+        Diameter of a round hole about the axis.
+    vanes : tuple of Vane
+    aperture : tuple of Part
+        What light passes; parts do not overlap. Empty: the disc of `diameter_m`.
+    obstructions : tuple of Part
+        What else stands in the way.
+
+    Raises
+    ------
+    ValueError
+        If these contradict each other.
+    """
 
     diameter_m: float
     obscuration_m: float = 0.0
     vanes: tuple[Vane, ...] = ()
+    aperture: tuple[Part, ...] = ()
+    obstructions: tuple[Part, ...] = ()
+
+    def __post_init__(self) -> None:
+        rim_m = self.diameter_m / 2
+        if not 0 <= self.obscuration_m < self.diameter_m:
+            raise ValueError(
+                f"the obscuration, {self.obscuration_m:g} m, should be smaller than the diameter, "
+                f"{self.diameter_m:g} m"
+            )
+        for number, vane in enumerate(self.vanes, start=1):
+            if vane.start_m == vane.end_m:
+                raise ValueError(f"vane {number} starts where it ends, at {vane.start_m}")
+            if not 0 < vane.width_m < self.diameter_m:
+                raise ValueError(
+                    f"vane {number}: its width, {vane.width_m:g} m, should be positive and small"
+                )
+            if vane.distance_from_axis_m() >= rim_m + vane.width_m / 2:
+                raise ValueError(f"vane {number} lies outside the diameter, {self.diameter_m:g} m")
+        if self.map and len(self.aperture) > 1:
+            raise ValueError("a map is the whole aperture; leave the other parts out")
+        for part in self.aperture:
+            if part.reach_m > BEYOND_RIM * rim_m:
+                raise ValueError(
+                    f"the {part.title} reaches {part.reach_m:.4g} m from the axis, beyond half the diameter, "
+                    f"{rim_m:g} m"
+                )
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is a disc with a hole and vanes only."""
+        return not self.aperture and not self.obstructions
+
+    @property
+    def map(self) -> AmplitudeMap | None:
+        """The aperture, if it is a map."""
+        return next((part for part in self.aperture if isinstance(part, AmplitudeMap)), None)
+
+    @property
+    def segments(self) -> tuple[Part, ...]:
+        """The drawn pieces of the aperture."""
+        return tuple(piece for part in self.aperture for piece in part.pieces)
 
 
-def with_vanes_turned(geometry: PupilGeometry, angle_deg: float) -> PupilGeometry:
-    """Return the pupil `geometry` with its spider turned anticlockwise by `angle_deg` about the axis."""
-    return replace(geometry, vanes=tuple(_turned(vane, angle_deg) for vane in geometry.vanes))
+def placed(geometry: PupilGeometry, placement: Placement) -> PupilGeometry:
+    """Return the pupil `geometry` carried to a `placement`."""
+    carried = replace(
+        geometry,
+        vanes=tuple(vane.placed(placement) for vane in geometry.vanes),
+        aperture=tuple(part.placed(placement) for part in geometry.aperture),
+        obstructions=tuple(part.placed(placement) for part in geometry.obstructions),
+    )
+    if placement.shift_m == (0.0, 0.0):
+        return carried
+    # what lies about the axis is moved as well, so it becomes a part
+    moved = Placement(shift_m=placement.shift_m)
+    hole = (Circle(geometry.obscuration_m).placed(moved),) if geometry.obscuration_m else ()
+    return replace(
+        carried,
+        obscuration_m=0.0,
+        aperture=carried.aperture or (Circle(geometry.diameter_m).placed(moved),),
+        obstructions=(*carried.obstructions, *hole),
+    )
 
 
-def _turned(vane: Vane, angle_deg: float) -> Vane:
-    turn = np.exp(1j * np.deg2rad(angle_deg))
-    start, end = (complex(*point) * turn for point in (vane.start_m, vane.end_m))
-    return Vane((start.real, start.imag), (end.real, end.imag), vane.width_m)
+def turned(geometry: PupilGeometry, angle_deg: float) -> PupilGeometry:
+    """Return the pupil `geometry` turned anticlockwise about the axis by `angle_deg`."""
+    return placed(geometry, Placement(rotation_deg=angle_deg))

@@ -25,6 +25,7 @@ from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.effects.motion import TipTiltJitter, Vibration
 from irlos_pipe.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
 from irlos_pipe.effects.seeing_halo import SeeingHalo
+from irlos_pipe.effects.segment_piston import SegmentPiston
 from irlos_pipe.effects.wavefront import DiversityError, HighOrderNcpa, PhaseBump
 
 CATALOGUE: dict[str, type[Effect]] = {
@@ -40,6 +41,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         PupilMisregistration,
         AmplitudeAberration,
         LowWindEffect,
+        SegmentPiston,
         HighOrderNcpa,
         PhaseBump,
         NcpaDrift,

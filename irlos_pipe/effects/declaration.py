@@ -12,7 +12,7 @@ from irlos_pipe.optics.structure_function import ResidualBand
 
 INFINITE = float("inf")
 Plane = Literal["pupil", "otf", "sampling", "time", "detector", "ramp", "lens"]
-Kind = Literal["number", "zernike", "petals", "pixels", "nolls", "word"]
+Kind = Literal["number", "zernike", "parts", "pixels", "nolls", "word"]
 Role = Literal["size", "position", "direction", "component"]
 FoundBy = Literal["score", "frames", "pixels", "ramp"]
 
@@ -55,7 +55,7 @@ class Public:
     ----------
     name, unit : str
     kind : str
-        A number; a table of Noll indices; as many numbers as petals; a list of (row, column); a name.
+        A number; a table of Noll indices; numbers of the pupil's parts; a list of (row, column); a name.
     lower, upper : float
         Limits of every number in it.
     required : bool

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, with_vanes_turned
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public, number
 from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.effects.zernike_table import ZernikeTable
 from irlos_pipe.optics.grids import PupilGrid
 from irlos_pipe.optics.pupil import band_limited
-from irlos_pipe.optics.pupil_edges import PupilEdges
+from irlos_pipe.optics.pupil_edges import pupil_edges
 
 CELL_M = 0.008  # of the drawing
 DIRECTIONS = 8
@@ -25,7 +25,10 @@ DIRECTIONS = 8
 class PupilMisregistration(PupilEffect):
     """An internal stop that does not lie on the image of the telescope pupil, and vanes that are turned.
 
-    The stop has the outline and the central hole of the pupil and no vanes; light passes where both do.
+    The stop has the outline and the central hole of the pupil, but no vanes or gaps between segments; light
+    passes where both do. Of a disc, the vanes and other obstructions are turned; of a segmented pupil or a
+    map, all of it.
+
     Any shift darkens a crescent at the rim and one at the hole, whichever way it goes: the image is not
     differentiable in (dx, dy) at zero, but it is in (distance ≥ 0, direction). Edges are drawn on a grid
     of a few mm and band-limited.
@@ -120,8 +123,9 @@ def _slope(grid: PupilGrid, values: torch.Tensor, index: int) -> torch.Tensor:
     """Derivative of the amplitude with respect to distance, direction or rotation, (n, n)."""
     distance_m, direction_rad, rotation_deg = values.tolist()
     towards = np.array([np.cos(direction_rad), np.sin(direction_rad)])
-    turned = with_vanes_turned(grid.geometry, rotation_deg)
-    edges = PupilEdges(turned, grid.samples, _subsamples(turned, grid.samples), tuple(distance_m * towards))
+    geometry = turned(grid.geometry, rotation_deg)
+    fine = _subsamples(geometry, grid.samples)
+    edges = pupil_edges(geometry, grid.samples, fine, tuple(distance_m * towards))
     if index == 2:
         return torch.as_tensor(edges.turned() * np.pi / 180)
     velocity = towards if index == 0 else distance_m * np.array([-towards[1], towards[0]])
@@ -134,9 +138,9 @@ def _change(
 ) -> np.ndarray:
     """Amplitude of the misregistered pupil minus that of the pupil as it should be."""
     stop_m = (float(distance_m * np.cos(direction_rad)), float(distance_m * np.sin(direction_rad)))
-    turned = with_vanes_turned(geometry, rotation_deg)
     fine = _subsamples(geometry, samples)
-    return band_limited(turned, samples, stop_m=stop_m, subsamples=fine) - _clear(geometry, samples)
+    moved = band_limited(turned(geometry, rotation_deg), samples, stop_m=stop_m, subsamples=fine)
+    return moved - _clear(geometry, samples)
 
 
 @lru_cache(maxsize=4)

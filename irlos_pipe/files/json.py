@@ -40,7 +40,8 @@ def _jsonable_object(value: Any) -> Any:
     if isinstance(value, BaseModel):
         return jsonable(value.model_dump())
     if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: jsonable(getattr(value, field.name)) for field in fields(value)}
+        # what does not count in comparisons says nothing that the other fields do not
+        return {field.name: jsonable(getattr(value, field.name)) for field in fields(value) if field.compare}
     if isinstance(value, PurePath):
         return str(value)
     raise TypeError(f"{type(value).__name__} has no JSON form")

@@ -18,7 +18,7 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.phasor import phasor
-from irlos_pipe.optics.pupil import band_limited_pupil
+from irlos_pipe.optics.pupil import band_limited_pupil, transmitted_cells
 from irlos_pipe.optics.zernike import zernike_basis
 
 DARK_BEYOND = 12  # samples outside the rim: the filter's ringing has died out, polynomials would grow
@@ -75,9 +75,8 @@ class PupilGrid:
     @property
     def light(self) -> float:
         """Scale of amplitudes that makes the light through the clear pupil one, focal grid included."""
-        amplitude = band_limited_pupil(self.geometry, self.samples)[1]
-        # The pupil is clear or opaque, so ∫P² = ∫P, and the mean survives the band limit.
-        return 1 / (np.sqrt(np.sum(amplitude)) * (self.u_m[1] - self.u_m[0]) * 2 * self.width_m)
+        cells = transmitted_cells(self.geometry, self.samples)
+        return 1 / (np.sqrt(cells) * (self.u_m[1] - self.u_m[0]) * 2 * self.width_m)
 
     @property
     def amplitude(self) -> np.ndarray:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
+from irlos_pipe.conventions.pupil_parts import Part
 
 SUBSAMPLES = 16  # fine cells per side of a coarse cell; coverage of a fine cell is linear in distance
 ROWS_AT_A_TIME = 64
 ON_AXIS = (0.0, 0.0)
+NOTHING_BEFORE_IT: dict = {"obscuration_m": 0.0, "vanes": (), "obstructions": ()}  # before an aperture
 PAD = 4  # coarse cells beyond the diameter on each side: room for the filter's ringing
 PASS_BAND, STOP_BAND = 0.7, 1.4  # of the low-pass, in units of the coarse grid's Nyquist frequency
+Shares = Callable[[np.ndarray, np.ndarray, float], Iterable[tuple[int, slice, np.ndarray]]]
 CLEAN_BAND = min(PASS_BAND, 2 - STOP_BAND)  # neither attenuated nor reached by what folds back
 
 
@@ -68,6 +72,23 @@ def band_limited_pupil(geometry: PupilGeometry, samples: int) -> tuple[np.ndarra
     return u_m, amplitude
 
 
+@lru_cache(maxsize=8)
+def transmitted_cells(geometry: PupilGeometry, samples: int) -> float:
+    """Return the light that a pupil passes, as a number of clear cells of `band_limited_pupil`.
+
+    `geometry` and `samples` are those of the pupil.
+    """
+    if geometry.map is None:
+        # The pupil is clear or opaque, so ∫P² = ∫P, and the mean survives the band limit.
+        return float(np.sum(band_limited_pupil(geometry, samples)[1]))
+    fine, alone = fine_centres(geometry, samples, SUBSAMPLES), replace(geometry, **NOTHING_BEFORE_IT)
+    kept, whole = (
+        sum(float(np.sum(clear**2)) for _, clear in _by_rows(pupil, fine, ON_AXIS))
+        for pupil in (geometry, alone)
+    )
+    return geometry.map.light_m2 / (geometry.diameter_m / samples) ** 2 * kept / whole
+
+
 def band_limited(
     geometry: PupilGeometry,
     samples: int,
@@ -87,37 +108,37 @@ def band_limited(
     subsamples : int
         Fine cells per side of a coarse cell.
     """
-    return _filtered(geometry, samples, stop_m, subsamples, lambda clear, x, y: clear[None])[0]
+    return _filtered(geometry, samples, stop_m, subsamples)
 
 
-def band_limited_parts(
-    geometry: PupilGeometry, samples: int, part: Callable[[np.ndarray, np.ndarray], np.ndarray], count: int
-) -> np.ndarray:
-    """Return the amplitudes of the parts of a pupil, (count, n, n).
+def band_limited_parts(geometry: PupilGeometry, samples: int, count: int, shares: Shares) -> np.ndarray:
+    """Return the amplitudes of the parts of a pupil, (count, n, n); their sum is that of the pupil.
 
     Parameters
     ----------
     geometry, samples : see `band_limited_pupil`
-    part : callable
-        ``part(x_m, y_m)`` is the number of each point's part.
     count : int
         Number of parts.
+    shares : callable
+        ``shares(x_m, y_m, step_m)`` of a row and a column of cells gives, for parts that they touch, the
+        number of the part, a slice of columns, and which share of the light of each cell there is its.
     """
+    fine = fine_centres(geometry, samples, SUBSAMPLES)
+    filtering, step = filter_matrix(samples + 2 * PAD, SUBSAMPLES), float(fine[1] - fine[0])
+    found = np.zeros((count, len(filtering), len(filtering)))
+    for rows, clear in _by_rows(geometry, fine, ON_AXIS):
+        for number, columns, share in shares(fine[None, :], fine[rows, None], step):
+            found[number] += filtering[:, rows] @ ((clear[:, columns] * share) @ filtering[:, columns].T)
+    return found
 
-    def split(clear: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return clear * (part(x, y) == np.arange(count)[:, None, None])
 
-    return _filtered(geometry, samples, ON_AXIS, SUBSAMPLES, split)
-
-
-def _filtered(geometry: PupilGeometry, samples: int, stop_m, subsamples: int, split) -> np.ndarray:
-    """Low-passed maps that `split` makes of the clear fraction of each fine cell, (maps, n, n)."""
+def _filtered(
+    geometry: PupilGeometry, samples: int, stop_m: tuple[float, float], subsamples: int
+) -> np.ndarray:
+    """Low-passed clear fraction of the fine cells, (n, n)."""
     fine = fine_centres(geometry, samples, subsamples)
     filtering = filter_matrix(samples + 2 * PAD, subsamples)
-    return sum(
-        filtering[:, rows] @ (split(clear, fine[None, :], fine[rows, None]) @ filtering.T)
-        for rows, clear in _by_rows(geometry, fine, stop_m)
-    )
+    return sum(filtering[:, rows] @ (clear @ filtering.T) for rows, clear in _by_rows(geometry, fine, stop_m))
 
 
 def fine_centres(geometry: PupilGeometry, samples: int, subsamples: int) -> np.ndarray:
@@ -163,13 +184,15 @@ def _clear_fraction(
     geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float, stop_m: tuple[float, float]
 ) -> np.ndarray:
     """Fraction of sub-cells of size `step` that transmit, from the distance to each edge."""
-    clear = annulus_cover(geometry, x, y, step, stop_m)
+    clear = outline_cover(geometry, x, y, step, stop_m)
+    for part in geometry.obstructions:
+        clear *= 1 - parts_cover([part], x, y, step)
     for vane in geometry.vanes:
         _cover(clear, vane, x, y, step)
     return clear
 
 
-def annulus_cover(
+def outline_cover(
     geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float, stop_m: tuple[float, float]
 ) -> np.ndarray:
     """Return the fraction of each sub-cell inside the outlines and outside the holes of pupil and stop.
@@ -178,18 +201,52 @@ def annulus_cover(
     ----------
     geometry : PupilGeometry
     x, y, step : ndarray, ndarray, float
-        Centres of the sub-cells and their side [m].
-    stop_m : (float, float) or None
+        Centres of the sub-cells and their side [m]; where an aperture is drawn, a row and a column.
+    stop_m : (float, float)
         See `band_limited`.
     """
     largest = smallest = np.sqrt(x**2 + y**2)
     if stop_m != ON_AXIS:
         from_stop = np.sqrt((x - stop_m[0]) ** 2 + (y - stop_m[1]) ** 2)
         largest, smallest = np.maximum(largest, from_stop), np.minimum(smallest, from_stop)
-    clear = inside((geometry.diameter_m / 2 - largest) / step)
+    if not geometry.aperture:
+        clear = inside((geometry.diameter_m / 2 - largest) / step)
+    else:
+        clear = parts_cover(geometry.aperture, x, y, step)
+        if stop_m != ON_AXIS:
+            stop = [part.outline for part in geometry.aperture]
+            clear = np.minimum(clear, parts_cover(stop, x - stop_m[0], y - stop_m[1], step))
     if geometry.obscuration_m > 0:
         clear *= inside((smallest - geometry.obscuration_m / 2) / step)
     return clear
+
+
+def parts_cover(parts: Sequence[Part], x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
+    """Return the fraction of each sub-cell that `parts`, which do not overlap, cover, (rows, columns).
+
+    Parameters
+    ----------
+    parts : sequence of Part
+    x, y : ndarray, (1, columns) and (rows, 1)
+        Centres of the sub-cells [m].
+    step : float
+        Their side [m].
+    """
+    covered = np.zeros(np.broadcast_shapes(x.shape, y.shape))
+    for piece in (piece for part in parts for piece in part.pieces):
+        rows, columns = box(piece, x, y, step)
+        covered[rows, columns] += piece.cover(x[:, columns], y[rows], step)
+    return covered
+
+
+def box(piece: Part, x: np.ndarray, y: np.ndarray, step: float) -> tuple[slice, slice]:
+    """Rows and columns of a grid that a `piece` may touch; `x`, `y` and `step` as of `parts_cover`."""
+    centre, reach = piece.placement.shift_m, piece.radius_m + step
+    return _span(y[:, 0], centre[1], reach), _span(x[0], centre[0], reach)
+
+
+def _span(axis_m: np.ndarray, centre_m: float, reach_m: float) -> slice:
+    return slice(*np.searchsorted(axis_m, [centre_m - reach_m, centre_m + reach_m]))
 
 
 def inside(distance_cells: np.ndarray) -> np.ndarray:

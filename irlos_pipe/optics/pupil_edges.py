@@ -1,7 +1,8 @@
 """How the drawn pupil changes when the internal stop moves or the vanes turn.
 
 Only what lies near an edge changes. Edges are taken `WIDTH` cells wide: one cell would show the staircase of
-the grid, four would miss what the low-pass lets through.
+the grid, four would miss what the low-pass lets through. A disc with a hole and vanes has few edges, which
+are followed one by one; any other pupil is drawn twice.
 """
 
 from __future__ import annotations
@@ -12,23 +13,32 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, turned
 from irlos_pipe.optics.pupil import (
+    ON_AXIS,
     PAD,
     across_m,
-    annulus_cover,
     axis,
+    band_limited,
     filter_matrix,
     fine_centres,
     inside,
+    outline_cover,
     vane_cover,
 )
 
 WIDTH = 1.5  # fine cells
 
 
+def pupil_edges(
+    geometry: PupilGeometry, samples: int, subsamples: int, stop_m: tuple[float, float]
+) -> PupilEdges | DrawnTwice:
+    """Return what gives the derivatives of a pupil; see `PupilEdges` for the parameters."""
+    return (PupilEdges if geometry.plain else DrawnTwice)(geometry, samples, subsamples, stop_m)
+
+
 class PupilEdges:
-    """Edges of a pupil with an internal stop, as `pupil.band_limited` draws them.
+    """Edges of a plain pupil with an internal stop, as `pupil.band_limited` draws them.
 
     Parameters
     ----------
@@ -79,7 +89,7 @@ class PupilEdges:
         _, _, direction = axis(vane)
         rate = -np.sign(across_m(vane, x, y)) * (x * direction[0] + y * direction[1])
         others = self._between([one for one in self.geometry.vanes if one is not vane], x, y)
-        others *= annulus_cover(self.geometry, x, y, self._step, self.stop_m)
+        others *= outline_cover(self.geometry, x, y, self._step, self.stop_m)
         broad = replace(vane, width_m=vane.width_m + 4 * self._step)  # covers both edges between its ends
         change = share * rate * others * vane_cover(broad, x, y, self._step)
         return self._filtered(rows, columns, change)
@@ -112,3 +122,43 @@ class PupilEdges:
         """Low-passed change of a few cells, (n, n)."""
         size = len(self._fine)
         return self._filter @ (sparse.csr_array((change, (rows, columns)), (size, size)) @ self._filter.T)
+
+
+class DrawnTwice:
+    """Any pupil with an internal stop, whose derivatives are differences of two drawings.
+
+    Parameters
+    ----------
+    geometry, samples, subsamples, stop_m
+        See `PupilEdges`.
+    """
+
+    def __init__(self, geometry: PupilGeometry, samples: int, subsamples: int, stop_m: tuple[float, float]):
+        self._geometry, self._samples, self._subsamples = geometry, samples, subsamples
+        self._stop_m = stop_m
+        self._step_m = WIDTH * geometry.diameter_m / samples / subsamples
+
+    def moved(self, along: tuple[float, float]) -> np.ndarray:
+        """See `PupilEdges.moved`: one-sided where stop and pupil coincide."""
+        speed = float(np.hypot(*along))
+        if speed == 0:
+            return np.zeros((self._samples + 2 * PAD,) * 2)
+        ahead, behind = self._step_m / speed, -self._step_m / speed
+        if self._stop_m == ON_AXIS:
+            behind = 0.0
+        return (self._with_stop(along, ahead) - self._with_stop(along, behind)) / (ahead - behind)
+
+    def turned(self) -> np.ndarray:
+        """See `PupilEdges.turned`; of a drawn aperture, the whole pupil turns."""
+        angle = self._step_m / (self._geometry.diameter_m / 2)
+        later, before = (
+            self._drawn(turned(self._geometry, np.rad2deg(a)), self._stop_m) for a in (angle, -angle)
+        )
+        return (later - before) / (2 * angle)
+
+    def _with_stop(self, along: tuple[float, float], time: float) -> np.ndarray:
+        stop_m = (self._stop_m[0] + time * along[0], self._stop_m[1] + time * along[1])
+        return self._drawn(self._geometry, stop_m)
+
+    def _drawn(self, geometry: PupilGeometry, stop_m: tuple[float, float]) -> np.ndarray:
+        return band_limited(geometry, self._samples, stop_m=stop_m, subsamples=self._subsamples)

@@ -1,12 +1,20 @@
-"""The pupil as an object: where light passes."""
+"""The pupil as an object: where light passes. Points are counted; the edges of the drawing are not used."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache, singledispatch
+
 import numpy as np
+from scipy import ndimage
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
+from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Hexagon, Part, Polygon, Samples
 
 FINEST_CELL_M = 0.002  # of the brute-force drawing: a twentieth of a vane
+EDGE_CELL_M = 0.001  # the same at the edges of drawn parts: a third of the gap between two segments
+FINER = 4  # samples of a map that are made of one along each axis before they are joined by lines
+DARK_RIM = 8  # samples round a map
 
 
 def centres(count: int, step: float) -> np.ndarray:
@@ -17,7 +25,7 @@ def centres(count: int, step: float) -> np.ndarray:
 def clear_fraction(
     geometry: PupilGeometry, u_m: np.ndarray, stop_m: tuple[float, float] | None = None
 ) -> np.ndarray:
-    """Return the clear fraction of every cell of a square grid, by counting points on a much finer one.
+    """Return the mean amplitude in every cell of a square grid, by counting points on a much finer one.
 
     Parameters
     ----------
@@ -31,32 +39,133 @@ def clear_fraction(
     -------
     ndarray, (n, n), row = y
     """
-    step = u_m[1] - u_m[0]
-    points = max(2, int(np.ceil(step / FINEST_CELL_M)))
+    step = float(u_m[1] - u_m[0])
+    found = np.array([_row(geometry, u_m, y, step, stop_m, FINEST_CELL_M) for y in u_m])
+    if geometry.plain or geometry.map:
+        return found
+    edges = ndimage.maximum_filter(found, 3) > ndimage.minimum_filter(found, 3)
+    for row in np.flatnonzero(edges.any(axis=1)):
+        cells = edges[row]
+        found[row, cells] = _row(geometry, u_m[cells], u_m[row], step, stop_m, EDGE_CELL_M, skewed=True)
+    return found
+
+
+def _row(
+    geometry: PupilGeometry,
+    x_m: np.ndarray,
+    y_m: float,
+    step: float,
+    stop_m: tuple[float, float] | None,
+    finest_m: float,
+    *,
+    skewed: bool = False,
+) -> np.ndarray:
+    """Mean amplitude in cells of a side of `step` about (`x_m`, `y_m`), from points `finest_m` apart.
+
+    Rows and columns of `skewed` points are slightly inclined: an edge along a row would otherwise be
+    misplaced by as much as half their distance.
+    """
+    points = max(2, int(np.ceil(step / finest_m)))
     inner = centres(points, step / points)
-    x = (u_m[:, None] + inner).ravel()[None, :]
-    rows = []
-    for centre_m in u_m:
-        y = (centre_m + inner)[:, None]
-        clear = is_clear(geometry, x, y)
-        if stop_m is not None:
-            clear &= inside_annulus(geometry, x - stop_m[0], y - stop_m[1])
-        rows.append(clear.reshape(points, len(u_m), points).mean(axis=(0, 2)))
-    return np.array(rows)
+    x, y = (x_m[:, None] + inner).ravel()[None, :], (y_m + inner)[:, None]
+    if skewed:
+        x, y = x + inner[:, None] / points, y + np.tile(inner, len(x_m)) / points
+    clear = passed(geometry, x, y)
+    if stop_m is not None:
+        outline = [part.outline for part in geometry.aperture]
+        clear = clear * _in_aperture(geometry, outline, x - stop_m[0], y - stop_m[1])
+    return clear.reshape(points, len(x_m), points).mean(axis=(0, 2))
 
 
-def is_clear(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Return whether light passes the pupil `geometry` at the points (`x_m`, `y_m`)."""
-    clear = inside_annulus(geometry, x_m, y_m)
+def passed(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+    """Return the amplitude that passes the pupil `geometry` at points, (rows, columns).
+
+    Parameters
+    ----------
+    geometry : PupilGeometry
+    x_m, y_m : ndarray, (1, columns) and (rows, 1), or (rows, columns)
+        Ascending along rows and columns [m].
+    """
+    clear = _in_aperture(geometry, geometry.aperture, x_m, y_m)
+    for part in geometry.obstructions:
+        clear = clear * (1 - _in_parts([part], x_m, y_m))
     for vane in geometry.vanes:
-        clear &= ~_behind(vane, x_m, y_m)
+        clear = clear * ~_behind(vane, x_m, y_m)
     return clear
 
 
-def inside_annulus(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Return whether the points (`x_m`, `y_m`) lie inside the annulus of `geometry`; vanes are ignored."""
+def _in_aperture(
+    geometry: PupilGeometry, aperture: Sequence[Part], x_m: np.ndarray, y_m: np.ndarray
+) -> np.ndarray:
+    """Amplitude inside the `aperture`, or the disc where none is drawn, and outside the central hole."""
     radius2 = x_m**2 + y_m**2
-    return (radius2 <= geometry.diameter_m**2 / 4) & (radius2 >= geometry.obscuration_m**2 / 4)
+    open_to_light = radius2 >= geometry.obscuration_m**2 / 4
+    if not aperture:
+        return open_to_light & (radius2 <= geometry.diameter_m**2 / 4)
+    return open_to_light * _in_parts(aperture, x_m, y_m)
+
+
+def _in_parts(parts: Sequence[Part], x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+    """Amplitude inside parts that do not overlap."""
+    inside = np.zeros(np.broadcast_shapes(x_m.shape, y_m.shape))
+    for piece in (piece for part in parts for piece in part.pieces):
+        (x0, y0), reach_m = piece.placement.shift_m, piece.radius_m + FINEST_CELL_M
+        rows = slice(*np.searchsorted(y_m[:, 0], [y0 - reach_m, y0 + reach_m]))
+        columns = slice(*np.searchsorted(x_m[0], [x0 - reach_m, x0 + reach_m]))
+        if rows.stop > rows.start and columns.stop > columns.start:
+            near_x = x_m[rows if len(x_m) > 1 else slice(None), columns]
+            near_y = y_m[rows, columns if y_m.shape[1] > 1 else slice(None)]
+            inside[rows, columns] += _inside(piece, *piece.placement.back(near_x, near_y))
+    return inside
+
+
+@singledispatch
+def _inside(piece: Part, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+    """Amplitude of a piece at points about its own origin."""
+    raise NotImplementedError(f"the simulator does not know the pupil part {type(piece).__name__}")
+
+
+@_inside.register
+def _(piece: Circle, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+    return x_m**2 + y_m**2 <= piece.diameter_m**2 / 4
+
+
+@_inside.register
+def _(piece: Hexagon, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+    strips = [np.abs(x_m * np.cos(a) + y_m * np.sin(a)) for a in np.deg2rad([30.0, 90.0, 150.0])]
+    return np.maximum.reduce(np.broadcast_arrays(*strips)) <= piece.flat_to_flat_m / 2
+
+
+@_inside.register
+def _(piece: Polygon, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+    """Where the closed line winds round the point, counted by its crossings of the ray towards +x."""
+    turns = np.zeros(np.broadcast_shapes(x_m.shape, y_m.shape), dtype=int)
+    for (x0, y0), (x1, y1) in zip(piece.corners_m, np.roll(piece.corners_m, -1, axis=0), strict=True):
+        left = (x1 - x0) * (y_m - y0) - (x_m - x0) * (y1 - y0)
+        turns += (y0 <= y_m) & (y_m < y1) & (left > 0)
+        turns -= (y1 <= y_m) & (y_m < y0) & (left < 0)
+    return turns != 0
+
+
+@_inside.register
+def _(piece: AmplitudeMap, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+    finer = _finer(piece.samples)
+    x_m, y_m = np.broadcast_arrays(x_m, y_m)
+    origin = ((len(piece.samples.values) - 1) / 2 + DARK_RIM) * FINER
+    places = np.stack([y_m, x_m]) / piece.step_m * FINER + origin
+    return ndimage.map_coordinates(finer, places, order=1)
+
+
+@lru_cache(maxsize=4)
+def _finer(samples: Samples) -> np.ndarray:
+    """Map in a dark frame with `FINER` samples in place of one, of the same spectrum."""
+    padded = np.pad(samples.values, DARK_RIM)
+    size, cycles = len(padded), np.fft.fftfreq(len(padded))
+    at = np.arange(FINER * size) / FINER
+    # the highest frequency of an even number of samples counts half on either side
+    waves = np.exp(2j * np.pi * np.outer(at, cycles * size) / size)
+    to_finer = (waves @ np.fft.fft(np.eye(size)) / size).real
+    return to_finer @ padded @ to_finer.T
 
 
 def _behind(vane: Vane, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.signal import firwin
 
 from irlos_pipe.conventions.modes import DEFOCUS
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, with_vanes_turned
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned
 from irlos_pipe.simulate.aperture import centres, clear_fraction
 from irlos_pipe.simulate.effects.base import PupilEffect
 from irlos_pipe.simulate.scene import Scene
@@ -30,10 +30,19 @@ class Pupil(Telescope):
     geometry : PupilGeometry
         As built: with the spider where it is.
     drawn : ndarray, (FINE n, FINE n)
-        Clear fraction of the cells of the drawing.
+        Mean amplitude in the cells of the drawing.
     """
 
     drawn: np.ndarray
+
+    @property
+    def area_m2(self) -> float:
+        """Return the clear area; where the pupil is a map, ∫ P² [m²]."""
+        if self.geometry.map is None:
+            return super().area_m2
+        before = replace(self.geometry, obscuration_m=0.0, vanes=(), obstructions=())
+        alone = clear_fraction(before, self.drawing_grid_m()[0][0])
+        return self.geometry.map.light_m2 * float((self.drawn**2).sum() / (alone**2).sum())
 
     @cached_property
     def telescope(self) -> Telescope:
@@ -81,7 +90,7 @@ def nominal_area_m2(scene: Scene) -> float:
 def _build(
     geometry: PupilGeometry, samples: int, stop_m: tuple[float, float] | None, turn_deg: float
 ) -> Pupil:
-    as_built = with_vanes_turned(geometry, turn_deg) if turn_deg else geometry
+    as_built = turned(geometry, turn_deg)
     step_m, total = geometry.diameter_m / samples, samples + 2 * PAD
     drawn = clear_fraction(as_built, centres(total * FINE, step_m / FINE), stop_m)
     transmission = drawn.reshape(total, FINE, total, FINE).mean(axis=(1, 3))

@@ -105,7 +105,7 @@ class Scene:
     first_counter: int = 1000
 
     def __post_init__(self) -> None:
-        setup = RecordingSetup(len(self.bands), self.window, self.diversity_nm)
+        setup = RecordingSetup(self.geometry, len(self.bands), self.window, self.diversity_nm)
         for problem in filter(None, (effect.misfit(setup) for effect in effects_of(self.effects))):
             raise SceneError(problem)
         given = self.frames if isinstance(self.introduced_nm, float | int) else len(self.introduced_nm)

@@ -10,7 +10,7 @@ import torch
 from helpers.effect_cases import CONDITIONS, NOLLS, SPECTRUM, STRONG, WINDOW, made
 from helpers.optics_cases import UT4, ncpa_nm, settings, vector
 
-from irlos_pipe.conventions.pupil_drawing import with_vanes_turned
+from irlos_pipe.conventions.pupil_drawing import turned
 from irlos_pipe.effects import CATALOGUE, Effect, EffectSet, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.pupil_stop import PupilMisregistration
@@ -134,7 +134,7 @@ def test_single_frames_of_a_drifting_recording_have_derivatives_too():
 def amplitude(distance_m: float, direction_rad: float, rotation_deg: float) -> np.ndarray:
     """Band-limited amplitude from a drawing twice as fine as that of the effect."""
     stop_m = (distance_m * np.cos(direction_rad), distance_m * np.sin(direction_rad))
-    return band_limited(with_vanes_turned(UT4, rotation_deg), 64, stop_m=stop_m, subsamples=32)
+    return band_limited(turned(UT4, rotation_deg), 64, stop_m=stop_m, subsamples=32)
 
 
 @pytest.mark.slow

@@ -27,6 +27,7 @@ STRONG = {
         "tip_nm": [0.0, 40.0, 0.0, -30.0],
         "tilt_nm": [35.0, 0.0, -25.0, 0.0],
     },
+    "segment_piston": {"piston_nm": [90.0, -70.0, 40.0, -50.0]},
     "high_order_ncpa": {"zernike_nm": {20: 50.0, 37: -40.0, 66: 30.0}},
     "phase_bump": {"nm": 250.0, "x_m": 1.6, "y_m": -1.1, "width_m": 0.45},
     "ncpa_drift": {"zernike_nm": {4: 120.0, 7: -80.0}},

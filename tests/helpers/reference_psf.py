@@ -1,4 +1,4 @@
-"""Images of the UT4 pupil by HCIPy, on a pupil grid eight times finer than the default of the project.
+"""Images of the UT4 pupil and others by HCIPy, on a grid eight times finer than the project's default.
 
 Shares no code with the package: HCIPy's aperture, Zernikes and matrix Fourier transform, the pupil's
 geometry as written in the simulator of ``data_samples``, pixels integrated by Gauss-Legendre rules.
@@ -26,19 +26,27 @@ class ReferenceImager:
     Parameters
     ----------
     samples : int
-        Across the diameter.
+        Across the grid.
+    aperture : callable
+        HCIPy's field generator of the pupil.
+    diameter_m : float
+        Of the disc on which Zernikes have unit RMS.
+    width_m : float, optional
+        Of the grid, by default the diameter.
     """
 
-    def __init__(self, samples: int = 1024):
-        self.grid = hcipy.make_pupil_grid(samples, DIAMETER_M)
-        self.step_m = float(self.grid.delta[0])
-        self.transmission = _supersampled(self.grid, self.step_m)
+    def __init__(
+        self, samples: int = 1024, aperture=ut4_aperture, diameter_m: float = DIAMETER_M, width_m=None
+    ):
+        self.grid = hcipy.make_pupil_grid(samples, width_m or diameter_m)
+        self.step_m, self._diameter_m = float(self.grid.delta[0]), diameter_m
+        self.transmission = _supersampled(self.grid, self.step_m, aperture)
         self.area_m2 = float(self.transmission.sum()) * self.step_m**2
         self._mode = functools.cache(self._mode)
 
     def _mode(self, noll: int) -> np.ndarray:
         n, m = hcipy.noll_to_zernike(noll)
-        return np.asarray(hcipy.zernike(n, m, D=DIAMETER_M, grid=self.grid, radial_cutoff=False))
+        return np.asarray(hcipy.zernike(n, m, D=self._diameter_m, grid=self.grid, radial_cutoff=False))
 
     def opd_nm(self, zernike_nm: dict[int, float]) -> np.ndarray:
         """OPD of Noll coefficients, flat [nm]."""

@@ -33,6 +33,7 @@ CONTRACT = {
     "pupil_misregistration",
     "amplitude_aberration",
     "low_wind_effect",
+    "segment_piston",
     "high_order_ncpa",
     "phase_bump",
     "ncpa_drift",

@@ -54,8 +54,9 @@ def wider(lower: float, upper: float, default: Any = MISSING) -> Any:
 
 @dataclass(frozen=True)
 class RecordingSetup:
-    """Number of bands, window (rows, columns) and diversity [nm RMS by Noll], which effects have to fit."""
+    """Pupil, number of bands, window (rows, columns), diversity [nm RMS by Noll], which effects must fit."""
 
+    geometry: PupilGeometry
     bands: int
     window: tuple[int, int]
     diversity_nm: Mapping[int, float]

@@ -18,7 +18,7 @@ from irlos_pipe.simulate.effects.detector import (
 from irlos_pipe.simulate.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
 from irlos_pipe.simulate.effects.ghost import Ghost
 from irlos_pipe.simulate.effects.high_aperture import HighAperture
-from irlos_pipe.simulate.effects.low_wind import LowWindEffect
+from irlos_pipe.simulate.effects.low_wind import LowWindEffect, SegmentPiston
 from irlos_pipe.simulate.effects.motion import TipTiltJitter, Vibration
 from irlos_pipe.simulate.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
 from irlos_pipe.simulate.effects.seeing_halo import SeeingHalo
@@ -40,6 +40,7 @@ EFFECTS: dict[str, type[SimulatedEffect]] = {
         PupilMisregistration,
         AmplitudeAberration,
         LowWindEffect,
+        SegmentPiston,
         HighOrderNcpa,
         DiversityError,
         PhaseBump,

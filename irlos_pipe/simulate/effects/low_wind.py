@@ -1,4 +1,4 @@
-"""`low_wind_effect`: wavefront steps between the petals of the pupil, which calm nights bring."""
+"""Wavefront steps between parts of the pupil: `low_wind_effect` and `segment_piston`."""
 
 from __future__ import annotations
 
@@ -7,22 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
-from irlos_pipe.simulate.effects.base import PupilEffect
-from irlos_pipe.simulate.errors import SceneError
-
-FIRST_PETAL_DEG = 45.0
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
+from irlos_pipe.simulate.effects.base import PupilEffect, RecordingSetup
+from irlos_pipe.simulate.petals import petal_count, petal_index, segment_count, segment_index
 
 
 @dataclass(frozen=True)
 class LowWindEffect(PupilEffect):
-    """Piston, tip and tilt of the petals.
+    """Piston, tip and tilt of the petals, which calm nights bring.
 
     Attributes
     ----------
     piston_nm, tip_nm, tilt_nm : sequence of float, optional
-        One value per petal each, anticlockwise from the one on the +45° diagonal; tip and tilt are Noll 2
-        and 3 of the whole pupil, restricted to the petal.
+        One value per petal each, anticlockwise from the one nearest to the +45° diagonal; tip and tilt are
+        Noll 2 and 3 of the whole pupil, restricted to the petal.
     """
 
     name = "low_wind_effect"
@@ -30,70 +28,48 @@ class LowWindEffect(PupilEffect):
     tip_nm: Sequence[float] | None = None
     tilt_nm: Sequence[float] | None = None
 
+    def misfit(self, setup: RecordingSetup) -> str:
+        """See `SimulatedEffect.misfit`: as many values as petals."""
+        petals = petal_count(setup.geometry)
+        given = {key: getattr(self, key) for key in ("piston_nm", "tip_nm", "tilt_nm")}
+        return _misfit(self.name, "petals", petals, {k: v for k, v in given.items() if v is not None})
+
     def steps_nm(self, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """See `PupilEffect.steps_nm`.
-
-        Raises
-        ------
-        SceneError
-            For another number of values than petals.
-        """
+        """See `PupilEffect.steps_nm`."""
         index, radius_m = petal_index(geometry, x_m, y_m), geometry.diameter_m / 2
-        petals = len(geometry.vanes)
+        none = np.zeros(petal_count(geometry))
         piston, tip, tilt = (
-            self._per_petal(key, petals)[index] for key in ("piston_nm", "tip_nm", "tilt_nm")
+            none if values is None else np.asarray(values, float)
+            for values in (self.piston_nm, self.tip_nm, self.tilt_nm)
         )
-        return piston + 2 / radius_m * (tip * x_m + tilt * y_m)
-
-    def _per_petal(self, key: str, petals: int) -> np.ndarray:
-        given = getattr(self, key)
-        values = np.zeros(petals) if given is None else np.asarray(given, float)
-        if values.shape != (petals,):
-            raise SceneError(
-                f"effects.low_wind_effect.{key}: the pupil has {petals} petals; give as many values"
-            )
-        return values
+        return piston[index] + 2 / radius_m * (tip[index] * x_m + tilt[index] * y_m)
 
 
-def petal_index(geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Return the number of the petal at every point, counted anticlockwise from the one on the +45° diagonal.
+@dataclass(frozen=True)
+class SegmentPiston(PupilEffect):
+    """Piston of the segments of the pupil.
 
-    Petals meet at the middle of the vanes, each seen as a line from its origin outwards.
-
-    Parameters
+    Attributes
     ----------
-    geometry : PupilGeometry
-    x_m, y_m : ndarray, shapes that broadcast
-        Points in the pupil.
-
-    Raises
-    ------
-    SceneError
-        For a pupil with fewer than two vanes.
+    piston_nm : sequence of float
+        One value per segment, in the order of their numbers.
     """
-    vanes = sorted(geometry.vanes, key=lambda vane: np.arctan2(vane.end_m[1], vane.end_m[0]) % (2 * np.pi))
-    if len(vanes) < 2:
-        raise SceneError(f"low_wind_effect: needs petals, but the pupil has {len(vanes)} vanes; leave it out")
-    first = int(_after_vane(vanes, *_point_on(FIRST_PETAL_DEG, geometry.diameter_m / 2)))
-    return (_after_vane(vanes, x_m, y_m) - first) % len(vanes)
+
+    name = "segment_piston"
+    piston_nm: Sequence[float]
+
+    def misfit(self, setup: RecordingSetup) -> str:
+        """See `SimulatedEffect.misfit`: as many values as segments."""
+        return _misfit(self.name, "segments", segment_count(setup.geometry), {"piston_nm": self.piston_nm})
+
+    def steps_nm(self, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        """See `PupilEffect.steps_nm`."""
+        return np.asarray(self.piston_nm, float)[segment_index(geometry, x_m, y_m)]
 
 
-def _point_on(angle_deg: float, radius_m: float) -> tuple[np.ndarray, np.ndarray]:
-    angle = np.deg2rad(angle_deg)
-    return np.asarray(radius_m * np.cos(angle)), np.asarray(radius_m * np.sin(angle))
-
-
-def _after_vane(vanes: list[Vane], x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Which vane one meets first going clockwise along the circle through each point."""
-    radius, angle = np.hypot(x_m, y_m), np.arctan2(y_m, x_m)
-    gaps = [(angle - _vane_angle(vane, radius)) % (2 * np.pi) for vane in vanes]
-    return np.argmin(gaps, axis=0)
-
-
-def _vane_angle(vane: Vane, radius_m: np.ndarray) -> np.ndarray:
-    """Polar angle at which the vane's line crosses circles about the axis [rad]."""
-    start, end = complex(*vane.start_m), complex(*vane.end_m)
-    direction = (end - start) / abs(end - start)
-    forward = (start * direction.conjugate()).real
-    along = -forward + np.sqrt(np.maximum(forward**2 - abs(start) ** 2 + radius_m**2, 0.0))
-    return np.angle(start + along * direction)
+def _misfit(name: str, parts: str, count: int, given: dict[str, Sequence[float]]) -> str:
+    """What is wrong with lists that should have one value per part of the pupil."""
+    if count < 2:
+        return f"effects.{name}: the pupil is not divided into {parts}; leave it out"
+    wrong = [key for key, values in given.items() if len(values) != count]
+    return f"effects.{name}.{wrong[0]}: the pupil has {count} {parts}; give as many values" if wrong else ""

@@ -14,7 +14,6 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import AfterValidator, AliasChoices, Field, create_model, model_validator
 
-from irlos_pipe.conventions.pupil_drawing import PETALS
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.declaration import Public
 from irlos_pipe.simulate.effects.base import Own, SimulatedEffect
@@ -85,8 +84,8 @@ def _type(hint: Any, declared: Public | Own) -> Any:
     kind = declared.kind if isinstance(declared, Public) else "number"
     if get_origin(hint) is Literal:
         key = hint
-    elif kind == "petals":
-        key = Annotated[list[number], Field(min_length=PETALS, max_length=PETALS)]  # type: ignore[valid-type]
+    elif kind == "parts":
+        key = Annotated[list[number], Field(min_length=1)]  # type: ignore[valid-type]
     elif kind == "zernike":
         key = Annotated[dict[int, number], AfterValidator(require_nolls)]  # type: ignore[valid-type]
     elif kind == "pixels":

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.simulate.detector import outside_window
 from irlos_pipe.simulate.effects.base import RecordingSetup
 from irlos_pipe.simulate.effects.catalogue import effects_of
@@ -145,10 +146,11 @@ class RecordingKeys(Shared):
         known = {name: section.completed(facility) for name, section in sections.items() if section}
         return self.model_copy(update=known)
 
-    def misfit(self) -> str:
-        """Say which effect does not fit the recording; asked when the shared sections are in."""
+    def misfit(self, geometry: PupilGeometry) -> str:
+        """Say which effect does not fit the recording or the pupil; asked when the shared sections are in."""
         bands = {"j_h": 2}.get(self.bands, 1) if isinstance(self.bands, str) else len(self.bands)
-        setup = RecordingSetup(bands, self.window, self.diversity.zernike if self.diversity else {})
+        diversity_nm = self.diversity.zernike if self.diversity else {}
+        setup = RecordingSetup(geometry, bands, self.window, diversity_nm)
         effects = effects_of(self.effects.given() if self.effects else {})
         return next(filter(None, (effect.misfit(setup) for effect in effects)), "")
 

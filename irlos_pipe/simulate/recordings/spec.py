@@ -92,8 +92,8 @@ def _checked(path: Path, data: Mapping[str, Any], errors: ValidationErrors) -> S
     assert keys is not None, "what is wrong has been reported"
     for name in keys.recordings:
         _check_name(name, errors)
-    recordings = {name: _filled_in(name, keys, errors) for name in keys.recordings}
     instrument_name, instrument = checked_instrument(keys.instrument, absolute(path).parent, errors)
+    recordings = {name: _filled_in(name, keys, instrument, errors) for name in keys.recordings}
     errors.raise_if_any()
     assert instrument is not None, "what is wrong has been reported"
     complete = {
@@ -111,12 +111,15 @@ def _check_name(name: str, errors: ValidationErrors) -> None:
         )
 
 
-def _filled_in(name: str, keys: SpecKeys, errors: ValidationErrors) -> RecordingKeys | None:
+def _filled_in(
+    name: str, keys: SpecKeys, instrument: Instrument | None, errors: ValidationErrors
+) -> RecordingKeys | None:
     try:
         complete = keys.recordings[name].with_shared(keys)
     except ValidationError as error:
         errors.add_invalid(error, RecordingKeys, ("recordings", name))
         return None
-    if complete.misfit():
-        errors.add(("recordings", name), f"recordings.{name}: {complete.misfit()}")
+    problem = complete.misfit(instrument.pupil) if instrument else ""
+    if problem:
+        errors.add(("recordings", name), f"recordings.{name}: {problem}")
     return complete

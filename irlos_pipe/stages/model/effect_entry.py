@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from irlos_pipe.conventions.pupil_drawing import PETALS
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.declaration import Public
@@ -60,6 +59,8 @@ class EffectEntry:
         for public in (*effect.public, *effect.options):
             if public.name in given:
                 _check(f"{name}.{public.name}", public, given[public.name])
+        if values:
+            effect.options_for(**values)  # refuses values that do not fit together
         return cls(name, values, options, not values or bool(given.get(FIT, False)))
 
 
@@ -73,7 +74,7 @@ def _check(label: str, public: Public, value: Any) -> None:
         "number": (lambda v: _is_number(v), "a number"),
         "word": (lambda v: isinstance(v, str), "a word"),
         "zernike": (_is_table, "a table {Noll index: value}"),
-        "petals": (lambda v: _is_list(v, _is_number) and len(v) == PETALS, f"a list of {PETALS} numbers"),
+        "parts": (lambda v: _is_list(v, _is_number), "a list of numbers"),
         "pixels": (lambda v: _is_list(v, _is_pixel), "a list of [row, column]"),
         "nolls": (lambda v: _is_list(v, _is_noll), "a list of Noll indices"),
     }
@@ -97,7 +98,7 @@ def _numbers(public: Public, value: Any) -> list[float]:
         return [value]
     if public.kind == "zernike":
         return list(value.values())
-    return list(value) if public.kind == "petals" else []
+    return list(value) if public.kind == "parts" else []
 
 
 def _is_number(value: Any) -> bool:

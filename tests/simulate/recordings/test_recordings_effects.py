@@ -25,6 +25,7 @@ SIZES = {
     "pupil_misregistration": {"dx_m": 0.1, "rotation_deg": 2.0},
     "amplitude_aberration": {"zernike": {4: 0.1}},
     "low_wind_effect": {"piston_nm": [70, -70, 50, -30]},
+    "segment_piston": {"piston_nm": [50, -40, 30, -20]},
     "high_order_ncpa": {"zernike_nm": {60: 40}},
     "phase_bump": {"nm": 150, "x_m": 1.5, "y_m": -1.0, "width_m": 0.8},
     "ncpa_drift": {"zernike_nm": {4: 80}},

@@ -117,7 +117,7 @@ def test_every_mistake_is_told_at_once_with_line_and_suggestion(tmp_path):
         ("detector.excess_noise_factor", "0.5"), ("detector.flat_rms", "7"), ("ncpa.total_nm", "1e99"),
         ("ncpa.zernike_nm", "{1: 5}"), ("pupil.obscuration_m", "-1"),
         ("effects.companion.flux_ratio", "-.inf"), ("bands", "[]"),
-        ("bands", "[{centre_nm: 600, half_width_nm: 500}]"), ("effects.low_wind_effect.piston_nm", "[1, 2]"),
+        ("bands", "[{centre_nm: 600, half_width_nm: 500}]"), ("effects.low_wind_effect.piston_nm", "[]"),
     ],
 )  # fmt: skip
 def test_values_that_make_no_sense_are_refused_in_one_line(tmp_path, key, value):
@@ -138,6 +138,8 @@ def test_values_that_make_no_sense_are_refused_in_one_line(tmp_path, key, value)
         ({"detector": {"dead": [[3, 24]]}}, "[3, 24] lies outside the window of [24, 24]"),
         ({"effects": {"bad_pixels": [[30, 2]]}}, "[30, 2] lies outside the window"),
         ({"effects": {"spectrum": {"weights": [1, 2]}}}, "give one per band, 1"),
+        ({"effects": {"low_wind_effect": {"tip_nm": [1, 2]}}}, "tip_nm: the pupil has 4 petals"),
+        ({"effects": {"segment_piston": {"piston_nm": [1, 2]}}}, "the pupil has 4 segments; give as many"),
         ({"effects": {"diversity_error": {"nm": 9}}, "diversity": None}, "needs a diversity"),
         ({"effects": {"seeing_halo": {}}}, "seeing_halo = {}: give either scale or wfe_nm"),
         ({"ncpa": {}}, "give either total_nm"),

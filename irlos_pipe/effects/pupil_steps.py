@@ -1,0 +1,139 @@
+"""Parts of the pupil out of step: what `low_wind_effect` and `segment_piston` have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import reduce
+from typing import Any
+
+import numpy as np
+import torch
+
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
+from irlos_pipe.effects.declaration import Conditions, Parameter, Public
+from irlos_pipe.effects.planes import PupilEffect
+from irlos_pipe.optics.grids import PupilGrid
+
+UT4_PETALS = 4
+
+
+class PupilSteps(PupilEffect):
+    """Smooth wavefronts of each part of the pupil, with steps between them.
+
+    The field is the sum of the fields of the parts, each with its own band-limited amplitude: a step within
+    a vane or a gap needs no finer grid than the vane itself.
+
+    Class attributes
+    ----------------
+    kinds : mapping of str to int
+        Public name of a coefficient of each part: its mode, by Noll index of the whole pupil.
+    part_name : str
+        What error messages call the parts.
+    sigma_nm : float
+        Of the prior of each coefficient.
+
+    Parameters
+    ----------
+    count : int
+        Number of the parts.
+    """
+
+    aberration = True
+    order = 0  # adds to the field, before what multiplies it
+    kinds: Mapping[str, int]
+    part_name: str
+    sigma_nm: float
+
+    def __init__(self, count: int = UT4_PETALS):
+        self.count = count
+        self.parameters = tuple(
+            Parameter(f"{kind}_{part}", "nm", 0.0, 0.0, self.sigma_nm, plausible=(-1000.0, 1000.0))
+            for kind in self.kinds
+            for part in range(1, count + 1)
+        )
+
+    @classmethod
+    def count_in(cls, geometry: PupilGeometry) -> int:
+        """Return the number of parts of a pupil `geometry`."""
+        raise NotImplementedError
+
+    @classmethod
+    def amplitudes_of(cls, geometry: PupilGeometry, samples: int) -> np.ndarray:
+        """Return the amplitude of each part, (parts, n, n); see `pupil.band_limited_pupil`."""
+        raise NotImplementedError
+
+    @classmethod
+    def index_in(cls, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        """Return the number, from 0, of the part of a `geometry` at points (`x_m`, `y_m`)."""
+        raise NotImplementedError
+
+    @classmethod
+    def under(cls, conditions: Conditions, *, count: int | None = None) -> PupilSteps:
+        """See `Effect.under`; `count`, where given, must be the number of parts."""
+        there = cls.count_in(conditions.settings.geometry)
+        if there < 2:
+            raise ValueError(f"the pupil is not divided into {cls.part_name}")
+        if count not in (None, there):
+            raise ValueError(f"{count} values for {there} {cls.part_name} of the pupil; give as many")
+        return cls(there)
+
+    @classmethod
+    def options_for(cls, **public: Any) -> dict[str, Any]:
+        """See `Effect.options_for`: how many parts the values are for."""
+        counts = {len(values) for values in public.values()}
+        if len(counts) > 1:
+            raise ValueError(
+                f"lists of {' and '.join(map(str, sorted(counts)))} values; give as many of each"
+            )
+        return {"count": counts.pop()} if counts else {}
+
+    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.apply`."""
+        for amplitude, opd in zip(self._amplitudes(grid), self._opds_nm(values, grid), strict=True):
+            field = field + torch.as_tensor(amplitude) * (grid.phasor(opd) - 1)
+        return field
+
+    def slopes(
+        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `PupilEffect.slopes`."""
+        modes, opds = torch.tensor(grid.modes([*self.kinds.values()])) * 1j, self._opds_nm(values, grid)
+        moved = [
+            torch.as_tensor(amplitude) * grid.phase_per_nm * grid.phasor(opd)
+            for amplitude, opd in zip(self._amplitudes(grid), opds, strict=True)
+        ]
+        return [moved[index % self.count] * modes[index // self.count] for index in wanted]
+
+    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.opd_nm`."""
+        x_m, y_m = (axis * grid.radius_m for axis in grid.xy)
+        index = torch.as_tensor(self.index_in(grid.geometry, x_m, y_m))
+        opds = self._opds_nm(values, grid)
+        return reduce(torch.add, (torch.where(index == part, opd, 0.0) for part, opd in enumerate(opds)))
+
+    def _amplitudes(self, grid: PupilGrid) -> np.ndarray:
+        """Amplitude of each part, (parts, n, n)."""
+        return np.where(grid.lit, self.amplitudes_of(grid.geometry, grid.samples), 0) * grid.light
+
+    def _opds_nm(self, values: torch.Tensor, grid: PupilGrid) -> list[torch.Tensor]:
+        """OPD that each part has, on the whole grid."""
+        modes = torch.tensor(grid.modes([*self.kinds.values()]))
+        table = values.reshape(len(self.kinds), self.count)
+        return [
+            sum((table[kind, part] * modes[kind] for kind in range(1, len(modes))), table[0, part] * modes[0])
+            for part in range(self.count)
+        ]
+
+    def describe(self, values: np.ndarray) -> dict[str, list[float]]:
+        """One number per part each."""
+        table = np.asarray(values, float).reshape(len(self.kinds), self.count)
+        return {kind: row.tolist() for kind, row in zip(self.kinds, table, strict=True)}
+
+    def values_of(self, **public: Sequence[float]) -> list[float]:
+        """See `Effect.values_of`."""
+        return [float(value) for kind in self.kinds for value in public[kind]]
+
+
+def per_part(kinds: Mapping[str, int], unit: str) -> tuple[Public, ...]:
+    """Public lists of one number per part for each of the `kinds`, in a `unit`."""
+    return tuple(Public(kind, unit, "parts", -3000.0, 3000.0) for kind in kinds)

@@ -1,0 +1,83 @@
+"""The drawing of the pupil: placements, contents of maps, contradictions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from irlos_pipe.conventions.placement import Placement
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed, turned
+from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Hexagons, Polygon, Samples
+
+POINTS = (np.array([0.3, -1.2, 2.0]), np.array([0.7, 0.1, -0.4]))
+
+
+def test_a_placement_mirrors_then_turns_then_moves():
+    assert Placement.of(0.0, "x", (0.0, 0.0)).forth(1.0, 2.0) == pytest.approx((-1, 2))
+    assert Placement.of(0.0, "y", (0.0, 0.0)).forth(1.0, 2.0) == pytest.approx((1, -2))
+    assert Placement.of(90.0, "none", (3.0, 0.0)).forth(1.0, 0.0) == pytest.approx((3, 1))
+    assert Placement.of(90.0, "x", (0.0, 5.0)).forth(1.0, 0.0) == pytest.approx((0, 4))
+
+
+@pytest.mark.parametrize("first", ["none", "x", "y"])
+@pytest.mark.parametrize("second", ["none", "x", "y"])
+def test_placements_follow_each_other_and_lead_back(first, second):
+    inner, outer = Placement.of(25.0, first, (0.2, -0.4)), Placement.of(-70.0, second, (1.0, 0.3))
+    both = inner.then(outer)
+    assert np.allclose(both.forth(*POINTS), outer.forth(*inner.forth(*POINTS)))
+    assert np.allclose(both.back(*both.forth(*POINTS)), POINTS)
+
+
+def test_maps_are_equal_by_content():
+    values = np.random.default_rng(0).uniform(size=(16, 16))
+    one, same = (PupilGeometry(1.0, aperture=(AmplitudeMap(Samples.of(v), 0.04),)) for v in (values, values))
+    changed = values.copy()
+    changed[3, 4] = 0.5
+    other = PupilGeometry(1.0, aperture=(AmplitudeMap(Samples.of(changed), 0.04),))
+    assert one == same and hash(one) == hash(same) and one != other
+    with pytest.raises(ValueError, match="read-only"):
+        one.aperture[0].samples.values[0, 0] = 1.0
+
+
+def test_a_moved_disc_takes_its_hole_with_it():
+    moved = placed(PupilGeometry(8.0, 1.0), Placement(shift_m=(0.01, 0.0)))
+    assert moved.obscuration_m == 0
+    assert [part.placement.shift_m for part in (*moved.aperture, *moved.obstructions)] == [(0.01, 0.0)] * 2
+
+
+def test_a_turned_disc_is_a_disc_with_turned_vanes():
+    geometry = turned(PupilGeometry(8.0, 1.0, (Vane((1.0, 0.0), (4.0, 0.0), 0.1),)), 90.0)
+    assert geometry.plain and geometry.vanes[0].end_m == pytest.approx((0.0, 4.0))
+
+
+def a_map(values, step_m=0.05):
+    return PupilGeometry(1.0, aperture=(AmplitudeMap(Samples.of(np.asarray(values)), step_m),))
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (lambda: PupilGeometry(8.0, 8.0), "obscuration, 8 m, should be smaller than the diameter, 8 m"),
+        (lambda: PupilGeometry(8.0, 1.0, (Vane((5.0, 0.0), (9.0, 0.0), 0.1),)), "vane 1 lies outside"),
+        (lambda: PupilGeometry(8.0, 1.0, (Vane((1.0, 0.0), (1.0, 0.0), 0.1),)), "starts where it ends"),
+        (lambda: PupilGeometry(8.0, 1.0, (Vane((1.0, 0.0), (2.0, 0.0), -0.1),)), "width, -0.1 m"),
+        (
+            lambda: PupilGeometry(6.0, aperture=(Hexagons(1.2, 0.0, 2),)),
+            "hexagons reaches 3.02 m from the axis, beyond half",
+        ),
+        (lambda: Hexagons(1.2, 0.0, 2, (19,)), "missing .* should be numbers from 0 to 18"),
+        (lambda: Hexagons(1.2, -0.1, 2), "gap_m -0.1 should not be negative"),
+        (lambda: Circle(0.0), "diameter_m 0 should be positive"),
+        (lambda: Polygon(((0.0, 0.0), (1.0, 1.0))), "three corners or more"),
+        (lambda: Polygon(((0.0, 0.0), (1.0, 1.0), (2.0, 2.0))), "enclose an area"),
+        (lambda: a_map(np.ones((16, 12))), r"shape \(16, 12\) should be that of a square image"),
+        (lambda: a_map(np.full((16, 16), np.nan)), "should be numbers, not NaN"),
+        (lambda: a_map(-np.ones((16, 16))), "smallest amplitude -1 should not be negative"),
+        (lambda: a_map(2 * np.ones((16, 16))), "largest amplitude 2 should not exceed 1"),
+        (lambda: a_map(np.zeros((16, 16))), "lets no light pass"),
+        (lambda: a_map(np.ones((16, 16)), 0.1), "the map reaches 1.061 m from the axis, beyond half"),
+    ],
+)
+def test_contradictions_are_told_in_one_line(made, message):
+    with pytest.raises(ValueError, match=message):
+        made()

@@ -1,0 +1,167 @@
+"""Images of pupils of other shapes.
+
+Truth: HCIPy (independent code), the Fourier transform of polygons (analysis), areas (analysis).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from helpers.optics_cases import ncpa_nm, settings, vector
+from helpers.polygon_images import area_m2, hexagon, polygon_image
+from helpers.reference_psf import ReferenceImager, hcipy
+
+from irlos_pipe.conventions.placement import Placement
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed, turned
+from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Hexagons, Polygon, Samples
+from irlos_pipe.optics.grids import Optics, PupilGrid
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.pupil import area_weighted_pupil, band_limited, grid_centres
+from irlos_pipe.optics.pupil_division import segment_amplitudes
+from irlos_pipe.optics.pupil_edges import pupil_edges
+
+NOLLS = tuple(range(2, 30))
+WAVEFRONT = ncpa_nm(3, 29)
+FLAT_M, GAP_M = 1.2, 0.05
+SEGMENTED = PupilGeometry(6.5, aperture=(Hexagons(FLAT_M, GAP_M, 2, (0,)),))
+KECK_LIKE = PupilGeometry(10.95, aperture=(Hexagons(1.5588, 0.003, 3, (0,)),))
+VANES = tuple(
+    Vane((0.0, 0.0), (4.2 * np.cos(a), 4.2 * np.sin(a)), 0.06) for a in np.deg2rad([90.0, 210.0, 330.0])
+)
+THREE_VANES = PupilGeometry(8.0, 1.6, VANES)
+TURN_DEG = 10.0
+L_CORNERS = ((-2.0, -2.0), (2.0, -2.0), (2.0, 0.0), (0.0, 0.0), (0.0, 2.0), (-2.0, 2.0))
+ASIDE = Placement.of(17.0, "x", (0.31, -0.17))
+
+
+def segmented_aperture(grid):
+    """Turned, so that no edge lies along the rows of points by which HCIPy's cells are averaged."""
+    turn = np.deg2rad(TURN_DEG)
+    segment = hcipy.make_hexagonal_aperture(2 / np.sqrt(3) * FLAT_M, np.pi / 2 + turn)
+    positions = hcipy.make_hexagonal_grid(FLAT_M + GAP_M, 2)
+    outer = positions.as_("polar").r > 0.1
+    x, y = positions.x[outer], positions.y[outer]
+    turned_xy = [x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn)]
+    return sum(hcipy.make_shifted_aperture(segment, centre)(grid) for centre in np.transpose(turned_xy))
+
+
+def three_vane_aperture(grid):
+    clear = hcipy.make_obstructed_circular_aperture(8.0, 1.6 / 8.0)(grid)
+    for angle in (90, 210, 330):
+        clear = clear * hcipy.make_spider_infinite([0, 0], angle + TURN_DEG, 0.06)(grid)
+    return clear
+
+
+def image_of(geometry, wavefront_nm, wavelength_nm=1600.0) -> np.ndarray:
+    case = settings(64, ((wavelength_nm, 1.0),), {}, geometry=geometry)
+    return PsfModel(case, NOLLS, dtype=torch.float64).images(vector(wavefront_nm, NOLLS))[0].numpy()
+
+
+def disagreement(image: np.ndarray, truth: np.ndarray) -> float:
+    return float(np.abs(image - truth).max() / truth.max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("geometry", "aperture"),
+    [(SEGMENTED, segmented_aperture), (THREE_VANES, three_vane_aperture)],
+    ids=["hexagons", "three vanes"],
+)
+@pytest.mark.parametrize("wavelength_nm", [1250.0, 2150.0])
+def test_images_agree_with_hcipy_to_1e_4_of_the_peak(geometry, aperture, wavelength_nm):
+    imager, here = ReferenceImager(1024, aperture, geometry.diameter_m), turned(geometry, TURN_DEG)
+    for wavefront_nm in ({}, WAVEFRONT):
+        truth = imager.image(wavefront_nm, wavelength_nm, (64, 64), 9.7)
+        assert disagreement(image_of(here, wavefront_nm, wavelength_nm), truth) <= 1e-4
+
+
+@pytest.mark.parametrize("geometry", [SEGMENTED, KECK_LIKE], ids=["wide gaps", "gaps of 3 mm"])
+@pytest.mark.parametrize("wavelength_nm", [1250.0, 2150.0])
+def test_images_of_segments_agree_with_analysis(geometry, wavelength_nm):
+    segments = geometry.aperture[0]
+    polygons = [hexagon(segments.flat_to_flat_m, centre) for centre in segments.centres_m[1:]]
+    truth = polygon_image(polygons, wavelength_nm, 64, 9.7)
+    assert disagreement(image_of(geometry, {}, wavelength_nm), truth) <= 3e-5
+
+
+def test_a_polygon_with_a_re_entrant_corner_agrees_with_analysis():
+    geometry = placed(PupilGeometry(8.0, aperture=(Polygon(L_CORNERS),)), ASIDE)
+    corners = np.stack(ASIDE.forth(*np.array(L_CORNERS).T), axis=1)
+    truth = polygon_image([corners], 1600.0, 64, 9.7)
+    assert disagreement(image_of(geometry, {}), truth) <= 3e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flip", ["none", "x", "y"])
+def test_a_map_gives_the_image_of_its_samples(flip):
+    samples, step_m = 160, 8.4 / 160
+    u = grid_centres(samples, step_m)
+    drawn = area_weighted_pupil(turned(THREE_VANES, 20.0), u) * np.exp(
+        -((u[:, None] - 1) ** 2 + (u - 2) ** 2) / 40
+    )  # of no symmetry
+    part = AmplitudeMap(Samples.of(drawn), step_m)
+    geometry = placed(PupilGeometry(8.0, aperture=(part,)), Placement.of(90.0, flip, (0.0, 0.0)))
+    seen = {"none": drawn, "x": drawn[:, ::-1], "y": drawn[::-1]}[flip]
+    imager = ReferenceImager(samples, lambda grid: hcipy.Field(np.zeros(grid.size), grid), 8.0, 8.4)
+    imager.transmission = np.rot90(seen, -1).ravel()  # rows count upwards, so this is anticlockwise
+    imager.area_m2 = float((imager.transmission**2).sum()) * imager.step_m**2
+    truth = imager.image(WAVEFRONT, 1600.0, (64, 64), 9.7)
+    assert disagreement(image_of(geometry, WAVEFRONT), truth) <= 1e-4
+
+
+@pytest.mark.parametrize(
+    ("part", "area"),
+    [
+        (Circle(3.0), np.pi * 9 / 4),
+        (Polygon(L_CORNERS), 12.0),
+        (Hexagons(1.0, 0.1, 1, (0, 3)), 5 * np.sqrt(3) / 2),
+    ],
+    ids=["circle", "polygon", "hexagons"],
+)
+def test_parts_have_their_area_as_apertures_and_as_obstructions(part, area):
+    u, whole = grid_centres(1600, 0.005), np.pi * 8.0**2 / 4
+    lit = area_weighted_pupil(placed(PupilGeometry(8.0, aperture=(part,)), ASIDE), u).sum() * 0.005**2
+    dark = area_weighted_pupil(PupilGeometry(8.0, obstructions=(part.placed(ASIDE),)), u).sum() * 0.005**2
+    assert lit == pytest.approx(area, rel=1e-4)
+    assert whole - dark == pytest.approx(area, rel=1e-4)
+
+
+def test_pistons_of_segments_agree_with_analysis():
+    segments = KECK_LIKE.aperture[0]
+    polygons = [hexagon(segments.flat_to_flat_m, centre) for centre in segments.centres_m[1:]]
+    pistons_nm = np.random.default_rng(2).normal(0, 100, 36)
+    truth = polygon_image(polygons, 1645.0, 64, 9.942, list(pistons_nm))
+    case = settings(64, ((1645.0, 1.0),), {}, geometry=KECK_LIKE, pixel_scale_mas=9.942)
+    model = PsfModel(case, (4,), dtype=torch.float64)
+    grid = PupilGrid.of(KECK_LIKE, case.pupil_samples, [1645e-9])
+    phases = np.exp(2j * np.pi * pistons_nm / 1645.0)
+    field = np.tensordot(phases, segment_amplitudes(KECK_LIKE, case.pupil_samples), 1) * grid.lit * grid.light
+    image = model.images(vector({}, (4,)), Optics(torch.as_tensor(field)[None]))[0].numpy()
+    assert disagreement(image, truth) <= 3e-5
+
+
+@pytest.mark.parametrize(
+    "geometry",
+    [SEGMENTED, PupilGeometry(8.0, 1.1, VANES, obstructions=(Circle(0.7).placed(ASIDE),))],
+    ids=["hexagons", "a spot"],
+)
+def test_derivatives_of_a_displaced_stop_are_those_of_the_drawing(geometry):
+    """Truth: differences over several cells of a drawing four times finer."""
+    stop, towards, step, fine = np.array([0.08, 0.05]), np.array([0.6, 0.8]), 0.01, 64
+    edges = pupil_edges(geometry, 64, 16, tuple(stop))
+
+    def moved(by_m):
+        return band_limited(geometry, 64, stop_m=tuple(stop + by_m * towards), subsamples=fine)
+
+    def turned_by(angle):
+        return band_limited(turned(geometry, np.rad2deg(angle)), 64, stop_m=tuple(stop), subsamples=fine)
+
+    for found, path in ((edges.moved(tuple(towards)), moved), (edges.turned(), turned_by)):
+        truth = (path(step / 4) - path(-step / 4)) / (step / 2)
+        assert np.linalg.norm(found - truth) < 0.05 * np.linalg.norm(truth)
+
+
+def test_areas_of_the_helpers_are_right():
+    assert area_m2(np.array(L_CORNERS)) == 12.0
+    assert area_m2(hexagon(1.0, (3.0, 1.0))) == pytest.approx(np.sqrt(3) / 2)
