@@ -48,12 +48,12 @@ def _adopted(outcome: Outcome) -> list[Mapping[str, Any]]:
 
 def is_first(outcome: Outcome) -> bool:
     """Whether the hidden effect is the first name."""
-    return _hidden_among(outcome, _adopted(outcome)[:1])
+    return any(_is_hidden(outcome, step) for step in _adopted(outcome)[:1])
 
 
 def is_named(outcome: Outcome) -> bool:
     """Whether the hidden effect is one of the names."""
-    return _hidden_among(outcome, _adopted(outcome))
+    return any(_is_hidden(outcome, step) for step in _adopted(outcome))
 
 
 def is_in_set(outcome: Outcome) -> bool:
@@ -64,8 +64,11 @@ def is_in_set(outcome: Outcome) -> bool:
 
 def all_named(outcome: Outcome) -> bool:
     """Whether every hidden effect is a name, or in the set of a name of its own."""
-    hidden, sets = outcome["truth"]["effects"], ambiguity_sets(outcome)
-    return all(name in named(outcome) for name in hidden) or _matched(hidden, sets)
+    hidden, steps = outcome["truth"]["effects"], _adopted(outcome)
+    elsewhere = [step["effect"] in hidden and not _is_hidden(outcome, step) for step in steps]
+    sets = [alike for alike, off in zip(ambiguity_sets(outcome), elsewhere, strict=True) if not off]
+    found = {step["effect"] for step, off in zip(steps, elsewhere, strict=True) if not off}
+    return found >= set(hidden) or _matched(hidden, sets)
 
 
 def _matched(hidden: Sequence[str], sets: Sequence[set[str]]) -> bool:
@@ -120,25 +123,19 @@ def wrong_names(outcome: Outcome) -> list[str]:
 def _is_there(outcome: Outcome, step: Mapping[str, Any]) -> bool:
     """Whether a name is that of something hidden, what is not distinguished from it, or a mild error."""
     mild = outcome["truth"].get("mild", {})
-    if _hidden_among(outcome, [step]) or set(outcome["truth"]["effects"]) & set(step["indistinguishable"]):
+    if _is_hidden(outcome, step) or set(outcome["truth"]["effects"]) & set(step["indistinguishable"]):
         return True
     if step["effect"] in SECOND_IMAGES:
         return "ghost" in mild and _distance_mas(step["parameters"], mild["ghost"]) < NEAR_MAS
     return step["effect"] in mild
 
 
-def _hidden_among(outcome: Outcome, steps: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether one of some names is the first hidden effect."""
-    hidden = outcome["truth"]["effects"][:1]
-    return any([step["effect"]] == hidden and _is_in_place(outcome, step) for step in steps)
-
-
-def _is_in_place(outcome: Outcome, step: Mapping[str, Any]) -> bool:
-    """Whether a second image is the hidden one, where there is a mild one too."""
+def _is_hidden(outcome: Outcome, step: Mapping[str, Any]) -> bool:
+    """Whether a name is that of a hidden effect; a second image beside a ghost has to be in its place."""
     truth, effect = outcome["truth"], step["effect"]
     if effect not in SECOND_IMAGES or "ghost" not in truth.get("mild", {}):
-        return True
-    return _distance_mas(step["parameters"], truth["known"][effect]) < NEAR_MAS
+        return effect in truth["effects"]
+    return effect in truth["effects"] and _distance_mas(step["parameters"], truth["known"][effect]) < NEAR_MAS
 
 
 def _distance_mas(one: Mapping[str, float], other: Mapping[str, float]) -> float:

@@ -229,6 +229,19 @@ def test_a_hidden_companion_is_not_named_by_the_ghost():
     assert (is_first(found), first_is_wrong(found)) == (True, False)
 
 
+def test_either_of_two_hidden_effects_may_be_named_first_and_a_companion_in_its_place_only():
+    known = {"companion": {"flux_ratio": 0.01, "sep_mas": 200.0, "pa_deg": 210.0}}
+
+    def pair(*names, parameters):
+        one = outcome("companion", *names, kind=PAIR, known=known, parameters=parameters)
+        return one | {"truth": one["truth"] | {"effects": ["companion", "vibration"]}}
+
+    found = pair("vibration", "companion", parameters=known["companion"])
+    at_ghost = pair("vibration", "companion", parameters=GHOST)
+    assert (is_right(found), first_is_wrong(found)) == (True, False)
+    assert (is_right(at_ghost), first_is_wrong(at_ghost)) == (False, False)
+
+
 def test_with_nothing_hidden_or_nothing_that_can_be_named_only_wrong_names_count():
     assert is_right(outcome("", kind=CLEAN, verdict="unknown"))
     assert is_right(outcome("", "plate_scale", kind=CLEAN))
