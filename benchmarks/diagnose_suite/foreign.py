@@ -63,15 +63,6 @@ def sheared_readout(rng: np.random.Generator) -> Foreign:
     return Foreign({"px_per_row": slope}, lambda image: warped(image, shear))
 
 
-def blurred_ghost(rng: np.random.Generator) -> Foreign:
-    """A reflection out of focus: a displaced, blurred, faint copy of the image."""
-    ratio, sigma_px = float(rng.uniform(0.02, 0.06)), float(rng.uniform(2.5, 4.0))
-    distance, angle = rng.uniform(8, 18), rng.uniform(0, 2 * np.pi)
-    shift = (float(distance * np.sin(angle)), float(distance * np.cos(angle)))
-    truth = {"flux_ratio": ratio, "sigma_px": sigma_px, "shift_px": list(shift)}
-    return Foreign(truth, second_image(ratio, shift, sigma_px))
-
-
 def scattered_light(rng: np.random.Generator) -> Foreign:
     """Rough or dusty optics: a wide skirt without speckles, ``(1 + (r/a)²)^(-3/2)``."""
     part, core_px = float(rng.uniform(0.04, 0.12)), float(rng.uniform(4, 10))
@@ -115,22 +106,12 @@ FOREIGN: dict[str, Callable[[np.random.Generator], Foreign]] = {
         opaque_spot,
         anamorphism,
         sheared_readout,
-        blurred_ghost,
         scattered_light,
         electronic_ghost_row,
         charge_trail,
         flat_field_error,
     )
 }
-
-
-def second_image(ratio: float, shift_px: tuple[float, float], sigma_px: float) -> Image:
-    """Adds a copy of the image, `ratio` as bright, displaced by (y, x) and blurred by a Gaussian."""
-
-    def image(image_e: np.ndarray) -> np.ndarray:
-        return image_e + ratio * ndimage.gaussian_filter(ndimage.shift(image_e, shift_px), sigma_px)
-
-    return image
 
 
 def warped(image_e: np.ndarray, matrix: np.ndarray) -> np.ndarray:

@@ -143,14 +143,21 @@ def _drift(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
     return Hidden("ncpa_drift", table, table)
 
 
-def companion_place(rng: np.random.Generator, setting: Setting) -> dict[str, float]:
+def second_image_place(rng: np.random.Generator, setting: Setting) -> dict[str, float]:
     """Place beyond λ/D and within the window."""
     farthest = 0.42 * setting.window * PIXEL_SCALE_MAS
     return {"sep_mas": float(rng.uniform(60, farthest)), "pa_deg": _angle_deg(rng)}
 
 
 def _companion(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    return Hidden("companion", {"flux_ratio": size, **companion_place(rng, setting)}, {"flux_ratio": size})
+    return Hidden("companion", {"flux_ratio": size, **second_image_place(rng, setting)}, {"flux_ratio": size})
+
+
+def _ghost(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
+    """Out of focus by as much as tells it from a companion."""
+    defocus_nm = float(rng.uniform(50, 200)) * _sign(rng)
+    image = {"flux_ratio": size, **second_image_place(rng, setting), "defocus_nm": defocus_nm}
+    return Hidden("ghost", image, {"flux_ratio": size})
 
 
 def _gradient(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
@@ -187,6 +194,7 @@ DRAWS: dict[str, Draw] = {
     "phase_bump": _bump,
     "ncpa_drift": _drift,
     "companion": _companion,
+    "ghost": _ghost,
     "interpixel_crosstalk": _plain("interpixel_crosstalk", "fraction"),
     "detector_nonlinearity": _plain("detector_nonlinearity", "fraction_at_peak"),
     "background_gradient": _gradient,

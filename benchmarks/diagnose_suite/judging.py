@@ -126,7 +126,9 @@ def _is_there(outcome: Outcome, step: Mapping[str, Any]) -> bool:
     if _is_hidden(outcome, step) or set(outcome["truth"]["effects"]) & set(step["indistinguishable"]):
         return True
     if step["effect"] in SECOND_IMAGES:
-        return "ghost" in mild and _distance_mas(step["parameters"], mild["ghost"]) < NEAR_MAS
+        known = outcome["truth"].get("known", {})
+        images = [table[name] for table in (mild, known) for name in SECOND_IMAGES if name in table]
+        return any(_distance_mas(step["parameters"], one) < NEAR_MAS for one in images)
     return step["effect"] in mild
 
 

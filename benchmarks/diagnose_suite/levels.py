@@ -36,6 +36,7 @@ SIZES: dict[str, dict[str, tuple[float, float, float]]] = {
     "phase_bump": {"bench": (12.0, 50.0, 150.0), "sky": (200.0, 400.0, 600.0)},  # nm
     "ncpa_drift": {"bench": (4.0, 15.0, 40.0), "sky": (25.0, 50.0, 90.0)},  # nm RMS
     "companion": {"bench": (0.0003, 0.005, 0.05), "sky": (0.005, 0.02, 0.08)},
+    "ghost": {"bench": (0.0003, 0.005, 0.05), "sky": (0.005, 0.02, 0.08)},
     "interpixel_crosstalk": {"bench": (0.012, 0.03, 0.08), "sky": (0.05, 0.1, 0.18)},
     "detector_nonlinearity": {"bench": (0.01, 0.03, 0.1), "sky": (0.1, 0.17, 0.24)},
     "background_gradient": {"bench": (0.01, 0.1, 1.0), "sky": (0.12, 0.4, 1.5)},  # e-/px

@@ -36,7 +36,7 @@ def make_case(case: Case, data: Path, truth: Path) -> None:
     zernike_nm = {}
     for planned in plan.recordings:
         zernike_nm[planned.name] = _record(
-            planned, data / planned.name, plan.image, case.setting.highest_noll
+            planned, data / planned.name, plan.foreign.image, case.setting.highest_noll
         )
     content = {
         "kind": case.kind,

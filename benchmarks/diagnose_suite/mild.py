@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.diagnose_suite.foreign import Image, second_image, unchanged
-from benchmarks.diagnose_suite.hidden import PIXEL_SCALE_MAS, companion_place
+from benchmarks.diagnose_suite.hidden import second_image_place
 from benchmarks.diagnose_suite.settings import NARROW, Setting
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.light import mean_centre_nm
@@ -26,7 +25,7 @@ BAND_NM = 5.0
 TAIL_NM, TAIL_NOLLS = 2.0, (52, 200)
 FLAT = 0.005  # RMS
 GHOST = 0.003  # of the star's light
-GHOST_BLUR_MAS = 10.0
+GHOST_DEFOCUS_NM = 100.0
 # Of the AO residual, inside the correction band; the model expects a power law of free slope, and the
 # simulator's default is a slope of 2.
 LAWS: tuple[Mapping[str, Any], ...] = (
@@ -49,13 +48,10 @@ class Mild:
         Keys of a simulation spec, by section.
     effects : mapping
         Effects of the catalogue in every recording, with the simulator's parameters.
-    ghost : mapping
-        `flux_ratio`, `sep_mas`, `pa_deg` and `blur_mas` of a second image.
     """
 
     sections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    ghost: Mapping[str, float] = field(default_factory=dict)
 
     def over(self, sections: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         """Return the `sections` of a spec with the errors."""
@@ -84,15 +80,6 @@ class Mild:
         return replace(self, effects={name: own for name, own in rest.items() if own})
 
     @property
-    def image(self) -> Image:
-        """The ghost, as a change of the image."""
-        if not self.ghost:
-            return unchanged
-        angle, distance_px = np.deg2rad(self.ghost["pa_deg"]), self.ghost["sep_mas"] / PIXEL_SCALE_MAS
-        shift_px = (float(distance_px * np.sin(angle)), float(distance_px * np.cos(angle)))
-        return second_image(self.ghost["flux_ratio"], shift_px, self.ghost["blur_mas"] / PIXEL_SCALE_MAS)
-
-    @property
     def truth(self) -> dict[str, Mapping[str, Any]]:
         """What is there, under the names that a diagnosis may rightly give it; `flat_error` has none."""
         named = {
@@ -100,7 +87,6 @@ class Mild:
             "high_order_ncpa": self.sections.get("ncpa"),
             "seeing_halo": self.sections.get("sky"),
             "flat_error": self.sections.get("detector"),
-            "ghost": self.ghost,
         }
         return {**self.effects, **{name: dict(value) for name, value in named.items() if value}}
 
@@ -117,18 +103,22 @@ def drawn_mild(setting: Setting, rng: np.random.Generator) -> Mild:
             "dy_m": float(STOP_M * np.sin(angle)),
             "rotation_deg": _signed(VANES_DEG, rng),
         },
+        "ghost": {
+            "flux_ratio": GHOST,
+            **second_image_place(rng, setting),
+            "defocus_nm": _signed(GHOST_DEFOCUS_NM, rng),
+        },
     }
     sections = {
         "pupil": {"obscuration_m": facility.pupil.obscuration_m * (1 + _signed(OBSCURATION, rng))},
         "ncpa": {"tail_nm": TAIL_NM, "tail_nolls": list(TAIL_NOLLS)},
         "detector": {"flat_error_rms": FLAT, "pattern_seed": int(rng.integers(2**31))},
     }
-    ghost = {"flux_ratio": GHOST, **companion_place(rng, setting), "blur_mas": GHOST_BLUR_MAS}
     law = dict(LAWS[rng.integers(len(LAWS))])
     outer_scale_m = facility.outer_scale_m * float(rng.choice(OUTER_SCALES))
     if setting.on_sky:
         sections["sky"] = {**law, "outer_scale_m": outer_scale_m}
-    return Mild(sections, effects, ghost)
+    return Mild(sections, effects)
 
 
 def _signed(size: float, rng: np.random.Generator) -> float:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.diagnose_suite.cases import IN_SKY_MODEL, MIXED_UP, Case
-from benchmarks.diagnose_suite.foreign import FOREIGN, Foreign, Image
+from benchmarks.diagnose_suite.foreign import FOREIGN, Foreign
 from benchmarks.diagnose_suite.hidden import Hidden, drawn
 from benchmarks.diagnose_suite.levels import size_of
 from benchmarks.diagnose_suite.mild import Mild, drawn_mild
@@ -45,11 +45,6 @@ class Plan:
     hidden: Sequence[Hidden]
     foreign: Foreign
     mild: Mild
-
-    @property
-    def image(self) -> Image:
-        """What happens to the images beyond the simulator: first in the optics, then in the pixels."""
-        return lambda image_e: self.foreign.image(self.mild.image(image_e))
 
 
 def plan_case(case: Case, spec_path: Path) -> Plan:
