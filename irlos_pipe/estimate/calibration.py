@@ -37,6 +37,8 @@ from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings
 
+MISFIT, MISFIT_ROUNDS = 1.3, 3  # χ²/ν from which few frames are weighed by it; how often at most
+
 Fit = tuple[ImageFit, Solution]
 
 
@@ -167,14 +169,16 @@ def calibrate(
     device : str
     report : callable, optional
         Called with the number of finished frames, for a progress bar.
-
     """
     began = time.perf_counter()
     options = options.resolved()
     effects = tuple(effects) if METHODS[options.method].effects else ()
     psf = options.scheme.psf_model(settings, range(2, options.last_noll + 1), device)
     task = _Task(frames, psf, options, start_nm, report)
-    fit = _fit_steady(task, [effect for effect in effects if not drifts(effect)])
+    steady = [effect for effect in effects if not drifts(effect)]
+    fit = _fit_steady(task, steady)
+    if not frames.show_scatter and METHODS[options.method].effects:
+        task, fit = _weighed_by_misfit(task, steady, fit)
     for effect in effects:
         if drifts(effect):
             frames_nm = linear_estimates(frames, *fit).frames_nm
@@ -243,6 +247,20 @@ def _fit_steady(task: _Task, effects: Sequence[Effect]) -> Fit:
         placed |= {index: best_start(fit[0], fit[1].values[:1], effects[index]) for index in now}
         fit = task.fit([placed[index] for index in sorted(placed)], fit)
     return fit
+
+
+def _weighed_by_misfit(task: _Task, effects: Sequence[Effect], fit: Fit) -> tuple[_Task, Fit]:
+    """Fit a few frames again where the model misfits, so that noise and prior have their true weights.
+
+    Weights of known noise alone would have modes follow what is no wavefront, against any prior.
+    """
+    for _ in range(MISFIT_ROUNDS):
+        factor = float(fit[0].reduced_chi2(fit[1].values[:1])[0])
+        if factor < MISFIT:
+            break
+        task = replace(task, frames=replace(task.frames, misfit=task.frames.misfit * factor))
+        fit = _fit_steady(task, effects)
+    return task, fit
 
 
 def _result(

@@ -25,11 +25,14 @@ class Frames:
     good : tensor of bool, (rows, columns)
         True for good pixels.
     noise : NoiseModel
+    misfit : float
+        By which the variance of the mean is larger than that, because a model misfits (see `few_frames`).
     """
 
     images_e: torch.Tensor
     good: torch.Tensor
     noise: NoiseModel
+    misfit: float = 1.0
 
     @cached_property
     def mean_e(self) -> torch.Tensor:
@@ -61,9 +64,10 @@ def mean_variance_e2(frames: Frames) -> torch.Tensor:
     """
     photons = frames.noise.scatter_e2(frames.mean_e)
     if len(frames.images_e) == 1:
-        return photons + frames.noise.shared_e2
+        return frames.misfit * (photons + frames.noise.shared_e2)
     ratio = local_mean(frames.scatter_e2 / photons, frames.good.double())
-    return photons * ratio.clamp_min(1.0) / len(frames.images_e) + frames.noise.shared_e2
+    own = photons * ratio.clamp_min(1.0) / len(frames.images_e)
+    return frames.misfit * (own + frames.noise.shared_e2)
 
 
 def local_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:

@@ -97,6 +97,8 @@ def test_errors_of_one_frame_grow_with_the_misfit_but_not_beyond_the_prior(cube)
     )
     assert wrong.chi2_nu == pytest.approx(100 * told.chi2_nu, rel=0.05)
     assert wrong.sigma_nm == pytest.approx(told.sigma_nm, rel=0.1)
+    # weighed by the misfit, it is the fit with the true noise
+    assert wrong.zernike_nm == pytest.approx(told.zernike_nm, abs=0.2 * told.sigma_nm.min())
     assert np.all(wrong.sigma_nm[2:] < cases.PRIOR.sigma_nm(NOLLS)[2:].numpy())
 
 
