@@ -15,6 +15,8 @@ import torch
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.estimate.ramp_fit import RampData, RampFit
 
+COMPLETE_CHI2_NU = 1.2  # of images that a model explains; simulated ones have 1.0 within 0.1
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -37,6 +39,11 @@ class Comparison:
     better: float
     significance: float
     gap: tuple[float, float]
+
+    @property
+    def complete(self) -> bool:
+        """Return whether it leaves little but noise; else estimates of the focus share its errors."""
+        return self.chi2_nu[1] < COMPLETE_CHI2_NU
 
     def favours(self, sure: float) -> bool:
         """Return whether the candidate is `sure` σ better, and so in most of the frames."""

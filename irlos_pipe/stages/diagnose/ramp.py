@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -44,9 +45,13 @@ def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[s
         result = diagnose_ramp(ramp.commanded_nm, estimated, ~held_out, ctx.config.sure_sigma)
     except ValueError as problem:
         raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
+    if lens and not lens.comparison.complete:  # the stage is not to blame for errors of the model
+        result = replace(result, names=[], nearest=result.names or result.nearest)
     corrected = result.introduced_nm(ramp.commanded_nm)
     model, modes = _lift_model(ctx, ramp, lift) if fit is None else (fit.model.general, fit.result.zernike_nm)
     gap = ramp_gap(model, ramp.data, modes, ramp.commanded_nm, corrected, held_out)
+    if lens and not result.names:
+        gap = replace(gap, before=lens.comparison.gap[0], after=lens.comparison.gap[1])
     results = _results(ramp, result, lens, gap, estimated, corrected, time.perf_counter() - began)
     output = StageOutput(_arrays(ramp, estimated, corrected), results, summary=_summary(result, lens, gap))
     lenses = [entry(lens.effect.name, lens.public)] if lens else []
@@ -94,7 +99,7 @@ def _results(
         steps=[*_lens_steps(lens), *(_step(one, gap) for one in result.names)],
         nearest=_step(result.nearest[0], gap) if result.nearest else None,
         gap=gap_row(gap),
-        unexplained=result.verdict == "unknown",
+        unexplained=result.verdict == "unknown" or (lens is not None and not lens.comparison.complete),
         untestable=list(result.untestable),
         mdb=result.smallest,
         model=MODEL_FILE,
@@ -147,6 +152,14 @@ def _step(one: RampName, gap: Gap) -> StepRow:
 def sentence(result: RampDiagnosis, lens: LightPathName | None = None) -> str:
     """Return the verdict as a sentence; `lens` is what the images want of the light path."""
     if lens is not None:
+        if not lens.comparison.complete:
+            near = " and ".join(one.phrase for one in result.nearest)
+            left = f"Held-out frames still have χ²/ν {lens.comparison.chi2_nu[1]:.1f}"
+            more = f"; it would be {near}" if near else ""
+            return (
+                f"The images need {lens.phrase}. {left}: something else is missing in them, "
+                f"and no error of the focus stage can be named{more}."
+            )
         return f"The images need {lens.phrase}. With it: {_stage_sentence(result)}"
     return _stage_sentence(result)
 
