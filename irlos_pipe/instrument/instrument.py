@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from irlos_pipe.files.overrides import absolute
 from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.instrument.profile import Fact, ModeEntry, Profile, Ratio, SeeingScaleEntry, parse_profile
+from irlos_pipe.instrument.pupil import drawn
 
 PROFILES = Path(__file__).parent
 PROFILE_SUFFIXES = (".yaml", ".yml")
@@ -58,6 +59,8 @@ class Instrument:
         By the seeing monitor; ``sparta`` is always among them.
     profile : Profile
         The file, with unit, source and status of every value.
+    folder : Path
+        Of the file, from which the paths of maps count.
     """
 
     name: str
@@ -66,6 +69,7 @@ class Instrument:
     modes: dict[str, Mode]
     seeing_scales: dict[str, SeeingScale]
     profile: Profile
+    folder: Path = field(default=PROFILES, compare=False)
 
     @property
     def pupil(self) -> PupilGeometry:
@@ -79,7 +83,7 @@ class Instrument:
 
     def on(self, day: str) -> Instrument:
         """Return the instrument as it was on an ISO date `day` (``2021-03-20``)."""
-        return _instrument(self.profile, day)
+        return _instrument(self.profile, day, self.folder)
 
 
 def load_instrument(name_or_path: str | Path) -> Instrument:
@@ -98,7 +102,7 @@ def load_instrument(name_or_path: str | Path) -> Instrument:
     path = _profile_path(str(name_or_path))
     profile = parse_profile(*load_yaml(path), path)
     try:
-        return _instrument(profile, None)
+        return _instrument(profile, None, path.parent)
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from None
 
@@ -139,16 +143,17 @@ def _profile_path(name: str) -> Path:
     return PROFILES / f"{name}.yaml"
 
 
-def _instrument(profile: Profile, day: str | None) -> Instrument:
+def _instrument(profile: Profile, day: str | None, folder: Path) -> Instrument:
     values = _Values(profile.facts, day)
     return Instrument(
         name=profile.name,
-        facility=_facility(values),
+        facility=_facility(values, _pupil(profile, values, folder)),
         defaults={key: values.resolve(reference) for key, reference in profile.defaults.items()},
         modes={name: _mode(name, entry, values) for name, entry in profile.modes.items()},
         seeing_scales={SPARTA: SeeingScale()}
         | {name: _seeing_scale(name, entry, values) for name, entry in profile.seeing_scales.items()},
         profile=profile,
+        folder=folder,
     )
 
 
@@ -190,13 +195,13 @@ class _Values:
         return float(value)
 
 
-def _facility(values: _Values) -> Facility:
+def _facility(values: _Values, pupil: PupilGeometry) -> Facility:
     amplitude_nm, decay, plateau_nm = map(
         values.number, ("ncpa_amplitude_nm", "ncpa_decay", "ncpa_plateau_nm")
     )
     lines = tuple((float(hz), float(x), float(y)) for hz, x, y in values.get("vibration_lines", ()))
     return Facility(
-        pupil=_pupil(values),
+        pupil=pupil,
         photons_per_s_m15=values.number("photons_per_s_m15"),
         cutoff_per_m=values.number("ao_cutoff_per_m"),
         outer_scale_m=values.number("outer_scale_m"),
@@ -210,10 +215,15 @@ def _facility(values: _Values) -> Facility:
     )
 
 
-def _pupil(values: _Values) -> PupilGeometry:
-    width = float(values["pupil_vane_width_m"])
-    vanes = tuple(Vane(tuple(start), tuple(end), width) for start, end in values["pupil_vanes_m"])
-    return PupilGeometry(float(values["pupil_diameter_m"]), float(values["pupil_obscuration_m"]), vanes)
+def _pupil(profile: Profile, values: _Values, folder: Path) -> PupilGeometry:
+    width = float(values.get("pupil_vane_width_m", 0.0))
+    vanes = tuple(Vane(tuple(start), tuple(end), width) for start, end in values.get("pupil_vanes_m", ()))
+    obscuration_m = float(values.get("pupil_obscuration_m", 0.0))
+    try:
+        plain = PupilGeometry(values.number("pupil_diameter_m"), obscuration_m, vanes)
+        return drawn(plain, profile.pupil, folder) if profile.pupil else plain
+    except ValueError as problem:
+        raise ConfigurationError(f"pupil: {problem}") from None
 
 
 def _seeing_scale(name: str, entry: SeeingScaleEntry, values: _Values) -> SeeingScale:

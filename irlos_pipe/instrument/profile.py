@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.validation import Origins, require_valid
-
-# Facts that must be there, and the range a number must keep to make sense.
-REQUIRED_FACTS = {
-    "pupil_diameter_m": (0.01, 100),
-    "pupil_obscuration_m": (0, 100),
-    "pupil_vane_width_m": (0, 10),
-    "photons_per_s_m15": (1e-6, 1e12),
-    "amplifier_e_per_adu": (1e-9, 1e6),
-    "ao_cutoff_per_m": (1e-3, 1e3),
-    "outer_scale_m": (1, 1000),
-    "ao_residual_nm_per_arcsec": (0, 1e4),
-    "ao_residual_floor_nm": (0, 1e4),
-    "ncpa_amplitude_nm": (0, 1e4),
-    "ncpa_decay": (0, 100),
-    "ncpa_plateau_nm": (0, 1e4),
-    "seeing_arcsec": (0.01, 10),
-}
+from irlos_pipe.instrument.facts import DEFAULTS, require_facts
+from irlos_pipe.instrument.pupil import PupilSection
+from irlos_pipe.instrument.status import Status
 
 
 class _Section(BaseModel):
@@ -46,7 +32,7 @@ class Fact(_Section):
     value: Any = Field(description="the value itself")
     unit: str = Field(description="unit as text; '1' for a pure number")
     source: str = Field(min_length=1, description="where the value comes from")
-    status: Literal["adopted", "published", "unverified", "assumed"]
+    status: Status
     since: IsoDate | None = Field(None, description="first day on which the value held")
     until: IsoDate | None = Field(None, description="first day on which it no longer held")
 
@@ -93,13 +79,25 @@ class Profile(_Section):
     seeing_scales: dict[str, SeeingScaleEntry] = Field({}, description="monitor: its relation to SPARTA")
     modes: dict[str, ModeEntry] = Field({}, description="mode string of the header: properties")
 
+    pupil: PupilSection | None = Field(None, description="drawing of the pupil, beyond its facts")
+
     @model_validator(mode="after")
-    def _require_facts(self) -> Profile:
-        for name, (low, high) in REQUIRED_FACTS.items():
-            _require_number(name, self.facts.get(name), low, high)
-        _require_vanes(self.facts.get("pupil_vanes_m"))
-        _require_lines(self.facts.get("vibration_lines", []))
+    def _consistent(self) -> Profile:
+        unknown = [key for key in self.defaults if key not in DEFAULTS]
+        if unknown:
+            raise ValueError(
+                f"defaults: unknown side-car key '{unknown[0]}'{suggestion(unknown[0], DEFAULTS)}"
+            )
+        require_facts(self.facts, self._used(), modes=bool(self.modes))
         return self
+
+    def _used(self) -> set[str]:
+        """Names of facts to which other sections refer."""
+        references = self.defaults.values()
+        of_defaults = (name for one in references for name in ([one] if isinstance(one, str) else one.divide))
+        of_modes = (name for mode in self.modes.values() for name in (mode.pixel_scale, mode.apd_gain))
+        of_scales = (name for one in self.seeing_scales.values() for name in (one.ratio, one.offset_arcsec))
+        return {*of_defaults, *of_modes, *of_scales}
 
 
 def parse_profile(data: dict, lines: dict, path: Path) -> Profile:
@@ -111,40 +109,3 @@ def parse_profile(data: dict, lines: dict, path: Path) -> Profile:
         One line ``file:line: problem`` for everything that is wrong.
     """
     return require_valid(data, Profile, Origins(path, lines))
-
-
-def _require_number(name: str, entries: list[Fact] | None, low: float, high: float) -> None:
-    if entries is None:
-        raise ValueError(f"fact '{name}' is missing; the profile 'irlos' shows all facts")
-    for entry in entries:
-        if not isinstance(entry.value, (int, float)) or not low <= entry.value <= high:
-            raise ValueError(f"fact '{name}' = {entry.value!r} should be a number from {low:g} to {high:g}")
-
-
-def _require_vanes(entries: list[Fact] | None) -> None:
-    if entries is None:
-        raise ValueError("fact 'pupil_vanes_m' is missing")
-    for entry in entries:
-        if not isinstance(entry.value, list) or not all(map(_is_segment, entry.value)):
-            raise ValueError("fact 'pupil_vanes_m' should be a list of [[x, y], [x, y]] in metres")
-
-
-def _require_lines(entries: list[Fact]) -> None:
-    for entry in entries:
-        if not isinstance(entry.value, list) or not all(map(_is_line, entry.value)):
-            raise ValueError("fact 'vibration_lines' should be a list of [Hz, share_x, share_y]")
-
-
-def _is_line(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 3 and _are_finite(value) and min(value) >= 0
-
-
-def _is_segment(value: Any) -> bool:
-    points = value if isinstance(value, list) and len(value) == 2 else []
-    return len(points) == 2 and all(
-        isinstance(point, list) and len(point) == 2 and _are_finite(point) for point in points
-    )
-
-
-def _are_finite(numbers: list) -> bool:
-    return all(isinstance(number, (int, float)) and math.isfinite(number) for number in numbers)

@@ -1,0 +1,184 @@
+"""The section `pupil` of a profile: a pupil that is more than a disc with a hole and vanes of one width."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy.io import fits
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
+
+from irlos_pipe.conventions.placement import Flip, Placement
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed
+from irlos_pipe.conventions.pupil_parts import PARTS, AmplitudeMap, Part, Samples
+from irlos_pipe.conventions.text import suggestion
+from irlos_pipe.instrument.status import Status
+
+PLACEMENT_KEYS = ("rotation_deg", "flip", "centre_m")
+SCALE_KEYWORD = "PUPLSCAL"  # of the header of a map, metres per sample, as poppy writes it
+Point = tuple[float, float]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class VaneEntry(_Section):
+    """A vane with a width of its own."""
+
+    start_m: Point = Field(description="[x, y] where its middle line starts")
+    end_m: Point = Field(description="[x, y] where it ends")
+    width_m: float = Field(gt=0, description="full width")
+
+
+class MapEntry(_Section):
+    """A FITS image of amplitudes between 0 and 1."""
+
+    file: str = Field(min_length=1, description="path of the FITS file, counted from the profile")
+    metres_per_sample: float | None = Field(
+        None, gt=0, description=f"scale; the header's {SCALE_KEYWORD} if left out"
+    )
+
+
+class TurnRule(_Section):
+    """How the pupil turns on the detector: offset + Σ factor · angle, anticlockwise."""
+
+    offset_deg: float = Field(0.0, ge=-720, le=720, description="at angles of zero")
+    parallactic: float = Field(0.0, ge=-4, le=4, description="factor of the parallactic angle")
+    derotator: float = Field(0.0, ge=-4, le=4, description="factor of the derotator's angle")
+    altitude: float = Field(0.0, ge=-4, le=4, description="factor of the telescope's altitude")
+
+
+class PupilSection(_Section):
+    """What the facts of the pupil leave out; these still give diameter, central hole and plain vanes."""
+
+    source: str = Field(min_length=1, description="where the drawing comes from")
+    status: Status = Field(description="how far to trust it")
+    aperture: tuple[dict[str, Any], ...] = Field(
+        (), description="parts that light passes, one {name: {key: value}} each; the disc if left out"
+    )
+    obstructions: tuple[dict[str, Any], ...] = Field((), description="parts that stand in the way")
+    vanes: tuple[VaneEntry, ...] = Field((), description="vanes with widths of their own")
+    map: MapEntry | None = Field(None, description="FITS image of the aperture, instead of parts")
+    rotation_deg: float = Field(0.0, ge=-720, le=720, description="of all that is drawn, anticlockwise")
+    flip: Flip = Field("none", description="x exchanges left and right, y up and down, before the rotation")
+    shift_m: Point = Field((0.0, 0.0), description="[x, y], after the rotation")
+    turns: TurnRule | None = Field(None, description="how the pupil turns on the detector during the night")
+
+    @field_validator("aperture", "obstructions")
+    @classmethod
+    def _known_parts(cls, entries: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
+        for entry in entries:
+            part_of(entry)
+        return entries
+
+
+def drawn(plain: PupilGeometry, section: PupilSection, folder: Path) -> PupilGeometry:
+    """Return the pupil of a profile.
+
+    Parameters
+    ----------
+    plain : PupilGeometry
+        Disc, hole and vanes of the facts.
+    section : PupilSection
+    folder : Path
+        From which the path of a map counts.
+
+    Raises
+    ------
+    ValueError
+        For parts that contradict each other, and a map that cannot be used.
+    """
+    if section.map and section.aperture:
+        raise ValueError("map and aperture both say what light passes; give one of them")
+    if section.vanes and plain.vanes:
+        raise ValueError("vanes and the fact 'pupil_vanes_m' both give vanes; give one of them")
+    aperture = tuple(part_of(entry) for entry in section.aperture)
+    if section.map:
+        aperture = (read_map(folder / section.map.file, section.map.metres_per_sample),)
+    own = tuple(Vane(vane.start_m, vane.end_m, vane.width_m) for vane in section.vanes)
+    geometry = PupilGeometry(
+        plain.diameter_m,
+        plain.obscuration_m,
+        plain.vanes or own,
+        aperture,
+        tuple(part_of(entry) for entry in section.obstructions),
+    )
+    return placed(geometry, Placement.of(section.rotation_deg, section.flip, section.shift_m))
+
+
+def part_of(entry: dict[str, Any]) -> Part:
+    """Return the part that ``{name: {key: value}}`` describes.
+
+    Raises
+    ------
+    ValueError
+        Naming the nearest known name or key, or the value that does not fit.
+    """
+    if len(entry) != 1 or not isinstance(next(iter(entry.values())), dict):
+        raise ValueError(f"a part is {{name: {{key: value}}}}, not {entry!r}; parts: {', '.join(PARTS)}")
+    name, given = next(iter(entry.items()))
+    if name not in PARTS:
+        raise ValueError(f"unknown part '{name}'{suggestion(name, PARTS)}")
+    kind = PARTS[name]
+    own = {one.name: one for one in fields(kind) if one.name != "placement"}
+    for key in given:
+        if key not in own and key not in PLACEMENT_KEYS:
+            raise ValueError(f"{name}: unknown key '{key}'{suggestion(key, [*own, *PLACEMENT_KEYS])}")
+    for key, one in own.items():
+        if key not in given and one.default is MISSING:
+            raise ValueError(f"{name}: key '{key}' is missing")
+    placement = Placement.of(
+        _checked(name, "rotation_deg", float, given.get("rotation_deg", 0.0)),
+        _checked(name, "flip", Flip, given.get("flip", "none")),
+        _checked(name, "centre_m", Point, given.get("centre_m", (0.0, 0.0))),
+    )
+    assert is_dataclass(kind), "parts are dataclasses"
+    return _checked(name, "", kind, {key: given[key] for key in own if key in given}).placed(placement)
+
+
+def _checked(name: str, key: str, kind: Any, value: Any) -> Any:
+    """`value` as a `kind`."""
+    try:
+        return TypeAdapter(kind, config=None).validate_python(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join([name, *filter(None, [key]), *map(str, first["loc"])])
+        problem = first["msg"].removeprefix("Value error, ").removeprefix(f"{name}: ")
+        shown = f" = {first['input']!r}" if first["type"] != "value_error" else ""
+        raise ValueError(f"{where}{shown}: {problem}") from None
+
+
+def read_map(path: Path, metres_per_sample: float | None = None) -> AmplitudeMap:
+    """Read the amplitude of a pupil from the first image of a FITS file.
+
+    Parameters
+    ----------
+    path : Path
+    metres_per_sample : float, optional
+        Otherwise it is taken from the header.
+
+    Raises
+    ------
+    ValueError
+        For a file that cannot be read, a scale that is nowhere stated, and samples that are no amplitudes.
+    """
+    try:
+        with fits.open(path) as hdus:
+            image = next((hdu for hdu in hdus if hdu.is_image and hdu.data is not None), None)
+            values = None if image is None else np.asarray(image.data, dtype=np.float64)
+            scale = metres_per_sample or (None if image is None else image.header.get(SCALE_KEYWORD))
+    except (OSError, TypeError, ValueError) as error:
+        raise ValueError(f"map {path.name} cannot be read: {str(error).splitlines()[0]}") from None
+    if values is None:
+        raise ValueError(f"map {path.name} holds no image")
+    if not isinstance(scale, (int, float)) or not np.isfinite(scale):
+        raise ValueError(
+            f"map {path.name} has no scale; give map.metres_per_sample, or {SCALE_KEYWORD} in its header"
+        )
+    try:
+        return AmplitudeMap(Samples.of(values), float(scale))
+    except ValueError as problem:
+        raise ValueError(f"{problem} ({path.name})") from None
