@@ -1,4 +1,4 @@
-"""Bad pixels and cosmic hits, recognised by what they do over time and between neighbours.
+"""Bad pixels, recognised by what they do over time and between neighbours.
 
 Throughout, `images_e` are finite images (frames, rows, columns) [e-], `good` (rows, columns) is True for
 pixels not known to be bad, `sampling_px` is the number of pixels per λ/D at the shortest wavelength, and
@@ -10,16 +10,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import maximum_filter, median_filter
+from scipy.ndimage import maximum_filter, median_filter, uniform_filter
 from scipy.stats import chi2
 
 from irlos_pipe.frames.blocks import SAMPLE_FRAMES, blocks, sample_frames
-from irlos_pipe.frames.neighbour_prediction import Prediction, neighbour_prediction
+from irlos_pipe.frames.neighbour_prediction import REACH_PX, Prediction, neighbour_prediction
 from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE, NoiseModel
 from irlos_pipe.frames.recording import Detector
 
 FALSE_ALARM = 1e-4  # chance that statistics alone make one good pixel of the window look stuck
 HOT_OVER_PATTERN = 20.0  # sigma of the dark's own pattern, which may be a bias without shot noise
+UNUSUAL = 4.0  # sigma of the deviations around, as parts of the brightness
 MAX_ROUNDS = 60
 
 
@@ -118,14 +119,38 @@ def _deviation(
     mean = sample.mean(axis=0, dtype=np.float64)
     # a hot pixel must not excuse itself by its own photon noise
     expected = prediction.variance(noise.variance_e2(np.minimum(mean, prediction.of(mean))))
-    sigma = np.sqrt(np.maximum(expected, _seen_variance(residual)) * _variance_of_median(len(sample)))
+    sigma = np.sqrt(np.maximum(expected, seen_variance(residual)) * _variance_of_median(len(sample)))
     scale = max(1.0, 1.4826 * float(np.median((deviation / sigma)[good])))
-    limit = np.maximum(thresholds.sigma * scale * sigma, thresholds.fraction * prediction.local_rms(mean))
-    return deviation, limit
+    tolerated = np.maximum(
+        optical_limit(prediction, mean, thresholds), _usual(deviation, prediction, mean, good)
+    )
+    return deviation, np.maximum(thresholds.sigma * scale * sigma, tolerated)
 
 
-def _seen_variance(residual: np.ndarray) -> np.ndarray | float:
-    """Variance over time that is usual around each pixel; 0 with too few frames."""
+def optical_limit(prediction: Prediction, mean: np.ndarray, thresholds: Thresholds) -> np.ndarray:
+    """Return the deviation that optics and unequal response make of the brightness of a pixel [e-]."""
+    around = np.sqrt(uniform_filter(np.square(mean), size=2 * REACH_PX + 1, mode="nearest"))
+    by_optics = thresholds.sigma * prediction.error * around
+    return np.hypot(thresholds.fraction * _brightness(prediction, mean), by_optics)
+
+
+def _brightness(prediction: Prediction, mean: np.ndarray) -> np.ndarray:
+    """Brightness of a pixel as its neighbours have it, or theirs if that is more [e-]."""
+    return np.maximum(np.maximum(prediction.local_rms(mean), prediction.of(mean)), 1e-9)
+
+
+def _usual(deviation: np.ndarray, prediction: Prediction, mean: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Deviation that is not unusual for the brightness, judged by the pixels around [e-].
+
+    A detector near its full well, or with an unequal response, is no sharper a spot than a speckle is.
+    """
+    brightness = _brightness(prediction, mean)
+    relative = np.where(good, deviation / brightness, 0.0)
+    return UNUSUAL * 1.4826 * median_filter(relative, size=7, mode="nearest") * brightness
+
+
+def seen_variance(residual: np.ndarray) -> np.ndarray | float:
+    """Return the variance over time that is usual around each pixel of `residual`; 0 with too few frames."""
     if len(residual) < MIN_FRAMES_FOR_NOISE:
         return 0.0
     return median_filter(_inner_scatter(residual) ** 2, size=5, mode="nearest")
@@ -169,7 +194,8 @@ def noisy_pixels(
         if not worst.any():
             break
         found |= worst
-    return found
+    # a good pixel beside a noisy one may have been blamed first
+    return found & (ratio > thresholds.noisy_ratio)
 
 
 def _noise_ratio(
@@ -179,7 +205,7 @@ def _noise_ratio(
     mean = sample.mean(axis=0, dtype=np.float64)
     scatter = _inner_scatter(sample - prediction.of(sample))
     expected = np.sqrt(prediction.variance(noise.variance_e2(mean)))
-    tolerated = np.hypot(expected, thresholds.fraction * prediction.local_rms(mean) / thresholds.sigma)
+    tolerated = np.hypot(expected, optical_limit(prediction, mean, thresholds) / thresholds.sigma)
     ratio = scatter / tolerated
     return ratio / np.maximum(1.0, median_filter(ratio, size=9, mode="nearest"))
 
@@ -214,86 +240,6 @@ def hot_in_dark(dark_adu: np.ndarray, detector: Detector, thresholds: Thresholds
     return noisy & (excess > HOT_OVER_PATTERN * pattern)
 
 
-@dataclass(frozen=True)
-class Hits:
-    """Single pixels hit in single frames; three arrays of equal length."""
-
-    frame: np.ndarray
-    row: np.ndarray
-    column: np.ndarray
-
-    def per_pixel(self, window: tuple[int, int]) -> np.ndarray:
-        """Return the number of frames in which each pixel of the window was hit, (rows, columns)."""
-        counts = np.zeros(window, dtype=int)
-        np.add.at(counts, (self.row, self.column), 1)
-        return counts
-
-    def outside(self, pixels: np.ndarray) -> Hits:
-        """Return the hits on other pixels than `pixels` (rows, columns)."""
-        keep = ~pixels[self.row, self.column]
-        return Hits(self.frame[keep], self.row[keep], self.column[keep])
-
-
-def cosmic_hits(
-    images_e: np.ndarray,
-    frames: np.ndarray,
-    good: np.ndarray,
-    sampling_px: float,
-    noise: NoiseModel,
-    thresholds: Thresholds,
-) -> Hits:
-    """Find pixels that jump in single frames.
-
-    Parameters
-    ----------
-    images_e, good, sampling_px, noise
-        See the module.
-    frames : ndarray of int
-        Indices of the frames to search.
-    thresholds : Thresholds
-        `sigma` and `fraction` are used.
-    """
-    prediction = neighbour_prediction(good, sampling_px)
-    hits = [
-        (frame, row, column)
-        for frame in _suspicious_frames(images_e, frames, good, prediction, noise, thresholds)
-        for row, column in np.argwhere(
-            deviant_pixels(images_e[frame][None], good, sampling_px, noise, thresholds)
-        )
-    ]
-    return Hits(*np.array(hits, dtype=int).reshape(-1, 3).T)
-
-
-def _suspicious_frames(
-    images_e: np.ndarray,
-    frames: np.ndarray,
-    good: np.ndarray,
-    prediction: Prediction,
-    noise: NoiseModel,
-    thresholds: Thresholds,
-) -> list[int]:
-    """Frames in which any good pixel leaves its usual relation to its neighbours by more than the limit."""
-    sample = images_e[frames[sample_frames(len(frames))]]
-    usual = np.median(sample - prediction.of(sample), axis=0)
-    mean = sample.mean(axis=0, dtype=np.float64)
-    sigma = np.sqrt(prediction.variance(noise.variance_e2(mean)))
-    limit = np.maximum(thresholds.sigma * sigma, thresholds.fraction * prediction.local_rms(mean))
-    suspicious = []
-    for block in blocks(len(frames)):
-        searched = images_e[frames[block]]
-        excess = np.abs(searched - prediction.of(searched) - usual) > limit
-        suspicious.extend(frames[block][(excess & good).any(axis=(1, 2))].tolist())
-    return suspicious
-
-
-def flickering_pixels(hits: Hits, frames: int, window: tuple[int, int], fraction: float) -> np.ndarray:
-    """Find pixels of the `window` that are hit too often to be unlucky, (rows, columns).
-
-    Those are the pixels with `hits` in more than a `fraction` of so many `frames`, and in three at least.
-    """
-    return hits.per_pixel(window) > max(2, fraction * frames)
-
-
 def without_bad_pixels(images_e: np.ndarray, good: np.ndarray, sampling_px: float) -> np.ndarray:
     """Return `images_e` with pixels that are not `good` predicted from their good neighbours.
 
@@ -309,20 +255,3 @@ def without_bad_pixels(images_e: np.ndarray, good: np.ndarray, sampling_px: floa
         images[:, rows] = 0.0
         images[:, rows] = (weights @ images.T).T
     return filled.reshape(images_e.shape)
-
-
-def without_hits(images_e: np.ndarray, hits: Hits, good: np.ndarray, sampling_px: float) -> np.ndarray:
-    """Return `images_e` with the pixels of `hits` predicted from `good` ones of the same frame.
-
-    The `sampling_px` is that of the module.
-    """
-    if hits.frame.size == 0:
-        return images_e
-    cleaned = images_e.copy()
-    for frame in np.unique(hits.frame):
-        hit = np.zeros(good.shape, dtype=bool)
-        here = hits.frame == frame
-        hit[hits.row[here], hits.column[here]] = True
-        filled = without_bad_pixels(images_e[frame][None], good & ~hit, sampling_px)[0]
-        cleaned[frame][hit] = filled[hit]
-    return cleaned

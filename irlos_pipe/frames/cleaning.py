@@ -7,23 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
-from irlos_pipe.frames.bad_pixels import (
-    Hits,
-    Thresholds,
-    cosmic_hits,
-    deviant_pixels,
-    flickering_pixels,
-    hot_in_dark,
-    noisy_pixels,
-    stuck_pixels,
-    without_bad_pixels,
-    without_hits,
-)
+from irlos_pipe.frames.bad_pixels import Thresholds, hot_in_dark, stuck_pixels
 from irlos_pipe.frames.blocks import mean_frame, picked, sample_frames
 from irlos_pipe.frames.detector import estimate_pedestal, relative_flat, saturation_level, to_electrons
-from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2, measure_noise
-from irlos_pipe.frames.neighbour_prediction import MIN_SAMPLING_PX, is_well_sampled, neighbour_prediction
-from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.frames.hits import NO_HITS, Hits
+from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2
+from irlos_pipe.frames.pixel_search import PixelSearch
 from irlos_pipe.frames.raw import CalibrationMaps, RawFrames
 from irlos_pipe.frames.recording import Detector
 from irlos_pipe.frames.screening import (
@@ -36,8 +25,6 @@ from irlos_pipe.frames.screening import (
     saturated_frames,
     star_faults,
 )
-
-NO_HITS = Hits(*np.empty((3, 0), dtype=int))
 
 
 @dataclass(frozen=True)
@@ -76,7 +63,9 @@ class Cleaned:
     good : ndarray of bool, (rows, columns)
         True for good pixels.
     hits : Hits
-        Cosmic hits, already replaced in the images.
+        Clipped values and cosmic hits, already replaced in the images.
+    clipped : ndarray of bool, (rows, columns)
+        Pixels that are bad because they are clipped in many frames.
     background_variance_e2, dark_variance_e2 : float
         Variance per pixel beyond read noise and star, and of the dark image, see `Recording` [e-²].
     """
@@ -86,6 +75,7 @@ class Cleaned:
     good: np.ndarray
     background: Background
     hits: Hits
+    clipped: np.ndarray
     noise: MeasuredNoise
     saturation_adu: float | None
     background_variance_e2: float = 0.0
@@ -124,11 +114,15 @@ def clean(
     background = find_background(valid, raw.calibration, good)
     good &= ~(background.bad | _hot(raw.calibration.dark_adu, detector, thresholds))
     images = _finite(to_electrons(raw.adu, background.adu, background.flat, detector.e_per_adu))
-    search = _Search(sampling_px, detector, thresholds)
+    search = PixelSearch(sampling_px, detector, thresholds)
+    before = good
+    good, images, clipped = search.clipped(images, good, reasons, _step_e(raw.adu, detector))
+    clipped_often = before & ~good
     good, images = search.bad_pixels(images, good, reasons)
     reasons = star_faults(images, reasons, limits)
     good, images, hits = search.hits(images, good, reasons)
-    in_core = hit_in_core(hits, _mean(images, reasons), len(images), limits.core_fraction)
+    hits = clipped.outside(~good).and_those(hits)
+    in_core = hit_in_core(hits, _mean(images, reasons), len(images), limits)
     reasons = also(reasons, in_core, COSMIC)
     noise = search.noise(images, good, reasons)
     return Cleaned(
@@ -137,6 +131,7 @@ def clean(
         good=good,
         background=background,
         hits=hits,
+        clipped=clipped_often,
         noise=noise,
         saturation_adu=level,
         background_variance_e2=_background_variance_e2(raw.calibration, detector, noise),
@@ -186,53 +181,6 @@ def find_background(valid_adu: np.ndarray, maps: CalibrationMaps, good: np.ndarr
     return Background(np.full(window, level), flat, bad, level, error)
 
 
-class _Search:
-    """The search for what spoils single pixels, with its settings."""
-
-    def __init__(self, sampling_px: float, detector: Detector, thresholds: Thresholds) -> None:
-        self._well_sampled = is_well_sampled(sampling_px)
-        self._sampling_px = max(sampling_px, MIN_SAMPLING_PX)
-        self._noise, self._thresholds = NoiseModel.of_detector(detector), thresholds
-
-    def bad_pixels(
-        self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mask of good pixels and the images with the others filled in."""
-        sample = self._filled(_sample(images, reasons), good)
-        if self._well_sampled and len(sample):
-            good = good & ~deviant_pixels(sample, good, *self._settings)
-            good = good & ~noisy_pixels(sample, good, *self._settings)
-        return good, self._filled(images, good)
-
-    def hits(
-        self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, Hits]:
-        """Return mask, images without hits, and the hits; pixels hit again and again are bad."""
-        used = np.flatnonzero(reasons == "")
-        if not self._well_sampled or len(used) < 2:
-            return good, images, NO_HITS
-        hits = cosmic_hits(images, used, good, *self._settings)
-        flicker = flickering_pixels(hits, len(used), good.shape, self._thresholds.flicker_fraction)
-        hits = hits.outside(flicker)
-        good = good & ~flicker
-        images = self._filled(images, good) if flicker.any() else images
-        return good, without_hits(images, hits, good, self._sampling_px), hits
-
-    def noise(self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray) -> MeasuredNoise:
-        """Measure the noise of the frames in use."""
-        if not self._well_sampled:
-            return MeasuredNoise()
-        prediction = neighbour_prediction(good, self._sampling_px)
-        return measure_noise(_sample(images, reasons), good, prediction, self._noise)
-
-    @property
-    def _settings(self) -> tuple[float, NoiseModel, Thresholds]:
-        return self._sampling_px, self._noise, self._thresholds
-
-    def _filled(self, images: np.ndarray, good: np.ndarray) -> np.ndarray:
-        return without_bad_pixels(images, good, self._sampling_px)
-
-
 def _bad_in_counts(
     valid_adu: np.ndarray,
     declared: np.ndarray | None,
@@ -257,15 +205,14 @@ def _hot(dark_adu: np.ndarray | None, detector: Detector, thresholds: Thresholds
     return hot_in_dark(np.nan_to_num(dark_adu), detector, thresholds)
 
 
+def _step_e(adu: np.ndarray, detector: Detector) -> float:
+    """Step of the digitisation [e-]; 0 for counts that need not be whole."""
+    return detector.e_per_adu if adu.dtype.kind in "iu" else 0.0
+
+
 def _finite(images: np.ndarray) -> np.ndarray:
     """Return `images` with 0 for every value that is no number."""
     return np.nan_to_num(images, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-
-
-def _sample(images: np.ndarray, reasons: np.ndarray) -> np.ndarray:
-    """Frames in use that suffice for statistics over time."""
-    used = np.flatnonzero(reasons == "")
-    return images[used[sample_frames(len(used))]]
 
 
 def _mean(images: np.ndarray, reasons: np.ndarray) -> np.ndarray:
@@ -282,6 +229,7 @@ def _unusable(raw: RawFrames, reasons: np.ndarray) -> Cleaned:
         good=np.ones(raw.window, dtype=bool),
         background=background,
         hits=NO_HITS,
+        clipped=np.zeros(raw.window, dtype=bool),
         noise=MeasuredNoise(),
         saturation_adu=None,
     )

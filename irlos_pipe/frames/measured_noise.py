@@ -12,16 +12,20 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import convolve1d
+from scipy.optimize import nnls
 
 from irlos_pipe.frames.blocks import frame_variance, mean_frame, sample_frames
 from irlos_pipe.frames.neighbour_prediction import Prediction
-from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE, NoiseModel
+from irlos_pipe.frames.noise import NoiseModel
 
-PREDICTION_ERROR = 0.01  # of the local brightness; a pixel where it rivals the noise is left out
+PREDICTION_ERROR = 0.01  # of the local brightness; a pixel where it dominates the noise is left out
+DOMINATES = (0.1, 10.0)  # times the variance expected: of a single frame, and over time
 MIN_PIXELS = 100
+PHOTON_ERROR = 0.02  # of the photon noise that a single frame is relieved of before its floor is measured
 ROUNDS = 5
 SIGNIFICANT = 5.0  # sigma
 FINE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # along both axes: leaves what is finer than 3 pixels
+FAINTEST = 5.0  # percent of the pixels, where a noise beyond the declared one shows
 FAINT = 0.25  # part of the window, the faintest, where the star's own structure is least
 CHI2_MEDIAN = 0.4549  # of one degree of freedom
 
@@ -34,13 +38,17 @@ class MeasuredNoise:
     ----------
     floor_e2, floor_error_e2 : float
         Variance per pixel and frame at zero signal above the background, and its 1-sigma error [e-²].
-    excess_noise_factor : float
-        Slope of variance against signal (1 = Poisson).
+    excess_noise_factor, excess_noise_error : float
+        Slope of variance against signal (1 = Poisson), and its 1-sigma error.
+    corner_scatter_e : float
+        RMS over time of the darkest pixels: what neighbours share, as stripes and a halo, included [e-].
     """
 
     floor_e2: float = float("nan")
     floor_error_e2: float = float("nan")
     excess_noise_factor: float = float("nan")
+    excess_noise_error: float = float("nan")
+    corner_scatter_e: float = float("nan")
 
     def beyond_e2(self, known_e2: float) -> float:
         """Return the part of the floor that `known_e2` leaves unexplained; 0 unless significant [e-²]."""
@@ -51,10 +59,13 @@ class MeasuredNoise:
 def measure_noise(
     images_e: np.ndarray, good: np.ndarray, prediction: Prediction, declared: NoiseModel
 ) -> MeasuredNoise:
-    """Fit variance = floor + F·signal to the scatter of (pixel - prediction by its neighbours).
+    """Fit variance = floor + F·signal + k²·brightness² to the scatter of (pixel - prediction).
 
-    That difference is blind to speckles and image motion, so that the photon-transfer method
-    works on sky. The floor holds the read noise and the photon noise of dark current and sky.
+    The difference of a pixel from the prediction by its neighbours is blind to speckles and image motion, so
+    that the photon-transfer method works on sky; what is left of them, and of an unequal response, grows like
+    the brightness and is the third term. The floor holds the read noise and the photon noise of dark current
+    and sky. Of a single frame the difference itself takes the place of its scatter over time, where the star
+    is so faint that its own structure does not count; that tells the floor only.
 
     Parameters
     ----------
@@ -67,27 +78,55 @@ def measure_noise(
     declared : NoiseModel
         Where the weights start from.
     """
-    if len(images_e) < MIN_FRAMES_FOR_NOISE:
+    if not len(images_e):
         return MeasuredNoise()
     sample = images_e[sample_frames(len(images_e))]
+    single = len(sample) == 1
     signal = np.maximum(sample.mean(axis=0, dtype=np.float64), 0)
-    expected = prediction.variance(declared.variance_e2(signal))
-    usable = good & ((PREDICTION_ERROR * prediction.local_rms(signal)) ** 2 < 0.1 * expected)
-    if usable.sum() < MIN_PIXELS:
+    residual = sample - prediction.of(sample)
+    variance = residual[0] ** 2 if single else residual.var(axis=0, ddof=1)
+    if single:
+        signal = np.maximum(prediction.of(signal), 0)  # the pixel's own noise would weigh it
+    flat = prediction.variance(np.ones_like(signal))
+    photons, structure = prediction.variance(signal), prediction.local_rms(signal) ** 2
+    seen = float(np.percentile(variance[good] / flat[good], FAINTEST)) if good.any() else 0.0
+    expected = declared.excess_noise_factor * photons + max(declared.floor_e2, seen) * flat
+    usable = good & (PREDICTION_ERROR**2 * structure < DOMINATES[not single] * expected)
+    degrees = max(len(sample) - 1, 1) / prediction.dependence
+    if usable.sum() * degrees < MIN_PIXELS / prediction.dependence:
         return MeasuredNoise()
-    variance = (sample - prediction.of(sample)).var(axis=0, ddof=1)
-    terms = np.stack([prediction.variance(np.ones_like(signal)), prediction.variance(signal)], axis=-1)
-    return _fit(terms[usable], variance[usable], expected[usable], len(sample) - 1)
+    terms = np.stack([flat, photons, structure], axis=-1)[usable]
+    known = declared.excess_noise_factor * photons[usable] if single else np.zeros(len(terms))
+    terms = terms[:, :1] if single else terms
+    found = _fit(terms, known, variance[usable], expected[usable], degrees)
+    if not single:
+        return MeasuredNoise(*found[0], *found[1], _corner_scatter_e(sample, good))
+    floor, error = found[0]
+    return MeasuredNoise(floor, float(np.hypot(error, PHOTON_ERROR * np.median(known / terms[:, 0]))))
 
 
-def _fit(terms: np.ndarray, variance: np.ndarray, expected: np.ndarray, degrees: int) -> MeasuredNoise:
-    """Linear fit whose weights follow the fitted variance: a variance scatters in proportion to itself."""
+def _corner_scatter_e(images_e: np.ndarray, good: np.ndarray) -> float:
+    mean_e = np.where(good, images_e.mean(axis=0, dtype=np.float64), np.inf)
+    darkest = mean_e <= np.percentile(mean_e[good], FAINTEST)
+    return float(np.sqrt(np.median(images_e[:, darkest].var(axis=0, ddof=1, dtype=np.float64))))
+
+
+def _fit(
+    terms: np.ndarray, known: np.ndarray, variance: np.ndarray, expected: np.ndarray, degrees: float
+) -> list[tuple[float, float]]:
+    """Coefficients of ``variance = known + terms``, none negative, each with its error.
+
+    The weights follow the fitted variance, for a variance scatters in proportion to itself.
+    """
     for _ in range(ROUNDS):
         weighted = terms / expected[:, None]
-        (floor, slope), *_ = np.linalg.lstsq(weighted, variance / expected, rcond=None)
-        expected = np.maximum(terms @ (floor, slope), 0.05 * expected)
-    covariance = np.linalg.inv(weighted.T @ weighted) * 2 / degrees
-    return MeasuredNoise(float(floor), float(np.sqrt(covariance[0, 0])), float(slope))
+        solution, _ = nnls(weighted, (variance - known) / expected)
+        expected = np.maximum(known + terms @ solution, 0.05 * expected)
+    present = solution > 0
+    inside = weighted[:, present]
+    errors = np.full(len(solution), np.nan)
+    errors[present] = np.sqrt(np.diag(np.linalg.inv(inside.T @ inside)) * 2 / degrees)
+    return list(zip(solution.tolist(), errors.tolist(), strict=True))
 
 
 def mean_variance(stack: np.ndarray) -> float:

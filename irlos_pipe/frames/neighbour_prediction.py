@@ -7,13 +7,16 @@ test therefore holds in the core of a bright star as well as in its wings, whate
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from scipy.signal import correlate2d
 from scipy.sparse import csr_matrix
 from scipy.special import j1
 
-REACH_PX = 2  # neighbours are the other pixels of a (2 * REACH_PX + 1) square
-NUGGET = 1e-5  # white noise over signal in the prediction's weights; keeps them finite
+REACH_PX = 3  # neighbours are the other pixels of a (2 * REACH_PX + 1) square
+NEAR_PX = 2  # neighbours whose brightness tells how bright a pixel could be
+NUGGET = 1e-4  # variance over signal squared that the weights allow for: noise, 1 % of unequal response
 CUTOFF_MARGIN = 1.1  # room for an error of the pixel scale
 MIN_SAMPLING_PX = 2.4  # pixels per lambda/D below which neighbours no longer determine a pixel
 
@@ -25,13 +28,26 @@ class Prediction:
     Attributes
     ----------
     weights : sparse matrix, (pixels, pixels)
-        Row p gives pixel p from the others; bad pixels have empty columns.
+        Row p gives pixel p from the others; the columns of bad pixels are 0.
     average : sparse matrix, (pixels, pixels)
-        Plain mean of the same neighbours.
+        Plain mean of the neighbours within `NEAR_PX`.
+    error : ndarray, (rows, columns)
+        RMS of (pixel - prediction) without noise, over that of the image: detail that the neighbours leave
+        open. It grows where some of them are missing.
+    kernel : ndarray, (2 * REACH_PX + 1, 2 * REACH_PX + 1)
+        (pixel - prediction) of a pixel with all its neighbours.
     """
 
     weights: csr_matrix
     average: csr_matrix
+    error: np.ndarray
+    kernel: np.ndarray
+
+    @property
+    def dependence(self) -> float:
+        """Pixels that count as one in a mean of (pixel - prediction)², for they share neighbours."""
+        correlation = correlate2d(self.kernel, self.kernel) / np.sum(self.kernel**2)
+        return float(np.sum(correlation**2))
 
     def of(self, images: np.ndarray) -> np.ndarray:
         """Return the predicted images, (..., rows, columns) like `images`."""
@@ -39,7 +55,10 @@ class Prediction:
 
     def variance(self, pixel_variance: np.ndarray) -> np.ndarray:
         """Return the variance of (pixel - prediction), from `pixel_variance` of independent pixels."""
-        return pixel_variance + _apply(self.weights.multiply(self.weights).tocsr(), pixel_variance)
+        squares = csr_matrix(
+            (self.weights.data**2, self.weights.indices, self.weights.indptr), self.weights.shape
+        )
+        return pixel_variance + _apply(squares, pixel_variance)
 
     def local_rms(self, image: np.ndarray) -> np.ndarray:
         """Return the root mean square of the neighbours of every pixel."""
@@ -66,14 +85,17 @@ def neighbour_prediction(good: np.ndarray, sampling_px: float) -> Prediction:
         Pixels per lambda/D at the shortest wavelength.
     """
     offsets = _neighbour_offsets()
-    available, index = _neighbours(good, offsets)
+    inside, index = _neighbours(good.shape)
+    available = inside & good.ravel()[index]
     # most pixels have all their neighbours; each pattern of those that are missing is solved once
-    code = available @ (1 << np.arange(len(offsets)))
+    code = available @ (1 << np.arange(len(offsets), dtype=np.int64))
     _, first, which = np.unique(code, return_index=True, return_inverse=True)
-    solved = [_kriging_weights(offsets, available[pixel], sampling_px) for pixel in first]
-    weights = np.stack(solved)[which]
-    counts = np.maximum(available.sum(axis=1, keepdims=True), 1)
-    return Prediction(_sparse(weights, index), _sparse(available / counts, index))
+    solved = [_kriging_weights(tuple(available[pixel].tolist()), sampling_px) for pixel in first]
+    weights = np.stack([pattern for pattern, _ in solved])[which]
+    error = np.array([left for _, left in solved])[which].reshape(good.shape)
+    near = available & (np.abs(offsets).max(axis=1) <= NEAR_PX)
+    counts = np.maximum(near.sum(axis=1, keepdims=True), 1)
+    return Prediction(_sparse(weights, index), _sparse(near / counts, index), error, _kernel(sampling_px))
 
 
 def _neighbour_offsets() -> np.ndarray:
@@ -81,26 +103,39 @@ def _neighbour_offsets() -> np.ndarray:
     return np.array([(dy, dx) for dy in reach for dx in reach if (dy, dx) != (0, 0)])
 
 
-def _neighbours(good: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whether each neighbour of each pixel exists and is good, and its flat index; (pixels, neighbours)."""
-    rows, columns = good.shape
+@lru_cache(maxsize=16)
+def _neighbours(window: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Whether each neighbour of each pixel of a window exists, and its flat index; (pixels, neighbours)."""
+    rows, columns = window
+    offsets = _neighbour_offsets()
     y = np.arange(rows)[:, None, None] + offsets[:, 0]
     x = np.arange(columns)[None, :, None] + offsets[:, 1]
     y, x = np.broadcast_arrays(y, x)
     inside = (y >= 0) & (y < rows) & (x >= 0) & (x < columns)
-    y, x = np.clip(y, 0, rows - 1), np.clip(x, 0, columns - 1)
-    shape = (good.size, len(offsets))
-    return (inside & good[y, x]).reshape(shape), (y * columns + x).reshape(shape)
+    index = np.clip(y, 0, rows - 1) * columns + np.clip(x, 0, columns - 1)
+    shape = (rows * columns, len(offsets))
+    return inside.reshape(shape), index.astype(np.int32).reshape(shape)
 
 
-def _kriging_weights(offsets: np.ndarray, available: np.ndarray, sampling_px: float) -> np.ndarray:
-    weights = np.zeros(len(offsets))
-    used = offsets[available]
-    if len(used):
-        separation = np.hypot(*(used[:, None] - used[None]).transpose(2, 0, 1))
-        matrix = _covariance(separation, sampling_px) + NUGGET * np.eye(len(used))
-        weights[available] = np.linalg.solve(matrix, _covariance(np.hypot(*used.T), sampling_px))
-    return weights
+@lru_cache(maxsize=10_000)
+def _kriging_weights(available: tuple[bool, ...], sampling_px: float) -> tuple[np.ndarray, float]:
+    """Weights of the neighbours, 0 for those not available, and the error; patterns recur between frames."""
+    weights, mask = np.zeros(len(available)), np.array(available)
+    used = _neighbour_offsets()[mask]
+    if not len(used):
+        return weights, 1.0
+    separation = np.hypot(*(used[:, None] - used[None]).transpose(2, 0, 1))
+    between = _covariance(separation, sampling_px)
+    towards = _covariance(np.hypot(*used.T), sampling_px)
+    own = np.linalg.solve(between + NUGGET * np.eye(len(used)), towards)
+    weights[mask] = own
+    return weights, float(np.sqrt(max(0.0, 1 - 2 * own @ towards + own @ between @ own)))
+
+
+def _kernel(sampling_px: float) -> np.ndarray:
+    weights, _ = _kriging_weights((True,) * len(_neighbour_offsets()), sampling_px)
+    side = 2 * REACH_PX + 1
+    return np.insert(-weights, len(weights) // 2, 1.0).reshape(side, side)
 
 
 def _covariance(distance_px: np.ndarray, sampling_px: float) -> np.ndarray:
@@ -110,10 +145,8 @@ def _covariance(distance_px: np.ndarray, sampling_px: float) -> np.ndarray:
 
 def _sparse(values: np.ndarray, index: np.ndarray) -> csr_matrix:
     pixels, neighbours = values.shape
-    starts = np.arange(0, pixels * neighbours + 1, neighbours)
-    matrix = csr_matrix((values.ravel(), index.ravel(), starts), shape=(pixels, pixels))
-    matrix.eliminate_zeros()
-    return matrix
+    starts = np.arange(0, pixels * neighbours + 1, neighbours, dtype=np.int32)
+    return csr_matrix((values.ravel(), index.ravel(), starts), shape=(pixels, pixels))
 
 
 def _apply(matrix: csr_matrix, images: np.ndarray) -> np.ndarray:

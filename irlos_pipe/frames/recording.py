@@ -12,7 +12,8 @@ import numpy as np
 
 from irlos_pipe.frames.blocks import mean_frame, picked
 
-RECIPE, SIDECAR, HEADER, PROFILE = "recipe", "side-car", "header", "instrument profile"  # sources of values
+# sources of values
+RECIPE, SIDECAR, HEADER, PROFILE, FRAMES = "recipe", "side-car", "header", "instrument profile", "measured"
 
 
 @dataclass(frozen=True)

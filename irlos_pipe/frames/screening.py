@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from irlos_pipe.frames.bad_pixels import Hits
 from irlos_pipe.frames.blocks import blocks, frame_flux, sample_frames
+from irlos_pipe.frames.hits import Hits
 
 REPEATED_COUNTER = "frame counter repeated"
 REPEATED_IMAGE = "image repeated"
@@ -40,6 +40,8 @@ class Limits:
         Deviation from the median flux over its robust scatter, and over the median; both must be exceeded.
     core_fraction : float
         Pixels brighter than this fraction of the peak are the core.
+    core_hits_px : int
+        Hit pixels of the core that are tolerated; their neighbours determine so few.
     """
 
     saturated_px: int
@@ -48,6 +50,7 @@ class Limits:
     flux_sigma: float
     flux_fraction: float
     core_fraction: float
+    core_hits_px: int
 
 
 def no_reasons(frames: int) -> np.ndarray:
@@ -190,12 +193,10 @@ def flux_outliers(flux_e: np.ndarray, used: np.ndarray, limits: Limits) -> np.nd
     return (deviation > limits.flux_sigma * scatter) & (deviation > limits.flux_fraction * abs(median))
 
 
-def hit_in_core(hits: Hits, mean_e: np.ndarray, frames: int, core_fraction: float) -> np.ndarray:
-    """Return which of so many `frames` have one of the `hits` in the core of the star, (frames,).
+def hit_in_core(hits: Hits, mean_e: np.ndarray, frames: int, limits: Limits) -> np.ndarray:
+    """Return which of so many `frames` have more `hits` in the core of the star than `limits` tolerates.
 
     The core are pixels of the mean image `mean_e` brighter than `core_fraction` of its peak.
     """
-    in_core = mean_e[hits.row, hits.column] > core_fraction * mean_e.max()
-    wrong = np.zeros(frames, dtype=bool)
-    wrong[hits.frame[in_core]] = True
-    return wrong
+    in_core = mean_e[hits.row, hits.column] > limits.core_fraction * mean_e.max()
+    return np.bincount(hits.frame[in_core], minlength=frames) > limits.core_hits_px

@@ -183,11 +183,15 @@ def _acquisition(raw: RawRecording, values: Mapping[str, Any], sources: dict[str
 
 
 def _detector(values: Mapping[str, Any]) -> Detector:
+    """Constants of a frame; the keys are those of one exposure, of which a frame is the sum or mean."""
+    coadds = values.get("detector.coadds", 1)
+    averaged = values.get("detector.coadds_averaged", False)
+    saturation = values.get("detector.saturation_adu")
     return Detector(
-        values["detector.e_per_adu"],
-        values["detector.read_noise_e"],
-        values.get("detector.excess_noise_factor", 1.0),
-        values.get("detector.saturation_adu"),
+        e_per_adu=values["detector.e_per_adu"] * (coadds if averaged else 1),
+        read_noise_e=values["detector.read_noise_e"] * coadds**0.5,
+        excess_noise_factor=values.get("detector.excess_noise_factor", 1.0),
+        saturation_adu=saturation if saturation is None or averaged else saturation * coadds,
     )
 
 

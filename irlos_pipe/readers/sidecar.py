@@ -51,6 +51,8 @@ class DetectorKeys(_Section):
     read_noise_e: float | None = Field(None, ge=0, le=1e5, description="RMS per pixel and frame in e-")
     excess_noise_factor: float | None = Field(None, ge=1, le=10, description="photon variance over Poisson's")
     saturation_adu: float | None = Field(None, gt=0, description="raw level that counts as saturated")
+    coadds: int | None = Field(None, ge=1, le=10**6, description="exposures in a frame")
+    coadds_averaged: bool | None = Field(None, description="mean of the exposures, not their sum")
 
 
 class AcquisitionKeys(_Section):

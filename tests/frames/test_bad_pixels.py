@@ -5,15 +5,13 @@ import pytest
 from helpers.sparta_files import SAMPLING_PX, frames_e, star
 
 from irlos_pipe.frames.bad_pixels import (
-    cosmic_hits,
     deviant_pixels,
-    flickering_pixels,
     hot_in_dark,
     noisy_pixels,
     stuck_pixels,
     without_bad_pixels,
-    without_hits,
 )
+from irlos_pipe.frames.hits import cosmic_hits, flickering_pixels, without_hits
 from irlos_pipe.frames.neighbour_prediction import is_well_sampled, neighbour_prediction
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Detector

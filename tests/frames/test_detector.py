@@ -152,5 +152,14 @@ def test_an_insignificant_excess_of_noise_is_not_reported():
     assert MeasuredNoise().beyond_e2(1.0) == 0
 
 
-def test_a_few_frames_are_too_few_to_measure_noise():
-    assert np.isnan(measured(frames_e(star(64, 64), 5)).floor_e2)
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_noise_is_measured_in_few_frames_and_in_one(count):
+    """In one, from the differences of neighbours where the star is faint: to a tenth of 100 e-²."""
+    noise = measured(frames_e(star(64, 64, flux_e=1e5), count, read_noise_e=10.0))
+    assert noise.floor_e2 == pytest.approx(100.0, abs=5 * noise.floor_error_e2)
+    assert noise.floor_error_e2 < 12
+    assert np.isnan(noise.excess_noise_factor) == (count == 1)
+
+
+def test_a_window_filled_by_the_star_does_not_tell_the_noise_of_one_frame():
+    assert np.isnan(measured(frames_e(star(16, 16, flux_e=3e6), 1)).floor_e2)

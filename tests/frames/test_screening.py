@@ -5,7 +5,7 @@ import pytest
 from helpers.sparta_files import counts, frames_e, star
 
 from irlos_pipe.frames import screening
-from irlos_pipe.frames.bad_pixels import Hits
+from irlos_pipe.frames.hits import Hits
 from irlos_pipe.frames.screening import (
     hit_in_core,
     no_reasons,
@@ -131,10 +131,15 @@ def test_reasons_found_earlier_stay():
     assert star_faults(cube, reasons, LIMITS).tolist() == only(2, screening.SATURATED)
 
 
-def test_a_hit_rejects_a_frame_only_in_the_core():
+def test_many_hits_reject_a_frame_only_in_the_core():
     peak = np.unravel_index(IMAGE.argmax(), IMAGE.shape)
-    hits = Hits(frame=np.array([1, 2]), row=np.array([peak[0], 0]), column=np.array([peak[1], 0]))
-    assert hit_in_core(hits, IMAGE, 4, LIMITS.core_fraction).tolist() == [False, True, False, False]
+    number = LIMITS.core_hits_px + 1
+    hits = Hits(
+        frame=np.repeat([1, 2, 3], [number, number, number - 1]),
+        row=np.repeat([peak[0], 0, peak[0]], [number, number, number - 1]),
+        column=np.repeat([peak[1], 0, peak[1]], [number, number, number - 1]),
+    )
+    assert hit_in_core(hits, IMAGE, 4, LIMITS).tolist() == [False, True, False, False]
 
 
 def test_reasons_are_counted():

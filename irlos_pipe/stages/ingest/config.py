@@ -24,7 +24,7 @@ class Config(StageConfig):
         8.0, ge=3, le=100, description="deviation from the neighbours over the noise"
     )
     bad_pixel_fraction: float = Field(
-        0.1, ge=0.02, le=1, description="the same over the neighbours' brightness"
+        0.07, ge=0.02, le=1, description="the same over the neighbours' brightness"
     )
     stuck_ratio: float = Field(0.3, ge=0, lt=1, description="scatter of a stuck pixel over the read noise")
     noisy_ratio: float = Field(
@@ -42,6 +42,7 @@ class Config(StageConfig):
     )
     flux_fraction: float = Field(0.3, gt=0, le=10, description="flux outlier: deviation over the median")
     core_fraction: float = Field(0.1, gt=0, lt=1, description="of the peak: brighter pixels are the core")
+    max_core_hits_px: int = Field(4, ge=0, description="hit pixels tolerated in the core; they are replaced")
 
     max_rejected_fraction: float = Field(0.2, ge=0, le=1, description="QC limit, of the frames")
     max_saturated_fraction: float = Field(0.05, ge=0, le=1, description="QC limit, of the frames")
@@ -70,6 +71,7 @@ class Config(StageConfig):
             flux_sigma=self.flux_sigma,
             flux_fraction=self.flux_fraction,
             core_fraction=self.core_fraction,
+            core_hits_px=self.max_core_hits_px,
         )
 
     def keys_for(self, input_name: str) -> AcquisitionKeys:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from irlos_pipe.frames.believed_detector import constants
 from irlos_pipe.frames.blocks import frame_flux
 from irlos_pipe.frames.cleaning import Cleaned
 from irlos_pipe.frames.detector import star_position
@@ -15,7 +16,7 @@ from irlos_pipe.product.product import Check
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.stages.ingest.config import Config
 from irlos_pipe.stages.ingest.recording_arrays import found_bad
-from irlos_pipe.stages.ingest.results import RecordingRow
+from irlos_pipe.stages.ingest.results import NoiseRow, RecordingRow
 from irlos_pipe.stages.ingest.sources import Source
 
 
@@ -48,6 +49,7 @@ def row(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> RecordingR
         saturated_frames=int(np.sum(recording.reason == SATURATED)),
         bad_pixels=np.argwhere(~recording.good).tolist(),
         bad_pixels_found=found_bad(recording, raw).tolist(),
+        clipped_pixels=np.argwhere(cleaned.clipped).tolist(),
         cosmic_hits=int(cleaned.hits.frame.size),
         centre_offset_px=centre_offset_px(recording),
         pedestal_adu=cleaned.background.pedestal_adu,
@@ -56,8 +58,24 @@ def row(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> RecordingR
         excess_noise_measured=cleaned.noise.excess_noise_factor,
         background_variance_e2=recording.background_variance_e2,
         dark_variance_e2=recording.dark_variance_e2,
+        noise={
+            one.name: NoiseRow(used=one.used, source=one.source, measured=one.measured, error=one.error)
+            for one in constants(acquisition.detector, acquisition.sources, cleaned.noise)
+        },
+        corner_scatter_e=cleaned.noise.corner_scatter_e,
         sources=acquisition.sources,
     )
+
+
+def contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:
+    """Return one line per constant of the detector that the frames of a `recording` contradict."""
+    acquisition = recording.acquisition
+    return [
+        f"{recording.name}: {one.name} = {one.used:.4g} by the {one.source}, "
+        f"{one.measured:.4g} +- {one.error:.2g} by its frames"
+        for one in constants(acquisition.detector, acquisition.sources, cleaned.noise)
+        if one.contradicted
+    ]
 
 
 def dark_row(source: Source) -> RecordingRow:

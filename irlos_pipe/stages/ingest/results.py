@@ -8,6 +8,25 @@ from typing import ClassVar
 from irlos_pipe.product.results import Number, ResultsPart, StageResults
 
 
+class NoiseRow(ResultsPart):
+    """A constant of the detector, of a frame; the read noise as measured includes that of dark and sky.
+
+    Attributes
+    ----------
+    used : float
+        What the reduction goes on with.
+    source : str
+        Where that comes from: side-car, recipe, header, instrument profile or ``measured``.
+    measured, error : float
+        From the frames, the others taken as they are used; NaN where the frames do not tell.
+    """
+
+    used: Number = math.nan
+    source: str = ""
+    measured: Number = math.nan
+    error: Number = math.nan
+
+
 class RecordingRow(ResultsPart):
     """One recording; those of role ``dark`` have only the keys up to `mag_j`.
 
@@ -27,6 +46,8 @@ class RecordingRow(ResultsPart):
         Rejected frames by reason.
     bad_pixels, bad_pixels_found : list of (row, column)
         All masked pixels, and those of them that no map of dead pixels lists.
+    clipped_pixels : list of (row, column)
+        Those of the masked pixels that stop at a level of their own in many frames.
     cosmic_hits : int
         Replaced pixels, over all frames.
     centre_offset_px : (float, float)
@@ -35,6 +56,10 @@ class RecordingRow(ResultsPart):
         Noise as measured from the frames; NaN where it cannot be.
     background_variance_e2, dark_variance_e2 : float
         Variance per pixel beyond read noise and star, and of the dark image.
+    noise : dict of str to NoiseRow
+        Gain, read noise and excess noise by their side-car key.
+    corner_scatter_e : float
+        RMS over time of the darkest pixels, stripes and a changing halo included.
     sources : dict of str to str
         Where each key of the acquisition came from.
     """
@@ -54,6 +79,7 @@ class RecordingRow(ResultsPart):
     saturated_frames: int = 0
     bad_pixels: list[tuple[int, int]] = []
     bad_pixels_found: list[tuple[int, int]] = []
+    clipped_pixels: list[tuple[int, int]] = []
     cosmic_hits: int | None = None
     centre_offset_px: tuple[Number, ...] = ()
     pedestal_adu: Number = math.nan
@@ -62,6 +88,8 @@ class RecordingRow(ResultsPart):
     excess_noise_measured: Number = math.nan
     background_variance_e2: Number = math.nan
     dark_variance_e2: Number = math.nan
+    noise: dict[str, NoiseRow] = {}
+    corner_scatter_e: Number = math.nan
     sources: dict[str, str] = {}
 
     @property

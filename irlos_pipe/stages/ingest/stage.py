@@ -7,12 +7,15 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.conventions.units import NM, resolution_px
+from irlos_pipe.frames.believed_detector import READ_NOISE, believed
 from irlos_pipe.frames.cleaning import Cleaned, clean
-from irlos_pipe.frames.recording import Acquisition, Recording
-from irlos_pipe.frames.screening import tally
+from irlos_pipe.frames.recording import PROFILE, Acquisition, Recording
+from irlos_pipe.frames.screening import REPEATED_IMAGE, tally
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.readers.find import files_of as recording_parts
@@ -20,13 +23,13 @@ from irlos_pipe.readers.find import recording_files
 from irlos_pipe.readers.times import frames_missing, relative_times
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.ingest.config import Config
-from irlos_pipe.stages.ingest.output import checks, dark_row, row, summary
+from irlos_pipe.stages.ingest.output import checks, contradictions, dark_row, row, summary
 from irlos_pipe.stages.ingest.recording_arrays import arrays_of
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
 from irlos_pipe.stages.ingest.sources import Source, read_sources, with_darks
 
 NAME = "ingest"
-VERSION = 4
+VERSION = 5
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})
 
@@ -56,6 +59,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     for source in ctx.progress(stars, desc="ingest"):
         try:
             recording, cleaned = ingest(source, ctx.config, ctx.instrument)
+            for line in contradictions(recording, cleaned):
+                ctx.log.warning(line)
         except InputDataError as error:
             failures.append((source.input, str(error)))
             continue
@@ -69,7 +74,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
 
 
 def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Recording, Cleaned]:
-    """Clean one recording.
+    """Clean one recording; a second time where its frames contradict the profile's detector.
 
     Parameters
     ----------
@@ -83,15 +88,42 @@ def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Reco
     Raises
     ------
     InputDataError
-        None of its frames can be used.
+        None of its frames can be used, all are the same image, or the noise of a single one is not known.
     """
+    cleaned = _cleaned(source, config, instrument)
+    told = source.resolved.acquisition
+    detector, sources = believed(told.detector, told.sources, cleaned.noise)
+    if detector != told.detector:
+        acquisition = replace(told, detector=detector, sources=sources)
+        source = replace(source, resolved=replace(source.resolved, acquisition=acquisition))
+        cleaned = _cleaned(source, config, instrument)
+    if source.raw.frames == 1:
+        _require_noise_level(source, cleaned)
+    return _recording(source, cleaned), cleaned
+
+
+def _cleaned(source: Source, config: Config, instrument: Instrument) -> Cleaned:
     raw, acquisition = source.raw, source.resolved.acquisition
     sampling = sampling_px(acquisition, instrument)
     cleaned = clean(raw, acquisition.detector, sampling, config.thresholds(), config.limits())
     if not cleaned.used.any():
         counts = ", ".join(f"{number} x {reason}" for reason, number in tally(cleaned.reasons).items())
         raise InputDataError(f"{raw.path}: none of the {raw.frames} frames can be used: {counts}")
-    return _recording(source, cleaned), cleaned
+    if np.sum(cleaned.reasons == REPEATED_IMAGE) == raw.frames - 1 > 0:
+        raise InputDataError(
+            f"{raw.path}: all {raw.frames} frames are the same image, which tells nothing of their noise; "
+            "give it once, as one frame"
+        )
+    return cleaned
+
+
+def _require_noise_level(source: Source, cleaned: Cleaned) -> None:
+    told = source.resolved.acquisition.sources.get(READ_NOISE, PROFILE) != PROFILE
+    if not told and not cleaned.noise.floor_e2 > 0:
+        raise InputDataError(
+            f"{source.raw.path}: one frame, and its noise is not told nor can it be measured, for the star "
+            "fills the window; add detector.read_noise_e to the side-car (of dark, sky and read-out together)"
+        )
 
 
 def sampling_px(acquisition: Acquisition, instrument: Instrument) -> float:
