@@ -128,7 +128,17 @@ def _deviation(
 
 
 def optical_limit(prediction: Prediction, mean: np.ndarray, thresholds: Thresholds) -> np.ndarray:
-    """Return the deviation that optics and unequal response make of the brightness of a pixel [e-]."""
+    """Return the deviation that optics and unequal response make of the brightness of a pixel [e-].
+
+    Parameters
+    ----------
+    prediction : Prediction
+        Of each pixel by its good neighbours.
+    mean : ndarray, (rows, columns)
+        Mean image [e-].
+    thresholds : Thresholds
+        `fraction` and `sigma` are used.
+    """
     around = np.sqrt(uniform_filter(np.square(mean), size=2 * REACH_PX + 1, mode="nearest"))
     by_optics = thresholds.sigma * prediction.error * around
     return np.hypot(thresholds.fraction * _brightness(prediction, mean), by_optics)

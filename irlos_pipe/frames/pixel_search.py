@@ -41,7 +41,11 @@ class PixelSearch:
     def bad_pixels(
         self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mask of good pixels and the images with the others filled in."""
+        """Return the mask of good pixels and the images with the others filled in.
+
+        The `images` (frames, rows, columns) [e-] count where they have no `reasons` against them, `good` is
+        what is known of the pixels so far.
+        """
         sample = self._filled(used_sample(images, reasons), good)
         if self._well_sampled and len(sample):
             good = good & ~deviant_pixels(sample, good, *self._settings)
@@ -51,7 +55,11 @@ class PixelSearch:
     def clipped(
         self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray, step_e: float
     ) -> tuple[np.ndarray, np.ndarray, Hits]:
-        """Return mask and images without clipped values, and these; pixels clipped often are bad."""
+        """Return mask and images without clipped values, and these; pixels clipped often are bad.
+
+        The `images`, `good` and `reasons` are those of `bad_pixels`, `step_e` is the step of the digitisation
+        [e-], 0 if there is none.
+        """
         used = np.flatnonzero(reasons == "")
         if not self._well_sampled or len(used) < MIN_FRAMES_FOR_NOISE:
             return good, images, NO_HITS
@@ -67,14 +75,17 @@ class PixelSearch:
     def hits(
         self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, Hits]:
-        """Return mask, images without hits, and the hits; pixels hit again and again are bad."""
+        """Return mask, images without hits, and the hits; pixels hit again and again are bad.
+
+        The `images`, `good` and `reasons` are those of `bad_pixels`.
+        """
         used = np.flatnonzero(reasons == "")
         if not self._well_sampled or len(used) < 2:
             return good, images, NO_HITS
         return self._without(images, good, cosmic_hits(images, used, good, *self._settings), len(used))
 
     def noise(self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray) -> MeasuredNoise:
-        """Measure the noise of the frames in use."""
+        """Measure the noise; `images`, `good` and `reasons` are those of `bad_pixels`."""
         if not self._well_sampled:
             return MeasuredNoise()
         prediction = neighbour_prediction(good, self._sampling_px)
