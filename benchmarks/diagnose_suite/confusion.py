@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, RAMP_CLEAN, RAMP_OUTSIDE, RAMP_SINGLE, SINGLE
 from benchmarks.diagnose_suite.hidden import DRAWS
 from benchmarks.diagnose_suite.judging import EFFECT, NONE, UNKNOWN, Outcome, is_untestable, named
+from irlos_pipe.effects import CATALOGUE
 
 KINDS = (CLEAN, SINGLE, OUTSIDE, RAMP_CLEAN, RAMP_SINGLE, RAMP_OUTSIDE)
 NOTHING, NOT_IN_CATALOGUE, UNTESTABLE = "(nothing)", "(outside)", "(untestable)"
@@ -36,7 +37,7 @@ class Confusion:
     def of(cls, outcomes: Sequence[Outcome]) -> Confusion:
         """Of the cases with at most one hidden effect; pairs have no row."""
         rows = (NOTHING, *DRAWS, NOT_IN_CATALOGUE)
-        columns = (*DRAWS, UNTESTABLE, NONE, UNKNOWN)
+        columns = (*CATALOGUE, UNTESTABLE, NONE, UNKNOWN)
         counts = np.zeros((len(rows), len(columns)), int)
         for one in outcomes:
             if one["truth"]["kind"] in KINDS:
