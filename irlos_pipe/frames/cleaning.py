@@ -12,6 +12,7 @@ from irlos_pipe.frames.blocks import mean_frame, picked, sample_frames
 from irlos_pipe.frames.detector import estimate_pedestal, relative_flat, saturation_level, to_electrons
 from irlos_pipe.frames.hits import NO_HITS, Hits
 from irlos_pipe.frames.measured_noise import MeasuredNoise, dark_variance_e2
+from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE
 from irlos_pipe.frames.pixel_search import PixelSearch
 from irlos_pipe.frames.raw import CalibrationMaps, RawFrames
 from irlos_pipe.frames.recording import Detector
@@ -177,6 +178,8 @@ def find_background(valid_adu: np.ndarray, maps: CalibrationMaps, good: np.ndarr
         total = np.asarray(np.sum(given, axis=0, dtype=np.float64))
         return Background(np.nan_to_num(total), flat, bad | ~np.isfinite(total))
     mean = mean_frame(valid_adu)
+    if len(valid_adu) < MIN_FRAMES_FOR_NOISE:  # the darkest pixels would be those of the strongest noise
+        mean = median_filter(mean, size=5, mode="nearest")
     level, error = estimate_pedestal(np.where(good & ~bad, mean, np.nan))
     return Background(np.full(window, level), flat, bad, level, error)
 

@@ -63,7 +63,8 @@ def measure_noise(
 
     The difference of a pixel from the prediction by its neighbours is blind to speckles and image motion, so
     that the photon-transfer method works on sky; what is left of them, and of an unequal response, grows like
-    the brightness and is the third term. The floor holds the read noise and the photon noise of dark current
+    the brightness and is the third term; where it is not significant, the fit does without it and without
+    the pixels that it concerns most. The floor holds the read noise and the photon noise of dark current
     and sky. Of a single frame the difference itself takes the place of its scatter over time, where the star
     is so faint that its own structure does not count; that tells the floor only.
 
@@ -91,18 +92,20 @@ def measure_noise(
     photons, structure = prediction.variance(signal), prediction.local_rms(signal) ** 2
     seen = float(np.percentile(variance[good] / flat[good], FAINTEST)) if good.any() else 0.0
     expected = declared.excess_noise_factor * photons + max(declared.floor_e2, seen) * flat
-    usable = good & (PREDICTION_ERROR**2 * structure < DOMINATES[not single] * expected)
+    terms = np.stack([flat, photons, structure], axis=-1)
+    faint, most = (good & (PREDICTION_ERROR**2 * structure < limit * expected) for limit in DOMINATES)
     degrees = max(len(sample) - 1, 1) / prediction.dependence
-    if usable.sum() * degrees < MIN_PIXELS / prediction.dependence:
+    if faint.sum() * max(len(sample) - 1, 1) < MIN_PIXELS:
         return MeasuredNoise()
-    terms = np.stack([flat, photons, structure], axis=-1)[usable]
-    known = declared.excess_noise_factor * photons[usable] if single else np.zeros(len(terms))
-    terms = terms[:, :1] if single else terms
-    found = _fit(terms, known, variance[usable], expected[usable], degrees)
-    if not single:
-        return MeasuredNoise(*found[0], *found[1], _corner_scatter_e(sample, good))
-    floor, error = found[0]
-    return MeasuredNoise(floor, float(np.hypot(error, PHOTON_ERROR * np.median(known / terms[:, 0]))))
+    if single:
+        known = declared.excess_noise_factor * photons[faint]
+        ((floor, error),) = _fit(terms[faint, :1], known, variance[faint], expected[faint], degrees)
+        return MeasuredNoise(floor, float(np.hypot(error, PHOTON_ERROR * np.median(known / flat[faint]))))
+    none = np.zeros(1)
+    *found, (left, left_error) = _fit(terms[most], none, variance[most], expected[most], degrees)
+    if not left > SIGNIFICANT * left_error:
+        found = _fit(terms[faint, :2], none, variance[faint], expected[faint], degrees)
+    return MeasuredNoise(*found[0], *found[1], _corner_scatter_e(sample, good))
 
 
 def _corner_scatter_e(images_e: np.ndarray, good: np.ndarray) -> float:

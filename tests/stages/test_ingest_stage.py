@@ -254,6 +254,38 @@ def test_a_hit_in_the_core_costs_its_pixel_and_many_cost_the_frame(tmp_path):
     assert recording.reason[9] == "cosmic hit in the core"
 
 
+PROFILE_NOISE = {"detector": {"e_per_adu": 0.5}}
+
+
+def test_one_frame_has_the_noise_that_its_corners_show(tmp_path):
+    """10 e- instead of the profile's 1 e-, to a tenth."""
+    adu = frames_e(star(64, 64, flux_e=1e5), 1, read_noise_e=10.0) / 0.5
+    write_recorder(tmp_path / "rec", adu.astype(np.float32), keys=PROFILE_NOISE)
+    output = run(tmp_path)
+    noise = output.results.as_json()["inputs"][0]["noise"]["detector.read_noise_e"]
+    assert noise["source"] == "measured"
+    assert noise["used"] == pytest.approx(10.0, rel=0.1)
+    assert only_recording(output).acquisition.detector.read_noise_e == noise["used"]
+
+
+def test_one_frame_without_a_noise_level_is_refused_unless_it_is_told(tmp_path):
+    adu = counts(star(16, 16, flux_e=3e6), 1)
+    write_recorder(tmp_path / "rec", adu, keys=PROFILE_NOISE)
+    with pytest.raises(InputDataError, match="one frame, and its noise is not told") as caught:
+        run(tmp_path)
+    assert "\n" not in str(caught.value)
+    write_recorder(tmp_path / "rec", adu)
+    assert only_recording(run(tmp_path)).acquisition.detector.read_noise_e == 1.0
+
+
+@pytest.mark.parametrize(("averaged", "gain"), [(False, 0.5), (True, 12.5)])
+def test_a_coadded_frame_has_the_noise_of_all_its_exposures(tmp_path, averaged, gain):
+    told = {"e_per_adu": 0.5, "read_noise_e": 1.0, "coadds": 25, "coadds_averaged": averaged}
+    write_recorder(tmp_path / "rec", counts(IMAGE), keys={"detector": told})
+    detector = only_recording(run(tmp_path)).acquisition.detector
+    assert (detector.e_per_adu, detector.read_noise_e) == (gain, 5.0)
+
+
 def test_times_count_from_the_first_frame(tmp_path):
     times = {"Seconds": 1700000000 + np.arange(12) // 10, "USeconds": 100000 * (np.arange(12) % 10)}
     write_recorder(tmp_path / "rec", counts(IMAGE), times=times)

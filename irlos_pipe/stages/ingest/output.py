@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from irlos_pipe.frames.believed_detector import constants
+from irlos_pipe.frames.believed_detector import READ_NOISE, constants
 from irlos_pipe.frames.blocks import frame_flux
 from irlos_pipe.frames.cleaning import Cleaned
 from irlos_pipe.frames.detector import star_position
@@ -68,13 +68,16 @@ def row(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> RecordingR
 
 
 def contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:
-    """Return one line per constant of the detector that the frames of a `recording` contradict."""
+    """Return one line per constant of the detector that the frames of a `recording` contradict.
+
+    Dark current and sky explain a noise beyond the read noise, which `cleaned` allows for.
+    """
     acquisition = recording.acquisition
     return [
         f"{recording.name}: {one.name} = {one.used:.4g} by the {one.source}, "
         f"{one.measured:.4g} +- {one.error:.2g} by its frames"
         for one in constants(acquisition.detector, acquisition.sources, cleaned.noise)
-        if one.contradicted
+        if one.contradicted and not (one.name == READ_NOISE and one.measured > one.used)
     ]
 
 
