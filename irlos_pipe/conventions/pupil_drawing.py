@@ -90,6 +90,11 @@ class PupilGeometry:
         return not self.aperture and not self.obstructions
 
     @property
+    def vane_width_m(self) -> float:
+        """Mean width of the vanes [m]; 0 without any."""
+        return sum(vane.width_m for vane in self.vanes) / len(self.vanes) if self.vanes else 0.0
+
+    @property
     def map(self) -> AmplitudeMap | None:
         """The aperture, if it is a map."""
         return next((part for part in self.aperture if isinstance(part, AmplitudeMap)), None)
@@ -124,3 +129,23 @@ def placed(geometry: PupilGeometry, placement: Placement) -> PupilGeometry:
 def turned(geometry: PupilGeometry, angle_deg: float) -> PupilGeometry:
     """Return the pupil `geometry` turned anticlockwise about the axis by `angle_deg`."""
     return placed(geometry, Placement(rotation_deg=angle_deg))
+
+
+def with_sizes(
+    geometry: PupilGeometry, *, obscuration_m: float | None = None, vane_width_m: float | None = None
+) -> PupilGeometry:
+    """Return the pupil `geometry` with a hole and vanes of other sizes, as far as they are given.
+
+    Parameters
+    ----------
+    geometry : PupilGeometry
+    obscuration_m : float, optional
+    vane_width_m : float, optional
+        Mean width; all vanes are wider in the same ratio.
+    """
+    wider = 1.0 if vane_width_m is None else vane_width_m / geometry.vane_width_m
+    return replace(
+        geometry,
+        obscuration_m=geometry.obscuration_m if obscuration_m is None else obscuration_m,
+        vanes=tuple(replace(vane, width_m=wider * vane.width_m) for vane in geometry.vanes),
+    )

@@ -48,12 +48,15 @@ def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.nd
     Petals may move together, which tip, tilt and piston of the whole pupil do as well: the prior keeps
     such a direction at zero, and its width says nothing about the effect.
     """
-    sigma = np.array([p.prior_sigma for p in parameters])
-    scale = np.where(np.isfinite(sigma), sigma, np.sqrt(np.diag(covariance)) * FAR)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    sigma, variance = np.array([p.prior_sigma for p in parameters]), np.diag(covariance)
+    measured = np.isfinite(variance) & (variance > 0)  # not a direction in which the size is zero
+    scale = np.where(np.isfinite(sigma), sigma, np.sqrt(np.where(measured, variance, 1.0)) * FAR)
+    units = np.outer(scale, scale)
+    relative = np.where(np.outer(measured, measured), covariance, 0.0) / units
+    values, vectors = np.linalg.eigh(relative)
     kept = vectors[:, values < UNDETERMINED]
     projector = kept @ kept.T
-    return (projector @ (covariance / np.outer(scale, scale)) @ projector) * np.outer(scale, scale)
+    return (projector @ relative @ projector) * units
 
 
 def detectable(score: Score, gain: float) -> dict[str, Any]:

@@ -59,6 +59,8 @@ class Effect:
         Whether it adds a displaced image of the star, for which a diagnosis searches the whole window.
     repeatable : bool
         Whether a model may have several of its kind.
+    joins : str
+        Of effects with the same word, what `together` makes is one effect; by default those of one name.
     widens : str
         Effect of which this is a wider form: a diagnosis tries it where that one is found, and nowhere else.
     sentence, limit : str
@@ -84,6 +86,7 @@ class Effect:
     speckles: bool = False
     copies_star: bool = False
     repeatable: bool = False
+    joins: str = ""
     widens: str = ""
     sentence: str = ""
     limit: str = ""
@@ -136,7 +139,10 @@ class Effect:
 
     @classmethod
     def together(cls, effects: Sequence[Effect]) -> Effect | None:
-        """Several `effects` of this kind as one; None where each acts on what the one before it leaves."""
+        """Several `effects` of this kind, or with the same `joins`, as one.
+
+        None where each acts on what the one before it leaves.
+        """
         return None
 
     def apply(self, values: torch.Tensor, *light: Any, **more: Any) -> Any:

@@ -23,6 +23,7 @@ from irlos_pipe.effects.ghost import Ghost
 from irlos_pipe.effects.high_aperture import HighAperture
 from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.effects.motion import TipTiltJitter, Vibration
+from irlos_pipe.effects.pupil_geometry import PupilSizes
 from irlos_pipe.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
 from irlos_pipe.effects.seeing_halo import SeeingHalo
 from irlos_pipe.effects.segment_piston import SegmentPiston
@@ -39,6 +40,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         PlateScale,
         DiversityError,
         PupilMisregistration,
+        PupilSizes,
         AmplitudeAberration,
         LowWindEffect,
         SegmentPiston,

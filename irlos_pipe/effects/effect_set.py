@@ -47,7 +47,7 @@ class EffectSet:
         """The effects one after the other with their parts of the parameter vector, some kinds as one."""
         pairs = zip(self.effects, self._pieces, strict=True)
         acting: list[Acting] = []
-        for _, group in groupby(pairs, key=lambda pair: pair[0].name):
+        for _, group in groupby(pairs, key=lambda pair: pair[0].joins or pair[0].name):
             same, pieces = zip(*group, strict=True)
             joined = type(same[0].base).together(same) if len(same) > 1 else None
             if joined is None:

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned
+from irlos_pipe.conventions.pupil_drawing import turned
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public, number
 from irlos_pipe.effects.planes import PupilEffect
+from irlos_pipe.effects.redrawn_pupil import Drawing, RedrawnPupil
 from irlos_pipe.effects.zernike_table import ZernikeTable
 from irlos_pipe.optics.grids import PupilGrid
-from irlos_pipe.optics.pupil import band_limited
-from irlos_pipe.optics.pupil_edges import pupil_edges
+from irlos_pipe.optics.pupil_edges import Edges
 
-CELL_M = 0.008  # of the drawing
 DIRECTIONS = 8
 
 
-class PupilMisregistration(PupilEffect):
+class PupilMisregistration(RedrawnPupil):
     """An internal stop that does not lie on the image of the telescope pupil, and vanes that are turned.
 
     The stop has the outline and the central hole of the pupil, but no vanes or gaps between segments; light
@@ -30,8 +28,7 @@ class PupilMisregistration(PupilEffect):
     map, all of it.
 
     Any shift darkens a crescent at the rim and one at the hole, whichever way it goes: the image is not
-    differentiable in (dx, dy) at zero, but it is in (distance ≥ 0, direction). Edges are drawn on a grid
-    of a few mm and band-limited.
+    differentiable in (dx, dy) at zero, but it is in (distance ≥ 0, direction).
 
     Parameters
     ----------
@@ -40,7 +37,6 @@ class PupilMisregistration(PupilEffect):
     """
 
     name = "pupil_misregistration"
-    order = 0  # changes where there is light, before what multiplies it
     public = (
         number("dx_m", "m", -1.0, 1.0, role="component"),
         number("dy_m", "m", -1.0, 1.0, role="component"),
@@ -57,16 +53,20 @@ class PupilMisregistration(PupilEffect):
             Parameter("rotation_deg", "deg", rotation, 0.0, 5.0, -45.0, 45.0, plausible=(-15.0, 15.0)),
         )
 
-    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """See `PupilEffect.apply`."""
-        return field + _Moved.apply(values, grid) * grid.light
+    def redrawn(self, values: Sequence[float], drawing: Drawing) -> Drawing:
+        """See `RedrawnPupil.redrawn`."""
+        distance_m, direction_rad, rotation_deg = values
+        stop_m = (float(distance_m * np.cos(direction_rad)), float(distance_m * np.sin(direction_rad)))
+        return Drawing(turned(drawing.geometry, rotation_deg), stop_m)
 
-    def slopes(
-        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `PupilEffect.slopes`."""
-        every = torch.ones_like(grid.wavelengths_m, dtype=torch.complex128) * grid.light
-        return [every * _slope(grid, values, index) for index in wanted]
+    def edge_slope(self, values: Sequence[float], index: int, edges: Edges) -> np.ndarray:
+        """See `RedrawnPupil.edge_slope`."""
+        distance_m, direction_rad, _ = values
+        if index == 2:
+            return edges.turned() * np.pi / 180
+        towards = np.array([np.cos(direction_rad), np.sin(direction_rad)])
+        velocity = towards if index == 0 else distance_m * np.array([-towards[1], towards[0]])
+        return edges.moved((float(velocity[0]), float(velocity[1])))
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """Displacement of the stop and rotation of the vanes."""
@@ -96,61 +96,6 @@ class PupilMisregistration(PupilEffect):
         angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
         shifts = [FixedEffect(self, [0.0, angle, 0.0], free=("distance_m",)) for angle in angles]
         return [*shifts, FixedEffect(self, [0.0, 0.0, 0.0], free=("rotation_deg",))]
-
-
-class _Moved(torch.autograd.Function):
-    """Change of the band-limited amplitude, (n, n), for (distance, direction, rotation)."""
-
-    @staticmethod
-    def forward(values, grid):
-        return torch.tensor(_change(grid.geometry, grid.samples, *values.tolist()))
-
-    @staticmethod
-    def setup_context(ctx, inputs, output):
-        ctx.values, ctx.grid = inputs[0].detach(), inputs[1]
-
-    @staticmethod
-    def jvp(ctx, along, _):
-        return sum(rate * _slope(ctx.grid, ctx.values, i) for i, rate in enumerate(along.tolist()))
-
-    @staticmethod
-    def backward(ctx, upstream):
-        slopes = [(upstream * _slope(ctx.grid, ctx.values, i)).sum() for i in range(3)]
-        return torch.stack(slopes), None
-
-
-def _slope(grid: PupilGrid, values: torch.Tensor, index: int) -> torch.Tensor:
-    """Derivative of the amplitude with respect to distance, direction or rotation, (n, n)."""
-    distance_m, direction_rad, rotation_deg = values.tolist()
-    towards = np.array([np.cos(direction_rad), np.sin(direction_rad)])
-    geometry = turned(grid.geometry, rotation_deg)
-    fine = _subsamples(geometry, grid.samples)
-    edges = pupil_edges(geometry, grid.samples, fine, tuple(distance_m * towards))
-    if index == 2:
-        return torch.as_tensor(edges.turned() * np.pi / 180)
-    velocity = towards if index == 0 else distance_m * np.array([-towards[1], towards[0]])
-    return torch.as_tensor(edges.moved(tuple(velocity)))
-
-
-@lru_cache(maxsize=16)
-def _change(
-    geometry: PupilGeometry, samples: int, distance_m: float, direction_rad: float, rotation_deg: float
-) -> np.ndarray:
-    """Amplitude of the misregistered pupil minus that of the pupil as it should be."""
-    stop_m = (float(distance_m * np.cos(direction_rad)), float(distance_m * np.sin(direction_rad)))
-    fine = _subsamples(geometry, samples)
-    moved = band_limited(turned(geometry, rotation_deg), samples, stop_m=stop_m, subsamples=fine)
-    return moved - _clear(geometry, samples)
-
-
-@lru_cache(maxsize=4)
-def _clear(geometry: PupilGeometry, samples: int) -> np.ndarray:
-    return band_limited(geometry, samples, subsamples=_subsamples(geometry, samples))
-
-
-def _subsamples(geometry: PupilGeometry, samples: int) -> int:
-    """Even number of fine cells of about `CELL_M` per coarse cell."""
-    return 2 * int(np.ceil(geometry.diameter_m / samples / CELL_M / 2))
 
 
 class AmplitudeAberration(ZernikeTable, PupilEffect):

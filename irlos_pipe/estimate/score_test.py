@@ -223,8 +223,8 @@ def frozen_effects(effects: EffectSet, values: torch.Tensor) -> list[Effect]:
         return list(held.effects)
     grids = held.grids
     grid = grids.pupil.at(grids.sampling.wavelengths_m)
-    fixed = [effect for effect in held.effects if effect.plane not in ("pupil", "otf")]
-    fixed += [_FrozenPupil(effect, grid) for effect, _ in held.at("pupil")]
+    fixed = [effect for effect in held.effects if effect.plane not in ("pupil", "otf") or effect.joins]
+    fixed += [_FrozenPupil(effect, grid) for effect, _ in held.at("pupil") if not effect.joins]
     optics = held()
     if optics.transfer is None:
         return fixed

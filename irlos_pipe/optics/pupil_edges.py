@@ -1,4 +1,4 @@
-"""How the drawn pupil changes when the internal stop moves or the vanes turn.
+"""How the drawn pupil changes when the internal stop moves, the vanes turn or widen, or the hole grows.
 
 Only what lies near an edge changes. Edges are taken `WIDTH` cells wide: one cell would show the staircase of
 the grid, four would miss what the low-pass lets through. A disc with a hole and vanes has few edges, which
@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, turned
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, turned, with_sizes
 from irlos_pipe.optics.pupil import (
     ON_AXIS,
     PAD,
@@ -30,9 +30,7 @@ from irlos_pipe.optics.pupil import (
 WIDTH = 1.5  # fine cells
 
 
-def pupil_edges(
-    geometry: PupilGeometry, samples: int, subsamples: int, stop_m: tuple[float, float]
-) -> PupilEdges | DrawnTwice:
+def pupil_edges(geometry: PupilGeometry, samples: int, subsamples: int, stop_m: tuple[float, float]) -> Edges:
     """Return what gives the derivatives of a pupil; see `PupilEdges` for the parameters."""
     return (PupilEdges if geometry.plain else DrawnTwice)(geometry, samples, subsamples, stop_m)
 
@@ -68,7 +66,27 @@ class PupilEdges:
     def turned(self) -> np.ndarray:
         """Derivative of the amplitude while the vanes turn anticlockwise about the axis, (n, n) [1/rad]."""
         nothing = np.zeros(self._filter.shape[:1] * 2)
-        return sum((self._vane(vane) for vane in self.geometry.vanes), nothing)
+        return sum((self._turned_vane(vane) for vane in self.geometry.vanes), nothing)
+
+    def obscured(self) -> np.ndarray:
+        """Derivative of the amplitude while the diameter of the hole grows, (n, n) [1/m]."""
+        (x0, y0), radius_m = self.stop_m, self.geometry.obscuration_m / 2
+
+        def outside_m(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            """How far points lie outside the holes of pupil and stop."""
+            return np.minimum(np.hypot(x, y), np.hypot(x - x0, y - y0)) - radius_m
+
+        rows, columns, share = self._near(outside_m)
+        x, y = self._fine[columns], self._fine[rows]
+        clear = replace(self.geometry, obscuration_m=0.0)
+        others = outline_cover(clear, x, y, self._step, self.stop_m) * self._between(clear.vanes, x, y)
+        return self._filtered(rows, columns, -0.5 * share * others)
+
+    def widened(self) -> np.ndarray:
+        """Derivative of the amplitude while the mean width of the vanes grows, (n, n) [1/m]."""
+        nothing, mean_m = np.zeros(self._filter.shape[:1] * 2), self.geometry.vane_width_m
+        vanes = self.geometry.vanes
+        return sum((self._vane_edges(v, lambda x, y: -0.5) * v.width_m / mean_m for v in vanes), nothing)
 
     def _rim(self, radius_m: float, along: tuple[float, float], sign: int) -> np.ndarray:
         """Of the stop's outline (sign 1) or hole (-1), where it is the edge that limits the light."""
@@ -82,16 +100,22 @@ class PupilEdges:
         change = share * limits * rate * self._between(self.geometry.vanes, x, y)
         return self._filtered(rows, columns, change)
 
-    def _vane(self, vane: Vane) -> np.ndarray:
-        """Of the two edges of one vane."""
+    def _turned_vane(self, vane: Vane) -> np.ndarray:
+        _, _, direction = axis(vane)
+        return self._vane_edges(
+            vane, lambda x, y: -np.sign(across_m(vane, x, y)) * (x * direction[0] + y * direction[1])
+        )
+
+    def _vane_edges(
+        self, vane: Vane, rate_m: Callable[[np.ndarray, np.ndarray], np.ndarray | float]
+    ) -> np.ndarray:
+        """Of the two edges of one vane, where light appears at a rate [m] per unit of what changes."""
         rows, columns, share = self._near(lambda x, y: np.abs(across_m(vane, x, y)) - vane.width_m / 2)
         x, y = self._fine[columns], self._fine[rows]
-        _, _, direction = axis(vane)
-        rate = -np.sign(across_m(vane, x, y)) * (x * direction[0] + y * direction[1])
         others = self._between([one for one in self.geometry.vanes if one is not vane], x, y)
         others *= outline_cover(self.geometry, x, y, self._step, self.stop_m)
         broad = replace(vane, width_m=vane.width_m + 4 * self._step)  # covers both edges between its ends
-        change = share * rate * others * vane_cover(broad, x, y, self._step)
+        change = share * rate_m(x, y) * others * vane_cover(broad, x, y, self._step)
         return self._filtered(rows, columns, change)
 
     def _near(
@@ -156,9 +180,31 @@ class DrawnTwice:
         )
         return (later - before) / (2 * angle)
 
+    def obscured(self) -> np.ndarray:
+        """See `PupilEdges.obscured`."""
+        size_m = self._geometry.obscuration_m
+        return self._between(*(with_sizes(self._geometry, obscuration_m=size_m + s) for s in self._steps_m))
+
+    def widened(self) -> np.ndarray:
+        """See `PupilEdges.widened`."""
+        size_m = self._geometry.vane_width_m
+        return self._between(*(with_sizes(self._geometry, vane_width_m=size_m + s) for s in self._steps_m))
+
+    @property
+    def _steps_m(self) -> tuple[float, float]:
+        return self._step_m, -self._step_m
+
+    def _between(self, larger: PupilGeometry, smaller: PupilGeometry) -> np.ndarray:
+        """Difference of two drawings over twice the step."""
+        later, before = (self._drawn(one, self._stop_m) for one in (larger, smaller))
+        return (later - before) / (2 * self._step_m)
+
     def _with_stop(self, along: tuple[float, float], time: float) -> np.ndarray:
         stop_m = (self._stop_m[0] + time * along[0], self._stop_m[1] + time * along[1])
         return self._drawn(self._geometry, stop_m)
 
     def _drawn(self, geometry: PupilGeometry, stop_m: tuple[float, float]) -> np.ndarray:
         return band_limited(geometry, self._samples, stop_m=stop_m, subsamples=self._subsamples)
+
+
+Edges = PupilEdges | DrawnTwice

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, reduce
 
 import numpy as np
 from scipy.signal import firwin
 
 from irlos_pipe.conventions.modes import DEFOCUS
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.simulate.aperture import centres, clear_fraction
 from irlos_pipe.simulate.effects.base import PupilEffect
 from irlos_pipe.simulate.scene import Scene
@@ -77,21 +77,18 @@ def pupil_of(scene: Scene) -> Pupil:
     """Return the pupil at the sampling of a `scene`, with its effects."""
     effects = scene.acting(PupilEffect)
     stops_m = [effect.stop_m for effect in effects if effect.stop_m is not None]
-    turn_deg = sum(effect.vane_rotation_deg for effect in effects)
-    return _build(scene.geometry, scene.pupil_samples, stops_m[0] if stops_m else None, turn_deg)
+    as_built = reduce(lambda geometry, effect: effect.built(geometry), effects, scene.geometry)
+    return _build(as_built, scene.pupil_samples, stops_m[0] if stops_m else None)
 
 
 def nominal_area_m2(scene: Scene) -> float:
     """Return the clear area of the undisturbed pupil, which the photometry refers to [m²]."""
-    return _build(scene.geometry, scene.pupil_samples, None, 0.0).area_m2
+    return _build(scene.geometry, scene.pupil_samples, None).area_m2
 
 
 @lru_cache(maxsize=8)
-def _build(
-    geometry: PupilGeometry, samples: int, stop_m: tuple[float, float] | None, turn_deg: float
-) -> Pupil:
-    as_built = turned(geometry, turn_deg)
-    step_m, total = geometry.diameter_m / samples, samples + 2 * PAD
+def _build(as_built: PupilGeometry, samples: int, stop_m: tuple[float, float] | None) -> Pupil:
+    step_m, total = as_built.diameter_m / samples, samples + 2 * PAD
     drawn = clear_fraction(as_built, centres(total * FINE, step_m / FINE), stop_m)
     transmission = drawn.reshape(total, FINE, total, FINE).mean(axis=(1, 3))
     return Pupil(as_built, centres(total, step_m), transmission, drawn)

@@ -18,7 +18,7 @@ from scipy import stats
 from irlos_pipe.diagnose.acceptance import by_plausibility
 from irlos_pipe.diagnose.checks.noise import judge_all
 from irlos_pipe.diagnose.checks.pixels import bad_pixel_family
-from irlos_pipe.diagnose.effect_sizes import public_sigma
+from irlos_pipe.diagnose.effect_sizes import determined, public_sigma
 from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.held_out import HeldOutEvaluation
 from irlos_pipe.diagnose.null_model import Optimum
@@ -140,6 +140,17 @@ def test_the_error_of_a_direction_does_not_see_the_jump_at_zero():
     gradient, covariance = BackgroundGradient(), np.diag([0.01, 0.01]) ** 2
     sigma = public_sigma(gradient, np.array([0.5, 0.0]), covariance)
     assert sigma["angle_deg"] == pytest.approx(np.rad2deg(0.01 / 0.5), rel=1e-3)
+
+
+def test_what_a_direction_without_size_does_not_determine_has_no_error_and_spoils_no_other():
+    """A stop in its place has no direction: the covariance of that one is infinite."""
+    stop = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
+    known = np.array([[4e-6, 1e-6], [1e-6, 9e-4]])
+    covariance = np.diag([0.0, np.inf, 0.0])
+    covariance[np.ix_([0, 2], [0, 2])] = known
+    found = determined(stop.parameters, covariance)
+    assert found[np.ix_([0, 2], [0, 2])] == pytest.approx(known)
+    assert (found[1] == 0).all() and (found[:, 1] == 0).all()
 
 
 def test_one_recording_with_speckles_makes_the_noise_that_of_speckles():

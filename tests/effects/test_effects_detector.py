@@ -15,7 +15,8 @@ from irlos_pipe.effects.detector import BadPixels, DetectorNonlinearity
 
 CONTRACT = {
     "tip_tilt_jitter", "vibration", "seeing_halo", "atmospheric_dispersion", "spectrum", "plate_scale",
-    "diversity_error", "pupil_misregistration", "amplitude_aberration", "low_wind_effect", "high_order_ncpa",
+    "diversity_error", "pupil_misregistration", "pupil_geometry", "amplitude_aberration", "low_wind_effect",
+    "segment_piston", "high_order_ncpa",
     "phase_bump", "ncpa_drift", "companion", "ghost", "interpixel_crosstalk", "detector_nonlinearity",
     "background_gradient", "bad_pixels", "focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale",
     "high_aperture",
@@ -128,6 +129,8 @@ def test_starts_lie_within_bounds_and_strong_levels_are_plausible(name):
     [
         ("pupil_misregistration", [0.0, 0.3, 3.9], "vanes turned by +3.9° against the profile"),
         ("pupil_misregistration", [0.1, 0.0, -0.02], "a stop +0.100, +0.000 m off"),
+        ("pupil_geometry", [1.21, 0.0401], "a central obscuration of 1.21 m instead of 1.12 m"),
+        ("pupil_geometry", [1.117, 0.05], "vanes 0.050 m wide instead of 0.040 m"),
         ("plate_scale", [0.01], "pixels of 9.797 mas instead of 9.700 mas"),
         ("spectrum", [20.0, 0.0, 0.1], "a spectrum about 1469.3 nm instead of 1449.3 nm, 1.10 times as wide"),
     ],

@@ -10,17 +10,19 @@ import torch
 from helpers.effect_cases import CONDITIONS, NOLLS, SPECTRUM, STRONG, WINDOW, made
 from helpers.optics_cases import UT4, ncpa_nm, settings, vector
 
-from irlos_pipe.conventions.pupil_drawing import turned
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned, with_sizes
 from irlos_pipe.effects import CATALOGUE, Effect, EffectSet, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.pupil_geometry import PupilSizes
 from irlos_pipe.effects.pupil_stop import PupilMisregistration
+from irlos_pipe.effects.redrawn_pupil import RedrawnPupil
 from irlos_pipe.estimate.score_test import frozen_effects
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.pupil import band_limited
 
 WAVEFRONTS = torch.cat([vector(ncpa_nm(seed, NOLLS[-1], 100.0), NOLLS) for seed in (6, 7)])
 FLUX, BACKGROUND = torch.tensor([1e6, 2e6]).double(), torch.tensor([20.0, 10.0]).double()
-SMOOTH = sorted(set(STRONG) - {"pupil_misregistration"})
+SMOOTH = sorted(set(STRONG) - {"pupil_misregistration", "pupil_geometry"})
 IN_IMAGES = {name: kind for name, kind in CATALOGUE.items() if kind.plane != "ramp"}
 
 
@@ -131,27 +133,50 @@ def test_single_frames_of_a_drifting_recording_have_derivatives_too():
         assert ours.numpy() == pytest.approx(theirs.numpy(), abs=2e-5 * float(theirs.abs().max()))
 
 
-def amplitude(distance_m: float, direction_rad: float, rotation_deg: float) -> np.ndarray:
-    """Band-limited amplitude from a drawing twice as fine as that of the effect."""
+def amplitude(
+    distance_m: float, direction_rad: float, rotation_deg: float, hole_m: float, vane_m: float
+) -> np.ndarray:
+    """Band-limited amplitude from a drawing twice as fine as that of the effects."""
     stop_m = (distance_m * np.cos(direction_rad), distance_m * np.sin(direction_rad))
-    return band_limited(turned(UT4, rotation_deg), 64, stop_m=stop_m, subsamples=32)
+    geometry = with_sizes(turned(UT4, rotation_deg), obscuration_m=hole_m, vane_width_m=vane_m)
+    return band_limited(geometry, 64, stop_m=stop_m, subsamples=32)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("index", "step"), [(0, 0.004), (1, 0.03), (2, 0.06)])
-def test_derivatives_of_the_misregistered_pupil_are_good_to_a_few_percent(index, step):
-    values, move = np.array([0.15, -0.6, 4.0]), np.zeros(3)
+@pytest.mark.parametrize(("index", "step"), [(0, 0.004), (1, 0.03), (2, 0.06), (3, 0.008), (4, 0.004)])
+def test_derivatives_of_the_redrawn_pupil_are_good_to_a_few_percent(index, step):
+    """The stop displaced, the vanes turned and wider, the hole larger: two effects, one drawing."""
+    values, move = np.array([0.15, -0.6, 4.0, 1.3, 0.055]), np.zeros(5)
     move[index] = step
     expected = (amplitude(*(values + move)) - amplitude(*(values - move))) / (2 * step)
-    grid, direction = psf().pupil_grid, torch.zeros(3).double()
+    grid, direction = psf().pupil_grid, torch.zeros(5).double()
     direction[index] = 1
     field = torch.zeros(1, *grid.amplitude.shape).double()
+    effects = RedrawnPupil.together([PupilMisregistration(), PupilSizes(UT4)])
 
     def light(v: torch.Tensor) -> torch.Tensor:
-        return PupilMisregistration().apply(v, field, grid)[0] / grid.light
+        return effects.apply(v, field, grid)[0] / grid.light
 
     ours = torch.func.jvp(light, (torch.as_tensor(values),), (direction,))[1].numpy()
     assert np.sqrt(np.mean((ours - expected) ** 2)) < 0.04 * np.sqrt(np.mean(expected**2))
+
+
+def test_what_is_held_of_a_redrawn_pupil_has_no_derivative():
+    stop = FixedEffect(PupilMisregistration(), [0.15, -0.6, 4.0], free=["rotation_deg"])
+    whole = ImageModel(psf(), [stop, PupilSizes(UT4)])
+    values = torch.tensor([4.0, 1.3, 0.055]).double()
+    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values)[1][:, len(NOLLS) : -2]
+    free = ImageModel(psf(), [PupilMisregistration(), PupilSizes(UT4)])
+    all_values = torch.tensor([0.15, -0.6, 4.0, 1.3, 0.055]).double()
+    every = free.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, all_values)[1][:, len(NOLLS) : -2]
+    assert jacobian.numpy() == pytest.approx(every[:, 2:].numpy(), abs=1e-6 * float(every[:, 2:].abs().max()))
+
+
+def test_a_pupil_with_neither_a_hole_nor_vanes_has_no_sizes():
+    with pytest.raises(ValueError, match="neither a central obscuration nor vanes"):
+        PupilSizes(PupilGeometry(8.0))
+    with pytest.raises(ValueError, match="nothing of which vane_width_m"):
+        PupilSizes(PupilGeometry(8.0, 1.1)).values_of(vane_width_m=0.04)
 
 
 def searched(name: str) -> list[Effect]:

@@ -21,6 +21,7 @@ STRONG = {
     "plate_scale": {"fraction": 0.02},
     "diversity_error": {"nm": 60.0},
     "pupil_misregistration": {"dx_m": 0.12, "dy_m": -0.08, "rotation_deg": 4.0},
+    "pupil_geometry": {"obscuration_m": 1.4, "vane_width_m": 0.06},
     "amplitude_aberration": {"zernike": {2: 0.08, 5: -0.06, 8: 0.05}},
     "low_wind_effect": {
         "piston_nm": [150.0, -120.0, 90.0, -60.0],

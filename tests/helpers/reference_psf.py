@@ -12,7 +12,13 @@ import numpy as np
 import pytest
 
 hcipy = pytest.importorskip("hcipy", reason="the independent images need HCIPy, a development dependency")
-from simulator.telescope import OBSCURATION_M, ut4_aperture  # noqa: E402
+from simulator.telescope import (  # noqa: E402
+    OBSCURATION_M,
+    VANE_ORIGIN_M,
+    VANE_TIP_M,
+    VANE_WIDTH_M,
+    ut4_aperture,
+)
 
 DIAMETER_M = 8.0
 MAS_RAD = np.deg2rad(1 / 3.6e6)
@@ -52,13 +58,24 @@ class ReferenceImager:
         """OPD of Noll coefficients, flat [nm]."""
         return sum((nm * self._mode(noll) for noll, nm in zernike_nm.items()), np.zeros(self.grid.size))
 
-    def misregistered(self, stop_m: tuple[float, float], rotation_deg: float) -> np.ndarray:
+    def misregistered(
+        self,
+        stop_m: tuple[float, float],
+        rotation_deg: float,
+        obscuration_m: float = OBSCURATION_M,
+        vane_width_m: float = VANE_WIDTH_M,
+    ) -> np.ndarray:
         """Transmission where an annular stop at `stop_m` and the pupil with turned vanes are both clear."""
-        turn = np.deg2rad(rotation_deg)
-        annulus = hcipy.make_obstructed_circular_aperture(DIAMETER_M, OBSCURATION_M / DIAMETER_M)
-        stop = hcipy.make_shifted_aperture(annulus, stop_m)
-        turned = hcipy.make_rotated_aperture(ut4_aperture, turn)
-        return _supersampled(self.grid, self.step_m, lambda grid: stop(grid) * turned(grid))
+        annulus = hcipy.make_obstructed_circular_aperture(DIAMETER_M, obscuration_m / DIAMETER_M)
+        stop, spiders = hcipy.make_shifted_aperture(annulus, stop_m), []
+        for side in (1, -1):
+            origin = (side * VANE_ORIGIN_M, side * VANE_ORIGIN_M)
+            for tip in ((side * VANE_TIP_M, 0.0), (0.0, side * VANE_TIP_M)):
+                spiders.append(hcipy.make_spider(origin, tip, vane_width_m))
+        turned = [hcipy.make_rotated_aperture(one, np.deg2rad(rotation_deg)) for one in (annulus, *spiders)]
+        return _supersampled(
+            self.grid, self.step_m, lambda grid: stop(grid) * np.prod([one(grid) for one in turned], axis=0)
+        )
 
     def image(
         self, zernike_nm, wavelength_nm: float, window, pixel_scale_mas: float, transmission=None

@@ -31,6 +31,7 @@ CONTRACT = {
     "plate_scale",
     "diversity_error",
     "pupil_misregistration",
+    "pupil_geometry",
     "amplitude_aberration",
     "low_wind_effect",
     "segment_piston",

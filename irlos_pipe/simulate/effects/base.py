@@ -114,10 +114,9 @@ class PupilEffect(SimulatedEffect):
         """Position (x, y) of an internal stop [m]."""
         return None
 
-    @property
-    def vane_rotation_deg(self) -> float:
-        """Anticlockwise rotation of the vanes."""
-        return 0.0
+    def built(self, geometry: PupilGeometry) -> PupilGeometry:
+        """Return the pupil as it is built, of which the side-car tells the `geometry`."""
+        return geometry
 
     def transparency(self, pupil: Telescope) -> np.ndarray | float:
         """Return the relative amplitude on the samples of the `pupil`, (n, n)."""

@@ -20,7 +20,7 @@ from irlos_pipe.simulate.effects.ghost import Ghost
 from irlos_pipe.simulate.effects.high_aperture import HighAperture
 from irlos_pipe.simulate.effects.low_wind import LowWindEffect, SegmentPiston
 from irlos_pipe.simulate.effects.motion import TipTiltJitter, Vibration
-from irlos_pipe.simulate.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
+from irlos_pipe.simulate.effects.pupil_stop import AmplitudeAberration, PupilMisregistration, PupilSizes
 from irlos_pipe.simulate.effects.seeing_halo import SeeingHalo
 from irlos_pipe.simulate.effects.wavefront import DiversityError, HighOrderNcpa, NcpaDrift, PhaseBump
 from irlos_pipe.simulate.errors import SceneError, require_known
@@ -38,6 +38,7 @@ EFFECTS: dict[str, type[SimulatedEffect]] = {
         Companion,
         Ghost,
         PupilMisregistration,
+        PupilSizes,
         AmplitudeAberration,
         LowWindEffect,
         SegmentPiston,

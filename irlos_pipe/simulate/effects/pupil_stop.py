@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned, with_sizes
 from irlos_pipe.simulate.effects.base import PupilEffect, wider
 from irlos_pipe.simulate.telescope import Telescope
 
@@ -25,10 +26,22 @@ class PupilMisregistration(PupilEffect):
         """See `PupilEffect.stop_m`."""
         return (self.dx_m, self.dy_m) if self.dx_m or self.dy_m else None
 
-    @property
-    def vane_rotation_deg(self) -> float:
-        """See `PupilEffect.vane_rotation_deg`."""
-        return self.rotation_deg
+    def built(self, geometry: PupilGeometry) -> PupilGeometry:
+        """See `PupilEffect.built`."""
+        return turned(geometry, self.rotation_deg)
+
+
+@dataclass(frozen=True)
+class PupilSizes(PupilEffect):
+    """A central obscuration of `obscuration_m`, and vanes `vane_width_m` wide on average."""
+
+    name = "pupil_geometry"
+    obscuration_m: float | None = None
+    vane_width_m: float | None = None
+
+    def built(self, geometry: PupilGeometry) -> PupilGeometry:
+        """See `PupilEffect.built`."""
+        return with_sizes(geometry, obscuration_m=self.obscuration_m, vane_width_m=self.vane_width_m)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ SIZES = {
     "plate_scale": {"fraction": 0.02},
     "diversity_error": {"nm": 20},
     "pupil_misregistration": {"dx_m": 0.1, "rotation_deg": 2.0},
+    "pupil_geometry": {"obscuration_m": 1.3},
     "amplitude_aberration": {"zernike": {4: 0.1}},
     "low_wind_effect": {"piston_nm": [70, -70, 50, -30]},
     "segment_piston": {"piston_nm": [50, -40, 30, -20]},
