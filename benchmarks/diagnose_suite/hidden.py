@@ -11,6 +11,7 @@ import numpy as np
 from benchmarks.diagnose_suite.settings import EXPOSURE_S, Setting
 from irlos_pipe.conventions.bands import NARROW_H
 from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.effects.motion import JITTER_CORRELATION_S
 
 SPREAD = 0.25  # of the drawn size about its level, natural logarithm
@@ -109,6 +110,13 @@ def _pupil(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
     return Hidden("pupil_misregistration", shift, shift)
 
 
+def _sizes(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
+    """The hole larger or smaller."""
+    told_m = load_instrument("irlos").facility.pupil.obscuration_m
+    hole = {"obscuration_m": told_m + size * _sign(rng)}
+    return Hidden("pupil_geometry", hole, hole)
+
+
 def _amplitude(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
     table = {"zernike": _table(rng, size, range(2, 12), 4)}
     return Hidden("amplitude_aberration", table, table)
@@ -188,6 +196,7 @@ DRAWS: dict[str, Draw] = {
     "plate_scale": _plain("plate_scale", "fraction", signed=True),
     "diversity_error": _plain("diversity_error", "nm", signed=True),
     "pupil_misregistration": _pupil,
+    "pupil_geometry": _sizes,
     "amplitude_aberration": _amplitude,
     "low_wind_effect": _low_wind,
     "high_order_ncpa": _high_order,

@@ -30,6 +30,7 @@ SIZES: dict[str, dict[str, tuple[float, float, float]]] = {
     "plate_scale": {"bench": (0.0005, 0.003, 0.015), "sky": (0.0075, 0.012, 0.02)},
     "diversity_error": {"bench": (5.0, 15.0, 40.0), "sky": (5.0, 15.0, 40.0)},  # nm
     "pupil_misregistration": {"bench": (0.02, 0.06, 0.2), "sky": (0.1, 0.2, 0.35)},  # m
+    "pupil_geometry": {"bench": (0.035, 0.1, 0.25), "sky": (0.17, 0.28, 0.45)},  # m of the hole
     "amplitude_aberration": {"bench": (0.004, 0.02, 0.06), "sky": (0.05, 0.08, 0.12)},
     "low_wind_effect": {"bench": (6.0, 30.0, 100.0), "sky": (65.0, 110.0, 180.0)},  # nm
     "high_order_ncpa": {"bench": (1.0, 6.0, 25.0), "sky": (10.0, 20.0, 35.0)},  # nm RMS
