@@ -95,7 +95,9 @@ class SeeingHalo(OtfEffect):
 
     @classmethod
     def under(cls, conditions: Conditions) -> SeeingHalo:
-        """See `Effect.under`."""
+        """See `Effect.under`: it means nothing on a bench without atmosphere."""
+        if in_band_wfe_nm(conditions.band, conditions.residual_law, conditions.seeing_arcsec) == 0:
+            raise ValueError("by the residual law of the instrument's profile there is no AO residual")
         return cls(
             conditions.band, conditions.residual_law, conditions.seeing_arcsec, conditions.seeing_measured
         )

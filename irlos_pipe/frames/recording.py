@@ -53,7 +53,9 @@ class Acquisition:
     subaperture : int or None
         Number of the lenslet, from 1, lower left to upper right; None for the full pupil.
     parallactic_angle_deg, altitude_deg : float or None
-        Direction of the zenith in the image and height of the star, from the header of MUSE; not used yet.
+        Direction of the zenith in the image and height of the star.
+    pupil_rotation_deg : float
+        By which the pupil is turned on the detector from how the instrument profile draws it, anticlockwise.
     sources : dict of str to str
         For every key, where its value came from.
     """
@@ -72,6 +74,7 @@ class Acquisition:
     derotator_angle_deg: float = 0.0
     parallactic_angle_deg: float | None = None
     altitude_deg: float | None = None
+    pupil_rotation_deg: float = 0.0
     mode: str = ""
     subaperture: int | None = None
     sources: dict[str, str] = field(default_factory=dict)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,20 @@ class TurnRule(_Section):
     parallactic: float = Field(0.0, ge=-4, le=4, description="factor of the parallactic angle")
     derotator: float = Field(0.0, ge=-4, le=4, description="factor of the derotator's angle")
     altitude: float = Field(0.0, ge=-4, le=4, description="factor of the telescope's altitude")
+
+    @property
+    def factors(self) -> dict[str, float]:
+        """The factors that are not zero, by the key of the side-car that has the angle."""
+        every = {
+            "parallactic_angle_deg": self.parallactic,
+            "derotator_angle_deg": self.derotator,
+            "altitude_deg": self.altitude,
+        }
+        return {key: factor for key, factor in every.items() if factor}
+
+    def rotation_deg(self, angles_deg: Mapping[str, float]) -> float:
+        """Return the angle of the pupil for the `angles_deg` of a recording, by key of the side-car."""
+        return (self.offset_deg + sum(f * angles_deg[key] for key, f in self.factors.items())) % 360
 
 
 class PupilSection(_Section):

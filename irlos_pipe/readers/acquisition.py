@@ -20,7 +20,12 @@ from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar, sidecar_pa
 REQUIRED = ("role", "spectrum", "diversity")  # no value is safe to assume
 REQUIRED_OF_DARK = ("role",)
 REQUIRED_OF_RAMP = (*REQUIRED, "introduced_defocus_nm")
-HARMLESS = {"introduced_defocus_nm": 0.0, "derotator_angle_deg": 0.0, "target": ""}
+HARMLESS = {
+    "introduced_defocus_nm": 0.0,
+    "derotator_angle_deg": 0.0,
+    "pupil_rotation_deg": 0.0,
+    "target": "",
+}
 NOT_WORTH_A_WARNING = {*HARMLESS, "detector.excess_noise_factor", "parallactic_angle_deg", "altitude_deg"}
 
 
@@ -66,7 +71,9 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
         PROFILE: instrument.defaults | HARMLESS,
     }
     values, sources = _settle(layers)
-    _require(values, sources, f"{path}:" if path.exists() else f"{raw.path}: no side-car {path.name};")
+    where = f"{path}:" if path.exists() else f"{raw.path}: no side-car {path.name};"
+    _require(values, sources, where)
+    values["pupil_rotation_deg"] = _pupil_rotation(values, sources, instrument, where)
     defocus = _per_frame(values["introduced_defocus_nm"], raw, sources["introduced_defocus_nm"])
     warnings = _warnings(raw, values, sources)
     monitor = _seeing_monitor(layers, sources)
@@ -141,6 +148,23 @@ def _require(values: Mapping[str, Any], sources: Mapping[str, str], where: str) 
         )
 
 
+def _pupil_rotation(
+    values: Mapping[str, Any], sources: Mapping[str, str], instrument: Instrument, where: str
+) -> float:
+    """As stated; else by the profile's rule, where it has one, from the angles of the recording [deg]."""
+    rule = instrument.profile.pupil.turns if instrument.profile.pupil else None
+    if sources["pupil_rotation_deg"] != PROFILE or rule is None or values["role"] == "dark":
+        return values["pupil_rotation_deg"]
+    missing = [key for key in rule.factors if sources.get(key, PROFILE) == PROFILE]
+    if missing:
+        angles = ", ".join(map(repr, missing))
+        raise InputDataError(
+            f"{where} the pupil of {instrument.name} turns with {angles}, which is not known; give it, or "
+            "pupil_rotation_deg"
+        )
+    return rule.rotation_deg(values)
+
+
 def _per_frame(defocus_nm: float | list[float], raw: RawRecording, source: str) -> np.ndarray:
     values = np.atleast_1d(np.asarray(defocus_nm, dtype=np.float64))
     if values.size not in (1, raw.frames):
@@ -175,6 +199,7 @@ def _acquisition(raw: RawRecording, values: Mapping[str, Any], sources: dict[str
         pixel_scale_mas=values["pixel_scale_mas"],
         target=values["target"],
         derotator_angle_deg=values["derotator_angle_deg"],
+        pupil_rotation_deg=values["pupil_rotation_deg"],
         mode=raw.mode,
         subaperture=raw.subaperture,
         sources=sources,

@@ -73,6 +73,9 @@ class AcquisitionKeys(_Section):
     )
     derotator_angle_deg: float | None = Field(None, ge=-720, le=720, description="angle of the derotator")
     parallactic_angle_deg: float | None = Field(None, ge=-360, le=360, description="parallactic angle")
+    pupil_rotation_deg: float | None = Field(
+        None, ge=-720, le=720, description="of the pupil on the detector, anticlockwise from the profile's"
+    )
     altitude_deg: float | None = Field(None, ge=0, le=90, description="altitude of the telescope")
     detector: DetectorKeys | None = Field(None, description="detector constants")
 

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from irlos_pipe.conventions.facility import Facility
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
@@ -66,6 +66,8 @@ class Scene:
     rotating_nm : mapping of int to float
         The part before the derotator, as it is at angle 0; it turns with `derotator_angle_deg`,
         anticlockwise, in addition to `ncpa_nm`.
+    pupil_rotation_deg : float
+        By which the facility's pupil is turned on the detector, anticlockwise.
     diversity_nm : mapping of int to float
     introduced_nm : float or tuple of float
         Defocus (Noll 4) of all frames, or of every frame.
@@ -93,6 +95,7 @@ class Scene:
     ncpa_nm: Mapping[int, float] = field(default_factory=dict)
     rotating_nm: Mapping[int, float] = field(default_factory=dict)
     derotator_angle_deg: float = 0.0
+    pupil_rotation_deg: float = 0.0
     diversity_nm: Mapping[int, float] = field(default_factory=dict)
     diversity_source: str = "lens"
     introduced_nm: float | tuple[float, ...] = 0.0
@@ -114,8 +117,8 @@ class Scene:
 
     @property
     def geometry(self) -> PupilGeometry:
-        """The pupil."""
-        return self.facility.pupil
+        """The pupil as it lies on the detector."""
+        return turned(self.facility.pupil, self.pupil_rotation_deg)
 
     def acting(self, plane: type[Plane]) -> list[Plane]:
         """Return the effects that derive from the base class `plane`, in the order in which they act."""

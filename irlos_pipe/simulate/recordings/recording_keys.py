@@ -74,6 +74,7 @@ class RecordingKeys(Shared):
     frame_rate_hz: float | None = Field(None, gt=0, le=1000, description="frames per second; 1/exposure_s")
     window: tuple[Side, Side] = Field((64, 64), description="[rows, columns]")
     pixel_scale_mas: float | None = Field(None, gt=1, le=200, description="of the instrument, if left out")
+    pupil_rotation_deg: Degrees = Field(0.0, description="of the profile's pupil on the detector")
     derotator_angle_deg: Degrees = Field(0.0, description="angle of the derotator")
     introduced_nm: Defocus = Field(0.0, description="defocus, nm RMS; or per frame")
     offsets_nm: list[Nanometres] | None = Field(None, min_length=1, max_length=1000, description="of a ramp")

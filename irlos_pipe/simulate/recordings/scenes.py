@@ -67,7 +67,8 @@ def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
         throughput=_throughput(keys),
         frame_rate_hz=keys.frame_rate_hz or 1 / keys.exposure_s,
         window=keys.window,
-        pixel_scale_mas=keys.pixel_scale_mas or spec.instrument.defaults["pixel_scale_mas"],
+        pixel_scale_mas=_pixel_scale_mas(spec, name, keys),
+        pupil_rotation_deg=keys.pupil_rotation_deg,
         ncpa_nm=_aberrations(keys.ncpa, spec, "ncpa"),
         rotating_nm=_aberrations(keys.rotating, spec, "rotating"),
         diversity_nm=dict(diversity.zernike) if diversity else {},
@@ -79,6 +80,7 @@ def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
         sampling=Sampling(**dict(keys.sampling)) if keys.sampling else Sampling(),
     )
     _require_unfolded(scene)
+    _require_correction_band(scene)
     return scene
 
 
@@ -92,6 +94,17 @@ def _require_unfolded(scene: Scene) -> None:
             f"recordings.{scene.name}: a window of {max(scene.window)} px of {scene.pixel_scale_mas:g} mas "
             f"needs {needed} samples across the pupil; give sampling.pupil_samples >= {needed}, "
             "or a smaller window"
+        )
+
+
+def _require_correction_band(scene: Scene) -> None:
+    """Refuse a residual whose correction band the usual sampling of the pupil cannot hold."""
+    cutoff_per_m, diameter_m = scene.facility.cutoff_per_m, scene.geometry.diameter_m
+    needed = math.ceil(2 * cutoff_per_m * diameter_m)
+    if scene.sky is not None and scene.sampling.pupil_samples is None and needed > scene.pupil_samples:
+        raise ConfigurationError(
+            f"recordings.{scene.name}: sky.cutoff_per_m = {cutoff_per_m:g} needs {needed} samples across the "
+            f"pupil; give sampling.pupil_samples >= {needed}, or a lower cut-off"
         )
 
 
@@ -125,6 +138,15 @@ def _bands(bands: str | list[BandKeys]) -> tuple[Band, ...]:
         return BANDS[bands]
     total = sum(band.share for band in bands)
     return tuple(Band(band.centre_nm, band.half_width_nm, band.share / total) for band in bands)
+
+
+def _pixel_scale_mas(spec: Spec, name: str, keys: RecordingKeys) -> float:
+    scale = keys.pixel_scale_mas or spec.instrument.defaults.get("pixel_scale_mas")
+    if scale is None:
+        raise ConfigurationError(
+            f"recordings.{name}: the profile {spec.instrument.name} has no default pixel_scale_mas; give one"
+        )
+    return scale
 
 
 def _throughput(keys: RecordingKeys) -> float:

@@ -89,7 +89,7 @@ class SkyKeys(Section):
     wind_m_s: float = Field(Sky.wind_m_s, ge=0, le=100, description="wind speed")
     wind_angle_deg: Degrees = Field(Sky.wind_angle_deg, description="from +x towards +y")
     cutoff_per_m: float | None = Field(
-        None, ge=0.2, le=10, description="1 / (2 actuator pitch); that of the instrument if left out"
+        None, ge=0.2, le=1000, description="1 / (2 actuator pitch); that of the instrument if left out"
     )
     outer_scale_m: float | None = Field(
         None, ge=1, le=1000, description="outer scale of the turbulence; the instrument's if left out"

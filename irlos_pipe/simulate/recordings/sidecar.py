@@ -26,6 +26,7 @@ def side_car(planned: Planned) -> dict[str, Any]:
         "diversity": {"source": scene.diversity_source, "zernike": dict(scene.diversity_nm)},
         "introduced_defocus_nm": _plain(planned.commanded_nm),
         "derotator_angle_deg": scene.derotator_angle_deg,
+        "pupil_rotation_deg": scene.pupil_rotation_deg or None,
         "detector": _detector(scene.detector),
     }
     return {key: value for key, value in stated.items() if value is not None}

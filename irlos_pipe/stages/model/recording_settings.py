@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.pupil_drawing import turned
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.planes import LensEffect
@@ -21,7 +22,7 @@ from irlos_pipe.product.product import Product
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.section import ModelConfig
 
-SETUP_KEYS = {key: key for key in ("pixel_scale_mas", "spectrum", "diversity")}
+SETUP_KEYS = {key: key for key in ("pixel_scale_mas", "spectrum", "diversity", "pupil_rotation_deg")}
 
 
 def psf_settings(
@@ -56,7 +57,7 @@ def psf_settings(
         )
     _require_samples(instrument, model, recording)
     settings = PsfSettings(
-        instrument.pupil,
+        turned(instrument.pupil, acquisition.pupil_rotation_deg),
         recording.window,
         acquisition.pixel_scale_mas,
         acquisition.spectrum,
