@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ import torch
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.effect_set import occurrences
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.effect_modes import drifts, measured_drift
 from irlos_pipe.estimate.few_frames import covariance_from_noise
@@ -28,9 +29,11 @@ from irlos_pipe.estimate.methods import (
     start_at_centroids,
 )
 from irlos_pipe.estimate.ncpa_prior import NcpaPrior
+from irlos_pipe.estimate.open_fit import open_basis
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.estimate.starts import START_HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
+from irlos_pipe.estimate.tail_law import TailLaw
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.numerics.loss import LOSSES, Loss, LossName
 from irlos_pipe.numerics.solution import Solution
@@ -44,6 +47,8 @@ Fit = tuple[ImageFit, Solution]
 
 OptimiserName = Literal["lm", "lbfgs"]
 ErrorsFrom = Literal["frames", "noise"]
+OPEN: Final = "open"
+HighestNoll = int | Literal["open"]
 
 
 @dataclass(frozen=True)
@@ -57,22 +62,28 @@ class CalibrationOptions:
     loss : str or None
         A key of `LOSSES`.
     optimiser : {"lm", "lbfgs"}
-    highest_noll : int or None
-        Modes Noll 2 to this are estimated.
+    highest_noll : int, "open" or None
+        Modes Noll 2 to this are estimated, or as many as the window shows.
     prior : NcpaPrior or None
     """
 
     method: str = DEFAULT_METHOD
     loss: LossName | None = None
     optimiser: OptimiserName = "lm"
-    highest_noll: int | None = None
+    highest_noll: HighestNoll | None = None
     prior: NcpaPrior | None = None
     max_iterations: int = 60
 
     @property
     def last_noll(self) -> int:
-        """Modes Noll 2 to this are estimated; the method's own choice filled in."""
-        return self.highest_noll or METHODS[self.method].highest_noll
+        """Modes Noll 2 to this are estimated, of an open basis first; the method's own choice filled in."""
+        given = self.highest_noll
+        return given if isinstance(given, int) else METHODS[self.method].highest_noll
+
+    @property
+    def open(self) -> bool:
+        """Whether all modes that the window shows follow."""
+        return METHODS[self.method].open and not isinstance(self.highest_noll, int)
 
     @property
     def loss_function(self) -> Loss:
@@ -86,7 +97,8 @@ class CalibrationOptions:
 
     def resolved(self) -> CalibrationOptions:
         """Return the same with the method's defaults filled in."""
-        return replace(self, loss=self.loss_function.name, highest_noll=self.last_noll)
+        highest_noll: HighestNoll = OPEN if self.open else self.last_noll
+        return replace(self, loss=self.loss_function.name, highest_noll=highest_noll)
 
 
 @dataclass(frozen=True)
@@ -118,6 +130,10 @@ class Calibration:
     mean_image_e, model_image_e, sigma_image_e : ndarray, (rows, columns)
     chi2_nu : float
         Of the mean image, against the scatter between frames.
+    twin : TwinCheck or None
+        Of the closed basis.
+    tail : TailLaw or None
+        Law of the modes beyond it; None where there are none.
     """
 
     options: CalibrationOptions
@@ -136,6 +152,7 @@ class Calibration:
     sigma_image_e: np.ndarray
     chi2_nu: float
     twin: TwinCheck | None
+    tail: TailLaw | None
     seconds: float
 
     @property
@@ -169,7 +186,14 @@ def calibrate(
     device : str
     report : callable, optional
         Called with the number of finished frames, for a progress bar.
+
+    Raises
+    ------
+    ValueError
+        With an open basis of a method that has none.
     """
+    if options.highest_noll == OPEN and not METHODS[options.method].open:
+        raise ValueError(f"method {options.method} has no open basis: state its highest Noll mode")
     began = time.perf_counter()
     options = options.resolved()
     effects = tuple(effects) if METHODS[options.method].effects else ()
@@ -183,7 +207,12 @@ def calibrate(
         if drifts(effect):
             frames_nm = linear_estimates(frames, *fit).frames_nm
             fit = task.fit([*fit[0].model.effects.effects, measured_drift(effect, psf.nolls, frames_nm)], fit)
-    return _result(frames, options, *fit, time.perf_counter() - began)
+    twin, tail = options.scheme.twin(*fit), None
+    if options.open and not any(isinstance(effect, HighOrderNcpa) for effect in effects):
+        opened = open_basis(*fit, max_iterations=options.max_iterations)
+        if opened is not None:
+            fit, tail = (opened.problem, opened.solution), opened.law
+    return _result(frames, options, fit, twin, tail, time.perf_counter() - began)
 
 
 @dataclass(frozen=True)
@@ -264,8 +293,14 @@ def _weighed_by_misfit(task: _Task, effects: Sequence[Effect], fit: Fit) -> tupl
 
 
 def _result(
-    frames: Frames, options: CalibrationOptions, problem: ImageFit, solution: Solution, seconds: float
+    frames: Frames,
+    options: CalibrationOptions,
+    fit: Fit,
+    twin: TwinCheck | None,
+    tail: TailLaw | None,
+    seconds: float,
 ) -> Calibration:
+    problem, solution = fit
     layout, effects = problem.layout, problem.model.effects
     found = options.scheme.estimates(frames, problem, solution)
     mean, sigma = frames.mean_e, mean_variance_e2(frames).sqrt()
@@ -287,7 +322,8 @@ def _result(
         model_image.numpy(),
         sigma.numpy(),
         float((pull**2).sum() / (len(pull) - layout.size)),
-        options.scheme.twin(problem, solution),
+        twin,
+        tail,
         seconds,
     )
 

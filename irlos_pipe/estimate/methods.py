@@ -226,6 +226,8 @@ class Method:
         Default loss.
     highest_noll : int
         Default number of modes, Noll 2 to this.
+    open : bool
+        Whether they are only the first, and all that the window shows follow, see `open_fit`.
     effects : bool
         Whether the AO residual and jitter belong to the model.
     description : str
@@ -235,6 +237,7 @@ class Method:
     scheme: Scheme
     loss: LossName
     highest_noll: int
+    open: bool
     effects: bool
     description: str
 
@@ -248,6 +251,7 @@ METHODS: dict[str, Method] = {
             "gaussian",
             66,
             True,
+            True,
             "mean image; the AO residual's long-exposure OTF and the jitter are part of the model",
         ),
         Method(
@@ -256,14 +260,16 @@ METHODS: dict[str, Method] = {
             "l1",
             30,
             False,
+            False,
             "every frame by itself, coefficients averaged (paper, method 3)",
         ),
-        Method("dip_avg", MEAN_IMAGE, "l1", 30, False, "mean image, L1 loss (paper, method 1)"),
+        Method("dip_avg", MEAN_IMAGE, "l1", 30, False, False, "mean image, L1 loss (paper, method 1)"),
         Method(
             "dip_joint",
             ALL_FRAMES,
             "l1",
             30,
+            False,
             False,
             "one coefficient vector for all frames (paper, method 2)",
         ),
@@ -273,6 +279,7 @@ METHODS: dict[str, Method] = {
             "gaussian",
             30,
             False,
+            False,
             "mean image, noise-weighted Gauss-Newton (paper, LIFT avg.)",
         ),
         Method(
@@ -280,6 +287,7 @@ METHODS: dict[str, Method] = {
             EVERY_FRAME,
             "gaussian",
             30,
+            False,
             False,
             "every frame by itself, noise-weighted Gauss-Newton (paper, LIFT slices)",
         ),

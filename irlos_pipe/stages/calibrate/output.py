@@ -14,7 +14,7 @@ from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageOutput
-from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate, Twin
+from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate, Tail, Twin
 from irlos_pipe.stages.model.effects import effect_arrays
 
 COVARIANCE = {"frames": "from the scatter over frames", "noise": "from the noise model and the misfit"}
@@ -92,8 +92,18 @@ def estimate_keys(result: Calibration) -> dict[str, Any]:
         "loss": result.options.loss,
         "optimiser": result.options.optimiser,
         "modes_estimated": len(result.nolls),
+        "all_zernike_nm": dict(zip(result.nolls, result.zernike_nm.tolist(), strict=True)),
+        "tail": _tail(result),
         "status": counts(result.frame_status),
     }
+
+
+def _tail(result: Calibration) -> Tail | None:
+    """The law of the modes beyond the closed basis, and their RMS."""
+    if result.tail is None:
+        return None
+    beyond = np.asarray(result.nolls) >= result.tail.first_noll
+    return Tail(**asdict(result.tail), wfe_nm=float(np.linalg.norm(result.zernike_nm[beyond])))
 
 
 def counts(status: Sequence[str]) -> dict[str, int]:
@@ -175,10 +185,21 @@ def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
         f"NCPA            {wfe:.1f} ± {sigma:.1f} nm RMS in Noll 2–{last} "
         f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f})",
         *(few if result.errors_from == "noise" else []),
+        *_tail_lines(result),
         *effect_lines(result.effects),
         *(
             f"  beside: {wfe_nm(other.nolls, other.zernike_nm):.1f} nm RMS ({other.options.method}, "
             f"{other.seconds:.1f} s, χ²/ν {other.chi2_nu:.2f})"
             for other in others
         ),
+    ]
+
+
+def _tail_lines(result: Calibration) -> list[str]:
+    tail = _tail(result)
+    if tail is None:
+        return []
+    return [
+        f"  {f'Noll {tail.first_noll}–{result.nolls[-1]}':22s}{tail.wfe_nm:.1f} nm RMS, "
+        f"law {tail.amplitude_nm:.2g} nm each, as order^{-tail.slope:.1f}"
     ]

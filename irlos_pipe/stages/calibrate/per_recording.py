@@ -120,15 +120,17 @@ def _row(cube: Cube) -> CubeRow:
 
 
 class _Mean:
-    """Plain mean over the cubes, which count alike however bright they are."""
+    """Plain mean over the cubes, which count alike however bright they are, of the modes that all have."""
 
     def __init__(self, cubes: Sequence[Cube]) -> None:
         self.all = [cube.result for cube in cubes]
-        self.first = self.all[0]
+        self.first = min(self.all, key=lambda one: len(one.nolls))
         self.nolls = self.first.nolls
-        self.zernike_nm = np.mean([one.zernike_nm for one in self.all], axis=0)
-        self.modes_nm = np.mean([one.fitted_modes_nm for one in self.all], axis=0)
-        self.covariance_nm2 = np.sum([one.covariance_nm2 for one in self.all], axis=0) / len(self.all) ** 2
+        own = slice(len(self.nolls))
+        self.zernike_nm = np.mean([one.zernike_nm[own] for one in self.all], axis=0)
+        self.modes_nm = np.mean([one.fitted_modes_nm[own] for one in self.all], axis=0)
+        covariances_nm2 = [one.covariance_nm2[own, own] for one in self.all]
+        self.covariance_nm2 = np.sum(covariances_nm2, axis=0) / len(self.all) ** 2
         self.sigma_nm = np.sqrt(np.diag(self.covariance_nm2))
         self.seeing_arcsec = float(np.mean([cube.seeing_arcsec for cube in cubes]))
         self.effects = mean_of([one.effects for one in self.all])
@@ -149,6 +151,8 @@ class _Mean:
     def results(self) -> dict[str, Any]:
         return estimate_keys(self.first) | {
             "zernike_nm": by_noll(self.nolls, self.zernike_nm),
+            "all_zernike_nm": dict(zip(self.nolls, self.zernike_nm.tolist(), strict=True)),
+            "tail": None,
             "sigma_nm": by_noll(self.nolls, self.sigma_nm),
             "wfe_nm": wfe_nm(self.nolls, self.zernike_nm),
             "wfe_sigma_nm": wfe_nm(self.nolls, self.sigma_nm),

@@ -8,6 +8,15 @@ from typing import ClassVar
 from irlos_pipe.product.results import ByNoll, EffectValues, Number, ResultsPart, StageResults
 
 
+class Tail(ResultsPart):
+    """Modes beyond the closed basis: law, see `estimate.tail_law.TailLaw`, and RMS as estimated."""
+
+    first_noll: int = 0
+    amplitude_nm: Number = math.nan
+    slope: Number = math.nan
+    wfe_nm: Number = math.nan
+
+
 class Estimate(ResultsPart):
     """The part of the results that every estimate has.
 
@@ -27,6 +36,10 @@ class Estimate(ResultsPart):
         Reduced χ² of the mean image.
     modes_estimated : int
         Modes in the fit, more than are reported.
+    all_zernike_nm : dict of int to float
+        All of them.
+    tail : Tail or None
+        What was found of those beyond the closed basis; None for a closed one.
     status : dict of str to int
         Number of fits by their outcome.
     """
@@ -43,6 +56,8 @@ class Estimate(ResultsPart):
     loss: str = ""
     optimiser: str = ""
     modes_estimated: int | None = None
+    all_zernike_nm: ByNoll = {}
+    tail: Tail | None = None
     status: dict[str, int] = {}
 
 

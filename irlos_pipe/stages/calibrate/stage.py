@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Annotated, Literal
+
 from pydantic import Field, model_validator
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.laws import NcpaLaw
-from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, OptimiserName, calibrate
-from irlos_pipe.estimate.methods import DEFAULT_METHOD, MethodName
+from irlos_pipe.estimate.calibration import OPEN, Calibration, CalibrationOptions, OptimiserName, calibrate
+from irlos_pipe.estimate.methods import DEFAULT_METHOD, METHODS, MethodName
 from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.numerics.loss import LossName
@@ -19,9 +21,10 @@ from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.recording_settings import require_one_setup, seeing_arcsec
 
 NAME = "calibrate"
-VERSION = 8
+VERSION = 9
 NEEDS = ("ingest",)
 READS = ("ingest",)
+ClosedNoll = Annotated[int, Field(ge=4, le=231)]
 
 
 class Config(Limits):
@@ -40,11 +43,10 @@ class Config(Limits):
     optimiser: OptimiserName = Field(
         CalibrationOptions.optimiser, description="solver: Levenberg-Marquardt, or L-BFGS with autograd"
     )
-    highest_noll: int | None = Field(
+    highest_noll: ClosedNoll | Literal["open"] | None = Field(
         CalibrationOptions.highest_noll,
-        ge=4,
-        le=231,
-        description="highest Noll mode estimated, from 2 on; null: that of the method",
+        description="highest Noll mode estimated, from 2 on; open: all that the window shows, by a prior "
+        "whose law is fitted; null: that of the method, open for long_exposure",
     )
     prior_scale: float | None = Field(
         3.0, gt=0, le=1000, description="width of the prior over that of the NCPA law; null: no prior"
@@ -55,6 +57,14 @@ class Config(Limits):
     compare: tuple[MethodName, ...] = Field(
         (), description="further methods to run, for comparison in the report only"
     )
+
+    @model_validator(mode="after")
+    def _can_be_open(self) -> Config:
+        if self.highest_noll == OPEN and not METHODS[self.method].open:
+            raise ValueError(
+                f"'highest_noll: open' is not for method '{self.method}'; give a number, or null"
+            )
+        return self
 
     @model_validator(mode="after")
     def _compared_on_all(self) -> Config:

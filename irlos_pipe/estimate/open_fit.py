@@ -1,0 +1,144 @@
+"""The open static wavefront: from the closed basis on, as many modes as the window shows.
+
+A fit of all modes at once ends in wrong minima. The closed basis, whose prior is the instrument's law, is
+therefore fitted first, and all modes from there, with a prior whose law is fitted as well (`tail_law`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from irlos_pipe.conventions.units import MAS
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.tail_law import TailLaw, fit_tail_law
+from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.problem import CheapGradientProblem
+from irlos_pipe.numerics.solution import INVALID, Solution
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.psf_settings import PsfSettings
+
+MOST_ORDERS = 20  # Noll 231: the budget of time
+# Falls of χ² per mode still ahead at which the law may be fitted, and at which the fit is done: RMS steps of
+# one standard error, and of a sixth.
+ROUGHLY, SETTLED = 1.0, 0.03
+
+
+def last_noll_of(order: int) -> int:
+    """Return the last Noll index of a radial order."""
+    return (order + 1) * (order + 2) // 2
+
+
+def visible_order(settings: PsfSettings) -> int:
+    """Return the radial order whose light still falls into the window, at most `MOST_ORDERS`.
+
+    Light of order n has its maximum (n + 1)/π λ/D from the axis: that of ``J_{n+1}(π D a/λ)``, of which the
+    transform of a mode consists (Noll 1976).
+    """
+    reach_rad = max(settings.window) * settings.pixel_scale_mas * MAS / 2
+    seen = np.pi * reach_rad * settings.geometry.diameter_m / settings.shortest_m
+    return min(int(seen) - 1, MOST_ORDERS)
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A fit of all modes.
+
+    Attributes
+    ----------
+    problem : ImageFit
+    solution : Solution
+    law : TailLaw
+        Prior of the modes beyond the closed basis, as fitted.
+    """
+
+    problem: ImageFit
+    solution: Solution
+    law: TailLaw
+
+
+class OpenFit(CheapGradientProblem, ImageFit):
+    """An `ImageFit` of so many modes that steps with an older Hessian pay, and so does keeping one."""
+
+    kept: tuple[torch.Tensor, ...] = ()  # the last place with its normal equations without the prior
+
+    def with_law(self, law: TailLaw) -> OpenFit:
+        """Return the same fit with the modes beyond the closed basis as a `law` expects."""
+        known = self.layout.prior_sigma_nm
+        assert known is not None, "an open basis has a prior"
+        sigma = known.clone()
+        beyond = torch.tensor(self.layout.nolls) >= law.first_noll
+        sigma[beyond] = torch.as_tensor(law.sigma_nm(self.layout.nolls))[beyond]
+        layout = replace(self.layout, prior_sigma_nm=sigma)
+        return self._with(layout=layout, prior_precision=layout.prior(len(self.images))[1], has_prior=True)
+
+    def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
+        """See `Problem.normal_equations`; those of the data are kept for another prior."""
+        if self.reweighted:
+            return super().normal_equations(x, which)
+        if not (self.kept and torch.equal(self.kept[0], x)):
+            free = self._with(prior_precision=torch.zeros_like(self.prior_precision), has_prior=False)
+            self.kept = x.clone(), *ImageFit.normal_equations(free, x, which)
+        _, value, gradient, hessian = self.kept
+        precision, offset = self.prior_precision[which], x - self.prior_mean[which]
+        value = value + self._prior_value(x, which)
+        return value, gradient + precision * offset, hessian + torch.diag_embed(precision)
+
+
+def open_basis(closed: ImageFit, solution: Solution, *, max_iterations: int = 60) -> Opened | None:
+    """Fit all modes that the window shows, from the solution of a closed basis.
+
+    Parameters
+    ----------
+    closed : ImageFit
+        The mean image by modes from Noll 2 on.
+    solution : Solution
+        Its solution.
+    max_iterations : int
+        Of each of the two fits, before and after that of the law.
+
+    Returns
+    -------
+    Opened or None
+        None where the window shows no more modes, or no more can be fitted.
+    """
+    psf = closed.model.psf
+    nolls = range(2, last_noll_of(visible_order(psf.settings)) + 1)
+    if len(nolls) <= len(psf.nolls):
+        return None
+    wider = PsfModel(psf.settings, nolls, device=psf.device, dtype=psf.dtype, rough_derivatives=True)
+    model = ImageModel(wider, closed.model.effects.effects)
+    law = TailLaw(psf.nolls[-1] + 1)
+    problem = _wider(closed, model).with_law(law).with_tolerance(ROUGHLY * len(nolls))
+    start = _widened(solution.values, closed.layout, problem.layout)
+    rough = solve(problem, start, max_iterations=max_iterations)
+    if rough.status[0] == INVALID:
+        return None
+    hessian, precision = np.linalg.inv(rough.covariance[0].numpy()), problem.prior_precision[0].numpy()
+    law = fit_tail_law(law, nolls, rough.values[0].numpy(), hessian, precision)
+    problem = problem.with_law(law).with_tolerance(SETTLED * len(nolls))
+    start = problem.kept[0] if problem.kept else rough.values  # the step from there was negligible
+    final = solve(problem, start, max_iterations=max_iterations)
+    return None if final.status[0] == INVALID else Opened(problem, final, law)
+
+
+def _wider(closed: ImageFit, model: ImageModel) -> OpenFit:
+    """The images of `closed` by all modes of the `model`, with its prior for those that it has."""
+    nolls, known = model.psf.nolls, closed.layout.prior_sigma_nm
+    sigma = torch.full((len(nolls),), torch.inf, dtype=torch.float64)
+    if known is not None:
+        sigma[: len(known)] = known
+    layout = Layout(nolls, model.effects.parameters, prior_sigma_nm=sigma)
+    return OpenFit(model, layout, closed.images, closed.root_weight.double() ** -2, loss=closed.loss)
+
+
+def _widened(values: torch.Tensor, old: Layout, new: Layout) -> torch.Tensor:
+    """Parameters in another layout; modes that the old one lacks are 0."""
+    x = torch.zeros(len(values), new.size, dtype=torch.float64)
+    x[:, : len(old.nolls)] = values[:, old.modes]
+    x[:, len(new.nolls) :] = values[:, len(old.nolls) :]
+    return x

@@ -1,0 +1,155 @@
+"""The open static wavefront. Truth: images by the simulator, which shares no optics with the model, with a
+tail beyond the closed basis; the same problem as a plain `ImageFit`; draws of a known law; and Bessel
+functions for the reach of a mode."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from helpers import optics_cases as cases
+from helpers.simulated_scenes import image
+from scipy.special import jnp_zeros
+
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.open_fit import MOST_ORDERS, OpenFit, last_noll_of, visible_order
+from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.tail_law import TailLaw, fit_tail_law
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.zernike import noll_to_nm
+
+REPORTED, TAIL = slice(0, 29), range(67, 232)
+TAIL_NM, FLUX_E, FRAMES = 3.0, 4e6, 12
+
+
+@pytest.mark.parametrize("order", [0, 1, 7, 20])
+def test_the_last_mode_of_an_order_is_followed_by_the_next(order):
+    last = last_noll_of(order)
+    assert (noll_to_nm(last)[0], noll_to_nm(last + 1)[0]) == (order, order + 1)
+
+
+@pytest.mark.parametrize("window", [24, 32, 48])
+def test_the_maximum_of_the_last_visible_order_lies_in_the_window(window):
+    """A mode of order n has the transform J_{n+1}(πDa/λ)/(πDa/λ), with its maximum near that of J_{n+1}."""
+    settings = cases.settings(window)
+    order = visible_order(settings)
+    reach = np.pi * 8.0 / 1600e-9 * window / 2 * cases.SCALE_MAS * cases.MAS_RAD
+    assert order + 1 <= reach < order + 2
+    assert jnp_zeros(order + 1, 1)[0] == pytest.approx(order + 1, rel=0.25)
+
+
+def test_a_wide_window_shows_no_more_than_the_budget():
+    assert visible_order(cases.settings(150)) == MOST_ORDERS
+
+
+def tail_problem(seed: int, law: TailLaw, noise_nm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Optimum, Hessian and prior of direct measurements of modes drawn from a law, under a wider one."""
+    rng = np.random.default_rng(seed)
+    nolls = np.array([*range(2, 30), *TAIL])
+    sigma = np.where(nolls < 67, 50.0, 0.0)
+    sigma[28:] = law.sigma_nm(TAIL)
+    measured = sigma * rng.standard_normal(len(nolls)) + noise_nm * rng.standard_normal(len(nolls))
+    precision = np.where(nolls < 67, 50.0, 2.0) ** -2.0
+    hessian = np.diag(np.full(len(nolls), noise_nm**-2.0) + precision)
+    return np.linalg.solve(hessian, measured / noise_nm**2), hessian, precision
+
+
+def test_the_law_of_drawn_modes_is_found():
+    """165 draws give ln A and p to 0.06 and 0.3 by the Fisher information of Gaussian draws."""
+    true = TailLaw(67, 4.0, 1.5)
+    found = [
+        fit_tail_law(TailLaw(67), [*range(2, 30), *TAIL], *tail_problem(seed, true, 1.0))
+        for seed in range(12)
+    ]
+    amplitude, slope = (np.array([getattr(one, name) for one in found]) for name in ("amplitude_nm", "slope"))
+    assert np.log(amplitude).mean() == pytest.approx(np.log(4.0), abs=0.12)
+    assert slope.mean() == pytest.approx(1.5, abs=0.4)
+
+
+def test_without_a_tail_the_law_closes():
+    found = fit_tail_law(TailLaw(67), [*range(2, 30), *TAIL], *tail_problem(1, TailLaw(67, 1e-6, 0.0), 1.0))
+    assert np.sqrt(np.mean(found.sigma_nm(TAIL) ** 2)) < 0.5  # of the noise
+
+
+def small_problems() -> tuple[OpenFit, ImageFit, torch.Tensor]:
+    """The same images, modes and priors as an `OpenFit` and as an `ImageFit`, and a place."""
+    nolls = range(2, 29)
+    model = ImageModel(PsfModel(cases.settings(24), nolls, dtype=torch.float64))
+    x = torch.tensor([[*np.linspace(30, -20, 27), 1e6, 5.0]], dtype=torch.float64)
+    data = torch.full((1, 1, 24 * 24), 900.0, dtype=torch.float64)
+    law = TailLaw(22, 3.0, 1.0)
+    known = torch.full((27,), 40.0, dtype=torch.float64)
+    open_fit = OpenFit(model, Layout(tuple(nolls), prior_sigma_nm=known), data, data).with_law(law)
+    known = known.clone()
+    known[20:] = torch.as_tensor(law.sigma_nm(nolls))[20:]
+    return open_fit, ImageFit(model, Layout(tuple(nolls), prior_sigma_nm=known), data, data), x
+
+
+def test_an_open_fit_has_the_equations_of_its_prior_whatever_it_has_kept():
+    open_fit, image_fit, x = small_problems()
+    which = torch.arange(1)
+    open_fit.normal_equations(x, which)
+    for place in (x, x + 1):
+        expected = image_fit.normal_equations(place, which)
+        for own, other in zip(open_fit.normal_equations(place, which), expected, strict=True):
+            assert own.numpy() == pytest.approx(other.numpy(), rel=1e-9)
+    other_law = open_fit.with_law(TailLaw(22, 1.0, 0.0))
+    precision = 1.0 - open_fit.prior_precision[0, 20:27]
+    change = other_law.normal_equations(x + 1, which)[2] - open_fit.normal_equations(x + 1, which)[2]
+    assert torch.diagonal(change[0])[20:27].numpy() == pytest.approx(precision.numpy(), abs=1e-9)
+
+
+def test_the_cheap_gradient_is_that_of_the_normal_equations():
+    open_fit, _, x = small_problems()
+    value, gradient, _ = open_fit.normal_equations(x, torch.arange(1))
+    cheap_value, cheap = open_fit.cheap_gradient(x, torch.arange(1))
+    assert float(cheap_value) == pytest.approx(float(value), rel=1e-12)
+    assert cheap.numpy() == pytest.approx(gradient.numpy(), rel=1e-6, abs=1e-9 * float(gradient.abs().max()))
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    """Closed and open calibrations of simulated frames with a tail, and their errors in Noll 2-30."""
+    case = cases.settings(64)
+    drawn = TAIL_NM * np.random.default_rng(3).standard_normal(149)
+    true_nm = cases.ncpa_nm(9) | dict(zip(range(52, 201), drawn.tolist(), strict=True))
+    image_e = image(window=(64, 64), ncpa_nm=true_nm) * FLUX_E
+    images = cases.draw_frames(image_e, FRAMES, seed=12)
+    frames = Frames(images, cases.everything(images), cases.READ_NOISE)
+    options = CalibrationOptions(prior=cases.PRIOR)
+    fits = {
+        "closed": calibrate(frames, case, replace(options, highest_noll=66)),
+        "open": calibrate(frames, case, options),
+    }
+    low_nm = np.array([true_nm[noll] for noll in range(2, 31)])
+    return fits, {name: fit.zernike_nm[REPORTED] - low_nm for name, fit in fits.items()}
+
+
+@pytest.mark.slow
+def test_modes_beyond_the_closed_basis_do_not_bias_the_reported_ones(calibrated):
+    fits, errors = calibrated
+    assert np.linalg.norm(errors["closed"]) > 5  # the same frames without the open basis
+    assert np.linalg.norm(errors["open"]) < 0.5
+    assert fits["open"].chi2_nu == pytest.approx(1, abs=0.1)
+    assert fits["open"].frame_status == ["converged"]
+    assert fits["open"].options.highest_noll == "open"
+    assert fits["open"].nolls == tuple(range(2, 232))
+
+
+@pytest.mark.slow
+def test_the_law_of_the_tail_is_that_of_the_truth(calibrated):
+    """Modes of orders 11 to 18 have 3 nm, those of 19 and 20, with Noll 201 and beyond, less and nothing."""
+    tail = calibrated[0]["open"].tail
+    assert tail.sigma_nm([67, 150]) == pytest.approx([TAIL_NM, TAIL_NM], rel=0.35)
+
+
+def test_an_open_basis_of_a_method_without_one_is_refused():
+    images = torch.ones(2, 24, 24)
+    frames = Frames(images, cases.everything(images), cases.READ_NOISE)
+    with pytest.raises(ValueError, match="no open basis"):
+        calibrate(frames, cases.settings(24), CalibrationOptions("dip_avg", highest_noll="open"))
