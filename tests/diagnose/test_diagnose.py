@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.diagnose_cases import COMPANION, FURTHER, GHOST, TRUE_NM, diagnosis_of
+from helpers.diagnose_cases import COMPANION, FURTHER, GHOST, PUPIL, TRUE_NM, diagnosis_of
 
 from irlos_pipe.diagnose.sentence import sentence
 
@@ -59,6 +59,17 @@ def test_one_that_is_out_of_focus_is_a_ghost():
     assert (step.name, step.alternatives) == ("ghost", [])
     assert_sized(step, GHOST)
     assert step.public["defocus_nm"] == pytest.approx(80.0, abs=4 * step.sigma["defocus_nm"])
+
+
+@pytest.mark.slow
+def test_facts_of_the_pupil_that_were_told_wrong_are_named_with_what_the_data_want():
+    diagnosis = diagnosis_of("pupil")
+    found = {key: (value, s.sigma[key]) for s in diagnosis.steps for key, value in s.public.items()}
+    assert {step.name for step in diagnosis.steps} == {"pupil_geometry", "pupil_misregistration"}
+    for key, true in PUPIL.items():
+        assert found[key][0] == pytest.approx(true, abs=4 * found[key][1]), key
+    assert "a central obscuration of 1.22 m instead of 1.12 m" in sentence(diagnosis)
+    assert "vanes turned by +2.0° against the profile" in sentence(diagnosis)
 
 
 @pytest.mark.slow

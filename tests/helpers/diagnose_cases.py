@@ -32,6 +32,7 @@ CASE = settings(WINDOW)
 CONDITIONS = Conditions(CASE, BAND, RESIDUAL_LAW, 0.5, HIGHEST_NOLL, ncpa_law=NCPA_LAW)
 COMPANION = {"flux_ratio": 0.03, "x_px": -9.3, "y_px": 6.1}
 FURTHER = {"flux_ratio": 0.01, "x_px": 7.8, "y_px": 10.4}
+PUPIL = {"rotation_deg": 2.0, "obscuration_m": 1.22, "vane_width_m": 0.05}
 GHOST = COMPANION | {"defocus_nm": 80.0}
 
 
@@ -78,6 +79,15 @@ def with_opaque_spot(radius_m: float = 0.45) -> np.ndarray:
     )
 
 
+def with_another_pupil() -> np.ndarray:
+    """A pupil of another hole, with other vanes, turned."""
+    imager = reference()
+    pupil = imager.misregistered(
+        (0.0, 0.0), PUPIL["rotation_deg"], PUPIL["obscuration_m"], PUPIL["vane_width_m"]
+    )
+    return imager.image(opd_nm(imager), WAVELENGTH_NM, CASE.window, 9.7, transmission=pupil)
+
+
 def cube(image: np.ndarray, seed: int = 3) -> Frames:
     """Noisy frames of one image."""
     images = draw_frames(image * FLUX_E, FRAMES, seed=seed)
@@ -92,6 +102,7 @@ def diagnosis_of(kind: str) -> Diagnosis:
         "companion": with_companion,
         "two": functools.partial(with_second_images, COMPANION, FURTHER),
         "ghost": functools.partial(with_second_images, GHOST),
+        "pupil": with_another_pupil,
         "spot": with_opaque_spot,
     }
     return diagnose([Exposures(cube(images[kind]()), CONDITIONS)], [], options())
