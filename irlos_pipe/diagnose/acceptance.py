@@ -122,6 +122,17 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool
     before = best.origin
     if not first and before.excess.significance > options.sure and explained(best) < MUST_EXPLAIN:
         return None
+    return accepted(ranked, cube, options)
+
+
+def accepted(ranked: Sequence[Refit], cube: Cube, options: Options) -> Accepted | None:
+    """The best of the fitted names if it is significant and the held-out frames agree, or None.
+
+    `ranked`, `cube`, `options`: see `choose`.
+    """
+    if not ranked or not detected(ranked[0], options.sure):
+        return None
+    before = ranked[0].origin
     evaluations = [HeldOutEvaluation(cube.held_out, refit.fitted) for refit in ranked]
     ranked, judges = by_simplicity(*by_plausibility(*by_motion(ranked, evaluations, cube)))
     best = ranked[0]

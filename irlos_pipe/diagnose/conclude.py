@@ -9,9 +9,9 @@ import numpy as np
 import torch
 
 from irlos_pipe.diagnose.acceptance import Accepted, Options, Search, labels_in, threshold
-from irlos_pipe.diagnose.checks.fine_structure import FineStructure, fine_structure
+from irlos_pipe.diagnose.checks.fine_structure import fine_structure
 from irlos_pipe.diagnose.checks.motion import motion_ratio
-from irlos_pipe.diagnose.checks.noise import PHOTONS, SPECKLES, UNSEEN, NoiseVerdict
+from irlos_pipe.diagnose.checks.noise import NoiseVerdict
 from irlos_pipe.diagnose.checks.pixels import screened_step, smallest_excess
 from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.effect_sizes import (
@@ -22,21 +22,16 @@ from irlos_pipe.diagnose.effect_sizes import (
     within_reach,
 )
 from irlos_pipe.diagnose.fitting import Fitted
+from irlos_pipe.diagnose.grade import judged
 from irlos_pipe.diagnose.held_out import HeldOutEvaluation, gap_between
 from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.diagnose.second_recording import Advice, SecondRecordings
-from irlos_pipe.diagnose.verdict import EFFECT, NONE, UNKNOWN, Diagnosis, Pictures, Step
+from irlos_pipe.diagnose.verdict import COMPLETE, EFFECT, NONE, UNKNOWN, Diagnosis, Pictures, Step
 from irlos_pipe.diagnose.view import Screened
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
-
-# Part of the excess, and χ² over its expectation, from which much is left. With known noise a right name
-# leaves less than a thousandth; the residual of an AO system has more shapes than its model. Complete models
-# leave up to 1.14 on the bench, by errors of the discretisation, and on sky.
-LEFT = {PHOTONS: 0.003, SPECKLES: 0.05, UNSEEN: 0.05}
-LEFT_CHI2_NU = {PHOTONS: 1.3, SPECKLES: 1.2, UNSEEN: 1.2}
 
 
 def conclude(
@@ -58,10 +53,12 @@ def conclude(
     screened : sequence of Screened
         Pixels masked in the frames.
     """
-    fine = fine_structure(search.final)
-    why = why_unknown(search, noise, fine, options)
-    steps = [*_drift_steps(cube, search, options), *_steps(cube, search)]
-    final = search.final if not why else search.null
+    plain = search.final.under(search.null.stack)
+    fine = fine_structure(plain)
+    judgement = judged(search, noise, fine, options)
+    why = judgement.why_unknown
+    steps = [*_drift_steps(cube, search, options), *_steps(cube, search, judgement.shares)]
+    final = plain if not why else search.null
     judges = [HeldOutEvaluation(cube.held_out, optimum.fitted) for optimum in (search.null, final)]
     gap = gap_between(*judges)
     present = {effect.name for effect in search.final.fitted.effects}
@@ -77,9 +74,10 @@ def conclude(
         known, gap = [pixels, *known], replace(gap, before=pixels.gap.before)
     return Diagnosis(
         verdict=UNKNOWN if why else EFFECT if known else NONE,
+        grade=judgement.grade if why or judgement.left or not known else COMPLETE,
         steps=known,
         nearest=steps[0] if why and steps else None,
-        unexplained=bool(why) or fine.significance > options.sure,
+        unexplained=bool(why) or judgement.left or fine.significance > options.sure,
         why_unknown=why,
         gap=gap,
         mdb=_with_wider_forms({s.name: _smallest(s) for s in testable}) | _elsewhere(search, options),
@@ -87,41 +85,22 @@ def conclude(
         advice=_advice(hidden, seconds),
         noise=noise,
         fine=fine,
-        chi2_nu=(search.null.excess.chi2_nu, search.final.excess.chi2_nu),
-        excess_sigma=(search.null.excess.significance, search.final.excess.significance),
+        chi2_nu=(search.null.excess.chi2_nu, plain.excess.chi2_nu),
+        excess_sigma=(search.null.excess.significance, plain.excess.significance),
         motion_ratio=motion_ratio(cube.training, search.final.fitted),
         drift_significance=search.drift.significance if search.drift else float("nan"),
         frames=cube.frames,
         held_out=cube.training.held_out,
-        nolls=search.null.fitted.problem.layout.nolls,
-        modes_nm=(total_modes_nm(search.null.fitted), total_modes_nm(final.fitted)),
+        nolls=final.fitted.problem.layout.nolls,
+        modes_nm=_both(total_modes_nm(search.null.fitted), total_modes_nm(final.fitted)),
         modes_sigma_nm=_modes_sigma_nm(final),
         pictures=_pictures(judges, search.null, final),
     )
 
 
-def why_unknown(search: Search, noise: NoiseVerdict, fine: FineStructure, options: Options) -> str:
-    """What speaks against the names found, or for something that has none; empty if nothing does.
-
-    Parameters
-    ----------
-    search : Search
-    noise : NoiseVerdict
-    fine : FineStructure
-    options : Options
-    """
-    null, final = search.null.excess, search.final.excess
-    much = final.significance > options.sure and final.chi2_nu > LEFT_CHI2_NU[noise.kind]
-    if much and final.chi2 > LEFT[noise.kind] * null.chi2:
-        return f"{final.chi2 / null.chi2:.1%} of the excess is left (χ²/ν {final.chi2_nu:.2f})"
-    for one in search.accepted:
-        if one.refit.implausible:
-            return f"{one.name} would need {', '.join(one.refit.implausible)} beyond what is plausible"
-        if one.refit.effect.speckles and noise.kind == PHOTONS:
-            return "a halo without the speckles that an AO residual makes from frame to frame"
-    if fine.significance > options.sure and not search.accepted:
-        return f"the mean image has structure finer than the telescope can make, {fine.ratio:.1f} × its noise"
-    return ""
+def _both(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients before and after, of the modes of the latter."""
+    return np.pad(before, (0, len(after) - len(before))), after
 
 
 def total_modes_nm(fitted: Fitted) -> np.ndarray:
@@ -185,11 +164,13 @@ def _with_separation(step: Step, search: Search, seconds: SecondRecordings) -> S
 # -- names -------------------------------------------------------------------------------------
 
 
-def _steps(cube: Cube, search: Search) -> list[Step]:
+def _steps(cube: Cube, search: Search, shares: Sequence[float]) -> list[Step]:
     fitted = search.final.fitted
     covariance = parameter_covariance(search.final.stack, fitted)
-    pairs = zip(search.accepted, labels_in(fitted, search.accepted), strict=True)
-    return [_step(cube, one, label, fitted, covariance) for one, label in pairs]
+    rows = zip(search.accepted, labels_in(fitted, search.accepted), shares, strict=True)
+    return [
+        replace(_step(cube, one, label, fitted, covariance), share=share) for one, label, share in rows
+    ]
 
 
 def _step(cube: Cube, accepted: Accepted, label: str, fitted: Fitted, covariance: np.ndarray) -> Step:

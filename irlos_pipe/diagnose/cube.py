@@ -14,7 +14,7 @@ from typing import ClassVar, Literal
 import numpy as np
 import torch
 
-from irlos_pipe.estimate.cube import Frames, autocorrelation_time, mean_variance_e2
+from irlos_pipe.estimate.cube import Frames, autocorrelation_time, local_mean, mean_variance_e2
 from irlos_pipe.estimate.lift import smooth
 
 HeldOutKind = Literal["frames", "pixels"]
@@ -35,6 +35,8 @@ class Stack:
         Mean image, and its variance from the scatter between frames; infinite for bad pixels.
     photon_limited : bool
         Whether the noise model alone says how uncertain the mean is.
+    model_error_e2 : tensor, (pixels,), or 0
+        Part of the variance that stands for errors of the model, which all frames share.
     """
 
     frames: Frames
@@ -42,6 +44,7 @@ class Stack:
     mean_e: torch.Tensor
     variance_e2: torch.Tensor
     photon_limited: bool = False
+    model_error_e2: torch.Tensor | float = 0.0
 
     @classmethod
     def of(cls, frames: Frames, when: np.ndarray) -> Stack:
@@ -53,6 +56,17 @@ class Stack:
 
     def __len__(self) -> int:
         return len(self.when)
+
+    def with_model_error(self, relative: float) -> Stack:
+        """The same frames, of which a model may miss a `relative` part of the light about every pixel."""
+        signal = local_mean(self.mean_e.view(self.frames.good.shape), self.frames.good.double()).flatten()
+        error, own = (relative * signal) ** 2, self.variance_e2 - self.model_error_e2
+        return replace(self, variance_e2=own + error, model_error_e2=error)
+
+    @property
+    def shared_e2(self) -> torch.Tensor | float:
+        """Variance that all frames have in common: that of their dark, and of the model [e-²]."""
+        return self.frames.noise.shared_e2 + self.model_error_e2
 
     @property
     def root(self) -> torch.Tensor:
@@ -117,8 +131,8 @@ class Stacks:
 
     @property
     def shared(self) -> torch.Tensor:
-        """Whitened variance that all frames of a recording have in common, (pixels,): their dark's."""
-        return torch.cat([part.frames.noise.shared_e2 * part.root**2 for part in self.parts])
+        """Whitened variance that all frames of a recording have in common, (pixels,)."""
+        return torch.cat([part.shared_e2 * part.root**2 for part in self.parts])
 
     def covariance_of(self, shapes: torch.Tensor) -> torch.Tensor:
         """Covariance of the scalar products of the whitened mean with `shapes` (pixels, m), (m, m)."""
@@ -159,6 +173,10 @@ class Stacks:
     def limited_by(self, photons: bool) -> Stacks:
         """Trust the noise model of these frames if `photons` limit them, else their scatter."""
         return replace(self, parts=tuple(replace(part, photon_limited=photons) for part in self.parts))
+
+    def with_model_error(self, relative: float) -> Stacks:
+        """See `Stack.with_model_error`."""
+        return replace(self, parts=tuple(part.with_model_error(relative) for part in self.parts))
 
     def __len__(self) -> int:
         return sum(len(part) for part in self.parts)
@@ -214,6 +232,10 @@ class Cube:
     def limited_by(self, photons: bool) -> Cube:
         """Trust the noise model of these frames if `photons` limit them, else their scatter."""
         return Cube(self.training.limited_by(photons), self.held_out.limited_by(photons))
+
+    def with_model_error(self, relative: float) -> Cube:
+        """See `Stack.with_model_error`."""
+        return Cube(self.training.with_model_error(relative), self.held_out.with_model_error(relative))
 
 
 def _steadied(mean_e: torch.Tensor, frames: Frames) -> torch.Tensor:

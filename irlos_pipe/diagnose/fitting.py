@@ -165,6 +165,10 @@ class Fitter:
         problem = self._problem(effects, self._quick, ROUGHLY)
         return self._solved(problem, self._start(problem, near), EXPLORING)
 
+    def again(self, fitted: Fitted) -> Fitted:
+        """The same model from where it is, for instance with other weights."""
+        return self._continued(fitted)
+
     def finished(self, fitted: Fitted) -> Fitted:
         """What was explored, continued until it converges or falls no further, if patience allows."""
         if not fitted.exact:
@@ -242,7 +246,8 @@ class Fitter:
             x[:, columns] = _first_guess(view, stack, part)
         if near is not None:
             behind = OWN * (len(self.views) - 1) + 2
-            x[:, problem.layout.modes] = near.x[:, near.problem.layout.modes]
+            common = min(len(problem.layout.nolls), len(near.problem.layout.nolls))  # both begin at tip
+            x[:, :common] = near.x[:, :common]
             x[:, -behind:] = near.x[:, -behind:]
         return x
 

@@ -71,6 +71,10 @@ class Optimum(NullModel):
         unconverged = basis.mT @ residual + whole[len(residual) :].mT @ prior
         super().__init__(residual, root, basis, unconverged)
 
+    def under(self, stack: Stacks) -> Optimum:
+        """The same model beside other variances of the same frames."""
+        return self if stack is self.stack else Optimum(stack, self.fitted)
+
     @property
     def settings(self) -> PsfSettings:
         """Settings of the first recording; the window is that of all."""

@@ -137,6 +137,7 @@ def refits(
     origin: Optimum,
     scores: Sequence[Score],
     report: Callable[[int], None] = lambda count: None,
+    most: int = PROPOSALS,
 ) -> list[Refit]:
     """Fit the most promising families, and return the best first.
 
@@ -148,9 +149,11 @@ def refits(
     scores : sequence of Score
     report : callable
         Called with the number of finished fits.
+    most : int
+        Families to fit.
     """
     found: list[Refit] = []
-    for some in _rounds(proposals(scores)):
+    for some in _rounds(proposals(scores)[:most]):
         hopeful = [score for score in some if not _hopeless(score, found)]
         found = _joined(fitter, found, ordered_map(partial(_near, fitter, origin), hopeful))
         report(len(some))

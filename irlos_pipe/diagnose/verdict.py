@@ -19,6 +19,10 @@ from irlos_pipe.effects import FixedEffect
 NONE: Final = "none"
 EFFECT: Final = "effect"
 UNKNOWN: Final = "unknown"
+COMPLETE: Final = "complete"
+PARTIAL: Final = "partial"
+RESEMBLES: Final = "resembles"
+Grade = Literal["none", "complete", "partial", "resembles", "unknown"]
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,8 @@ class Step:
         Families that were fitted, the best first.
     label : str
         Of the effect among those of the final model; by default its name.
+    share : float
+        Part of its own signal that the final model explains where that signal lies.
     """
 
     effect: FixedEffect
@@ -75,6 +81,7 @@ class Step:
     gap: Gap
     alternatives: Sequence[Alternative] = ()
     ranking: Sequence[Ranked] = ()
+    share: float = float("nan")
     label: str = ""
 
     def __post_init__(self) -> None:
@@ -112,6 +119,9 @@ class Diagnosis:
     Attributes
     ----------
     verdict : {"none", "effect", "unknown"}
+    grade : {"none", "complete", "partial", "resembles", "unknown"}
+        Nothing is missing; nothing significant is left; something else is missing as well; the best name
+        stands in for something that the catalogue lacks; nothing explains what is missing.
     steps : sequence of Step
         Names accepted.
     nearest : Step or None
@@ -138,6 +148,7 @@ class Diagnosis:
     """
 
     verdict: Literal["none", "effect", "unknown"]
+    grade: Grade
     steps: Sequence[Step]
     nearest: Step | None
     unexplained: bool

@@ -44,6 +44,8 @@ class Effect:
         Whether every on-sky recording has it, so that a model without a measurement takes it as expected.
     instrumental : bool
         Whether a calibration can hand it on to a recording of another star at another time.
+    fact : bool
+        Whether it corrects what the profile of the instrument states, which is never exact.
     aberration : bool
         Whether it is a part of the static wavefront, which a calibration of NCPAs hands on.
     in_image : bool
@@ -79,6 +81,7 @@ class Effect:
     derived: tuple[Public, ...] = ()
     usual: bool = False
     instrumental: bool = True
+    fact: bool = False
     aberration: bool = False
     in_image: bool = True
     found_by: FoundBy = "score"

@@ -75,6 +75,7 @@ class Spectrum(SamplingEffect):
 
     name = "spectrum"
     instrumental = False  # belongs to the filter
+    fact = True
     public = (
         number("wavelength_nm", "nm, true weighted mean, not its shift", 300.0, 5000.0, required=False),
         number("slope", "1/µm, relative change of the weight", -5.0, 5.0, required=False),
@@ -156,6 +157,7 @@ class PlateScale(SamplingEffect):
     """
 
     name = "plate_scale"
+    fact = True
     public = (number("fraction", "of the assumed scale", -0.05, 0.05),)
     look_alike = "spectrum in a narrow band; two stars of known distance distinguish them"
     reference = "Goodman 2005, Introduction to Fourier Optics, section 5.2"

@@ -37,6 +37,7 @@ class PupilMisregistration(RedrawnPupil):
     """
 
     name = "pupil_misregistration"
+    fact = True
     public = (
         number("dx_m", "m", -1.0, 1.0, role="component"),
         number("dy_m", "m", -1.0, 1.0, role="component"),

@@ -1,0 +1,111 @@
+"""The search that adds one name after the other until nothing significant is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from irlos_pipe.diagnose.acceptance import Accepted, Options, Search, choose, explained, no_longer_needed
+from irlos_pipe.diagnose.checks.drift import Drift, measure_drift
+from irlos_pipe.diagnose.checks.pixels import bad_pixel_family
+from irlos_pipe.diagnose.cube import Cube
+from irlos_pipe.diagnose.fitting import Fitted, Fitter
+from irlos_pipe.diagnose.null_model import Optimum
+from irlos_pipe.diagnose.refit import Refit, refits
+from irlos_pipe.diagnose.search.scores import Score, families, scores
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect
+
+Report = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A cube with the means to fit it."""
+
+    cube: Cube
+    fitter: Fitter
+    conditions: Conditions
+    options: Options
+    report: Report
+
+    def searched(self, effects: Sequence[Effect]) -> Search:
+        """Add names until nothing significant is missing, or nothing explains what is."""
+        null = self._optimum(self._null(effects))
+        drift, current = self._with_drift(null)
+        accepted: list[Accepted] = []
+        for _ in range(2 * self.options.most_names):  # names may be dropped again
+            found, meaningless = self._scores(current)
+            if len(accepted) == self.options.most_names:
+                break
+            chosen = self._next_name(current, found, first=not accepted)
+            if chosen is None:
+                break
+            accepted.append(chosen)
+            if self._leads_nowhere(chosen.refit):
+                current = chosen.refit.optimum
+                break
+            current, accepted = self._adapted(accepted)
+        return Search(null, current, drift, accepted, found, meaningless)
+
+    # -- steps ---------------------------------------------------------------------------------
+
+    def _null(self, effects: Sequence[Effect]) -> Fitted:
+        """The fit without anything new, of it and its twins the most plausible.
+
+        A changing wavefront has many false minima: the fit with it starts from that of a constant one.
+        """
+        constant = [effect for effect in effects if effect.plane != "time"]
+        near = self._null(constant) if len(constant) < len(effects) else None
+        found = [self.fitter.fit(effects, near)]
+        found.append(self.fitter.twin(found[0]))
+        if found[1].chi2 < found[0].chi2:  # a deeper minimum, which has a twin of its own
+            found.append(self.fitter.twin(found[1]))
+        self.report(2)
+        return self.fitter.most_plausible(found)
+
+    def _with_drift(self, null: Optimum) -> tuple[Drift | None, Optimum]:
+        """The drift of the frames, and the model with it if it is significant."""
+        known = any(effect.found_by == "frames" for effect in null.fitted.effects)
+        if known or not self.cube.training.in_time:
+            return None, null
+        drift = measure_drift(self.cube.training, null.fitted, self.options.sure)
+        if drift.significance < self.options.sure:
+            return drift, null
+        fitted = self.fitter.fit([*null.fitted.continued(), drift.effect()], null.fitted)
+        return drift, self._optimum(fitted)
+
+    def _scores(self, current: Optimum) -> tuple[list[Score], list[str]]:
+        """Scores of all families that the model lacks."""
+        present = current.fitted.effects
+        missing, meaningless = families(self.conditions, [effect.name for effect in present])
+        listed = any(effect.found_by == "pixels" for effect in present)
+        pixels = [] if listed else bad_pixel_family(current)
+        if not self.cube.training.in_time:
+            meaningless += [name for name, kind in CATALOGUE.items() if kind.found_by == "frames"]
+        return scores(current, [*missing, *pixels]), meaningless
+
+    def _next_name(self, current: Optimum, found: list[Score], *, first: bool) -> Accepted | None:
+        """The name to add next; None if nothing is missing or nothing explains it."""
+        sure = self.options.sure
+        suspicious = current.excess.significance > sure or any(s.significance > sure for s in found)
+        if not suspicious:
+            return None
+        ranked = refits(self.fitter, current, found, self.report)
+        return choose(ranked, self.cube, self.options, first=first)
+
+    def _leads_nowhere(self, refit: Refit) -> bool:
+        """Whether a name leaves much, and explains less than its share of as many names as are allowed."""
+        much = refit.excess.significance > self.options.sure
+        return much and explained(refit) < 1 / self.options.most_names
+
+    def _adapted(self, accepted: list[Accepted]) -> tuple[Optimum, list[Accepted]]:
+        """The model with the new name, without one that it makes superfluous."""
+        current = accepted[-1].refit.optimum
+        superfluous = no_longer_needed(self.fitter, current, accepted)
+        if superfluous is None:
+            return current, accepted
+        one, without = superfluous
+        return self._optimum(without), [other for other in accepted if other is not one]
+
+    def _optimum(self, fitted: Fitted) -> Optimum:
+        return Optimum(self.cube.training, fitted)

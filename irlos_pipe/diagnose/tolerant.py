@@ -1,0 +1,182 @@
+"""The search where nothing is exactly as told: facts of the instrument free, errors of the model allowed.
+
+At a telescope the pupil, the scale, the band and the wavefront all differ a little from what a profile
+states. One name after the other then explains little, and every one of them stands in for the others. Here
+the facts are fitted together, the wavefront is taken as far as the window sees it, and what the model still
+misses enters the variance as a part of the light, so that no name is earned by what everything misses. More
+names are looked for beside all that; last, every fact is tried as it was told, and those that the data
+contradict are named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from irlos_pipe.conventions.units import MAS
+from irlos_pipe.diagnose.acceptance import Accepted, Search, accepted, detected
+from irlos_pipe.diagnose.cube import Stacks
+from irlos_pipe.diagnose.fitting import Fitted, Fitter
+from irlos_pipe.diagnose.forward import Task
+from irlos_pipe.diagnose.null_model import Optimum
+from irlos_pipe.diagnose.refit import Refit, refits
+from irlos_pipe.diagnose.search.scores import Family, Score, score_family
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect
+from irlos_pipe.optics.psf_settings import PsfSettings
+
+MAY_MISS = 0.3  # of the light about a pixel, at most
+BISECTIONS = 30
+WELL_FITTED = 1.2  # χ²/ν up to which the model needs no errors of its own
+STARTS, START_NM = 2, 60.0  # further wavefronts to begin with: RMS of the first radial order, falling
+HIGHEST_ORDER = 18  # radial order at which an open wavefront ends for the sake of time
+PROPOSALS = 4  # fitted per name
+ROUNDS = 2  # of a fit and of what it misses
+
+
+class TolerantTask(Task):
+    """A search with the facts of the instrument free, beside what the model has."""
+
+    def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
+        """Begin again where a plain `search` from `effects` left much: facts first, then names."""
+        drift = search.drift
+        moving = [drift.effect()] if drift and drift.significance > self.options.sure else []
+        model = [*effects, *moving]
+        free = facts(self.conditions, model)
+        task, current = self._with_errors(self._base([*model, *free], search))
+        names: list[Accepted] = []
+        for _ in range(self.options.most_names):
+            found, meaningless = task._scores(current)
+            chosen = task._further(current, found)
+            if chosen is None:
+                break
+            names.append(chosen)
+            task, current = task._with_errors(chosen.refit.fitted)
+        contradicted, current = task._contradicted(current, [effect.name for effect in free])
+        return Search(search.null, current, drift, [*names, *contradicted], found, meaningless)
+
+    # -- steps ---------------------------------------------------------------------------------
+
+    def _base(self, effects: Sequence[Effect], search: Search) -> Fitted:
+        """The fit with all facts free, of several starts the most plausible."""
+        task = self._allowing(relative_error(self.cube.training, search.final.fitted))
+        near = search.final.fitted
+        found = [
+            task.fitter.explored(effects, near),
+            *(task.fitter.explored(effects, one) for one in self._starts(near)),
+        ]
+        self.report(len(found))
+        return task.fitter.finished(
+            task.fitter.most_plausible([one for one in found if np.isfinite(one.chi2)])
+        )
+
+    def _starts(self, near: Fitted) -> list[Fitted]:
+        """`near` with other wavefronts: none, and some at random, less in every radial order."""
+        generator = torch.Generator().manual_seed(STARTS)
+        nolls = near.problem.layout.nolls
+        size = torch.tensor(
+            [START_NM * min(1.0, 2.0 / radial_order(n)) ** 1.5 for n in nolls], dtype=torch.float64
+        )
+        size[:2] = 0.0
+        found = []
+        for number in range(STARTS):
+            x = near.x.clone()
+            drawn = torch.randn(len(nolls), generator=generator, dtype=torch.float64) * size
+            x[0, near.problem.layout.modes] = (drawn if number else torch.zeros_like(drawn)) + x[
+                0, near.problem.layout.modes
+            ] * (size == 0)
+            found.append(replace(near, solution=replace(near.solution, values=x)))
+        return found
+
+    def _with_errors(self, fitted: Fitted) -> tuple[TolerantTask, Optimum]:
+        """The search that allows for what a model misses, and the model fitted again under it."""
+        task = self
+        for _ in range(ROUNDS):
+            task = task._allowing(relative_error(self.cube.training, fitted))
+            fitted = task.fitter.finished(task.fitter.again(fitted))
+        self.report(1)
+        return task, Optimum(task.cube.training, fitted)
+
+    def _allowing(self, relative: float) -> TolerantTask:
+        """The same search, in which the model may miss a `relative` part of the light."""
+        cube = self.cube.with_model_error(relative)
+        return replace(self, cube=cube, fitter=Fitter(self.fitter.views, cube.training))
+
+    def _further(self, current: Optimum, found: list[Score]) -> Accepted | None:
+        """The next name: significant, plausible, and wanted by the held-out frames."""
+        if not any(score.significance > self.options.sure for score in found):
+            return None
+        ranked = refits(self.fitter, current, found, self.report, most=PROPOSALS)
+        ranked = [one for one in ranked if not one.implausible]
+        return accepted(ranked, self.cube, self.options)
+
+    def _contradicted(self, current: Optimum, names: Sequence[str]) -> tuple[list[Accepted], Optimum]:
+        """Facts that the data contradict, the most significant first, and the model without the others."""
+        found = []
+        for name in names:
+            kept = [effect for effect in current.fitted.continued() if effect.name != name]
+            without = self.fitter.finished(self.fitter.explored(kept, current.fitted))
+            origin = Optimum(self.cube.training, without)
+            family = Family(CATALOGUE[name].variants(self.conditions))
+            refit = Refit(score_family(origin, family), origin, current.fitted)
+            one = accepted([refit], self.cube, self.options) if detected(refit, self.options.sure) else None
+            if one is None:
+                current = origin
+            else:
+                found.append(one)
+        return sorted(found, key=lambda one: -one.refit.significance), current
+
+
+def facts(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
+    """Facts of the instrument as effects with free values, beside the effects `present` in a model."""
+    model, found = {effect.name for effect in present}, []
+    for name, kind in CATALOGUE.items():
+        if not kind.fact or name in model:
+            continue
+        try:
+            found.append(kind.under(conditions))
+        except ValueError:
+            continue  # it means nothing for this instrument
+    return found
+
+
+def open_noll(settings: PsfSettings, least: int) -> int:
+    """Highest Noll index whose light falls into the window, not below `least`.
+
+    A mode of radial order n sends its light to (n + 1)/π λ/D (Noll 1976, JOSA 66, 207: its transform is a
+    Bessel function of order n + 1); the window reaches to half its width.
+    """
+    reach_rad = max(settings.window) / 2 * settings.pixel_scale_mas * MAS
+    order = int(np.pi / 2 * reach_rad * settings.geometry.diameter_m / settings.shortest_m)
+    order = min(order, HIGHEST_ORDER)
+    return max(least, (order + 1) * (order + 2) // 2)
+
+
+def radial_order(noll: int) -> int:
+    """Radial order of a Zernike mode."""
+    return int((np.sqrt(8 * noll - 7) - 1) / 2)
+
+
+def relative_error(stack: Stacks, fitted: Fitted) -> float:
+    """Part of the light about every pixel that a model misses: with it in the variance χ²/ν is one.
+
+    Parameters
+    ----------
+    stack : Stacks
+    fitted : Fitted
+    """
+    residual = stack.mean_e - fitted.image_e
+
+    def chi2_nu(relative: float) -> float:
+        root = stack.with_model_error(relative).root
+        return float(((residual * root) ** 2).sum()) / fitted.problem.freedom
+
+    if chi2_nu(0.0) < WELL_FITTED:
+        return 0.0
+    low, high = 0.0, MAY_MISS
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if chi2_nu(middle) > 1 else (low, middle)
+    return high
