@@ -25,6 +25,7 @@ from irlos_pipe.diagnose.fitting import Fitted
 from irlos_pipe.diagnose.grade import judged
 from irlos_pipe.diagnose.held_out import HeldOutEvaluation, gap_between
 from irlos_pipe.diagnose.null_model import Optimum
+from irlos_pipe.diagnose.rest import rest_of
 from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.diagnose.second_recording import Advice, SecondRecordings
 from irlos_pipe.diagnose.verdict import COMPLETE, EFFECT, NONE, UNKNOWN, Diagnosis, Pictures, Step
@@ -79,6 +80,7 @@ def conclude(
         nearest=steps[0] if why and steps else None,
         unexplained=bool(why) or judgement.left or fine.significance > options.sure,
         why_unknown=why,
+        rest=rest_of(judges[1], gap.floor, fine, options.sure, search.final.settings),
         gap=gap,
         mdb=_with_wider_forms({s.name: _smallest(s) for s in testable}) | _elsewhere(search, options),
         untestable=[*(s.name for s in hidden), *search.meaningless],
@@ -168,9 +170,7 @@ def _steps(cube: Cube, search: Search, shares: Sequence[float]) -> list[Step]:
     fitted = search.final.fitted
     covariance = parameter_covariance(search.final.stack, fitted)
     rows = zip(search.accepted, labels_in(fitted, search.accepted), shares, strict=True)
-    return [
-        replace(_step(cube, one, label, fitted, covariance), share=share) for one, label, share in rows
-    ]
+    return [replace(_step(cube, one, label, fitted, covariance), share=share) for one, label, share in rows]
 
 
 def _step(cube: Cube, accepted: Accepted, label: str, fitted: Fitted, covariance: np.ndarray) -> Step:

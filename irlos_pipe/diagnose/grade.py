@@ -69,7 +69,9 @@ def judged(search: Search, noise: NoiseVerdict, fine: FineStructure, options: Op
                 UNKNOWN, left, shares, f"nothing in the catalogue explains χ²/ν {final.chi2_nu:.2f}"
             )
         if fine.significance > options.sure:
-            why = f"structure finer than the telescope can make, {fine.ratio:.1f} × the noise of the mean image"
+            why = (
+                f"structure finer than the telescope can make, {fine.ratio:.1f} × the noise of the mean image"
+            )
             return Judgement(UNKNOWN, left, shares, why)
         return Judgement(NONE, left, shares)
     if left and max(shares) < AT_ITS_PLACE[noise.kind]:

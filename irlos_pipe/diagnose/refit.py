@@ -120,16 +120,7 @@ class Refit:
     @property
     def implausible(self) -> list[str]:
         """Parameters at a bound or outside the plausible range."""
-        pairs = zip(self.base.parameters, self.values, strict=True)
-        return [p.name for p, value in pairs if not _plausible(p, value)]
-
-
-def _plausible(parameter, value: float) -> bool:
-    low, high = parameter.plausible
-    at_bound = (
-        parameter.null is not None and parameter.null != value and value in (parameter.lower, parameter.upper)
-    )
-    return low <= value <= high and not at_bound
+        return self.base.unusual(self.values)
 
 
 def refits(

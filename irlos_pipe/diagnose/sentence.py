@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from irlos_pipe.diagnose.verdict import NONE, UNKNOWN, Diagnosis, Step
+from irlos_pipe.diagnose.verdict import NONE, PARTIAL, RESEMBLES, UNKNOWN, Diagnosis, Step
 from irlos_pipe.effects import CATALOGUE
 
 
@@ -28,15 +28,24 @@ def _found(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == NONE:
         return f"Nothing significant is missing in the model{_limit(diagnosis)}."
     if diagnosis.verdict == UNKNOWN:
-        nearest = diagnosis.nearest
-        near = "" if nearest is None else f"; the nearest is {_phrase(nearest)}"
-        return f"Something is missing that nothing in the catalogue explains: {diagnosis.why_unknown}{near}."
+        return f"{_unnamed(diagnosis)}: {diagnosis.why_unknown}. {diagnosis.rest.text}."
     lacking = " and ".join(_phrase(step) for step in diagnosis.steps)
-    return f"Missing in the model: {lacking}{_others(diagnosis.steps)}; {_rest(diagnosis)}."
+    return f"Missing in the model: {lacking}{_others(diagnosis.steps)}; {_left(diagnosis)}."
 
 
-def _rest(diagnosis: Diagnosis) -> str:
+def _unnamed(diagnosis: Diagnosis) -> str:
+    """That something is missing, and what it resembles."""
+    nearest = diagnosis.nearest
+    if diagnosis.grade == RESEMBLES and nearest is not None:
+        return f"Something is missing that resembles {_phrase(nearest)} and is not that"
+    near = "" if nearest is None else f" (the nearest is {_phrase(nearest)})"
+    return f"Something is missing that nothing in the catalogue explains{near}"
+
+
+def _left(diagnosis: Diagnosis) -> str:
     """What is missing besides the names."""
+    if diagnosis.grade == PARTIAL:
+        return f"something else is missing as well: {diagnosis.rest.text}"
     if diagnosis.unexplained:
         return "besides, the pixels hold structure finer than the telescope can make, as of a wrong flat"
     return f"nothing else is missing{_limit(diagnosis)}"

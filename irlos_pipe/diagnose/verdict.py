@@ -13,6 +13,7 @@ from irlos_pipe.diagnose.checks.fine_structure import FineStructure
 from irlos_pipe.diagnose.checks.noise import NoiseVerdict
 from irlos_pipe.diagnose.cube import HeldOutKind
 from irlos_pipe.diagnose.held_out import Gap
+from irlos_pipe.diagnose.rest import Rest
 from irlos_pipe.diagnose.second_recording import Advice
 from irlos_pipe.effects import FixedEffect
 
@@ -81,8 +82,8 @@ class Step:
     gap: Gap
     alternatives: Sequence[Alternative] = ()
     ranking: Sequence[Ranked] = ()
-    share: float = float("nan")
     label: str = ""
+    share: float = float("nan")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "label", self.label or self.name)
@@ -91,6 +92,11 @@ class Step:
     def name(self) -> str:
         """Name of the effect."""
         return self.effect.name
+
+    @property
+    def unusual(self) -> list[str]:
+        """Parameters at a bound, or beyond what is usual for the effect."""
+        return self.effect.base.unusual(self.effect.values)
 
 
 @dataclass(frozen=True)
@@ -129,6 +135,8 @@ class Diagnosis:
     unexplained : bool
         Whether a significant part of the residual is left.
     why_unknown : str
+    rest : Rest
+        What the final model misses.
     mdb : dict
         Smallest detectable size of every effect that was not seen.
     untestable : sequence of str
@@ -153,6 +161,7 @@ class Diagnosis:
     nearest: Step | None
     unexplained: bool
     why_unknown: str
+    rest: Rest
     gap: Gap
     mdb: dict[str, dict]
     untestable: Sequence[str]

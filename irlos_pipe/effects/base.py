@@ -213,6 +213,11 @@ class Effect:
         """Role of a public value, see `Public`."""
         return next((one.role for one in (*self.public, *self.derived) if one.name == name), "size")
 
+    def unusual(self, values: Values) -> list[str]:
+        """Parameters whose values, (parameters,), lie at a bound or outside the plausible range."""
+        pairs = zip(self.parameters, np.asarray(values, float).tolist(), strict=True)
+        return [parameter.name for parameter, value in pairs if not parameter.allows(value)]
+
     @property
     def base(self) -> Effect:
         """The effect itself; of a `FixedEffect`, the effect whose parameters are held."""

@@ -46,6 +46,12 @@ class Parameter:
     null: float | None = 0.0
     plausible: tuple[float, float] = (-INFINITE, INFINITE)
 
+    def allows(self, value: float) -> bool:
+        """Whether a `value` is plausible, and not held by a bound."""
+        low, high = self.plausible
+        at_bound = self.null is not None and self.null != value and value in (self.lower, self.upper)
+        return low <= value <= high and not at_bound
+
 
 @dataclass(frozen=True)
 class Public:

@@ -11,6 +11,7 @@ import yaml
 
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.diagnose.held_out import Gap
+from irlos_pipe.diagnose.rest import Rest
 from irlos_pipe.diagnose.sentence import sentence
 from irlos_pipe.diagnose.verdict import Diagnosis, Step
 from irlos_pipe.effects import CATALOGUE
@@ -26,7 +27,9 @@ from irlos_pipe.stages.diagnose.results import (
     ModesChange,
     NoiseRow,
     RankedRow,
+    RestRow,
     StepRow,
+    WhereRow,
 )
 from irlos_pipe.stages.model.section import ModelConfig
 
@@ -42,12 +45,14 @@ def diagnose_results(result: Diagnosis) -> DiagnoseResults:
     }
     return DiagnoseResults(
         verdict=result.verdict,
+        grade=result.grade,
         sentence=sentence(result),
         steps=[_step(step) for step in result.steps],
         nearest=None if result.nearest is None else _step(result.nearest),
         gap=gap_row(result.gap),
         unexplained=result.unexplained,
         why_unknown=result.why_unknown,
+        rest=_rest(result.rest),
         untestable=list(result.untestable),
         second_recording=advice,
         mdb=result.mdb,
@@ -84,6 +89,20 @@ def _step(step: Step) -> StepRow:
         gap_before=step.gap.before,
         gap_after=step.gap.after,
         ranking=[RankedRow(**asdict(one)) for one in step.ranking],
+        share=step.share,
+        unusual=step.unusual,
+    )
+
+
+def _rest(rest: Rest) -> RestRow:
+    return RestRow(
+        light_fraction=rest.light_fraction,
+        where=WhereRow(x_mas=rest.x_mas, y_mas=rest.y_mas, extent_mas=rest.extent_mas),
+        excess=rest.excess,
+        symmetry=rest.symmetry,
+        time=rest.time,
+        finer_than_diffraction=rest.finer_than_diffraction,
+        text=rest.text,
     )
 
 
@@ -126,6 +145,11 @@ def summary_lines(result: Diagnosis) -> list[str]:
         f"(held-out {held_out}), χ²/ν {result.chi2_nu[0]:.2f} -> {result.chi2_nu[1]:.2f}, "
         f"{result.seconds:.0f} s"
     )
+    if result.unexplained:
+        lines.append(f"  left            {result.rest.text}")
+    for step in result.steps:
+        if step.unusual:
+            lines.append(f"  unusual         {step.label}: {', '.join(step.unusual)} beyond what is usual")
     lines.append(f"  noise           {result.noise.text}")
     fine = result.fine
     lines.append(f"  finer than D/λ  {fine.ratio:.2f} × what noise leaves there, {fine.significance:.1f} σ")

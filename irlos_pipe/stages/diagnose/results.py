@@ -65,6 +65,10 @@ class StepRow(ResultsPart):
         Vuong's statistic on the held-out frames.
     gap_before, gap_after : float
         Gap without and with it.
+    share : float
+        Part of its own signal that the final model explains where that signal lies.
+    unusual : list of str
+        Parameters beyond what is usual for the effect.
     """
 
     effect: str = ""
@@ -78,6 +82,8 @@ class StepRow(ResultsPart):
     gap_before: Number = math.nan
     gap_after: Number = math.nan
     ranking: list[RankedRow] = []
+    share: Number = math.nan
+    unusual: list[str] = []
 
 
 class AdviceRow(ResultsPart):
@@ -131,6 +137,26 @@ class FrameCounts(ResultsPart):
     held_out: int = 0
 
 
+class WhereRow(ResultsPart):
+    """The strongest part of what is left, from the star, x to the right and y up [mas]."""
+
+    x_mas: Number = math.nan
+    y_mas: Number = math.nan
+    extent_mas: Number = math.nan
+
+
+class RestRow(ResultsPart):
+    """What the model still misses, see `diagnose.rest.Rest`."""
+
+    light_fraction: Number = math.nan
+    where: WhereRow = WhereRow()
+    excess: bool = False
+    symmetry: str = ""
+    time: str = ""
+    finer_than_diffraction: bool = False
+    text: str = ""
+
+
 class DiagnoseResults(StageResults):
     """What the model of cubes or a ramp lacks; some keys stand only for cubes, `defocus_error_nm` for a ramp.
 
@@ -138,6 +164,10 @@ class DiagnoseResults(StageResults):
     ----------
     verdict : str
         ``none``, ``effect`` or ``unknown``.
+    grade : str
+        ``none``, ``complete``, ``partial``, ``resembles`` or ``unknown``, see `diagnose.verdict.Diagnosis`.
+    rest : RestRow or None
+        What the model with the effects still misses.
     nearest : StepRow or None
         What comes nearest, where the verdict is unknown.
     unexplained : bool
@@ -164,12 +194,14 @@ class DiagnoseResults(StageResults):
 
     stage: ClassVar[str] = "diagnose"
     verdict: str = ""
+    grade: str = ""
     sentence: str = ""
     steps: list[StepRow] = []
     nearest: StepRow | None = None
     gap: GapRow = GapRow()
     unexplained: bool = False
     why_unknown: str = ""
+    rest: RestRow | None = None
     untestable: list[str] = []
     second_recording: dict[str, AdviceRow] = {}
     mdb: dict[str, EffectValues] = {}
