@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from irlos_pipe.diagnose.acceptance import Accepted, Options, Search
+from irlos_pipe.diagnose.acceptance import Options, Search
 from irlos_pipe.diagnose.checks.fine_structure import FineStructure
 from irlos_pipe.diagnose.checks.noise import PHOTONS, SPECKLES, UNSEEN, NoiseVerdict
 from irlos_pipe.diagnose.cube import Stacks
 from irlos_pipe.diagnose.null_model import Optimum
+from irlos_pipe.diagnose.refit import Refit
 from irlos_pipe.diagnose.verdict import COMPLETE, NONE, PARTIAL, RESEMBLES, UNKNOWN, Grade
 
 # Part of the excess, and χ² over its expectation, from which much is left. With known noise a right name
@@ -20,7 +21,7 @@ LEFT_CHI2_NU = {PHOTONS: 1.3, SPECKLES: 1.2, UNSEEN: 1.2}
 
 
 # Part of its own signal that a right name explains where it acts.
-AT_ITS_PLACE = {PHOTONS: 0.98, SPECKLES: 0.9, UNSEEN: 0.9}
+AT_ITS_PLACE = 0.9
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def judged(search: Search, noise: NoiseVerdict, fine: FineStructure, options: Op
     """
     left = much_is_left(search, noise.kind, options.sure)
     stack = search.null.stack
-    shares = [share_at_its_place(one, search.final, stack) for one in search.accepted]
+    shares = [share_at_its_place(one.refit, search.final, stack) for one in search.accepted]
     without_speckles = [one for one in search.accepted if one.refit.effect.speckles and noise.kind == PHOTONS]
     if without_speckles:
         why = "a halo without the speckles that an AO residual makes from frame to frame"
@@ -74,7 +75,7 @@ def judged(search: Search, noise: NoiseVerdict, fine: FineStructure, options: Op
             )
             return Judgement(UNKNOWN, left, shares, why)
         return Judgement(NONE, left, shares)
-    if left and max(shares) < AT_ITS_PLACE[noise.kind]:
+    if left and max(shares) < AT_ITS_PLACE:
         name = search.accepted[0].name
         why = f"{name} leaves {1 - shares[0]:.1%} of its own signal where it acts"
         return Judgement(RESEMBLES, left, shares, why)
@@ -98,8 +99,8 @@ def much_is_left(search: Search, kind: str, sure: float) -> bool:
     return much and final.chi2 > LEFT[kind] * null.chi2
 
 
-def share_at_its_place(one: Accepted, final: Optimum, stack: Stacks) -> float:
-    """Part of a name's own signal that the final model explains where that signal lies.
+def share_at_its_place(one: Refit, final: Optimum, stack: Stacks) -> float:
+    """Part of a name's own signal that a model explains where that signal lies.
 
     The signal is the change of the image by the name that no other parameter imitates. Its square weighs
     the excess of χ² with and without the name: a name that stands in for something else leaves much exactly
@@ -107,16 +108,16 @@ def share_at_its_place(one: Accepted, final: Optimum, stack: Stacks) -> float:
 
     Parameters
     ----------
-    one : Accepted
+    one : Refit
     final : Optimum
-        Of the final model.
+        Of a model with the name.
     stack : Stacks
         Frames with their plain variances.
     """
     plain = final.under(stack)
-    change = (one.refit.fitted.image_e - one.refit.origin.fitted.image_e) * plain.root
+    change = (one.fitted.image_e - one.origin.fitted.image_e) * plain.root
     signal = plain.project(change[:, None])[:, 0]
-    weight = signal**2 / (signal**2).sum()
+    weight = signal**2 / (signal**2).sum().clamp_min(1e-300)
     after = (weight * (plain.residual**2 - 1)).sum().clamp_min(0.0)
-    before = (weight * (plain.residual + signal) ** 2).sum()
+    before = (weight * (plain.residual + signal) ** 2).sum().clamp_min(1e-300)
     return float(1 - after / before)

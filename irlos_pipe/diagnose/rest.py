@@ -1,4 +1,4 @@
-"""What a model still misses, in words and numbers: how much light, where, how large, how it looks, and when."""
+"""What a model still misses, in words and numbers: how much light, where, how large, and when."""
 
 from __future__ import annotations
 

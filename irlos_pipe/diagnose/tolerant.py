@@ -11,7 +11,7 @@ contradict are named.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from irlos_pipe.diagnose.acceptance import Accepted, Search, accepted, detected
 from irlos_pipe.diagnose.cube import Stacks
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.forward import Task
+from irlos_pipe.diagnose.grade import AT_ITS_PLACE, share_at_its_place
 from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.refit import Refit, refits
 from irlos_pipe.diagnose.search.scores import Family, Score, score_family
@@ -33,29 +34,49 @@ WELL_FITTED = 1.2  # χ²/ν up to which the model needs no errors of its own
 STARTS, START_NM = 2, 60.0  # further wavefronts to begin with: RMS of the first radial order, falling
 HIGHEST_ORDER = 18  # radial order at which an open wavefront ends for the sake of time
 PROPOSALS = 4  # fitted per name
-ROUNDS = 2  # of a fit and of what it misses
 
 
+@dataclass(frozen=True)
 class TolerantTask(Task):
-    """A search with the facts of the instrument free, beside what the model has."""
+    """A search with the facts of the instrument free, beside what the model has.
+
+    Attributes
+    ----------
+    wide : Fitter
+        With as many modes as the window sees.
+    """
+
+    wide: Fitter
 
     def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
-        """Begin again where a plain `search` from `effects` left much: facts first, then names."""
+        """Begin again where a plain `search` from `effects` left much: facts first, then names.
+
+        The wavefront is opened last: many modes imitate whatever is small and bright.
+        """
         drift = search.drift
         moving = [drift.effect()] if drift and drift.significance > self.options.sure else []
         model = [*effects, *moving]
         free = facts(self.conditions, model)
         task, current = self._with_errors(self._base([*model, *free], search))
-        names: list[Accepted] = []
-        for _ in range(self.options.most_names):
-            found, meaningless = task._scores(current)
+        task, current, names = task._named(current, [])
+        task, current = replace(task, fitter=task.wide)._with_errors(current.fitted)
+        task, current, names = task._named(current, names)
+        contradicted, current = task._contradicted(current, [effect.name for effect in free])
+        current = Optimum(task.cube.training, task.fitter.finished(current.fitted))
+        found, meaningless = task._scores(current)
+        return Search(search.null, current, drift, [*names, *contradicted], found, meaningless)
+
+    def _named(self, current: Optimum, names: list[Accepted]) -> tuple[TolerantTask, Optimum, list[Accepted]]:
+        """Further names beside those found, the search that allows for what they leave, and its model."""
+        task = self
+        while len(names) < self.options.most_names:
+            found, _ = task._scores(current)
             chosen = task._further(current, found)
             if chosen is None:
                 break
-            names.append(chosen)
+            names = [*names, chosen]
             task, current = task._with_errors(chosen.refit.fitted)
-        contradicted, current = task._contradicted(current, [effect.name for effect in free])
-        return Search(search.null, current, drift, [*names, *contradicted], found, meaningless)
+        return task, current, names
 
     # -- steps ---------------------------------------------------------------------------------
 
@@ -68,9 +89,7 @@ class TolerantTask(Task):
             *(task.fitter.explored(effects, one) for one in self._starts(near)),
         ]
         self.report(len(found))
-        return task.fitter.finished(
-            task.fitter.most_plausible([one for one in found if np.isfinite(one.chi2)])
-        )
+        return task.fitter.most_plausible([one for one in found if np.isfinite(one.chi2)])
 
     def _starts(self, near: Fitted) -> list[Fitted]:
         """`near` with other wavefronts: none, and some at random, less in every radial order."""
@@ -92,32 +111,37 @@ class TolerantTask(Task):
 
     def _with_errors(self, fitted: Fitted) -> tuple[TolerantTask, Optimum]:
         """The search that allows for what a model misses, and the model fitted again under it."""
-        task = self
-        for _ in range(ROUNDS):
-            task = task._allowing(relative_error(self.cube.training, fitted))
-            fitted = task.fitter.finished(task.fitter.again(fitted))
+        task = self._allowing(relative_error(self.cube.training, fitted))
+        fitted = task.fitter.explored(fitted.continued(), fitted)
+        task = task._allowing(relative_error(self.cube.training, fitted))
         self.report(1)
         return task, Optimum(task.cube.training, fitted)
 
     def _allowing(self, relative: float) -> TolerantTask:
         """The same search, in which the model may miss a `relative` part of the light."""
         cube = self.cube.with_model_error(relative)
-        return replace(self, cube=cube, fitter=Fitter(self.fitter.views, cube.training))
+        fitter, wide = (Fitter(one.views, cube.training) for one in (self.fitter, self.wide))
+        return replace(self, cube=cube, fitter=fitter, wide=wide)
 
     def _further(self, current: Optimum, found: list[Score]) -> Accepted | None:
         """The next name: significant, plausible, and wanted by the held-out frames."""
         if not any(score.significance > self.options.sure for score in found):
             return None
         ranked = refits(self.fitter, current, found, self.report, most=PROPOSALS)
-        ranked = [one for one in ranked if not one.implausible]
+        ranked = [one for one in ranked if not one.implausible and self._explains_its_own(one)]
         return accepted(ranked, self.cube, self.options)
+
+    def _explains_its_own(self, refit: Refit) -> bool:
+        """Whether a name leaves little where it acts; one that leaves much stands in for something else."""
+        share = share_at_its_place(refit, refit.optimum, self.cube.training.with_model_error(0.0))
+        return share > AT_ITS_PLACE
 
     def _contradicted(self, current: Optimum, names: Sequence[str]) -> tuple[list[Accepted], Optimum]:
         """Facts that the data contradict, the most significant first, and the model without the others."""
         found = []
         for name in names:
             kept = [effect for effect in current.fitted.continued() if effect.name != name]
-            without = self.fitter.finished(self.fitter.explored(kept, current.fitted))
+            without = self.fitter.explored(kept, current.fitted)
             origin = Optimum(self.cube.training, without)
             family = Family(CATALOGUE[name].variants(self.conditions))
             refit = Refit(score_family(origin, family), origin, current.fitted)

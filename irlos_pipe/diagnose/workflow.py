@@ -60,9 +60,10 @@ def diagnose(
         return Fitter(views, cube.training)
 
     conditions = recordings[0].conditions
-    search = Task(cube, fitter(options.highest_noll), conditions, options, report).searched(effects)
+    closed = fitter(options.highest_noll)
+    search = Task(cube, closed, conditions, options, report).searched(effects)
     if much_is_left(search, noise.kind, options.sure):
         wide = fitter(open_noll(conditions.settings, options.highest_noll))
-        search = TolerantTask(cube, wide, conditions, options, report).beyond(search, effects)
+        search = TolerantTask(cube, closed, conditions, options, report, wide).beyond(search, effects)
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
     return replace(diagnosis, seconds=time.perf_counter() - began)
