@@ -14,7 +14,7 @@ from typing import ClassVar, Literal
 import numpy as np
 import torch
 
-from irlos_pipe.estimate.cube import Frames, autocorrelation_time, local_mean, mean_variance_e2
+from irlos_pipe.estimate.cube import Frames, autocorrelation_time, mean_variance_e2
 from irlos_pipe.estimate.lift import smooth
 
 HeldOutKind = Literal["frames", "pixels"]
@@ -37,6 +37,8 @@ class Stack:
         Whether the noise model alone says how uncertain the mean is.
     model_error_e2 : tensor, (pixels,), or 0
         Part of the variance that stands for errors of the model, which all frames share.
+    alike_px : float
+        Pixels that these errors change together.
     """
 
     frames: Frames
@@ -45,6 +47,7 @@ class Stack:
     variance_e2: torch.Tensor
     photon_limited: bool = False
     model_error_e2: torch.Tensor | float = 0.0
+    alike_px: float = 1.0
 
     @classmethod
     def of(cls, frames: Frames, when: np.ndarray) -> Stack:
@@ -57,16 +60,20 @@ class Stack:
     def __len__(self) -> int:
         return len(self.when)
 
-    def with_model_error(self, relative: float) -> Stack:
-        """The same frames, of which a model may miss a `relative` part of the light about every pixel."""
-        signal = local_mean(self.mean_e.view(self.frames.good.shape), self.frames.good.double()).flatten()
-        error, own = (relative * signal) ** 2, self.variance_e2 - self.model_error_e2
-        return replace(self, variance_e2=own + error, model_error_e2=error)
+    def with_model_error(self, misfit: float, alike_px: float = 1.0) -> Stack:
+        """The same frames, with variances `misfit` times as large for the sake of a model's errors.
+
+        Light that a model has in the wrong place interferes with the image as speckles do: its variance
+        follows theirs, or that of photons, and as many as `alike_px` pixels err together.
+        """
+        own = self.variance_e2 - self.model_error_e2
+        error = torch.where(own.isfinite(), (misfit - 1) * own, 0.0)
+        return replace(self, variance_e2=own + error, model_error_e2=error, alike_px=alike_px)
 
     @property
     def shared_e2(self) -> torch.Tensor | float:
-        """Variance that all frames have in common: that of their dark, and of the model [e-²]."""
-        return self.frames.noise.shared_e2 + self.model_error_e2
+        """Variance that all frames share: of their dark, and for smooth shapes of errors of the model [e-²]."""
+        return self.frames.noise.shared_e2 + self.alike_px * self.model_error_e2
 
     @property
     def root(self) -> torch.Tensor:
@@ -174,9 +181,9 @@ class Stacks:
         """Trust the noise model of these frames if `photons` limit them, else their scatter."""
         return replace(self, parts=tuple(replace(part, photon_limited=photons) for part in self.parts))
 
-    def with_model_error(self, relative: float) -> Stacks:
+    def with_model_error(self, misfit: float, alike_px: float = 1.0) -> Stacks:
         """See `Stack.with_model_error`."""
-        return replace(self, parts=tuple(part.with_model_error(relative) for part in self.parts))
+        return replace(self, parts=tuple(part.with_model_error(misfit, alike_px) for part in self.parts))
 
     def __len__(self) -> int:
         return sum(len(part) for part in self.parts)
@@ -233,9 +240,10 @@ class Cube:
         """Trust the noise model of these frames if `photons` limit them, else their scatter."""
         return Cube(self.training.limited_by(photons), self.held_out.limited_by(photons))
 
-    def with_model_error(self, relative: float) -> Cube:
+    def with_model_error(self, misfit: float, alike_px: float = 1.0) -> Cube:
         """See `Stack.with_model_error`."""
-        return Cube(self.training.with_model_error(relative), self.held_out.with_model_error(relative))
+        parts = (part.with_model_error(misfit, alike_px) for part in (self.training, self.held_out))
+        return Cube(*parts)
 
 
 def _steadied(mean_e: torch.Tensor, frames: Frames) -> torch.Tensor:

@@ -116,7 +116,7 @@ def share_at_its_place(one: Refit, final: Optimum, stack: Stacks) -> float:
     """
     plain = final.under(stack)
     change = (one.fitted.image_e - one.origin.fitted.image_e) * plain.root
-    signal = plain.project(change[:, None])[:, 0]
+    signal = one.origin.under(stack).project(change[:, None])[:, 0]
     weight = signal**2 / (signal**2).sum().clamp_min(1e-300)
     after = (weight * (plain.residual**2 - 1)).sum().clamp_min(0.0)
     before = (weight * (plain.residual + signal) ** 2).sum().clamp_min(1e-300)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.units import MAS
+from irlos_pipe.conventions.units import MAS, resolution_px
 from irlos_pipe.diagnose.acceptance import Accepted, Search, accepted, detected
 from irlos_pipe.diagnose.cube import Stacks
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
@@ -28,11 +28,9 @@ from irlos_pipe.diagnose.search.scores import Family, Score, score_family
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect
 from irlos_pipe.optics.psf_settings import PsfSettings
 
-MAY_MISS = 0.3  # of the light about a pixel, at most
-BISECTIONS = 30
-WELL_FITTED = 1.2  # χ²/ν up to which the model needs no errors of its own
 STARTS, START_NM = 2, 60.0  # further wavefronts to begin with: RMS of the first radial order, falling
 HIGHEST_ORDER = 18  # radial order at which an open wavefront ends for the sake of time
+KNOWN = 1.2  # χ²/ν up to which photons still set the errors
 PROPOSALS = 4  # fitted per name
 
 
@@ -44,9 +42,12 @@ class TolerantTask(Task):
     ----------
     wide : Fitter
         With as many modes as the window sees.
+    photons : bool
+        Whether photons alone limit the frames.
     """
 
     wide: Fitter
+    photons: bool
 
     def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
         """Begin again where a plain `search` from `effects` left much: facts first, then names.
@@ -82,7 +83,7 @@ class TolerantTask(Task):
 
     def _base(self, effects: Sequence[Effect], search: Search) -> Fitted:
         """The fit with all facts free, of several starts the most plausible."""
-        task = self._allowing(relative_error(self.cube.training, search.final.fitted))
+        task = self._allowing(misfit(self.cube.training, search.final.fitted))
         near = search.final.fitted
         found = [
             task.fitter.explored(effects, near),
@@ -111,15 +112,18 @@ class TolerantTask(Task):
 
     def _with_errors(self, fitted: Fitted) -> tuple[TolerantTask, Optimum]:
         """The search that allows for what a model misses, and the model fitted again under it."""
-        task = self._allowing(relative_error(self.cube.training, fitted))
+        task = self._allowing(misfit(self.cube.training, fitted))
         fitted = task.fitter.explored(fitted.continued(), fitted)
-        task = task._allowing(relative_error(self.cube.training, fitted))
+        task = task._allowing(misfit(self.cube.training, fitted))
         self.report(1)
         return task, Optimum(task.cube.training, fitted)
 
-    def _allowing(self, relative: float) -> TolerantTask:
-        """The same search, in which the model may miss a `relative` part of the light."""
-        cube = self.cube.with_model_error(relative)
+    def _allowing(self, factor: float) -> TolerantTask:
+        """The same search beside variances `factor` times as large."""
+        settings = self.conditions.settings
+        across_px = resolution_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
+        alike_px = max(1.0, np.pi / 4 * across_px**2)
+        cube = self.cube.with_model_error(factor, alike_px).limited_by(self.photons and factor < KNOWN)
         fitter, wide = (Fitter(one.views, cube.training) for one in (self.fitter, self.wide))
         return replace(self, cube=cube, fitter=fitter, wide=wide)
 
@@ -127,13 +131,14 @@ class TolerantTask(Task):
         """The next name: significant, plausible, and wanted by the held-out frames."""
         if not any(score.significance > self.options.sure for score in found):
             return None
-        ranked = refits(self.fitter, current, found, self.report, most=PROPOSALS)
+        places = [other for score in found if score.candidate.copies_star for other in score.elsewhere]
+        ranked = refits(self.fitter, current, [*found, *places], self.report, most=PROPOSALS + len(places))
         ranked = [one for one in ranked if not one.implausible and self._explains_its_own(one)]
         return accepted(ranked, self.cube, self.options)
 
     def _explains_its_own(self, refit: Refit) -> bool:
         """Whether a name leaves little where it acts; one that leaves much stands in for something else."""
-        share = share_at_its_place(refit, refit.optimum, self.cube.training.with_model_error(0.0))
+        share = share_at_its_place(refit, refit.optimum, self.cube.training.with_model_error(1.0))
         return share > AT_ITS_PLACE
 
     def _contradicted(self, current: Optimum, names: Sequence[str]) -> tuple[list[Accepted], Optimum]:
@@ -183,24 +188,7 @@ def radial_order(noll: int) -> int:
     return int((np.sqrt(8 * noll - 7) - 1) / 2)
 
 
-def relative_error(stack: Stacks, fitted: Fitted) -> float:
-    """Part of the light about every pixel that a model misses: with it in the variance χ²/ν is one.
-
-    Parameters
-    ----------
-    stack : Stacks
-    fitted : Fitted
-    """
-    residual = stack.mean_e - fitted.image_e
-
-    def chi2_nu(relative: float) -> float:
-        root = stack.with_model_error(relative).root
-        return float(((residual * root) ** 2).sum()) / fitted.problem.freedom
-
-    if chi2_nu(0.0) < WELL_FITTED:
-        return 0.0
-    low, high = 0.0, MAY_MISS
-    for _ in range(BISECTIONS):
-        middle = (low + high) / 2
-        low, high = (middle, high) if chi2_nu(middle) > 1 else (low, middle)
-    return high
+def misfit(stack: Stacks, fitted: Fitted) -> float:
+    """χ²/ν of a model beside the plain variances of `stack`, 1 where it fits as well as noise allows."""
+    residual = (stack.mean_e - fitted.image_e) * stack.with_model_error(1.0).root
+    return max(1.0, float(residual @ residual) / fitted.problem.freedom)
