@@ -72,7 +72,7 @@ class Stack:
 
     @property
     def shared_e2(self) -> torch.Tensor | float:
-        """Variance that all frames share: of their dark, and for smooth shapes of errors of the model [e-²]."""
+        """Variance of smooth shapes that all frames share: of their dark, of errors of the model [e-²]."""
         return self.frames.noise.shared_e2 + self.alike_px * self.model_error_e2
 
     @property

@@ -128,7 +128,6 @@ def refits(
     origin: Optimum,
     scores: Sequence[Score],
     report: Callable[[int], None] = lambda count: None,
-    most: int = PROPOSALS,
 ) -> list[Refit]:
     """Fit the most promising families, and return the best first.
 
@@ -140,11 +139,9 @@ def refits(
     scores : sequence of Score
     report : callable
         Called with the number of finished fits.
-    most : int
-        Families to fit.
     """
     found: list[Refit] = []
-    for some in _rounds(proposals(scores)[:most]):
+    for some in _rounds(proposals(scores)):
         hopeful = [score for score in some if not _hopeless(score, found)]
         found = _joined(fitter, found, ordered_map(partial(_near, fitter, origin), hopeful))
         report(len(some))
@@ -155,6 +152,12 @@ def refits(
     found = _once_more(fitter, found, _leading(several), _from_elsewhere)
     found = _joined(fitter, found, ordered_map(partial(_widened, fitter), _with_wider_forms(found)))
     return sorted(_rivals_finished(fitter, found), key=lambda one: -one.merit)
+
+
+def quick_refits(fitter: Fitter, origin: Optimum, scores: Sequence[Score]) -> list[Refit]:
+    """Fit beside `origin` what all `scores` propose, in float32 to a loose tolerance; the best first."""
+    found = ordered_map(partial(_near, fitter, origin), scores)
+    return sorted((one for one in found if np.isfinite(one.fitted.chi2)), key=lambda one: -one.merit)
 
 
 def _rounds(promising: Sequence[Score]) -> list[Sequence[Score]]:

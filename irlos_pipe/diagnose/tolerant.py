@@ -23,7 +23,7 @@ from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.forward import Task
 from irlos_pipe.diagnose.grade import AT_ITS_PLACE, share_at_its_place
 from irlos_pipe.diagnose.null_model import Optimum
-from irlos_pipe.diagnose.refit import Refit, refits
+from irlos_pipe.diagnose.refit import Refit, quick_refits
 from irlos_pipe.diagnose.search.scores import Family, Score, score_family
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -31,7 +31,8 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 STARTS, START_NM = 2, 60.0  # further wavefronts to begin with: RMS of the first radial order, falling
 HIGHEST_ORDER = 18  # radial order at which an open wavefront ends for the sake of time
 KNOWN = 1.2  # χ²/ν up to which photons still set the errors
-PROPOSALS = 4  # fitted per name
+PROPOSALS = 6  # fitted per name
+HARDLY_SEEN = 3.0  # significance of a score from which it is fitted
 
 
 @dataclass(frozen=True)
@@ -129,10 +130,12 @@ class TolerantTask(Task):
 
     def _further(self, current: Optimum, found: list[Score]) -> Accepted | None:
         """The next name: significant, plausible, and wanted by the held-out frames."""
-        if not any(score.significance > self.options.sure for score in found):
-            return None
         places = [other for score in found if score.candidate.copies_star for other in score.elsewhere]
-        ranked = refits(self.fitter, current, [*found, *places], self.report, most=PROPOSALS + len(places))
+        seen = [one for one in (*found, *places) if one.significance > HARDLY_SEEN]
+        ranked = quick_refits(
+            self.fitter, current, sorted(seen, key=lambda one: -one.significance)[:PROPOSALS]
+        )
+        self.report(len(ranked))
         ranked = [one for one in ranked if not one.implausible and self._explains_its_own(one)]
         return accepted(ranked, self.cube, self.options)
 
