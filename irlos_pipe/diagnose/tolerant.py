@@ -117,7 +117,7 @@ class TolerantTask(Task):
         fitted = task.fitter.explored(fitted.continued(), fitted)
         task = task._allowing(misfit(self.cube.training, fitted))
         self.report(1)
-        return task, Optimum(task.cube.training, fitted)
+        return task, Optimum(task.cube.training, task.fitter.at(fitted))
 
     def _allowing(self, factor: float) -> TolerantTask:
         """The same search beside variances `factor` times as large."""
