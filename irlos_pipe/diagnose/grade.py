@@ -21,7 +21,7 @@ LEFT_CHI2_NU = {PHOTONS: 1.3, SPECKLES: 1.2, UNSEEN: 1.2}
 
 
 # Part of its own signal that a right name explains where it acts.
-AT_ITS_PLACE = 0.9
+AT_ITS_PLACE = {PHOTONS: 0.98, SPECKLES: 0.9, UNSEEN: 0.9}
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def judged(search: Search, noise: NoiseVerdict, fine: FineStructure, options: Op
             )
             return Judgement(UNKNOWN, left, shares, why)
         return Judgement(NONE, left, shares)
-    if left and max(shares) < AT_ITS_PLACE:
+    if left and max(shares) < AT_ITS_PLACE[noise.kind]:
         name = search.accepted[0].name
         why = f"{name} leaves {1 - shares[0]:.1%} of its own signal where it acts"
         return Judgement(RESEMBLES, left, shares, why)

@@ -18,6 +18,7 @@ import torch
 
 from irlos_pipe.conventions.units import MAS, resolution_px
 from irlos_pipe.diagnose.acceptance import Accepted, Search, accepted, detected
+from irlos_pipe.diagnose.checks.noise import PHOTONS
 from irlos_pipe.diagnose.cube import Stacks
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.forward import Task
@@ -43,12 +44,12 @@ class TolerantTask(Task):
     ----------
     wide : Fitter
         With as many modes as the window sees.
-    photons : bool
-        Whether photons alone limit the frames.
+    kind : str
+        Of the noise.
     """
 
     wide: Fitter
-    photons: bool
+    kind: str
 
     def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
         """Begin again where a plain `search` from `effects` left much: facts first, then names.
@@ -124,7 +125,9 @@ class TolerantTask(Task):
         settings = self.conditions.settings
         across_px = resolution_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
         alike_px = max(1.0, np.pi / 4 * across_px**2)
-        cube = self.cube.with_model_error(factor, alike_px).limited_by(self.photons and factor < KNOWN)
+        cube = self.cube.with_model_error(factor, alike_px).limited_by(
+            self.kind == PHOTONS and factor < KNOWN
+        )
         fitter, wide = (Fitter(one.views, cube.training) for one in (self.fitter, self.wide))
         return replace(self, cube=cube, fitter=fitter, wide=wide)
 
@@ -142,7 +145,7 @@ class TolerantTask(Task):
     def _explains_its_own(self, refit: Refit) -> bool:
         """Whether a name leaves little where it acts; one that leaves much stands in for something else."""
         share = share_at_its_place(refit, refit.optimum, self.cube.training.with_model_error(1.0))
-        return share > AT_ITS_PLACE
+        return share > AT_ITS_PLACE[self.kind]
 
     def _contradicted(self, current: Optimum, names: Sequence[str]) -> tuple[list[Accepted], Optimum]:
         """Facts that the data contradict, the most significant first, and the model without the others."""

@@ -64,7 +64,7 @@ def diagnose(
     search = Task(cube, closed, conditions, options, report).searched(effects)
     if much_is_left(search, noise.kind, options.sure):
         wide = fitter(open_noll(conditions.settings, options.highest_noll))
-        tolerant = TolerantTask(cube, closed, conditions, options, report, wide, noise.kind == PHOTONS)
+        tolerant = TolerantTask(cube, closed, conditions, options, report, wide, noise.kind)
         search = tolerant.beyond(search, effects)
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
     return replace(diagnosis, seconds=time.perf_counter() - began)

@@ -10,12 +10,14 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.units import MAS
 from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.effects import Effect, FixedEffect
 from irlos_pipe.effects.companion import INNER_MAS
 
 POSITIONS = 3  # candidates to look at more closely
 APART_PX = 4
+RESOLVED = 1.5  # of λ/D
 RING_MAS, DIRECTIONS = 150.0, 8
 
 
@@ -27,12 +29,30 @@ def brightest_copies(optimum: Optimum, effect: Effect) -> list[FixedEffect]:
     y, x = (axis * scale for axis in np.meshgrid(rows, columns, indexing="ij"))
     inside = (np.abs(y) < settings.window[0] / 2 * scale) & (np.abs(x) < settings.window[1] / 2 * scale)
     gain[~inside | (np.hypot(x, y) < INNER_MAS)] = 0
+    for x_mas, y_mas in _copies(optimum):  # two that cannot be resolved are one that is no copy
+        gain[np.hypot(x - x_mas, y - y_mas) < RESOLVED * _resolution_mas(optimum)] = 0
     found = []
     for _ in range(POSITIONS):
         best = np.unravel_index(np.argmax(gain), gain.shape)
         found.append(effect.displaced(x[best], y[best]))
         gain[np.hypot(x - x[best], y - y[best]) < APART_PX * scale] = 0
     return found
+
+
+def _copies(optimum: Optimum) -> list[tuple[float, float]]:
+    """Positions of the copies of the star that the model has [mas]."""
+    fitted, found = optimum.fitted, []
+    for effect, label in zip(fitted.effects, fitted.problem.model.effects.labels, strict=True):
+        names = [parameter.name for parameter in effect.base.parameters]
+        if "x_mas" in names and effect.base.plane == "otf":
+            values = fitted.values_of(label)
+            found.append((values[names.index("x_mas")], values[names.index("y_mas")]))
+    return found
+
+
+def _resolution_mas(optimum: Optimum) -> float:
+    settings = optimum.settings
+    return settings.shortest_m / settings.geometry.diameter_m / MAS
 
 
 def around(effect: Effect) -> list[FixedEffect]:
