@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,7 +22,9 @@ from irlos_pipe.estimate.starts import start_tilts_nm
 from irlos_pipe.estimate.twin import twin_of
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE
-from irlos_pipe.numerics.solution import Solution
+from irlos_pipe.numerics.solution import INVALID, Solution
+
+log = logging.getLogger(__name__)
 
 PRIOR_SCALE = 3.0  # over the law of the NCPAs
 MAX_ITERATIONS = 60
@@ -175,7 +178,7 @@ class Fitter:
             fitted = self._exact(self._continued(fitted))
         for _ in range(PATIENCE):
             before = fitted
-            if before.converged:
+            if before.converged or not np.isfinite(before.chi2):
                 break
             fitted = self._exact(before)
             if before.chi2 - fitted.chi2 < SETTLED * max(1.0, fitted.chi2 / fitted.problem.freedom):
@@ -252,8 +255,26 @@ class Fitter:
         return x
 
     def _solved(self, problem: JointFit, start: torch.Tensor, max_iterations: int = MAX_ITERATIONS) -> Fitted:
-        solution = solve(problem, start, max_iterations=max_iterations)
-        return Fitted(problem, solution, float(problem.chi2(solution.values)), self.views)
+        """The fit; one that leaves what can be computed has an infinite χ², for nobody to choose."""
+        try:
+            solution = solve(problem, start, max_iterations=max_iterations)
+            chi2 = float(problem.chi2(solution.values))
+        except (ValueError, torch.linalg.LinAlgError) as error:
+            log.debug("a fit failed: %s", error)
+            solution, chi2 = _failed(start), float("inf")
+        return Fitted(problem, solution, chi2, self.views)
+
+
+def _failed(start: torch.Tensor) -> Solution:
+    """No solution: where it began."""
+    size = start.shape[1]
+    return Solution(
+        values=start,
+        covariance=torch.full((1, size, size), torch.nan, dtype=torch.float64),
+        status=[INVALID],
+        iterations=torch.zeros(1, dtype=torch.int64),
+        objective=torch.full((1,), torch.inf, dtype=torch.float64),
+    )
 
 
 def most_plausible(

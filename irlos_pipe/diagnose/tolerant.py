@@ -65,7 +65,9 @@ class TolerantTask(Task):
         task, current = replace(task, fitter=task.wide)._with_errors(current.fitted)
         task, current, names = task._named(current, names)
         contradicted, current = task._contradicted(current, [effect.name for effect in free])
-        current = Optimum(task.cube.training, task.fitter.finished(current.fitted))
+        finished = task.fitter.finished(current.fitted)
+        if np.isfinite(finished.chi2):
+            current = Optimum(task.cube.training, finished)
         found, meaningless = task._scores(current)
         return Search(search.null, current, drift, [*names, *contradicted], found, meaningless)
 
@@ -92,7 +94,8 @@ class TolerantTask(Task):
             *(task.fitter.explored(effects, one) for one in self._starts(near)),
         ]
         self.report(len(found))
-        return task.fitter.most_plausible([one for one in found if np.isfinite(one.chi2)])
+        good = [one for one in found if np.isfinite(one.chi2)]
+        return task.fitter.most_plausible(good) if good else near
 
     def _starts(self, near: Fitted) -> list[Fitted]:
         """`near` with other wavefronts: none, and some at random, less in every radial order."""
@@ -115,7 +118,8 @@ class TolerantTask(Task):
     def _with_errors(self, fitted: Fitted) -> tuple[TolerantTask, Optimum]:
         """The search that allows for what a model misses, and the model fitted again under it."""
         task = self._allowing(misfit(self.cube.training, fitted))
-        fitted = task.fitter.explored(fitted.continued(), fitted)
+        again = task.fitter.explored(fitted.continued(), fitted)
+        fitted = again if np.isfinite(again.chi2) else fitted
         task = task._allowing(misfit(self.cube.training, fitted))
         self.report(1)
         return task, Optimum(task.cube.training, task.fitter.at(fitted))
@@ -153,6 +157,8 @@ class TolerantTask(Task):
         for name in names:
             kept = [effect for effect in current.fitted.continued() if effect.name != name]
             without = self.fitter.explored(kept, current.fitted)
+            if not np.isfinite(without.chi2):
+                continue
             origin = Optimum(self.cube.training, without)
             family = Family(CATALOGUE[name].variants(self.conditions))
             refit = Refit(score_family(origin, family), origin, current.fitted)
