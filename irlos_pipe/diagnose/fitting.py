@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,8 +22,6 @@ from irlos_pipe.estimate.twin import twin_of
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE
 from irlos_pipe.numerics.solution import INVALID, Solution
-
-log = logging.getLogger(__name__)
 
 PRIOR_SCALE = 3.0  # over the law of the NCPAs
 MAX_ITERATIONS = 60
@@ -259,8 +256,7 @@ class Fitter:
         try:
             solution = solve(problem, start, max_iterations=max_iterations)
             chi2 = float(problem.chi2(solution.values))
-        except (ValueError, torch.linalg.LinAlgError) as error:
-            log.debug("a fit failed: %s", error)
+        except (ValueError, torch.linalg.LinAlgError):  # a wavelength out of the grid, a singular matrix
             solution, chi2 = _failed(start), float("inf")
         return Fitted(problem, solution, chi2, self.views)
 
