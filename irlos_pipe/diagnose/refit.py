@@ -155,7 +155,12 @@ def refits(
 
 
 def quick_refits(fitter: Fitter, origin: Optimum, scores: Sequence[Score]) -> list[Refit]:
-    """Fit beside `origin` what all `scores` propose, in float32 to a loose tolerance; the best first."""
+    """Fit what scores propose in float32 to a loose tolerance; the best first.
+
+    Parameters
+    ----------
+    fitter, origin, scores : see `refits`
+    """
     found = ordered_map(partial(_near, fitter, origin), scores)
     return sorted((one for one in found if np.isfinite(one.fitted.chi2)), key=lambda one: -one.merit)
 

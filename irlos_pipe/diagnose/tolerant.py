@@ -52,9 +52,16 @@ class TolerantTask(Task):
     kind: str
 
     def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
-        """Begin again where a plain `search` from `effects` left much: facts first, then names.
+        """Begin again where a plain search left much: facts first, then names.
 
         The wavefront is opened last: many modes imitate whatever is small and bright.
+
+        Parameters
+        ----------
+        search : Search
+            What was found, and what is left.
+        effects : sequence of Effect
+            From which it began.
         """
         drift = search.drift
         moving = [drift.effect()] if drift and drift.significance > self.options.sure else []
@@ -171,7 +178,14 @@ class TolerantTask(Task):
 
 
 def facts(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
-    """Facts of the instrument as effects with free values, beside the effects `present` in a model."""
+    """Facts of the instrument as effects with free values.
+
+    Parameters
+    ----------
+    conditions : Conditions
+    present : sequence of Effect
+        What a model has already.
+    """
     model, found = {effect.name for effect in present}, []
     for name, kind in CATALOGUE.items():
         if not kind.fact or name in model:
@@ -188,6 +202,11 @@ def open_noll(settings: PsfSettings, least: int) -> int:
 
     A mode of radial order n sends its light to (n + 1)/π λ/D (Noll 1976, JOSA 66, 207: its transform is a
     Bessel function of order n + 1); the window reaches to half its width.
+
+    Parameters
+    ----------
+    settings : PsfSettings
+    least : int
     """
     reach_rad = max(settings.window) / 2 * settings.pixel_scale_mas * MAS
     order = int(np.pi / 2 * reach_rad * settings.geometry.diameter_m / settings.shortest_m)
@@ -196,11 +215,17 @@ def open_noll(settings: PsfSettings, least: int) -> int:
 
 
 def radial_order(noll: int) -> int:
-    """Radial order of a Zernike mode."""
+    """Radial order of the Zernike mode with a `noll` index."""
     return int((np.sqrt(8 * noll - 7) - 1) / 2)
 
 
 def misfit(stack: Stacks, fitted: Fitted) -> float:
-    """χ²/ν of a model beside the plain variances of `stack`, 1 where it fits as well as noise allows."""
+    """χ²/ν of a model beside plain variances, 1 where it fits as well as noise allows.
+
+    Parameters
+    ----------
+    stack : Stacks
+    fitted : Fitted
+    """
     residual = (stack.mean_e - fitted.image_e) * stack.with_model_error(1.0).root
     return max(1.0, float(residual @ residual) / fitted.problem.freedom)
