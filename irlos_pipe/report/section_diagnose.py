@@ -33,6 +33,7 @@ FINE = (
 GAP_IN, BAR_IN, WIDTH_IN = (3.7, 2.85), 0.22, 4.4
 MAP_PERCENTILE = 99.5
 PERCENTILE = 99.5  # of the residual before, for the common scale of the residuals
+HELD_OUT = "Mean of the held-out frames; of all frames where pixels were held out."
 STEP_COLUMNS = ("name", "parameter", "value", "significance", "explained", "not distinguished from")
 
 
@@ -73,9 +74,7 @@ def _images(run: RunData) -> list[Figure]:
             f"Predicted {when}": image_panel(f"dia-model-{when}", model, bright, mas, BRIGHTNESS_UNIT),
             f"Residual {when}": image_panel(f"dia-left-{when}", measured - model, signed, mas, "e⁻", SIGNED),
         }
-        figures += [
-            Figure(panel, title, "Mean of the held-out frames.", "third") for title, panel in panels.items()
-        ]
+        figures += [Figure(panel, title, HELD_OUT, "third") for title, panel in panels.items()]
     return figures
 
 
@@ -117,7 +116,7 @@ def _profile(run: RunData) -> list[Figure]:
         "1σ noise": (measured * np.nan if sigma is None else sigma, GREEN, "--"),
     }
     plot = star_profile("dia-profile", images, after, run.pixel_scale_mas(STAGE))
-    return [Figure(plot, "Radial profile", "About the star's centroid, held-out frames.", "full")]
+    return [Figure(plot, "Radial profile", f"About the star's centroid. {HELD_OUT}", "full")]
 
 
 # -- numbers -----------------------------------------------------------------------------------
@@ -127,7 +126,9 @@ def _gap(gap: GapRow) -> list[Figure]:
     if not is_known(gap.before):
         return []
     shrink = number(gap.shrink, ".2f")
-    caption = f"Σ|measured − predicted| / Σ measured of frames that no fit has seen; shrink {shrink}."
+    caption = (
+        f"Σ|measured − predicted| / Σ measured of frames or pixels that no fit has seen; shrink {shrink}."
+    )
     return [Figure(gap_bars("dia-gap", gap), "Gap", caption, "third")]
 
 
