@@ -9,6 +9,8 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.optics.fourier_matrices import pupil_samples_for
 
+MARGIN_MAS, HALO_MARGIN_MAS = 200.0, 500.0
+TUNED_RAD = 1800e-9 / 8.0  # largest λ/D of the images that the margins were tuned on
 # For single frames, see `PsfSettings.for_single_frames`.
 FRAME_PUPIL_SAMPLES = 64
 FRAME_MARGIN_MAS, FRAME_HALO_MARGIN_MAS = 100.0, 320.0
@@ -76,14 +78,28 @@ class PsfSettings:
     spectrum: tuple[tuple[float, float], ...]
     known: KnownWavefront
     pupil_samples: int = 128
-    margin_mas: float = 200.0
-    halo_margin_mas: float = 500.0
+    margin_mas: float = MARGIN_MAS
+    halo_margin_mas: float = HALO_MARGIN_MAS
     focus_sine: float = 0.0
 
     @property
     def shortest_m(self) -> float:
         """Shortest wavelength of the spectrum [m]."""
         return min(wavelength_nm for wavelength_nm, _ in self.spectrum) * NM
+
+    @property
+    def breadth(self) -> float:
+        """How much larger λ/D is than in the images that the margins were tuned on, at least 1."""
+        longest_m = max(wavelength_nm for wavelength_nm, _ in self.spectrum) * NM
+        return max(1.0, longest_m / self.geometry.diameter_m / TUNED_RAD)
+
+    def for_broad_images(self) -> PsfSettings:
+        """Return the settings with the usual margins, wider where λ/D is: light rings that much farther."""
+        return replace(
+            self,
+            margin_mas=MARGIN_MAS * self.breadth,
+            halo_margin_mas=HALO_MARGIN_MAS * self.breadth,
+        )
 
     def for_single_frames(self) -> PsfSettings:
         """Return the same light path sampled more coarsely, by an error that the noise of a frame hides.
@@ -99,7 +115,7 @@ class PsfSettings:
         needed = pupil_samples_for(window_px, self.pixel_scale_mas, self.shortest_m, diameter_m)
         return replace(
             self,
-            margin_mas=min(self.margin_mas, FRAME_MARGIN_MAS),
-            halo_margin_mas=min(self.halo_margin_mas, FRAME_HALO_MARGIN_MAS),
+            margin_mas=min(self.margin_mas, FRAME_MARGIN_MAS * self.breadth),
+            halo_margin_mas=min(self.halo_margin_mas, FRAME_HALO_MARGIN_MAS * self.breadth),
             pupil_samples=min(self.pupil_samples, max(FRAME_PUPIL_SAMPLES, needed)),
         )

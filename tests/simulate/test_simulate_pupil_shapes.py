@@ -15,6 +15,7 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed
 from irlos_pipe.conventions.pupil_parts import AmplitudeMap, Circle, Hexagons, Polygon, Samples
 from irlos_pipe.effects import CATALOGUE, EffectSet, FixedEffect
 from irlos_pipe.effects.declaration import Conditions
+from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.structure_function import ResidualBand
@@ -34,9 +35,10 @@ MAP = PupilGeometry(
 )
 
 
-def modelled(geometry: PupilGeometry, effect: str = "", **public) -> np.ndarray:
+def modelled(geometry: PupilGeometry, effect: str = "", pixel_scale_mas=9.7, **public) -> np.ndarray:
     nolls = tuple(NCPA_NM)
-    model = PsfModel(settings(48, geometry=geometry), nolls, dtype=torch.float64)
+    case = settings(48, geometry=geometry, pixel_scale_mas=pixel_scale_mas).for_broad_images()
+    model = PsfModel(case, nolls, dtype=torch.float64)
     effects = []
     if effect:
         kind = CATALOGUE[effect]
@@ -70,3 +72,12 @@ def test_effects_of_pupil_parts_are_those_of_the_model(effect, public):
     truth = modelled(SEGMENTED, effect, **public)
     found = image(geometry=SEGMENTED, effects={effect: public})
     assert np.abs(found - truth).max() < 2e-4 * truth.max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["pharo", "nirc2_narrow", "bench"])
+def test_the_pupils_of_profiles_are_simulated_as_they_are_modelled(name):
+    instrument = load_instrument(name)
+    scale = {"pixel_scale_mas": instrument.defaults["pixel_scale_mas"]}
+    truth = modelled(instrument.pupil, **scale)
+    assert np.abs(image(geometry=instrument.pupil, **scale) - truth).max() < 1e-4 * truth.max()

@@ -63,7 +63,7 @@ def psf_settings(
         acquisition.spectrum,
         KnownWavefront(acquisition.diversity, introduced_nm or {}, ncpa_nm or {}),
         model.pupil_samples,
-    )
+    ).for_broad_images()
     return _through_lenses(settings, model, instrument.facility.numerical_aperture)
 
 
