@@ -74,6 +74,11 @@ class Accepted:
         """Name of the effect."""
         return self.refit.name
 
+    @property
+    def ordinary(self) -> bool:
+        """Whether as much of it is to be expected anywhere."""
+        return self.refit.base.ordinary(self.refit.values)
+
 
 @dataclass(frozen=True)
 class Search:
@@ -91,6 +96,8 @@ class Search:
         Of all families, at the last model for which a name was looked for.
     meaningless : list of str
         Effects that mean nothing for this cube.
+    adjusted : list of str
+        Effects of the final model that make it fit better and are not sure enough to be named.
     """
 
     null: Optimum
@@ -99,6 +106,7 @@ class Search:
     accepted: list[Accepted]
     scores: list[Score]
     meaningless: list[str]
+    adjusted: Sequence[str] = ()
 
 
 def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool) -> Accepted | None:

@@ -80,6 +80,7 @@ def conclude(
         nearest=steps[0] if why and steps else None,
         unexplained=bool(why) or judgement.left or fine.significance > options.sure,
         why_unknown=why,
+        adjusted=_adjusted(search) if not why else [],
         rest=rest_of(judges[1], gap.floor, fine, options.sure, search.final.settings),
         gap=gap,
         mdb=_with_wider_forms({s.name: _smallest(s) for s in testable}) | _elsewhere(search, options),
@@ -161,6 +162,14 @@ def _with_separation(step: Step, search: Search, seconds: SecondRecordings) -> S
         for other, (recording, cosine) in zip(step.alternatives, advised, strict=True)
     ]
     return replace(step, alternatives=alternatives)
+
+
+def _adjusted(search: Search) -> list[FixedEffect]:
+    """Effects that make the final model fit better and are not named, as it has them."""
+    fitted = search.final.fitted
+    present = [effect.name for effect in fitted.effects]
+    names = [name for name in search.adjusted if name in present]
+    return [FixedEffect(fitted.effect(name).base, fitted.values_of(name)) for name in names]
 
 
 # -- names -------------------------------------------------------------------------------------

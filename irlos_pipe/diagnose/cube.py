@@ -14,12 +14,34 @@ from typing import ClassVar, Literal
 import numpy as np
 import torch
 
-from irlos_pipe.estimate.cube import Frames, autocorrelation_time, mean_variance_e2
+from irlos_pipe.estimate.cube import Frames, autocorrelation_time, local_mean, mean_variance_e2
 from irlos_pipe.estimate.lift import smooth
 
 HeldOutKind = Literal["frames", "pixels"]
 FAINT_SIGMA = 30.0  # signal of the mean over its noise below which a pixel's variance is taken from around it
 LEADING = 8  # principal components of a cube that show its autocorrelation
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What may be wrong beside noise.
+
+    Light that a model has in the wrong place interferes with the image as speckles do: its variance follows
+    theirs, or that of photons.
+
+    Attributes
+    ----------
+    misfit : float
+        Factor by which variances grow for errors of the model.
+    alike_px : float
+        Pixels that these change together.
+    flat_rms : float
+        Relative error of the flat, pixel by pixel.
+    """
+
+    misfit: float = 1.0
+    alike_px: float = 1.0
+    flat_rms: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -35,10 +57,10 @@ class Stack:
         Mean image, and its variance from the scatter between frames; infinite for bad pixels.
     photon_limited : bool
         Whether the noise model alone says how uncertain the mean is.
-    model_error_e2 : tensor, (pixels,), or 0
-        Part of the variance that stands for errors of the model, which all frames share.
+    flat_error_e2, model_error_e2 : tensor, (pixels,), or 0
+        Parts of the variance that stand for errors of the flat and of the model, which all frames share.
     alike_px : float
-        Pixels that these errors change together.
+        Pixels that errors of the model change together.
     """
 
     frames: Frames
@@ -46,6 +68,7 @@ class Stack:
     mean_e: torch.Tensor
     variance_e2: torch.Tensor
     photon_limited: bool = False
+    flat_error_e2: torch.Tensor | float = 0.0
     model_error_e2: torch.Tensor | float = 0.0
     alike_px: float = 1.0
 
@@ -60,20 +83,24 @@ class Stack:
     def __len__(self) -> int:
         return len(self.when)
 
-    def with_model_error(self, misfit: float, alike_px: float = 1.0) -> Stack:
-        """The same frames, with variances `misfit` times as large for the sake of a model's errors.
-
-        Light that a model has in the wrong place interferes with the image as speckles do: its variance
-        follows theirs, or that of photons, and as many as `alike_px` pixels err together.
-        """
-        own = self.variance_e2 - self.model_error_e2
-        error = torch.where(own.isfinite(), (misfit - 1) * own, 0.0)
-        return replace(self, variance_e2=own + error, model_error_e2=error, alike_px=alike_px)
+    def with_errors(self, errors: Errors) -> Stack:
+        """The same frames, with what may be wrong in flat and model in their variances."""
+        plain = self.variance_e2 - self.flat_error_e2 - self.model_error_e2
+        signal = local_mean(self.mean_e.view(self.frames.good.shape), self.frames.good.double()).flatten()
+        flat = (errors.flat_rms * signal) ** 2
+        model = torch.where(plain.isfinite(), (errors.misfit - 1) * (plain + flat), 0.0)
+        return replace(
+            self,
+            variance_e2=plain + flat + model,
+            flat_error_e2=flat,
+            model_error_e2=model,
+            alike_px=errors.alike_px,
+        )
 
     @property
     def shared_e2(self) -> torch.Tensor | float:
-        """Variance of smooth shapes that all frames share: of their dark, of errors of the model [e-²]."""
-        return self.frames.noise.shared_e2 + self.alike_px * self.model_error_e2
+        """Variance of smooth shapes that all frames share: of dark, flat and errors of the model [e-²]."""
+        return self.frames.noise.shared_e2 + self.flat_error_e2 + self.alike_px * self.model_error_e2
 
     @property
     def root(self) -> torch.Tensor:
@@ -181,9 +208,9 @@ class Stacks:
         """Trust the noise model of these frames if `photons` limit them, else their scatter."""
         return replace(self, parts=tuple(replace(part, photon_limited=photons) for part in self.parts))
 
-    def with_model_error(self, misfit: float, alike_px: float = 1.0) -> Stacks:
-        """See `Stack.with_model_error`."""
-        return replace(self, parts=tuple(part.with_model_error(misfit, alike_px) for part in self.parts))
+    def with_errors(self, errors: Errors) -> Stacks:
+        """See `Stack.with_errors`."""
+        return replace(self, parts=tuple(part.with_errors(errors) for part in self.parts))
 
     def __len__(self) -> int:
         return sum(len(part) for part in self.parts)
@@ -240,10 +267,9 @@ class Cube:
         """Trust the noise model of these frames if `photons` limit them, else their scatter."""
         return Cube(self.training.limited_by(photons), self.held_out.limited_by(photons))
 
-    def with_model_error(self, misfit: float, alike_px: float = 1.0) -> Cube:
-        """See `Stack.with_model_error`."""
-        parts = (part.with_model_error(misfit, alike_px) for part in (self.training, self.held_out))
-        return Cube(*parts)
+    def with_errors(self, errors: Errors) -> Cube:
+        """See `Stack.with_errors`."""
+        return Cube(self.training.with_errors(errors), self.held_out.with_errors(errors))
 
 
 def _steadied(mean_e: torch.Tensor, frames: Frames) -> torch.Tensor:

@@ -1,11 +1,11 @@
 """The search where nothing is exactly as told: facts of the instrument free, errors of the model allowed.
 
 At a telescope the pupil, the scale, the band and the wavefront all differ a little from what a profile
-states. One name after the other then explains little, and every one of them stands in for the others. Here
-the facts are fitted together, the wavefront is taken as far as the window sees it, and what the model still
-misses enters the variance as a part of the light, so that no name is earned by what everything misses. More
-names are looked for beside all that; last, every fact is tried as it was told, and those that the data
-contradict are named.
+states, and there is a little of every mild effect. One name after the other then explains little, and every
+one of them stands in for the others. Here facts and mild effects are fitted together, the wavefront is taken
+as far as the window sees it, and what the model still misses enters the variances, so that no name is earned
+by what everything misses. What has a place is looked for beside all that. Last, effects that are not needed
+are taken out, and the others are named if held-out frames want them.
 """
 
 from __future__ import annotations
@@ -16,21 +16,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.units import MAS, resolution_px
-from irlos_pipe.diagnose.acceptance import Accepted, Search, accepted, detected
+from irlos_pipe.conventions.units import resolution_px
+from irlos_pipe.diagnose.acceptance import Accepted, Search, accepted
+from irlos_pipe.diagnose.checks.fine_structure import flat_rms
 from irlos_pipe.diagnose.checks.noise import PHOTONS
-from irlos_pipe.diagnose.cube import Stacks
+from irlos_pipe.diagnose.cube import Errors, Stacks
+from irlos_pipe.diagnose.effect_sizes import parameter_covariance
+from irlos_pipe.diagnose.elimination import needed
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.forward import Task
 from irlos_pipe.diagnose.grade import AT_ITS_PLACE, share_at_its_place
 from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.refit import Refit, quick_refits
 from irlos_pipe.diagnose.search.scores import Family, Score, score_family
+from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect
+from irlos_pipe.estimate.open_fit import last_noll_of, visible_order
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 STARTS, START_NM = 2, 60.0  # further wavefronts to begin with: RMS of the first radial order, falling
-HIGHEST_ORDER = 18  # radial order at which an open wavefront ends for the sake of time
+MOST_ORDERS = 14  # radial orders of an open wavefront: more cost time, and precision of float32
 KNOWN = 1.2  # χ²/ν up to which photons still set the errors
 PROPOSALS = 6  # fitted per name
 HARDLY_SEEN = 3.0  # significance of a score from which it is fitted
@@ -66,17 +71,22 @@ class TolerantTask(Task):
         drift = search.drift
         moving = [drift.effect()] if drift and drift.significance > self.options.sure else []
         model = [*effects, *moving]
-        free = facts(self.conditions, model)
+        free = everyday(self.conditions, model)
         task, current = self._with_errors(self._base([*model, *free], search))
         task, current, names = task._named(current, [])
         task, current = replace(task, fitter=task.wide)._with_errors(current.fitted)
         task, current, names = task._named(current, names)
-        contradicted, current = task._contradicted(current, [effect.name for effect in free])
+        task, current = task._with_errors(task._without_needless(current, [one.name for one in free]))
+        task, current, names = task._named(current, names)
+        confirmed = task._confirmed(current, [effect.name for effect in free])
         finished = task.fitter.finished(current.fitted)
         if np.isfinite(finished.chi2):
             current = Optimum(task.cube.training, finished)
         found, meaningless = task._scores(current)
-        return Search(search.null, current, drift, [*names, *contradicted], found, meaningless)
+        ranked = sorted([*names, *confirmed], key=lambda one: (one.ordinary, -one.refit.gain))
+        named = {one.name for one in ranked}
+        adjusted = [one.name for one in free if one.name not in named]
+        return Search(search.null, current, drift, ranked, found, meaningless, adjusted)
 
     def _named(self, current: Optimum, names: list[Accepted]) -> tuple[TolerantTask, Optimum, list[Accepted]]:
         """Further names beside those found, the search that allows for what they leave, and its model."""
@@ -94,7 +104,7 @@ class TolerantTask(Task):
 
     def _base(self, effects: Sequence[Effect], search: Search) -> Fitted:
         """The fit with all facts free, of several starts the most plausible."""
-        task = self._allowing(misfit(self.cube.training, search.final.fitted))
+        task = self._allowing(search.final.fitted)
         near = search.final.fitted
         found = [
             task.fitter.explored(effects, near),
@@ -124,23 +134,44 @@ class TolerantTask(Task):
 
     def _with_errors(self, fitted: Fitted) -> tuple[TolerantTask, Optimum]:
         """The search that allows for what a model misses, and the model fitted again under it."""
-        task = self._allowing(misfit(self.cube.training, fitted))
+        task = self._allowing(fitted)
         again = task.fitter.explored(fitted.continued(), fitted)
         fitted = again if np.isfinite(again.chi2) else fitted
-        task = task._allowing(misfit(self.cube.training, fitted))
+        task = task._allowing(fitted)
         self.report(1)
         return task, Optimum(task.cube.training, task.fitter.at(fitted))
 
-    def _allowing(self, factor: float) -> TolerantTask:
-        """The same search beside variances `factor` times as large."""
-        settings = self.conditions.settings
-        across_px = resolution_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
-        alike_px = max(1.0, np.pi / 4 * across_px**2)
-        cube = self.cube.with_model_error(factor, alike_px).limited_by(
-            self.kind == PHOTONS and factor < KNOWN
-        )
+    def _allowing(self, fitted: Fitted) -> TolerantTask:
+        """The same search beside variances that allow for what a model misses."""
+        errors = errors_of(self.cube.training, fitted, self.conditions.settings)
+        known = self.kind == PHOTONS and errors.misfit < KNOWN
+        cube = self.cube.with_errors(errors).limited_by(known)
         fitter, wide = (Fitter(one.views, cube.training) for one in (self.fitter, self.wide))
         return replace(self, cube=cube, fitter=fitter, wide=wide)
+
+    def _without_needless(self, current: Optimum, names: Sequence[str]) -> Fitted:
+        """The model without those of its mild effects that are not significant beside the others."""
+        fitted = current.fitted
+        columns = {name: _testable_columns(fitted, name) for name in names}
+        zero = np.zeros(fitted.problem.size)
+        for name in names:
+            own = fitted.columns_of(name)
+            zero[own] = [
+                0.0 if null is None else null for null in (p.null for p in fitted.effect(name).parameters)
+            ]
+        errors = errors_of(self.cube.training, fitted, self.conditions.settings)
+        alone = self.cube.training.with_errors(replace(errors, alike_px=1.0))  # to keep rather than to drop
+        covariance = parameter_covariance(alone, fitted)
+        frames = np.inf if current.stack.photon_limited else current.stack.independent
+        kept = needed(
+            columns,
+            fitted.x[0].numpy() - zero,
+            covariance,
+            lambda rise, count: gaussian_sigma(max(rise, 0.0), count, frames),
+            HARDLY_SEEN,
+        )
+        effects = [effect for effect in fitted.continued() if effect.name in kept or effect.name not in names]
+        return self.fitter.explored(effects, fitted)
 
     def _further(self, current: Optimum, found: list[Score]) -> Accepted | None:
         """The next name: significant, plausible, and wanted by the held-out frames."""
@@ -155,13 +186,13 @@ class TolerantTask(Task):
 
     def _explains_its_own(self, refit: Refit) -> bool:
         """Whether a name leaves little where it acts; one that leaves much stands in for something else."""
-        share = share_at_its_place(refit, refit.optimum, self.cube.training.with_model_error(1.0))
+        share = share_at_its_place(refit, refit.optimum, self.cube.training.with_errors(Errors()))
         return share > AT_ITS_PLACE[self.kind]
 
-    def _contradicted(self, current: Optimum, names: Sequence[str]) -> tuple[list[Accepted], Optimum]:
-        """Facts that the data contradict, the most significant first, and the model without the others."""
+    def _confirmed(self, current: Optimum, names: Sequence[str]) -> list[Accepted]:
+        """Effects without which the model fits significantly worse, also the held-out frames."""
         found = []
-        for name in names:
+        for name in (one for one in names if one in [effect.name for effect in current.fitted.effects]):
             kept = [effect for effect in current.fitted.continued() if effect.name != name]
             without = self.fitter.explored(kept, current.fitted)
             if not np.isfinite(without.chi2):
@@ -169,16 +200,14 @@ class TolerantTask(Task):
             origin = Optimum(self.cube.training, without)
             family = Family(CATALOGUE[name].variants(self.conditions))
             refit = Refit(score_family(origin, family), origin, current.fitted)
-            one = accepted([refit], self.cube, self.options) if detected(refit, self.options.sure) else None
-            if one is None:
-                current = origin
-            else:
+            one = accepted([refit], self.cube, self.options)
+            if one is not None:
                 found.append(one)
-        return sorted(found, key=lambda one: -one.refit.significance), current
+        return found
 
 
-def facts(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
-    """Facts of the instrument as effects with free values.
+def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
+    """Facts of the instrument and mild effects, their values free.
 
     Parameters
     ----------
@@ -188,7 +217,7 @@ def facts(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
     """
     model, found = {effect.name for effect in present}, []
     for name, kind in CATALOGUE.items():
-        if not kind.fact or name in model:
+        if not (kind.fact or kind.mild) or name in model:
             continue
         try:
             found.append(kind.under(conditions))
@@ -197,21 +226,21 @@ def facts(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
     return found
 
 
-def open_noll(settings: PsfSettings, least: int) -> int:
-    """Highest Noll index whose light falls into the window, not below `least`.
+def _testable_columns(fitted: Fitted, name: str) -> list[int]:
+    """Columns of those parameters of an effect that have a value without effect."""
+    pairs = zip(fitted.columns_of(name), fitted.effect(name).parameters, strict=True)
+    return [column for column, parameter in pairs if parameter.null is not None]
 
-    A mode of radial order n sends its light to (n + 1)/π λ/D (Noll 1976, JOSA 66, 207: its transform is a
-    Bessel function of order n + 1); the window reaches to half its width.
+
+def open_noll(settings: PsfSettings, least: int) -> int:
+    """Highest Noll index of a wavefront as open as time allows.
 
     Parameters
     ----------
     settings : PsfSettings
     least : int
     """
-    reach_rad = max(settings.window) / 2 * settings.pixel_scale_mas * MAS
-    order = int(np.pi / 2 * reach_rad * settings.geometry.diameter_m / settings.shortest_m)
-    order = min(order, HIGHEST_ORDER)
-    return max(least, (order + 1) * (order + 2) // 2)
+    return max(least, last_noll_of(min(visible_order(settings), MOST_ORDERS)))
 
 
 def radial_order(noll: int) -> int:
@@ -219,13 +248,20 @@ def radial_order(noll: int) -> int:
     return int((np.sqrt(8 * noll - 7) - 1) / 2)
 
 
-def misfit(stack: Stacks, fitted: Fitted) -> float:
-    """χ²/ν of a model beside plain variances, 1 where it fits as well as noise allows.
+def errors_of(stack: Stacks, fitted: Fitted, settings: PsfSettings) -> Errors:
+    """What flat and model miss, with which in the variances χ²/ν is one.
 
     Parameters
     ----------
     stack : Stacks
     fitted : Fitted
+    settings : PsfSettings
+        Of the first recording.
     """
-    residual = (stack.mean_e - fitted.image_e) * stack.with_model_error(1.0).root
-    return max(1.0, float(residual @ residual) / fitted.problem.freedom)
+    residual_e = stack.mean_e - fitted.image_e
+    pairs = zip(stack.parts, fitted.problem.pixels, strict=True)
+    flat = max(flat_rms(part, residual_e[pixels], settings) for part, pixels in pairs)
+    across_px = resolution_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
+    errors = Errors(alike_px=max(1.0, np.pi / 4 * across_px**2), flat_rms=flat)
+    white = residual_e * stack.with_errors(errors).root
+    return replace(errors, misfit=max(1.0, float(white @ white) / fitted.problem.freedom))

@@ -137,6 +137,8 @@ class Diagnosis:
     why_unknown : str
     rest : Rest
         What the final model misses.
+    adjusted : sequence of FixedEffect
+        Of the final model beside the steps: it fits better with them, but none is sure enough to be named.
     mdb : dict
         Smallest detectable size of every effect that was not seen.
     untestable : sequence of str
@@ -178,4 +180,5 @@ class Diagnosis:
     modes_sigma_nm: np.ndarray
     pictures: Pictures
     advice: dict[str, Advice] = field(default_factory=dict)
+    adjusted: Sequence[FixedEffect] = ()
     seconds: float = 0.0

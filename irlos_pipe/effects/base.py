@@ -46,6 +46,8 @@ class Effect:
         Whether a calibration can hand it on to a recording of another star at another time.
     fact : bool
         Whether it corrects what the profile of the instrument states, which is never exact.
+    mild : bool
+        Whether a little of it may be in any recording, and it needs no search: facts apart.
     aberration : bool
         Whether it is a part of the static wavefront, which a calibration of NCPAs hands on.
     in_image : bool
@@ -82,6 +84,7 @@ class Effect:
     usual: bool = False
     instrumental: bool = True
     fact: bool = False
+    mild: bool = False
     aberration: bool = False
     in_image: bool = True
     found_by: FoundBy = "score"
@@ -217,6 +220,12 @@ class Effect:
         """Parameters whose values, (parameters,), lie at a bound or outside the plausible range."""
         pairs = zip(self.parameters, np.asarray(values, float).tolist(), strict=True)
         return [parameter.name for parameter, value in pairs if not parameter.allows(value)]
+
+    def ordinary(self, values: Values) -> bool:
+        """Whether `values` (parameters,) are such as any instrument has: of a fact, within its prior."""
+        pairs = zip(self.parameters, np.asarray(values, float).tolist(), strict=True)
+        told = [(p, value) for p, value in pairs if p.null is not None]
+        return self.fact and all(abs(value - p.null) <= p.prior_sigma for p, value in told)
 
     @property
     def base(self) -> Effect:

@@ -34,6 +34,7 @@ class AtmosphericDispersion(OtfEffect):
     """
 
     name = "atmospheric_dispersion"
+    mild = True
     instrumental = False
     public = (
         number("mas_per_um", "mas/µm towards longer waves", 0.0, 5000.0),

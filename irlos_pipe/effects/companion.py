@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import MAS
-from irlos_pipe.effects.base import Effect, FixedEffect
+from irlos_pipe.effects.base import Effect, FixedEffect, Values
 from irlos_pipe.effects.declaration import Conditions, Parameter, direction, number
 from irlos_pipe.effects.planes import OtfEffect
 from irlos_pipe.effects.public_values import components, size_and_angle
@@ -16,6 +16,7 @@ from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.phasor import phasor
 
 STEP_MAS = 25.0  # of a search: less than the resolution at 1.2 µm
+FAINT = 0.005  # flux of a second image that any camera makes
 INNER_MAS = 30.0  # closer than this the pair is unresolved
 
 
@@ -76,6 +77,10 @@ class Companion(OtfEffect):
     def values_of(self, flux_ratio: float, sep_mas: float, pa_deg: float) -> list[float]:
         """See `Effect.values_of`."""
         return [flux_ratio, *components(sep_mas, pa_deg)]
+
+    def ordinary(self, values: Values) -> bool:
+        """See `Effect.ordinary`: a faint reflection."""
+        return float(values[0]) <= FAINT
 
     def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
         """See `Effect.displaced`."""

@@ -25,6 +25,7 @@ class InterpixelCrosstalk(DetectorEffect):
     """
 
     name = "interpixel_crosstalk"
+    mild = True
     order = 0
     public = (number("fraction", "shared with the four neighbours together", 0.0, 0.8),)
     blurs = "detector"
@@ -53,6 +54,7 @@ class DetectorNonlinearity(DetectorEffect):
     """
 
     name = "detector_nonlinearity"
+    mild = True
     order = 1
     public = (number("fraction_at_peak", "lost at the brightest pixel of the mean image", -0.4, 0.4),)
     sentence = "a loss of {fraction_at_peak:.1%} at the brightest pixel"
@@ -80,6 +82,7 @@ class BackgroundGradient(DetectorEffect):
     """
 
     name = "background_gradient"
+    mild = True
     order = 2
     instrumental = False
     public = (

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from irlos_pipe.effects.base import Effect, FixedEffect
-from irlos_pipe.effects.companion import Companion, copy_of_star
+from irlos_pipe.effects.base import Effect, FixedEffect, Values
+from irlos_pipe.effects.companion import FAINT, Companion, copy_of_star
 from irlos_pipe.effects.declaration import Conditions, Parameter, direction, number
 from irlos_pipe.effects.motion import damping
 from irlos_pipe.effects.planes import CopyOfStar, OtfEffect
@@ -105,6 +105,10 @@ class Ghost(OtfEffect):
     ) -> list[float]:
         """See `Effect.values_of`: by default as sharp as the star."""
         return [flux_ratio, *components(sep_mas, pa_deg), defocus_nm, blur_mas**2]
+
+    def ordinary(self, values: Values) -> bool:
+        """See `Effect.ordinary`: a faint reflection."""
+        return float(values[0]) <= FAINT
 
     def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
         """See `Effect.displaced`."""

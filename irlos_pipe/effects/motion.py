@@ -41,6 +41,7 @@ class TipTiltJitter(OtfEffect):
     """
 
     name = "tip_tilt_jitter"
+    mild = True
     usual = True
     public = (number("sigma_mas", "mas RMS per axis", 0.0, LARGEST_MAS),)
     blurs = "motion"

@@ -110,6 +110,7 @@ class AmplitudeAberration(ZernikeTable, PupilEffect):
     """
 
     name, table = "amplitude_aberration", "zernike"
+    mild = True
     public = (Public(table, "Noll index: relative amplitude", "zernike", -1.0, 1.0),)
     options = (Public("nolls", "Noll indices to estimate", "nolls"),)
     coefficient = Parameter("", "", 0.0, 0.0, 0.1, -0.5, 0.5, plausible=(-0.3, 0.3))

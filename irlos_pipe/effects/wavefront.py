@@ -60,6 +60,7 @@ class DiversityError(_Map):
     """
 
     name = "diversity_error"
+    mild = True
     public = (number("nm", "nm RMS, more than introduced", -500.0, 500.0),)
     sentence = "{nm:.0f} nm more diversity"
     look_alike = "an NCPA of the same Noll index, exactly, but for a recording with another diversity"

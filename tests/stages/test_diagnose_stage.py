@@ -53,7 +53,7 @@ def test_limits_of_what_was_not_seen_have_public_names_and_no_positions(results)
 
 @pytest.mark.slow
 def test_the_model_with_what_was_found_is_a_valid_section_of_a_recipe():
-    entries = [recipe_entry(step) for step in diagnosis_of("companion").steps]
+    entries = [recipe_entry(step.effect) for step in diagnosis_of("companion").steps]
     model = ModelConfig(effects=("tip_tilt_jitter",))
     section = ModelConfig(**yaml.safe_load(model_yaml(model, entries)))
     jitter, companion = section.entries()
@@ -65,7 +65,7 @@ def test_the_model_with_what_was_found_is_a_valid_section_of_a_recipe():
 @pytest.mark.slow
 def test_the_companion_found_is_one_that_the_recipe_can_place():
     (step,) = diagnosis_of("companion").steps
-    made = EffectEntry.of(recipe_entry(step))
+    made = EffectEntry.of(recipe_entry(step.effect))
     again = type(step.effect.base).under(CONDITIONS).values_of(**made.values)
     assert again == pytest.approx(step.effect.values.tolist())
 

@@ -21,6 +21,7 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 
 MAIN_LOBE = 2  # half width of a Hann window's, in frequencies of the window: what leaks past it is nothing
 FADED = 0.1  # of its middle, below which the window is left out
+REGRESSIONS, SURELY = 4, 5.0  # of the flat's error; standard errors from which it is believed
 MIN_SHARE = 0.1  # of all frequencies; with less beyond the cut-off, pixels are too coarse to show any
 
 
@@ -79,6 +80,33 @@ def structure_of(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings) 
     return FineStructure(ratio, (ratio - 1) * float(noise.mean() / noise.std()))
 
 
+def flat_rms(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings) -> float:
+    """Relative error of the flat that explains fine structure beyond noise; 0 where it is not significant.
+
+    The squares of the residual, filtered for what lies beyond the cut-off, are v + f² m² on average, with
+    what the filter leaves of noise v and of the squared image m²: f² is their weighted regression.
+
+    Parameters
+    ----------
+    stack, residual_e, settings : see `structure_of`
+    """
+    good = stack.frames.good
+    beyond = Beyond(good, highest_frequency_per_px(settings))
+    if beyond.share < MIN_SHARE:
+        return 0.0
+    image = stack.mean_e.reshape(settings.window)
+    noise = beyond.power(stack.frames.noise.mean_variance_e2(image, len(stack)))
+    square = beyond.power(image**2)
+    power = beyond(residual_e.reshape(1, *settings.window))[0] ** 2
+    inside, f2, sigma = beyond.inside, 0.0, np.inf
+    for _ in range(REGRESSIONS):
+        weight = ((noise + f2 * square) ** -2)[inside]
+        norm = (weight * square[inside] ** 2).sum()
+        f2 = max(0.0, float((weight * (power - noise)[inside] * square[inside]).sum() / norm))
+        sigma = float((2 / norm) ** 0.5)
+    return float(np.sqrt(f2)) if f2 > SURELY * sigma else 0.0
+
+
 def highest_frequency_per_px(settings: PsfSettings) -> float:
     """Highest spatial frequency of an image, D/λ of the shortest wavelength [cycles/px]."""
     return cutoff_per_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
@@ -106,6 +134,11 @@ class Beyond:
         """The filtered images (images, rows, columns)."""
         filled = torch.stack([self._filled(image) for image in images])
         return torch.fft.ifft2(torch.fft.fft2(filled * self.fade) * self.band).real
+
+    def power(self, variance: torch.Tensor) -> torch.Tensor:
+        """Variance of the filtered image of uncorrelated pixels of some `variance`, (rows, columns)."""
+        kernel = torch.fft.fft2(torch.fft.ifft2(self.band.double()).abs() ** 2)
+        return torch.fft.ifft2(torch.fft.fft2(variance * self.fade**2) * kernel).real.clamp_min(0.0)
 
     @property
     def share(self) -> float:

@@ -14,7 +14,7 @@ from irlos_pipe.diagnose.held_out import Gap
 from irlos_pipe.diagnose.rest import Rest
 from irlos_pipe.diagnose.sentence import sentence
 from irlos_pipe.diagnose.verdict import Diagnosis, Step
-from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.diagnose.results import (
     AdviceRow,
@@ -177,12 +177,17 @@ def _with_one_list_of_pixels(effects: list[Any]) -> list[Any]:
     return [*others, {name: {"pixels": [list(pixel) for pixel in pixels]}}]
 
 
-def recipe_entry(step: Step) -> dict[str, Any]:
-    """Return an effect found as an entry of the section: values to start from, fitted where that helps."""
-    kind, public = CATALOGUE[step.name], step.public
+def model_entries(result: Diagnosis) -> list[dict[str, Any]]:
+    """Return what a diagnosis found and adjusted as entries of the section."""
+    return [recipe_entry(one) for one in (*(step.effect for step in result.steps), *result.adjusted)]
+
+
+def recipe_entry(effect: FixedEffect) -> dict[str, Any]:
+    """Return an effect as an entry of the section: values to start from, fitted where that helps."""
+    kind, public = CATALOGUE[effect.name], effect.base.describe(effect.values)
     values = {p.name: _plain(public[p.name]) for p in kind.public if p.name in public}
-    options = {o.name: getattr(step.effect.base, o.name) for o in kind.options if o.kind == "word"}
-    return {step.name: values | options | ({"fit": True} if kind.found_by == "score" else {})}
+    options = {o.name: getattr(effect.base, o.name) for o in kind.options if o.kind == "word"}
+    return {effect.name: values | options | ({"fit": True} if kind.found_by == "score" else {})}
 
 
 def _plain(value: Any) -> Any:

@@ -23,8 +23,8 @@ from irlos_pipe.stages.diagnose.output import (
     MODEL_FILE,
     diagnose_arrays,
     diagnose_results,
+    model_entries,
     model_yaml,
-    recipe_entry,
     summary_lines,
 )
 from irlos_pipe.stages.diagnose.ramp import run_on_ramp
@@ -61,7 +61,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         output, entries = run_on_ramp(ctx, round(1 / ctx.config.held_out))
         return replace(output, files={MODEL_FILE: model_yaml(ctx.model, entries)})
     result = _diagnose(ctx, by_setting(ctx.products["ingest"], ctx.config.input))
-    model = model_yaml(ctx.model, [recipe_entry(step) for step in result.steps])
+    model = model_yaml(ctx.model, model_entries(result))
     return StageOutput(
         diagnose_arrays(result),
         diagnose_results(result),
