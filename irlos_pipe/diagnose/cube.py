@@ -97,6 +97,10 @@ class Stack:
             alike_px=errors.alike_px,
         )
 
+    def without_model_error(self) -> Stack:
+        """The same frames, with noise and errors of the flat only in their variances."""
+        return replace(self, variance_e2=self.variance_e2 - self.model_error_e2, model_error_e2=0.0)
+
     @property
     def shared_e2(self) -> torch.Tensor | float:
         """Variance of smooth shapes that all frames share: of dark, flat and errors of the model [e-²]."""
@@ -211,6 +215,10 @@ class Stacks:
     def with_errors(self, errors: Errors) -> Stacks:
         """See `Stack.with_errors`."""
         return replace(self, parts=tuple(part.with_errors(errors) for part in self.parts))
+
+    def without_model_error(self) -> Stacks:
+        """See `Stack.without_model_error`."""
+        return replace(self, parts=tuple(part.without_model_error() for part in self.parts))
 
     def __len__(self) -> int:
         return sum(len(part) for part in self.parts)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from irlos_pipe.diagnose.acceptance import Options, Search
 from irlos_pipe.diagnose.checks.fine_structure import FineStructure
 from irlos_pipe.diagnose.checks.noise import PHOTONS, SPECKLES, UNSEEN, NoiseVerdict
-from irlos_pipe.diagnose.cube import Stacks
 from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.refit import Refit
 from irlos_pipe.diagnose.verdict import COMPLETE, NONE, PARTIAL, RESEMBLES, UNKNOWN, Grade
@@ -21,7 +20,7 @@ LEFT_CHI2_NU = {PHOTONS: 1.3, SPECKLES: 1.2, UNSEEN: 1.2}
 
 
 # Part of its own signal that a right name explains where it acts.
-AT_ITS_PLACE = {PHOTONS: 0.98, SPECKLES: 0.9, UNSEEN: 0.9}
+AT_ITS_PLACE = {PHOTONS: 0.95, SPECKLES: 0.9, UNSEEN: 0.9}
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ def judged(search: Search, noise: NoiseVerdict, fine: FineStructure, options: Op
     """
     left = much_is_left(search, noise.kind, options.sure)
     stack = search.null.stack
-    shares = [share_at_its_place(one.refit, search.final, stack) for one in search.accepted]
+    shares = [share_at_its_place(one.refit, search.final) for one in search.accepted]
     without_speckles = [one for one in search.accepted if one.refit.effect.speckles and noise.kind == PHOTONS]
     if without_speckles:
         why = "a halo without the speckles that an AO residual makes from frame to frame"
@@ -99,7 +98,7 @@ def much_is_left(search: Search, kind: str, sure: float) -> bool:
     return much and final.chi2 > LEFT[kind] * null.chi2
 
 
-def share_at_its_place(one: Refit, final: Optimum, stack: Stacks) -> float:
+def share_at_its_place(one: Refit, final: Optimum) -> float:
     """Part of a name's own signal that a model explains where that signal lies.
 
     The signal is the change of the image by the name that no other parameter imitates. Its square weighs
@@ -111,9 +110,8 @@ def share_at_its_place(one: Refit, final: Optimum, stack: Stacks) -> float:
     one : Refit
     final : Optimum
         Of a model with the name.
-    stack : Stacks
-        Frames with their plain variances.
     """
+    stack = final.stack.without_model_error()
     plain = final.under(stack)
     change = (one.fitted.image_e - one.origin.fitted.image_e) * plain.root
     signal = one.origin.under(stack).project(change[:, None])[:, 0]

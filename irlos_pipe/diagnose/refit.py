@@ -161,8 +161,13 @@ def quick_refits(fitter: Fitter, origin: Optimum, scores: Sequence[Score]) -> li
     ----------
     fitter, origin, scores : see `refits`
     """
-    found = ordered_map(partial(_near, fitter, origin), scores)
-    return sorted((one for one in found if np.isfinite(one.fitted.chi2)), key=lambda one: -one.merit)
+    found = [
+        one for one in ordered_map(partial(_near, fitter, origin), scores) if np.isfinite(one.fitted.chi2)
+    ]
+    wider = ordered_map(partial(_widened, fitter), _with_wider_forms(found))
+    return sorted(
+        [*found, *(one for one in wider if np.isfinite(one.fitted.chi2))], key=lambda one: -one.merit
+    )
 
 
 def _rounds(promising: Sequence[Score]) -> list[Sequence[Score]]:

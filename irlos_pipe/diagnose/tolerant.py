@@ -31,11 +31,10 @@ from irlos_pipe.diagnose.refit import Refit, quick_refits
 from irlos_pipe.diagnose.search.scores import Family, Score, score_family
 from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect
-from irlos_pipe.estimate.open_fit import last_noll_of, visible_order
+from irlos_pipe.estimate.open_fit import Opened, open_basis
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 STARTS, START_NM = 2, 60.0  # further wavefronts to begin with: RMS of the first radial order, falling
-MOST_ORDERS = 14  # radial orders of an open wavefront: more cost time, and precision of float32
 KNOWN = 1.2  # χ²/ν up to which photons still set the errors
 PROPOSALS = 6  # fitted per name
 HARDLY_SEEN = 3.0  # significance of a score from which it is fitted
@@ -47,13 +46,10 @@ class TolerantTask(Task):
 
     Attributes
     ----------
-    wide : Fitter
-        With as many modes as the window sees.
     kind : str
         Of the noise.
     """
 
-    wide: Fitter
     kind: str
 
     def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
@@ -74,7 +70,7 @@ class TolerantTask(Task):
         free = everyday(self.conditions, model)
         task, current = self._with_errors(self._base([*model, *free], search))
         task, current, names = task._named(current, [])
-        task, current = replace(task, fitter=task.wide)._with_errors(current.fitted)
+        task, current = task._opened(current)
         task, current, names = task._named(current, names)
         task, current = task._with_errors(task._without_needless(current, [one.name for one in free]))
         task, current, names = task._named(current, names)
@@ -146,8 +142,30 @@ class TolerantTask(Task):
         errors = errors_of(self.cube.training, fitted, self.conditions.settings)
         known = self.kind == PHOTONS and errors.misfit < KNOWN
         cube = self.cube.with_errors(errors).limited_by(known)
-        fitter, wide = (Fitter(one.views, cube.training) for one in (self.fitter, self.wide))
-        return replace(self, cube=cube, fitter=fitter, wide=wide)
+        return replace(self, cube=cube, fitter=Fitter(self.fitter.views, cube.training))
+
+    def _opened(self, current: Optimum) -> tuple[TolerantTask, Optimum]:
+        """The search, and its model, with the wavefront beyond the fitted modes as all visible modes have it.
+
+        One fit of all modes finds it; from there on it is known, which keeps every further fit as quick as
+        before. Several recordings keep the modes that they have.
+        """
+        fitted = current.fitted
+        opened = _opened_fit(fitted)
+        if opened is None:
+            return self, current
+        nolls, values, closed = (
+            opened.problem.layout.nolls,
+            opened.solution.values,
+            fitted.problem.layout.modes,
+        )
+        beyond = slice(closed.stop, len(nolls))
+        tail_nm = dict(zip(nolls[beyond], values[0, beyond].tolist(), strict=True))
+        views = [view.with_known(tail_nm) for view in self.fitter.views]
+        x = torch.cat([values[:, closed], values[:, len(nolls) :]], dim=1)
+        task = replace(self, fitter=Fitter(views, self.cube.training))
+        start = replace(fitted, solution=replace(fitted.solution, values=x), views=views)
+        return task._with_errors(task.fitter.at(start))
 
     def _without_needless(self, current: Optimum, names: Sequence[str]) -> Fitted:
         """The model without those of its mild effects that are not significant beside the others."""
@@ -168,7 +186,7 @@ class TolerantTask(Task):
             fitted.x[0].numpy() - zero,
             covariance,
             lambda rise, count: gaussian_sigma(max(rise, 0.0), count, frames),
-            HARDLY_SEEN,
+            self.options.sure,
         )
         effects = [effect for effect in fitted.continued() if effect.name in kept or effect.name not in names]
         return self.fitter.explored(effects, fitted)
@@ -186,8 +204,7 @@ class TolerantTask(Task):
 
     def _explains_its_own(self, refit: Refit) -> bool:
         """Whether a name leaves little where it acts; one that leaves much stands in for something else."""
-        share = share_at_its_place(refit, refit.optimum, self.cube.training.with_errors(Errors()))
-        return share > AT_ITS_PLACE[self.kind]
+        return share_at_its_place(refit, refit.optimum) > AT_ITS_PLACE[self.kind]
 
     def _confirmed(self, current: Optimum, names: Sequence[str]) -> list[Accepted]:
         """Effects without which the model fits significantly worse, also the held-out frames."""
@@ -200,10 +217,21 @@ class TolerantTask(Task):
             origin = Optimum(self.cube.training, without)
             family = Family(CATALOGUE[name].variants(self.conditions))
             refit = Refit(score_family(origin, family), origin, current.fitted)
-            one = accepted([refit], self.cube, self.options)
+            one = accepted([refit], self.cube, self.options) if self._explains_its_own(refit) else None
             if one is not None:
                 found.append(one)
         return found
+
+
+def _opened_fit(fitted: Fitted) -> Opened | None:
+    """A fit of all visible modes; None of several recordings, or where it cannot be made."""
+    if len(fitted.views) > 1:
+        return None
+    try:
+        opened = open_basis(fitted.problem.parts[0], fitted.solution)
+    except (ValueError, np.linalg.LinAlgError):
+        return None
+    return opened if opened and bool(opened.solution.values.isfinite().all()) else None
 
 
 def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
@@ -230,17 +258,6 @@ def _testable_columns(fitted: Fitted, name: str) -> list[int]:
     """Columns of those parameters of an effect that have a value without effect."""
     pairs = zip(fitted.columns_of(name), fitted.effect(name).parameters, strict=True)
     return [column for column, parameter in pairs if parameter.null is not None]
-
-
-def open_noll(settings: PsfSettings, least: int) -> int:
-    """Highest Noll index of a wavefront as open as time allows.
-
-    Parameters
-    ----------
-    settings : PsfSettings
-    least : int
-    """
-    return max(least, last_noll_of(min(visible_order(settings), MOST_ORDERS)))
 
 
 def radial_order(noll: int) -> int:

@@ -6,8 +6,8 @@ effects are common to all. In each recording an effect acts as its settings make
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -69,6 +69,13 @@ class View:
         return View(
             PsfModel(psf.settings, psf.nolls, device=psf.device, dtype=torch.float32), self.conditions
         )
+
+    def with_known(self, modes_nm: Mapping[int, float]) -> View:
+        """This light path with further modes of a known wavefront: Noll index to nm RMS."""
+        psf, known = self.psf, self.psf.settings.known
+        ncpa_nm = {noll: known.ncpa_nm.get(noll, 0.0) + nm for noll, nm in modes_nm.items()}
+        settings = replace(psf.settings, known=replace(known, ncpa_nm={**known.ncpa_nm, **ncpa_nm}))
+        return View(PsfModel(settings, psf.nolls, device=psf.device, dtype=psf.dtype), self.conditions)
 
     def under(self, conditions: Conditions) -> View:
         """A recording of the same modes under other `conditions`."""

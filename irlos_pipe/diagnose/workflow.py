@@ -16,7 +16,7 @@ from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.forward import Report, Task
 from irlos_pipe.diagnose.grade import much_is_left
 from irlos_pipe.diagnose.splitting import hold_out_of
-from irlos_pipe.diagnose.tolerant import TolerantTask, open_noll
+from irlos_pipe.diagnose.tolerant import TolerantTask
 from irlos_pipe.diagnose.verdict import Diagnosis
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.effects import Effect
@@ -55,16 +55,11 @@ def diagnose(
     noise = judge_all([part for cube in cubes for part in cube.training.parts])
     cube = Cube.of_all([one.limited_by(noise.kind == PHOTONS) for one in cubes])
 
-    def fitter(highest_noll: int) -> Fitter:
-        views = [one.view(range(2, highest_noll + 1), device) for one in recordings]
-        return Fitter(views, cube.training)
-
-    conditions = recordings[0].conditions
-    closed = fitter(options.highest_noll)
-    search = Task(cube, closed, conditions, options, report).searched(effects)
+    views = [one.view(range(2, options.highest_noll + 1), device) for one in recordings]
+    fitter, conditions = Fitter(views, cube.training), recordings[0].conditions
+    search = Task(cube, fitter, conditions, options, report).searched(effects)
     if much_is_left(search, noise.kind, options.sure):
-        wide = fitter(open_noll(conditions.settings, options.highest_noll))
-        tolerant = TolerantTask(cube, closed, conditions, options, report, wide, noise.kind)
+        tolerant = TolerantTask(cube, fitter, conditions, options, report, noise.kind)
         search = tolerant.beyond(search, effects)
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
     return replace(diagnosis, seconds=time.perf_counter() - began)
