@@ -44,7 +44,8 @@ def calibrated(means: np.ndarray, *names: str, darker_than: float = np.inf, **op
     Pixels that are not `darker_than` a part of the peak are masked, as clipped ones are.
     """
     images = draw_frames(np.asarray(means) * FLUX_E, COUNT, seed=4)
-    good = everything(images) & torch.as_tensor(np.asarray(means) < darker_than * np.max(means))
+    mean = np.asarray(means).reshape(-1, *WINDOW).mean(axis=0)
+    good = everything(images) & torch.as_tensor(mean < darker_than * mean.max())
     effects = [CATALOGUE[name].under(CONDITIONS, **options) for name in names]
     choice = CalibrationOptions(highest_noll=LAST, prior=PRIOR)
     return calibrate(Frames(images, good, READ_NOISE), settings(WINDOW), choice, effects)
