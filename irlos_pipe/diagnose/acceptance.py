@@ -23,7 +23,7 @@ from irlos_pipe.numerics.parallel import ordered_map
 
 MUST_EXPLAIN = 0.8  # of what is left, for a further name
 PLAINLY = 10.0  # times its price, by which χ² grows without a name that is needed
-PREFERRED = 3.0  # Vuong's statistic on held-out frames whose noise is known
+PREFERRED = 3.0  # Vuong's statistic on held-out frames, where noise is known or a model has errors
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import resolution_px
-from irlos_pipe.diagnose.acceptance import Accepted, Search, accepted
+from irlos_pipe.diagnose.acceptance import PREFERRED, Accepted, Search, accepted
 from irlos_pipe.diagnose.checks.fine_structure import flat_rms
 from irlos_pipe.diagnose.checks.noise import PHOTONS
 from irlos_pipe.diagnose.cube import Errors, Stacks
@@ -200,7 +200,16 @@ class TolerantTask(Task):
         )
         self.report(len(ranked))
         ranked = [one for one in ranked if not one.implausible and self._explains_its_own(one)]
-        return accepted(ranked, self.cube, self.options)
+        return self._wanted(ranked)
+
+    def _wanted(self, ranked: Sequence[Refit]) -> Accepted | None:
+        """The first of the ranked names if it is significant and held-out data clearly prefer it.
+
+        Beside errors of a model they must prefer it clearly on sky, too: chance companions in what is left
+        are significant and mean nothing there.
+        """
+        one = accepted(ranked, self.cube, self.options)
+        return one if one is not None and one.preference > PREFERRED else None
 
     def _explains_its_own(self, refit: Refit) -> bool:
         """Whether a name leaves little where it acts; one that leaves much stands in for something else."""
@@ -217,7 +226,7 @@ class TolerantTask(Task):
             origin = Optimum(self.cube.training, without)
             family = Family(CATALOGUE[name].variants(self.conditions))
             refit = Refit(score_family(origin, family), origin, current.fitted)
-            one = accepted([refit], self.cube, self.options) if self._explains_its_own(refit) else None
+            one = self._wanted([refit]) if self._explains_its_own(refit) else None
             if one is not None:
                 found.append(one)
         return found
