@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -12,9 +12,10 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.colors import AsinhNorm, LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from matplotlib.ticker import ScalarFormatter
 
-from irlos_pipe.report.drawing import svg
+from irlos_pipe.report.drawing import INK, svg
 
 BRIGHTNESS = matplotlib.colormaps["inferno"].with_extremes(bad="#8d979f")
 SIGNED = matplotlib.colormaps["RdBu_r"].with_extremes(bad="#8d979f00")
@@ -26,6 +27,14 @@ SIGMA_LIMIT = 5.0
 DECADES = 4.0
 # The asinh scale turns linear below this part of the peak.
 LINEAR_PART = 3e-3
+
+
+class Ring(NamedTuple):
+    """A ring that marks a place: middle from the centre of the window and diameter, in units of the axes."""
+
+    x: float
+    y: float
+    diameter: float
 
 
 def brightness_scale(*images: np.ndarray) -> Normalize:
@@ -53,6 +62,7 @@ def image_panel(
     unit: str,
     colours: matplotlib.colors.Colormap = BRIGHTNESS,
     good: np.ndarray | None = None,
+    ring: Ring | None = None,
 ) -> Markup:
     """Draw an image with its colour bar; axes in mas (px without a scale) from the centre of the window.
 
@@ -72,6 +82,8 @@ def image_panel(
         Of the image.
     good : ndarray of bool, optional
         Pixels that are False were not used and get a cross.
+    ring : Ring, optional
+        Drawn about a place.
     """
     step, axis_unit = (pixel_scale_mas, "mas") if pixel_scale_mas else (1.0, "px")
 
@@ -87,6 +99,8 @@ def image_panel(
         )
         axes.set(xlabel=f"x [{axis_unit}]", ylabel=f"y [{axis_unit}]")
         _cross_out(axes, good, step)
+        if ring:
+            axes.add_patch(Circle((ring.x, ring.y), ring.diameter / 2, fill=False, color=INK, linestyle="--"))
         figure.colorbar(shown, cax=bar, label=unit)
         if isinstance(bar.yaxis.get_major_formatter(), ScalarFormatter):
             bar.ticklabel_format(scilimits=(-2, 3))  # numbers short enough to leave the unit its place

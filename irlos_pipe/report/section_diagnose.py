@@ -1,8 +1,6 @@
-"""Section on what the model lacked: images before and after, gap, ranking of names, limits."""
+"""Section on what the model lacked: images before and after, gap, names, what is left, limits."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 from markupsafe import Markup
@@ -21,8 +19,10 @@ from irlos_pipe.report.images import (
 )
 from irlos_pipe.report.radial import star_profile
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.text import is_known, number, rounded_by_error, with_error
-from irlos_pipe.stages.diagnose.results import AlternativeRow, DiagnoseResults, GapRow, RankedRow, StepRow
+from irlos_pipe.report.section_diagnose_names import ranking_figures, separation_tables, step_tables
+from irlos_pipe.report.section_diagnose_rest import grade_texts, rest_blocks
+from irlos_pipe.report.text import is_known, number, with_error
+from irlos_pipe.stages.diagnose.results import DiagnoseResults, GapRow
 
 STAGE = "diagnose"
 BRIGHTNESS_UNIT = "e⁻ (asinh scale)"
@@ -30,30 +30,31 @@ FINE = (
     "Finer than the telescope can make: {ratio} times what noise leaves there ({sigma} σ). More comes from "
     "the pixels: flat, offsets, response."
 )
-GAP_IN, BAR_IN, WIDTH_IN = (3.7, 2.85), 0.22, 4.4
+GAP_IN = (3.7, 2.85)
 MAP_PERCENTILE = 99.5
 PERCENTILE = 99.5  # of the residual before, for the common scale of the residuals
 HELD_OUT = "Mean of the held-out frames; of all frames where pixels were held out."
-STEP_COLUMNS = ("name", "parameter", "value", "significance", "explained", "not distinguished from")
 
 
 def diagnose_section(run: RunData) -> Section:
     """Build the section."""
     results = run.results(DiagnoseResults)
     blocks: list[Block] = [
+        *grade_texts(results),
         *_images(run),
         *_leading(run),
         *_pupil(run),
         *_gap(results.gap),
-        *_stacked(*_profile(run), *_ranking(results)),
-        *_stacked(*_steps(results), *_separation(results)),
+        *_stacked(*_profile(run), *ranking_figures(results)),
+        *_stacked(*step_tables(results), *separation_tables(results)),
+        *_stacked(*rest_blocks(run, results)),
         *_modes(results),
         *_limits(results),
     ]
     return Section(STAGE, "What the model lacks", results.sentence, blocks)
 
 
-def _stacked(*blocks: Figure | Table) -> list[Stack]:
+def _stacked(*blocks: Figure | Table | Text) -> list[Stack]:
     return [Stack(blocks)] if blocks else []
 
 
@@ -132,58 +133,6 @@ def _gap(gap: GapRow) -> list[Figure]:
     return [Figure(gap_bars("dia-gap", gap), "Gap", caption, "third")]
 
 
-def _found(results: DiagnoseResults) -> list[StepRow]:
-    """Effects found, and the nearest where the verdict is unknown."""
-    return [*results.steps, *([results.nearest] if results.nearest else [])]
-
-
-def _ranking(results: DiagnoseResults) -> list[Figure]:
-    ranking = [row for step in _found(results)[:1] for row in step.ranking]
-    if not ranking:
-        return []
-    caption = "Part of the excess over noise that each name explains when fitted; significance in σ."
-    return [Figure(ranking_bars("dia-ranking", ranking), "Candidates", caption, "full")]
-
-
-def _steps(results: DiagnoseResults) -> list[Table]:
-    rows = [row for step in _found(results) for row in _step_rows(step)]
-    title = "Found" if results.steps else "Nearest"
-    return [Table(STEP_COLUMNS, rows, title)] if rows else []
-
-
-def _step_rows(step: StepRow) -> list[tuple[str, ...]]:
-    values, errors = rows_of(step.parameters), dict(rows_of(step.sigma))
-    head = (number(step.significance, ".1f", "σ"), number(step.explained, ".0%"))
-    others = ", ".join(step.indistinguishable) or "–"
-    return [
-        (
-            step.effect if first else "",
-            name,
-            rounded_by_error(value, errors.get(name)) if isinstance(value, float) else str(value),
-            *(head if first else ("", "")),
-            others if first else "",
-        )
-        for first, (name, value) in zip([True] + [False] * len(values), values, strict=False)
-    ]
-
-
-def _separation(results: DiagnoseResults) -> list[Table]:
-    rows = [
-        (f"{step.effect} or {other.name}", other.reason, _what_separates(other))
-        for step in results.steps
-        for other in step.alternatives
-    ]
-    return [Table(("effects", "why", "what distinguishes them"), rows, "Not distinguished")] if rows else []
-
-
-def _what_separates(other: AlternativeRow) -> str:
-    """What separates two effects, and the second recording in which they are least alike."""
-    if not other.second_recording:
-        return other.separated_by
-    cosine = number(other.likeness_then, ".2f")
-    return f"{other.separated_by}; a second recording {other.second_recording} (|cos| then {cosine})"
-
-
 def _modes(results: DiagnoseResults) -> list[Table]:
     before, after, sigma = results.zernike_nm.before, results.zernike_nm.after, results.sigma_nm
     both = [noll for noll in after if noll in before]
@@ -238,22 +187,6 @@ def gap_bars(name: str, gap: GapRow) -> Markup:
         axes.legend()
 
     return svg(name, GAP_IN, draw)
-
-
-def ranking_bars(name: str, ranking: Sequence[RankedRow]) -> Markup:
-    """Draw what every candidate of a `ranking` explains, the best on top; `name` is unique in the page."""
-    explained = np.nan_to_num([row.explained for row in ranking])
-    rows = np.arange(len(ranking))
-
-    def draw(figure: Canvas) -> None:
-        axes = figure.subplots()
-        axes.barh(rows, np.clip(explained, 0, 1), 0.7, color=[BLUE, *[ORANGE] * (len(rows) - 1)])
-        labels = [f"{row.name}, {row.significance:.0f} σ" for row in ranking]
-        axes.set(yticks=rows, yticklabels=labels, ylim=(len(rows) - 0.4, -0.6), xlim=(0, 1))
-        axes.set_xlabel("explained part of the excess")
-        axes.grid(axis="y", visible=False)
-
-    return svg(name, (WIDTH_IN, 0.7 + BAR_IN * len(ranking)), draw)
 
 
 def pupil_map(name: str, values: np.ndarray, unit: str) -> Markup:
