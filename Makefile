@@ -31,9 +31,17 @@ OUT ?= $(RUNS)/simulation
 NIGHT ?= data_samples
 TREE ?= $(RUNS)/nights
 
+# Measured recordings, which are no part of the project; docs/measured.md says where they come from.
+MEASURED ?= ../shared/realdata
+PHARO = $(MEASURED)/palomar_pharo/ca1.fits
+NIRC2 = $(MEASURED)/keck_nirc2/20130801_n0004.fits
+BEADS = $(MEASURED)/microscopy_pyotf/psf_wl520nm_z300nm_x130nm_na0.85_n1.0.tif
+# $(call where,FILE,COMMAND) runs a command where its file is.
+where = if test -f $(1); then $(2); fi
+
 .DEFAULT_GOAL := help
 .PHONY: help env env-test demo test test-quick lint bench fuzz faults clean full calibrate dip-global ramp
-.PHONY: sensitivity paper paper-quick paper-tables simulate night diagnose-suite
+.PHONY: sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -110,6 +118,14 @@ simulate: env ## make recordings with a known truth (SPEC=recipes/simulations/on
 
 night: env ## reduce what is new or out of date in a night or an archive (NIGHT=..., TREE=...)
 	$(BIN)/irlos night $(NIGHT) --output $(TREE) $(ARGS)
+
+measured: env ## run recipes/measured/ on the measured recordings that are there (MEASURED=folder)
+	@for file in $(PHARO) $(NIRC2) $(BEADS); do test -f $$file || missing="$$missing $$file"; done; \
+	test -z "$$missing" || echo "make measured: not there:$$missing; docs/measured.md names the sources"
+	@$(call where,$(PHARO),$(BIN)/irlos run recipes/measured/pharo.yaml --input cube=$(PHARO) --output $(RUNS)/measured/pharo $(ARGS))
+	@$(call where,$(NIRC2),$(BIN)/irlos run recipes/measured/nirc2.yaml --input cube=$(NIRC2) --output $(RUNS)/measured/nirc2 $(ARGS))
+	@$(call where,$(BEADS),$(BIN)/python recipes/measured/beads_to_fits.py $(BEADS) $(RUNS)/measured/beads-data)
+	@$(call where,$(BEADS),$(BIN)/irlos run recipes/measured/beads.yaml --input ramp=$(RUNS)/measured/beads-data/beads.fits --output $(RUNS)/measured/beads $(ARGS))
 
 clean: ## remove the files that building and testing left (not the environment, not runs/)
 	rm -rf build dist demo .pytest_cache .ruff_cache .mypy_cache
