@@ -11,7 +11,7 @@ from irlos_pipe.diagnose.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.null_model import Optimum
-from irlos_pipe.diagnose.refit import Refit, refits
+from irlos_pipe.diagnose.refit import FAR, Refit, refits
 from irlos_pipe.diagnose.search.scores import Score, families, scores
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect
 
@@ -94,9 +94,14 @@ class Task:
         return choose(ranked, self.cube, self.options, first=first)
 
     def _leads_nowhere(self, refit: Refit) -> bool:
-        """Whether a name leaves much, and explains less than its share of as many names as are allowed."""
+        """Whether a name leaves much, and explains less than its share of as many names as are allowed.
+
+        The larger of two effects explains half. Where the model stays far off and less is explained, more is
+        wrong than names one after the other can tell.
+        """
         much = refit.excess.significance > self.options.sure
-        return much and explained(refit) < 1 / self.options.most_names
+        names = 2 if refit.excess.chi2_nu > FAR else self.options.most_names
+        return much and explained(refit) < 1 / names
 
     def _adapted(self, accepted: list[Accepted]) -> tuple[Optimum, list[Accepted]]:
         """The model with the new name, without one that it makes superfluous."""
