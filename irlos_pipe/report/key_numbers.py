@@ -12,14 +12,26 @@ from irlos_pipe.report.section_sensitivity import curve_label, limit_text
 from irlos_pipe.report.text import MISSING, number, with_error
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.correct import CorrectResults
+from irlos_pipe.stages.diagnose.results import DiagnoseResults
 from irlos_pipe.stages.lift.results import LiftResults
 from irlos_pipe.stages.sensitivity import SensitivityResults
 
 
 def key_numbers(run: RunData) -> list[KeyNumber]:
     """Return what there is of the numbers to see first."""
-    found = [*_calibration(run), *_ramp(run), *_limit(run), *_strehl(run), *_sky(run), *_quality(run)]
+    parts = (_diagnosis, _calibration, _ramp, _limit, _strehl, _sky, _quality)
+    found = [one for part in parts for one in part(run)]
     return [one for one in found if not one.value.startswith(MISSING)]
+
+
+def _diagnosis(run: RunData) -> Iterator[KeyNumber]:
+    results = run.results(DiagnoseResults)
+    gap = results.gap
+    if results.grade:
+        numbers = [number(value, ".3f") for value in (gap.before, gap.after, gap.floor)]
+        yield KeyNumber(
+            "Diagnosis", f"{results.verdict}, {results.grade}", "gap {} → {}, noise alone {}".format(*numbers)
+        )
 
 
 def _calibration(run: RunData) -> Iterator[KeyNumber]:

@@ -40,13 +40,14 @@ def diagnose_section(run: RunData) -> Section:
     """Build the section."""
     results = run.results(DiagnoseResults)
     blocks: list[Block] = [
-        *grade_texts(results),
         *_images(run),
         *_leading(run),
         *_pupil(run),
         *_gap(results.gap),
         *_stacked(*_profile(run), *ranking_figures(results)),
-        *_stacked(*step_tables(results), *separation_tables(results)),
+        *grade_texts(results),
+        *step_tables(results),
+        *separation_tables(results),
         *_stacked(*rest_blocks(run, results)),
         *_modes(results),
         *_limits(results),

@@ -29,7 +29,7 @@ CAPTION = (
 def grade_texts(results: DiagnoseResults) -> list[Text]:
     """Grade of the verdict in words; nothing for a ramp, which has none."""
     words = IN_WORDS.get(results.grade)
-    return [Text(f"{results.verdict}, {results.grade}: {words}.", "Verdict and grade")] if words else []
+    return [Text(f"{results.verdict}, {results.grade}: {words}.", "Grade")] if words else []
 
 
 def rest_blocks(run: RunData, results: DiagnoseResults) -> list[Figure | Text]:

@@ -1,7 +1,7 @@
 """A measured recording of PHARO, where it is at hand.
 
-What is expected was measured in other recordings of the same camera by other means: a second image of 2.1 % at
-492 to 495 mas, position angle 219 to 220 deg.
+What is expected was measured in other recordings of the same camera: a second image of 2.1 % at 492 to 495 mas,
+position angle 219 to 220 deg. The vanes are documented as turned by about 2 deg; the sense is not.
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ from irlos_pipe.recipe.load import load_recipe
 
 RECIPE = RECIPES / "measured" / "pharo.yaml"
 RECORDING = SHARED / "realdata" / "palomar_pharo" / "ca1.fits"
-TURNED_DEG = {"as in the profile": 0.0, "in the other sense": -4.0}  # the profile has +2 deg
+TURNED_DEG = {"as in the profile": 0.0, "in the other sense": -4.0}
 SECOND_IMAGE = {"sep_mas": (493.5, 1.5), "pa_deg": (219.5, 0.5), "flux_ratio": (0.021, 0.001)}
+ABOUT_DEG = 0.5
 SURE = 3.0  # standard errors
 
-needs_the_recording = pytest.mark.skipif(not RECORDING.is_file(), reason="the measured recording is not there")
+needs_the_recording = pytest.mark.skipif(
+    not RECORDING.is_file(), reason="the measured recording is not there"
+)
 
 
 @pytest.fixture(scope="module")
@@ -58,13 +61,18 @@ def test_the_second_image_is_named_with_its_place_and_brightness(diagnoses, told
 
 @pytest.mark.slow
 @needs_the_recording
-def test_the_vanes_have_one_angle_whichever_sense_is_told(diagnoses):
-    angles, sigmas = [], []
-    for told, turned_deg in TURNED_DEG.items():
-        vanes = step_of(diagnoses[told], "pupil_misregistration")
-        angles.append(turned_deg + vanes["parameters"]["rotation_deg"])
-        sigmas.append(vanes["sigma"]["rotation_deg"])
-    assert agree(*angles, *sigmas)
+def test_the_vanes_told_in_the_wrong_sense_are_found_turned_as_in_the_profile(diagnoses):
+    vanes = step_of(diagnoses["in the other sense"], "pupil_misregistration")
+    beyond_profile = vanes["parameters"]["rotation_deg"] + TURNED_DEG["in the other sense"]
+    assert abs(beyond_profile) < ABOUT_DEG
+    again = [one for one in diagnoses["as in the profile"]["steps"] if one["effect"] == vanes["effect"]]
+    for one in again:  # told right, they need no name
+        assert agree(
+            one["parameters"]["rotation_deg"],
+            beyond_profile,
+            one["sigma"]["rotation_deg"],
+            vanes["sigma"]["rotation_deg"],
+        )
 
 
 def test_the_recipe_is_complete_but_for_its_data(tmp_path):
