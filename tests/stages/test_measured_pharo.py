@@ -1,7 +1,7 @@
 """A measured recording of PHARO, where it is at hand.
 
-What is expected was measured in other recordings of the same camera: a second image of 2.1 % at 492 to 495 mas,
-position angle 219 to 220 deg. The vanes are documented as turned by about 2 deg; the sense is not.
+What is expected was measured in other recordings of the same camera: a second image of 2.1 % at 492 to 495
+mas, position angle 219 to 220 deg. The vanes are documented as turned by about 2 deg; the sense is not.
 """
 
 from __future__ import annotations
