@@ -29,7 +29,7 @@ from irlos_pipe.estimate.methods import (
     start_at_centroids,
 )
 from irlos_pipe.estimate.ncpa_prior import NcpaPrior
-from irlos_pipe.estimate.open_fit import open_basis
+from irlos_pipe.estimate.open_fit import Opened, open_basis
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.estimate.starts import START_HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
@@ -201,17 +201,20 @@ def calibrate(
     task = _Task(frames, psf, options, start_nm, report)
     steady = [effect for effect in effects if not drifts(effect)]
     fit = _fit_steady(task, steady)
-    if not frames.show_scatter and METHODS[options.method].effects:
+    if (
+        not frames.show_scatter
+        and METHODS[options.method].effects
+        and not _explained_by_tail(options, effects, fit)
+    ):
         task, fit = _weighed_by_misfit(task, steady, fit)
     for effect in effects:
         if drifts(effect):
             frames_nm = linear_estimates(frames, *fit).frames_nm
             fit = task.fit([*fit[0].model.effects.effects, measured_drift(effect, psf.nolls, frames_nm)], fit)
     twin, tail = options.scheme.twin(*fit), None
-    if options.open and not any(isinstance(effect, HighOrderNcpa) for effect in effects):
-        opened = open_basis(*fit, max_iterations=options.max_iterations)
-        if opened is not None:
-            fit, tail = (opened.problem, opened.solution), opened.law
+    opened = _opened(options, effects, fit)
+    if opened is not None:
+        fit, tail = (opened.problem, opened.solution), opened.law
     return _result(frames, options, fit, twin, tail, time.perf_counter() - began)
 
 
@@ -276,6 +279,21 @@ def _fit_steady(task: _Task, effects: Sequence[Effect]) -> Fit:
         placed |= {index: best_start(fit[0], fit[1].values[:1], effects[index]) for index in now}
         fit = task.fit([placed[index] for index in sorted(placed)], fit)
     return fit
+
+
+def _opened(options: CalibrationOptions, effects: Sequence[Effect], fit: Fit) -> Opened | None:
+    """The fit of all visible modes, where it is wanted and can be made."""
+    if not options.open or any(isinstance(effect, HighOrderNcpa) for effect in effects):
+        return None
+    return open_basis(*fit, max_iterations=options.max_iterations)
+
+
+def _explained_by_tail(options: CalibrationOptions, effects: Sequence[Effect], fit: Fit) -> bool:
+    """Whether modes beyond the closed basis are all that the model misses."""
+    if float(fit[0].reduced_chi2(fit[1].values[:1])[0]) < MISFIT:
+        return True
+    opened = _opened(options, effects, fit)
+    return opened is not None and float(opened.problem.reduced_chi2(opened.solution.values[:1])[0]) < MISFIT
 
 
 def _weighed_by_misfit(task: _Task, effects: Sequence[Effect], fit: Fit) -> tuple[_Task, Fit]:

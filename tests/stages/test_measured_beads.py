@@ -26,6 +26,7 @@ def stages(tmp_path_factory) -> dict:
 
 
 @pytest.mark.slow
+@pytest.mark.measured
 @pytest.mark.skipif(not RAMP.is_file(), reason="the measured ramp is not there")
 def test_the_high_aperture_of_the_microscope_is_named(stages):
     first = stages["diagnose"]["steps"][0]

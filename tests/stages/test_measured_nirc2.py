@@ -18,6 +18,7 @@ HALF_PX = 24  # of the square about the peak in which model and image are compar
 
 
 @pytest.mark.slow
+@pytest.mark.measured
 @pytest.mark.skipif(not IMAGE.is_file(), reason="the measured image is not there")
 def test_the_model_explains_one_image_to_2_5_percent(tmp_path):
     run_recipe(load_recipe(RECIPE, (), [f"cube={IMAGE}"]), tmp_path)

@@ -49,6 +49,7 @@ def agree(one: float, other: float, *sigmas: float) -> bool:
 
 
 @pytest.mark.slow
+@pytest.mark.measured
 @needs_the_recording
 @pytest.mark.parametrize("told", TURNED_DEG)
 def test_the_second_image_is_named_with_its_place_and_brightness(diagnoses, told):
@@ -60,6 +61,7 @@ def test_the_second_image_is_named_with_its_place_and_brightness(diagnoses, told
 
 
 @pytest.mark.slow
+@pytest.mark.measured
 @needs_the_recording
 def test_the_vanes_told_in_the_wrong_sense_are_found_turned_as_in_the_profile(diagnoses):
     vanes = step_of(diagnoses["in the other sense"], "pupil_misregistration")

@@ -77,6 +77,10 @@ class Variant:
         prior = CalibrateConfig.model_validate({}).options(ncpa_law).prior if self.prior else None
         return replace(self.options, prior=prior)
 
+    def closed(self) -> Variant:
+        """Return the same without modes beyond the closed basis, which a law of each cube's own draws to 0."""
+        return replace(self, options=replace(self.options, highest_noll=self.options.last_noll))
+
     def calibrate(
         self, frames: Frames, settings: PsfSettings, effects: Effects, ncpa_law: NcpaLaw
     ) -> Calibration:

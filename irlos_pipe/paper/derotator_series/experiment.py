@@ -120,7 +120,7 @@ def estimate(sample: AngleSample) -> dict[str, np.ndarray]:
     numbers = {"mean_image_e": cube.frames.mean_e.numpy()}
     for method, count in sample.frames.items():
         own = cube.first(count)
-        calibration = own.calibrated(VARIANTS[method])
+        calibration = own.calibrated(VARIANTS[method].closed())
         numbers |= {
             f"{method}/noll": np.array(calibration.nolls),
             f"{method}/zernike_nm": calibration.zernike_nm,
