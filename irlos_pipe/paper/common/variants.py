@@ -78,7 +78,7 @@ class Variant:
         return replace(self.options, prior=prior)
 
     def closed(self) -> Variant:
-        """Return the same without modes beyond the closed basis, which a law of each cube's own draws to 0."""
+        """Return the same in a closed basis: modes beyond are drawn to 0 by a law of each cube's own."""
         return replace(self, options=replace(self.options, highest_noll=self.options.last_noll))
 
     def calibrate(
