@@ -165,10 +165,6 @@ class Fitter:
         problem = self._problem(effects, self._quick, ROUGHLY)
         return self._solved(problem, self._start(problem, near), EXPLORING)
 
-    def again(self, fitted: Fitted) -> Fitted:
-        """The same model from where it is, for instance with other weights."""
-        return self._continued(fitted)
-
     def finished(self, fitted: Fitted) -> Fitted:
         """What was explored, continued until it converges or falls no further, if patience allows."""
         if not fitted.exact:

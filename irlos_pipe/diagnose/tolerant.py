@@ -33,6 +33,7 @@ from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect
 from irlos_pipe.estimate.open_fit import Opened, open_basis
 from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.optics.zernike import noll_to_nm
 
 STARTS, START_NM = 2, 60.0  # further wavefronts to begin with: RMS of the first radial order, falling
 KNOWN = 1.2  # χ²/ν up to which photons still set the errors
@@ -113,18 +114,16 @@ class TolerantTask(Task):
     def _starts(self, near: Fitted) -> list[Fitted]:
         """`near` with other wavefronts: none, and some at random, less in every radial order."""
         generator = torch.Generator().manual_seed(STARTS)
-        nolls = near.problem.layout.nolls
-        size = torch.tensor(
-            [START_NM * min(1.0, 2.0 / radial_order(n)) ** 1.5 for n in nolls], dtype=torch.float64
-        )
+        nolls, modes = near.problem.layout.nolls, near.problem.layout.modes
+        falling = [START_NM * min(1.0, 2.0 / noll_to_nm(noll)[0]) ** 1.5 for noll in nolls]
+        size = torch.tensor(falling, dtype=torch.float64)
         size[:2] = 0.0
+        pointing = near.x[0, modes] * (size == 0)
         found = []
         for number in range(STARTS):
-            x = near.x.clone()
             drawn = torch.randn(len(nolls), generator=generator, dtype=torch.float64) * size
-            x[0, near.problem.layout.modes] = (drawn if number else torch.zeros_like(drawn)) + x[
-                0, near.problem.layout.modes
-            ] * (size == 0)
+            x = near.x.clone()
+            x[0, modes] = pointing + (drawn if number else 0.0)
             found.append(replace(near, solution=replace(near.solution, values=x)))
         return found
 
@@ -267,11 +266,6 @@ def _testable_columns(fitted: Fitted, name: str) -> list[int]:
     """Columns of those parameters of an effect that have a value without effect."""
     pairs = zip(fitted.columns_of(name), fitted.effect(name).parameters, strict=True)
     return [column for column, parameter in pairs if parameter.null is not None]
-
-
-def radial_order(noll: int) -> int:
-    """Radial order of the Zernike mode with a `noll` index."""
-    return int((np.sqrt(8 * noll - 7) - 1) / 2)
 
 
 def errors_of(stack: Stacks, fitted: Fitted, settings: PsfSettings) -> Errors:
