@@ -251,7 +251,7 @@ def no_longer_needed(
     accepted : sequence of Accepted
         The last one is not in question.
     """
-    effects = dict(zip(current.fitted.problem.model.effects.labels, current.fitted.continued(), strict=True))
+    effects = dict(zip(current.fitted.problem.effects.labels, current.fitted.continued(), strict=True))
     for one, own in list(zip(accepted, labels_in(current.fitted, accepted), strict=True))[:-1]:
         kept = [effect for label, effect in effects.items() if label != own]
         price = PER_PARAMETER * one.refit.parameters * one.refit.score.inflation

@@ -107,10 +107,10 @@ def _both(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def total_modes_nm(fitted: Fitted) -> np.ndarray:
-    """Coefficients of the whole static wavefront, what effects in the pupil add included."""
-    effects, values = fitted.problem.model.effects, fitted.effect_values
-    added = effects_in_modes_nm(effects, values, fitted.problem.layout.nolls)[0]
-    return fitted.modes_nm + added.numpy()
+    """Coefficients of the whole static wavefront of the first recording, effects in the pupil included."""
+    part, x = fitted.recordings[0]
+    added = effects_in_modes_nm(part.model.effects, x[0, part.layout.effect_values], part.layout.nolls)[0]
+    return x[0, part.layout.modes].numpy() + added.numpy()
 
 
 def _modes_sigma_nm(optimum: Optimum) -> np.ndarray:
@@ -234,8 +234,9 @@ def _pictures(judges: Sequence[HeldOutEvaluation], null: Optimum, final: Optimum
     deviations = final.deviations - (final.deviations @ final.basis) @ final.basis.mT
     _, size, modes = torch.linalg.svd(deviations, full_matrices=False)
     leading = modes[0, first] * size[0] / np.sqrt(len(deviations) * len(final.stack))
-    models = [optimum.fitted.problem.model for optimum in (null, final)]
-    values = [optimum.fitted.effect_values for optimum in (null, final)]
+    firsts = [optimum.fitted.recordings[0] for optimum in (null, final)]
+    models = [part.model for part, _ in firsts]
+    values = [x[0, part.layout.effect_values] for part, x in firsts]
     opds = [m.effects.opd_nm(v).numpy() for m, v in zip(models, values, strict=True)]
     before, after = (judge.mean_e[first].reshape(shape).numpy() for judge in judges)
     return Pictures(

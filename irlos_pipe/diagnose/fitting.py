@@ -10,9 +10,10 @@ import numpy as np
 import torch
 
 from irlos_pipe.diagnose.cube import Stack, Stacks
-from irlos_pipe.diagnose.joint_fit import OWN, JointFit
+from irlos_pipe.diagnose.joint_fit import DRIFT_NM, POINTING, JointFit
 from irlos_pipe.diagnose.view import View
 from irlos_pipe.effects import Effect, FixedEffect, Parameter
+from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.ncpa_prior import NcpaPrior
@@ -59,7 +60,7 @@ class Fitted:
     @property
     def effects(self) -> tuple[Effect, ...]:
         """Effects of the model, in the order of the light path."""
-        return self.problem.model.effects.effects
+        return self.problem.effects.effects
 
     @property
     def modes_nm(self) -> np.ndarray:
@@ -68,7 +69,7 @@ class Fitted:
 
     @property
     def effect_values(self) -> torch.Tensor:
-        """Parameters of the effects as the first recording has them, (parameters,)."""
+        """Parameters of all effects, (parameters,)."""
         return self.x[0, self.problem.layout.effect_values]
 
     @property
@@ -99,21 +100,21 @@ class Fitted:
 
     def effect(self, label: str) -> Effect:
         """The effect with a `label`."""
-        return self.effects[self.problem.model.effects.labels.index(label)]
+        return self.effects[self.problem.effects.labels.index(label)]
 
     def values_of(self, label: str) -> np.ndarray:
         """All parameters of the effect with a `label`, fixed ones included."""
-        free = self.problem.model.effects.split(self.effect_values)[label]
+        free = self.problem.effects.split(self.effect_values)[label]
         return self.effect(label).all_values(free).numpy()
 
     def columns_of(self, label: str) -> list[int]:
         """Positions of the free parameters of the effect with a `label` in the whole parameter vector."""
         begin = self.problem.layout.effect_values.start
-        return [begin + index for index in self.problem.model.effects.columns_of(label)]
+        return [begin + index for index in self.problem.effects.columns_of(label)]
 
     def continued(self) -> list[Effect]:
         """The effects with the same freedom, to start from where they are now."""
-        pieces = self.problem.model.effects.pieces(self.effect_values)
+        pieces = self.problem.effects.pieces(self.effect_values)
         return [_begun_at(effect, piece) for effect, piece in zip(self.effects, pieces, strict=True)]
 
     def restarted(self) -> list[Effect]:
@@ -146,10 +147,16 @@ class Fitter:
         Of each recording.
     stack : Stacks
         Their frames.
+    drift_nm : float
+        See `JointFit`.
     """
 
-    def __init__(self, views: Sequence[View], stack: Stacks):
-        self.views, self.stack = views, stack
+    def __init__(self, views: Sequence[View], stack: Stacks, drift_nm: float = DRIFT_NM):
+        self.views, self.stack, self.drift_nm = views, stack, drift_nm
+
+    def of(self, stack: Stacks, views: Sequence[View] = ()) -> Fitter:
+        """The same for other data, or other `views` of them."""
+        return Fitter(views or self.views, stack, self.drift_nm)
 
     @cached_property
     def _quick(self) -> list[View]:
@@ -192,6 +199,8 @@ class Fitter:
         modes = problem.layout.modes
         psf = self.views[0].psf
         start[:, modes] = twin_of(start[:, modes], psf.nolls, psf.settings.known.total_nm)
+        for columns in problem.drifts.values():
+            start[:, columns] = twin_of(start[:, columns], psf.nolls[POINTING:], {})
         return self._solved(problem, start)
 
     def most_plausible(self, found: Sequence[Fitted]) -> Fitted:
@@ -223,17 +232,27 @@ class Fitter:
         """
         problem = self._problem(fitted.continued(), self.views)
         x = torch.zeros(1, problem.size, dtype=torch.float64)
-        known = [own for _, own in fitted.recordings]
-        for number, columns in reversed(list(enumerate(problem.columns))):
-            x[:, columns] = known[number] if number < len(known) else known[0]
+        known, shared = fitted.problem, slice(0, problem.layout.effect_values.stop)
+        x[:, shared] = fitted.x[:, shared]
+        for moment, columns in known.drifts.items():
+            if moment in problem.drifts:
+                x[:, problem.drifts[moment]] = fitted.x[:, columns]
+            elif moment in problem.moments:
+                x[:, POINTING : POINTING + len(columns)] += fitted.x[:, columns]
+        number_of_known = len(known.parts)
+        for number in reversed(range(len(problem.parts))):
+            like = number if number < number_of_known else 0
+            x[:, problem.own_of(number)] = fitted.x[:, known.own_of(like)]
         solution = replace(fitted.solution, values=x)
         return Fitted(problem, solution, float(problem.chi2(x)), self.views)
 
     def _problem(
         self, effects: Sequence[Effect], views: Sequence[View], tolerance: float = CHI2_TOLERANCE
     ) -> JointFit:
+        whole = EffectSet(effects, views[0].psf.grids)
         pairs = zip(views, self.stack.parts, strict=True)
-        return JointFit([_part(stack, view, views[0], effects) for view, stack in pairs], tolerance)
+        parts = [_part(stack, view, view.seen(whole.effects, views)) for view, stack in pairs]
+        return JointFit(parts, whole, [view.moment for view in views], self.drift_nm, tolerance)
 
     def _start(self, problem: JointFit, near: Fitted | None) -> torch.Tensor:
         x = torch.zeros(1, problem.size, dtype=torch.float64)
@@ -241,7 +260,7 @@ class Fitter:
         for view, stack, part, columns in reversed(list(parts)):  # what they share is that of the first
             x[:, columns] = _first_guess(view, stack, part)
         if near is not None:
-            behind = OWN * (len(self.views) - 1) + 2
+            behind = problem.tail if problem.tail == near.problem.tail else 2
             common = min(len(problem.layout.nolls), len(near.problem.layout.nolls))  # both begin at tip
             x[:, :common] = near.x[:, :common]
             x[:, -behind:] = near.x[:, -behind:]
@@ -288,10 +307,10 @@ def most_plausible(
     return best
 
 
-def _part(stack: Stack, view: View, first: View, effects: Sequence[Effect]) -> ImageFit:
-    """The problem of one recording by itself, with effects as stated for the first."""
+def _part(stack: Stack, view: View, effects: Sequence[Effect]) -> ImageFit:
+    """The problem of one recording by itself, with the `effects` that act in it."""
     psf = view.psf
-    model = ImageModel(psf, [view.seen(effect, first) for effect in effects])
+    model = ImageModel(psf, effects)
     law = view.conditions.ncpa_law
     prior = None if law is None else NcpaPrior(law, PRIOR_SCALE).sigma_nm(psf.nolls)
     layout = Layout(psf.nolls, model.effects.parameters, prior_sigma_nm=prior)

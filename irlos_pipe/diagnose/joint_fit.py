@@ -1,20 +1,26 @@
 """One wavefront and one set of effects fitted to the mean images of several recordings.
 
-Tip, tilt, flux and background are those of each recording. The parameter vector is that of the first
-recording with the other recordings' own numbers between the effects and its flux and background.
+Tip, tilt, flux and background are those of each recording. Recordings of other moments, of another star or
+night, have effects of their own, and a wavefront that differs from the common one by a drift: small changes
+of every mode with a Gaussian prior. The parameter vector is that of the first recording with the drifts and
+the other recordings' own numbers between the effects and its flux and background.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import torch
 
+from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE, CheapGradientProblem
 
 OWN = 4  # tip, tilt, flux and background
+DRIFT_NM = 10.0  # by which every mode may change from one star or night to another
+POINTING = 2  # modes that belong to each recording
 
 
 class JointFit(CheapGradientProblem):
@@ -23,20 +29,48 @@ class JointFit(CheapGradientProblem):
     Parameters
     ----------
     parts : sequence of ImageFit
-        One per recording, with the same modes, Noll 2 and 3 first, and the same effect parameters.
+        One per recording, with the same modes, Noll 2 and 3 first, and those effects that act in it.
+    effects : EffectSet, optional
+        All effects, those of single moments included; by default those of the first recording.
+    moments : sequence of int, optional
+        The moment of each recording; by default the same.
+    drift_nm : float
+        Prior σ of the change of every mode from the common wavefront to that of a moment; of no use where
+        there is one moment.
     tolerance : float
         Fall of χ² still ahead at which the fit is done, in units of χ²/ν where the model misfits.
     """
 
-    def __init__(self, parts: Sequence[ImageFit], tolerance: float = CHI2_TOLERANCE):
+    def __init__(
+        self,
+        parts: Sequence[ImageFit],
+        effects: EffectSet | None = None,
+        moments: Sequence[int] = (),
+        drift_nm: float = DRIFT_NM,
+        tolerance: float = CHI2_TOLERANCE,
+    ):
         self.parts, self.tolerance = tuple(parts), tolerance
-        self.model, self.layout = parts[0].model, parts[0].layout
-        shared, more = self.layout.size - 2, OWN * (len(parts) - 1)
-        self.size = shared + more + 2
-        self.columns = [[*range(shared), self.size - 2, self.size - 1]]
-        for begin in range(shared, shared + more, OWN):
-            tip, tilt, flux, background = range(begin, begin + OWN)
-            self.columns.append([tip, tilt, *range(2, shared), flux, background])
+        self.model = parts[0].model
+        self.effects = self.model.effects if effects is None else effects
+        self.moments = tuple(moments) or (0,) * len(parts)
+        self.layout = replace(parts[0].layout, effects=self.effects.parameters)
+        shared, modes = self.layout.size - 2, len(self.layout.nolls)
+        drifting = sorted({*self.moments}) if len({*self.moments}) > 1 else []
+        starts = (shared + number * (modes - POINTING) for number in range(len(drifting)))
+        self.drifts = {
+            moment: list(range(begin, begin + modes - POINTING))
+            for moment, begin in zip(drifting, starts, strict=True)
+        }
+        begin_own = shared + len(drifting) * (modes - POINTING)
+        self.size = begin_own + OWN * (len(parts) - 1) + 2
+        self.columns = []
+        for number, moment in enumerate(self.moments):
+            begin = begin_own + OWN * (number - 1)
+            tip, tilt, flux, background = (
+                range(begin, begin + OWN) if number else (0, 1, self.size - 2, self.size - 1)
+            )
+            acting = [modes + column for column in self.effects.columns_in(moment)]
+            self.columns.append([tip, tilt, *range(POINTING, modes), *acting, flux, background])
         ends = torch.tensor([0, *(part.images.shape[-1] for part in parts)]).cumsum(0).tolist()
         self.pixels = [slice(a, b) for a, b in pairwise(ends)]
         good = sum(int((part.root_weight > 0).sum()) for part in parts)
@@ -45,6 +79,9 @@ class JointFit(CheapGradientProblem):
         self.prior_mean, self.prior_precision = (
             self._spread(name, 0)[None] for name in ("prior_mean", "prior_precision")
         )
+        for columns in self.drifts.values():
+            self.lower[columns], self.upper[columns] = -torch.inf, torch.inf
+            self.prior_precision[:, columns] = drift_nm**-2
 
     @property
     def window(self) -> tuple[int, int]:
@@ -54,11 +91,26 @@ class JointFit(CheapGradientProblem):
     @property
     def own(self) -> list[int]:
         """Columns of what belongs to single recordings, four after the other for each."""
-        return [columns[i] for columns in self.columns for i in (0, 1, -2, -1)]
+        return [column for number in range(len(self.parts)) for column in self.own_of(number)]
+
+    def own_of(self, number: int) -> list[int]:
+        """Columns of tip, tilt, flux and background of recording `number`."""
+        return [self.columns[number][i] for i in (0, 1, -2, -1)]
+
+    @property
+    def tail(self) -> int:
+        """Number of parameters behind the effects."""
+        return self.size - self.layout.effect_values.stop
 
     def part(self, x: torch.Tensor, number: int) -> torch.Tensor:
         """Parameter vector of recording `number`, (1, its parameters), out of the whole vector `x`."""
-        return x[:, self.columns[number]]
+        at = x[:, self.columns[number]]
+        drift = self.drifts.get(self.moments[number])
+        if drift is None:
+            return at
+        modes = slice(POINTING, len(self.layout.nolls))
+        changed = at[:, modes] + x[:, drift]
+        return torch.cat([at[:, :POINTING], changed, at[:, modes.stop :]], dim=1)
 
     # -- Problem -----------------------------------------------------------------------------
 
@@ -80,14 +132,18 @@ class JointFit(CheapGradientProblem):
         offset = x - self.prior_mean
         value = _half_chi2(offset, self.prior_precision)
         gradient, hessian = self.prior_precision * offset, torch.diag_embed(self.prior_precision)
-        for number, (part, columns) in enumerate(zip(self.parts, self.columns, strict=True)):
+        for number, part in enumerate(self.parts):
             at = self.part(x, number)
             own_value, own_gradient, own_hessian = part.normal_equations(at, which)
             precision, miss = part.prior_precision, at - part.prior_mean
             value = value + own_value - _half_chi2(miss, precision)
-            gradient[:, columns] += own_gradient - precision * miss
-            rows = torch.tensor(columns)
-            hessian[:, rows[:, None], rows] += own_hessian - torch.diag_embed(precision)
+            rows, columns = self._pairs(number)
+            slope = own_gradient - precision * miss
+            curvature = own_hessian - torch.diag_embed(precision)
+            gradient.index_add_(1, columns, slope[:, rows])
+            wide = torch.zeros(1, len(slope[0]), self.size, dtype=torch.float64)
+            wide.index_add_(2, columns, curvature[:, :, rows])
+            hessian.index_add_(1, columns, wide[:, rows])
         return value, gradient, hessian
 
     # -- images ------------------------------------------------------------------------------
@@ -100,10 +156,11 @@ class JointFit(CheapGradientProblem):
     def predict_and_jacobian(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Mean images (pixels,) and derivatives (parameters, pixels)."""
         images, jacobian = [], torch.zeros(self.size, self.pixels[-1].stop, dtype=torch.float64)
-        for number, (part, columns) in enumerate(zip(self.parts, self.columns, strict=True)):
+        for number, part in enumerate(self.parts):
             image, own = part.predict_and_jacobian(self.part(x, number))
             images.append(image[0].cpu())
-            jacobian[columns, self.pixels[number]] = own[0].cpu().double()
+            rows, columns = self._pairs(number)
+            jacobian[columns, self.pixels[number]] = own[0].cpu().double()[rows]
         return torch.cat(images), jacobian
 
     @torch.no_grad()
@@ -111,6 +168,12 @@ class JointFit(CheapGradientProblem):
         """χ² of all mean images together at `x`."""
         left = (part.reduced_chi2(self.part(x, n))[0] * part.freedom for n, part in enumerate(self.parts))
         return torch.stack(list(left)).sum()
+
+    def _pairs(self, number: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Parameters of recording `number`, and the columns of the whole vector that each is the sum of."""
+        columns, drift = self.columns[number], self.drifts.get(self.moments[number], [])
+        rows = [*range(len(columns)), *range(POINTING, POINTING + len(drift))]
+        return torch.tensor(rows), torch.tensor([*columns, *drift])
 
     def _spread(self, name: str, member: int | None = None) -> torch.Tensor:
         """A number per parameter of the parts as one vector; what they share is that of the first."""

@@ -83,8 +83,10 @@ class Optimum(NullModel):
     @cached_property
     def frozen(self) -> list[list[Effect]]:
         """The effects as fitted for each recording, to try others beside them."""
-        values = self.fitted.effect_values
-        return [frozen_effects(part.model.effects, values) for part, _ in self.fitted.recordings]
+        return [
+            frozen_effects(part.model.effects, x[0, part.layout.effect_values])
+            for part, x in self.fitted.recordings
+        ]
 
     @property
     def deviations(self) -> torch.Tensor:

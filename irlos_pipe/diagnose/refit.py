@@ -269,7 +269,7 @@ def _widened(fitter: Fitter, pair: tuple[Refit, type[Effect]]) -> Refit:
     """A wider form of what was fitted, from where it is: a second image may be out of focus."""
     one, kind = pair
     effect = kind.under(fitter.views[0].conditions).widened(one.values)
-    labels = one.fitted.problem.model.effects.labels
+    labels = one.fitted.problem.effects.labels
     others = [o for o, label in zip(one.fitted.continued(), labels, strict=True) if label != one.label]
     score = replace(one.score, candidate=effect, sizes=effect.values, besides=(), elsewhere=())
     return Refit(score, one.origin, fitter.explored([*others, effect], one.fitted))

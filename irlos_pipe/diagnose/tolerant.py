@@ -23,7 +23,7 @@ from irlos_pipe.diagnose.checks.noise import PHOTONS
 from irlos_pipe.diagnose.cube import Errors, Stacks
 from irlos_pipe.diagnose.effect_sizes import parameter_covariance
 from irlos_pipe.diagnose.elimination import needed
-from irlos_pipe.diagnose.fitting import Fitted, Fitter
+from irlos_pipe.diagnose.fitting import Fitted
 from irlos_pipe.diagnose.forward import Task
 from irlos_pipe.diagnose.grade import AT_ITS_PLACE, share_at_its_place
 from irlos_pipe.diagnose.null_model import Optimum
@@ -141,7 +141,7 @@ class TolerantTask(Task):
         errors = errors_of(self.cube.training, fitted, self.conditions.settings)
         known = self.kind == PHOTONS and errors.misfit < KNOWN
         cube = self.cube.with_errors(errors).limited_by(known)
-        return replace(self, cube=cube, fitter=Fitter(self.fitter.views, cube.training))
+        return replace(self, cube=cube, fitter=self.fitter.of(cube.training))
 
     def _opened(self, current: Optimum) -> tuple[TolerantTask, Optimum]:
         """The search, and its model, with the wavefront beyond the fitted modes as all visible modes have it.
@@ -162,7 +162,7 @@ class TolerantTask(Task):
         tail_nm = dict(zip(nolls[beyond], values[0, beyond].tolist(), strict=True))
         views = [view.with_known(tail_nm) for view in self.fitter.views]
         x = torch.cat([values[:, closed], values[:, len(nolls) :]], dim=1)
-        task = replace(self, fitter=Fitter(views, self.cube.training))
+        task = replace(self, fitter=self.fitter.of(self.cube.training, views))
         start = replace(fitted, solution=replace(fitted.solution, values=x), views=views)
         return task._with_errors(task.fitter.at(start))
 

@@ -44,44 +44,60 @@ class Exposures:
         Introduced defocus in the known wavefront of its settings.
     screened : sequence of Screened
         Pixels masked in the frames because of what they showed there.
+    moment : int
+        Number of the moment: recordings of another one are of another star or night.
     """
 
     frames: Frames
     conditions: Conditions
     screened: Sequence[Screened] = ()
+    moment: int = 0
 
     def view(self, nolls: Sequence[int], device: str) -> View:
         """Its model of the modes `nolls` on `device`, in float64: a mean is more precise than float32."""
         psf = PsfModel(self.conditions.settings, nolls, device=device, dtype=torch.float64)
-        return View(psf, self.conditions)
+        return View(psf, self.conditions, self.moment)
 
 
 @dataclass(frozen=True)
 class View:
-    """The light path of one recording, with the settings of its conditions."""
+    """The light path of one recording, with the settings of its conditions, at one moment."""
 
     psf: PsfModel
     conditions: Conditions
+    moment: int = 0
 
     def quick(self) -> View:
         """This light path in float32, which is precise enough for most of a fit."""
         psf = self.psf
-        return View(
-            PsfModel(psf.settings, psf.nolls, device=psf.device, dtype=torch.float32), self.conditions
-        )
+        return replace(self, psf=PsfModel(psf.settings, psf.nolls, device=psf.device, dtype=torch.float32))
 
     def with_known(self, modes_nm: Mapping[int, float]) -> View:
         """This light path with further modes of a known wavefront: Noll index to nm RMS."""
         psf, known = self.psf, self.psf.settings.known
         ncpa_nm = {noll: known.ncpa_nm.get(noll, 0.0) + nm for noll, nm in modes_nm.items()}
         settings = replace(psf.settings, known=replace(known, ncpa_nm={**known.ncpa_nm, **ncpa_nm}))
-        return View(PsfModel(settings, psf.nolls, device=psf.device, dtype=psf.dtype), self.conditions)
+        return replace(self, psf=PsfModel(settings, psf.nolls, device=psf.device, dtype=psf.dtype))
 
     def under(self, conditions: Conditions) -> View:
         """A recording of the same modes under other `conditions`."""
         psf = self.psf
-        return View(PsfModel(conditions.settings, psf.nolls, device=psf.device, dtype=psf.dtype), conditions)
+        moved = PsfModel(conditions.settings, psf.nolls, device=psf.device, dtype=psf.dtype)
+        return replace(self, psf=moved, conditions=conditions)
 
-    def seen(self, effect: Effect, first: View) -> Effect:
-        """`effect`, stated for the `first` recording, as it acts in this one."""
-        return effect if first is self else effect.seen_in(self.conditions, first.conditions)
+    def seen(self, effects: Sequence[Effect], views: Sequence[View]) -> list[Effect]:
+        """Those of the `effects` that act in this recording, as they do.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+            Each stated for the first of the recordings in which it acts.
+        views : sequence of View
+            Of all recordings.
+        """
+        found = []
+        for effect in (one for one in effects if one.acting(self.moment)):
+            first = next(view for view in views if effect.acting(view.moment))
+            same = first is self
+            found.append(effect if same else effect.seen_in(self.conditions, first.conditions))
+        return found

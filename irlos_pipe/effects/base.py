@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from typing import Any, Literal, Self
 
@@ -10,6 +11,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects.declaration import (
+    Belongs,
     Calibrated,
     Conditions,
     FoundBy,
@@ -44,6 +46,11 @@ class Effect:
         Whether every on-sky recording has it, so that a model without a measurement takes it as expected.
     instrumental : bool
         Whether a calibration can hand it on to a recording of another star at another time.
+    belongs_to : {"instrument", "star", "moment"}
+        With what it changes: recordings share what is the instrument's; another star may have another
+        companion, and another moment another sky.
+    acts_in : frozenset of int or None
+        Of recordings that are diagnosed together, the moments in which this one acts; None: all.
     fact : bool
         Whether it corrects what the profile of the instrument states, which is never exact.
     mild : bool
@@ -83,6 +90,8 @@ class Effect:
     derived: tuple[Public, ...] = ()
     usual: bool = False
     instrumental: bool = True
+    belongs_to: Belongs = "instrument"
+    acts_in: frozenset[int] | None = None
     fact: bool = False
     mild: bool = False
     aberration: bool = False
@@ -202,6 +211,16 @@ class Effect:
         """Return the effect, all free, where it acts as that of `widens` does at the values `narrower`."""
         raise NotImplementedError(f"{self.name} is not the wider form of another effect")
 
+    def acting(self, moment: int) -> bool:
+        """Whether the effect acts in a `moment`, see `acts_in`."""
+        return self.acts_in is None or moment in self.acts_in
+
+    def only_in(self, moments: frozenset[int] | None) -> Self:
+        """Return the effect, acting in some `moments` of recordings that are diagnosed together."""
+        other = copy(self)
+        other.acts_in = moments
+        return other
+
     def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
         """Return a candidate whose copy of the star lies at (`x_mas`, `y_mas`)."""
         raise NotImplementedError(f"{self.name} adds no copy of the star")
@@ -278,6 +297,12 @@ class FixedEffect(Effect):
         self.values = np.array(np.asarray(values), float)
         self._free = [i for i, p in enumerate(base.parameters) if p.name in free]
         self.parameters = tuple(replace(base.parameters[i], start=float(self.values[i])) for i in self._free)
+
+    def only_in(self, moments: frozenset[int] | None) -> Self:
+        """See `Effect.only_in`."""
+        other = super().only_in(moments)
+        other._base = self._base.only_in(moments)
+        return other
 
     @property
     def base(self) -> Effect:

@@ -34,6 +34,7 @@ class AtmosphericDispersion(OtfEffect):
     """
 
     name = "atmospheric_dispersion"
+    belongs_to = "moment"
     mild = True
     instrumental = False
     public = (

@@ -33,6 +33,7 @@ class Companion(OtfEffect):
     """
 
     name = "companion"
+    belongs_to = "star"
     instrumental = False
     public = (
         number("flux_ratio", "secondary over primary", 0.0, 1.0),

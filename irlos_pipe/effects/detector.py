@@ -82,6 +82,7 @@ class BackgroundGradient(DetectorEffect):
     """
 
     name = "background_gradient"
+    belongs_to = "moment"
     mild = True
     order = 2
     instrumental = False

@@ -26,6 +26,7 @@ class NcpaDrift(ZernikeTable, TimeEffect):
 
     name, table = "ncpa_drift", "zernike_nm"
     instrumental = False
+    belongs_to = "moment"
     public = (Public(table, "Noll index: nm RMS from the first frame to the last", "zernike", -1e4, 1e4),)
     options = (Public("nolls", "Noll indices to estimate", "nolls"),)
     coefficient = Parameter("", "nm", 0.0, 0.0, 50.0, plausible=(-300.0, 300.0))

@@ -214,6 +214,11 @@ class EffectSet:
         """The parameter vector cut into one piece per effect."""
         return [np.asarray(values[piece], float) for piece in self._pieces]
 
+    def columns_in(self, moment: int) -> list[int]:
+        """Positions in the parameter vector of the parameters of effects that act in a `moment`."""
+        pairs = zip(self.effects, self._pieces, strict=True)
+        return [i for effect, piece in pairs if effect.acting(moment) for i in range(piece.start, piece.stop)]
+
     def columns_of(self, label: str) -> range:
         """Positions of an effect's parameters in the parameter vector, by `label`."""
         piece = self._pieces[self.labels.index(label)]

@@ -26,6 +26,7 @@ class LowWindEffect(PupilSteps):
     """
 
     name = "low_wind_effect"
+    belongs_to = "moment"
     kinds, part_name, sigma_nm = KINDS, "petals", 300.0
     public = per_part(KINDS, "nm, petals anticlockwise from +45°")
     look_alike = "high_order_ncpa, of which every mode takes a part of the steps"

@@ -41,6 +41,7 @@ class TipTiltJitter(OtfEffect):
     """
 
     name = "tip_tilt_jitter"
+    belongs_to = "moment"
     mild = True
     usual = True
     public = (number("sigma_mas", "mas RMS per axis", 0.0, LARGEST_MAS),)
@@ -78,6 +79,7 @@ class Vibration(OtfEffect):
     """
 
     name = "vibration"
+    belongs_to = "moment"
     public = (number("sigma_mas", "mas RMS", 0.0, LARGEST_MAS), direction("angle_deg"))
     options = (Public("shape", "course of the motion", "word", choices=SHAPES),)
     blurs = "motion"

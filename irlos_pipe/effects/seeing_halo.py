@@ -58,6 +58,7 @@ class SeeingHalo(OtfEffect):
     """
 
     name = "seeing_halo"
+    belongs_to = "moment"
     usual = True
     public = (
         number("wfe_nm", "nm RMS in all", 0.0, 1000.0, required=False),
@@ -222,6 +223,7 @@ class ScaledHalo(OtfEffect):
     """
 
     name, public, speckles = SeeingHalo.name, SeeingHalo.public, True
+    belongs_to = SeeingHalo.belongs_to
     look_alike = SeeingHalo.look_alike
     parameters = (Parameter("share", "of the variance", 1.0, lower=0.0, upper=100.0, plausible=(0.0, 10.0)),)
 

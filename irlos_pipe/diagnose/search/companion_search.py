@@ -42,7 +42,7 @@ def brightest_copies(optimum: Optimum, effect: Effect) -> list[FixedEffect]:
 def _copies(optimum: Optimum) -> list[tuple[float, float]]:
     """Positions of the copies of the star that the model has [mas]."""
     fitted, found = optimum.fitted, []
-    for effect, label in zip(fitted.effects, fitted.problem.model.effects.labels, strict=True):
+    for effect, label in zip(fitted.effects, fitted.problem.effects.labels, strict=True):
         names = [parameter.name for parameter in effect.base.parameters]
         if "x_mas" in names and effect.base.plane == "otf":
             values = fitted.values_of(label)

@@ -14,6 +14,7 @@ from irlos_pipe.diagnose.search.companion_search import around, brightest_copies
 from irlos_pipe.diagnose.significance import significance_of
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
 from irlos_pipe.effects.planes import PupilEffect
+from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.score_test import ABSORBED, LinearEstimate, derivatives
 from irlos_pipe.numerics.parallel import ordered_map
 from irlos_pipe.optics.grids import PupilGrid
@@ -207,11 +208,25 @@ def whitened_shapes(optimum: Optimum, candidates: Sequence[Effect]) -> list[torc
     """
     fitted = optimum.fitted
     columns = [
-        derivatives(part, x, frozen, _together([view.seen(one, fitted.views[0]) for one in candidates]))
+        _of_recording(view.seen(candidates, fitted.views), part, x, frozen, candidates)
         for view, (part, x), frozen in zip(fitted.views, fitted.recordings, optimum.frozen, strict=True)
     ]
     shapes = (torch.cat(columns, dim=1) * optimum.root).mT
     return list(shapes.split([len(one.parameters) for one in candidates], dim=1))
+
+
+def _of_recording(
+    seen: Sequence[Effect],
+    part: ImageFit,
+    x: torch.Tensor,
+    frozen: Sequence[Effect],
+    candidates: Sequence[Effect],
+) -> torch.Tensor:
+    """Derivatives of one recording's image, (m, pixels); none where the candidates do not act."""
+    if not seen:
+        parameters = sum(len(one.parameters) for one in candidates)
+        return torch.zeros(parameters, part.images.shape[-1], dtype=torch.float64)
+    return derivatives(part, x, frozen, _together(seen))
 
 
 def _together(candidates: Sequence[Effect]) -> Effect:
