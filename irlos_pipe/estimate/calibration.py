@@ -10,13 +10,15 @@ from typing import Final, Literal
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.laws import NcpaLaw
+from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.effect_set import occurrences
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.wavefront import HighOrderNcpa
-from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
+from irlos_pipe.estimate.calibration_errors import ErrorsFrom, errors_of
+from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.estimate.effect_modes import drifts, measured_drift
-from irlos_pipe.estimate.few_frames import covariance_from_noise
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
 from irlos_pipe.estimate.lbfgs import solve_lbfgs
 from irlos_pipe.estimate.methods import (
@@ -29,6 +31,7 @@ from irlos_pipe.estimate.methods import (
     start_at_centroids,
 )
 from irlos_pipe.estimate.ncpa_prior import NcpaPrior
+from irlos_pipe.estimate.nominal_chi2 import NominalChi2, nominal_chi2
 from irlos_pipe.estimate.open_fit import Opened, open_basis
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.score_test import best_start
@@ -46,7 +49,6 @@ Fit = tuple[ImageFit, Solution]
 
 
 OptimiserName = Literal["lm", "lbfgs"]
-ErrorsFrom = Literal["frames", "noise"]
 OPEN: Final = "open"
 HighestNoll = int | Literal["open"]
 
@@ -65,6 +67,8 @@ class CalibrationOptions:
     highest_noll : int, "open" or None
         Modes Noll 2 to this are estimated, or as many as the window shows.
     prior : NcpaPrior or None
+    law : NcpaLaw or None
+        By which the sign of the even modes is judged, see `twin`; None leaves it to the data alone.
     """
 
     method: str = DEFAULT_METHOD
@@ -73,6 +77,7 @@ class CalibrationOptions:
     highest_noll: HighestNoll | None = None
     prior: NcpaPrior | None = None
     max_iterations: int = 60
+    law: NcpaLaw | None = None
 
     @property
     def last_noll(self) -> int:
@@ -116,9 +121,9 @@ class Calibration:
         The same without that part: what goes with the effects in a model.
     covariance_nm2 : ndarray, (modes, modes)
         See `errors_from`.
-    errors_from : {"frames", "noise"}
-        The scatter over frames, autocorrelation included; or, of too few frames, the noise model, scaled by
-        the misfit of the model (see `few_frames`).
+    errors_from : {"frames", "few_frames", "noise"}
+        The scatter over frames, autocorrelation included; of too few frames the noise model, with or without
+        their scatter; both grow by the misfit of the model (see `calibration_errors`).
     effects : dict
         Public parameters of the effects, by effect.
     effect_values : dict of str to ndarray
@@ -130,6 +135,12 @@ class Calibration:
     mean_image_e, model_image_e, sigma_image_e : ndarray, (rows, columns)
     chi2_nu : float
         Of the mean image, against the scatter between frames.
+    nominal : NominalChi2
+        What it would be about a model that lacks nothing.
+    noise_ratio : float
+        See `Frames.noise_ratio`.
+    window_resolutions : float
+        Smaller side of the window in λ/D.
     twin : TwinCheck or None
         Of the closed basis.
     tail : TailLaw or None
@@ -151,6 +162,9 @@ class Calibration:
     model_image_e: np.ndarray
     sigma_image_e: np.ndarray
     chi2_nu: float
+    nominal: NominalChi2
+    noise_ratio: float
+    window_resolutions: float
     twin: TwinCheck | None
     tail: TailLaw | None
     seconds: float
@@ -211,7 +225,7 @@ def calibrate(
         if drifts(effect):
             frames_nm = linear_estimates(frames, *fit).frames_nm
             fit = task.fit([*fit[0].model.effects.effects, measured_drift(effect, psf.nolls, frames_nm)], fit)
-    twin, tail = options.scheme.twin(*fit), None
+    twin, tail = options.scheme.twin(*fit, options.law), None
     opened = _opened(options, effects, fit)
     if opened is not None:
         fit, tail = (opened.problem, opened.solution), opened.law
@@ -324,13 +338,15 @@ def _result(
     mean, sigma = frames.mean_e, mean_variance_e2(frames).sqrt()
     model_image = problem.predict(found.values)[0].reshape(mean.shape).cpu()
     pull = ((mean - model_image) / sigma)[frames.good]
+    chi2_nu = float((pull**2).sum() / (len(pull) - layout.size))
+    nominal = _nominal(frames, problem, found.values)
     effect_values = found.values[0, layout.effect_values]
     return Calibration(
         options,
         layout.nolls,
         found.zernike_nm,
         found.values[0, layout.modes].numpy(),
-        *_errors(frames, problem, solution, found.frames_nm),
+        *errors_of(frames, problem, solution, found.frames_nm, chi2_nu / nominal.value),
         effects.describe(effect_values),
         effects.split(effect_values),
         found.frames_nm,
@@ -339,17 +355,24 @@ def _result(
         mean.numpy(),
         model_image.numpy(),
         sigma.numpy(),
-        float((pull**2).sum() / (len(pull) - layout.size)),
+        chi2_nu,
+        nominal,
+        frames.noise_ratio,
+        window_resolutions(problem.model.psf.settings),
         twin,
         tail,
         seconds,
     )
 
 
-def _errors(
-    frames: Frames, problem: ImageFit, solution: Solution, frames_nm: np.ndarray
-) -> tuple[np.ndarray, ErrorsFrom]:
-    """Covariance of the modes [nm²], and where it comes from."""
-    if frames.show_scatter:
-        return covariance_of_mean(frames_nm[np.isfinite(frames_nm).all(1)]), "frames"
-    return covariance_from_noise(problem, solution), "noise"
+def _nominal(frames: Frames, problem: ImageFit, values: torch.Tensor) -> NominalChi2:
+    """χ²/ν of the mean image about a model that lacks nothing."""
+    _, jacobian = problem.predict_and_jacobian(values)
+    return nominal_chi2(frames, jacobian[0], problem.prior_precision[0])
+
+
+def window_resolutions(settings: PsfSettings) -> float:
+    """Return the smaller side of the window in λ/D, at the longest wavelength."""
+    longest_m = max(wavelength for wavelength, _ in settings.spectrum) * NM
+    pixels = resolution_px(longest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
+    return min(settings.window) / pixels

@@ -44,6 +44,18 @@ class Frames:
         """Sample variance between the images, (rows, columns), float64."""
         return torch.from_numpy(frame_variance(self.images_e.numpy(), self.mean_e.numpy()))
 
+    @cached_property
+    def noise_ratio(self) -> float:
+        """Scatter between the frames over the noise as told, median of the pixels; NaN of a single frame.
+
+        Speckles and image motion add to the noise, nothing takes from it: a ratio well below 1 contradicts
+        gain or read noise.
+        """
+        if len(self.images_e) < 2:
+            return float("nan")
+        ratio = self.scatter_e2 / self.noise.scatter_e2(self.mean_e)
+        return float(ratio[self.good].nanmedian())
+
     @property
     def show_scatter(self) -> bool:
         """Whether the frames are enough to tell the errors of their mean from their scatter."""

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.estimate.effect_modes import whole_wavefront
 from irlos_pipe.estimate.frame_fits import fit_frames
@@ -79,8 +80,8 @@ class Scheme(ABC):
         """Return the modes from the `solution` of the `problem` of these `frames`."""
         return linear_estimates(frames, problem, solution)
 
-    def twin(self, problem: ImageFit, solution: Solution) -> TwinCheck | None:
-        """Compare the `solution` of a `problem` with its twin, where that is of use."""
+    def twin(self, problem: ImageFit, solution: Solution, law: NcpaLaw | None) -> TwinCheck | None:
+        """Compare the `solution` of a `problem` with its twin under a `law`, where that is of use."""
         return None
 
 
@@ -95,9 +96,9 @@ class MeanImage(Scheme):
         """See `Scheme.psf_model`."""
         return PsfModel(settings, nolls, device=device, dtype=torch.float64)
 
-    def twin(self, problem: ImageFit, solution: Solution) -> TwinCheck | None:
+    def twin(self, problem: ImageFit, solution: Solution, law: NcpaLaw | None) -> TwinCheck | None:
         """See `Scheme.twin`."""
-        return check_twin(problem, solution.values[:1], float(solution.objective[0]))
+        return check_twin(problem, solution.values[:1], float(solution.objective[0]), law)
 
 
 class EveryFrame(Scheme):

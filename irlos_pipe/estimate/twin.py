@@ -1,8 +1,8 @@
 """The twin solution: a centro-symmetric pupil gives φ(u) and −φ(−u) the same image.
 
 Only the known diversity breaks the tie. With the diversity's own mode among the estimated
-ones, the twin is an equally good fit whose even modes, diversity included, change sign; only the
-prior and the size of the aberration that each would need separate them.
+ones, the twin is an equally good fit whose even modes, diversity included, change sign; only what is
+known of the size of aberrations, the instrument's law of NCPAs, separates them.
 """
 
 from __future__ import annotations
@@ -12,9 +12,13 @@ from dataclasses import dataclass
 
 import torch
 
+from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.optics.zernike import noll_to_nm
+
+DECISIVE = 10.0  # evidence from which a sign counts as known: odds of 150 to 1
 
 
 @dataclass(frozen=True)
@@ -29,18 +33,25 @@ class TwinCheck:
         RMS of the coefficients (tip and tilt left out) of the two.
     distance_nm : float
         RMS difference between the two; near 0 when the twin fell back into the solution.
+    evidence : float
+        χ² of the data, and of the coefficients under the instrument's law of NCPAs as it is, of the twin
+        minus that of the solution: -2 times the logarithm of the odds. The prior of the fit is wider than the
+        law, so that it does not bend the estimates; it would understate what the law says of a twin, which
+        needs twice the diversity as an aberration.
     """
 
     delta_chi2: float
     rms_nm: float
     twin_rms_nm: float
     distance_nm: float
+    evidence: float
 
     @property
     def preferred(self) -> str:
-        """`solution` if the twin fits worse or needs the larger aberration, else `twin`."""
-        worse = self.delta_chi2 > 4.0 or self.twin_rms_nm >= self.rms_nm
-        return "solution" if worse or self.distance_nm < 1.0 else "twin"
+        """`solution`, `twin`, or `undecided` where neither data nor law tell."""
+        if self.distance_nm < 1.0 or self.evidence > DECISIVE:
+            return "solution"
+        return "twin" if self.evidence < -DECISIVE else "undecided"
 
 
 def twin_of(modes_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int, float]) -> torch.Tensor:
@@ -60,7 +71,7 @@ def twin_of(modes_nm: torch.Tensor, nolls: Sequence[int], known_nm: Mapping[int,
     return twin
 
 
-def check_twin(problem: ImageFit, x: torch.Tensor, objective: float) -> TwinCheck:
+def check_twin(problem: ImageFit, x: torch.Tensor, objective: float, law: NcpaLaw | None = None) -> TwinCheck:
     """Refit the first member of a problem from its twin and compare.
 
     Parameters
@@ -71,11 +82,29 @@ def check_twin(problem: ImageFit, x: torch.Tensor, objective: float) -> TwinChec
         The solution found.
     objective : float
         Its objective.
+    law : NcpaLaw, optional
+        Of the instrument's NCPAs.
     """
     modes, nolls = problem.layout.modes, problem.layout.nolls
     start = x.clone()
     start[:, modes] = twin_of(x[:, modes], nolls, problem.model.psf.settings.known.total_nm)
     twin = solve(problem, start, max_iterations=30)
     shape = [i for i, noll in enumerate(nolls) if noll > 3]
-    size = [v[0, shape].square().sum().sqrt() for v in (x, twin.values, twin.values - x)]
-    return TwinCheck(2 * float(twin.objective[0] - objective), *(float(s) for s in size))
+    size = [float(v[0, shape].square().sum().sqrt()) for v in (x, twin.values, twin.values - x)]
+    delta = 2 * float(twin.objective[0] - objective)
+    by_data = delta - _square(twin.values, problem) + _square(x, problem)
+    evidence = by_data + _law_square(twin.values, problem, law) - _law_square(x, problem, law)
+    return TwinCheck(delta, size[0], size[1], size[2], evidence)
+
+
+def _square(x: torch.Tensor, problem: ImageFit) -> float:
+    """χ² of the parameters under the prior of the fit."""
+    return float((problem.prior_precision[0] * (x[0] - problem.prior_mean[0]).square()).sum())
+
+
+def _law_square(x: torch.Tensor, problem: ImageFit, law: NcpaLaw | None) -> float:
+    """χ² of the coefficients under the instrument's law; 0 without one."""
+    if law is None:
+        return 0.0
+    sigma_nm = NcpaPrior(law, 1.0).sigma_nm(problem.layout.nolls)
+    return float((x[0, problem.layout.modes] / sigma_nm).square().sum())

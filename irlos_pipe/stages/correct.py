@@ -12,18 +12,20 @@ from astropy.io import fits
 from pydantic import Field
 
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
-from irlos_pipe.effects import fixed_optics
+from irlos_pipe.effects import SeeingHalo, fixed_optics
 from irlos_pipe.estimate.correction import Prediction, predict_correction
+from irlos_pipe.frames.recording import PROFILE, Recording
 from irlos_pipe.optics.wavefront import clear_pupil, opd_maps_nm
-from irlos_pipe.product.product import Quantity
-from irlos_pipe.product.results import ByNoll, Number, StageResults
+from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.product.results import ByNoll, Number, StageResults, results_of
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.effects import calibrated_effects
 from irlos_pipe.stages.model.recording_settings import psf_settings, seeing_arcsec
 
 NAME = "correct"
-VERSION = 3
+VERSION = 4
 NEEDS = ("ingest", "calibrate")
 READS = ("ingest", "calibrate")
 MAP_SAMPLES = 160
@@ -57,7 +59,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     nolls = [int(n) for n in arrays["noll"].value]
     zernike, sigma = np.array(arrays["zernike_nm"].value, float), np.array(arrays["zernike_nm"].error, float)
     offsets = _offsets(nolls, -ctx.config.gain * zernike, sigma)
-    prediction = _predict(ctx, nolls, zernike)
+    recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
+    prediction = _predict(ctx, recording, nolls, zernike)
     table = fits.BinTableHDU.from_columns(
         [
             fits.Column("NOLL", "J", array=offsets[0]),
@@ -70,6 +73,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     return StageOutput(
         _arrays(ctx, nolls, zernike, offsets, prediction),
         _results(offsets, prediction),
+        _checks(ctx, recording, prediction),
         files=files,
         summary=[
             f"Correction      Strehl {prediction.strehl_before:.3f} → {prediction.strehl_after:.3f} "
@@ -102,8 +106,29 @@ def _fits(table: fits.BinTableHDU) -> bytes:
     return data.getvalue()
 
 
-def _predict(ctx: StageContext[Config], nolls: list[int], zernike_nm: np.ndarray) -> Prediction:
-    recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
+def _checks(ctx: StageContext[Config], recording: Recording, prediction: Prediction) -> list[Check]:
+    """A Strehl ratio predicted without the AO residual may not exceed what the residual alone leaves.
+
+    Only where the seeing of the recording is told, and the calibration has not measured the residual.
+    """
+    acquisition = recording.acquisition
+    told = acquisition.sources.get("seeing_arcsec", PROFILE) != PROFILE
+    if not told or SeeingHalo.name in results_of(CalibrateResults, ctx.products["calibrate"]).effects:
+        return []
+    seeing, law = acquisition.seeing_arcsec or math.nan, ctx.instrument.facility.residual_law
+    wavelengths_nm, weights = np.array(acquisition.spectrum).T
+    wavelength_nm = float(wavelengths_nm @ weights / weights.sum())
+    limit = float(np.exp(-((2 * np.pi * law.wfe_nm(seeing) / wavelength_nm) ** 2)))
+    message = (
+        f"Strehl {prediction.strehl_after:.3f} is predicted without the AO residual, which leaves at best "
+        f"{limit:.3f} ({seeing:.2f} arcsec): put seeing_halo into the model"
+    )
+    return [Check("predicted Strehl", prediction.strehl_after, "", None, limit, message)]
+
+
+def _predict(
+    ctx: StageContext[Config], recording: Recording, nolls: list[int], zernike_nm: np.ndarray
+) -> Prediction:
     product = ctx.products["calibrate"]
     seeing = seeing_arcsec(ctx.instrument, recording.acquisition)
     effects = calibrated_effects(product, ctx.instrument, ctx.model, recording, seeing, same_star=True)

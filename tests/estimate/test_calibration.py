@@ -8,6 +8,7 @@ import torch
 from helpers import optics_cases as cases
 
 from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration_errors import widening
 from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean
 from irlos_pipe.estimate.methods import METHODS
 from irlos_pipe.estimate.twin import twin_of
@@ -112,10 +113,40 @@ def test_a_centro_symmetric_pupil_gives_the_twin_the_same_image():
 
 def test_the_twin_needs_the_larger_aberration_and_loses(cube):
     frames, _ = cube
-    twin = calibrate(frames, cases.settings(), CalibrationOptions(highest_noll=15, prior=cases.PRIOR)).twin
+    options = CalibrationOptions(highest_noll=15, prior=cases.PRIOR, law=cases.PRIOR.law)
+    twin = calibrate(frames, cases.settings(), options).twin
     assert twin.preferred == "solution"
+    assert twin.evidence > 4 * twin.delta_chi2 > 0  # the law is three times narrower than the prior
     assert twin.distance_nm > 100
     assert twin.twin_rms_nm > twin.rms_nm
+
+
+@pytest.mark.parametrize("diversity_nm", [0.0, -20.0])
+def test_without_diversity_neither_sign_of_the_even_modes_is_preferred(diversity_nm):
+    """Drawn from the law: weak diversity leaves odds, a smaller aberration of one of the two is none."""
+    true = cases.vector(cases.ncpa_nm(4, highest_noll=15, total_nm=100.0), NOLLS)
+    settings = cases.settings(diversity={6: diversity_nm})
+    image = PsfModel(settings, NOLLS).images(true)[0].double().numpy() * FLUX
+    images = cases.draw_frames(image, 4, seed=6)
+    frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
+    options = CalibrationOptions(highest_noll=15, prior=cases.PRIOR, law=cases.PRIOR.law)
+    assert calibrate(frames, settings, options).twin.preferred == "undecided"
+
+
+def test_a_few_frames_of_moving_speckles_have_the_errors_of_their_scatter():
+    """Three frames whose modes differ by 20 nm: their mean errs by 12 nm, and three say little of that."""
+    rng = np.random.default_rng(7)
+    true = np.zeros((3, len(NOLLS)))
+    true[:, 2:] = 20 * rng.standard_normal((3, len(NOLLS) - 2))
+    mean = PsfModel(cases.settings(), NOLLS).images(torch.as_tensor(true)).double().numpy() * FLUX
+    images = torch.cat([cases.draw_frames(one, 1, seed) for seed, one in enumerate(mean)])
+    frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
+    options = CalibrationOptions(highest_noll=15, prior=cases.PRIOR)
+    result = calibrate(frames, cases.settings(), options)
+    assert result.errors_from == "few_frames"
+    assert np.median(result.sigma_nm[2:]) > 20
+    assert widening(3) == pytest.approx(6.4, abs=0.1)  # t(0.99865; 2) / 3
+    assert widening(100) == pytest.approx(1.03, abs=0.01)
 
 
 def autoregressive(frames: int, phi: float, columns: int, seed: int) -> np.ndarray:

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.calibration import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
@@ -15,6 +18,24 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.model.effects import good_pixels, image_effects, model_effects
 from irlos_pipe.stages.model.recording_settings import pooled_images, psf_settings
+
+ROLES = ("ncpa_calibration", "psf", "derotator")
+
+
+def require_calibration(recordings: Sequence[Recording]) -> None:
+    """Raise InputDataError for `recordings` that are no cubes of one static wavefront."""
+    for one in recordings:
+        if one.acquisition.role not in ROLES:
+            raise InputDataError(
+                f"{one.name}: its role is {one.acquisition.role}; a calibration takes recordings of role "
+                f"{', '.join(ROLES)}: give another one, or correct the role in the side-car"
+            )
+    introduced_nm = np.unique(np.concatenate([one.introduced_defocus_nm for one in recordings]))
+    if len(introduced_nm) > 1:
+        raise InputDataError(
+            f"{recordings[0].name}: introduced_defocus_nm differs within what is calibrated together "
+            f"({introduced_nm[0]:g} to {introduced_nm[-1]:g} nm); a calibration takes frames of one defocus"
+        )
 
 
 @dataclass(frozen=True)
@@ -49,5 +70,6 @@ def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: Cali
     effects = model_effects(ctx.instrument, ctx.model, first, highest_noll)
     images_e, good, noise = pooled_images(recordings)
     good = good & torch.as_tensor(good_pixels(effects, first.window))
-    settings = psf_settings(ctx.instrument, ctx.model, first)
+    introduced_nm = {DEFOCUS: float(first.introduced_defocus_nm[0])}
+    settings = psf_settings(ctx.instrument, ctx.model, first, introduced_nm=introduced_nm)
     return CubeInput(Frames(images_e, good, noise), settings, image_effects(effects))

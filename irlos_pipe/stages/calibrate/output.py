@@ -2,33 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.estimate.calibration import Calibration
-from irlos_pipe.product.product import Check, Quantity
-from irlos_pipe.stages.base import StageConfig, StageOutput
+from irlos_pipe.product.product import Quantity
+from irlos_pipe.stages.base import StageOutput
+from irlos_pipe.stages.calibrate.quality import Limits, checks_of
 from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate, Tail, Twin
 from irlos_pipe.stages.model.effects import effect_arrays
 
-COVARIANCE = {"frames": "from the scatter over frames", "noise": "from the noise model and the misfit"}
-
-
-class Limits(StageConfig):
-    """Limits of the quality control, part of the stage's settings."""
-
-    max_chi2_nu: float = Field(5.0, gt=0, description="QC limit on the reduced chi-square of the mean image")
-    min_converged: float = Field(0.9, ge=0, le=1, description="QC limit on the part of fits that converge")
+COVARIANCE = {
+    "frames": "from the scatter over frames and the misfit",
+    "few_frames": "from the noise model, the misfit, and the scatter of few frames",
+    "noise": "from the noise model and the misfit",
+}
+UNTESTED = (
+    "the sign of the even modes, which is that of the diversity as told: {diversity}",
+    "images transposed or turned by 180°: they fit as well, with other modes",
+    "wavelength and pixel scale wrong by the same factor",
+    "a wrong flat or dark that is smooth",
+)
 
 
 def joint_output(
-    limits: Limits, result: Calibration, others: Sequence[Calibration], seeing_arcsec: float
+    limits: Limits,
+    result: Calibration,
+    others: Sequence[Calibration],
+    seeing_arcsec: float,
+    diversity_nm: Mapping[int, float],
 ) -> StageOutput:
     """Return the output of one estimate from all recordings.
 
@@ -41,6 +48,8 @@ def joint_output(
         Estimates with the methods to compare.
     seeing_arcsec : float
         Seeing of the first recording.
+    diversity_nm : mapping of int to float
+        Its diversity as told.
     """
     twin = result.twin
     results = CalibrateResults(
@@ -48,10 +57,17 @@ def joint_output(
         effects=result.effects,
         seeing_arcsec=seeing_arcsec,
         twin=None if twin is None else Twin(**asdict(twin), preferred=twin.preferred),
+        untested=untested(diversity_nm),
         compare=[Estimate(**estimate_keys(other)) for other in others],
     )
     arrays = arrays_of(result) | effect_arrays(result.effect_values)
     return StageOutput(arrays, results, checks_of(limits, result), summary=_summary(result, others))
+
+
+def untested(diversity_nm: Mapping[int, float]) -> list[str]:
+    """Return what a cube taken with such a diversity cannot tell, whatever its χ²/ν."""
+    told = ", ".join(f"Noll {noll} {nm:+g} nm" for noll, nm in sorted(diversity_nm.items())) or "none"
+    return [line.format(diversity=told) for line in UNTESTED]
 
 
 def reported(nolls: Sequence[int]) -> slice:
@@ -89,6 +105,8 @@ def estimate_keys(result: Calibration) -> dict[str, Any]:
         "errors_from": result.errors_from,
         "seconds": round(result.seconds, 3),
         "chi2_nu": result.chi2_nu,
+        "nominal_chi2_nu": result.nominal.value,
+        "nominal_chi2_nu_sigma": result.nominal.sigma,
         "loss": result.options.loss,
         "optimiser": result.options.optimiser,
         "modes_estimated": len(result.nolls),
@@ -128,47 +146,6 @@ def arrays_of(result: Calibration) -> dict[str, Quantity]:
     }
 
 
-def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Check]:
-    """Return the checks of a `result` against the `limits`; `prefix` begins their names."""
-    converged = result.frame_status.count("converged") / len(result.frame_status)
-    checks = [
-        Check(
-            f"{prefix}converged fits",
-            converged,
-            "",
-            limits.min_converged,
-            None,
-            f"{converged:.0%} of the fits converged",
-        ),
-        Check(
-            f"{prefix}chi2 of the mean image",
-            result.chi2_nu,
-            "",
-            None,
-            limits.max_chi2_nu,
-            f"χ²/ν = {result.chi2_nu:.2f}; a large one says that the model lacks something",
-        ),
-    ]
-    return checks + _twin_check(result, prefix)
-
-
-def _twin_check(result: Calibration, prefix: str) -> list[Check]:
-    if result.twin is None:
-        return []
-    return [
-        Check(
-            f"{prefix}twin solution",
-            float(result.twin.preferred == "solution"),
-            "",
-            1.0,
-            None,
-            f"sign of the even modes: the {result.twin.preferred} is preferred "
-            f"(Δχ² {result.twin.delta_chi2:+.1f}, {result.twin.rms_nm:.0f} against "
-            f"{result.twin.twin_rms_nm:.0f} nm RMS)",
-        )
-    ]
-
-
 def effect_lines(effects: dict[str, dict]) -> list[str]:
     """Return one line per effect."""
     return [
@@ -180,11 +157,12 @@ def effect_lines(effects: dict[str, dict]) -> list[str]:
 def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
     wfe, sigma = wfe_nm(result.nolls, result.zernike_nm), wfe_nm(result.nolls, result.sigma_nm)
     last = result.nolls[reported(result.nolls)][-1]
-    few = ["  errors from the noise model, scaled by the misfit: too few frames to show their scatter"]
+    few = ["  errors from the noise model and the misfit: too few frames to show their scatter"]
     return [
         f"NCPA            {wfe:.1f} ± {sigma:.1f} nm RMS in Noll 2–{last} "
-        f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f})",
-        *(few if result.errors_from == "noise" else []),
+        f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f}, "
+        f"nominal {result.nominal.value:.2f})",
+        *(few if result.errors_from != "frames" else []),
         *_tail_lines(result),
         *effect_lines(result.effects),
         *(

@@ -19,16 +19,16 @@ from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageOutput
 from irlos_pipe.stages.calibrate.output import (
-    Limits,
     arrays_of,
     by_noll,
-    checks_of,
     counts,
     effect_lines,
     estimate_keys,
     reported,
+    untested,
     wfe_nm,
 )
+from irlos_pipe.stages.calibrate.quality import Limits, checks_of
 from irlos_pipe.stages.calibrate.results import CalibrateResults, CubeRow
 from irlos_pipe.stages.model.effects import effect_arrays
 
@@ -83,7 +83,11 @@ def each_output(limits: Limits, cubes: Sequence[Cube], failures: Sequence[str]) 
     for cube in cubes:
         own = arrays_of(cube.result) | effect_arrays(cube.result.effect_values)
         arrays |= {f"{ROOT}/{cube.name}/{name}": quantity for name, quantity in own.items()}
-    results = CalibrateResults(**mean.results(), cubes=[_row(cube) for cube in cubes])
+    results = CalibrateResults(
+        **mean.results(),
+        cubes=[_row(cube) for cube in cubes],
+        untested=untested(cubes[0].acquisition.diversity),
+    )
     checks = [check for cube in cubes for check in checks_of(limits, cube.result, f"{cube.name}: ")]
     return StageOutput(arrays, results, checks, summary=_summary(mean, cubes), failures=failures)
 
@@ -159,6 +163,8 @@ class _Mean:
             "frames": sum(len(one.frames_nm) for one in self.all),
             "seconds": round(sum(one.seconds for one in self.all), 3),
             "chi2_nu": float(np.mean([one.chi2_nu for one in self.all])),
+            "nominal_chi2_nu": float(np.mean([one.nominal.value for one in self.all])),
+            "nominal_chi2_nu_sigma": float(np.mean([one.nominal.sigma for one in self.all])),
             "status": counts([status for one in self.all for status in one.frame_status]),
             "effects": self.effects,
             "seeing_arcsec": self.seeing_arcsec,

@@ -29,11 +29,12 @@ class Estimate(ResultsPart):
     frames : int
         Used frames.
     errors_from : str
-        ``frames``: from their scatter; ``noise``: of too few frames, see `estimate.few_frames`.
+        ``frames``: from their scatter; ``noise`` or ``few_frames``: see `estimate.calibration_errors`.
     seconds : float
         Time of the fit.
-    chi2_nu : float
-        Reduced χ² of the mean image.
+    chi2_nu, nominal_chi2_nu, nominal_chi2_nu_sigma : float
+        Reduced χ² of the mean image; what it would be about a model that lacks nothing, and by how much that
+        varies by chance, see `estimate.nominal_chi2`.
     modes_estimated : int
         Modes in the fit, more than are reported.
     all_zernike_nm : dict of int to float
@@ -53,6 +54,8 @@ class Estimate(ResultsPart):
     errors_from: str = "frames"
     seconds: Number = math.nan
     chi2_nu: Number = math.nan
+    nominal_chi2_nu: Number = math.nan
+    nominal_chi2_nu_sigma: Number = math.nan
     loss: str = ""
     optimiser: str = ""
     modes_estimated: int | None = None
@@ -68,6 +71,7 @@ class Twin(ResultsPart):
     rms_nm: Number = math.nan
     twin_rms_nm: Number = math.nan
     distance_nm: Number = math.nan
+    evidence: Number = math.nan
     preferred: str = ""
 
 
@@ -97,6 +101,8 @@ class CalibrateResults(Estimate, StageResults):
         None without a twin solution, and for the mean over cubes.
     compare : list of Estimate
         Estimates with other methods.
+    untested : list of str
+        What the data cannot tell: it stands as told.
     """
 
     stage: ClassVar[str] = "calibrate"
@@ -105,6 +111,7 @@ class CalibrateResults(Estimate, StageResults):
     twin: Twin | None = None
     compare: list[Estimate] = []
     cubes: list[CubeRow] = []
+    untested: list[str] = []
 
     def effect_number(self, effect: str, parameter: str) -> float:
         """Return an estimated `parameter` of an `effect` as a number; NaN where there is none."""

@@ -14,14 +14,15 @@ from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.stages.base import StageContext, StageOutput
-from irlos_pipe.stages.calibrate.input import cube_input
-from irlos_pipe.stages.calibrate.output import Limits, joint_output, wfe_nm
+from irlos_pipe.stages.calibrate.input import cube_input, require_calibration
+from irlos_pipe.stages.calibrate.output import joint_output, wfe_nm
 from irlos_pipe.stages.calibrate.per_recording import Cube, each_output
+from irlos_pipe.stages.calibrate.quality import Limits
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.recording_settings import require_one_setup, seeing_arcsec
 
 NAME = "calibrate"
-VERSION = 9
+VERSION = 10
 NEEDS = ("ingest",)
 READS = ("ingest",)
 ClosedNoll = Annotated[int, Field(ge=4, le=231)]
@@ -86,12 +87,15 @@ class Config(Limits):
             self.highest_noll,
             None if self.prior_scale is None else NcpaPrior(ncpa_law, self.prior_scale),
             self.max_iterations,
+            ncpa_law,
         )
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Calibrate with the chosen method, and with the methods to compare."""
     recordings = [r.accepted() for r in recordings_from_product(ctx.products["ingest"], ctx.config.input)]
+    for alike in [[one] for one in recordings] if ctx.config.each else [recordings]:
+        require_calibration(alike)
     return _each(ctx, recordings) if ctx.config.each else _together(ctx, recordings)
 
 
@@ -106,7 +110,8 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
         if method != ctx.config.method
     ]
     seeing = seeing_arcsec(ctx.instrument, recordings[0].acquisition)
-    return joint_output(ctx.config, result, others, seeing)
+    diversity_nm = recordings[0].acquisition.diversity
+    return joint_output(ctx.config, result, others, seeing, diversity_nm)
 
 
 def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:

@@ -60,6 +60,18 @@ class Config(StageConfig):
     max_residual_nm: float = Field(
         30.0, gt=0, description="QC limit on the scatter about the straight line [nm RMS]"
     )
+    max_slope_error: float = Field(
+        0.05, gt=0, description="QC limit on the slope's departure from 1; 5 of its standard errors if more"
+    )
+    max_error_nm: float = Field(
+        30.0, gt=0, description="QC limit on estimated minus introduced defocus, with NCPAs [nm RMS]"
+    )
+    max_chi2_ratio: float = Field(
+        2.0, gt=1, description="QC limit on the median chi-square of the frames over its nominal value"
+    )
+    unknown_nominal_chi2_nu: float = Field(
+        3.0, gt=0, description="nominal chi-square of a frame where no offset has two frames"
+    )
 
     @model_validator(mode="after")
     def _common_modes_are_not_estimated_twice(self) -> Config:

@@ -19,6 +19,9 @@ class Point(ResultsPart):
         Introduced defocus as the model has it, and as commanded.
     defocus_nm, sigma_nm : float
         Estimate with its standard error; NaN where the fit is invalid.
+    sigma_photon_nm : float
+        The part of `sigma_nm` by photon and read-out noise; the AO residual's own defocus, the misfit of the
+        model and the error of the NCPAs add to it.
     zernike_nm : dict of int to float
         All estimated modes.
     """
@@ -29,6 +32,7 @@ class Point(ResultsPart):
     commanded_nm: Number = math.nan
     defocus_nm: Number = math.nan
     sigma_nm: Number = math.nan
+    sigma_photon_nm: Number = math.nan
     converged: bool = True
     status: str = ""
     chi2_nu: Number = math.nan
@@ -70,6 +74,12 @@ class LiftResults(StageResults):
         Whether effects were fitted to all frames together.
     compare : dict of str to Line
         The same ramp with parts of the model left out.
+    ao_defocus_nm : float
+        Scatter of the estimates at one offset beyond photon noise.
+    chi2_nu, nominal_chi2_nu : float
+        Median of the frames, and what their scatter lets expect of a right model.
+    untested : list of str
+        What this ramp cannot tell.
     """
 
     stage: ClassVar[str] = "lift"
@@ -82,3 +92,7 @@ class LiftResults(StageResults):
     effects_sigma: dict[str, EffectValues] = {}
     effects_fitted_jointly: bool = False
     compare: dict[str, Line] = {}
+    ao_defocus_nm: Number = math.nan
+    chi2_nu: Number = math.nan
+    nominal_chi2_nu: Number = math.nan
+    untested: list[str] = []

@@ -9,16 +9,20 @@ import numpy as np
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise
 from irlos_pipe.estimate.ramp_fit import RampFit
-from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.estimate.ramp_quality import FrameErrors, excess_scatter_nm, nominal_frame_chi2
+from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext, StageOutput
+from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.lift.config import Config
 from irlos_pipe.stages.lift.fit import fit_frames
 from irlos_pipe.stages.lift.input import Ramp, read_ramp
+from irlos_pipe.stages.lift.quality import WITHOUT_NCPAS, checks_of
 from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point
 from irlos_pipe.stages.model.effects import model_effects
 
 NAME = "lift"
-VERSION = 7
+VERSION = 8
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 
@@ -35,12 +39,40 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     ramp = replace(ramp, data=replace(ramp.data, introduced_nm=focus.introduced_nm))
     summary = _summarise(ramp, fit)
     others = _comparison(ctx, ramp) if ctx.config.compare else {}
+    errors = _frame_errors(ramp, fit)
+    sigma_nm = errors.sigma_nm(fit.result.mode(4)[1].numpy(), _calibration_nm(ctx, 4))
+    converged = float(fit.result.solution.converged.double().mean())
+    calibration_nm = _calibration_nm(ctx)
     return StageOutput(
-        _arrays(ramp, fit, summary),
-        _results(ctx, ramp, fit, summary, others, focus),
-        _checks(ctx.config, fit, summary),
+        _arrays(ramp, fit, summary, sigma_nm),
+        _results(ctx, ramp, fit, summary, others, focus, errors, sigma_nm),
+        checks_of(ctx.config, converged, summary, others, errors, calibration_nm, len(ramp.names)),
         summary=_lines(ctx, fit, summary, others),
     )
+
+
+def _frame_errors(ramp: Ramp, fit: RampFit) -> FrameErrors:
+    """What the frames at one offset say of noise and misfit."""
+    data, result = ramp.data, fit.result
+    nominal = nominal_frame_chi2(
+        data.images_e,
+        result.model_e,
+        data.good,
+        data.noise,
+        data.introduced_nm,
+        result.solution.values.shape[1],
+    )
+    scatter_nm = excess_scatter_nm(data.introduced_nm, fit.defocus_nm, result.mode(4)[1].numpy())
+    return FrameErrors(scatter_nm, float(result.chi2_nu.nanmedian()), nominal)
+
+
+def _calibration_nm(ctx: StageContext[Config], noll: int | None = None) -> float:
+    """Error of one mode of the NCPAs, or of all together [nm]; 0 where they are left out."""
+    if not ctx.config.calibrated or "calibrate" not in ctx.products:
+        return 0.0
+    results = results_of(CalibrateResults, ctx.products["calibrate"])
+    sigma_nm = results.wfe_sigma_nm if noll is None else results.sigma_nm.get(noll, 0.0)
+    return sigma_nm if np.isfinite(sigma_nm) else 0.0
 
 
 def _focus_stage(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> FocusStage:
@@ -57,7 +89,7 @@ def _comparison(ctx: StageContext[Config], ramp: Ramp) -> dict[str, RampSummary]
     """Estimate the same ramp without NCPAs and without the AO residual."""
     config, found = ctx.config, {}
     if config.calibrated:
-        found["without NCPAs"] = fit_frames(ctx, ramp, calibrated=False, halo=config.halo)
+        found[WITHOUT_NCPAS] = fit_frames(ctx, ramp, calibrated=False, halo=config.halo)
     if config.halo != "off" and ctx.model.effects:
         found["without AO residual"] = fit_frames(ctx, ramp, calibrated=config.calibrated, halo="off")
     return {name: _summarise(ramp, fit) for name, fit in found.items()}
@@ -80,23 +112,28 @@ def _results(
     summary: RampSummary,
     others: dict[str, RampSummary],
     focus: FocusStage,
+    errors: FrameErrors,
+    sigma_nm: np.ndarray,
 ) -> LiftResults:
     return LiftResults(
         modes=list(ctx.config.modes),
         calibrated=ctx.config.calibrated,
-        points=_points(ramp, fit),
+        points=_points(ramp, fit, sigma_nm),
         summary=_line(summary),
         offsets=_offsets(summary),
         effects=fit.effects | focus.effects,
         effects_sigma=focus.sigma,
         effects_fitted_jointly=fit.shared is not None,
         compare={name: _line(other) for name, other in others.items()},
+        ao_defocus_nm=errors.ao_defocus_nm,
+        chi2_nu=errors.chi2_nu,
+        nominal_chi2_nu=errors.nominal_chi2_nu,
     )
 
 
-def _points(ramp: Ramp, fit: RampFit) -> list[Point]:
+def _points(ramp: Ramp, fit: RampFit, sigma_nm: np.ndarray) -> list[Point]:
     """One row per frame, as results.json has them."""
-    defocus, sigma = fit.defocus_nm.tolist(), fit.result.mode(4)[1].tolist()
+    defocus, photon = fit.defocus_nm.tolist(), fit.result.mode(4)[1].tolist()
     return [
         Point(
             name=name,
@@ -104,7 +141,8 @@ def _points(ramp: Ramp, fit: RampFit) -> list[Point]:
             introduced_nm=float(ramp.data.introduced_nm[i]),
             commanded_nm=float(ramp.commanded_nm[i]),
             defocus_nm=defocus[i],
-            sigma_nm=sigma[i],
+            sigma_nm=float(sigma_nm[i]),
+            sigma_photon_nm=photon[i],
             converged=fit.result.solution.status[i] == "converged",
             status=fit.result.solution.status[i],
             chi2_nu=float(fit.result.chi2_nu[i]),
@@ -125,19 +163,21 @@ def _offsets(summary: RampSummary) -> list[Offset]:
     ]
 
 
-def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary) -> dict[str, Quantity]:
+def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary, sigma_nm: np.ndarray) -> dict[str, Quantity]:
     introduced, shape = ramp.data.introduced_nm, ramp.recordings[0].window
     model = fit.result.model_e.numpy()
     groups = [introduced == value for value in summary.offsets_nm]
     measured = np.array([ramp.data.images_e.numpy()[g].mean(0, dtype=float) for g in groups])
     modelled = np.array([model[g].mean(0) for g in groups]).reshape(-1, *shape)
-    defocus, sigma = fit.defocus_nm, fit.result.mode(4)[1].numpy()
     return {
         "introduced_nm": Quantity(introduced, "nm", "introduced defocus, frames in order of time"),
-        "defocus_nm": Quantity(defocus, "nm", "estimated introduced defocus", sigma),
+        "defocus_nm": Quantity(fit.defocus_nm, "nm", "estimated introduced defocus", sigma_nm),
         "noll": Quantity(np.array(fit.result.nolls), "", "estimated modes"),
         "zernike_nm": Quantity(
-            fit.result.zernike_nm.numpy(), "nm", "estimates (frame, mode)", fit.result.sigma_nm.numpy()
+            fit.result.zernike_nm.numpy(),
+            "nm",
+            "estimates (frame, mode), errors of photon noise",
+            fit.result.sigma_nm.numpy(),
         ),
         "covariance_nm2": Quantity(fit.result.covariance_nm2.numpy(), "nm2", "per frame"),
         "chi2_nu": Quantity(fit.result.chi2_nu.numpy(), "", "per frame"),
@@ -147,28 +187,6 @@ def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary) -> dict[str, Quantit
         "measured_per_offset_e": Quantity(measured, "e-", "mean frame of every offset"),
         "model_per_offset_e": Quantity(modelled, "e-", "mean model of every offset"),
     }
-
-
-def _checks(config: Config, fit: RampFit, summary: RampSummary) -> list[Check]:
-    converged = float(fit.result.solution.converged.double().mean())
-    return [
-        Check(
-            "converged frames",
-            converged,
-            "",
-            config.min_converged,
-            None,
-            f"{converged:.0%} of the frames converged",
-        ),
-        Check(
-            "scatter about the line",
-            summary.residual_rms_nm,
-            "nm",
-            None,
-            config.max_residual_nm,
-            f"{summary.residual_rms_nm:.1f} nm RMS about the straight line",
-        ),
-    ]
 
 
 def _lines(

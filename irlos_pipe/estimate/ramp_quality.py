@@ -1,0 +1,113 @@
+"""How far the errors of a ramp can be believed: what its frames at one offset say of noise and of misfit.
+
+Frames at one offset show the same wavefront but for the AO residual, which differs from frame to frame. The
+scatter of their estimates is therefore what LIFT's errors should be, and what differs between their
+residuals is what χ²/ν would be if the model were right: a misfit is what the residuals have in common.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from irlos_pipe.frames.noise import NoiseModel
+
+LEAST_FREEDOM = 5  # degrees of freedom from which scatter within offsets is preferred to that about the line
+
+
+@dataclass(frozen=True)
+class FrameErrors:
+    """Errors of single frames of a ramp beyond photon noise.
+
+    Attributes
+    ----------
+    ao_defocus_nm : float
+        Standard deviation of the estimates beyond photon noise: the defocus of the AO residual.
+    chi2_nu : float
+        Median of the frames.
+    nominal_chi2_nu : float
+        What it would be about a right model; NaN where no offset has two frames.
+    """
+
+    ao_defocus_nm: float
+    chi2_nu: float
+    nominal_chi2_nu: float
+
+    @property
+    def growth(self) -> float:
+        """Factor on errors of photon noise by what the model misfits, at least 1."""
+        ratio = self.chi2_nu / self.nominal_chi2_nu
+        return float(np.sqrt(max(1.0, ratio))) if np.isfinite(ratio) else 1.0
+
+    def sigma_nm(self, photon_nm: np.ndarray, calibration_nm: float = 0.0) -> np.ndarray:
+        """Return the standard errors of estimates [nm].
+
+        Parameters
+        ----------
+        photon_nm : ndarray
+            Those by photon and read-out noise alone.
+        calibration_nm : float
+            Standard error of the defocus among the NCPAs, which all frames share.
+        """
+        return np.sqrt((self.growth * photon_nm) ** 2 + self.ao_defocus_nm**2 + calibration_nm**2)
+
+
+def excess_scatter_nm(introduced_nm: np.ndarray, estimated_nm: np.ndarray, photon_nm: np.ndarray) -> float:
+    """Return the standard deviation of a ramp's estimates at one offset beyond photon noise.
+
+    With too few frames per offset, that about the straight line.
+
+    Parameters
+    ----------
+    introduced_nm, estimated_nm, photon_nm : ndarray, (frames,)
+        Failed estimates are NaN; `photon_nm` are errors by photon noise.
+    """
+    good = np.isfinite(estimated_nm) & np.isfinite(photon_nm)
+    introduced, estimated = introduced_nm[good], estimated_nm[good]
+    groups = [estimated[introduced == value] for value in np.unique(introduced)]
+    freedom = len(estimated) - len(groups)
+    square = sum(float(np.sum((group - group.mean()) ** 2)) for group in groups)
+    if freedom < LEAST_FREEDOM:
+        residual = estimated - np.polyval(np.polyfit(introduced, estimated, 1), introduced)
+        freedom, square = max(len(estimated) - 2, 1), float(np.sum(residual**2))
+    return float(np.sqrt(max(0.0, square / freedom - float(np.median(photon_nm[good] ** 2)))))
+
+
+def nominal_frame_chi2(
+    images_e: torch.Tensor,
+    model_e: torch.Tensor,
+    good: torch.Tensor,
+    noise: NoiseModel,
+    introduced_nm: np.ndarray,
+    parameters: int,
+) -> float:
+    """Return the mean χ²/ν of frames about a right model, from what differs between frames at one offset.
+
+    Parameters
+    ----------
+    images_e, model_e : tensor, (frames, rows, columns)
+    good : tensor of bool, (rows, columns)
+    noise : NoiseModel
+    introduced_nm : ndarray, (frames,)
+    parameters : int
+        Fitted to every frame.
+
+    Returns
+    -------
+    float
+        NaN where no offset has two frames.
+    """
+    freedom = max(int(good.sum()) - parameters, 1)
+    total, count = 0.0, 0
+    for value in np.unique(introduced_nm):
+        own = torch.as_tensor(np.flatnonzero(introduced_nm == value))
+        if len(own) < 2:
+            continue
+        model = model_e[own].double()
+        residual = (images_e[own].double() - model) * noise.variance_e2(model) ** -0.5
+        deviation = (residual - residual.mean(0))[:, good]
+        total += float(deviation.square().sum())
+        count += len(own) - 1
+    return total / count / freedom if count else float("nan")

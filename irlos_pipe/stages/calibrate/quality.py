@@ -1,0 +1,111 @@
+"""Quality control of stage `calibrate`: what a cube says against what was told of it."""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import Field
+
+from irlos_pipe.estimate.calibration import Calibration
+from irlos_pipe.product.product import Check
+from irlos_pipe.stages.base import StageConfig
+
+SIGMA = 5.0  # standard deviations that χ²/ν may differ from its nominal value by chance
+# Part of the nominal χ²/ν: complete models leave up to 1.14, by errors of the discretisation.
+NUMERICAL = 0.15
+LOWEST_NOISE_RATIO = 0.5  # cross-talk of detectors lowers the scatter to 0.7 of the noise at most
+
+
+class Limits(StageConfig):
+    """Limits of the quality control, part of the stage's settings."""
+
+    max_chi2_nu: float | None = Field(
+        None,
+        gt=0,
+        description="QC limit on the reduced chi-square of the mean image; null: by its nominal value, which "
+        "the scatter of the frames tells",
+    )
+    min_converged: float = Field(0.9, ge=0, le=1, description="QC limit on the part of fits that converge")
+    min_frames: int = Field(
+        8, ge=1, description="QC limit on the frames where they scatter by more than noise"
+    )
+    min_window: float = Field(8.0, ge=0, description="QC limit on the smaller side of the window, in λ/D")
+
+
+def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Check]:
+    """Return the checks of a `result` against the `limits`; `prefix` begins their names."""
+    checks = [_converged(limits, result), _misfit(limits, result), _window(limits, result)]
+    if math.isfinite(result.noise_ratio):
+        checks.append(_noise(result))
+    if result.errors_from == "few_frames":
+        checks.append(_frames(limits, result))
+    if result.twin is not None:
+        checks.append(_twin(result))
+    return [
+        Check(f"{prefix}{one.name}", one.value, one.unit, one.low, one.high, one.message) for one in checks
+    ]
+
+
+def _converged(limits: Limits, result: Calibration) -> Check:
+    converged = result.frame_status.count("converged") / len(result.frame_status)
+    message = f"{converged:.0%} of the fits converged"
+    return Check("converged fits", converged, "", limits.min_converged, None, message)
+
+
+def _misfit(limits: Limits, result: Calibration) -> Check:
+    """χ²/ν against what the frames let expect, from both sides."""
+    nominal = result.nominal
+    high = (1 + NUMERICAL) * nominal.value + SIGMA * nominal.sigma
+    low = max(0.0, nominal.value - SIGMA * nominal.sigma)
+    if limits.max_chi2_nu is not None:
+        high, low = limits.max_chi2_nu, 0.0
+    why = ""
+    if result.chi2_nu > high:
+        why = (
+            ": the model lacks something, or spectrum, scale, orientation or diversity are not as told; "
+            "`diagnose` may name it"
+        )
+    elif result.chi2_nu < low:
+        why = ": neighbouring pixels share their noise, or frames are repeated"
+    message = (
+        f"χ²/ν {result.chi2_nu:.2f}, nominal for these frames {nominal.value:.2f} ± {nominal.sigma:.2f}{why}"
+    )
+    return Check("chi2 of the mean image", result.chi2_nu, "", low, high, message)
+
+
+def _noise(result: Calibration) -> Check:
+    """Noise as told against the scatter of the frames, which nothing lowers much."""
+    ratio = result.noise_ratio
+    why = ": e_per_adu is too small, or the read noise too large" if ratio < LOWEST_NOISE_RATIO else ""
+    message = (
+        f"the frames scatter by {ratio:.2f} times the variance that detector and star are told to have{why}"
+    )
+    return Check("noise as told", ratio, "", LOWEST_NOISE_RATIO, None, message)
+
+
+def _window(limits: Limits, result: Calibration) -> Check:
+    size = result.window_resolutions
+    why = ": too much of the light lies outside" if size < limits.min_window else ""
+    return Check("window", size, "", limits.min_window, None, f"the window is {size:.1f} λ/D wide{why}")
+
+
+def _frames(limits: Limits, result: Calibration) -> Check:
+    count = len(result.frames_nm)
+    why = ": too few to average the AO residual" if count < limits.min_frames else ""
+    message = f"{count} frames, which scatter by more than noise{why}"
+    return Check("frames", float(count), "", float(limits.min_frames), None, message)
+
+
+def _twin(result: Calibration) -> Check:
+    """The sign of the even modes, which only the diversity and the size of the NCPAs tell."""
+    twin = result.twin
+    assert twin is not None
+    verdict = {
+        "solution": "the sign of the even modes is known, if that of the diversity is",
+        "twin": "the solution with the other sign of the even modes is the likelier one",
+        "undecided": "the sign of the even modes is not known: too little diversity in even modes",
+    }[twin.preferred]
+    message = (
+        f"{verdict} (evidence {twin.evidence:.1f}, {twin.rms_nm:.0f} against {twin.twin_rms_nm:.0f} nm RMS)"
+    )
+    return Check("twin solution", float(twin.preferred == "solution"), "", 1.0, None, message)

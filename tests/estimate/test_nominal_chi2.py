@@ -1,0 +1,66 @@
+"""χ²/ν that a right model has, against Monte Carlo of linear models with noise that pixels share."""
+
+import numpy as np
+import pytest
+import torch
+
+from irlos_pipe.estimate.cube import Frames, mean_variance_e2
+from irlos_pipe.estimate.nominal_chi2 import nominal_chi2
+from irlos_pipe.frames.noise import NoiseModel
+
+SIDE, COUNT, PARAMETERS = 16, 40, 12
+PIXELS = SIDE * SIDE
+NOISE = NoiseModel(1.0, 1.0)
+SKY = 100.0  # photons per pixel
+
+
+def _cube(rng: np.random.Generator, shared: np.ndarray) -> Frames:
+    """Photon noise on a plain background, and patterns of random strength from frame to frame."""
+    images = rng.poisson(SKY, (COUNT, PIXELS)) + rng.normal(size=(COUNT, len(shared))) @ shared
+    images = torch.as_tensor(images.reshape(COUNT, SIDE, SIDE))
+    return Frames(images, torch.ones(SIDE, SIDE, dtype=torch.bool), NOISE)
+
+
+def _chi2_nu(frames: Frames, jacobian: torch.Tensor) -> float:
+    """Of the weighted linear fit to the mean image; the truth is the plain background."""
+    root = mean_variance_e2(frames).flatten() ** -0.5
+    data, columns = (frames.mean_e.flatten() - SKY) * root, (jacobian * root).mT
+    left = data - columns @ torch.linalg.lstsq(columns, data[:, None]).solution[:, 0]
+    return float(left.square().sum()) / (PIXELS - PARAMETERS)
+
+
+@pytest.mark.parametrize("patterns", [0, 30])
+def test_the_frames_tell_mean_and_scatter_of_chi2_about_a_right_model(patterns):
+    """A part of the patterns lies within the model's reach, so that their χ²/ν is not 1."""
+    rng = np.random.default_rng(3)
+    jacobian = rng.normal(size=(PARAMETERS, PIXELS))
+    inside = rng.normal(size=(patterns, PARAMETERS)) @ jacobian
+    shared = 10 * rng.normal(size=(patterns, PIXELS)) + 6 * inside
+    jacobian = torch.as_tensor(jacobian)
+    found, told = [], []
+    for _ in range(60):
+        frames = _cube(rng, shared)
+        found.append(_chi2_nu(frames, jacobian))
+        told.append(nominal_chi2(frames, jacobian, torch.zeros(PARAMETERS)))
+    found, value = np.array(found), np.array([one.value for one in told])
+    assert np.mean(value) == pytest.approx(np.mean(found), abs=4 * np.std(found) / np.sqrt(60))
+    pulls = (found - value) / [one.sigma for one in told]
+    assert 0.7 < np.std(pulls) < 1.3
+    if patterns:
+        assert np.mean(found) < 0.9
+
+
+def test_of_a_few_frames_the_noise_model_tells():
+    rng = np.random.default_rng(4)
+    frames = _cube(rng, np.zeros((0, PIXELS)))
+    few = Frames(frames.images_e[:5], frames.good, frames.noise)
+    nominal = nominal_chi2(few, torch.as_tensor(rng.normal(size=(3, PIXELS))), torch.zeros(3))
+    assert nominal.value == pytest.approx(1.0, abs=0.01)
+    assert nominal.sigma == pytest.approx(np.sqrt(2 / PIXELS), rel=0.05)
+
+
+def test_noise_told_a_hundred_times_too_large_shows_in_the_scatter():
+    frames = _cube(np.random.default_rng(5), np.zeros((0, PIXELS)))
+    assert frames.noise_ratio == pytest.approx(1.0, abs=0.05)
+    told = Frames(frames.images_e, frames.good, NoiseModel(100.0, 100.0))
+    assert told.noise_ratio == pytest.approx(0.01, rel=0.1)
