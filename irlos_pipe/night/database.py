@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -162,11 +162,33 @@ class Database:
         rows = [(run, name, value, sigma) for name, (value, sigma) in measured.numbers.items()]
         self._connection.executemany("INSERT INTO numbers VALUES (?, ?, ?, ?)", rows)
 
+    def failed_calibrations(self, recipes: Iterable[str]) -> dict[str, str]:
+        """Return why calibrations failed their quality check, by ``<night>/<group>``.
+
+        Parameters
+        ----------
+        recipes : iterable of str
+            Names of the recipes that judge them.
+        """
+        rows = self._connection.execute(
+            "SELECT run, recipe, checks_failed FROM runs WHERE kind = 'calibration' AND status = 'qc_failed'"
+        )
+        wanted = set(recipes)
+        return {
+            run.rpartition("/")[0]: "failed " + ", ".join(json.loads(checks))
+            for run, recipe, checks in rows
+            if recipe in wanted
+        }
+
     def points(self, until: str = "") -> list[Point]:
-        """Return all numbers in order of time, up to the night `until` (ISO date; all if empty)."""
+        """Return the numbers of runs that passed in order of time, up to the night `until` (ISO date).
+
+        All nights if `until` is empty. Those of runs that failed their quality check stay out.
+        """
         rows = self._connection.execute(
             f"SELECT run, night, coalesce(start_unix_s, {MIDNIGHT}), name, recipe,"
-            " configuration, value, sigma FROM numbers JOIN runs USING (run) ORDER BY 3, run, name"
+            " configuration, value, sigma FROM numbers JOIN runs USING (run)"
+            " WHERE status != 'qc_failed' ORDER BY 3, run, name"
         )
         return [one for one in (Point(*row) for row in rows) if not until or one.night <= until]
 

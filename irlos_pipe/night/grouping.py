@@ -14,6 +14,9 @@ from irlos_pipe.night.description import Description, common_depth, utc_time
 from irlos_pipe.night.settings import Kind, NightSettings
 
 NO_CALIBRATION = "no calibration cube of its configuration within {0} nights ({1})"
+NONE_PASSED = (
+    "no calibration cube of its configuration within {0} nights passed its quality check; nearest: {1}"
+)
 ONE_LENSLET = "images of a 2x2 mode; the model is that of the full pupil"
 Inputs = Mapping[str, tuple[Description, ...]]
 Key = TypeVar("Key", bound=Hashable)
@@ -31,12 +34,15 @@ class Group:
         Name of its folder, unique in the night; it stays when recordings are added later.
     inputs : dict of str to tuple of Description
         Recordings for the inputs of a recipe, by the input's name.
+    choice : str
+        Which calibration a ramp is given, and why.
     """
 
     kind: Kind
     night: str
     name: str
     inputs: Inputs
+    choice: str = ""
 
     @property
     def first(self) -> Description:
@@ -62,13 +68,17 @@ class Grouping:
 
 
 def group_recordings(
-    found: Iterable[Description], settings: NightSettings, others: Iterable[Description] = ()
+    found: Iterable[Description],
+    settings: NightSettings,
+    others: Iterable[Description] = (),
+    failed: Mapping[str, str] | None = None,
 ) -> Grouping:
     """Sort recordings into groups.
 
     A calibration cube is a group of its own. Recordings of a ramp are of one night, share configuration,
     spectrum, target and folder, and follow one another without a long pause. A ramp uses a calibration of
-    its configuration: of the same night, else of an earlier one, else of a later one, the nearest in time.
+    its configuration that has not failed: of the same night, else of an earlier one, else of a later one, the
+    nearest in time.
     Cubes of a derotator series share the same properties as those of a ramp. Darks of the same night, mode
     and window are added to every input.
 
@@ -80,6 +90,8 @@ def group_recordings(
         The longest pause, and how many nights away a calibration may be.
     others : iterable of Description
         Further recordings that may calibrate ramps but are not grouped themselves.
+    failed : mapping of str to str, optional
+        Why calibrations failed, by `cube_key`.
     """
     found = list(found)
     own = {one.path for one in found}
@@ -88,12 +100,16 @@ def group_recordings(
     nights = _split(found, lambda one: one.night)
     grouping = Grouping()
     for night in sorted(nights):
-        _group_night(sorted(nights[night], key=_by_time), cubes, settings, grouping)
+        _group_night(sorted(nights[night], key=_by_time), cubes, settings, grouping, failed or {})
     return grouping
 
 
 def _group_night(
-    found: Sequence[Description], cubes: Sequence[Description], settings: NightSettings, grouping: Grouping
+    found: Sequence[Description],
+    cubes: Sequence[Description],
+    settings: NightSettings,
+    grouping: Grouping,
+    failed: Mapping[str, str],
 ) -> None:
     """Group the recordings of one night; `cubes` are those of all nights."""
     grouping.left_out.extend(LeftOut(one, ONE_LENSLET) for one in found if not one.full_pupil)
@@ -101,12 +117,12 @@ def _group_night(
     gap_s = 60 * settings.series_gap_min
     groups = [_single("calibration", cube) for cube in roles["ncpa_calibration"]]
     for ramp in _series(roles["defocus_ramp"], gap_s):
-        calibration = _calibration_for(ramp[0], cubes, settings.calibration_nights)
+        calibration, why = _calibration_for(ramp[0], cubes, settings.calibration_nights, failed)
         if calibration is None:
-            reason = NO_CALIBRATION.format(settings.calibration_nights, ramp[0].configuration)
-            grouping.left_out.extend(LeftOut(one, reason, alarming=True) for one in ramp)
+            grouping.left_out.extend(LeftOut(one, why, alarming=True) for one in ramp)
         else:
-            groups.append(_group("ramp", ramp, ramp=ramp, calibration=(calibration,)))
+            group = _group("ramp", ramp, ramp=ramp, calibration=(calibration,))
+            groups.append(replace(group, choice=why))
     groups += [_group("derotator", series, cube=series) for series in _series(roles["derotator"], gap_s)]
     groups += [_single("psf", one) for one in roles["psf"]]
     grouping.groups.extend(_with_unique_names(_with_darks(group, roles["dark"]) for group in groups))
@@ -131,15 +147,50 @@ def _series(found: Sequence[Description], gap_s: float) -> Iterator[tuple[Descri
             yield tuple(members[start:end])
 
 
-def _calibration_for(ramp: Description, cubes: Iterable[Description], nights: int) -> Description | None:
-    """The calibration of a ramp. Earlier nights are preferred to later ones, which do not exist yet
-    on the morning after: so the choice stays when they do."""
-    fitting = [
-        cube
-        for cube in cubes
-        if cube.configuration == ramp.configuration and abs(_nights_apart(cube, ramp)) <= nights
-    ]
-    return min(fitting, key=lambda cube: _preference(cube, ramp), default=None)
+def cube_key(cube: Description) -> str:
+    """Return the name of a cube's group in the tree: ``<night>/<group>``."""
+    return f"{cube.night}/{_name((cube,))}"
+
+
+def _calibration_for(
+    ramp: Description, cubes: Iterable[Description], nights: int, failed: Mapping[str, str]
+) -> tuple[Description | None, str]:
+    """The calibration of a ramp, if there is one, and why it is that or there is none.
+
+    Earlier nights are preferred to later ones, which do not exist yet on the morning after: so the choice
+    stays when they do.
+    """
+    fitting = sorted(
+        (
+            cube
+            for cube in cubes
+            if cube.configuration == ramp.configuration and abs(_nights_apart(cube, ramp)) <= nights
+        ),
+        key=lambda cube: _preference(cube, ramp),
+    )
+    if not fitting:
+        return None, NO_CALIBRATION.format(nights, ramp.configuration)
+    reasons = [f"{cube.name}: {failed[cube_key(cube)]}" for cube in fitting if cube_key(cube) in failed]
+    passed = [cube for cube in fitting if cube_key(cube) not in failed]
+    if not passed:
+        return None, NONE_PASSED.format(nights, reasons[0])
+    nearer = [f"{one.name}: {failed[cube_key(one)]}" for one in fitting[: fitting.index(passed[0])]]
+    return passed[0], _choice(passed[0], ramp, nearer)
+
+
+def _choice(cube: Description, ramp: Description, nearer: Sequence[str]) -> str:
+    """Which calibration, how far from the ramp it is, and what spoke against nearer ones."""
+    apart = _nights_apart(cube, ramp)
+    known = cube.start_unix_s is not None and ramp.start_unix_s is not None
+    distance = (
+        f"{abs(apart)} night{'s' if abs(apart) > 1 else ''} {'later' if apart > 0 else 'earlier'}"
+        if apart
+        else f"{_apart_s(cube, ramp) / 60:.0f} min away"
+        if known
+        else "of the same night"
+    )
+    instead = f"; not {', not '.join(nearer)}" if nearer else ""
+    return f"{cube.name}, {distance}, the nearest that has not failed{instead}"
 
 
 def _preference(cube: Description, ramp: Description) -> tuple[bool, bool, int, float, int, str]:

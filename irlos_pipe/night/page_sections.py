@@ -40,11 +40,15 @@ MODES_CAPTION = (
     "Coefficients with errors; shaded: the band that the nights before allow; circled: outside "
     "it. Modes that left their band are shown beside Noll 4 to 11."
 )
-OTHERS_CAPTION = "Other numbers in the same way; those that depend on the sky do not alarm."
+OTHERS_CAPTION = (
+    "Other numbers in the same way; those that depend on the sky do not alarm. Runs that failed their "
+    "quality check are in none of these."
+)
 STRUCTURE_CAPTION = (
     "RMS change of the wavefront in Noll 4 and up between two calibrations, against the "
     "time between them: flat where the NCPAs are stable, 0 where noise explains the change."
 )
+NEEDS_A_LOOK = "needs a look"
 MAX_VERDICT_ROWS, MAX_VERDICTS = 30, 4  # rows of the table, and numbers at the top
 FEW_ROWS = 12
 RECORDING_COLUMNS = (
@@ -70,7 +74,8 @@ def numbers_of_night(night: Night, trend: Trend) -> list[KeyNumber]:
 def _verdict_number(verdict: Verdict, gaps: dict[tuple[str, str], float]) -> KeyNumber:
     before, after = (number(gaps.get((verdict.run, f"gap_{when}")), ".3f") for when in ("before", "after"))
     named = ", ".join(verdict.effects) or verdict.verdict
-    return KeyNumber("Missing in the model", named, f"{verdict.group}: gap {before} → {after}")
+    note = f"{verdict.group}: gap {before} → {after}"
+    return KeyNumber("Missing in the model", named, note, "bad" if verdict.verdict == "unknown" else "")
 
 
 def _gaps(trend: Trend) -> dict[tuple[str, str], float]:
@@ -93,7 +98,14 @@ def reductions_section(night: Night) -> Section | None:
     rows = [_row(job, night.reduced.get(job.task.name)) for job in night.jobs]
     marks = [_mark(night.reduced.get(job.task.name)) for job in night.jobs]
     columns = ("group", "recipe", "target", "result", "what was done", "why", "report")
-    return Section("reductions", "Reductions", "", [Table(columns, rows, marks=marks)])
+    return Section("reductions", "Reductions", "", [Table(columns, rows, marks=marks), *_choices(night)])
+
+
+def _choices(night: Night) -> list[Table]:
+    """Which calibration serves which ramp, and why."""
+    chosen = {job.group.name: job.group.choice for job in night.jobs if job.group.choice}
+    rows = [(name, _wrapped(choice)) for name, choice in chosen.items()]
+    return [Table(("ramp", "calibration"), rows, "Calibrations of the ramps")] if rows else []
 
 
 def _row(job: Job, reduced: Reduced | None) -> tuple[str, ...]:
@@ -103,7 +115,7 @@ def _row(job: Job, reduced: Reduced | None) -> tuple[str, ...]:
     took = "" if reduced.action == UNCHANGED else f" in {duration(reduced.seconds)}"
     return (
         *head,
-        reduced.status.replace("_", " "),
+        NEEDS_A_LOOK if reduced.status == "qc_failed" else reduced.status,
         reduced.action + took,
         _wrapped(reduced.problem or "; ".join(reduced.reasons)),
         _report_link(reduced),
@@ -146,7 +158,8 @@ def verdicts_section(trend: Trend, date: str) -> Section | None:
     ]
     columns = ("night", "group", "target", "verdict", "effects", "gap before", "gap after", "floor")
     lead = "Gap: Σ|measured − predicted| / Σ measured of frames that no fit has seen; the latest come first."
-    return Section("verdicts", "What the model lacks", lead, [Table(columns, rows)])
+    marks = ["bad" if one.verdict == "unknown" else "" for one in reversed(latest)]
+    return Section("verdicts", "What the model lacks", lead, [Table(columns, rows, marks=marks)])
 
 
 def trend_section(trend: Trend) -> Section | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +12,7 @@ from irlos_pipe.conventions.errors import InputDataError, IrlosError, NothingToD
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.night.database import Database, copied, opened
-from irlos_pipe.night.description import night_of
+from irlos_pipe.night.description import Description, night_of
 from irlos_pipe.night.discover import date_in_path, discover
 from irlos_pipe.night.grouping import Grouping, LeftOut, group_recordings
 from irlos_pipe.night.measurements import read_measurements
@@ -20,13 +20,14 @@ from irlos_pipe.night.page import begin_page, is_finished, write_page
 from irlos_pipe.night.reduce import Reduced, Runner, failure, planned, reduce_group, unchanged
 from irlos_pipe.night.settings import NightSettings
 from irlos_pipe.night.state import Night, RunState
-from irlos_pipe.night.tasks import Job, Task, jobs_of
+from irlos_pipe.night.tasks import Job, Task, calibrates, jobs_of
 from irlos_pipe.night.trend import alarm_text, make_trend
 from irlos_pipe.pipeline import Step
 from irlos_pipe.pipeline.runlog import RUN, TRACE, written_to
 from irlos_pipe.product.runfolder import owned_folder, require_outside_inputs
 
 LOG_NAME = "night.log"
+RAMP = "defocus_ramp"
 NO_RECIPE = "no recipe for groups of kind {0}; give one with --recipe {0}=PATH"
 
 
@@ -116,7 +117,7 @@ def _find(request: Request, state: RunState, database: Database) -> None:
         if unusable.night >= request.since:
             RUN.info("left out: %s", unusable.problem)
             state.night(unusable.night).unusable.append(unusable)
-    _assign(request, state, group_recordings(recordings, settings, database.descriptions()))
+    _assign(request, state, _grouped(request, recordings, database))
     if not any(night.jobs or night.failures for night in state.nights.values()):
         raise NothingToDo(_nothing_text(request, state))
 
@@ -130,6 +131,42 @@ def _assign(request: Request, state: RunState, grouping: Grouping) -> None:
         state.night(left.recording.night).left_out.append(left)
 
 
+def _grouped(
+    request: Request,
+    recordings: Sequence[Description],
+    database: Database,
+    broken: Mapping[str, str] | None = None,
+) -> Grouping:
+    """The groups, ramps with calibrations that neither failed by the database nor are `broken`."""
+    settings = request.settings
+    judging = [recipe.stem for recipe in settings.recipes_of("calibration") if calibrates(recipe)]
+    failed = database.failed_calibrations(judging) | dict(broken or {})
+    return group_recordings(recordings, settings, database.descriptions(), failed)
+
+
+def _choose_calibrations(request: Request, state: RunState) -> None:
+    """Give the ramps their calibrations again: those that failed just now no longer serve."""
+    recordings = [one for night in state.nights.values() for one in night.recordings]
+    broken = {
+        job.task.name.rpartition("/")[0]: "could not be reduced"
+        for night in state.nights.values()
+        for job in night.jobs
+        if job.group.kind == "calibration"
+        and calibrates(job.task.recipe)
+        and night.reduced[job.task.name].failed
+    }
+    with opened(request.tree) as database:
+        grouping = _grouped(request, recordings, database, broken)
+    ramps = [one for one in grouping.groups if one.kind == "ramp"]
+    for night in state.nights.values():
+        night.jobs = [job for job in night.jobs if job.group.kind != "ramp"]
+        night.left_out = [left for left in night.left_out if left.recording.role != RAMP]
+    left_out = [one for one in grouping.left_out if one.recording.role == RAMP]
+    _assign(request, state, Grouping(ramps, left_out))
+    for group in ramps:
+        RUN.info("%s/%s: calibration %s", group.night, group.name, group.choice)
+
+
 def _nothing_text(request: Request, state: RunState) -> str:
     where = ", ".join(map(str, request.folders)) + (f" since {request.since}" if request.since else "")
     left_out = [one for night in state.nights.values() for one in night.left_out]
@@ -140,12 +177,22 @@ def _nothing_text(request: Request, state: RunState) -> str:
 
 
 def _reduce(request: Request, state: RunState, runner: Runner) -> None:
-    """Work on what is not up to date; one that fails does not stop the others."""
-    jobs = {job.task.name: job for night in state.nights.values() for job in night.jobs}
+    """Work on what is not up to date; one that fails does not stop the others.
+
+    Ramps come last, when it is known which calibrations can serve them.
+    """
+    _work_on(request, state, runner, lambda job: job.group.kind != "ramp")
+    _choose_calibrations(request, state)
+    _work_on(request, state, runner, lambda job: job.group.kind == "ramp")
+
+
+def _work_on(request: Request, state: RunState, runner: Runner, wanted: Callable[[Job], bool]) -> None:
+    """Work on those of the jobs that are `wanted`."""
+    jobs = {job.task.name: job for night in state.nights.values() for job in night.jobs if wanted(job)}
     for name, reduced in {name: _without_work(job.task) for name, job in jobs.items()}.items():
         if reduced is not None:
             _record(request, state, jobs[name], reduced)
-    todo = [job.task for night in state.nights.values() for job in night.unfinished]
+    todo = [job.task for night in state.nights.values() for job in night.unfinished if wanted(job)]
     for night in state.nights.values():
         if night.unfinished:
             begin_page(request.tree, night)

@@ -92,6 +92,11 @@ def _tasks(group: Group, settings: NightSettings, tree: Path, device: str) -> It
         yield Task(name, tree / name, recipe, _settings(recipe, settings), _inputs(recipe, group), device)
 
 
+def calibrates(recipe: Path) -> bool:
+    """Return whether a `recipe` has the stage `calibrate`, whose quality a calibration is judged by."""
+    return "calibrate" in (load_yaml(recipe)[0].get("stages") or ())
+
+
 def _inputs(recipe: Path, group: Group) -> tuple[str, ...]:
     """``NAME=PATH`` for every input of the recipe."""
     declared = load_yaml(recipe)[0].get("inputs")

@@ -90,6 +90,7 @@ def _night(night: Night, tree: Path) -> dict[str, Any]:
         "page": page_path(tree, night.date),
         "recordings": len(night.recordings),
         "reductions": [asdict(one) for one in night.reduced.values()],
+        "calibrations": {job.task.name: job.group.choice for job in night.jobs if job.group.choice},
         "left_out": [{"path": one.recording.path, "reason": one.reason} for one in night.left_out],
         "unusable": [asdict(one) for one in night.unusable],
         "failures": night.failures,

@@ -30,7 +30,10 @@ def _diagnosis(run: RunData) -> Iterator[KeyNumber]:
     if results.grade:
         numbers = [number(value, ".3f") for value in (gap.before, gap.after, gap.floor)]
         yield KeyNumber(
-            "Diagnosis", f"{results.verdict}, {results.grade}", "gap {} → {}, noise alone {}".format(*numbers)
+            "Diagnosis",
+            f"{results.verdict}, {results.grade}",
+            "gap {} → {}, noise alone {}".format(*numbers),
+            "good" if results.grade in ("none", "complete") and not results.unexplained else "bad",
         )
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from irlos_pipe.night.description import Description, night_of
-from irlos_pipe.night.grouping import group_recordings
+from irlos_pipe.night.grouping import cube_key, group_recordings
 from irlos_pipe.night.settings import NightSettings
 
 LENS, MIRROR = "9.7 mas per pixel, lens, Noll 6 -170 nm", "9.7 mas per pixel, mirror, Noll 6 -170 nm"
@@ -153,3 +153,25 @@ def test_groups_that_would_share_a_folder_are_numbered():
 @pytest.mark.parametrize(("utc_h", "day"), [(0.0, 10), (16.6, 10), (16.8, 11)])
 def test_a_night_ends_at_noon_of_paranal(utc_h, day):
     assert night_of(EVENING_S + 3600 * utc_h) == f"2024-02-{day}"
+
+
+def test_a_calibration_that_failed_serves_no_ramp_and_the_choice_says_why():
+    good, companion = cube("cal_good", 0), cube("cal_companion", 50)
+    failed = {cube_key(companion): "failed calibrate: chi2 of the mean image"}
+    (ramp,) = (
+        one
+        for one in group_recordings([good, companion, offset("o", 60)], SETTINGS, (), failed).groups
+        if one.kind == "ramp"
+    )
+    assert ramp.inputs["calibration"][0].name == "cal_good"
+    assert "cal_good, 60 min away" in ramp.choice
+    assert "not cal_companion: failed calibrate: chi2 of the mean image" in ramp.choice
+
+
+def test_a_ramp_without_a_calibration_that_passed_is_left_out_loudly():
+    only = cube("cal_companion", 50)
+    found = group_recordings(
+        [only, offset("o", 60)], SETTINGS, (), {cube_key(only): "failed calibrate: chi2"}
+    )
+    (left,) = found.left_out
+    assert left.alarming and "cal_companion: failed calibrate: chi2" in left.reason

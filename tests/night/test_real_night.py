@@ -22,6 +22,7 @@ SMALL = {
     "model.effects": [],
     "calibrate.highest_noll": 11,
     "calibrate.max_chi2_nu": 1e9,
+    "calibrate.min_window": 0.0,
 }
 
 
@@ -41,7 +42,7 @@ def archive(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def config(tmp_path_factory) -> Path:
-    ramp = SMALL | {"lift.compare": False, "lift.max_residual_nm": 1e4}
+    ramp = SMALL | {"lift.compare": False, "lift.max_residual_nm": 1e4, "lift.max_chi2_ratio": 1e9}
     content = {
         "recipes": {
             "calibration": [str(RECIPES / "ncpa_calibration.yaml")],

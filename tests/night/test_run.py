@@ -118,6 +118,20 @@ def test_a_ramp_uses_a_calibration_that_an_earlier_run_found(bench):
     assert "2024-02-09/cube" in recipe.read_text()
 
 
+@pytest.mark.slow
+def test_a_ramp_is_served_by_the_calibration_that_passed_and_the_failed_one_is_in_no_number(bench):
+    bench.record("2024-02-11T02:00:00", "good")
+    bench.record("2024-02-11T02:50:00", "double", numbers={"4": 500.0})
+    bench.record("2024-02-11T03:00:00", "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
+    state = bench.run()
+    assert state.exit_code == 4
+    recipe = bench.run_folder(group="030000_offset", recipe="ramp") / "recipe.resolved.yaml"
+    assert "/good" in recipe.read_text() and "/double" not in recipe.read_text()
+    assert "not double: failed calibrate: largest" in bench.page()
+    with opened(bench.tree) as database:
+        assert {point.run.split("/")[1] for point in database.points()} == {"020000_good", "030000_offset"}
+
+
 # -- nights with nothing, crashes, locks ------------------------------------------------------
 
 

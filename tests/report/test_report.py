@@ -202,7 +202,7 @@ def test_failed_checks_come_first_and_are_marked(tmp_path):
     assert re.findall(r"<td>(.*?)</td>", row) == ["FAILED", "ingest", "too wide", "5 px", "≤ 4", "off centre"]
     assert text.index("too wide") < text.index("<td>fine</td>")
     assert "1 of 2" in text
-    assert "qc failed" in text
+    assert "needs a look" in text
 
 
 def test_many_passed_checks_are_folded(tmp_path):

@@ -22,6 +22,7 @@ from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.diagnose.lens import wanted_lens
 from irlos_pipe.stages.diagnose.output import MODEL_FILE, gap_row
+from irlos_pipe.stages.diagnose.quality import checks_of
 from irlos_pipe.stages.diagnose.results import AlternativeRow, Change, DiagnoseResults, StepRow
 from irlos_pipe.stages.lift.input import Ramp, calibrated_ncpa_nm, effects_for_lift, ramp_model, read_ramp
 
@@ -53,7 +54,12 @@ def run_on_ramp(ctx: StageContext, every: int) -> tuple[StageOutput, list[dict[s
     if lens and not result.names:
         gap = replace(gap, before=lens.comparison.gap[0], after=lens.comparison.gap[1])
     results = _results(ramp, result, lens, gap, estimated, corrected, time.perf_counter() - began)
-    output = StageOutput(_arrays(ramp, estimated, corrected), results, summary=_summary(result, lens, gap))
+    output = StageOutput(
+        _arrays(ramp, estimated, corrected),
+        results,
+        checks_of(results),
+        summary=_summary(result, lens, gap),
+    )
     lenses = [entry(lens.effect.name, lens.public)] if lens else []
     return output, [*lenses, *(entry(one.name, one.public) for one in result.names)]
 

@@ -27,12 +27,13 @@ from irlos_pipe.stages.diagnose.output import (
     model_yaml,
     summary_lines,
 )
+from irlos_pipe.stages.diagnose.quality import checks_of
 from irlos_pipe.stages.diagnose.ramp import run_on_ramp
 from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects
 from irlos_pipe.stages.model.recording_settings import pooled_images
 
 NAME = "diagnose"
-VERSION = 9
+VERSION = 10
 NEEDS = ("ingest",)
 READS = ("ingest", "calibrate", "lift")
 EXPECTED_FITS = 11  # of one cube, for the progress bar
@@ -62,9 +63,11 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         return replace(output, files={MODEL_FILE: model_yaml(ctx.model, entries)})
     result = _diagnose(ctx, by_setting(ctx.products["ingest"], ctx.config.input))
     model = model_yaml(ctx.model, model_entries(result))
+    results = diagnose_results(result)
     return StageOutput(
         diagnose_arrays(result),
-        diagnose_results(result),
+        results,
+        checks_of(results),
         files={MODEL_FILE: model},
         summary=summary_lines(result),
     )
