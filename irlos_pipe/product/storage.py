@@ -44,6 +44,7 @@ from irlos_pipe.product.results import Provenance
 SCHEMA = "irlos-product"
 SCHEMA_VERSION = 1
 COMPRESS_ABOVE_BYTES = 4096
+SUFFIX = ".h5"
 
 
 class _CheckEntry(BaseModel):
@@ -185,6 +186,10 @@ def _readable(path: Path) -> Iterator[None]:
         raise
     except Exception as error:  # a damaged file can raise nearly anything from inside HDF5
         reason = next(iter(str(error).splitlines()), type(error).__name__)
+        if path.suffix != SUFFIX:  # a file of somebody: nothing to remove
+            raise InputDataError(
+                f"{path}: not a product; those of a run are named like 02_calibrate{SUFFIX}"
+            ) from error
         raise InputDataError(
             f"{path}: not a readable product, truncated or damaged ({reason}); remove it and run again"
         ) from error

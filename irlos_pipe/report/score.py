@@ -12,8 +12,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.conventions.modes import DEFOCUS, REPORTED_NOLLS, REPORTED_TEXT
-from irlos_pipe.conventions.text import aligned
+from irlos_pipe.conventions.modes import DEFOCUS, REPORTED_NOLLS, REPORTED_TEXT, TIP_TILT
+from irlos_pipe.conventions.text import aligned, and_more
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import ByNoll, ResultsPart, results_of
 from irlos_pipe.product.runfolder import existing_run
@@ -73,9 +73,18 @@ def score_run(run_folder: Path, truth: Path) -> str:
     run, truths = _read_scored(run_folder), _read_truths(Path(truth))
     tables = _calibration_table(run, truths), _ramp_table(run, truths)
     if not any(tables):
-        names = [row.name for row in (*run.calibrated, *run.of_the_ramp)]
-        raise InputDataError(f"{truth}: no truth for {', '.join(names)}; it holds {', '.join(truths)}")
+        raise InputDataError(f"{truth}: {_why_not(run, truths)}")
     return "\n\n".join(aligned(table, numbers=True) for table in tables if table)
+
+
+def _why_not(run: _Scored, truths: Truths) -> str:
+    """Why nothing can be compared: no file for a recording, or one without the wavefront."""
+    names = [row.name for row in (*run.calibrated, *run.of_the_ramp)]
+    without = [name for name in names if _truth_of(name, truths) is None]
+    if without:
+        held = list(truths)
+        return f"no truth for {without[0]}{and_more(without)}; it holds {held[0]}{and_more(held)}"
+    return f"the truth of {names[0]}{and_more(names)} has no mean_zernike_nm (mean wavefront, Noll: nm RMS)"
 
 
 @dataclass(frozen=True)
@@ -125,22 +134,42 @@ def _calibration_table(run: _Scored, truths: Truths) -> Table:
     each_nm = [_vector(mean_nm) for mean_nm in found if mean_nm is not None]
     if results is None or not rows or len(each_nm) < len(rows):
         return []
-    true_nm = np.average(each_nm, axis=0, weights=[row.frames_used for row in rows])
+    weights = [row.frames_used for row in rows]
+    true_nm = np.average(each_nm, axis=0, weights=weights)
     names = ", ".join(row.name for row in rows)
+    statics = [truth.ncpa_nm for row in rows if (truth := _truth_of(row.name, truths)) and truth.ncpa_nm]
+    known = len(statics) == len(rows)
+    static_nm = np.average([_vector(one) for one in statics], axis=0, weights=weights) if known else None
+    against = ("against the static modes", "its pulls") if known else ()
     return [
-        (f"calibration ({names})", f"error, {REPORTED_TEXT}", "defocus", "time"),
-        *(_method_row(one, true_nm) for one in (results, *results.compare)),
+        (f"calibration ({names})", f"error, {REPORTED_TEXT}", "defocus", "time", *against),
+        *(_method_row(one, true_nm, static_nm) for one in (results, *results.compare)),
     ]
 
 
-def _method_row(estimate: Estimate, true_nm: np.ndarray) -> tuple[str, ...]:
+def _method_row(estimate: Estimate, true_nm: np.ndarray, static_nm: np.ndarray | None) -> tuple[str, ...]:
+    """Errors against the mean wavefront fitted by the reported modes, and against the static modes.
+
+    A fit of more modes returns the coefficients that were put in; the mean wavefront fitted by the reported
+    ones alone has a part of the higher ones in some of them.
+    """
     error_nm = _vector(estimate.zernike_nm) - true_nm
-    return (
+    cells = (
         estimate.method,
         f"{np.linalg.norm(error_nm):.1f} nm RMS",
         f"{error_nm[REPORTED_NOLLS.index(DEFOCUS)]:+.1f} nm",
         f"{estimate.seconds:.1f} s",
     )
+    return cells if static_nm is None else (*cells, *_static_cells(estimate, static_nm))
+
+
+def _static_cells(estimate: Estimate, static_nm: np.ndarray) -> tuple[str, str]:
+    """RMS error without tip and tilt, and its RMS over the quoted errors."""
+    optics = np.array([noll not in TIP_TILT for noll in REPORTED_NOLLS])
+    error_nm, sigma_nm = _vector(estimate.zernike_nm) - static_nm, _vector(estimate.sigma_nm)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pull = _rms((error_nm / sigma_nm)[optics & (sigma_nm > 0)])
+    return f"{np.linalg.norm(error_nm[optics]):.1f} nm RMS", f"{pull:.2f}"
 
 
 def _vector(zernike_nm: Mapping[int, float]) -> np.ndarray:

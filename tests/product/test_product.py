@@ -312,3 +312,10 @@ def test_json_has_neither_nan_nor_numpy_types():
 def test_an_object_without_json_form_is_refused():
     with pytest.raises(TypeError, match="no JSON form"):
         jsonable(object())
+
+
+def test_nobody_is_told_to_remove_a_file_that_is_no_product(tmp_path):
+    (tmp_path / "README.md").write_text("# mine")
+    with pytest.raises(InputDataError, match=r"README.md: not a product; those of a run") as problem:
+        read_product(tmp_path / "README.md")
+    assert "remove" not in str(problem.value)

@@ -196,3 +196,16 @@ def test_a_value_that_is_not_known_is_not_taken_for_zero(tmp_path):
     folder = made_run.write_run(tmp_path / "run", [made_run.ingest(), calibrate])
     text = score_run(folder, write_truth(tmp_path / "truth", sky=shifted()))
     assert "nan nm RMS" in row(text, "long_exposure")
+
+
+def test_static_modes_and_their_pulls_are_scored_beside_the_mean_wavefront(tmp_path):
+    """Errors of 3, -4 nm beside tip and tilt, quoted as 2 nm: pulls of 1.5 and 2 in two of two modes."""
+    truth = shifted(z4=9.0) | {"ncpa_nm": {"2": 10.0, "3": -20.0, "4": 27.0, "5": 44.0}}
+    cells = row(scored(tmp_path, "calibrate", sky=truth), "long_exposure")
+    assert cells[-2:] == ["5.0 nm RMS", "1.77"]
+
+
+def test_a_truth_without_the_mean_wavefront_is_named_as_such(tmp_path):
+    with pytest.raises(InputDataError, match="the truth of sky has no mean_zernike_nm") as problem:
+        scored(tmp_path, "calibrate", sky={"hidden": {}})
+    assert "no truth for" not in str(problem.value)
