@@ -75,7 +75,7 @@ def export(product: Path, arrays: tuple[str, ...], output: Path, force: bool) ->
     \b
     Examples:
       irlos export demo/03_calibrate.h5 --array zernike_nm --output ncpa.csv
-      irlos export demo/01_ingest.h5 --array recordings/calibration/calibration-sky/images_e --output frames.fits
+      irlos export demo/01_ingest.h5 --array recordings/calibration/calibration-sky/mean_e --output mean.fits
     """
     from irlos_pipe.product.export import export_arrays
     from irlos_pipe.product.storage import read_product
