@@ -318,4 +318,4 @@ def test_nobody_is_told_to_remove_a_file_that_is_no_product(tmp_path):
     (tmp_path / "README.md").write_text("# mine")
     with pytest.raises(InputDataError, match=r"README.md: not a product; those of a run") as problem:
         read_product(tmp_path / "README.md")
-    assert "remove" not in str(problem.value)
+    assert "run again" not in str(problem.value)
