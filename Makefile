@@ -15,7 +15,7 @@ PIP_INSTALL = $(BIN)/python -m pip install --quiet -c constraints.txt $(if $(TOR
 
 PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 8
 
-# Inputs of the recipes; an input that is not given comes from data_samples/.
+# Inputs of the recipes; ARGS=--samples takes the simulated samples for those that are not given.
 CALIBRATION ?=
 RAMP ?=
 calibration_input = $(if $(CALIBRATION),--input calibration=$(CALIBRATION))
@@ -25,7 +25,7 @@ ARGS ?=
 DEMO ?= demo
 RUNS ?= runs
 # The specification and the output folder of `make simulate`.
-SPEC ?= recipes/simulations/on_sky.yaml
+SPEC ?= on_sky
 OUT ?= $(RUNS)/simulation
 # The night that `make night` reduces, and the folder with the results of all nights.
 NIGHT ?= data_samples
@@ -62,8 +62,7 @@ $(VENV)/.env-test: pyproject.toml constraints.txt | $(BIN)/python
 	@touch $@ $(VENV)/.env-run
 
 demo: env ## reduce data_samples/ completely and compare the result with the truth
-	$(BIN)/irlos run recipes/full_reduction.yaml --output $(DEMO) $(ARGS)
-	$(BIN)/irlos score $(DEMO) --truth data_samples/truth
+	$(BIN)/irlos demo --output $(DEMO) $(ARGS)
 
 test: env-test ## run all tests, one process per processor
 	$(PYTEST) $(ARGS)
@@ -88,20 +87,20 @@ fuzz: env-test ## try some thousand damaged and hostile inputs (ARGS="--cases 20
 faults: env-test ## kill runs and fill their disks at random moments (ARGS="--kills 200 --seed 1")
 	PYTHONPATH=tests $(BIN)/python -m faults $(ARGS)
 
-full: env ## run recipes/full_reduction.yaml (CALIBRATION=..., RAMP=...)
-	$(BIN)/irlos run recipes/full_reduction.yaml $(calibration_input) $(ramp_input) --output $(RUNS)/full_reduction $(ARGS)
+full: env ## run the recipe full_reduction (CALIBRATION=..., RAMP=...)
+	$(BIN)/irlos run full_reduction $(calibration_input) $(ramp_input) --output $(RUNS)/full_reduction $(ARGS)
 
-calibrate: env ## run recipes/ncpa_calibration.yaml (CALIBRATION=...)
-	$(BIN)/irlos run recipes/ncpa_calibration.yaml $(calibration_input) --output $(RUNS)/ncpa_calibration $(ARGS)
+calibrate: env ## run the recipe ncpa_calibration (CALIBRATION=...)
+	$(BIN)/irlos run ncpa_calibration $(calibration_input) --output $(RUNS)/ncpa_calibration $(ARGS)
 
-dip-global: env ## run recipes/ncpa_dip_global.yaml (CALIBRATION=...)
-	$(BIN)/irlos run recipes/ncpa_dip_global.yaml $(calibration_input) --output $(RUNS)/ncpa_dip_global $(ARGS)
+dip-global: env ## run the recipe ncpa_dip_global (CALIBRATION=...)
+	$(BIN)/irlos run ncpa_dip_global $(calibration_input) --output $(RUNS)/ncpa_dip_global $(ARGS)
 
-ramp: env ## run recipes/defocus_ramp.yaml (RAMP=..., CALIBRATION=...)
-	$(BIN)/irlos run recipes/defocus_ramp.yaml $(ramp_input) $(calibration_input) --output $(RUNS)/defocus_ramp $(ARGS)
+ramp: env ## run the recipe defocus_ramp (RAMP=..., CALIBRATION=...)
+	$(BIN)/irlos run defocus_ramp $(ramp_input) $(calibration_input) --output $(RUNS)/defocus_ramp $(ARGS)
 
-sensitivity: env ## run recipes/sensitivity.yaml (RAMP=..., CALIBRATION=...)
-	$(BIN)/irlos run recipes/sensitivity.yaml $(ramp_input) $(calibration_input) --output $(RUNS)/sensitivity $(ARGS)
+sensitivity: env ## run the recipe sensitivity (RAMP=..., CALIBRATION=...)
+	$(BIN)/irlos run sensitivity $(ramp_input) $(calibration_input) --output $(RUNS)/sensitivity $(ARGS)
 
 paper: env ## run every experiment of the paper, hours; resumes if interrupted (ARGS="--only methods")
 	$(BIN)/irlos paper --output $(RUNS)/paper $(ARGS)
@@ -113,7 +112,7 @@ paper-tables: env ## after make paper: renew docs/paper_results.json and the tab
 	cp $(RUNS)/paper/paper_results.json docs/paper_results.json
 	$(BIN)/python -m irlos_pipe.paper.run.results_page
 
-simulate: env ## make recordings with a known truth (SPEC=recipes/simulations/on_sky.yaml, OUT=...)
+simulate: env ## make recordings with a known truth (SPEC=on_sky, OUT=...)
 	$(BIN)/irlos simulate $(SPEC) --output $(OUT) $(ARGS)
 
 night: env ## reduce what is new or out of date in a night or an archive (NIGHT=..., TREE=...)

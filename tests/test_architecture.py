@@ -44,7 +44,8 @@ MAY_IMPORT = {
         "pipeline",
     },
     "commands": {
-        "conventions", "simulate.recordings", "product", "recipe", "pipeline", "report", "paper.run", "night",
+        "conventions", "files", "simulate.recordings", "product", "recipe", "pipeline", "report", "paper.run",
+        "night",
     },
     "__main__": {"commands"},
 }  # fmt: skip

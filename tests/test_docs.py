@@ -11,6 +11,8 @@ from helpers.paths import REPOSITORY
 
 import irlos_pipe
 from irlos_pipe.commands.main import cli
+from irlos_pipe.files.shipped import RECIPES as RECIPE_FOLDER
+from irlos_pipe.files.shipped import SIMULATIONS, named_file, shipped_names
 from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar
 from irlos_pipe.recipe import load_recipe
 from irlos_pipe.stages import LIGHT_PATH
@@ -61,13 +63,20 @@ def test_every_command_that_is_spelt_out_is_accepted(path):
 @each_text
 def test_every_recipe_in_a_command_exists_and_takes_the_settings(path):
     for arguments in commands(path.read_text(encoding="utf-8"), "irlos"):
-        recipes = [REPOSITORY / argument for argument in arguments if argument.startswith("recipes/")]
+        recipes = [argument for argument in arguments if argument.startswith("recipes/")]
         settings = [value for name, value in pairwise(arguments) if name == "--set"]
-        assert [recipe for recipe in recipes if not recipe.exists()] == []
+        assert [recipe for recipe in recipes if not (REPOSITORY / recipe).exists()] == []
         given = [value.split("=")[0] for name, value in pairwise(arguments) if name == "--input"]
-        if arguments[0] == "run":
-            for recipe in recipes:
-                load_recipe(recipe, settings, [f"{name}={REPOSITORY}" for name in given])
+        if (
+            len(arguments) > 1
+            and arguments[0] == "run"
+            and arguments[1] in [*recipes, *shipped_names(RECIPE_FOLDER)]
+        ):
+            recipe = REPOSITORY / arguments[1] if recipes else arguments[1]
+            sampled = "--samples" in arguments
+            load_recipe(recipe, settings, [f"{name}={REPOSITORY}" for name in given], samples=sampled)
+        elif arguments[0] == "simulate" and not is_sketch(arguments) and arguments[1].islower():
+            named_file(arguments[1], SIMULATIONS)
 
 
 @each_page
@@ -108,8 +117,8 @@ def test_every_stage_of_the_light_path_and_every_specification_is_documented():
 
 def test_every_recipe_is_in_the_readme():
     text = (REPOSITORY / "README.md").read_text()
-    recipes = [path.name for path in (REPOSITORY / "recipes").glob("*.yaml")]
-    assert [name for name in recipes if f"`irlos run recipes/{name} " not in text] == []
+    recipes = [path.stem for path in (REPOSITORY / "recipes").glob("*.yaml")]
+    assert [name for name in recipes if f"`irlos run {name} " not in text] == []
 
 
 def test_the_readme_stays_one_page():

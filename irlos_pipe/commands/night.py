@@ -35,9 +35,10 @@ CONFIG = click.option(
 @click.option(
     "--recipe",
     "recipes",
-    metavar="KIND=PATH",
+    metavar="KIND=RECIPE",
     multiple=True,
-    help="Recipe for groups of KIND calibration, ramp, derotator or psf. A KIND given again makes a list.",
+    help="Recipe for groups of KIND calibration, ramp, derotator or psf, by path or name. "
+    "A KIND given again makes a list.",
 )
 @click.option("--since", type=DATE, metavar="DATE", help="First night to be looked at, YYYY-MM-DD.")
 @click.option("--dry-run", is_flag=True, help="Print what would be done and why; change nothing.")
@@ -93,7 +94,7 @@ def night(
     Examples:
       irlos night /data/irlos/2024-02-10 --output /data/reduced
       irlos night /data/irlos --output /data/reduced --since 2024-01-01 --dry-run
-      irlos night 2024-02-10 --output reduced --recipe ramp=recipes/full_reduction.yaml -v
+      irlos night 2024-02-10 --output reduced --recipe ramp=full_reduction -v
       irlos night /data/irlos --output /data/reduced --engine dask --scheduler tcp://10.0.0.1:8786
 
     \b

@@ -17,8 +17,8 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 FOLDER = click.Path(path_type=Path, readable=False)
 
 
-def recipe_options(command: Command) -> Command:
-    """Add the argument RECIPE and the options that change it to a `command`."""
+def setting_options(command: Command) -> Command:
+    """Add the options that change values of a recipe to a `command`."""
     for decorate in (
         click.option(
             "--seed",
@@ -32,6 +32,20 @@ def recipe_options(command: Command) -> Command:
             metavar="STAGE.KEY=VALUE",
             multiple=True,
             help="Change a value of the recipe; VALUE is YAML. May be repeated.",
+        ),
+    ):
+        command = decorate(command)
+    return command
+
+
+def recipe_options(command: Command) -> Command:
+    """Add the argument RECIPE and the options that change it to a `command`."""
+    for decorate in (
+        setting_options,
+        click.option(
+            "--samples",
+            is_flag=True,
+            help="Take the simulated sample recordings of the package for inputs that are not given.",
         ),
         click.option(
             "--input",

@@ -100,7 +100,7 @@ def score(folder: Path, truth: Path) -> None:
 
     \b
     Example:
-      irlos score demo --truth data_samples/truth
+      irlos score sim/run --truth sim/truth
     """
     from irlos_pipe.report.score import score_run
 

@@ -12,7 +12,7 @@ from irlos_pipe.commands.options import FOLDER, resources_of
 
 
 @click.command(epilog=EXIT_CODES)
-@click.argument("spec", metavar="SPEC.yaml", type=FOLDER)
+@click.argument("spec", metavar="SPEC", type=FOLDER)
 @click.option(
     "--output", type=FOLDER, required=True, metavar="DIR", help="Folder for the recordings and their truth."
 )
@@ -45,24 +45,25 @@ def simulate(
     jobs: int | None,
     quiet: bool,
 ) -> None:
-    """Simulate the recordings that SPEC.yaml specifies and write them to the folder DIR.
+    """Simulate the recordings that SPEC specifies and write them to the folder DIR.
 
-    The specification states star, aberrations, sky, image motion, detector and other disturbances;
-    those in recipes/simulations have comments and are meant to be copied. The same specification
+    SPEC is the path of a specification, or the name of one that comes with the package (irlos
+    recipes). It states star, aberrations, sky, image motion, detector and other disturbances; those
+    of the package have comments and are meant to be copied (irlos recipes NAME). The same specification
     and seed give the same data for any --jobs. A recording that exists already is not made again;
     a recording appears only when it is complete.
 
     \b
     Examples:
-      irlos simulate recipes/simulations/on_sky.yaml --output sim --dry-run
-      irlos simulate recipes/simulations/on_sky.yaml --output sim
-      irlos run recipes/full_reduction.yaml --output sim/run \\
+      irlos simulate on_sky --output sim --dry-run
+      irlos simulate on_sky --output sim
+      irlos run full_reduction --output sim/run \\
             --input calibration=sim/data/calibration --input ramp=sim/data/ramp
       irlos score sim/run --truth sim/truth
-      irlos simulate recipes/simulations/on_sky.yaml --output sim-1 --seed 1
-      irlos simulate recipes/simulations/on_sky.yaml --output faint \\
+      irlos simulate on_sky --output sim-1 --seed 1
+      irlos simulate on_sky --output faint \\
             --set recordings.ramp.mag_j=16 --set sky.seeing_arcsec=1.0
-      irlos simulate recipes/simulations/bench.yaml --output mine \\
+      irlos simulate bench --output mine \\
             --set 'effects={companion: {flux_ratio: 0.05, sep_mas: 150, pa_deg: 30}}'
 
     \b
@@ -97,16 +98,14 @@ def simulate(
 @click.option(
     "--quick",
     is_flag=True,
-    help="Use small samples (recipes/paper/quick.yaml), which takes minutes instead of hours.",
+    help="Use small samples (quick.yaml beside the recipes), which takes minutes instead of hours.",
 )
 @click.option("--only", metavar="NAME", multiple=True, help="Run only this experiment. May be repeated.")
 @click.option(
     "--recipes",
     type=FOLDER,
-    default=Path("recipes/paper"),
-    show_default=True,
     metavar="DIR",
-    help="Folder with the recipes of the experiments.",
+    help="Folder with the recipes of the experiments (default: those of the package).",
 )
 @click.option(
     "--jobs", type=click.IntRange(min=1), metavar="N", help="Number of processes (default: all processors)."
@@ -125,7 +124,7 @@ def paper(
     output: Path,
     quick: bool,
     only: tuple[str, ...],
-    recipes: Path,
+    recipes: Path | None,
     jobs: int | None,
     seed: int | None,
     verbose: int,
@@ -149,13 +148,14 @@ def paper(
       paper_results.json  all numbers with seeds and sizes, for scripts
       <experiment>/       the run of each: report.html, results.json, products (irlos show)
     """
+    from irlos_pipe.files.shipped import PAPER, shipped_folder
     from irlos_pipe.paper.run.recipes import find_experiments
     from irlos_pipe.paper.run.run import run_paper, summary_text
     from irlos_pipe.pipeline.terminal import messages
 
     if verbose and quiet:
         raise click.UsageError("-v and -q exclude each other")
-    experiments = find_experiments(recipes, quick=quick, only=only, seed=seed)
+    experiments = find_experiments(recipes or shipped_folder(PAPER), quick=quick, only=only, seed=seed)
     with terminated_like_interrupted(), messages(-1 if quiet else verbose):
         ran = run_paper(experiments, output, quick, resources_of("cpu", jobs, quiet))
     if not quiet:

@@ -10,16 +10,18 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import suggestion
+from irlos_pipe.files import shipped
 from irlos_pipe.files.overrides import absolute
+from irlos_pipe.files.shipped import named_file
 from irlos_pipe.files.validation import read_validated
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
 Kind = Literal["calibration", "ramp", "derotator", "psf"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 RECIPES: dict[Kind, list[str]] = {
-    "calibration": ["recipes/ncpa_calibration.yaml", "recipes/diagnose.yaml"],
-    "ramp": ["recipes/defocus_ramp.yaml"],
-    "derotator": ["recipes/derotator.yaml"],
+    "calibration": ["ncpa_calibration", "diagnose"],
+    "ramp": ["defocus_ramp"],
+    "derotator": ["derotator"],
     "psf": [],
 }
 
@@ -44,7 +46,7 @@ class NightSettings(_Section):
         default=AcquisitionKeys(), description="side-car keys that override the side-cars"
     )
     recipes: dict[Kind, list[str]] = Field(
-        default={}, description="recipes by kind of group, relative to this file"
+        default={}, description="recipes by kind of group: names, or paths relative to this file"
     )
     settings: dict[str, dict[str, Any]] = Field(default={}, description="recipe name: {stage.key: value}")
     series_gap_min: float = Field(
@@ -68,7 +70,7 @@ def load_settings(path: Path | None = None, recipes: Iterable[str] = ()) -> Nigh
     path : Path, optional
         The YAML file.
     recipes : iterable of str
-        ``KIND=PATH``, relative to the current folder; a kind given again makes a list.
+        ``KIND=PATH``, relative to the current folder, or ``KIND=NAME``; a kind given again makes a list.
 
     Raises
     ------
@@ -77,8 +79,8 @@ def load_settings(path: Path | None = None, recipes: Iterable[str] = ()) -> Nigh
     """
     settings = NightSettings() if path is None else read_validated(path, NightSettings)
     folder = None if path is None else absolute(path).parent
-    chosen = {kind: [absolute(name) for name in names] for kind, names in RECIPES.items()}
-    chosen |= {kind: [absolute(name, folder) for name in names] for kind, names in settings.recipes.items()}
+    chosen = {kind: [_recipe(name) for name in names] for kind, names in RECIPES.items()}
+    chosen |= {kind: [_recipe(name, folder) for name in names] for kind, names in settings.recipes.items()}
     chosen |= _by_kind(recipes)
     known = {recipe.stem for paths in chosen.values() for recipe in paths}
     for name in settings.settings:
@@ -88,6 +90,12 @@ def load_settings(path: Path | None = None, recipes: Iterable[str] = ()) -> Nigh
     return settings.model_copy(update={"recipes": absolute_recipes})
 
 
+def _recipe(given: str, folder: Path | None = None) -> Path:
+    """A recipe by its path, counted from `folder`, or by the name of one that comes with the package."""
+    path = absolute(given, folder)
+    return path if path.is_file() else absolute(named_file(given, shipped.RECIPES), folder)
+
+
 def _by_kind(recipes: Iterable[str]) -> dict[Kind, list[Path]]:
     """Sort ``KIND=PATH`` options by kind."""
     found: dict[Kind, list[Path]] = {}
@@ -95,10 +103,10 @@ def _by_kind(recipes: Iterable[str]) -> dict[Kind, list[Path]]:
         name, equals, path = option.partition("=")
         if not equals or not path:
             raise ConfigurationError(
-                f"--recipe {option}: expected KIND=PATH, for example ramp=recipes/full_reduction.yaml"
+                f"--recipe {option}: expected KIND=PATH, for example ramp=full_reduction"
             )
         kind = next((one for one in KINDS if one == name), None)
         if kind is None:
             raise ConfigurationError(f"--recipe {option}: no such kind of group{suggestion(name, KINDS)}")
-        found.setdefault(kind, []).append(absolute(path))
+        found.setdefault(kind, []).append(_recipe(path))
     return found

@@ -10,6 +10,7 @@ from typing import Any
 from irlos_pipe.conventions.errors import ExitCode
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import RunResults, provenance_of
+from irlos_pipe.recipe import Recipe
 
 EXIT_CODES = {
     "ok": ExitCode.DONE,
@@ -52,13 +53,13 @@ class Outcome:
         return EXIT_CODES[self.status] or int(bool(self.report_error))
 
 
-def assess(recipe_name: str, products: Mapping[str, Product], error: str = "") -> Outcome:
+def assess(recipe: Recipe, products: Mapping[str, Product], error: str = "") -> Outcome:
     """Sum up the products of a run.
 
     Parameters
     ----------
-    recipe_name : str
-        Name of the recipe.
+    recipe : Recipe
+        What was run.
     products : mapping of str to Product
         Up-to-date products by stage name.
     error : str
@@ -68,13 +69,14 @@ def assess(recipe_name: str, products: Mapping[str, Product], error: str = "") -
     results = RunResults(
         schema="irlos-results",
         schema_version=1,
-        recipe=recipe_name,
+        recipe=recipe.name,
         status=status,
+        **({"notice": recipe.notice, "samples": list(recipe.samples)} if recipe.samples else {}),
         stages={name: product.results for name, product in products.items()},
         **({"error": error} if error else {}),
     )
     summary = {name: provenance_of(product).summary for name, product in products.items()}
-    return Outcome(status, results.as_json(), _quality(recipe_name, products), summary)
+    return Outcome(status, results.as_json(), _quality(recipe.name, products), summary)
 
 
 def _status(products: Mapping[str, Product]) -> str:

@@ -17,7 +17,7 @@ from irlos_pipe.pipeline.outcome import Outcome, assess
 from irlos_pipe.pipeline.plan import Action, Selection, Step, make_plan, with_repairs
 from irlos_pipe.pipeline.provenance import command_line
 from irlos_pipe.pipeline.resources import Resources
-from irlos_pipe.pipeline.runlog import TRACE, written_to
+from irlos_pipe.pipeline.runlog import RUN, TRACE, written_to
 from irlos_pipe.product.runfolder import RunFolder, owned_folder, require_outside_inputs
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
@@ -83,6 +83,8 @@ def run_recipe(
     with owned_folder(folder) as run, written_to(run.log), _reported_in_one_line(run.log):
         steps = with_repairs(make_plan(recipe, folder, files, selection))
         TRACE.info("command: %s", command_line())
+        if recipe.notice:
+            RUN.warning(recipe.notice)
         remember(files, folder)
         write_if_changed(run.recipe, recipe.resolved_yaml().encode())
         job = Job(recipe, folder, files, steps, resources or Resources())
@@ -92,7 +94,7 @@ def run_recipe(
 
 
 def _concluded(job: Job, run: RunFolder) -> Outcome:
-    outcome = assess(job.recipe.name, job.summaries())
+    outcome = assess(job.recipe, job.summaries())
     changed = _write_outcome(outcome, run)
     ran = any(step.action is Action.RUN for step in job.steps)
     if changed or ran or not run.report.is_file():
@@ -130,7 +132,7 @@ def _failure_recorded(job: Job, run: RunFolder) -> Iterator[None]:
         reason = "interrupted" if isinstance(error, KeyboardInterrupt) else _first_line(error)
         # A full disk may be what stopped the run; the first error is the one to report.
         with suppress(IrlosError):
-            _write_outcome(assess(job.recipe.name, job.summaries(), error=reason), run)
+            _write_outcome(assess(job.recipe, job.summaries(), error=reason), run)
         raise
 
 

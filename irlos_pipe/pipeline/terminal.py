@@ -47,7 +47,8 @@ def outcome_text(outcome: Outcome, as_json: bool) -> str:
     """Return the table at the end of a run with this `outcome`, or results.json with `as_json`."""
     if as_json:
         return json_text(outcome.results).rstrip()
-    rows = [(stage, line) for stage, lines in outcome.summary.items() for line in lines]
+    rows = [("NOTICE", outcome.results["notice"])] if "notice" in outcome.results else []
+    rows += [(stage, line) for stage, lines in outcome.summary.items() for line in lines]
     rows.append(("QC", quality_line(outcome)))
     rows += [("", _check_text(check)) for check in outcome.quality["checks"] if not check["passed"]]
     if outcome.report is not None:

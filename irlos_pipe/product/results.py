@@ -102,6 +102,9 @@ class RunResults(ResultsPart):
     ----------
     status : str
         ``ok``, ``qc_failed``, ``partial`` or ``failed``.
+    notice : str
+        What has to be said before any result; empty if nothing has to be. `samples` are the inputs that
+        were sample recordings of the package.
     stages : dict of str to dict
         Sections of the finished stages by name; `of` returns one as its model.
     error : str
@@ -112,6 +115,8 @@ class RunResults(ResultsPart):
     schema_version: int = 1
     recipe: str = ""
     status: str = ""
+    notice: str = ""
+    samples: list[str] = []
     stages: dict[str, dict[str, Any]] = {}
     error: str = ""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -12,6 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.overrides import absolute
+from irlos_pipe.files.shipped import SAMPLES, shipped_folder
 from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageConfig, needs
@@ -42,8 +43,11 @@ class RecipeHead(BaseModel):
         dict[str, Annotated[list[str], BeforeValidator(_as_list)]], BeforeValidator(_none_as_empty)
     ] = Field(
         {},
-        description="input name: a path or a list of paths, relative to the recipe; none where the "
-        "stages make their own data",
+        description="input name: a path or a list of paths, relative to the recipe, or nothing for one "
+        "that is given with --input; none where the stages make their own data",
+    )
+    samples: Annotated[dict[str, str], BeforeValidator(_none_as_empty)] = Field(
+        {}, description="input name: the recording of data_samples that --samples takes for it"
     )
     stages: list[str] = Field(min_length=1, description="stages in the order of the light path")
     seed: int = Field(0, ge=0, description="seed of every random draw")
@@ -98,10 +102,39 @@ def check_stages(stages: Sequence[str], errors: ValidationErrors) -> None:
             errors.add(("stages", index), problem)
 
 
+def with_samples(head: RecipeHead, errors: ValidationErrors) -> dict[str, list[str]]:
+    """Return the inputs of a recipe's `head` with samples for those not given, noting `errors`."""
+    for name in head.samples.keys() - head.inputs.keys():
+        errors.add(("samples", name), f"unknown input '{name}'{suggestion(name, head.inputs)}")
+    samples = {name: [str(shipped_folder(SAMPLES) / sample)] for name, sample in head.samples.items()}
+    return {name: paths or samples.get(name, []) for name, paths in head.inputs.items()}
+
+
 def check_inputs(
-    inputs: Mapping[str, Sequence[str]], folder: Path, errors: ValidationErrors
+    inputs: Mapping[str, Sequence[str]],
+    folder: Path,
+    errors: ValidationErrors,
+    samples: Collection[str] = (),
+    complete: bool = True,
 ) -> dict[str, tuple[Path, ...]]:
-    """Check that all `inputs` exist, noting `errors`; return absolute paths, counted from `folder`."""
+    """Check the inputs of a recipe.
+
+    Parameters
+    ----------
+    inputs : mapping of str to sequence of str
+        Paths by input name, counted from `folder`.
+    errors : ValidationErrors
+        Notes what is wrong.
+    samples : collection of str
+        Names of inputs that the package has a sample of.
+    complete : bool
+        Whether an input that is not given is wrong.
+
+    Returns
+    -------
+    dict of str to tuple of Path
+        Absolute paths.
+    """
     for name, paths in inputs.items():
         if not INPUT_NAME.fullmatch(name):
             errors.add(
@@ -109,8 +142,9 @@ def check_inputs(
                 f"input {name!r}: a name is made of letters, digits and . _ + - "
                 "and begins with a letter or digit",
             )
-        if not paths:
-            errors.add(("inputs", name), f"input '{name}' is not given; add --input {name}=PATH")
+        if not paths and complete:
+            hint = ", or --samples for the simulated sample" if name in samples else ""
+            errors.add(("inputs", name), f"input '{name}' is not given; add --input {name}=PATH{hint}")
     found = {name: tuple(absolute(path, folder) for path in paths) for name, paths in inputs.items()}
     for name, absolute_paths in found.items():
         for path in absolute_paths:

@@ -25,7 +25,7 @@ class RunData:
     ----------
     recipe : dict
         The resolved recipe; `recipe_text` is its file.
-    status, error : str
+    status, error, notice : str
         As in results.json.
     products : dict of str to Product
         By stage name, in the order of the recipe; their arrays are read when they are asked for.
@@ -37,6 +37,7 @@ class RunData:
     recipe_text: str
     status: str
     error: str
+    notice: str
     products: dict[str, Product]
     recordings: list[Overview]
 
@@ -81,6 +82,7 @@ def read_run(folder: Path) -> RunData:
         run.recipe.read_text(),
         results.status,
         results.error,
+        results.notice,
         products,
         overviews_from_product(products["ingest"]) if "ingest" in products else [],
     )

@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from conftest import invoke, products
 from filelock import FileLock
-from helpers.paths import REPOSITORY
+from helpers.paths import RECIPES, REPOSITORY
 
+from irlos_pipe.files import shipped
 from irlos_pipe.product.storage import read_product
 
 
 def test_the_help_teaches_by_examples_and_exit_codes():
     for arguments in ([], ["run"]):
         text = invoke(*arguments, "--help").stdout
-        assert "irlos run recipes/full_reduction.yaml --output demo" in text
+        assert "irlos run full_reduction --input calibration=CUBE" in text
         assert "75" in text and "in use by another run" in text
 
 
@@ -35,6 +36,36 @@ def test_the_help_does_not_wait_for_pytorch():
         "try: c.cli()\nexcept SystemExit: sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, cwd=REPOSITORY).returncode == 0
+
+
+def test_results_of_samples_say_so_on_the_terminal_and_in_the_results(bench, monkeypatch):
+    monkeypatch.setattr(shipped, "shipped_folder", lambda kind: bench.data)
+    result = bench.run()
+    notice = "simulated sample: 'cube' came with the package"
+    assert notice in result.stderr and f"NOTICE     {notice}" in result.stdout
+    results = json.loads((bench.output / "results.json").read_text())
+    assert results["samples"] == ["cube"] and results["notice"].startswith(notice)
+
+
+def test_a_forgotten_input_is_an_error_in_one_line(tmp_path):
+    result = invoke("run", "ncpa_calibration", "--output", str(tmp_path / "out"))
+    (line,) = result.stderr.splitlines()
+    assert result.exit_code == 2 and not (tmp_path / "out").exists()
+    assert "input 'calibration' is not given; add --input calibration=PATH, or --samples" in line
+
+
+def test_a_recipe_is_valid_without_its_inputs():
+    result = invoke("validate", "full_reduction")
+    assert result.exit_code == 0 and result.stdout.endswith("; to be given: calibration, ramp\n")
+
+
+def test_every_recipe_is_listed_and_can_be_copied():
+    listed = invoke("recipes").stdout
+    for name in shipped.shipped_names(shipped.RECIPES):
+        assert f"\n{name} " in listed
+        assert invoke("recipes", name).stdout == (RECIPES / f"{name}.yaml").read_text()
+    result = invoke("recipes", "benhc")
+    assert result.exit_code == 2 and "did you mean 'bench'?" in result.stderr
 
 
 def test_a_run_ends_with_a_table_and_the_path_of_the_report(bench):

@@ -20,8 +20,8 @@ def spec(tmp_path) -> str:
 
 def test_the_help_teaches_by_examples_up_to_the_score():
     text = invoke("simulate", "--help").stdout
-    assert "irlos simulate recipes/simulations/on_sky.yaml --output sim" in text
-    assert "irlos run recipes/full_reduction.yaml" in text and "irlos score sim/run --truth sim/truth" in text
+    assert "irlos simulate on_sky --output sim" in text
+    assert "irlos run full_reduction" in text and "irlos score sim/run --truth sim/truth" in text
     assert "data/<recording>/" in text and "in use by another run" in text
 
 

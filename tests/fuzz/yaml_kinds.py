@@ -41,13 +41,12 @@ def recipe(folder: Path, rng: np.random.Generator) -> Case:
     """Spoil one of the project's recipes, and check or plan it."""
     source = pick(rng, RECIPES)
     path = _copy(source, folder / "recipes")
-    for given in yaml.safe_load(source.read_text())["inputs"].values():
-        for place in given if isinstance(given, list) else [given]:
-            pristine.write("cube", folder / "recipes" / place)
+    pristine.write("cube", folder / "in")
+    names = yaml.safe_load(source.read_text())["inputs"]
+    inputs = [f"--input={name}={folder / 'in'}" for name in names]
     summary = _spoil(path, rng)
-    return Case(
-        f"{source.name}: {summary}", pick(rng, [("validate", str(path)), _run(path, folder, "--dry-run")])
-    )
+    arguments = pick(rng, [("validate", str(path)), _run(path, folder, "--dry-run")])
+    return Case(f"{source.name}: {summary}", (*arguments, *inputs))
 
 
 @kind

@@ -159,7 +159,7 @@ def test_the_stand_in_refuses_what_a_gpu_would():
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
 def test_a_device_that_is_not_there_is_an_error_of_one_line_and_of_usage(tmp_path):
-    result = invoke("run", "recipes/ncpa_calibration.yaml", "--output", tmp_path, "--device", "cuda")
+    result = invoke("run", "ncpa_calibration", "--samples", "--output", tmp_path, "--device", "cuda")
     assert result.exit_code == 2
     assert "PyTorch finds no CUDA device" in result.stderr
     assert len(result.stderr.strip().splitlines()) == 1

@@ -155,8 +155,8 @@ def test_a_seed_given_replaces_that_of_every_recipe(paper):
         (("--only", "alfa"), "irlos: error: --only alfa: no such experiment; did you mean 'alpha'?"),
         (
             ("--recipes", "nowhere"),
-            "irlos: error: --recipes nowhere: no recipes there; give the folder "
-            "recipes/paper of the source tree",
+            "irlos: error: --recipes nowhere: no recipes there; give a folder "
+            "of recipes, or leave the option out",
         ),
     ],
 )

@@ -1,6 +1,7 @@
 """Recipes are checked before anything runs, and every mistake is reported where it stands."""
 
 import sys
+from pathlib import Path
 
 import pytest
 import yaml
@@ -244,5 +245,36 @@ def test_a_recipe_of_the_project_is_named_like_its_file_and_has_a_title(path):
 
 
 @pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
-def test_a_recipe_of_the_project_is_valid_with_the_data_of_the_project(path):
-    assert load_recipe(path).name == path.stem
+def test_a_recipe_of_the_project_takes_samples_only_if_asked_to(path):
+    with pytest.raises(ConfigurationError, match=r"is not given; add --input .*, or --samples"):
+        load_recipe(path)
+    recipe = load_recipe(path.stem, samples=True)
+    assert recipe.path == path and recipe.samples == tuple(recipe.inputs)
+    assert "simulated sample" in recipe.notice
+
+
+def test_an_input_that_is_given_is_not_replaced_by_a_sample(tmp_path):
+    recipe = load_recipe("defocus_ramp", inputs=[f"ramp={tmp_path}"], samples=True)
+    assert recipe.inputs["ramp"] == (tmp_path,) and recipe.samples == ("calibration",)
+    assert load_recipe("ncpa_calibration", inputs=[f"calibration={tmp_path}"]).notice == ""
+
+
+def test_a_sample_is_known_for_one_however_it_is_given(tmp_path):
+    (tmp_path / "mine").symlink_to(paths.SAMPLES / "calibration-sky")
+    assert load_recipe("diagnose", inputs=[f"cube={tmp_path / 'mine'}"]).samples == ("cube",)
+
+
+def test_a_file_goes_before_a_name_and_an_unknown_name_is_corrected(bench, monkeypatch):
+    monkeypatch.chdir(bench.folder)
+    Path("modes").write_text(RECIPE)
+    assert load_recipe("modes").name == "test"
+    Path("diagnose").mkdir()
+    assert load_recipe("diagnose", complete=False).name == "diagnose"
+    with pytest.raises(ConfigurationError, match="did you mean 'derotator'"):
+        load_recipe("derotatr")
+
+
+def test_a_sample_of_an_input_that_the_recipe_lacks_is_an_error(bench):
+    bench.recipe.write_text(RECIPE + "samples: {cub: ramp}\n")
+    with pytest.raises(ConfigurationError, match="unknown input 'cub'"):
+        load_recipe(bench.recipe, samples=True)

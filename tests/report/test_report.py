@@ -229,6 +229,11 @@ def test_a_run_that_stopped_says_why(tmp_path):
     assert "Stopped: the disk is full" in report(tmp_path, [], status="failed", error="the disk is full").text
 
 
+def test_a_notice_stands_before_the_results(tmp_path):
+    text = report(tmp_path, [], notice="simulated sample: 'cube'").text
+    assert text.index("simulated sample: &#39;cube&#39;") < text.index("<main>")
+
+
 def test_names_from_files_cannot_change_the_page(tmp_path):
     product = made_run.ingest()
     product.results["inputs"][0]["name"] = "<script>alert(1)</script>"

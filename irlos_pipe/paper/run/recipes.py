@@ -66,7 +66,7 @@ def find_experiments(
     paths = {path.stem: path for path in sorted(folder.glob("*.yaml")) if path.name != QUICK_NAME}
     if not paths:
         raise ConfigurationError(
-            f"--recipes {folder}: no recipes there; give the folder recipes/paper of the source tree"
+            f"--recipes {folder}: no recipes there; give a folder of recipes, or leave the option out"
         )
     for name in only:
         if name not in paths:

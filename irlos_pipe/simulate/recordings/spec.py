@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import Field, ValidationError
 
 from irlos_pipe.files.overrides import absolute, parse_setting, read_overridden
+from irlos_pipe.files.shipped import SIMULATIONS, named_file
 from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument
@@ -71,6 +72,7 @@ def load_spec(path: str | Path, settings: Iterable[str] = (), seed: int | None =
     Parameters
     ----------
     path : str or Path
+        The specification: a file, or the name of one that comes with the package, such as ``on_sky``.
     settings : iterable of str
         ``key.key=VALUE``, applied in order; the value is YAML.
     seed : int, optional
@@ -81,7 +83,7 @@ def load_spec(path: str | Path, settings: Iterable[str] = (), seed: int | None =
     ConfigurationError
         With one line ``where: message`` for everything that is wrong.
     """
-    path = Path(path)
+    path = named_file(path, SIMULATIONS)
     parse = partial(parse_setting, example=SETTING_EXAMPLE)
     return _checked(path, *read_overridden(path, parse, settings, seed=seed))
 

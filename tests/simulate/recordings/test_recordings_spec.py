@@ -37,7 +37,7 @@ def refusal(tmp_path: Path, spec: dict, *settings: str) -> list[str]:
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_the_example_specs_are_valid_and_say_how_to_use_them(path):
     assert plan_recordings(load_spec(path))
-    assert f"irlos simulate recipes/simulations/{path.name} --output" in path.read_text()
+    assert f"irlos simulate {path.stem} --output" in path.read_text()
 
 
 def test_the_examples_show_every_effect_of_the_catalogue_with_values_that_load():

@@ -1,0 +1,222 @@
+"""Commands that reduce recordings: run, demo, validate."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn, TypeVar
+
+import click
+
+from irlos_pipe.commands.exits import EXIT_CODES, report_error, terminated_like_interrupted
+from irlos_pipe.commands.options import FOLDER, recipe_options, resources_of, setting_options
+
+if TYPE_CHECKING:
+    from irlos_pipe.pipeline import Outcome, Selection
+    from irlos_pipe.recipe import Recipe
+
+Command = TypeVar("Command", bound=Callable)
+FORCE = click.option("--force", is_flag=True, help="Run stages even if their products are up to date.")
+
+
+def _working_options(command: Command) -> Command:
+    """Add the options on how a `command` works to it."""
+    for decorate in (
+        click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
+        click.option(
+            "-v", "--verbose", count=True, help="Print more messages; -vv prints debugging messages as well."
+        ),
+        click.option(
+            "--device",
+            type=click.Choice(["cpu", "cuda", "auto"]),
+            default="auto",
+            show_default=True,
+            help="Processor or graphics card; auto takes the graphics card if there is one.",
+        ),
+        click.option(
+            "--jobs",
+            type=click.IntRange(min=1),
+            metavar="N",
+            help="Number of threads (default: all processors).",
+        ),
+    ):
+        command = decorate(command)
+    return command
+
+
+@click.command(epilog=EXIT_CODES)
+@recipe_options
+@click.option(
+    "--output",
+    type=FOLDER,
+    required=True,
+    metavar="DIR",
+    help="Folder for the products; it is made if it does not exist.",
+)
+@click.option(
+    "--from",
+    "first",
+    metavar="STAGE",
+    help="First stage to run; products of earlier stages are used as they are.",
+)
+@click.option("--to", "last", metavar="STAGE", help="Last stage to run; later stages are left alone.")
+@FORCE
+@click.option("--dry-run", is_flag=True, help="Print what would be done and why; change nothing.")
+@_working_options
+@click.option(
+    "--json", "as_json", is_flag=True, help="Print results.json (or the plan) instead of the table."
+)
+def run(
+    recipe: Path,
+    output: Path,
+    first: str | None,
+    last: str | None,
+    force: bool,
+    dry_run: bool,
+    jobs: int | None,
+    device: str,
+    verbose: int,
+    quiet: bool,
+    as_json: bool,
+    inputs: tuple[str, ...],
+    settings: tuple[str, ...],
+    seed: int | None,
+    samples: bool,
+) -> None:
+    """Run the stages of RECIPE and write their products to the folder DIR.
+
+    RECIPE is the path of a recipe, or the name of one that comes with the package (irlos recipes).
+    A second run into the same folder skips the products that are up to date, and states why others
+    are made again: a setting, an input file, the instrument profile or the software has changed.
+
+    \b
+    Examples:
+      irlos run full_reduction --input calibration=CUBE --input ramp=RAMP --output full
+      irlos run ncpa_calibration --input calibration=2023-07-14 --output night
+      irlos run ncpa_calibration --input calibration=2023-07-14 --output night --from correct --dry-run
+      irlos run mine/recipe.yaml --input cube=A --input cube=B --output joint
+      irlos run ncpa_calibration --samples --output try --set calibrate.method=dip_avg
+      irlos run defocus_ramp --samples --output ramp --set model=diagnosis/model.yaml
+
+    \b
+    DIR will hold:
+      NN_<stage>.h5         product of each stage (irlos show, irlos export)
+      results.json          results of all stages, for scripts
+      qc.json               quality control
+      report.html           report for people
+      run.log               messages of all runs into this folder
+      recipe.resolved.yaml  the recipe with every default; can be run again
+    """
+    from irlos_pipe.pipeline import Selection, plan_run
+    from irlos_pipe.pipeline.terminal import plan_text
+    from irlos_pipe.recipe import load_recipe
+
+    checked = load_recipe(recipe, settings, inputs, seed, samples=samples)
+    selection = Selection(first, last, force)
+    if dry_run:
+        click.echo(plan_text(plan_run(checked, output, selection)[1], as_json))
+        return
+    outcome = _outcome(checked, output, selection, device, jobs, verbose, quiet)
+    _print(outcome, as_json, quiet)
+    _finish(outcome)
+
+
+@click.command(epilog=EXIT_CODES)
+@click.option(
+    "--output",
+    type=FOLDER,
+    default=Path("demo"),
+    show_default=True,
+    metavar="DIR",
+    help="Folder for the products; it is made if it does not exist.",
+)
+@setting_options
+@FORCE
+@_working_options
+def demo(
+    output: Path,
+    settings: tuple[str, ...],
+    seed: int | None,
+    force: bool,
+    jobs: int | None,
+    device: str,
+    verbose: int,
+    quiet: bool,
+) -> None:
+    """Reduce the sample recordings of the package and compare the result with the known truth.
+
+    The recordings, a calibration cube and a focus ramp, are simulated. This is
+    irlos run full_reduction --samples, followed by irlos score.
+
+    \b
+    Example:
+      irlos demo --output demo
+    """
+    from irlos_pipe.files.shipped import SAMPLES, shipped_folder
+    from irlos_pipe.pipeline import Selection
+    from irlos_pipe.recipe import load_recipe
+    from irlos_pipe.report.score import score_run
+
+    checked = load_recipe("full_reduction", settings, seed=seed, samples=True)
+    outcome = _outcome(checked, output, Selection(force=force), device, jobs, verbose, quiet)
+    _print(outcome, False, quiet)
+    if not quiet:
+        click.echo(f"\n{score_run(output, shipped_folder(SAMPLES) / 'truth')}")
+    _finish(outcome)
+
+
+@click.command()
+@recipe_options
+def validate(
+    recipe: Path, inputs: tuple[str, ...], settings: tuple[str, ...], seed: int | None, samples: bool
+) -> None:
+    """Check RECIPE, its options and its inputs without running anything.
+
+    All errors are reported at once, each as file:line: message (or --set KEY: message). Inputs that
+    are not given are left out.
+
+    \b
+    Examples:
+      irlos validate full_reduction
+      irlos validate ncpa_calibration --input calibration=2023-07-14
+    """
+    from irlos_pipe.recipe import load_recipe
+
+    checked = load_recipe(recipe, settings, inputs, seed, samples=samples, complete=False)
+    open_inputs = [name for name, paths in checked.inputs.items() if not paths]
+    rest = f"; to be given: {', '.join(open_inputs)}" if open_inputs else ""
+    click.echo(f"{recipe}: recipe '{checked.name}' is valid: {', '.join(checked.stages)}{rest}")
+
+
+def _outcome(
+    recipe: Recipe,
+    output: Path,
+    selection: Selection,
+    device: str,
+    jobs: int | None,
+    verbose: int,
+    quiet: bool,
+) -> Outcome:
+    """Run a recipe with messages and progress bars as asked for."""
+    from irlos_pipe.pipeline import run_recipe
+    from irlos_pipe.pipeline.terminal import messages
+
+    if verbose and quiet:
+        raise click.UsageError("-v and -q exclude each other")
+    with terminated_like_interrupted(), messages(-1 if quiet else verbose):
+        return run_recipe(recipe, output, selection, resources_of(device, jobs, quiet))
+
+
+def _print(outcome: Outcome, as_json: bool, quiet: bool) -> None:
+    from irlos_pipe.pipeline.terminal import outcome_text
+
+    if as_json or not quiet:
+        click.echo(outcome_text(outcome, as_json))
+
+
+def _finish(outcome: Outcome) -> NoReturn:
+    """Exit with the code of the outcome."""
+    if outcome.report_error:
+        report_error(outcome.report_error)
+    sys.exit(outcome.exit_code)
