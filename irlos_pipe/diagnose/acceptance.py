@@ -264,8 +264,13 @@ def no_longer_needed(
 
 
 def labels_in(fitted: Fitted, accepted: Sequence[Accepted]) -> list[str]:
-    """Labels of `accepted` names in a model that has them all: the last of their kinds, in this order."""
-    names = [one.name for one in accepted]
+    """Labels of `accepted` names in a model that has them all: the last of their kinds.
+
+    Of one kind they keep their order, even if others of it have gone.
+    """
     kinds = Counter(effect.name for effect in fitted.effects)
-    kinds.subtract(names)
-    return [label_of(name, kinds[name] + n) for name, n in zip(names, occurrences(names), strict=True)]
+    kinds.subtract(one.name for one in accepted)
+    ordered = sorted(accepted, key=lambda one: (len(one.refit.label), one.refit.label))
+    places = occurrences(one.name for one in ordered)
+    found = {id(one): label_of(one.name, kinds[one.name] + n) for one, n in zip(ordered, places, strict=True)}
+    return [found[id(one)] for one in accepted]

@@ -39,22 +39,23 @@ class Refit:
         Without it.
     fitted : Fitted
         With it.
+    label : str, optional
+        Of the effect in the model; the last of its kind unless said.
     """
 
     score: Score
     origin: Optimum
     fitted: Fitted
+    label: str = ""
+
+    def __post_init__(self):
+        kinds = [effect.name for effect in self.origin.fitted.effects]
+        object.__setattr__(self, "label", self.label or label_of(self.name, kinds.count(self.name)))
 
     @property
     def name(self) -> str:
         """Name of the effect."""
         return self.score.name
-
-    @property
-    def label(self) -> str:
-        """Label of the effect in the model: the last of its kind."""
-        kinds = [effect.name for effect in self.origin.fitted.effects]
-        return label_of(self.name, kinds.count(self.name))
 
     @property
     def gain(self) -> float:

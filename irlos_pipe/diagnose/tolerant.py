@@ -11,47 +11,36 @@ are taken out, and the others are named if held-out frames want them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.units import resolution_px
 from irlos_pipe.diagnose.acceptance import PREFERRED, Accepted, Search, accepted
-from irlos_pipe.diagnose.checks.fine_structure import flat_rms
-from irlos_pipe.diagnose.checks.noise import PHOTONS
-from irlos_pipe.diagnose.cube import Errors, Stacks
+from irlos_pipe.diagnose.allowance import KNOWN, AllowingTask
 from irlos_pipe.diagnose.effect_sizes import parameter_covariance
 from irlos_pipe.diagnose.elimination import needed
 from irlos_pipe.diagnose.fitting import Fitted
-from irlos_pipe.diagnose.forward import Task
 from irlos_pipe.diagnose.grade import AT_ITS_PLACE, share_at_its_place
 from irlos_pipe.diagnose.null_model import Optimum
-from irlos_pipe.diagnose.refit import Refit, quick_refits
+from irlos_pipe.diagnose.refit import FAR, PER_PARAMETER, Refit, quick_refits
 from irlos_pipe.diagnose.search.scores import Family, Score, score_family
 from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect
-from irlos_pipe.estimate.open_fit import Opened, open_basis
-from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.optics.zernike import noll_to_nm
 
 STARTS, START_NM = 2, 60.0  # further wavefronts to begin with: RMS of the first radial order, falling
-KNOWN = 1.2  # χ²/ν up to which photons still set the errors
-PROPOSALS = 6  # fitted per name
-HARDLY_SEEN = 3.0  # significance of a score from which it is fitted
+RIVALS = 0.3  # of the fall of χ² by a name, that another must promise to be compared
+PROPOSALS = 4  # fitted per name
+OPENINGS = 3  # of the wavefront, while further names are found or χ²/ν falls
+SETTLED = 0.8  # of χ²/ν before
+MOST = 0.5  # of χ², that a name must explain which leaves much where it acts, while more is wrong
+HARDLY_SEEN = 2.0  # significance of a score from which it is fitted
 
 
-@dataclass(frozen=True)
-class TolerantTask(Task):
-    """A search with the facts of the instrument free, beside what the model has.
-
-    Attributes
-    ----------
-    kind : str
-        Of the noise.
-    """
-
-    kind: str
+class TolerantTask(AllowingTask):
+    """A search with the facts of the instrument free, beside what the model has."""
 
     def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
         """Begin again where a plain search left much: facts first, then names.
@@ -65,51 +54,71 @@ class TolerantTask(Task):
         effects : sequence of Effect
             From which it began.
         """
-        drift = search.drift
-        moving = [drift.effect()] if drift and drift.significance > self.options.sure else []
-        model = [*effects, *moving]
-        free = everyday(self.conditions, model)
-        task, current = self._with_errors(self._base([*model, *free], search))
-        task, current, names = task._named(current, [])
-        task, current = task._opened(current)
-        task, current, names = task._named(current, names)
-        task, current = task._with_errors(task._without_needless(current, [one.name for one in free]))
-        task, current, names = task._named(current, names)
-        confirmed = task._confirmed(current, [effect.name for effect in free])
+        told = [*effects, *self._moving(search)]
+        task = self.allowing(search.final.fitted)
+        task, current = task.with_errors(task._base(told, search))
+        task, current = task._named(current, MOST)
+        for number in range(OPENINGS):
+            before = task.misfit, len(current.fitted.effects)
+            task, current = task.opened(current)
+            if number == 0 and task.misfit > FAR:
+                task, current = task._started_elsewhere(current)
+            task, current = task._named(current)
+            same = len(current.fitted.effects) == before[1]
+            if task.misfit < KNOWN or (same and task.misfit > SETTLED * before[0]):
+                break
+        full = added(current.fitted, told)
+        task, current = task.with_errors(task._without_needless(current, told))
+        dropped = [name for name in full if name not in added(current.fitted, told) and name in CATALOGUE]
+        task, current, named = task._confirmed(current, told, dropped)
         finished = task.fitter.finished(current.fitted)
         if np.isfinite(finished.chi2):
             current = Optimum(task.cube.training, finished)
         found, meaningless = task._scores(current)
-        ranked = sorted([*names, *confirmed], key=lambda one: (one.ordinary, -one.refit.gain))
-        named = {one.name for one in ranked}
-        adjusted = [one.name for one in free if one.name not in named]
-        return Search(search.null, current, drift, ranked, found, meaningless, adjusted)
+        others = set(added(current.fitted, told)) - {one.refit.label for one in named}
+        return Search(search.null, current, search.drift, named, found, meaningless, sorted(others))
 
-    def _named(self, current: Optimum, names: list[Accepted]) -> tuple[TolerantTask, Optimum, list[Accepted]]:
-        """Further names beside those found, the search that allows for what they leave, and its model."""
+    def _moving(self, search: Search) -> list[Effect]:
+        """The drift, if it is significant."""
+        drift = search.drift
+        return [drift.effect()] if drift and drift.significance > self.options.sure else []
+
+    def _named(self, current: Optimum, least: float = 0.0) -> tuple[TolerantTask, Optimum]:
+        """The search and its model with further names; they are judged in the end, beside all others.
+
+        Names that leave little where they act come first; others must explain a `least` part of what is left.
+        """
         task = self
-        while len(names) < self.options.most_names:
-            found, _ = task._scores(current)
-            chosen = task._further(current, found)
+        for _ in range(self.options.most_names):
+            chosen = task._further(current, task._scores(current)[0], least)
             if chosen is None:
                 break
-            names = [*names, chosen]
-            task, current = task._with_errors(chosen.refit.fitted)
-        return task, current, names
+            task, current = task.with_errors(chosen.refit.fitted)
+        return task, current
 
     # -- steps ---------------------------------------------------------------------------------
 
-    def _base(self, effects: Sequence[Effect], search: Search) -> Fitted:
-        """The fit with all facts free, of several starts the most plausible."""
-        task = self._allowing(search.final.fitted)
+    def _base(self, told: Sequence[Effect], search: Search) -> Fitted:
+        """The fit with all facts free, and with what a plain search found if that helps."""
         near = search.final.fitted
-        found = [
-            task.fitter.explored(effects, near),
-            *(task.fitter.explored(effects, one) for one in self._starts(near)),
-        ]
-        self.report(len(found))
-        good = [one for one in found if np.isfinite(one.chi2)]
-        return task.fitter.most_plausible(good) if good else near
+        plain = near.continued()
+        sets = [told, plain] if len(plain) > len(told) else [told]
+        first = [self.fitter.explored([*some, *everyday(self.conditions, some)], near) for some in sets]
+        self.report(len(first))
+        best = min(first, key=lambda one: one.chi2 + self._price(one))
+        return best if np.isfinite(best.chi2) else near
+
+    def _started_elsewhere(self, current: Optimum) -> tuple[TolerantTask, Optimum]:
+        """The search and its model from the most plausible of several starts: this may be a false minimum."""
+        effects, starts = current.fitted.continued(), self._starts(current.fitted)
+        found = [current.fitted, *(self.fitter.explored(effects, one) for one in starts)]
+        self.report(len(starts))
+        best = self.fitter.most_plausible([one for one in found if np.isfinite(one.chi2)])
+        return (self, current) if best is current.fitted else self.opened(self.with_errors(best)[1])
+
+    def _price(self, fitted: Fitted) -> float:
+        """What the parameters of a model have to earn of χ²."""
+        return PER_PARAMETER * self.cube.training.parts[0].alike_px * fitted.problem.size
 
     def _starts(self, near: Fitted) -> list[Fitted]:
         """`near` with other wavefronts: none, and some at random, less in every radial order."""
@@ -127,56 +136,15 @@ class TolerantTask(Task):
             found.append(replace(near, solution=replace(near.solution, values=x)))
         return found
 
-    def _with_errors(self, fitted: Fitted) -> tuple[TolerantTask, Optimum]:
-        """The search that allows for what a model misses, and the model fitted again under it."""
-        task = self._allowing(fitted)
-        again = task.fitter.explored(fitted.continued(), fitted)
-        fitted = again if np.isfinite(again.chi2) else fitted
-        task = task._allowing(fitted)
-        self.report(1)
-        return task, Optimum(task.cube.training, task.fitter.at(fitted))
-
-    def _allowing(self, fitted: Fitted) -> TolerantTask:
-        """The same search beside variances that allow for what a model misses."""
-        errors = errors_of(self.cube.training, fitted, self.conditions.settings)
-        known = self.kind == PHOTONS and errors.misfit < KNOWN
-        cube = self.cube.with_errors(errors).limited_by(known)
-        return replace(self, cube=cube, fitter=self.fitter.of(cube.training))
-
-    def _opened(self, current: Optimum) -> tuple[TolerantTask, Optimum]:
-        """The search, and its model, with the wavefront beyond the fitted modes as all visible modes have it.
-
-        One fit of all modes finds it; from there on it is known, which keeps every further fit as quick as
-        before. Several recordings keep the modes that they have.
-        """
+    def _without_needless(self, current: Optimum, told: Sequence[Effect]) -> Fitted:
+        """The model without those effects, unless told, that are not significant beside the others."""
         fitted = current.fitted
-        opened = _opened_fit(fitted)
-        if opened is None:
-            return self, current
-        nolls, values, closed = (
-            opened.problem.layout.nolls,
-            opened.solution.values,
-            fitted.problem.layout.modes,
-        )
-        beyond = slice(closed.stop, len(nolls))
-        tail_nm = dict(zip(nolls[beyond], values[0, beyond].tolist(), strict=True))
-        views = [view.with_known(tail_nm) for view in self.fitter.views]
-        x = torch.cat([values[:, closed], values[:, len(nolls) :]], dim=1)
-        task = replace(self, fitter=self.fitter.of(self.cube.training, views))
-        start = replace(fitted, solution=replace(fitted.solution, values=x), views=views)
-        return task._with_errors(task.fitter.at(start))
-
-    def _without_needless(self, current: Optimum, names: Sequence[str]) -> Fitted:
-        """The model without those of its mild effects that are not significant beside the others."""
-        fitted = current.fitted
-        columns = {name: _testable_columns(fitted, name) for name in names}
+        labels = added(fitted, told)
+        columns = {label: _testable_columns(fitted, label) for label in labels}
         zero = np.zeros(fitted.problem.size)
-        for name in names:
-            own = fitted.columns_of(name)
-            zero[own] = [
-                0.0 if null is None else null for null in (p.null for p in fitted.effect(name).parameters)
-            ]
-        errors = errors_of(self.cube.training, fitted, self.conditions.settings)
+        for label in labels:
+            zero[columns[label]] = _nulls(fitted, label)
+        errors = self.errors_of(fitted)
         alone = self.cube.training.with_errors(replace(errors, alike_px=1.0))  # to keep rather than to drop
         covariance = parameter_covariance(alone, fitted)
         frames = np.inf if current.stack.photon_limited else current.stack.independent
@@ -187,10 +155,11 @@ class TolerantTask(Task):
             lambda rise, count: gaussian_sigma(max(rise, 0.0), count, frames),
             self.options.sure,
         )
-        effects = [effect for effect in fitted.continued() if effect.name in kept or effect.name not in names]
-        return self.fitter.explored(effects, fitted)
+        dropped = set(labels) - set(kept)
+        pairs = zip(fitted.problem.model.effects.labels, fitted.continued(), strict=True)
+        return self.fitter.explored([effect for label, effect in pairs if label not in dropped], fitted)
 
-    def _further(self, current: Optimum, found: list[Score]) -> Accepted | None:
+    def _further(self, current: Optimum, found: list[Score], least: float) -> Accepted | None:
         """The next name: significant, plausible, and wanted by the held-out frames."""
         places = [other for score in found if score.candidate.copies_star for other in score.elsewhere]
         seen = [one for one in (*found, *places) if one.significance > HARDLY_SEEN]
@@ -198,8 +167,9 @@ class TolerantTask(Task):
             self.fitter, current, sorted(seen, key=lambda one: -one.significance)[:PROPOSALS]
         )
         self.report(len(ranked))
-        ranked = [one for one in ranked if not one.implausible and self._explains_its_own(one)]
-        return self._wanted(ranked)
+        ranked = [one for one in ranked if not one.implausible]
+        right = self._wanted([one for one in ranked if self._explains_its_own(one)])
+        return right or self._wanted([one for one in ranked if one.gain > least * one.origin.fitted.chi2])
 
     def _wanted(self, ranked: Sequence[Refit]) -> Accepted | None:
         """The first of the ranked names if it is significant and held-out data clearly prefer it.
@@ -214,32 +184,50 @@ class TolerantTask(Task):
         """Whether a name leaves little where it acts; one that leaves much stands in for something else."""
         return share_at_its_place(refit, refit.optimum) > AT_ITS_PLACE[self.kind]
 
-    def _confirmed(self, current: Optimum, names: Sequence[str]) -> list[Accepted]:
-        """Effects without which the model fits significantly worse, also the held-out frames."""
-        found = []
-        for name in (one for one in names if one in [effect.name for effect in current.fitted.effects]):
-            kept = [effect for effect in current.fitted.continued() if effect.name != name]
-            without = self.fitter.explored(kept, current.fitted)
-            if not np.isfinite(without.chi2):
+    def _confirmed(
+        self, current: Optimum, told: Sequence[Effect], dropped: Sequence[str]
+    ) -> tuple[TolerantTask, Optimum, list[Accepted]]:
+        """Names for the effects of a model that explain their own and that it needs, also for held-out data.
+
+        One that another effect explains as well, and more plausibly, gives it its place. What is unusual
+        comes first, then what explains most. `dropped` are names that were not significant beside these.
+        """
+        task, named = self, []
+        for label in added(current.fitted, told):
+            present = task._against_without(current, label)
+            if not np.isfinite(present.origin.fitted.chi2) or not task._explains_its_own(present):
                 continue
-            origin = Optimum(self.cube.training, without)
-            family = Family(CATALOGUE[name].variants(self.conditions))
-            refit = Refit(score_family(origin, family), origin, current.fitted)
-            one = self._wanted([refit]) if self._explains_its_own(refit) else None
-            if one is not None:
-                found.append(one)
-        return found
+            rivals = [one for one in task._rivals(present, dropped) if task._explains_its_own(one)]
+            one = task._wanted(sorted([present, *rivals], key=lambda one: -one.merit))
+            if one is None:
+                continue
+            named.append(one)
+            if one.refit is not present:
+                task, current = task.with_errors(one.refit.fitted)
+        return task, current, sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
 
+    def _rivals(self, refit: Refit, dropped: Sequence[str]) -> list[Refit]:
+        """Fits of what may explain the same: of the dropped, and where it is unusual of all effects."""
+        if refit.base.ordinary(refit.values):
+            kinds = [CATALOGUE[name] for name in dropped if name != refit.name]
+            found = [score_family(refit.origin, Family(one.variants(self.conditions))) for one in kinds]
+        else:
+            found = [one for one in self._scores(refit.origin)[0] if one.name != refit.name]
+        near = [one for one in found if one.testable and one.gain > RIVALS * refit.gain]
+        return quick_refits(self.fitter, refit.origin, sorted(near, key=lambda one: -one.gain)[:PROPOSALS])
 
-def _opened_fit(fitted: Fitted) -> Opened | None:
-    """A fit of all visible modes; None of several recordings, or where it cannot be made."""
-    if len(fitted.views) > 1:
-        return None
-    try:
-        opened = open_basis(fitted.problem.parts[0], fitted.solution)
-    except (ValueError, np.linalg.LinAlgError):
-        return None
-    return opened if opened and bool(opened.solution.values.isfinite().all()) else None
+    def _against_without(self, current: Optimum, label: str) -> Refit:
+        """The model against itself without one effect."""
+        fitted = current.fitted
+        near = _without_linearly(fitted, label)
+        effects = dict(zip(fitted.problem.model.effects.labels, near.continued(), strict=True))
+        name = effects.pop(label).name
+        origin = Optimum(current.stack, self.fitter.explored(list(effects.values()), near))
+        kind = CATALOGUE[name]
+        variants = (
+            kind.variants(self.conditions) if kind.found_by == "score" else (fitted.effect(label).base,)
+        )
+        return Refit(score_family(origin, Family(variants)), origin, fitted, label)
 
 
 def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
@@ -262,26 +250,39 @@ def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
     return found
 
 
-def _testable_columns(fitted: Fitted, name: str) -> list[int]:
+def added(fitted: Fitted, told: Sequence[Effect]) -> list[str]:
+    """Labels of the effects of a model beyond those that it was told."""
+    known = {*labels_of(told)}
+    return [label for label in fitted.problem.model.effects.labels if label not in known]
+
+
+def _testable_columns(fitted: Fitted, label: str) -> list[int]:
     """Columns of those parameters of an effect that have a value without effect."""
-    pairs = zip(fitted.columns_of(name), fitted.effect(name).parameters, strict=True)
+    pairs = zip(fitted.columns_of(label), fitted.effect(label).parameters, strict=True)
     return [column for column, parameter in pairs if parameter.null is not None]
 
 
-def errors_of(stack: Stacks, fitted: Fitted, settings: PsfSettings) -> Errors:
-    """What flat and model miss, with which in the variances χ²/ν is one.
+def _nulls(fitted: Fitted, label: str) -> list[float]:
+    """Their values without effect."""
+    return [parameter.null for parameter in fitted.effect(label).parameters if parameter.null is not None]
 
-    Parameters
-    ----------
-    stack : Stacks
-    fitted : Fitted
-    settings : PsfSettings
-        Of the first recording.
-    """
-    residual_e = stack.mean_e - fitted.image_e
-    pairs = zip(stack.parts, fitted.problem.pixels, strict=True)
-    flat = max(flat_rms(part, residual_e[pixels], settings) for part, pixels in pairs)
-    across_px = resolution_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
-    errors = Errors(alike_px=max(1.0, np.pi / 4 * across_px**2), flat_rms=flat)
-    white = residual_e * stack.with_errors(errors).root
-    return replace(errors, misfit=max(1.0, float(white @ white) / fitted.problem.freedom))
+
+def _without_linearly(fitted: Fitted, label: str) -> Fitted:
+    """A model with one effect at nothing, the others at the optimum of a linear model if that is better."""
+    own, x = _testable_columns(fitted, label), fitted.x.clone()
+    covariance, moved = fitted.solution.covariance[0], x.clone()
+    excess = x[0, own] - torch.tensor(_nulls(fitted, label), dtype=x.dtype)
+    moved[0] -= covariance[:, own] @ torch.linalg.pinv(covariance[own][:, own], hermitian=True) @ excess
+    x[0, own] -= excess
+    moved = moved.clamp(fitted.problem.lower, fitted.problem.upper)
+    values = min(x, moved, key=lambda one: _chi2_at(fitted, one))
+    return replace(fitted, solution=replace(fitted.solution, values=values))
+
+
+def _chi2_at(fitted: Fitted, x: torch.Tensor) -> float:
+    """χ² there; infinite where nothing can be computed."""
+    try:
+        chi2 = float(fitted.problem.chi2(x))
+    except ValueError:
+        return float("inf")
+    return chi2 if np.isfinite(chi2) else float("inf")

@@ -118,12 +118,19 @@ def open_basis(closed: ImageFit, solution: Solution, *, max_iterations: int = 60
     rough = solve(problem, start, max_iterations=max_iterations)
     if rough.status[0] == INVALID:
         return None
-    hessian, precision = np.linalg.inv(rough.covariance[0].numpy()), problem.prior_precision[0].numpy()
-    law = fit_tail_law(law, nolls, rough.values[0].numpy(), hessian, precision)
+    law = _law_at(problem, rough, law)
     problem = problem.with_law(law).with_tolerance(SETTLED * len(nolls))
     start = problem.kept[0] if problem.kept else rough.values  # the step from there was negligible
     final = solve(problem, start, max_iterations=max_iterations)
     return None if final.status[0] == INVALID else Opened(problem, final, law)
+
+
+def _law_at(problem: OpenFit, rough: Solution, law: TailLaw) -> TailLaw:
+    """The law by evidence at a solution with another one."""
+    which = torch.zeros(1, dtype=torch.int64)
+    hessian = problem.normal_equations(rough.values, which)[2][0].numpy()
+    precision = problem.prior_precision[0].numpy()
+    return fit_tail_law(law, problem.layout.nolls, rough.values[0].numpy(), hessian, precision)
 
 
 def _wider(closed: ImageFit, model: ImageModel) -> OpenFit:

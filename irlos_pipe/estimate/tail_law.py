@@ -71,7 +71,7 @@ def fit_tail_law(
     tail = np.zeros(len(values), bool)
     tail[: len(nolls)] = np.asarray(nolls) >= law.first_noll
     modes = np.asarray(nolls)[tail[: len(nolls)]]
-    cross = np.linalg.solve(hessian[np.ix_(~tail, ~tail)], hessian[np.ix_(~tail, tail)])
+    cross = _pseudo_inverse(hessian[np.ix_(~tail, ~tail)]) @ hessian[np.ix_(~tail, tail)]
     marginal = hessian[np.ix_(tail, tail)] - hessian[np.ix_(tail, ~tail)] @ cross
     pull = marginal @ values[tail]  # b: priors pull the tail to 0, so the optimum is (S + C⁻¹)⁻¹ b
     curvature = marginal - np.diag(precision[tail])
@@ -86,3 +86,10 @@ def fit_tail_law(
     tolerances = {"xatol": 0.02, "fatol": 0.02, "initial_simplex": start + FIRST_SIMPLEX}
     found = minimize(deviance, start, method="Nelder-Mead", options=tolerances).x
     return TailLaw(law.first_noll, float(np.exp(found[0])), float(found[1]))
+
+
+def _pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of normal equations of parameters in different units, of which some may not be determined."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    per = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 0)
+    return np.linalg.pinv(matrix * np.outer(per, per), rcond=1e-12, hermitian=True) * np.outer(per, per)
