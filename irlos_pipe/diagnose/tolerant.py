@@ -36,7 +36,7 @@ PROPOSALS = 4  # fitted per name
 OPENINGS = 3  # of the wavefront, while further names are found or χ²/ν falls
 SETTLED = 0.8  # of χ²/ν before
 MOST = 0.5  # of χ², that a name must explain which leaves much where it acts, while more is wrong
-HARDLY_SEEN = 2.0  # significance of a score from which it is fitted
+HARDLY_SEEN = 2.0  # significance of a score from which it is fitted where the model misfits
 
 
 class TolerantTask(AllowingTask):
@@ -162,7 +162,8 @@ class TolerantTask(AllowingTask):
     def _further(self, current: Optimum, found: list[Score], least: float) -> Accepted | None:
         """The next name: significant, plausible, and wanted by the held-out frames."""
         places = [other for score in found if score.candidate.copies_star for other in score.elsewhere]
-        seen = [one for one in (*found, *places) if one.significance > HARDLY_SEEN]
+        least_seen = HARDLY_SEEN if self.misfit > KNOWN else self.options.sure
+        seen = [one for one in (*found, *places) if one.significance > least_seen]
         ranked = quick_refits(
             self.fitter, current, sorted(seen, key=lambda one: -one.significance)[:PROPOSALS]
         )
