@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
-from fuzz import fits_kinds, judge, name_kinds, pristine, product_kinds, yaml_kinds  # noqa: F401
+from fuzz import fits_kinds, judge, name_kinds, pristine, product_kinds, tree_kinds, yaml_kinds  # noqa: F401
 from fuzz.case import KINDS, Case
 
 SEEDS = range(5)

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import errno
+import io
+import os
 import signal
+import sys
 import tempfile
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from contextlib import contextmanager, suppress
+from typing import Any
 
 import click
 
 from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, IrlosError
+from irlos_pipe.conventions.text import printable
+
+NO_OUTPUT = {errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG}
 
 EXIT_CODES = """\b
 Exit codes:
@@ -34,6 +41,11 @@ class IrlosGroup(click.Group):
         """See `click.Group.list_commands`; here in the order in which they are used."""
         return list(self.commands)
 
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """See `click.Group.main`."""
+        mend_streams()
+        return super().main(*args, **kwargs)
+
     def invoke(self, ctx: click.Context) -> object:
         """See `click.Group.invoke`."""
         try:
@@ -50,6 +62,10 @@ class IrlosGroup(click.Group):
             if isinstance(error, OSError) and error.filename:  # a path that was given
                 report_error(f"{error.filename}: {error.strerror}")
                 ctx.exit(ExitCode.BAD_DATA)
+            if isinstance(error, OSError) and error.errno in NO_OUTPUT:
+                report_error(f"the output cannot be written: {error.strerror}")
+                silence(1)
+                ctx.exit(ExitCode.UNEXPECTED)
             report_error(
                 f"unexpected {type(error).__name__}: {error}; the traceback is in {_saved_traceback()}"
             )
@@ -64,21 +80,48 @@ def _lines(error: IrlosError) -> str:
 
 def report_error(message: str) -> None:
     """Write the lines of an error `message` to stderr."""
-    for line in message.splitlines():
-        click.echo(f"irlos: error: {line}", err=True)
+    with suppress(OSError, ValueError):  # there is nobody left to tell
+        for line in message.split("\n"):
+            click.echo(f"irlos: error: {printable(line)}", err=True)
 
 
 @contextmanager
 def terminated_like_interrupted() -> Iterator[None]:
-    """End the block on SIGTERM as on Ctrl-C, so that no unfinished files are left."""
-    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    """End the block on SIGTERM or SIGHUP as on Ctrl-C, so that no unfinished files are left."""
+    previous = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    for number, handler in previous.items():
+        if handler != signal.SIG_IGN:  # as under nohup
+            signal.signal(number, signal.default_int_handler)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, previous)
+        for number, handler in previous.items():
+            signal.signal(number, handler)
 
 
-def _saved_traceback() -> Path:
-    with tempfile.NamedTemporaryFile("w", prefix="irlos-", suffix=".log", delete=False) as file:
-        traceback.print_exc(file=file)
-    return Path(file.name)
+def mend_streams() -> None:
+    """Open the streams that the caller closed, and print what the terminal's letters lack as escapes."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            silence(number)
+            setattr(sys, name, open(number, "r" if number == 0 else "w", closefd=False))  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def silence(number: int) -> None:
+    """Let the stream with this `number` lead to nowhere."""
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    if nowhere != number:
+        os.dup2(nowhere, number)
+        os.close(nowhere)
+
+
+def _saved_traceback() -> str:
+    try:
+        with tempfile.NamedTemporaryFile("w", prefix="irlos-", suffix=".log", delete=False) as file:
+            traceback.print_exc(file=file)
+    except OSError as error:
+        return f"no file ({error.strerror})"
+    return file.name

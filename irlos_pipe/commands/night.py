@@ -62,7 +62,7 @@ CONFIG = click.option(
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
-    help="Address of the scheduler of the cluster, for example tcp://10.0.0.1:8786.",
+    help="Address of the scheduler of the cluster, for example tls://10.0.0.1:8786.",
 )
 @click.option("-v", "--verbose", count=True, help="Print what is done; -vv prints all messages.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done (or the plan) as JSON.")
@@ -95,7 +95,7 @@ def night(
       irlos night /data/irlos/2024-02-10 --output /data/reduced
       irlos night /data/irlos --output /data/reduced --since 2024-01-01 --dry-run
       irlos night 2024-02-10 --output reduced --recipe ramp=full_reduction -v
-      irlos night /data/irlos --output /data/reduced --engine dask --scheduler tcp://10.0.0.1:8786
+      irlos night /data/irlos --output /data/reduced --engine dask --scheduler tls://10.0.0.1:8786
 
     \b
     TREE will hold:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,20 @@ if TYPE_CHECKING:
 
 # Whether a path can be read is reported, in one line, by the code that reads it.
 Command = TypeVar("Command", bound=Callable[..., Any])
-FOLDER = click.Path(path_type=Path, readable=False)
+
+
+class _NamedPath(click.Path):
+    """A path that is given and can be shown: that of an unset variable would be the current folder."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not os.fspath(value):
+            self.fail("an empty name; give a path", param, ctx)
+        if not os.fsdecode(value).isprintable():
+            self.fail(f"{os.fsdecode(value)!r} holds characters that cannot be shown; rename it", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+FOLDER = _NamedPath(path_type=Path, readable=False)
 
 
 def setting_options(command: Command) -> Command:

@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
 
 from irlos_pipe.commands.options import FOLDER
+from irlos_pipe.conventions.errors import InputDataError
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Name the product or folder `path` whose content is whole and makes no sense: others wrote it."""
+    try:
+        yield
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        problem = next(iter(str(error).splitlines()), "")
+        raise InputDataError(
+            f"{path}: its content makes no sense ({type(error).__name__}: {problem}); run the recipe again"
+        ) from error
 
 
 @click.command()
@@ -20,7 +35,8 @@ def status(folder: Path) -> None:
     """
     from irlos_pipe.commands.text import status_text
 
-    click.echo(status_text(folder))
+    with readable(folder):
+        click.echo(status_text(folder))
 
 
 @click.command()
@@ -34,7 +50,8 @@ def show(product: Path) -> None:
     """
     from irlos_pipe.commands.text import product_text
 
-    click.echo(product_text(product))
+    with readable(product):
+        click.echo(product_text(product))
 
 
 @click.command()
@@ -51,7 +68,8 @@ def report(folder: Path) -> None:
     with owned_folder(existing_run(folder).path) as run_folder:
         from irlos_pipe.report.build import write_report
 
-        click.echo(write_report(run_folder.path))
+        with readable(folder):
+            click.echo(write_report(run_folder.path))
 
 
 @click.command()

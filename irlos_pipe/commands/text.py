@@ -7,7 +7,7 @@ from pathlib import Path
 import yaml
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
-from irlos_pipe.conventions.text import aligned
+from irlos_pipe.conventions.text import aligned, printable
 from irlos_pipe.pipeline.plan import Selection
 from irlos_pipe.pipeline.run import plan_run
 from irlos_pipe.product.product import Check, Product, Quantity
@@ -29,7 +29,8 @@ def product_text(path: Path) -> str:
         "checks": "\n".join(map(_check_line, product.checks)) or "none",
         "log": "\n".join(product.log) or "empty",
     }
-    return "\n\n".join(_titled(title, text) for title, text in parts.items())
+    text = "\n\n".join(_titled(title, text) for title, text in parts.items())
+    return "\n".join(map(printable, text.split("\n")))
 
 
 def status_text(folder: Path) -> str:

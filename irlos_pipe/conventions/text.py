@@ -25,6 +25,18 @@ def and_more(items: Sequence[object]) -> str:
     return f" (and {len(items) - 1} more)" if len(items) > 1 else ""
 
 
+def printable(text: str) -> str:
+    """Return one line of `text` with an escape for whatever would not show, or would steer a terminal.
+
+    Control characters, line ends and bytes of names that are no UTF-8 are among these.
+    """
+    return "".join(letter if letter.isprintable() else _escape(letter) for letter in text)
+
+
+def _escape(letter: str) -> str:
+    return letter.encode("unicode_escape", "backslashreplace").decode("ascii")
+
+
 def aligned(rows: Sequence[Sequence[str]], *, numbers: bool = False) -> str:
     """Return rows of text as a table with columns of equal width.
 

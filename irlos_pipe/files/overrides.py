@@ -141,7 +141,7 @@ def input_overrides(pairs: Iterable[tuple[str, Path]]) -> list[Override]:
 
 def absolute(path: str | Path, folder: Path | None = None) -> Path:
     """Return an absolute `path`, counted from `folder`; links are kept, as their names carry meaning."""
-    expanded = Path(path).expanduser()
+    expanded = Path(os.path.expanduser(path))  # which leaves ~ where there is no home
     return Path(os.path.abspath(expanded if folder is None else folder / expanded))
 
 

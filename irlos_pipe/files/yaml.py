@@ -1,7 +1,8 @@
 """Read a YAML file strictly, remembering on which line every value stands.
 
-Recipes, side-cars and instrument profiles are written by hand; what YAML forgives
-(a key given twice, ``1e-3`` read as text) is where mistakes hide, so it is not forgiven here.
+Recipes, side-cars and instrument profiles are written by hand; what YAML forgives (a key given twice) is
+where mistakes hide, so it is not forgiven here. Booleans and numbers are those of YAML 1.2: ``off`` is a
+word, ``010`` ten, ``1:30`` text and ``1e-3`` a number, where PyYAML follows version 1.1.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
+from irlos_pipe.files.regular import open_regular
 
 MAX_BYTES = 1_000_000  # some seconds of parsing; one defocus per frame of 100 000 frames
 MAX_DEPTH = 30
@@ -24,19 +26,48 @@ else:
     FastestLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's parser, seven times as fast
 
 
+BOOL, INT, FLOAT = (f"tag:yaml.org,2002:{kind}" for kind in ("bool", "int", "float"))
+# The core schema of YAML 1.2, section 10.3.2: https://yaml.org/spec/1.2.2/#103-core-schema
+SCALARS = {
+    BOOL: (r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    INT: (r"[-+]?[0-9]+|0x[0-9a-fA-F]+", "-+0123456789"),
+    FLOAT: (
+        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        "-+.0123456789",
+    ),
+}
+
+
+def _resolvers() -> dict:
+    """Those of PyYAML, but of booleans and numbers those of YAML 1.2."""
+    kept = {
+        first: [entry for entry in entries if entry[0] not in SCALARS]
+        for first, entries in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+    for tag, (pattern, firsts) in SCALARS.items():  # the integer before the float, which fits it as well
+        for first in firsts:
+            kept.setdefault(first, []).append((tag, re.compile(f"^(?:{pattern})$")))
+    return kept
+
+
+def _integer(loader: Any, node: yaml.ScalarNode) -> int:
+    text = node.value.lower()
+    return int(text, 16) if text.startswith("0x") else int(text)
+
+
 class _Loader(FastestLoader):
-    """Safe loader that also reads ``1e-3`` as a number (YAML 1.2), which PyYAML takes for text."""
+    """Safe loader with the booleans and numbers of YAML 1.2."""
 
-    yaml_implicit_resolvers = {k: list(v) for k, v in yaml.SafeLoader.yaml_implicit_resolvers.items()}
+    yaml_implicit_resolvers = _resolvers()
 
 
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
-)
+_Loader.add_constructor(INT, _integer)
 
 
 class _Dumper(yaml.SafeDumper):
     """Safe dumper that writes out what occurs twice, as `load_yaml` refuses aliases."""
+
+    yaml_implicit_resolvers = _resolvers()
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -112,7 +143,7 @@ def line_of(lines: dict[tuple, int], key_path: tuple) -> int:
 
 def _read_text(path: Path, error: type[IrlosError]) -> str:
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             content = stream.read(MAX_BYTES + 1)
         if len(content) > MAX_BYTES:
             raise error(f"{path}: larger than {MAX_BYTES // 1_000_000} MB; this is not a settings file")

@@ -10,9 +10,13 @@ import sqlite3
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from datetime import date
 from pathlib import Path
+from typing import Any
 
-from irlos_pipe.conventions.errors import InputDataError, IrlosError
+from pydantic import TypeAdapter
+
+from irlos_pipe.conventions.errors import InputDataError, IrlosError, Locked
 from irlos_pipe.files.json import json_text
 from irlos_pipe.night.description import Description
 from irlos_pipe.night.grouping import Group
@@ -50,6 +54,8 @@ CREATE TABLE IF NOT EXISTS numbers (
 );
 CREATE INDEX IF NOT EXISTS numbers_by_name ON numbers (name);
 """
+DESCRIPTION = TypeAdapter(Description)
+LOCKED_S = 30.0  # how long another program may hold the file
 # For a night without times: local midnight of Paranal, which comes after that of its date.
 MIDNIGHT = "CAST(strftime('%s', night, '+1 day', '+282 minutes') AS REAL)"
 
@@ -102,12 +108,12 @@ class Database:
         """Return the description of a `file`; None when the file is new or has another `stamp`."""
         query = "SELECT description FROM recordings WHERE file = ? AND stamp = ?"
         row = self._connection.execute(query, (str(file), stamp)).fetchone()
-        return None if row is None else _description(row[0])
+        return None if row is None else _description(row[0])  # None as well if it was damaged: read anew
 
     def descriptions(self) -> list[Description]:
         """Return the descriptions of all nights whose files still exist."""
         rows = self._connection.execute("SELECT file, description FROM recordings ORDER BY file")
-        return [_description(content) for file, content in rows if Path(file).is_file()]
+        return list(filter(None, (_description(content) for file, content in rows if Path(file).is_file())))
 
     def add_description(self, file: Path, stamp: str, description: Description) -> None:
         """Store the `description` of a `file` under its `stamp`.
@@ -188,7 +194,8 @@ class Database:
         rows = self._connection.execute(
             f"SELECT run, night, coalesce(start_unix_s, {MIDNIGHT}), name, recipe,"
             " configuration, value, sigma FROM numbers JOIN runs USING (run)"
-            " WHERE status != 'qc_failed' ORDER BY 3, run, name"
+            " WHERE status != 'qc_failed' AND typeof(value) = 'real' AND typeof(sigma) IN ('real', 'null')"
+            " ORDER BY 3, run, name"
         )
         return [one for one in (Point(*row) for row in rows) if not until or one.night <= until]
 
@@ -253,8 +260,12 @@ def existing(tree: Path) -> Iterator[Database]:
 @contextmanager
 def _connected(tree: Path) -> Iterator[sqlite3.Connection]:
     path = tree / NAME
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        raise IrlosError(
+            f"{path}: no file of our own; move it away, and the next irlos night makes a new one"
+        )
     try:
-        connection = sqlite3.connect(path, timeout=30)
+        connection = sqlite3.connect(path, timeout=LOCKED_S)
         try:
             _require_schema(connection, path)
             connection.execute("PRAGMA foreign_keys = ON")
@@ -263,6 +274,8 @@ def _connected(tree: Path) -> Iterator[sqlite3.Connection]:
         finally:
             connection.close()
     except sqlite3.Error as error:
+        if getattr(error, "sqlite_errorcode", None) in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+            raise Locked(f"{path}: in use by another program; close it and run again") from error
         raise IrlosError(
             f"{path}: {error}; the products hold everything in it: move the file away, and the next "
             "irlos night makes it again"
@@ -279,6 +292,11 @@ def _require_schema(connection: sqlite3.Connection, path: Path) -> None:
         connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
 
-def _description(content: str) -> Description:
-    values = json.loads(content)
-    return Description(**values | {"path": Path(values["path"]), "window": tuple(values["window"])})
+def _description(content: Any) -> Description | None:
+    """The description of a recording; None if it is damaged."""
+    try:
+        found = DESCRIPTION.validate_json(content)
+        date.fromisoformat(found.night)  # the name of a folder is made of it
+    except ValueError:
+        return None
+    return found

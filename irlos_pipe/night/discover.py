@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
+from irlos_pipe.conventions.text import printable
 from irlos_pipe.files.json import canonical_json
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.night.database import Database
@@ -24,6 +25,7 @@ from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.stages.ingest.sources import Source, read_sources
 
 DATED = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?!\d)")
+UNPRINTABLE = "{!r}: the name holds characters that cannot be shown; rename it"
 # Warnings of the readers are reported when the recording is reduced.
 SILENT = logging.Logger("describe", logging.CRITICAL + 1)
 
@@ -71,6 +73,9 @@ def discover(
     files = _files(folders, problems)
     single = _single_recording_folders(files)
     for file in files:
+        if not str(file).isprintable():  # nor is it opened: messages would hold the name
+            problems.append((file, UNPRINTABLE.format(str(file))))
+            continue
         try:
             recordings.append(_describe(file, file.parent in single, keys, instrument, database))
         except InputDataError as error:
@@ -94,7 +99,7 @@ def date_in_path(path: Path) -> str:
 
 def _files(folders: Sequence[Path], problems: list[tuple[Path, str]]) -> list[Path]:
     def refused(folder: Path, error: InputDataError) -> None:
-        problems.append((folder, str(error)))
+        problems.append((folder, printable(str(error))))
 
     try:
         return list(dict.fromkeys(recording_files([folder.absolute() for folder in folders], refused)))
@@ -164,5 +169,5 @@ def _stamp(file: Path, keys: AcquisitionKeys, single: bool) -> str:
     parts: list[Any] = [single, keys]
     for path in files_of(file):
         status = path.stat()
-        parts += [path, status.st_size, status.st_mtime_ns]
+        parts += [path, status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
     return canonical_json(parts)

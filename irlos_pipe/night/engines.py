@@ -64,7 +64,7 @@ def dask_runner(scheduler: str) -> Runner:
     Parameters
     ----------
     scheduler : str
-        Address such as ``tcp://10.0.0.1:8786``.
+        Address such as ``tls://10.0.0.1:8786``; certificates stand in Dask's own configuration.
 
     Raises
     ------
@@ -76,11 +76,24 @@ def dask_runner(scheduler: str) -> Runner:
     """
     _distributed()
 
+    if not _is_private(scheduler):
+        RUN.warning(
+            "--scheduler %s: whoever reaches it can run programs as its user; use tls:// (docs/scale_out.md)",
+            scheduler,
+        )
+
     def run(work: Work, tasks: Sequence[Task]) -> Iterator[Reduced]:
         with _connected(scheduler) as client:
             yield from _on_cluster(client, work, tasks)
 
     return run
+
+
+def _is_private(scheduler: str) -> bool:
+    """Whether nobody else can reach a scheduler: within this process, this machine, or with certificates."""
+    scheme, _, location = scheduler.rpartition("://")
+    host = location.rpartition(":")[0].strip("[]")
+    return scheme in ("tls", "inproc") or host in ("localhost", "::1") or host.startswith("127.")
 
 
 def _on_cluster(client: Client, work: Work, tasks: Sequence[Task]) -> Iterator[Reduced]:

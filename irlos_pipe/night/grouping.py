@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
@@ -17,6 +18,7 @@ NO_CALIBRATION = "no calibration cube of its configuration within {0} nights ({1
 NONE_PASSED = (
     "no calibration cube of its configuration within {0} nights passed its quality check; nearest: {1}"
 )
+MAX_NAME_BYTES = 100
 ONE_LENSLET = "images of a 2x2 mode; the model is that of the full pupil"
 Inputs = Mapping[str, tuple[Description, ...]]
 Key = TypeVar("Key", bound=Hashable)
@@ -228,7 +230,15 @@ def _name(members: Sequence[Description]) -> str:
     """Time and name of the first; of a series in a folder of its own, the name of that folder."""
     first = members[0]
     plain = re.sub(r"[^\w.+-]+", "_", first.path.parent.name if len(members) > 1 else first.name).strip("._")
-    return "_".join(filter(None, [utc_time(first.start_unix_s, "%H%M%S"), plain])) or "recording"
+    return "_".join(filter(None, [utc_time(first.start_unix_s, "%H%M%S"), _short(plain)])) or "recording"
+
+
+def _short(name: str) -> str:
+    """The name, or its beginning and a checksum: file systems take 255 bytes, with what is added to it."""
+    content = name.encode()
+    if len(content) <= MAX_NAME_BYTES:
+        return name
+    return f"{content[:MAX_NAME_BYTES].decode(errors='ignore')}-{hashlib.sha256(content).hexdigest()[:8]}"
 
 
 def _with_unique_names(groups: Iterable[Group]) -> Iterator[Group]:

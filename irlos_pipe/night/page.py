@@ -64,7 +64,7 @@ def write_page(tree: Path, night: Night, trend: Trend | None) -> None:
 def is_finished(tree: Path, date: str) -> bool:
     """Whether the page in `tree` of a `date` exists and is not that of a run that was killed or stopped."""
     path = page_path(tree, date)
-    return path.is_file() and FINISHED in path.read_text(encoding="utf-8")
+    return path.is_file() and FINISHED.encode() in path.read_bytes()
 
 
 def _status(night: Night) -> str:
@@ -96,7 +96,7 @@ def _write(tree: Path, night: Night, trend: Trend | None, status: str) -> None:
         key_numbers=numbers_of_night(night, shown),
         sections=list(filter(None, sections)),
     )
-    write_bytes(page_path(tree, night.date), page.encode())
+    write_bytes(page_path(tree, night.date), page.encode("utf-8", "backslashreplace"))
 
 
 def _summary(night: Night) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import IrlosError
-from irlos_pipe.product.runfolder import LOCK_NAME, RunFolder
+from irlos_pipe.product.runfolder import EARLIER, LOCK_NAME, RunFolder
 
 SLOTS = ("a", "b")
 
@@ -46,8 +46,11 @@ class PublishedRun:
         Raises
         ------
         IrlosError
-            When something else has this name, or the folder cannot be written.
+            When something else has this name, a folder above it is a link, or the folder cannot be written.
         """
+        for folder in (self.path.parent.parent, self.path.parent):
+            if folder.is_symlink():
+                raise IrlosError(f"{folder}: is a link, through which nothing is written; put a folder there")
         if self.path.exists() and not self.path.is_symlink():
             raise IrlosError(f"{self.path}: is in the way; it was not made by irlos night, move it elsewhere")
         try:
@@ -58,7 +61,7 @@ class PublishedRun:
 
     def publish(self) -> None:
         """Replace the published products by those of the work folder, and remove the old ones."""
-        new, old = self.work_folder, self.path.resolve() if self.published else None
+        new, old = self.work_folder, self._published_slot()
         link = self._hidden("link")
         link.unlink(missing_ok=True)
         link.symlink_to(new.name)
@@ -70,6 +73,11 @@ class PublishedRun:
         """Remove the work folder."""
         self._remove(self.work_folder)
 
+    def _published_slot(self) -> Path | None:
+        """The folder that the link leads to, if it is one of ours: another one is somebody else's."""
+        target = os.readlink(self.path) if self.path.is_symlink() else ""
+        return next((slot for slot in map(self._hidden, SLOTS) if slot.name == target), None)
+
     def _fill_work_folder(self) -> None:
         """Fill an absent work folder in one step, so that a half filled one is never continued."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -77,7 +85,7 @@ class PublishedRun:
             return
         copy = self._hidden("copy")
         self._remove(copy)
-        others = shutil.ignore_patterns(LOCK_NAME)
+        others = shutil.ignore_patterns(LOCK_NAME, EARLIER)
         shutil.copytree(self.path.resolve(), copy, ignore=others, copy_function=_link_or_copy)
         os.rename(copy, self.work_folder)
 

@@ -107,7 +107,10 @@ def reduce_group(task: Task, last: str | None = None, before: Reduced | None = N
 
 def failure(task: Task, problem: str) -> Reduced:
     """Return the outcome of a `task` that was stopped by a `problem`."""
-    log = RunFolder(PublishedRun(task.folder).work_folder).log
+    try:
+        log = RunFolder(PublishedRun(task.folder).work_folder).log
+    except OSError:  # a folder of that name cannot be: that may be the problem
+        log = Path()
     return Reduced(task.name, task.folder, FAILED, "failed", problem=problem, log=log)
 
 

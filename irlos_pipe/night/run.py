@@ -11,7 +11,7 @@ from pathlib import Path
 from irlos_pipe.conventions.errors import InputDataError, IrlosError, NothingToDo
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.instrument.instrument import load_instrument
-from irlos_pipe.night.database import Database, copied, opened
+from irlos_pipe.night.database import NAME, Database, copied, opened
 from irlos_pipe.night.description import Description, night_of
 from irlos_pipe.night.discover import date_in_path, discover
 from irlos_pipe.night.grouping import Grouping, LeftOut, group_recordings
@@ -24,10 +24,11 @@ from irlos_pipe.night.tasks import Job, Task, calibrates, jobs_of
 from irlos_pipe.night.trend import alarm_text, make_trend
 from irlos_pipe.pipeline import Step
 from irlos_pipe.pipeline.runlog import RUN, TRACE, written_to
-from irlos_pipe.product.runfolder import owned_folder, require_outside_inputs
+from irlos_pipe.product.runfolder import owned_folder, require_free, require_outside_inputs
 
 LOG_NAME = "night.log"
 RAMP = "defocus_ramp"
+OF_A_TREE = (LOG_NAME, NAME, "night_*.html")
 NO_RECIPE = "no recipe for groups of kind {0}; give one with --recipe {0}=PATH"
 
 
@@ -71,7 +72,7 @@ def run_night(request: Request, runner: Runner) -> RunState:
     IrlosError
         When the whole run cannot go on; the pages say what stopped it, finished products stay.
     """
-    require_outside_inputs(request.tree, {"NIGHT_DIR": request.folders})
+    _require_usable(request)
     with owned_folder(request.tree), written_to(request.tree / LOG_NAME):
         state = RunState()
         with _errors_on_pages(request, state):
@@ -97,13 +98,18 @@ def plan_night(request: Request) -> tuple[list[tuple[Job, list[Step] | None]], l
     NothingToDo, IrlosError
         As in `run_night`.
     """
-    require_outside_inputs(request.tree, {"NIGHT_DIR": request.folders})
+    _require_usable(request)
     state = RunState()
     with copied(request.tree) as database:
         _find(request, state, database)
     jobs = [job for night in state.nights.values() for job in night.jobs]
     plan = [(job, planned(job.task, job.task.load())) for job in jobs]
     return plan, [line for night in state.nights.values() for line in night.failures]
+
+
+def _require_usable(request: Request) -> None:
+    require_free(request.tree, OF_A_TREE)
+    require_outside_inputs(request.tree, {"NIGHT_DIR": request.folders})
 
 
 def _find(request: Request, state: RunState, database: Database) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -86,6 +86,7 @@ def load_settings(path: Path | None = None, recipes: Iterable[str] = ()) -> Nigh
     for name in settings.settings:
         if name not in known:
             raise ConfigurationError(f"{path}: settings.{name}: no such recipe{suggestion(name, known)}")
+    _require_different_names(chosen)
     absolute_recipes = {kind: list(map(str, paths)) for kind, paths in chosen.items()}
     return settings.model_copy(update={"recipes": absolute_recipes})
 
@@ -94,6 +95,19 @@ def _recipe(given: str, folder: Path | None = None) -> Path:
     """A recipe by its path, counted from `folder`, or by the name of one that comes with the package."""
     path = absolute(given, folder)
     return path if path.is_file() else absolute(named_file(given, shipped.RECIPES), folder)
+
+
+def _require_different_names(chosen: Mapping[Kind, Iterable[Path]]) -> None:
+    """Refuse recipes of one name for one kind: their results would go to one folder."""
+    for kind, paths in chosen.items():
+        by_name: dict[str, Path] = {}
+        for path in paths:
+            if path.stem in by_name:
+                raise ConfigurationError(
+                    f"recipes for groups of kind {kind}: {by_name[path.stem]} and {path} have the same name, "
+                    "and so would their folders of results; rename one, or give it once"
+                )
+            by_name[path.stem] = path
 
 
 def _by_kind(recipes: Iterable[str]) -> dict[Kind, list[Path]]:

@@ -70,6 +70,7 @@ def draw_series(figure: Figure | SubFigure, shown: Sequence[Series]) -> None:
     for axes, series in zip(stack, shown, strict=True):
         _panel(axes, series)
         owner = f"  ({series.recipe}, {series.configuration})" if names.count(series.name) > 1 else ""
+        owner = owner.replace("$", r"\$")  # no formula
         axes.set_title(label(series.name) + owner, loc="left", pad=2)
     locator = AutoDateLocator(minticks=3, maxticks=8)
     stack[-1].xaxis.set_major_locator(locator)
@@ -117,8 +118,8 @@ def draw_structures(figure: Figure | SubFigure, trend: Trend) -> None:
 
 
 def _structure(axes: Axes, recipe: str, structure: Structure, colour: str) -> None:
-    days = np.maximum(structure.lag_s / DAY_S, 1e-4)
-    axes.plot(days, structure.change_nm, "o-", color=colour, label=f"{recipe}: NCPAs, noise subtracted")
+    days, plain = np.maximum(structure.lag_s / DAY_S, 1e-4), recipe.replace("$", r"\$")
+    axes.plot(days, structure.change_nm, "o-", color=colour, label=f"{plain}: NCPAs, noise subtracted")
     axes.plot(days, np.sqrt(structure.noise_nm2), "--", color=colour, label="noise alone")
 
 

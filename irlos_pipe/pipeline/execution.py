@@ -10,8 +10,8 @@ from typing import Any
 
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import jsonable
-from irlos_pipe.pipeline.inputs import InputFile
-from irlos_pipe.pipeline.plan import Action, Step
+from irlos_pipe.pipeline.inputs import InputFile, require_unchanged
+from irlos_pipe.pipeline.plan import Action, Step, checksum
 from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
 from irlos_pipe.pipeline.resources import Resources, limited_threads
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
@@ -20,7 +20,7 @@ from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.product.storage import open_product, read_product, write_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
-from irlos_pipe.stages.base import StageContext, StageOutput, reads
+from irlos_pipe.stages.base import StageContext, StageOutput, depends_on, reads
 
 
 @dataclass
@@ -66,6 +66,8 @@ class Job:
         context = self._context(step, log)
         with collected(log) as lines, limited_threads(self.resources.jobs):
             output = STAGES[step.name].run(context)
+        if "inputs" in depends_on(STAGES[step.name]):
+            require_unchanged(self.files)
         times = {
             "started": started,
             "finished": now(),
@@ -122,6 +124,7 @@ class Job:
             "summary": list(output.summary),
             "failures": list(output.failures),
             "files": sorted(PurePath(name).name for name in output.files),
+            "file_sha256": {PurePath(name).name: checksum(content) for name, content in output.files.items()},
             "inputs": self.files,
             "seed": self.recipe.seed,
             "device": self.resources.device,

@@ -5,14 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.files.atomic import write_if_changed
 from irlos_pipe.files.json import json_text
+from irlos_pipe.files.regular import open_regular, read_regular
 
 CACHE_NAME = ".input_checksums.json"
 
@@ -26,11 +27,14 @@ class InputFile:
     label : str
         ``<input>/<folder or file given>/<path below it>``: the same wherever the data lie. Files beside
         what was given, such as a side-car, count from its parent folder.
+    stamp : tuple of int
+        Size, times and place on the disk when the checksum was taken.
     """
 
     label: str
     path: Path
     sha256: str
+    stamp: tuple[int, ...] = field(default=(), compare=False)
 
 
 def input_files(
@@ -40,7 +44,7 @@ def input_files(
 ) -> list[InputFile]:
     """List the files of all inputs with their checksums, ordered by label.
 
-    Checksums of files whose size and time of modification did not change come from the cache
+    Checksums of files whose size, times and place did not change come from the cache
     in `cache_folder`, which is not written here (see `remember`).
 
     Parameters
@@ -71,13 +75,20 @@ def input_files(
                 f"input '{name}': no recordings under {', '.join(map(str, roots))}; nothing to process"
             )
         found |= own
-    return [InputFile(label, path, _checksum(path, cache)) for label, path in sorted(found.items())]
+    return [_input_file(label, path, cache) for label, path in sorted(found.items())]
 
 
 def remember(files: list[InputFile], cache_folder: Path) -> None:
     """Write the checksums of `files` to the cache in `cache_folder`."""
-    entries = {str(file.path): [*_stamp(file.path), file.sha256] for file in files}
+    entries = {str(file.path): [*file.stamp, file.sha256] for file in files}
     write_if_changed(cache_folder / CACHE_NAME, json_text(entries).encode())
+
+
+def require_unchanged(files: Iterable[InputFile]) -> None:
+    """Raise InputDataError if one of the `files` is no longer the one whose checksum was taken."""
+    for file in files:
+        if not file.path.is_file() or _stamp(file.path) != file.stamp:
+            raise InputDataError(f"{file.path}: changed during the run; run again when it is complete")
 
 
 def _label(path: Path, root: Path) -> str:
@@ -94,7 +105,8 @@ def _all_files(root: Path) -> list[Path]:
 def _walk(folder: Path) -> Iterator[Path]:
     for where, subfolders, names in os.walk(folder, onerror=_unreadable):
         subfolders[:] = [name for name in subfolders if not name.startswith(".")]
-        yield from (Path(where, name) for name in names if not name.startswith("."))
+        paths = (Path(where, name) for name in names if not name.startswith("."))
+        yield from filter(Path.is_file, paths)  # neither pipes nor devices
 
 
 def _unreadable(error: OSError) -> None:
@@ -103,23 +115,33 @@ def _unreadable(error: OSError) -> None:
 
 def _read_cache(folder: Path) -> dict[str, Any]:
     try:
-        entries = json.loads((folder / CACHE_NAME).read_text())
+        entries = json.loads(read_regular(folder / CACHE_NAME))
     except (OSError, ValueError, RecursionError):
         return {}
     return entries if isinstance(entries, dict) else {}
 
 
-def _checksum(path: Path, cache: Mapping[str, Any]) -> str:
+def _input_file(label: str, path: Path, cache: Mapping[str, Any]) -> InputFile:
     try:
-        match cache.get(str(path)):
-            case [int(size), int(time_ns), str(sha256)] if [size, time_ns] == _stamp(path):
-                return sha256
-        with open(path, "rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
+        stamp = _stamp(path)
+        return InputFile(label, path, _remembered(cache.get(str(path)), stamp) or _checksum(path), stamp)
     except OSError as error:
         raise InputDataError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _stamp(path: Path) -> list[int]:
+def _remembered(entry: Any, stamp: tuple[int, ...]) -> str:
+    match entry:
+        case [*numbers, str(sha256)] if tuple(numbers) == stamp:
+            return sha256
+    return ""
+
+
+def _checksum(path: Path) -> str:
+    with open_regular(path) as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _stamp(path: Path) -> tuple[int, ...]:
+    """Change of the content shows in one of these, also where size and time of modification are kept."""
     status = path.stat()
-    return [status.st_size, status.st_mtime_ns]
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino

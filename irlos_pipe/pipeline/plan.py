@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -192,8 +193,20 @@ def _why_outdated(name: str, path: Path, parts: Mapping[str, Any], key: str) -> 
         return DAMAGED
     if stored["key"] != key:
         return changes(stored["parts"], parts) or "what it was made from changed"
-    missing = [file for file in stored["files"] if not (path.parent / file).is_file()]
-    return f"{missing[0]} is missing" if missing else ""
+    return next(filter(None, (_amiss(path.parent / name, stored) for name in stored["files"])), "")
+
+
+def _amiss(file: Path, stored: Mapping[str, Any]) -> str:
+    """Return what is wrong with a further file of a product, if anything; earlier ones have no checksum."""
+    if not file.is_file():
+        return f"{file.name} is missing"
+    written = stored.get("file_sha256", {}).get(file.name)
+    return f"{file.name} was changed" if written not in (None, checksum(file.read_bytes())) else ""
+
+
+def checksum(content: bytes) -> str:
+    """Return the SHA-256 of the `content` of a file."""
+    return hashlib.sha256(content).hexdigest()
 
 
 def _stored(name: str, path: Path) -> dict[str, Any]:

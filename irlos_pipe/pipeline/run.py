@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +18,9 @@ from irlos_pipe.pipeline.plan import Action, Selection, Step, make_plan, with_re
 from irlos_pipe.pipeline.provenance import command_line
 from irlos_pipe.pipeline.resources import Resources
 from irlos_pipe.pipeline.runlog import RUN, TRACE, written_to
-from irlos_pipe.product.runfolder import RunFolder, owned_folder, require_outside_inputs
+from irlos_pipe.product.results import provenance_of
+from irlos_pipe.product.runfolder import RunFolder, owned_folder, require_free, require_outside_inputs
+from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import files_of
@@ -43,6 +45,7 @@ def plan_run(recipe: Recipe, folder: Path, selection: Selection) -> tuple[list[I
     InputDataError, NothingToDo
         When input files cannot be read, or there are none.
     """
+    require_free(folder)
     require_outside_inputs(folder, recipe.inputs)
     readers = filter(None, (files_of(STAGES[name]) for name in recipe.stages))
     files = input_files(recipe.inputs, folder, next(readers, None))
@@ -87,6 +90,7 @@ def run_recipe(
             RUN.warning(recipe.notice)
         remember(files, folder)
         write_if_changed(run.recipe, recipe.resolved_yaml().encode())
+        _set_others_aside(run, steps)
         job = Job(recipe, folder, files, steps, resources or Resources())
         with _failure_recorded(job, run):
             job.perform()
@@ -133,7 +137,31 @@ def _failure_recorded(job: Job, run: RunFolder) -> Iterator[None]:
         # A full disk may be what stopped the run; the first error is the one to report.
         with suppress(IrlosError):
             _write_outcome(assess(job.recipe, job.summaries(), error=reason), run)
+            _set_outdated_aside(job, run)
         raise
+
+
+def _set_others_aside(run: RunFolder, steps: Sequence[Step]) -> None:
+    """Nobody should take what another recipe left for a result of this one."""
+    ours = {step.path for step in steps}
+    for path in sorted(set(run.path.glob("[0-9][0-9]_*.h5")) - ours):
+        run.set_aside([*_files_beside(path), path.name])
+
+
+def _set_outdated_aside(job: Job, run: RunFolder) -> None:
+    """After an error: further files of what was to be made again, and a report that says all is well."""
+    for step in job.steps:
+        if step.name not in job.finished and step.path.is_file():
+            run.set_aside(_files_beside(step.path))
+    run.set_aside([run.report.name])
+
+
+def _files_beside(product: Path) -> list[str]:
+    """Names of the further files of a product; none where it cannot be read."""
+    try:
+        return provenance_of(read_product(product, arrays=False)).files
+    except InputDataError:
+        return []
 
 
 @contextmanager

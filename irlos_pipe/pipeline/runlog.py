@@ -6,9 +6,11 @@ import logging
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import TextIOWrapper
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import IrlosError
+from irlos_pipe.files.regular import own_file
 
 ROOT = logging.getLogger("irlos_pipe")
 RUN = ROOT.getChild("run")
@@ -75,6 +77,10 @@ class _FileHandler(logging.FileHandler):
         formatter = logging.Formatter(line, "%Y-%m-%dT%H:%M:%S")
         formatter.converter = time.gmtime
         self.setFormatter(formatter)
+
+    def _open(self) -> TextIOWrapper:
+        name = self.baseFilename
+        return open(name, "a", encoding="utf-8", errors="backslashreplace", opener=own_file)
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 (name given by logging)
         pass

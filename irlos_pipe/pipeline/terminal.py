@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from tqdm import tqdm
 
-from irlos_pipe.conventions.text import aligned
+from irlos_pipe.conventions.text import aligned, printable
 from irlos_pipe.files.json import json_text
 from irlos_pipe.pipeline import Outcome, Step
 from irlos_pipe.pipeline.runlog import ROOT, RUN, TRACE
@@ -89,4 +89,5 @@ class _TerminalHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         prefix = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
-        tqdm.write(f"irlos: {prefix}{record.getMessage()}", file=sys.stderr)
+        with suppress(OSError, ValueError):  # a terminal that is gone, or a full disk, stops no run
+            tqdm.write(f"irlos: {prefix}{printable(record.getMessage())}", file=sys.stderr)

@@ -17,6 +17,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files.json import jsonable
+from irlos_pipe.files.regular import read_regular
 from irlos_pipe.product.product import Product
 
 Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
@@ -66,7 +67,7 @@ class Provenance(ResultsPart):
     summary, failures : list of str
         Lines for the terminal, and one line per exposure that failed.
     files : list of str
-        Further files that the stage wrote.
+        Further files that the stage wrote; `file_sha256` are their checksums by name.
     software : dict of str to str
         Versions by package.
     started, finished : str
@@ -79,6 +80,7 @@ class Provenance(ResultsPart):
     summary: list[str] = []
     failures: list[str] = []
     files: list[str] = []
+    file_sha256: dict[str, str] = {}
     inputs: list[InputFileEntry] = []
     seed: int | None = None
     device: str = ""
@@ -162,7 +164,7 @@ def read_run_results(path: Path) -> RunResults:
         When it is missing, or not the results of a run.
     """
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(read_regular(path))
     except (OSError, ValueError, RecursionError) as error:
         raise InputDataError(f"{path}: cannot be read ({error}); run the recipe again") from error
     return _parsed(RunResults, content, str(path))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -12,11 +13,16 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError, Locked
+from irlos_pipe.conventions.text import and_more
 from irlos_pipe.files.atomic import remove_leftovers
+from irlos_pipe.files.regular import read_regular
 from irlos_pipe.files.yaml import load_yaml
 
 LOCK_NAME = ".lock"
 PARTIAL = ".partial"
+EARLIER = "earlier"
+OF_A_RUN = ("recipe.resolved.yaml",)
+OF_THE_SYSTEM = "lost+found"
 
 
 @dataclass(frozen=True)
@@ -54,6 +60,21 @@ class RunFolder:
         """Return the path of the product of `stage` at a `position` in the recipe, counted from 1."""
         return self.path / f"{position:02d}_{stage}.h5"
 
+    def set_aside(self, names: Iterable[str]) -> None:
+        """Move files that are no longer those of the run to the folder ``earlier``.
+
+        Raises
+        ------
+        IrlosError
+            When they cannot be moved.
+        """
+        for path in [path for name in names if (path := self.path / name).is_file()]:
+            try:
+                (self.path / EARLIER).mkdir(exist_ok=True)
+                os.replace(path, self.path / EARLIER / path.name)
+            except OSError as error:
+                raise IrlosError(f"{path}: cannot be moved: {error.strerror or error}") from error
+
     def scratch(self, stage: str, key: str) -> Path:
         """Return where `stage` keeps finished parts of the product of that `key`; it is not made here."""
         return self.path / PARTIAL / f"{stage}-{key[:16]}"
@@ -82,7 +103,7 @@ class RunFolder:
 
     def _reported_stages(self) -> set[str]:
         try:
-            return set(json.loads(self.results.read_text())["stages"])
+            return set(json.loads(read_regular(self.results))["stages"])
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise InputDataError(f"{self.results}: cannot be read ({error}); run the recipe again") from error
 
@@ -110,16 +131,42 @@ def require_outside_inputs(folder: Path, inputs: Mapping[str, Iterable[Path]]) -
     Raises
     ------
     ConfigurationError
-        When it lies there, or is a file.
+        When it lies there.
     """
-    if folder.exists() and not folder.is_dir():
-        raise ConfigurationError(f"--output {folder}: is a file; give a folder")
     for name, roots in inputs.items():
         for root in roots:
             if folder.resolve().is_relative_to(root.resolve()):
                 raise ConfigurationError(
                     f"--output {folder}: lies inside input '{name}' ({root}); choose a folder elsewhere"
                 )
+
+
+def require_free(folder: Path, own: Iterable[str] = OF_A_RUN) -> None:
+    """Refuse an output `folder` with files in it that no command of this kind made.
+
+    Parameters
+    ----------
+    folder : Path
+        It need not exist.
+    own : iterable of str
+        Patterns of names; a folder that has one of them is one of our own.
+
+    Raises
+    ------
+    ConfigurationError
+        When it has other files, or is a file.
+    """
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise ConfigurationError(f"--output {folder}: is a file; give a folder")
+    there = {entry.name for entry in folder.iterdir() if not entry.name.startswith(".")}
+    foreign = sorted(there - {RunFolder(folder).log.name, OF_THE_SYSTEM})
+    if foreign and not any(next(folder.glob(pattern), None) for pattern in own):
+        raise ConfigurationError(
+            f"--output {folder}: holds other files ({foreign[0]}{and_more(foreign)}); give a new or an empty "
+            "folder"
+        )
 
 
 @contextmanager
@@ -137,6 +184,8 @@ def owned_folder(path: Path) -> Iterator[RunFolder]:
     try:
         path.mkdir(parents=True, exist_ok=True)
         lock.acquire()
+        if (path / PARTIAL).is_symlink():  # what is kept and removed there must lie here
+            (path / PARTIAL).unlink()
     except Timeout:
         raise Locked(f"{path}: in use by another run; wait for it or choose another --output") from None
     except OSError as error:

@@ -8,7 +8,7 @@ import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.readers.fitsfile import first_image, has_image, hdu_label, image_array, stem
+from irlos_pipe.readers.fitsfile import first_image, has_image, hdu_label, image_array, require_one, stem
 from irlos_pipe.readers.raw_file import RawRecording
 
 LAYOUT = "fits_cube"
@@ -27,6 +27,22 @@ def files_of(path: Path) -> list[Path]:
 def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
     """See `irlos_pipe.readers.find.Reader.read`."""
     index, hdu = first_image(path, hdus)
+    others = [other for other in hdus[index + 1 :] if has_image(other)]
+    require_one(path, [hdu, *(other for other in others if _is_cube_too(other, hdu))], "cubes of frames")
     adu = image_array(hdu, hdu_label(path, index, hdu))
-    counter = np.arange(len(adu))
-    return [RawRecording(name=stem(path), path=path, layout=LAYOUT, adu=adu, frame_counter=counter)]
+    unread = ", ".join(other.name or "without a name" for other in others)
+    return [
+        RawRecording(
+            name=stem(path),
+            path=path,
+            layout=LAYOUT,
+            adu=adu,
+            frame_counter=np.arange(len(adu)),
+            notes=(f"{path}: images that are not read: {unread}",) if others else (),
+        )
+    ]
+
+
+def _is_cube_too(other: fits.hdu.base._BaseHDU, hdu: fits.hdu.base._BaseHDU) -> bool:
+    """Whether an image may hold further frames; a name of its own says that it holds something else."""
+    return other.header["NAXIS"] == 3 and other.name in ("", hdu.name)

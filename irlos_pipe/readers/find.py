@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain, count
 from pathlib import Path
@@ -17,7 +15,8 @@ from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers import aot, cube, muse_raw, recorder
 from irlos_pipe.readers.fitsfile import has_fits_name, open_fits
 from irlos_pipe.readers.raw_file import RawRecording
-from irlos_pipe.readers.sidecar import sidecar_path
+from irlos_pipe.readers.search import Refused, each_once, files_by_folder
+from irlos_pipe.readers.sidecar import FOLDER_SIDECAR, own_sidecar, sidecar_path
 
 
 class Reader(Protocol):
@@ -50,19 +49,16 @@ class Reader(Protocol):
         """
 
 
-DAMAGED = "damaged"
+DAMAGED, TELEMETRY = "damaged", "telemetry"
 READERS: tuple[Reader, ...] = (aot, recorder, muse_raw, cube)  # the most specific one that fits reads
-# Files of the real-time computer beside the frames: IRAcq.DET1.DARK.fits, IRCtr.SENSOR_2_MODES.fits
-COMPUTER_FILE = re.compile(r"\w*(Acq|Ctr|Monitor|RTC|Recn)\.[\w.]+\.fits", re.ASCII)
 
 
-def recording_files(
-    paths: Sequence[Path], refused: Callable[[Path, InputDataError], None] | None = None
-) -> list[Path]:
+def recording_files(paths: Sequence[Path], refused: Refused | None = None) -> list[Path]:
     """Find the files with recordings among the given files and folders.
 
-    Folders are searched through all their depth, in the natural order of names (2 before 10).
-    A damaged FITS file counts as a recording: reading it will say what is wrong.
+    Folders are searched through all their depth, in the natural order of names (2 before 10); a file
+    that several names and links lead to counts once. A damaged FITS file counts as a recording, and so
+    does one without frames that a side-car describes: reading it will say what is wrong.
 
     Parameters
     ----------
@@ -78,7 +74,7 @@ def recording_files(
     NothingToDo
         No recording under any of the paths.
     """
-    files = [file for path in paths for file in _files_under(Path(path), refused or _raise)]
+    files = each_once([file for path in paths for file in _files_under(Path(path), refused or _raise)])
     if not files:
         raise NothingToDo(
             f"no recordings under {', '.join(map(str, paths)) or 'no path'}: neither SPARTA recorder "
@@ -128,57 +124,43 @@ def _raise(folder: Path, error: InputDataError) -> None:
     raise error
 
 
-def _files_under(path: Path, refused: Callable[[Path, InputDataError], None]) -> Iterator[Path]:
+def _files_under(path: Path, refused: Refused) -> Iterator[Path]:
     if not path.exists():
         raise InputDataError(f"{path}: no such file or folder")
     if path.is_dir():
-        yield from _files_in_folder(path, refused)
+        yield from chain.from_iterable(map(_data_files, files_by_folder(path, refused)))
     elif not has_fits_name(path):
         raise InputDataError(f"{path}: not a FITS file; give a FITS file, or a folder to search")
     else:
         yield path
 
 
-def _files_in_folder(folder: Path, refused: Callable[[Path, InputDataError], None]) -> Iterator[Path]:
-    """Data files of a folder, then those of its subfolders; hidden ones are left out."""
-    if not os.access(folder, os.R_OK | os.X_OK):
-        refused(folder, InputDataError(f"{folder}: no permission to read the folder"))
-        return
-    entries = sorted(
-        (entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=natural_order
-    )
-    candidates = [
-        entry
-        for entry in entries
-        if entry.is_file() and has_fits_name(entry) and not COMPUTER_FILE.fullmatch(entry.name)
-    ]
-    yield from _data_files(candidates)
-    for entry in entries:
-        if entry.is_dir():
-            yield from _files_in_folder(entry, refused)
-
-
 def _data_files(candidates: list[Path]) -> list[Path]:
-    """Files with frames in them; beside a pixel table other images are its telemetry, not cubes."""
+    """Files of a folder with frames, or that should have some."""
     layouts = {path: _layout(path) for path in candidates}
-    passed_over = {None, cube.LAYOUT} if recorder.LAYOUT in layouts.values() else {None}
-    return [path for path, layout in layouts.items() if layout not in passed_over]
+    recorded = recorder.LAYOUT in layouts.values()
+    return [path for path, layout in layouts.items() if _is_data(path, layout, recorded)]
+
+
+def _is_data(path: Path, layout: str | None, beside_pixel_table: bool) -> bool:
+    """Whether a file is a recording; one that a side-car describes is, if only a damaged one."""
+    if layout == TELEMETRY:
+        return False
+    if own_sidecar(path).is_file():
+        return True
+    if beside_pixel_table:  # other images are its telemetry, not cubes
+        return layout not in (None, cube.LAYOUT)
+    return layout is not None or path.with_name(FOLDER_SIDECAR).is_file()
 
 
 def _layout(path: Path) -> str | None:
     """Name the layout of a FITS file; None if it has no frames."""
     try:
-        reader = _reader_of(path)
+        with open_fits(path, verify=False) as hdus:
+            reader, telemetry = _recognised(hdus), recorder.is_telemetry(hdus)
     except InputDataError:
         return DAMAGED
-    return None if reader is None else reader.LAYOUT
-
-
-def natural_order(path: Path) -> list:
-    """Sort key that puts ``offset_2`` before ``offset_10``."""
-    return [
-        (1, int(part), "") if part.isdecimal() else (0, 0, part) for part in re.split(r"(\d+)", path.name)
-    ]
+    return reader.LAYOUT if reader is not None else TELEMETRY if telemetry else None
 
 
 def unique_name(name: str, path: Path, taken: Collection[str]) -> str:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import gzip
-import mmap
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,17 @@ import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
+from irlos_pipe.files.memory import require_memory
+from irlos_pipe.files.regular import open_regular
 
 FITS_SUFFIXES = (".fits", ".fit", ".fts", ".fits.gz", ".fits.fz")
 FITS_BEGIN, GZIP_BEGIN = b"SIMPLE", b"\x1f\x8b"
 MAX_REST_BYTES = 2**20  # looked at behind the last HDU
 CARD_BYTES = 80
+PIECE_BYTES = 2880 * 364  # whole blocks, about a megabyte
+# What astropy would count up to, or step back over for ever.
 COUNTS = re.compile(rb"(Z?NAXIS {2,3}|TFIELDS )= *([0-9]{4,})")
+NEGATIVE = re.compile(rb"(Z?NAXIS[0-9 ]{2,3}|TFIELDS |[PG]COUNT  )= *(-[0-9]+)")
 MIN_WINDOW_PX = 5
 MAX_WINDOW_PX = 4096
 MAX_UNPACKED_BYTES = 2**29  # of an HDU in a compressed file: 30 000 frames of 64x64 px
@@ -54,27 +59,32 @@ def open_fits(path: Path, *, verify: bool = True) -> Iterator[fits.HDUList]:
     Raises
     ------
     InputDataError
-        No access, empty, truncated, damaged by its own checksum, or not FITS; also for any error of
-        astropy inside the block.
+        No access, no regular file, empty, truncated, damaged by its own checksum, changed while the
+        block lasts, or not FITS; also for any error of astropy inside the block.
     """
     try:
+        before = _stamp(path)
         _require_content(path)
         _require_countable(path)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             # opened here, for astropy leaves its own stream open when a header is damaged
             # and one HDU after the other, so that a size is checked before what follows is sought
-            with path.open("rb") as stream, fits.open(stream, memmap=False, lazy_load_hdus=True) as hdus:
+            with open_regular(path) as stream, fits.open(stream, memmap=False, lazy_load_hdus=True) as hdus:
                 _require_complete(hdus, path)
                 _require_end(hdus, path)
                 if verify:
                     _require_sums(hdus, path)
                 yield hdus
+        _require_unchanged(path, before)
     except IrlosError:
         raise
     except PermissionError:
         raise InputDataError(f"{path}: no permission to read it") from None
     except Exception as error:  # a damaged file can raise nearly anything from inside astropy
+        if not path.is_file():
+            raise InputDataError(f"{path}: {_no_file(path)}") from None
+        _require_unchanged(path, before)
         raise InputDataError(
             f"{path}: cannot be read as FITS, damaged or cut off: {_one_line(error)}"
         ) from None
@@ -97,6 +107,12 @@ def first_image(path: Path, hdus: fits.HDUList) -> tuple[int, fits.hdu.base._Bas
     if found is None:
         raise InputDataError(f"{path}: no image in the file")
     return found
+
+
+def require_one(path: Path, found: Sequence[object], what: str) -> None:
+    """Raise InputDataError if several HDUs were `found` where one is read; `what` names them."""
+    if len(found) > 1:
+        raise InputDataError(f"{path}: {len(found)} {what}, of which one can be read; give each its own file")
 
 
 def image_array(hdu: fits.hdu.base._BaseHDU, where: str) -> np.ndarray:
@@ -154,49 +170,74 @@ def header_number(header: fits.Header, key: str) -> float | None:
     return float(value) if usable else None
 
 
+def _stamp(path: Path) -> tuple[int, int, int]:
+    status = path.stat()
+    return status.st_ino, status.st_size, status.st_mtime_ns
+
+
+def _require_unchanged(path: Path, before: tuple[int, int, int]) -> None:
+    if not path.is_file() or _stamp(path) != before:
+        raise InputDataError(f"{path}: changed while it was read; run again when it is complete")
+
+
+def _no_file(path: Path) -> str:
+    if path.is_symlink() and not path.exists():
+        return f"a link to {path.readlink()}, which is not there"
+    return "not a regular file" if path.exists() else "no such file"
+
+
 def _require_content(path: Path) -> None:
-    if path.stat().st_size == 0:
-        raise InputDataError(f"{path}: the file is empty (0 bytes)")
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         begin = stream.read(len(FITS_BEGIN))
+    if not begin:
+        raise InputDataError(f"{path}: the file is empty (0 bytes)")
     if begin != FITS_BEGIN and not begin.startswith(GZIP_BEGIN):
         raise InputDataError(f"{path}: not a FITS file, for it does not begin with '{FITS_BEGIN.decode()}'")
 
 
 def _require_countable(path: Path) -> None:
-    """Refuse headers with more axes or columns than FITS allows: astropy would count up to any number."""
-    content = _beginning(path)
-    # Looking at the beginnings of cards only is a hundred times faster than a search through all bytes.
-    first_letters = np.frombuffer(content, np.uint8)[::CARD_BYTES]
-    for card in np.flatnonzero(np.isin(first_letters, list(b"NTZ"))):
-        found = COUNTS.match(content, int(card) * CARD_BYTES)
-        if found is not None:
-            key, number = (group.decode().strip() for group in found.groups())
-            raise InputDataError(f"{path}: {key} = {number} in a header, FITS allows 999: damaged")
+    """Refuse headers with more axes or columns than FITS allows, or with sizes below zero."""
+    for piece in _pieces(path):
+        # Looking at the beginnings of cards only is a hundred times faster than a search through all bytes.
+        first_letters = np.frombuffer(piece, np.uint8)[::CARD_BYTES]
+        for card in np.flatnonzero(np.isin(first_letters, list(b"NTZPG"))):
+            place = int(card) * CARD_BYTES
+            for pattern, allowed in ((COUNTS, "999"), (NEGATIVE, "nothing below 0")):
+                if found := pattern.match(piece, place):
+                    key, number = (group.decode().strip() for group in found.groups())
+                    raise InputDataError(
+                        f"{path}: {key} = {number} in a header, FITS allows {allowed}: damaged"
+                    )
 
 
-def _beginning(path: Path) -> bytes | mmap.mmap:
-    """All of a plain file, without reading it; of a compressed one what holds its first headers."""
-    with path.open("rb") as stream:
-        if stream.read(len(GZIP_BEGIN)) != GZIP_BEGIN:
-            return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-    with gzip.open(path) as stream:
-        return stream.read(MAX_REST_BYTES)
+def _pieces(path: Path) -> Iterator[bytes]:
+    """Yield all of a plain file, piece by piece; of a compressed one what holds its first headers."""
+    with open_regular(path) as stream:
+        packed = stream.read(len(GZIP_BEGIN)) == GZIP_BEGIN
+        stream.seek(0)
+        if packed:
+            yield gzip.GzipFile(fileobj=stream).read(MAX_REST_BYTES)
+        else:
+            yield from iter(partial(stream.read, PIECE_BYTES), b"")
 
 
 def _require_complete(hdus: fits.HDUList, path: Path) -> None:
     """Compare the sizes the headers announce with the file, before anything is allocated."""
-    file_bytes = path.stat().st_size
+    file_bytes, previous = path.stat().st_size, -1
     for index, hdu in enumerate(hdus):
         info = hdu.fileinfo()
         if info is None:
             continue
+        if hdu.size < 0 or info["datLoc"] <= previous:  # astropy would go back and read it for ever
+            raise InputDataError(f"{hdu_label(path, index, hdu)}: the header announces a size below zero")
+        previous = info["datLoc"]
         stored = info["datSpan"] if _is_plain(path) else file_bytes
         if _is_plain(path) and info["datLoc"] + min(hdu.size, stored) > file_bytes:
             raise InputDataError(
                 f"{hdu_label(path, index, hdu)}: the header announces {hdu.size} bytes of data, the "
                 f"file holds {max(0, file_bytes - info['datLoc'])}: truncated, or a wrong header"
             )
+        require_memory(2.0 * hdu.size, hdu_label(path, index, hdu), InputDataError, "cut it into parts")
         if hdu.size > stored:
             _require_unpackable(hdu.size, stored, hdu_label(path, index, hdu))
 
@@ -220,7 +261,7 @@ def _require_end(hdus: fits.HDUList, path: Path) -> None:
     last = hdus[-1].fileinfo()
     if not _is_plain(path) or last is None:
         return
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         stream.seek(last["datLoc"] + last["datSpan"])
         if stream.read(MAX_REST_BYTES).strip(b"\0 "):
             raise InputDataError(

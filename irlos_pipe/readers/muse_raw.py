@@ -14,9 +14,9 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.seeing import SPARTA
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.instrument.instrument import Instrument, Mode
-from irlos_pipe.readers.fitsfile import hdu_label, header_number, image_array, stem
+from irlos_pipe.readers.fitsfile import hdu_label, header_number, image_array, require_one, stem
 from irlos_pipe.readers.raw_file import RawRecording
-from irlos_pipe.readers.times import unix_seconds
+from irlos_pipe.readers.times import require_times, unix_seconds
 
 LAYOUT = "muse_raw"
 CUBE = "SPARTA_TT_CUBE"
@@ -51,6 +51,7 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
     InputDataError
         Unknown or missing mode string, or a cube that does not fit the mode.
     """
+    require_one(path, [hdu for hdu in hdus if hdu.name.upper() == CUBE], f"images {CUBE}")
     index = next(i for i, hdu in enumerate(hdus) if hdu.name.upper() == CUBE)
     where = hdu_label(path, index, hdus[index])
     adu = image_array(hdus[index], where)
@@ -64,7 +65,7 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
         frame_counter=np.arange(len(adu)),
         header=_from_mode(mode) | _from_header(header) | _from_atmosphere(hdus),
         mode=mode.name,
-        start_unix_s=_start(hdus, header),
+        start_unix_s=_start(hdus, header, path),
     )
     if mode.lenslets == 1:
         return [whole]
@@ -127,13 +128,16 @@ def _from_atmosphere(hdus: fits.HDUList) -> dict[str, Any]:
     return {"seeing_arcsec": float(np.median(values)), "seeing_scale": SPARTA} if values.size else {}
 
 
-def _start(hdus: fits.HDUList, header: fits.Header) -> float:
+def _start(hdus: fits.HDUList, header: fits.Header, path: Path) -> float:
     """Begin of the exposure [s since 1970]: DATE-OBS, else the first row of the atmosphere table."""
     stamp = str(header.get("DATE-OBS", ""))
     if _is_date(stamp):
         return float(Time(stamp, scale="utc").unix)
     times = unix_seconds(hdus[ATMOSPHERE]) if ATMOSPHERE in hdus else None
-    return float(times[0]) if times is not None and times.size else float("nan")
+    if times is None or not times.size:
+        return float("nan")
+    require_times(times, f"{path}: {ATMOSPHERE}")
+    return float(times[0])
 
 
 def split_quadrants(cube: np.ndarray, where: str) -> list[np.ndarray]:

@@ -11,19 +11,33 @@ from astropy.io import fits
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.calibration_files import PREFIX, calibration_files, read_calibration_maps
-from irlos_pipe.readers.fitsfile import has_fits_name, hdu_label, native, open_fits, require_cube, stem
+from irlos_pipe.readers.fitsfile import (
+    has_fits_name,
+    hdu_label,
+    native,
+    open_fits,
+    require_cube,
+    require_one,
+    stem,
+)
 from irlos_pipe.readers.raw_file import RawRecording
-from irlos_pipe.readers.times import column, pair_by_counter, unix_seconds
+from irlos_pipe.readers.times import column, pair_by_counter, require_times, unix_seconds
 
 LAYOUT = "sparta_recorder"
 PIXEL_TABLE = "IRPIXELFRAME"
 LOOP_TABLE = "IRLOOPFRAME"
+PIXELS = "Pixels"
 PIXEL_FOLDER_SUFFIX = "_PIX"  # GALACSI keeps NAME_IR (loop, calibration) beside NAME_IR_PIX (pixels)
 
 
 def recognises(hdus: fits.HDUList) -> bool:
     """Return whether a FITS file holds a SPARTA pixel table."""
     return _table(hdus, PIXEL_TABLE)[1] is not None
+
+
+def is_telemetry(hdus: fits.HDUList) -> bool:
+    """Return whether a FITS file holds a table of the loop, which belongs to a recording beside it."""
+    return _table(hdus, LOOP_TABLE)[1] is not None
 
 
 def files_of(path: Path) -> list[Path]:
@@ -52,6 +66,7 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
     """
     index, table = _table(hdus, PIXEL_TABLE)
     assert table is not None, f"{path}: not a recorder file"
+    require_one(path, [one for one in hdus if one.name.upper() == PIXEL_TABLE], "tables IRPixelFrame")
     adu, counter = _frames(table, hdu_label(path, index, table))
     folders = _folders(path)
     maps, notes = read_calibration_maps(calibration_files(folders), (adu.shape[1], adu.shape[2]))
@@ -74,7 +89,7 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
 def _frames(table: fits.BinTableHDU, where: str) -> tuple[np.ndarray, np.ndarray]:
     """Return images (frames, rows, columns) and frame counters."""
     counter, width, height, pixels = (
-        _required(table, name, where) for name in ("FrameCounter", "WindowSizeX", "WindowSizeY", "Pixels")
+        _required(table, name, where) for name in ("FrameCounter", "WindowSizeX", "WindowSizeY", PIXELS)
     )
     if len(pixels) == 0:
         raise InputDataError(f"{where}: no frames (0 rows)")
@@ -98,6 +113,8 @@ def _required(table: fits.BinTableHDU, name: str, where: str) -> np.ndarray:
     values = column(table, name)
     if values is None:
         raise InputDataError(f"{where}: no column '{name}'; found {', '.join(table.columns.names)}")
+    if name != PIXELS and values.ndim != 1:
+        raise InputDataError(f"{where}: column '{name}' has {values[0].size} values per row, expected one")
     return values
 
 
@@ -147,7 +164,9 @@ def _table_times(path: Path, hdus: fits.HDUList, name: str) -> _TableTimes | Non
     times = None if table is None else unix_seconds(table)
     if table is None or times is None:
         return None
-    return _TableTimes(_required(table, "FrameCounter", hdu_label(path, index, table)), times)
+    where = hdu_label(path, index, table)
+    require_times(times, where)
+    return _TableTimes(_required(table, "FrameCounter", where), times)
 
 
 def _times(
@@ -175,7 +194,10 @@ def _loop_candidates(path: Path, folders: list[Path]) -> list[Path]:
     return [
         other
         for other in others
-        if other != path and has_fits_name(other) and not other.name.startswith(PREFIX)
+        if other != path
+        and has_fits_name(other)
+        and not other.name.startswith((PREFIX, "."))
+        and other.is_file()
     ]
 
 

@@ -14,6 +14,7 @@ from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.readers.fitsfile import stem
 
 FOLDER_SIDECAR = "acquisition.yaml"
+MAX_WAVELENGTH_RATIO = 3.0
 Role = Literal["ncpa_calibration", "defocus_ramp", "derotator", "psf", "dark"]
 
 
@@ -66,7 +67,9 @@ class AcquisitionKeys(_Section):
     pixel_scale_mas: float | None = Field(None, gt=0, le=10000, description="mas per pixel")
     seeing_arcsec: float | None = Field(None, gt=0, le=10, description="seeing, on SPARTA's scale or another")
     seeing_scale: str | None = Field(None, min_length=1, description="who measured it, for example mass_dimm")
-    spectrum: list[SpectrumPoint] | None = Field(None, min_length=1, description="wavelengths with weights")
+    spectrum: list[SpectrumPoint] | None = Field(
+        None, min_length=1, max_length=100, description="wavelengths with weights"
+    )
     diversity: DiversityKeys | None = Field(None, description="aberration introduced on purpose")
     introduced_defocus_nm: float | list[float] | None = Field(
         None, description="nm RMS, one or one per frame"
@@ -85,6 +88,17 @@ class AcquisitionKeys(_Section):
             raise ValueError("spectrum: at least one weight must be positive")
         return self
 
+    @model_validator(mode="after")
+    def _one_band(self) -> AcquisitionKeys:
+        """A wide band needs a wide field in memory; nobody images three octaves at once."""
+        lit = [point.wavelength_nm for point in self.spectrum or () if point.weight > 0]
+        if lit and max(lit) > MAX_WAVELENGTH_RATIO * min(lit):
+            raise ValueError(
+                f"spectrum: from {min(lit):g} to {max(lit):g} nm; the longest wavelength may be "
+                f"{MAX_WAVELENGTH_RATIO:g} times the shortest"
+            )
+        return self
+
     def updated(self, other: AcquisitionKeys) -> AcquisitionKeys:
         """Return these keys with those that `other` gives replaced."""
         own, new = (keys.model_dump(exclude_none=True) for keys in (self, other))
@@ -93,10 +107,16 @@ class AcquisitionKeys(_Section):
 
     def flat(self) -> dict[str, Any]:
         """Return the keys that were given, those of the detector dotted (``detector.e_per_adu``)."""
-        given = {key: getattr(self, key) for key in self.model_fields_set if getattr(self, key) is not None}
+        fields = type(self).model_fields  # in the order of the class: that of a set differs between processes
+        given = {key: getattr(self, key) for key in fields if getattr(self, key) is not None}
         detector = given.pop("detector", None)
         inner = {} if detector is None else detector.model_dump(exclude_none=True)
         return given | {f"detector.{key}": value for key, value in inner.items()}
+
+
+def own_sidecar(data_file: Path) -> Path:
+    """Return where the side-car of a data file would be that is its alone: ``<stem>.yaml``."""
+    return data_file.with_name(f"{stem(data_file)}.yaml")
 
 
 def sidecar_path(data_file: Path) -> Path:
@@ -104,7 +124,7 @@ def sidecar_path(data_file: Path) -> Path:
 
     ``<stem>.yaml`` beside the file if there is one, else ``acquisition.yaml`` in its folder.
     """
-    own = data_file.with_name(f"{stem(data_file)}.yaml")
+    own = own_sidecar(data_file)
     return own if own.is_file() else data_file.with_name(FOLDER_SIDECAR)
 
 

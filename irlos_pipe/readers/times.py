@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 from astropy.io import fits
 
+from irlos_pipe.conventions.errors import InputDataError
+
 SECONDS_COLUMNS = ("Seconds", "Sec")
 MICROSECONDS_COLUMNS = ("USeconds", "USec")
+LATEST_UNIX_S = 4102444800  # the year 2100
 
 
 def column(table: fits.BinTableHDU, *names: str) -> np.ndarray | None:
@@ -35,6 +38,14 @@ def unix_seconds(table: fits.BinTableHDU) -> np.ndarray | None:
     if microseconds is not None:
         times = times + microseconds.astype(np.float64) * 1e-6
     return times if np.any(times != 0) else None
+
+
+def require_times(times_s: np.ndarray, where: str) -> None:
+    """Raise InputDataError if `times_s` are no times from 1970 to 2100; `where` begins the message."""
+    wrong = np.flatnonzero(~((times_s >= 0) & (times_s < LATEST_UNIX_S)))
+    if wrong.size or times_s.ndim != 1:
+        row = wrong[0] if wrong.size else 0
+        raise InputDataError(f"{where}: {times_s[row]!r} s in row {row + 1} is no time from 1970 to 2100")
 
 
 def pair_by_counter(wanted: np.ndarray, counter: np.ndarray, times_s: np.ndarray) -> np.ndarray:

@@ -148,7 +148,12 @@ def check_inputs(
     found = {name: tuple(absolute(path, folder) for path in paths) for name, paths in inputs.items()}
     for name, absolute_paths in found.items():
         for path in absolute_paths:
-            if not os.path.exists(path):  # also of a name that no file can have
+            if not str(path).isprintable():  # control characters, and bytes that are no UTF-8
+                errors.add(
+                    ("inputs", name),
+                    f"input '{name}': {str(path)!r} holds characters that cannot be shown; rename it",
+                )
+            elif not os.path.exists(path):  # also of a name that no file can have
                 errors.add(
                     ("inputs", name),
                     f"input '{name}': no such file or folder: {path}; "

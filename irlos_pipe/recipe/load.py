@@ -7,12 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from irlos_pipe.files.overrides import Override, absolute, parse_setting, read_overridden
 from irlos_pipe.files.shipped import RECIPES, are_samples, named_file
 from irlos_pipe.files.validation import ValidationErrors
-from irlos_pipe.files.yaml import load_yaml
+from irlos_pipe.files.yaml import load_yaml, yaml_text
 from irlos_pipe.instrument.instrument import Instrument, checked_instrument
 from irlos_pipe.recipe.checks import (
     SECTIONS,
@@ -75,7 +73,7 @@ class Recipe:
             "model": self.model.model_dump(mode="json"),
         }
         sections = {name: config.model_dump(mode="json") for name, config in self.configs.items()}
-        return yaml.safe_dump(head | sections, sort_keys=False, allow_unicode=True, width=110)
+        return yaml_text(head | sections)
 
 
 def load_recipe(

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.files.json import canonical_json
+from irlos_pipe.files.regular import read_regular
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.product.product import Product
-from irlos_pipe.product.results import Results, read_run_results, results_of
+from irlos_pipe.product.results import Results, RunResults, read_run_results, results_of
 from irlos_pipe.product.runfolder import existing_run
 from irlos_pipe.product.storage import open_product
 from irlos_pipe.stages.ingest.recording_arrays import Overview, overviews_from_product
@@ -65,6 +67,14 @@ class RunData:
         return next((r.acquisition.pixel_scale_mas for r in self.recordings_of(stage)), None)
 
 
+def _own_product(path: Path, stage: str, results: RunResults) -> Product:
+    """Open a product that results.json speaks of; one of another run is refused."""
+    product = open_product(path)
+    if product.stage != stage or canonical_json(product.results) != canonical_json(results.stages[stage]):
+        raise InputDataError(f"{path}: not the product that results.json was made from; run the recipe again")
+    return product
+
+
 def read_run(folder: Path) -> RunData:
     """Read a run folder.
 
@@ -74,12 +84,12 @@ def read_run(folder: Path) -> RunData:
         When it is not the folder of a run, or a file of it cannot be read.
     """
     run = existing_run(folder)
-    products = {stage: open_product(path) for stage, path in run.products().items()}
     results = read_run_results(run.results)
+    products = {stage: _own_product(path, stage, results) for stage, path in run.products().items()}
     recipe = load_yaml(run.recipe, InputDataError)[0]
     return RunData(
         recipe,
-        run.recipe.read_text(),
+        read_regular(run.recipe),
         results.status,
         results.error,
         results.notice,

@@ -16,6 +16,7 @@ from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, Curve, 
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.product.results import Number, ResultsPart, StageResults
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.lift.config import Mode
 from irlos_pipe.stages.lift.input import (
     Ramp,
     calibrated_ncpa_nm,
@@ -47,14 +48,16 @@ class Config(StageConfig):
     max_defocus_nm: float = Field(
         170.0, gt=0, description="frames with a larger introduced defocus are left out"
     )
-    mag_step: float = Field(1.0, gt=0, le=5, description="step of the magnitude grid")
+    mag_step: float = Field(1.0, ge=0.05, le=5, description="step of the magnitude grid")
     faintest_mag_j: float = Field(
         19.0, ge=0, le=30, description="end of the magnitude grid, which begins at the magnitude of the ramp"
     )
     realisations: int = Field(5, ge=1, le=1000, description="noise realisations per frame and magnitude")
     frames_per_offset: int = Field(2, ge=1, le=1000, description="number of frames used of every offset")
-    modes: tuple[tuple[int, ...], ...] = Field(
-        ((2, 3, 4), (2, 3, 4, 5, 7, 8, 9, 10, 11)), description="sets of Noll modes to be estimated"
+    modes: tuple[tuple[Mode, ...], ...] = Field(
+        ((2, 3, 4), (2, 3, 4, 5, 7, 8, 9, 10, 11)),
+        max_length=20,
+        description="sets of Noll modes to be estimated",
     )
     calibrated: tuple[bool, ...] = Field(
         (True, False), description="whether the NCPAs are known: with, without, or both"

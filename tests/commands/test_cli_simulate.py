@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import pytest
 from conftest import invoke
@@ -83,6 +84,19 @@ def test_wrong_settings_exit_with_2_one_line_each_and_no_folder(spec, tmp_path):
 )
 def test_wrong_usage_exits_with_2(arguments):
     assert invoke("simulate", *arguments).exit_code == 2
+
+
+def test_a_simulation_that_the_disk_cannot_hold_is_refused_before_it_begins(spec, tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=100))
+    result = invoke("simulate", spec, "--output", str(tmp_path / "out"))
+    assert result.exit_code == 2 and "the recordings take 0.0 GB, 0.0 are free" in result.stderr
+
+
+def test_a_folder_with_files_of_others_exits_with_2(spec, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "thesis.tex").touch()
+    result = invoke("simulate", spec, "--output", str(tmp_path / "out"))
+    assert result.exit_code == 2 and "holds other files (thesis.tex)" in result.stderr
 
 
 def test_a_folder_in_use_exits_with_75(spec, tmp_path):

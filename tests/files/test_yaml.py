@@ -1,9 +1,12 @@
 """YAML files are read strictly, and lines are remembered."""
 
+import os
+
 import pytest
+from helpers.patience import within
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
-from irlos_pipe.files.yaml import line_of, load_yaml, parse_yaml
+from irlos_pipe.files.yaml import line_of, load_yaml, parse_yaml, yaml_text
 
 TEXT = """\
 role: psf
@@ -39,11 +42,33 @@ def test_a_key_that_is_not_there_has_the_line_of_its_parent():
         ("12", 12),
         ("1.5", 1.5),
         ("1e", "1e"),
+        ("0x1F", 31),
+        ("010", 10),  # 8 in YAML 1.1
+        ("1:30", "1:30"),  # 90 in YAML 1.1
+        ("1_000", "1_000"),
         ("true", True),
+        ("off", "off"),  # False in YAML 1.1
+        ("No", "No"),
     ],
 )
-def test_numbers_are_read_as_numbers(text, value):
-    assert parse_yaml(f"a: {text}", "f.yaml")[0]["a"] == value
+def test_numbers_and_booleans_are_those_of_yaml_1_2(text, value):
+    """Truth: https://yaml.org/spec/1.2.2/#1032-tag-resolution, but for octal numbers, which are text."""
+    read = parse_yaml(f"a: {text}", "f.yaml")[0]["a"]
+    assert read == value and type(read) is type(value)
+
+
+@pytest.mark.parametrize(
+    "value", ["off", "010", "1:30", "0x1F", "1e5", ".5", "true", "2024-01-01", "~", 1e-7, 10]
+)
+def test_what_is_written_is_read_again_as_the_same(value):
+    read = parse_yaml(yaml_text({"a": value}), "f.yaml")[0]["a"]
+    assert read == value and type(read) is type(value)
+
+
+def test_a_pipe_is_not_read(tmp_path):
+    os.mkfifo(tmp_path / "f.yaml")
+    with within(10), pytest.raises(ConfigurationError, match=r"f\.yaml: cannot be read: not a regular file"):
+        load_yaml(tmp_path / "f.yaml")
 
 
 @pytest.mark.parametrize(

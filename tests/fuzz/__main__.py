@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from fuzz import fits_kinds, name_kinds, pristine, product_kinds, yaml_kinds  # noqa: F401 (they enter their kinds)
+from fuzz import fits_kinds, name_kinds, pristine, product_kinds, tree_kinds, yaml_kinds  # noqa: F401 (they enter their kinds)
 from fuzz.case import KINDS, draw
 from fuzz.judge import TIME_S, Verdict, judged
 

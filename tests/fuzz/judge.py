@@ -18,6 +18,7 @@ from irlos_pipe.commands.main import cli
 from irlos_pipe.conventions.errors import IrlosError
 
 DOCUMENTED = {0, 2, 3, 4, 5, 64}
+OF_THE_DISK = {1, 75}  # what cannot be written, or is in use: one line as well
 MEMORY = 2 * GIB
 TIME_S = 30.0  # of the processor, or twenty times that by the clock: the machine may be busy
 PRODUCT = "01_ingest.h5"
@@ -118,7 +119,12 @@ def _difference(ours: pristine.Measured, true: pristine.Measured) -> str:
 
 def _listing(folder: Path) -> dict[str, tuple[int, int]]:
     """Size and time of every file of a case outside its output."""
-    files = [path for path in folder.rglob("*") if path.relative_to(folder).parts[0] != "out"]
+    files = [
+        Path(where, name)
+        for where, folders, names in os.walk(folder)  # no link is followed
+        for name in (*folders, *names)
+        if Path(where, name).relative_to(folder).parts[0] != "out"
+    ]
     return {str(path): (path.lstat().st_size, path.lstat().st_mtime_ns) for path in files}
 
 

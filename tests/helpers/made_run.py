@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
+from irlos_pipe.files.json import jsonable
 from irlos_pipe.product.product import Check, Product, Quantity
 from irlos_pipe.product.storage import write_product
 from irlos_pipe.stages.ingest.recording_arrays import arrays_from_recording
@@ -253,7 +254,7 @@ def write_run(folder: Path, made: list[Product], **told: Any) -> Path:
     for position, product in enumerate(made, 1):
         product.provenance.update(PROVENANCE | product.provenance)
         write_product(product, folder / f"{position:02d}_{product.stage}.h5")
-    stages = {product.stage: {} for product in made}
+    stages = {product.stage: jsonable(product.results) for product in made}
     results = {"recipe": "made", "status": "ok", "stages": stages} | told
     (folder / "results.json").write_text(json.dumps(results))
     return folder

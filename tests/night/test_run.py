@@ -321,6 +321,7 @@ def test_a_foreign_folder_in_the_place_of_a_group_is_not_touched(bench):
     bench.record(MORNING)
     (bench.run_folder()).mkdir(parents=True)
     (bench.run_folder() / "mine.txt").touch()
+    (bench.tree / "night.log").touch()
     state = bench.run()
     assert "is in the way" in state.nights["2024-02-10"].failures[0]
     assert os.listdir(bench.run_folder()) == ["mine.txt"]

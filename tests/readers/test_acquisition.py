@@ -176,3 +176,25 @@ def test_keys_for_an_input_replace_single_keys_only():
         "detector.e_per_adu": 2.0,
         "detector.read_noise_e": 4.0,
     }
+
+
+def test_the_keys_of_a_side_car_stand_in_the_order_of_the_class():
+    """An order that is that of a set differs between processes, and so do the files that hold it."""
+    given = dict(reversed(sidecar().items()))
+    keys = [key.split(".")[0] for key in AcquisitionKeys.model_validate(given).flat()]
+    order = list(AcquisitionKeys.model_fields)
+    assert [order.index(key) for key in keys] == sorted(order.index(key) for key in keys)
+
+
+@pytest.mark.parametrize(
+    "wavelengths", [[1500 + index for index in range(101)], [500.0, 1600.0]], ids=["many", "wide"]
+)
+def test_a_spectrum_that_would_take_all_memory_is_refused(tmp_path, wavelengths):
+    spectrum = [{"wavelength_nm": one} for one in wavelengths]
+    with pytest.raises(InputDataError, match="spectrum"):
+        read_sidecar(write_sidecar(tmp_path / "acquisition.yaml", spectrum=spectrum))
+
+
+def test_a_wavelength_without_weight_does_not_widen_the_band():
+    points = [{"wavelength_nm": 500.0, "weight": 0.0}, {"wavelength_nm": 1600.0}]
+    assert AcquisitionKeys.model_validate(sidecar(spectrum=points)).spectrum[1].wavelength_nm == 1600

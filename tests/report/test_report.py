@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -78,6 +79,17 @@ def full(tmp_path_factory) -> Page:
 def test_the_report_lies_in_the_run_folder(tmp_path):
     folder = made_run.write_run(tmp_path, made_run.products("ingest"))
     assert write_report(folder) == tmp_path / "report.html"
+
+
+def test_a_product_of_another_run_is_not_shown_as_that_of_this(tmp_path):
+    folder = made_run.write_run(tmp_path / "a", made_run.products("ingest"))
+    (other,) = made_run.products("ingest")
+    other.results["inputs"][0]["frames"] = 7
+    shutil.copy(made_run.write_run(tmp_path / "b", [other]) / "01_ingest.h5", folder)
+    with pytest.raises(
+        InputDataError, match=r"01_ingest\.h5: not the product that results\.json was made from"
+    ):
+        write_report(folder)
 
 
 @pytest.mark.slow

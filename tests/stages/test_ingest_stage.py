@@ -114,7 +114,9 @@ def test_a_clean_recording_passes_its_checks(tmp_path):
 
 def test_recordings_survive_the_product_file(tmp_path):
     write_recorder(tmp_path / "ramp" / "offset_2", counts(IMAGE), keys={"introduced_defocus_nm": 40.0})
-    write_recorder(tmp_path / "ramp" / "offset_10", counts(IMAGE), keys={"introduced_defocus_nm": 80.0})
+    write_recorder(
+        tmp_path / "ramp" / "offset_10", counts(IMAGE, seed=2), keys={"introduced_defocus_nm": 80.0}
+    )
     write_recorder(tmp_path / "sky", counts(IMAGE))
     output = run(ramp=[tmp_path / "ramp"], calibration=[tmp_path / "sky"])
     write_product(product_of(output), tmp_path / "01_ingest.h5")

@@ -8,12 +8,14 @@ from pathlib import Path
 
 from irlos_pipe.conventions.errors import ExitCode, IrlosError
 from irlos_pipe.conventions.text import aligned
-from irlos_pipe.paper.run.collect import collect_numbers, collect_reports, require_size
+from irlos_pipe.paper.run.collect import RESULTS_NAME, collect_numbers, collect_reports, require_size
 from irlos_pipe.paper.run.recipes import Experiment
 from irlos_pipe.pipeline import Outcome, Resources, run_recipe
 from irlos_pipe.pipeline.runlog import RUN
 from irlos_pipe.pipeline.terminal import quality_line
-from irlos_pipe.product.runfolder import owned_folder
+from irlos_pipe.product.runfolder import owned_folder, require_free
+
+OF_THE_PAPER = (RESULTS_NAME, "*/recipe.resolved.yaml")
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,7 @@ def run_paper(known: Sequence[Experiment], folder: Path, quick: bool, resources:
     Locked, IrlosError
         When the folder is in use, or cannot be written.
     """
+    require_free(folder, OF_THE_PAPER)
     require_size(folder, quick)
     wanted = [one for one in known if one.wanted]
     outcomes, problems = {}, {}

@@ -9,6 +9,7 @@ from typing import Any
 from irlos_pipe.simulate.scene import Scene
 
 LOOP_HZ = 200
+BYTES_PER_VALUE = 2
 DOUBLE = "__"  # stands for '/' in the names of truth files
 Defocus = float | tuple[float, ...]  # of all frames, or of every frame [nm RMS]
 
@@ -37,3 +38,9 @@ class Planned:
     hidden: Mapping[str, Mapping[str, Any]]
     layout: str
     mode: str
+
+    @property
+    def size_bytes(self) -> int:
+        """Size of its frames on the disk."""
+        rows, columns = self.scene.window
+        return self.scene.frames * rows * columns * BYTES_PER_VALUE

@@ -34,7 +34,8 @@ def _kind(value: Any) -> str:
 
 # One value or a list of them; thanks to the tags a wrong one is reported once, not for each possibility.
 Bands = Annotated[
-    Annotated[BandName, Tag("one")] | Annotated[list[BandKeys], Field(min_length=1), Tag("list")],
+    Annotated[BandName, Tag("one")]
+    | Annotated[list[BandKeys], Field(min_length=1, max_length=100), Tag("list")],
     Discriminator(_kind),
 ]
 Defocus = Annotated[

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from typing import Any
 
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
 from irlos_pipe.files.atomic import write_if_changed
-from irlos_pipe.product.runfolder import owned_folder
+from irlos_pipe.product.runfolder import owned_folder, require_free
 from irlos_pipe.simulate.recordings.folder import SimulationFolder
 from irlos_pipe.simulate.recordings.planned import Planned
 from irlos_pipe.simulate.recordings.series import plan_recordings
@@ -45,11 +46,23 @@ def plan_simulation(spec: Spec, folder: Path, force: bool = False) -> list[Step]
         When the output folder cannot be used.
     """
     target = SimulationFolder(Path(folder))
-    if target.path.exists() and not target.path.is_dir():
-        raise ConfigurationError(f"--output {folder}: is a file; give a folder")
     planned = plan_recordings(spec)
     target.require_own(planned)
-    return [Step(one, FORCED if force else target.reason(one)) for one in planned]
+    require_free(target.path, (target.spec.name,))
+    steps = [Step(one, FORCED if force else target.reason(one)) for one in planned]
+    _require_room(target.path, sum(step.planned.size_bytes for step in steps if step.reason))
+    return steps
+
+
+def _require_room(folder: Path, needed_bytes: float) -> None:
+    """Refuse a simulation that the disk cannot hold, before hours of work."""
+    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    free_bytes = shutil.disk_usage(existing).free
+    if needed_bytes > free_bytes:
+        raise ConfigurationError(
+            f"--output {folder}: the recordings take {needed_bytes / 1e9:.1f} GB, {free_bytes / 1e9:.1f} are free; "
+            "simulate fewer frames or a smaller window"
+        )
 
 
 def simulate(

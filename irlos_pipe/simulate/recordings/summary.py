@@ -5,13 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from irlos_pipe.simulate.recordings.planned import Planned
 from irlos_pipe.simulate.recordings.run import UP_TO_DATE, Step
 from irlos_pipe.simulate.recordings.spec import Spec
-
-BYTES_PER_VALUE = 2
 
 
 def plan_rows(steps: Sequence[Step]) -> list[tuple[str, ...]]:
@@ -25,12 +21,11 @@ def _action(step: Step) -> tuple[str, str]:
 
 def _described(planned: Planned) -> tuple[str, ...]:
     scene = planned.scene
-    megabytes = scene.frames * int(np.prod(scene.window)) * BYTES_PER_VALUE / 1e6
     return (
         f"{scene.frames} x {scene.exposure_s:g} s",
         f"m_J {scene.mag_j:g}",
         f"{scene.photons:.2g} photons/frame",
-        f"{megabytes:.2g} MB",
+        f"{planned.size_bytes / 1e6:.2g} MB",
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -69,13 +70,56 @@ def read_sources(
     failures: list[tuple[str, str]] = []
     for name, paths in inputs.items():
         taken: set[str] = set()
+        own: list[Source] = []
         for file in recording_files(paths):
-            try:
+            with failing_alone(failures, name, file, log):
                 for raw in _named(read_recordings(file, instrument), taken):
-                    sources.append(_source(name, raw, keys_for(name), instrument, log))
-            except InputDataError as error:
-                failures.append((name, str(error)))
+                    source = _source(name, raw, keys_for(name), instrument, log)
+                    own += _unless_a_copy(source, own, log)
+        sources += own
     return sources, failures
+
+
+@contextmanager
+def failing_alone(
+    failures: list[tuple[str, str]], input_name: str, file: Path, log: logging.Logger
+) -> Iterator[None]:
+    """Note in `failures` what goes wrong with a `file` of an input, so that the others go on."""
+    try:
+        yield
+    except InputDataError as error:
+        failures.append((input_name, str(error)))
+    except MemoryError:
+        raise
+    except Exception as error:  # nobody foresees all that can stand in a file
+        log.debug("%s", file, exc_info=True)
+        problem = next(iter(str(error).splitlines()), "")
+        failures.append((input_name, f"{file}: cannot be used: {type(error).__name__}: {problem}"))
+
+
+def _unless_a_copy(source: Source, earlier: Sequence[Source], log: logging.Logger) -> list[Source]:
+    """The recording, unless its frames are those of an earlier one of the input: they would count twice."""
+    first = next((other for other in earlier if _same_frames(other.raw, source.raw)), None)
+    if first is None:
+        return [source]
+    if not _same_description(first, source):
+        raise InputDataError(
+            f"{source.raw.path}: the same frames as in {first.raw.path}, but another side-car; remove one"
+        )
+    log.warning("%s: left out, a copy of %s", source.raw.path, first.raw.path)
+    return []
+
+
+def _same_frames(one: RawRecording, other: RawRecording) -> bool:
+    # the first frame alone tells nearly all apart
+    same = one.adu.shape == other.adu.shape and np.array_equal(one.adu[0], other.adu[0])
+    return same and np.array_equal(one.adu, other.adu)
+
+
+def _same_description(one: Source, other: Source) -> bool:
+    first, second = one.resolved, other.resolved
+    defocus = np.array_equal(first.introduced_defocus_nm, second.introduced_defocus_nm)
+    return first.acquisition == second.acquisition and defocus
 
 
 def with_darks(sources: Sequence[Source]) -> tuple[list[Source], list[Source]]:

@@ -12,6 +12,7 @@ import numpy as np
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.conventions.units import NM, resolution_px
+from irlos_pipe.files.memory import require_memory
 from irlos_pipe.frames.believed_detector import READ_NOISE, believed
 from irlos_pipe.frames.cleaning import Cleaned, clean
 from irlos_pipe.frames.recording import PROFILE, Acquisition, Recording
@@ -26,12 +27,14 @@ from irlos_pipe.stages.ingest.config import Config
 from irlos_pipe.stages.ingest.output import checks, contradictions, dark_row, row, summary
 from irlos_pipe.stages.ingest.recording_arrays import arrays_of
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
-from irlos_pipe.stages.ingest.sources import Source, read_sources, with_darks
+from irlos_pipe.stages.ingest.sources import Source, failing_alone, read_sources, with_darks
 
 NAME = "ingest"
 VERSION = 5
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})
+BYTES_PER_PIXEL = 1600  # of the window; cleaning took 6.3 GB for a frame of 2000x2000 px
+BYTES_PER_VALUE = 8
 
 
 def files_of(root: Path) -> list[Path]:
@@ -57,16 +60,13 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     rows: list[RecordingRow] = []
     quality: list[Check] = []
     for source in ctx.progress(stars, desc="ingest"):
-        try:
+        with failing_alone(failures, source.input, source.raw.path, ctx.log):
             recording, cleaned = ingest(source, ctx.config, ctx.instrument)
             for line in contradictions(recording, cleaned):
                 ctx.log.warning(line)
-        except InputDataError as error:
-            failures.append((source.input, str(error)))
-            continue
-        rows.append(row(recording, cleaned, source.raw))
-        quality += checks(recording, ctx.config)
-        arrays |= arrays_of(recording, cleaned, source.raw)
+            rows.append(row(recording, cleaned, source.raw))
+            quality += checks(recording, ctx.config)
+            arrays |= arrays_of(recording, cleaned, source.raw)
     _require_every_input(ctx.inputs, rows, failures)
     lines = [text for _, text in failures]
     results = IngestResults(inputs=[*rows, *map(dark_row, darks)])
@@ -90,6 +90,7 @@ def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Reco
     InputDataError
         None of its frames can be used, all are the same image, or the noise of a single one is not known.
     """
+    _require_room(source)
     cleaned = _cleaned(source, config, instrument)
     told = source.resolved.acquisition
     detector, sources = believed(told.detector, told.sources, cleaned.noise)
@@ -100,6 +101,13 @@ def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Reco
     if source.raw.frames == 1:
         _require_noise_level(source, cleaned)
     return _recording(source, cleaned), cleaned
+
+
+def _require_room(source: Source) -> None:
+    frames, rows, columns = source.raw.adu.shape
+    needed_bytes = BYTES_PER_PIXEL * rows * columns + BYTES_PER_VALUE * source.raw.adu.size
+    where = f"{source.raw.path}: {frames} frames of {rows}x{columns} px"
+    require_memory(needed_bytes, where, InputDataError, "cut the window, or the recording into parts")
 
 
 def _cleaned(source: Source, config: Config, instrument: Instrument) -> Cleaned:

@@ -9,6 +9,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from irlos_pipe.estimate.lift import LiftOptions, NoiseSource
 from irlos_pipe.stages.base import StageConfig
 
+HIGHEST_NOLL = 231  # memory and time grow with their number
+Mode = Annotated[int, Field(ge=2, le=HIGHEST_NOLL)]
 # "told" is the former spelling of "commanded".
 Start = Annotated[
     Literal["elongation", "scan", "commanded", "zero"],
@@ -21,8 +23,8 @@ class Config(StageConfig):
     """Settings of LIFT."""
 
     input: str = Field("ramp", description="recipe input that holds the ramp")
-    modes: tuple[int, ...] = Field((2, 3, 4), description="Noll modes to estimate; 4 (defocus) among them")
-    common_modes: tuple[int, ...] = Field(
+    modes: tuple[Mode, ...] = Field((2, 3, 4), description="Noll modes to estimate; 4 (defocus) among them")
+    common_modes: tuple[Annotated[int, Field(le=HIGHEST_NOLL)], ...] = Field(
         (),
         description="Noll modes of a static wavefront that all frames share, fitted to the ramp by phase "
         "diversity; instead of a calibration",

@@ -29,7 +29,7 @@ class ModelConfig(BaseModel):
     pupil_samples: int = Field(128, ge=48, le=512, description="samples across the pupil diameter")
     cutoff_per_m: float | None = Field(
         None,
-        gt=0,
+        ge=0.01,
         le=1000,
         description="AO cut-off, 1/(2 actuator pitch) [1/m]; that of the instrument if left out",
     )

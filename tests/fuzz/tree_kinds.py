@@ -1,0 +1,210 @@
+"""Folders: links, pipes, copies and torn files among recordings, outputs of others, spoiled databases."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import shutil
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from astropy.io import fits
+from click.testing import CliRunner
+from helpers import sparta_files
+
+from fuzz import pristine
+from fuzz.case import Case, kind, pick
+from fuzz.damage import damaged
+from irlos_pipe.commands import night as night_command
+from irlos_pipe.commands.main import cli
+from irlos_pipe.night.database import NAME
+
+NIGHT_RECIPE = "recipe: fuzz\ninputs: {calibration: in}\nstages: [ingest]\n"
+SQL = (
+    "UPDATE recordings SET description = 'x'",
+    "UPDATE recordings SET description = replace(description, '2023', '../..')",
+    "UPDATE recordings SET stamp = x'00ff'",
+    "UPDATE runs SET effects = '{', verdict = 'effect'",
+    "UPDATE runs SET night = '../../x', verdict = 'none', effects = '[]'",
+    "UPDATE runs SET start_unix_s = 1e300",
+    "UPDATE runs SET run = 'no slash', verdict = 'none'",
+    "INSERT INTO numbers SELECT run, 'noll_4_nm', 'many', NULL FROM runs",
+    "INSERT INTO numbers SELECT run, '<script>$', 1e308, -1 FROM runs",
+    "DELETE FROM runs",
+    "DROP TABLE numbers",
+    "PRAGMA user_version = 99",
+    "PRAGMA user_version = -1",
+)
+
+
+def in_this_process(*_: object) -> Callable:
+    """Runner of a night without worker processes, whose limits the judge would not see."""
+    return lambda work, tasks: map(work, tasks)
+
+
+night_command._runner = in_this_process
+
+
+@kind
+def folder_entries(folder: Path, rng: np.random.Generator) -> Case:
+    """Put odd things beside a recording."""
+    path = pristine.write("recorder", folder / "in" / "sky")
+    done = [_clutter(path, rng) for _ in range(rng.integers(1, 4))]
+    (folder / "recipe.yaml").write_text(pristine.RECIPE.format(path="in"))
+    return Case(", ".join(done), _run(folder), "recorder", plausible=True)
+
+
+@kind
+def night_entries(folder: Path, rng: np.random.Generator) -> Case:
+    """Reduce a night with odd things in it."""
+    path = pristine.write("recorder", folder / "in" / "2023-07-14" / "sky")
+    done = [_clutter(path, rng) for _ in range(rng.integers(1, 4))]
+    return Case(", ".join(done), _night(folder))
+
+
+@kind
+def output_entries(folder: Path, rng: np.random.Generator) -> Case:
+    """Let the output be a folder of somebody else's, or links and pipes wait in that of a run."""
+    (folder / "mine").mkdir()
+    (folder / "mine" / "notes").write_text("mine")
+    if rng.random() < 0.5:
+        out = pristine.write_run(folder)
+    else:
+        pristine.write("recorder", folder / "in" / "sky")
+        pristine.write_recipe(folder)
+        out = folder / "out"
+        out.mkdir()
+    names = ["run.log", "results.json", ".input_checksums.json", ".lock", ".partial", "01_ingest.h5",
+             "report.html", "qc.json", "recipe.resolved.yaml", "earlier", "thesis.tex"]  # fmt: skip
+    done = []
+    for name in rng.choice(names, 2, replace=False):
+        how = pick(rng, [_link_to_file, _link_to_folder, _pipe, _folder, _noise])
+        _remove(out / str(name))
+        how(out / str(name), folder / "mine")
+        done.append(f"{name}:{how.__name__}")
+    return Case(", ".join(done), _run(folder), plausible=True)
+
+
+@kind
+def tree_database(folder: Path, rng: np.random.Generator) -> Case:
+    """Spoil the database of a tree, or its rows."""
+    pristine.write("recorder", folder / "in" / "2023-07-14" / "sky")
+    arguments = _night(folder)
+    CliRunner().invoke(cli, arguments)
+    path = folder / "out" / NAME
+    if rng.random() < 0.3:
+        how, content = damaged(path.read_bytes(), rng)
+        path.write_bytes(content)
+    else:
+        how = pick(rng, list(SQL))
+        with sqlite3.connect(path) as connection:
+            connection.execute(how)
+    trend = ("trend", str(folder / "out"), *pick(rng, [(), ("--json",)]))
+    return Case(how, pick(rng, [arguments, trend]))
+
+
+def _clutter(path: Path, rng: np.random.Generator) -> str:
+    """Put one odd thing beside the recording, or change the recording."""
+    how = pick(rng, list(CLUTTER))
+    name = pick(
+        rng, ["a", "z", "sky-2.fits", "acquisition.yaml", "IRAcq.DET1.FLAT.fits", "sky.yaml", "b\nc.fits"]
+    )
+    target = path.with_name(name)
+    if not target.exists() and not target.is_symlink():
+        how(target, path)
+    return f"{name!r}:{how.__name__}"
+
+
+def _pipe(target: Path, _: Path) -> None:
+    os.mkfifo(target)
+
+
+def _device(target: Path, _: Path) -> None:
+    target.symlink_to(pick(np.random.default_rng(0), ["/dev/zero", "/dev/full", "/dev/tty"]))
+
+
+def _loop(target: Path, _: Path) -> None:
+    target.symlink_to(".")
+
+
+def _upwards(target: Path, _: Path) -> None:
+    target.symlink_to("../..")
+
+
+def _nowhere(target: Path, _: Path) -> None:
+    target.symlink_to("gone.fits")
+
+
+def _itself(target: Path, _: Path) -> None:
+    target.symlink_to(target.name)
+
+
+def _second_name(target: Path, path: Path) -> None:
+    target.symlink_to(path.name)
+
+
+def _copy(target: Path, path: Path) -> None:
+    shutil.copy(path, target)
+
+
+def _packed_copy(target: Path, path: Path) -> None:
+    target.with_name("sky.fits.gz").write_bytes(gzip.compress(path.read_bytes()))
+
+
+def _header_only(target: Path, path: Path) -> None:
+    target.write_bytes(path.read_bytes()[:2880])
+
+
+def _deep(target: Path, path: Path) -> None:
+    folder = target.with_name("deep")
+    for _ in range(60):
+        folder = folder / "d"
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copy(path, folder / path.name)
+
+
+def _two_tables(_: Path, path: Path) -> None:
+    table = sparta_files.pixel_table(pristine.adu())
+    fits.HDUList([fits.PrimaryHDU(), table, table.copy()]).writeto(path, overwrite=True)
+
+
+def _folder(target: Path, _: Path) -> None:
+    target.mkdir()
+
+
+def _noise(target: Path, _: Path) -> None:
+    target.write_bytes(bytes(range(256)) * 20)
+
+
+def _link_to_file(target: Path, mine: Path) -> None:
+    target.symlink_to(mine / "notes")
+
+
+def _link_to_folder(target: Path, mine: Path) -> None:
+    target.symlink_to(mine)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+CLUTTER = (
+    _pipe, _device, _loop, _upwards, _nowhere, _itself, _second_name, _copy, _packed_copy, _header_only, _deep,
+    _two_tables, _folder, _noise,
+)  # fmt: skip
+
+
+def _run(folder: Path) -> tuple[str, ...]:
+    recipe, out = folder / "recipe.yaml", folder / "out"
+    return ("run", str(recipe), "--output", str(out), "--jobs", "1", "--device", "cpu")
+
+
+def _night(folder: Path) -> tuple[str, ...]:
+    (folder / "cube.yaml").write_text(NIGHT_RECIPE)
+    recipe = f"calibration={folder / 'cube.yaml'}"
+    return ("night", str(folder / "in"), "--output", str(folder / "out"), "--recipe", recipe)

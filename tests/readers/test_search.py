@@ -1,0 +1,209 @@
+"""Folders with links, pipes, devices and torn files: nothing hangs, nothing counts twice or gets lost."""
+
+import os
+import shutil
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from helpers.patience import within
+from helpers.sparta_files import (
+    counts,
+    loop_table,
+    pixel_table,
+    star,
+    write_muse,
+    write_recorder,
+    write_sidecar,
+)
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.readers import fitsfile
+from irlos_pipe.readers.find import files_of, read_recordings, recording_files
+from irlos_pipe.readers.fitsfile import open_fits
+
+IRLOS = load_instrument("irlos")
+CUBE = counts(star(12, 12), 3)
+
+
+@pytest.fixture(autouse=True)
+def patient():
+    with within(10):
+        yield
+
+
+def cut_behind_primary_header(path):
+    path.write_bytes(path.read_bytes()[:2880])
+
+
+def test_a_link_to_its_own_folder_does_not_multiply_a_recording(tmp_path):
+    path = write_recorder(tmp_path / "rec", CUBE)
+    for name in ("a", "z"):
+        (path.parent / name).symlink_to(".")
+    assert recording_files([tmp_path]) == [path]
+
+
+def test_folders_that_link_to_one_another_are_searched_once(tmp_path):
+    paths = [write_recorder(tmp_path / name, CUBE) for name in ("one", "two")]
+    (tmp_path / "one" / "a").symlink_to("../two")
+    (tmp_path / "two" / "a").symlink_to("../one")
+    assert recording_files([tmp_path]) == paths
+
+
+@pytest.mark.parametrize("link", [os.symlink, os.link])
+def test_a_file_under_a_second_name_is_the_same_recording(tmp_path, link):
+    fits.writeto(tmp_path / "c.fits", CUBE)
+    link(tmp_path / "c.fits", tmp_path / "latest.fits")
+    assert len(recording_files([tmp_path, tmp_path / "c.fits"])) == 1
+
+
+def test_a_link_to_the_latest_recording_gives_way_to_the_recording(tmp_path):
+    path = write_recorder(tmp_path / "rec", CUBE)
+    (tmp_path / "latest").symlink_to("rec")
+    assert recording_files([tmp_path]) == [path]
+
+
+def test_links_to_folders_elsewhere_are_followed_but_not_upwards(tmp_path):
+    write_recorder(tmp_path / "store" / "rec", CUBE)
+    (tmp_path / "night").mkdir()
+    (tmp_path / "night" / "rec").symlink_to("../store/rec")
+    (tmp_path / "night" / "up").symlink_to("..")
+    assert recording_files([tmp_path / "night"]) == [tmp_path / "night" / "rec" / "rec.fits"]
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda folder: write_recorder(folder / "rec", CUBE),
+        lambda folder: write_sidecar(folder / "acquisition.yaml") and write_muse(folder / "m.fits", CUBE),
+        lambda folder: write_sidecar(folder / "m.yaml") and write_muse(folder / "m.fits", CUBE),
+    ],
+)
+def test_a_recording_cut_off_behind_its_primary_header_is_reported(tmp_path, write):
+    path = write(tmp_path)
+    cut_behind_primary_header(path)
+    assert recording_files([tmp_path]) == [path]
+    with pytest.raises(InputDataError, match="no recording in it"):
+        read_recordings(path, IRLOS)
+
+
+def test_a_recording_whose_table_has_a_wrong_name_is_reported(tmp_path):
+    path = write_recorder(tmp_path / "rec", CUBE)
+    with fits.open(path, mode="update") as hdus:
+        hdus[1].name = "IRPixelFram"
+    assert recording_files([tmp_path]) == [path]
+
+
+def test_a_cube_with_a_side_car_of_its_own_beside_a_pixel_table_is_a_recording(tmp_path):
+    path = write_recorder(tmp_path / "rec", CUBE)
+    fits.writeto(path.with_name("cube.fits"), CUBE)
+    fits.writeto(path.with_name("telemetry.fits"), CUBE)
+    write_sidecar(path.with_name("cube.yaml"))
+    assert recording_files([tmp_path]) == [path.with_name("cube.fits"), path]
+
+
+def test_tables_of_the_loop_are_no_recordings_even_beside_a_side_car(tmp_path):
+    write_sidecar(tmp_path / "acquisition.yaml")
+    fits.HDUList([fits.PrimaryHDU(), loop_table([0], [1], [0])]).writeto(tmp_path / "loop.fits")
+    fits.writeto(tmp_path / "c.fits", CUBE)
+    assert recording_files([tmp_path]) == [tmp_path / "c.fits"]
+
+
+@pytest.mark.parametrize("name", ["notes", "loop.fits", "IRAcq.DET1.DARK.fits"])
+def test_a_pipe_in_the_folder_of_a_recording_is_not_opened(tmp_path, name):
+    path = write_recorder(tmp_path / "rec", CUBE)
+    os.mkfifo(path.with_name(name))
+    assert path in recording_files([tmp_path])
+    assert read_recordings(path, IRLOS)[0].frames == 3
+    assert path.with_name(name) not in files_of(path)
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: os.symlink("/dev/zero", path)])
+def test_a_pipe_or_device_named_like_a_recording_is_reported(tmp_path, make):
+    make(tmp_path / "c.fits")
+    assert recording_files([tmp_path]) == [tmp_path / "c.fits"]
+    with pytest.raises(InputDataError, match=r"c\.fits: not a regular file"):
+        read_recordings(tmp_path / "c.fits", IRLOS)
+
+
+def test_a_link_to_a_recording_that_is_gone_is_reported(tmp_path):
+    (tmp_path / "c.fits").symlink_to("elsewhere.fits")
+    assert recording_files([tmp_path]) == [tmp_path / "c.fits"]
+    with pytest.raises(InputDataError, match=r"c\.fits: a link to elsewhere\.fits, which is not there"):
+        read_recordings(tmp_path / "c.fits", IRLOS)
+
+
+@pytest.mark.parametrize("key", ["NAXIS2  ", "NAXIS1  ", "PCOUNT  "])
+def test_a_size_below_zero_is_refused_at_once(tmp_path, key):
+    path = write_recorder(tmp_path / "rec", counts(star(32, 32), 3))  # rows longer than a block
+    content = path.read_bytes()
+    at = content.index(key.encode() + b"=", 2880)
+    path.write_bytes(content[:at] + f"{key}= {-1:>20}".encode() + content[at + 30 :])
+    with pytest.raises(InputDataError, match="nothing below 0"):
+        read_recordings(path, IRLOS)
+
+
+def test_a_file_that_shrinks_while_it_is_read_is_an_error(tmp_path):
+    path = write_recorder(tmp_path / "rec", CUBE)
+    with pytest.raises(InputDataError, match="changed while it was read"), open_fits(path) as hdus:
+        path.write_bytes(path.read_bytes()[:4000])
+        np.asarray(hdus[1].data)
+
+
+def test_a_file_that_is_replaced_while_it_is_read_is_an_error(tmp_path):
+    path = write_recorder(tmp_path / "rec", CUBE)
+    shutil.copy(path, tmp_path / "other")
+    with pytest.raises(InputDataError, match="changed while it was read"), open_fits(path):
+        os.replace(tmp_path / "other", path)
+
+
+def test_a_header_looked_at_while_the_file_is_cut_gives_an_error_not_a_signal(tmp_path):
+    """Through a memory map a page that is gone kills the process."""
+    path = tmp_path / "c.fits"
+    fits.writeto(path, np.zeros((300, 64, 64), np.float32))
+    pieces = fitsfile._pieces(path)
+    next(pieces)
+    os.truncate(path, 4000)
+    assert sum(map(len, pieces)) < 300 * 64 * 64 * 4
+
+
+def test_a_file_with_two_pixel_tables_is_refused(tmp_path):
+    path = write_recorder(tmp_path / "rec", CUBE, pixel_table(CUBE))
+    with pytest.raises(InputDataError, match="2 tables IRPixelFrame"):
+        read_recordings(path, IRLOS)
+
+
+def test_a_file_with_two_cubes_is_refused_but_not_one_with_a_named_map_beside_it(tmp_path):
+    def cubes(name, *names):
+        images = [fits.ImageHDU(CUBE, name=one) for one in names]
+        fits.HDUList([fits.PrimaryHDU(), *images]).writeto(tmp_path / name)
+        return tmp_path / name
+
+    for path in (cubes("a.fits", "", ""), cubes("b.fits", "SCI", "SCI")):
+        with pytest.raises(InputDataError, match="2 cubes of frames"):
+            read_recordings(path, IRLOS)
+    (raw,) = read_recordings(cubes("c.fits", "SCI", "ERR"), IRLOS)
+    assert raw.frames == 3 and "ERR" in raw.notes[0]
+
+
+@pytest.mark.parametrize("seconds", [1e18, -5.0, np.nan])
+def test_a_time_that_cannot_be_is_refused(tmp_path, seconds):
+    table = pixel_table(CUBE)
+    table = fits.BinTableHDU.from_columns(
+        table.columns + fits.Column("Seconds", "D", array=np.full(3, seconds)), name="IRPixelFrame"
+    )
+    fits.HDUList([fits.PrimaryHDU(), table]).writeto(tmp_path / "c.fits")
+    with pytest.raises(InputDataError, match="is no time from 1970 to 2100"):
+        read_recordings(tmp_path / "c.fits", IRLOS)
+
+
+def test_a_frame_counter_with_several_values_per_frame_is_refused(tmp_path):
+    table = pixel_table(CUBE)
+    columns = [column for column in table.columns if column.name != "FrameCounter"]
+    columns.append(fits.Column("FrameCounter", "2J", array=np.zeros((3, 2), int)))
+    fits.HDUList([fits.PrimaryHDU(), fits.BinTableHDU.from_columns(columns, name="IRPixelFrame")]).writeto(
+        tmp_path / "c.fits"
+    )
+    with pytest.raises(InputDataError, match="'FrameCounter' has 2 values per row"):
+        read_recordings(tmp_path / "c.fits", IRLOS)
