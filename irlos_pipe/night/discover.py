@@ -117,6 +117,8 @@ def _describe(
     file: Path, single: bool, keys: AcquisitionKeys, instrument: Instrument, database: Database
 ) -> Description:
     """Describe the recording in a file; `single` if no other lies in its folder."""
+    if not file.is_file():
+        raise InputDataError(f"{file}: not a regular file, or a link to one that is gone")
     stamp = _stamp(file, keys, single)
     known = database.description(file, stamp)
     if known is not None:

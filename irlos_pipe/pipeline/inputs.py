@@ -61,7 +61,7 @@ def input_files(
     NothingToDo
         When there is nothing to read of an input.
     InputDataError
-        When a file cannot be read.
+        When a folder cannot be read, or a name cannot be shown.
     """
     cache = _read_cache(cache_folder)
     found: dict[str, Path] = {}
@@ -87,7 +87,7 @@ def remember(files: list[InputFile], cache_folder: Path) -> None:
 def require_unchanged(files: Iterable[InputFile]) -> None:
     """Raise InputDataError if one of the `files` is no longer the one whose checksum was taken."""
     for file in files:
-        if not file.path.is_file() or _stamp(file.path) != file.stamp:
+        if _stamp(file.path) != file.stamp:
             raise InputDataError(f"{file.path}: changed during the run; run again when it is complete")
 
 
@@ -122,11 +122,12 @@ def _read_cache(folder: Path) -> dict[str, Any]:
 
 
 def _input_file(label: str, path: Path, cache: Mapping[str, Any]) -> InputFile:
+    """A file with its checksum; one that cannot be read fails when it is, and does not stop the others."""
+    stamp = _stamp(path)
     try:
-        stamp = _stamp(path)
         return InputFile(label, path, _remembered(cache.get(str(path)), stamp) or _checksum(path), stamp)
     except OSError as error:
-        raise InputDataError(f"{path}: cannot be read: {error.strerror}") from error
+        return InputFile(label, path, f"cannot be read: {error.strerror}", stamp)
 
 
 def _remembered(entry: Any, stamp: tuple[int, ...]) -> str:
@@ -143,5 +144,7 @@ def _checksum(path: Path) -> str:
 
 def _stamp(path: Path) -> tuple[int, ...]:
     """Change of the content shows in one of these, also where size and time of modification are kept."""
+    if not path.is_file():
+        return ()
     status = path.stat()
     return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino

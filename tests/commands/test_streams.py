@@ -107,7 +107,7 @@ def test_under_nohup_a_lost_connection_ends_nothing():
 def test_an_output_without_a_name_that_can_be_shown_is_refused(bench, output):
     """An unset variable gives the empty name, which would be the current folder."""
     result = invoke("run", str(bench.recipe), "--output", os.fsdecode(output))
-    assert result.exit_code == 2 and "give a path" in result.output or "cannot be shown" in result.output
+    assert (result.exit_code == 2 and "give a path" in result.output) or "cannot be shown" in result.output
 
 
 def test_without_a_home_a_tilde_is_a_name_like_others(bench, monkeypatch):

@@ -1,4 +1,4 @@
-"""Texts of any letters: settings survive writing and reading, and no line steers a terminal (property-based)."""
+"""Texts of any letters: settings survive writing and reading, no line steers a terminal (property-based)."""
 
 from hypothesis import example, given, settings
 from hypothesis import strategies as st

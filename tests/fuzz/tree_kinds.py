@@ -194,8 +194,8 @@ def _remove(path: Path) -> None:
 
 
 CLUTTER = (
-    _pipe, _device, _loop, _upwards, _nowhere, _itself, _second_name, _copy, _packed_copy, _header_only, _deep,
-    _two_tables, _folder, _noise,
+    _pipe, _device, _loop, _upwards, _nowhere, _itself, _second_name, _copy, _packed_copy, _header_only,
+    _deep, _two_tables, _folder, _noise,
 )  # fmt: skip
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.files.json import jsonable
+from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.product.product import Check, Product, Quantity
 from irlos_pipe.product.storage import write_product
 from irlos_pipe.stages.ingest.recording_arrays import arrays_from_recording

@@ -1,4 +1,4 @@
-"""Nights with odd names, links, pipes and spoiled databases: what can be reduced is, and the rest is named."""
+"""Nights with odd names, links, pipes, spoiled databases: what can be reduced is, the rest is named."""
 
 import os
 import sqlite3
@@ -67,6 +67,14 @@ def test_a_pipe_in_an_archive_does_not_keep_the_night(bench):
     os.mkfifo(folder / "loop.fits")
     os.mkfifo(bench.archive / "readme.txt")
     assert bench.run_folder().is_dir() or bench.run().nights["2024-02-10"].reduced
+
+
+def test_a_link_to_a_recording_that_is_gone_is_named(bench):
+    bench.record(MORNING)
+    (bench.archive / "gone.fits").symlink_to("elsewhere.fits")
+    state = bench.run()
+    failures = [line for night in state.nights.values() for line in night.failures]
+    assert state.exit_code == 5 and "gone.fits: not a regular file, or a link" in failures[0]
 
 
 def test_products_that_were_moved_away_and_linked_are_not_removed(tmp_path):

@@ -8,11 +8,14 @@ import pytest
 import yaml
 from helpers.patience import within
 from helpers.running import reasons, results, run, visible
+from helpers.sparta_files import counts, star, write_recorder
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError
+from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.pipeline.inputs import CACHE_NAME
 from irlos_pipe.product.runfolder import require_free
 from irlos_pipe.product.storage import read_product, write_product
+from irlos_pipe.recipe import load_recipe
 
 
 @pytest.fixture(autouse=True)
@@ -75,6 +78,14 @@ def test_a_pipe_in_the_folder_of_a_run_blocks_nothing(bench, name):
     (bench.output / name).unlink()
     os.mkfifo(bench.output / name)
     assert bench.run().exit_code in (0, 1)
+
+
+def test_a_recording_that_is_gone_does_not_stop_the_run(tmp_path):
+    write_recorder(tmp_path / "in" / "sky", counts(star(12, 12), 3))
+    (tmp_path / "in" / "gone.fits").symlink_to("elsewhere.fits")
+    (tmp_path / "recipe.yaml").write_text("recipe: test\ninputs: {cube: in}\nstages: [ingest]\n")
+    outcome = run_recipe(load_recipe(tmp_path / "recipe.yaml"), tmp_path / "out")
+    assert outcome.exit_code in (4, 5) and len(outcome.results["stages"]["ingest"]["inputs"]) == 1
 
 
 def test_a_pipe_among_the_input_files_is_not_read(bench):
@@ -155,4 +166,4 @@ def test_the_advice_to_remove_a_file_is_not_given_about_a_file_of_others(tmp_pat
     (tmp_path / "README.md").write_text("# mine")
     with pytest.raises(InputDataError, match="not a product of irlos") as caught:
         read_product(tmp_path / "README.md")
-    assert "remove" not in str(caught.value)
+    assert "remove it" not in str(caught.value)

@@ -60,8 +60,8 @@ def _require_room(folder: Path, needed_bytes: float) -> None:
     free_bytes = shutil.disk_usage(existing).free
     if needed_bytes > free_bytes:
         raise ConfigurationError(
-            f"--output {folder}: the recordings take {needed_bytes / 1e9:.1f} GB, {free_bytes / 1e9:.1f} are free; "
-            "simulate fewer frames or a smaller window"
+            f"--output {folder}: the recordings take {needed_bytes / 1e9:.1f} GB, {free_bytes / 1e9:.1f} are "
+            "free; simulate fewer frames or a smaller window"
         )
 
 
