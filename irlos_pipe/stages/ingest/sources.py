@@ -111,8 +111,10 @@ def _unless_a_copy(source: Source, earlier: Sequence[Source], log: logging.Logge
 
 
 def _same_frames(one: RawRecording, other: RawRecording) -> bool:
-    # the first frame alone tells nearly all apart
-    same = one.adu.shape == other.adu.shape and np.array_equal(one.adu[0], other.adu[0])
+    """Whether two files hold the same frames; the first frame alone tells nearly all apart."""
+    if one.path == other.path or one.adu.shape != other.adu.shape:
+        return False
+    same = np.array_equal(one.adu[0], other.adu[0])
     return same and np.array_equal(one.adu, other.adu)
 
 
