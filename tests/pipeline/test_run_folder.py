@@ -157,13 +157,3 @@ def test_what_another_recipe_left_is_set_aside(bench):
     run(bench)
     assert {"02_calibrate.h5", "03_lift.h5", "table.csv"} == set(os.listdir(bench.output / "earlier"))
     assert "table.csv" not in visible(bench) and read_product(bench.output / "02_lift.h5").stage == "lift"
-
-
-# -- reports and advice ---------------------------------------------------------------------------
-
-
-def test_the_advice_to_remove_a_file_is_not_given_about_a_file_of_others(tmp_path):
-    (tmp_path / "README.md").write_text("# mine")
-    with pytest.raises(InputDataError, match="not a product of irlos") as caught:
-        read_product(tmp_path / "README.md")
-    assert "remove it" not in str(caught.value)
