@@ -29,6 +29,7 @@ MAY_IMPORT = {
         "estimate", "diagnose", "product",
     },
     "recipe": {"conventions", "files", "instrument", "stages"},
+    "reference": {"conventions", "effects", "product", "readers", "recipe", "stages"},
     "report": {
         "conventions", "files", "frames", "instrument", "numerics", "optics", "effects", "estimate",
         "product", "stages",
@@ -45,7 +46,7 @@ MAY_IMPORT = {
     },
     "commands": {
         "conventions", "files", "simulate.recordings", "product", "recipe", "pipeline", "report", "paper.run",
-        "night",
+        "night", "instrument", "readers", "reference",
     },
     "__main__": {"commands"},
 }  # fmt: skip

@@ -1,12 +1,21 @@
-"""Commands that look things up: recipes."""
+"""Commands that look things up: recipes, explain, sidecar."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
+
+from irlos_pipe.commands import completion
+from irlos_pipe.commands.options import FOLDER
 
 
 @click.command()
-@click.argument("name", required=False)
+@click.argument(
+    "name",
+    required=False,
+    shell_complete=completion.completed(completion.recipes),
+)
 def recipes(name: str | None) -> None:
     """List the recipes and specifications that come with the package, or print the one called NAME.
 
@@ -19,3 +28,60 @@ def recipes(name: str | None) -> None:
     from irlos_pipe.recipe.listing import recipe_list, recipe_text
 
     click.echo(recipe_list() if name is None else recipe_text(name), nl=name is None)
+
+
+@click.command()
+@click.argument("name", required=False, shell_complete=completion.completed(completion.explained))
+def explain(name: str | None) -> None:
+    """Explain a stage, a key of a recipe or a side-car, an effect, a check, or a number of results.json.
+
+    NAME is the whole name, or the last part of it. Without it, stages, effects and checks are listed.
+
+    \b
+    Examples:
+      irlos explain calibrate
+      irlos explain calibrate.highest_noll
+      irlos explain seeing_halo
+      irlos explain 'twin solution'
+      irlos explain chi2_nu
+    """
+    from irlos_pipe.reference.lookup import explain as explanation
+    from irlos_pipe.reference.lookup import overview
+
+    click.echo(overview() if name is None else explanation(name))
+
+
+@click.command()
+@click.argument("fits", metavar="FITS", type=FOLDER)
+@click.option(
+    "--instrument",
+    default="irlos",
+    show_default=True,
+    metavar="NAME",
+    help="Instrument profile: a name, or the path of a YAML file.",
+)
+@click.option(
+    "--output",
+    type=FOLDER,
+    metavar="FILE",
+    help="File to write (default: where it is looked for beside FITS); - writes it to the terminal.",
+)
+@click.option("--force", is_flag=True, help="Replace FILE if it exists.")
+def sidecar(fits: Path, instrument: str, output: Path | None, force: bool) -> None:
+    """Write a side-car for the recording in FITS, with comments and what the header says, to be filled in.
+
+    A side-car states what the data cannot say: role, spectrum, diversity. irlos validate checks it.
+
+    \b
+    Examples:
+      irlos sidecar star.fits
+      irlos sidecar 2023-07-14/2023-07-14.fits --output -
+    """
+    from irlos_pipe.instrument.instrument import load_instrument
+    from irlos_pipe.readers.sidecar_template import sidecar_template, write_template
+
+    text = sidecar_template(fits, load_instrument(instrument))
+    if str(output) == "-":
+        click.echo(text, nl=False)
+        return
+    click.echo(write_template(text, fits, output, replace=force))

@@ -6,7 +6,7 @@ import click
 
 import irlos_pipe
 from irlos_pipe.commands.exits import EXIT_CODES, IrlosGroup
-from irlos_pipe.commands.lookup import recipes
+from irlos_pipe.commands.lookup import explain, recipes, sidecar
 from irlos_pipe.commands.night import night, trend
 from irlos_pipe.commands.products import export, report, score, show, status
 from irlos_pipe.commands.reduction import demo, run, validate
@@ -31,6 +31,7 @@ def cli() -> None:
 
 
 for command in (
-    run, demo, validate, recipes, status, show, report, export, score, simulate, paper, night, trend
+    run, demo, validate, recipes, explain, sidecar, status, show, report, export, score, simulate, paper,
+    night, trend,
 ):  # fmt: skip
     cli.add_command(command)

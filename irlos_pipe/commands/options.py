@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from irlos_pipe.commands import completion
+
 if TYPE_CHECKING:
     from irlos_pipe.pipeline import Resources
 
@@ -46,6 +48,7 @@ def setting_options(command: Command) -> Command:
             metavar="STAGE.KEY=VALUE",
             multiple=True,
             help="Change a value of the recipe; VALUE is YAML. May be repeated.",
+            shell_complete=completion.completed(completion.settings),
         ),
     ):
         command = decorate(command)
@@ -67,8 +70,13 @@ def recipe_options(command: Command) -> Command:
             metavar="NAME=PATH",
             multiple=True,
             help="File or folder for an input of the recipe. A NAME given again makes a list.",
+            shell_complete=completion.completed(completion.inputs),
         ),
-        click.argument("recipe", type=FOLDER),
+        click.argument(
+            "recipe",
+            type=FOLDER,
+            shell_complete=completion.completed(completion.recipes, files=True),
+        ),
     ):
         command = decorate(command)
     return command

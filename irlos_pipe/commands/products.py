@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from irlos_pipe.commands import completion
 from irlos_pipe.commands.options import FOLDER
 from irlos_pipe.conventions.errors import InputDataError
 
@@ -80,6 +81,7 @@ def report(folder: Path) -> None:
     metavar="NAME",
     multiple=True,
     required=True,
+    shell_complete=completion.completed(completion.arrays),
     help="Array to copy; irlos show PRODUCT.h5 lists the names. May be repeated.",
 )
 @click.option("--output", type=FOLDER, required=True, metavar="FILE", help="File to write, .fits or .csv.")

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 import click
 
+from irlos_pipe.commands import completion
 from irlos_pipe.commands.exits import EXIT_CODES, report_error, terminated_like_interrupted
 from irlos_pipe.commands.options import FOLDER, recipe_options, resources_of, setting_options
+from irlos_pipe.conventions.errors import ExitCode
 
 if TYPE_CHECKING:
     from irlos_pipe.pipeline import Outcome, Selection
@@ -58,9 +60,16 @@ def _working_options(command: Command) -> Command:
     "--from",
     "first",
     metavar="STAGE",
+    shell_complete=completion.completed(completion.stages),
     help="First stage to run; products of earlier stages are used as they are.",
 )
-@click.option("--to", "last", metavar="STAGE", help="Last stage to run; later stages are left alone.")
+@click.option(
+    "--to",
+    "last",
+    metavar="STAGE",
+    shell_complete=completion.completed(completion.stages),
+    help="Last stage to run; later stages are left alone.",
+)
 @FORCE
 @click.option("--dry-run", is_flag=True, help="Print what would be done and why; change nothing.")
 @_working_options
@@ -116,6 +125,7 @@ def run(
     selection = Selection(first, last, force)
     if dry_run:
         click.echo(plan_text(plan_run(checked, output, selection)[1], as_json))
+        _exit_if_wrong(checked)
         return
     outcome = _outcome(checked, output, selection, device, jobs, verbose, quiet)
     _print(outcome, as_json, quiet)
@@ -173,8 +183,8 @@ def validate(
 ) -> None:
     """Check RECIPE, its options and its inputs without running anything.
 
-    All errors are reported at once, each as file:line: message (or --set KEY: message). Inputs that
-    are not given are left out.
+    All errors are reported at once, each as file:line: message (or --set KEY: message): first those of
+    the recipe, then those of the recordings and their side-cars. Inputs that are not given are left out.
 
     \b
     Examples:
@@ -184,6 +194,7 @@ def validate(
     from irlos_pipe.recipe import load_recipe
 
     checked = load_recipe(recipe, settings, inputs, seed, samples=samples, complete=False)
+    _exit_if_wrong(checked)
     open_inputs = [name for name, paths in checked.inputs.items() if not paths]
     rest = f"; to be given: {', '.join(open_inputs)}" if open_inputs else ""
     click.echo(f"{recipe}: recipe '{checked.name}' is valid: {', '.join(checked.stages)}{rest}")
@@ -206,6 +217,17 @@ def _outcome(
         raise click.UsageError("-v and -q exclude each other")
     with terminated_like_interrupted(), messages(-1 if quiet else verbose):
         return run_recipe(recipe, output, selection, resources_of(device, jobs, quiet))
+
+
+def _exit_if_wrong(recipe: Recipe) -> None:
+    """Report all that is wrong with the recordings of a recipe, if anything is, and exit."""
+    from irlos_pipe.pipeline.problems import input_problems
+
+    problems = input_problems(recipe)
+    for line in problems:
+        report_error(line)
+    if problems:
+        sys.exit(ExitCode.BAD_DATA)
 
 
 def _print(outcome: Outcome, as_json: bool, quiet: bool) -> None:

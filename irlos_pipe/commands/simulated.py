@@ -7,12 +7,18 @@ from pathlib import Path
 
 import click
 
+from irlos_pipe.commands import completion
 from irlos_pipe.commands.exits import EXIT_CODES, report_error, terminated_like_interrupted
 from irlos_pipe.commands.options import FOLDER, resources_of
 
 
 @click.command(epilog=EXIT_CODES)
-@click.argument("spec", metavar="SPEC", type=FOLDER)
+@click.argument(
+    "spec",
+    metavar="SPEC",
+    type=FOLDER,
+    shell_complete=completion.completed(completion.specifications, files=True),
+)
 @click.option(
     "--output", type=FOLDER, required=True, metavar="DIR", help="Folder for the recordings and their truth."
 )

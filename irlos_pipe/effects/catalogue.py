@@ -86,6 +86,22 @@ def catalogue_page() -> str:
     return HEAD + "\n".join(rows) + "\n\n" + "\n\n".join(sections) + "\n"
 
 
+def effect_text(kind: type[Effect]) -> str:
+    """Return what an effect of a `kind` is, with its values, in lines."""
+    values = [_value(one).replace("`", "") for one in kind.public]
+    options = [f"option {_value(one)}".replace("`", "") for one in kind.options]
+    return "\n".join(
+        [
+            *_summary(kind).replace("`", "").splitlines(),
+            *(f"value {text}" for text in values),
+            *options,
+            f"plane: {kind.plane}",
+            f"mistaken for: {kind.look_alike}",
+            f"reference: {kind.reference}",
+        ]
+    )
+
+
 def _title(kind: type[Effect]) -> str:
     return f"`{kind.name}`" + ("*" if kind.repeatable else "")
 

@@ -136,13 +136,26 @@ def read_sidecar(path: Path) -> AcquisitionKeys:
     InputDataError
         One line ``file:line: problem``, and how many more problems there are.
     """
+    try:
+        return _read(path)
+    except ConfigurationError as error:
+        raise InputDataError(_one_line(str(error))) from None
+
+
+def sidecar_problems(path: Path) -> list[str]:
+    """Return a line ``file:line: problem`` for everything that is wrong with a side-car."""
+    try:
+        _read(path)
+    except (ConfigurationError, InputDataError) as error:
+        return str(error).splitlines()
+    return []
+
+
+def _read(path: Path) -> AcquisitionKeys:
     if not path.exists():
         return AcquisitionKeys()
     data, lines = load_yaml(path, InputDataError)
-    try:
-        return require_valid(data, AcquisitionKeys, Origins(path, lines))
-    except ConfigurationError as error:
-        raise InputDataError(_one_line(str(error))) from None
+    return require_valid(data, AcquisitionKeys, Origins(path, lines))
 
 
 def _one_line(text: str) -> str:

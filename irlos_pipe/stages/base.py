@@ -102,6 +102,8 @@ class Stage(Protocol):
       A change of any other stage does not redo it;
     - ``files_of(root)``: the files of an input, given as a file or folder, that it reads (default all
       of them). Other files may change without its product being made again;
+    - ``problems(inputs, config, instrument)``: a line for everything that is wrong with the files of the
+      inputs, found without running the stage;
     - ``DEPENDS_ON``: the parts of `KEY_PARTS` it depends on (default all of them). A change of
       any other part does not redo it.
     """

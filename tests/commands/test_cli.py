@@ -7,10 +7,12 @@ import sys
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from conftest import invoke, products
 from filelock import FileLock
 from helpers.paths import RECIPES, REPOSITORY
 
+from irlos_pipe.commands.main import cli
 from irlos_pipe.files import shipped
 from irlos_pipe.product.storage import read_product
 
@@ -251,3 +253,20 @@ def test_the_report_can_be_built_again(bench):
     report = bench.output / "report.html"
     report.unlink()
     assert invoke("report", str(bench.output)).stdout.strip() == str(report) and report.is_file()
+
+
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        (["run", "ncpa"], "ncpa_calibration"),
+        (["run", "defocus_ramp", "--input", "cal"], "calibration="),
+        (["run", "defocus_ramp", "--from", "li"], "lift"),
+        (["run", "defocus_ramp", "--set", "calibrate.highest"], "calibrate.highest_noll="),
+        (["simulate", "on"], "on_sky"),
+        (["explain", "seeing"], "seeing_halo"),
+    ],
+)
+def test_the_shell_completes_values(typed, expected):
+    variables = {"COMP_WORDS": " ".join(["irlos", *typed]), "COMP_CWORD": str(len(typed))}
+    result = CliRunner().invoke(cli, prog_name="irlos", env={"_IRLOS_COMPLETE": "bash_complete", **variables})
+    assert f"plain,{expected}" in result.stdout.splitlines()

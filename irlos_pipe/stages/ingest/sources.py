@@ -18,7 +18,7 @@ from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.acquisition import Resolved, resolve
 from irlos_pipe.readers.find import read_recordings, recording_files, unique_name
 from irlos_pipe.readers.raw_file import RawRecording
-from irlos_pipe.readers.sidecar import AcquisitionKeys
+from irlos_pipe.readers.sidecar import AcquisitionKeys, sidecar_path, sidecar_problems
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +122,34 @@ def _same_description(one: Source, other: Source) -> bool:
     first, second = one.resolved, other.resolved
     defocus = np.array_equal(first.introduced_defocus_nm, second.introduced_defocus_nm)
     return first.acquisition == second.acquisition and defocus
+
+
+def source_problems(
+    inputs: Mapping[str, Sequence[Path]],
+    keys_for: Callable[[str], AcquisitionKeys],
+    instrument: Instrument,
+) -> list[str]:
+    """Return a line for everything that keeps `read_sources` from reading a recording.
+
+    Parameters
+    ----------
+    inputs, keys_for, instrument
+        As of `read_sources`.
+
+    Raises
+    ------
+    NothingToDo
+        An input without recordings.
+    """
+    found: list[tuple[str, str]] = []
+    for name, paths in inputs.items():
+        for file in recording_files(paths):
+            wrong = sidecar_problems(sidecar_path(file))
+            found += [(name, line) for line in wrong]
+            with failing_alone(found, name, file, logging.getLogger(__name__)):
+                for raw in () if wrong else read_recordings(file, instrument):
+                    resolve(raw, keys_for(name), _instrument_then(instrument, raw.start_unix_s))
+    return list(dict.fromkeys(line for _, line in found))  # recordings may share a side-car
 
 
 def with_darks(sources: Sequence[Source]) -> tuple[list[Source], list[Source]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +27,13 @@ from irlos_pipe.stages.ingest.config import Config
 from irlos_pipe.stages.ingest.output import checks, contradictions, dark_row, row, summary
 from irlos_pipe.stages.ingest.recording_arrays import arrays_of
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
-from irlos_pipe.stages.ingest.sources import Source, failing_alone, read_sources, with_darks
+from irlos_pipe.stages.ingest.sources import (
+    Source,
+    failing_alone,
+    read_sources,
+    source_problems,
+    with_darks,
+)
 
 NAME = "ingest"
 VERSION = 5
@@ -42,6 +48,11 @@ def files_of(root: Path) -> list[Path]:
     with suppress(NothingToDo):
         return [path for recording in recording_files([root]) for path in recording_parts(recording)]
     return []
+
+
+def problems(inputs: Mapping[str, Sequence[Path]], config: Config, instrument: Instrument) -> list[str]:
+    """Return a line for everything that is wrong with the recordings of `inputs` and their side-cars."""
+    return source_problems(inputs, config.keys_for, instrument)
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:

@@ -1,0 +1,81 @@
+"""What the shell proposes for arguments and options: names of recipes, stages, inputs, keys, arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from pathlib import Path
+
+import click
+from click.shell_completion import CompletionItem
+
+from irlos_pipe.conventions.errors import IrlosError
+
+Names = Callable[[click.Context], Iterable[str]]
+Completion = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+
+
+def completed(names: Names, *, files: bool = False) -> Completion:
+    """Return a function that proposes what `names` returns, and also files if `files` is true."""
+
+    def propose(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+        found: list[str] = []
+        with suppress(IrlosError, OSError):  # nobody wants an error while typing
+            found = [name for name in names(context) if name.startswith(begun)]
+        items = [CompletionItem(name) for name in found]
+        return [*items, CompletionItem(begun, type="file")] if files else items
+
+    return propose
+
+
+def recipes(context: click.Context) -> Iterable[str]:
+    """Return the names of the recipes."""
+    from irlos_pipe.files.shipped import RECIPES, shipped_names
+
+    return shipped_names(RECIPES)
+
+
+def specifications(context: click.Context) -> Iterable[str]:
+    """Return the names of the specifications of simulations."""
+    from irlos_pipe.files.shipped import SIMULATIONS, shipped_names
+
+    return shipped_names(SIMULATIONS)
+
+
+def stages(context: click.Context) -> Iterable[str]:
+    """Return the stages of the recipe that was typed."""
+    return _recipe(context).get("stages", ())
+
+
+def inputs(context: click.Context) -> Iterable[str]:
+    """Return ``NAME=`` for the inputs of the recipe that was typed."""
+    return [f"{name}=" for name in _recipe(context).get("inputs", ())]
+
+
+def settings(context: click.Context) -> Iterable[str]:
+    """Return ``STAGE.KEY=`` for the settings of the recipe that was typed."""
+    from irlos_pipe.reference.keys import key_entries
+
+    sections = ("model", *_recipe(context).get("stages", ()))
+    return [f"{one.name}=" for one in key_entries() if one.name.partition(".")[0] in sections]
+
+
+def explained(context: click.Context) -> Iterable[str]:
+    """Return all names that can be explained."""
+    from irlos_pipe.reference.lookup import all_entries
+
+    return sorted({entry.name for entry in all_entries()})
+
+
+def arrays(context: click.Context) -> Iterable[str]:
+    """Return the names of the arrays of the product that was typed."""
+    from irlos_pipe.product.storage import read_product
+
+    return read_product(Path(context.params["product"])).arrays
+
+
+def _recipe(context: click.Context) -> dict:
+    from irlos_pipe.files.shipped import RECIPES, named_file
+    from irlos_pipe.files.yaml import load_yaml
+
+    return load_yaml(named_file(context.params.get("recipe") or "full_reduction", RECIPES))[0]

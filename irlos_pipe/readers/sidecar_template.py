@@ -1,0 +1,154 @@
+"""A side-car to be filled in: every key with what it means, and what the header of the file says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from astropy.io import fits
+from pydantic import BaseModel
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.readers.find import read_recordings
+from irlos_pipe.readers.fitsfile import open_fits, stem
+from irlos_pipe.readers.sidecar import FOLDER_SIDECAR, AcquisitionKeys, DetectorKeys
+
+# Keywords of common use; what they mean differs between instruments, so the template names them.
+KEYWORDS = {
+    "target": ("OBJECT", "TARGNAME"),
+    "exposure_s": ("EXPTIME", "ITIME", "ESO DET SEQ1 DIT", "ESO DET DIT"),
+    "seeing_arcsec": ("ESO TEL AMBI FWHM START",),
+    "mag_j": ("ESO SEQ NGS MAG",),
+    "derotator_angle_deg": ("ESO INS DROT START",),
+    "parallactic_angle_deg": ("PARANG", "ESO TEL PARANG START"),
+    "altitude_deg": ("EL", "ESO TEL ALT"),
+    "detector.e_per_adu": ("GAIN", "EGAIN", "ESO DET OUT1 CONAD"),
+    "detector.read_noise_e": ("RDNOISE", "READNOIS", "ESO DET OUT1 RON"),
+    "detector.coadds": ("COADDS", "COADDONE", "ESO DET NDIT"),
+}
+FORMS = {
+    "role": "ncpa_calibration, defocus_ramp, derotator, psf or dark",
+    "spectrum": "[{wavelength_nm: 1600, weight: 1.0}], any number of points",
+    "diversity": "{source: lens, zernike: {6: -170.0}}, Noll: nm RMS; zernike: {} without one",
+}
+REQUIRED = tuple(FORMS)
+HEADER, PROFILE = "the header", "the instrument profile"
+HEAD = """\
+# How {name} was taken. Three keys have no default: fill them in. A key behind a # keeps the
+# value of the header or of the instrument profile, if they give one; remove the # to set another. A value of
+# a keyword is only a proposal: compare its meaning and its unit.
+"""
+
+
+def sidecar_template(path: Path, instrument: Instrument) -> str:
+    """Return a commented side-car for the FITS file at `path`.
+
+    Parameters
+    ----------
+    path : Path
+        A recording of any layout.
+    instrument : Instrument
+        Knows the read-out modes, and what is assumed of keys that are not given.
+
+    Raises
+    ------
+    InputDataError
+        When there is no recording in the file.
+    """
+    recordings = read_recordings(path, instrument)
+    told = _from_keywords(path) | {key: (value, HEADER) for key, value in recordings[0].header.items()}
+    lines = _lines(AcquisitionKeys, "", told, instrument.defaults)
+    return HEAD.format(name=path.name) + "\n".join(lines) + "\n"
+
+
+def write_template(text: str, data_file: Path, path: Path | None = None, *, replace: bool = False) -> Path:
+    """Write a side-car for a recording.
+
+    Parameters
+    ----------
+    text : str
+        The side-car.
+    data_file : Path
+        The recording.
+    path : Path, optional
+        The file to write; by default ``<stem>.yaml`` beside the recording, or ``acquisition.yaml`` where the
+        folder has the recording's name.
+    replace : bool
+        Whether to replace a file.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ConfigurationError
+        When there is a file that is not to be replaced.
+    """
+    if path is None:
+        in_folder = data_file.absolute().parent.name == stem(data_file)
+        path = data_file.with_name(FOLDER_SIDECAR if in_folder else f"{stem(data_file)}.yaml")
+    if path.exists() and not replace:
+        raise ConfigurationError(f"{path}: exists; give another --output, or --force to replace it")
+    write_bytes(path, text.encode())
+    return path
+
+
+def _lines(
+    model: type[BaseModel], above: str, told: Mapping[str, tuple[Any, str]], assumed: Mapping[str, Any]
+) -> list[str]:
+    lines = []
+    for key, field in model.model_fields.items():
+        name = f"{above}{key}"
+        if name == "detector":
+            inner = _lines(DetectorKeys, "detector.", told, assumed)
+            proposed = any(not line.startswith("#") for line in inner)
+            lines += ["detector:" if proposed else "# detector:", *inner]
+        else:
+            lines.append(_line(name, field.description or "", told, assumed))
+    return lines
+
+
+def _line(name: str, meaning: str, told: Mapping[str, tuple[Any, str]], assumed: Mapping[str, Any]) -> str:
+    if name in REQUIRED:
+        return f"{name}:  # {FORMS[name]}"
+    value, source = told.get(name, (assumed.get(name), PROFILE))
+    origin = "" if value is None else f"; from {source}"
+    mark = "# " if value is None or source in (HEADER, PROFILE) else ""
+    indent = "  " if "." in name else ""
+    return f"{mark}{indent}{name.rpartition('.')[2]}:{_written(value)}  # {meaning}{origin}"
+
+
+def _written(value: Any) -> str:
+    if value is None:
+        return ""
+    return " " + yaml.safe_dump(value, default_flow_style=True, allow_unicode=True).splitlines()[0]
+
+
+def _from_keywords(path: Path) -> dict[str, tuple[Any, str]]:
+    """Values of the keywords of common use, and their names."""
+    with open_fits(path, verify=False) as hdus:
+        header = fits.Header()
+        for hdu in hdus[:2]:
+            header.extend(hdu.header, update=True)
+    found = {}
+    for key, names in KEYWORDS.items():
+        name = next((one for one in names if _valid(key, header.get(one))), None)
+        if name is not None:
+            found[key] = (header[name], name)
+    return found
+
+
+def _valid(key: str, value: Any) -> bool:
+    """Whether a value of the header is one that the key can have."""
+    section, _, inner = key.rpartition(".")
+    try:
+        AcquisitionKeys.model_validate({section: {inner: value}} if section else {key: value})
+    except ValueError:
+        return False
+    return value is not None and value != ""

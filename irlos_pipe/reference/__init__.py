@@ -1,0 +1,1 @@
+"""What stages, keys, effects, checks and numbers mean, told from the places that define them."""

@@ -1,0 +1,61 @@
+"""Find what a name means."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Sequence
+from itertools import groupby
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.text import aligned, suggestion
+from irlos_pipe.effects.catalogue import CATALOGUE, effect_text
+from irlos_pipe.reference.entry import Entry
+from irlos_pipe.reference.keys import key_entries
+from irlos_pipe.reference.numbers import number_entries
+from irlos_pipe.reference.quality import check_entries
+from irlos_pipe.stages import LIGHT_PATH, STAGES
+
+
+def explain(name: str) -> str:
+    """Return what a stage, key, effect, check or number called `name` means.
+
+    Raises
+    ------
+    ConfigurationError
+        When nothing is called so.
+    """
+    entries = all_entries()
+    wanted = name.strip().removeprefix("stages.")
+    found = [entry for entry in entries if entry.is_called(wanted)]
+    if not found:
+        known = {part for entry in entries for part in (entry.name, entry.name.rpartition(".")[2])}
+        raise ConfigurationError(f"{name}: nothing is called so{suggestion(wanted, sorted(known))}")
+    return "\n\n".join(_shown(entry, entries) for entry in found)
+
+
+def overview() -> str:
+    """Return the names of all stages, effects and checks, with their summaries."""
+    entries = [one for one in all_entries() if one.kind in ("stage", "effect", "check")]
+    return "\n\n".join(_table(list(group)) for _, group in groupby(entries, key=lambda one: one.kind))
+
+
+def all_entries() -> list[Entry]:
+    """Return everything that can be explained."""
+    stages = [Entry("stage", name, inspect.getdoc(STAGES[name]) or "") for name in LIGHT_PATH]
+    effects = [Entry("effect", name, effect_text(kind)) for name, kind in CATALOGUE.items()]
+    return [*stages, *effects, *check_entries(), *key_entries(), *number_entries()]
+
+
+def _shown(entry: Entry, entries: Sequence[Entry]) -> str:
+    """An entry in full; below a stage, what belongs to it in a line each."""
+    first, *rest = entry.text.splitlines()
+    text = "\n".join([f"{entry.name} ({entry.kind})", f"  {first}", *(f"  {line}".rstrip() for line in rest)])
+    inner = [one for one in entries if one.name.startswith(f"{entry.name}.")]
+    kinds = ("key of a recipe", "key of a side-car", "check", "number")
+    groups = [[one for one in inner if one.kind == kind] for kind in kinds]
+    return "\n\n".join([text, *(_table(group) for group in groups if group)])
+
+
+def _table(entries: Sequence[Entry]) -> str:
+    rows = aligned([(f"  {entry.name}", entry.summary) for entry in entries])
+    return f"{entries[0].kind}:\n{rows}"

@@ -1,0 +1,73 @@
+"""Numbers of results.json, from the models of the stages' results."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator
+from typing import Any, get_args
+
+from irlos_pipe.product.results import ResultsPart, StageResults
+from irlos_pipe.reference.entry import Entry
+from irlos_pipe.stages import LIGHT_PATH, STAGES
+
+UNITS = {
+    "nm": "nm",
+    "mas": "mas",
+    "e": "e-",
+    "px": "px",
+    "deg": "deg",
+    "arcsec": "arcsec",
+    "m": "m",
+    "s": "s",
+    "seconds": "s",
+    "mag": "mag",
+    "adu": "ADU",
+}
+ATTRIBUTE = re.compile(r"^([\w, ]+?) : .*\n((?:    .*\n?|\n)*)", re.MULTILINE)
+
+
+def number_entries() -> Iterator[Entry]:
+    """Yield every key under ``stages`` of results.json."""
+    for stage in LIGHT_PATH:
+        STAGES[stage]  # its results are known once it is imported
+    for model in _all_subclasses(StageResults):
+        if getattr(model, "stage", None) in LIGHT_PATH:
+            yield from _entries(model, (model.stage,))
+
+
+def _entries(model: type[ResultsPart], above: tuple[str, ...]) -> Iterator[Entry]:
+    told = _told(model)
+    for key, field in model.model_fields.items():
+        unit = UNITS.get(key.rpartition("_")[2], "")
+        lines = [field.description or told.get(key, key.replace("_", " "))]
+        lines += [f"unit: {unit}"] if unit else []
+        name = (*above, key)
+        yield Entry("number", ".".join(name), "\n".join([*lines, "in results.json under stages"]))
+        for inner in _models_in(field.annotation):
+            if len(above) < 4:
+                yield from _entries(inner, name)
+
+
+def _told(model: type[ResultsPart]) -> dict[str, str]:
+    """What the docstrings of a model and its bases say of the attributes."""
+    found: dict[str, str] = {}
+    for kind in reversed(model.__mro__):
+        text = inspect.cleandoc(vars(kind).get("__doc__") or "")
+        for names, lines in ATTRIBUTE.findall(text.partition("Attributes\n----------\n")[2] + "\n"):
+            words = " ".join(lines.split())
+            found |= {name.strip(): words for name in names.split(",") if words}
+    return found
+
+
+def _models_in(annotation: Any) -> Iterator[type[ResultsPart]]:
+    if isinstance(annotation, type) and issubclass(annotation, ResultsPart):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models_in(part)
+
+
+def _all_subclasses(model: type[StageResults]) -> Iterator[type[StageResults]]:
+    for kind in model.__subclasses__():
+        yield kind
+        yield from _all_subclasses(kind)
