@@ -17,7 +17,7 @@ from irlos_pipe.diagnose.verdict import COMPLETE, NONE, PARTIAL, RESEMBLES, UNKN
 # leave up to 1.14 on the bench, by errors of the discretisation, and on sky.
 LEFT = {PHOTONS: 0.003, SPECKLES: 0.05, UNSEEN: 0.05}
 LEFT_CHI2_NU = {PHOTONS: 1.3, SPECKLES: 1.2, UNSEEN: 1.2}
-
+FAR_OFF = 3.0  # χ² over its expectation that no complete model leaves, however much was missing before
 
 # Part of its own signal that a right name explains where it acts.
 AT_ITS_PLACE = {PHOTONS: 0.95, SPECKLES: 0.9, UNSEEN: 0.9}
@@ -78,6 +78,7 @@ def judged(search: Search, noise: NoiseVerdict, fine: FineStructure, options: Op
         name = search.accepted[0].name
         why = f"{name} leaves {1 - shares[0]:.1%} of its own signal where it acts"
         return Judgement(RESEMBLES, left, shares, why)
+    left = left or search.final.under(search.null.stack).excess.chi2_nu > FAR_OFF
     return Judgement(PARTIAL if left else COMPLETE, left, shares)
 
 

@@ -220,7 +220,7 @@ class TolerantTask(AllowingTask):
     def _against_without(self, current: Optimum, label: str) -> Refit:
         """The model against itself without one effect."""
         fitted = current.fitted
-        near = _without_linearly(fitted, label)
+        near = without_linearly(fitted, label)
         effects = dict(zip(fitted.problem.model.effects.labels, near.continued(), strict=True))
         name = effects.pop(label).name
         origin = Optimum(current.stack, self.fitter.explored(list(effects.values()), near))
@@ -268,8 +268,15 @@ def _nulls(fitted: Fitted, label: str) -> list[float]:
     return [parameter.null for parameter in fitted.effect(label).parameters if parameter.null is not None]
 
 
-def _without_linearly(fitted: Fitted, label: str) -> Fitted:
-    """A model with one effect at nothing, the others at the optimum of a linear model if that is better."""
+def without_linearly(fitted: Fitted, label: str) -> Fitted:
+    """A model with one effect at nothing, the others at the optimum of a linear model if that is better.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    label : str
+        Of the effect.
+    """
     own, x = _testable_columns(fitted, label), fitted.x.clone()
     covariance, moved = fitted.solution.covariance[0], x.clone()
     excess = x[0, own] - torch.tensor(_nulls(fitted, label), dtype=x.dtype)
