@@ -17,7 +17,8 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.optics.grids import PupilGrid
-from irlos_pipe.optics.pupil import ON_AXIS, band_limited
+from irlos_pipe.optics.pupil import band_limited
+from irlos_pipe.optics.pupil_cover import ON_AXIS
 from irlos_pipe.optics.pupil_edges import Edges, pupil_edges
 
 CELL_M = 0.008  # of the drawing

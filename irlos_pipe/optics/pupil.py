@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
-from irlos_pipe.conventions.pupil_parts import Part
+from irlos_pipe.optics.pupil_blocks import filtered_in_blocks
+from irlos_pipe.optics.pupil_cover import ON_AXIS, across_m, outline_cover, parts_cover, vane_cover
 
 SUBSAMPLES = 16  # fine cells per side of a coarse cell; coverage of a fine cell is linear in distance
 ROWS_AT_A_TIME = 64
-ON_AXIS = (0.0, 0.0)
 NOTHING_BEFORE_IT: dict = {"obscuration_m": 0.0, "vanes": (), "obstructions": ()}  # before an aperture
 PAD = 4  # coarse cells beyond the diameter on each side: room for the filter's ringing
 PASS_BAND, STOP_BAND = 0.7, 1.4  # of the low-pass, in units of the coarse grid's Nyquist frequency
@@ -138,6 +138,8 @@ def _filtered(
     """Low-passed clear fraction of the fine cells, (n, n)."""
     fine = fine_centres(geometry, samples, subsamples)
     filtering = filter_matrix(samples + 2 * PAD, subsamples)
+    if geometry.plain:
+        return filtered_in_blocks(geometry, fine, filtering, stop_m)
     return sum(filtering[:, rows] @ (clear @ filtering.T) for rows, clear in _by_rows(geometry, fine, stop_m))
 
 
@@ -192,91 +194,7 @@ def _clear_fraction(
     return clear
 
 
-def outline_cover(
-    geometry: PupilGeometry, x: np.ndarray, y: np.ndarray, step: float, stop_m: tuple[float, float]
-) -> np.ndarray:
-    """Return the fraction of each sub-cell inside the outlines and outside the holes of pupil and stop.
-
-    Parameters
-    ----------
-    geometry : PupilGeometry
-    x, y, step : ndarray, ndarray, float
-        Centres of the sub-cells and their side [m]; where an aperture is drawn, a row and a column.
-    stop_m : (float, float)
-        See `band_limited`.
-    """
-    largest = smallest = np.sqrt(x**2 + y**2)
-    if stop_m != ON_AXIS:
-        from_stop = np.sqrt((x - stop_m[0]) ** 2 + (y - stop_m[1]) ** 2)
-        largest, smallest = np.maximum(largest, from_stop), np.minimum(smallest, from_stop)
-    if not geometry.aperture:
-        clear = inside((geometry.diameter_m / 2 - largest) / step)
-    else:
-        clear = parts_cover(geometry.aperture, x, y, step)
-        if stop_m != ON_AXIS:
-            stop = [part.outline for part in geometry.aperture]
-            clear = np.minimum(clear, parts_cover(stop, x - stop_m[0], y - stop_m[1], step))
-    if geometry.obscuration_m > 0:
-        clear *= inside((smallest - geometry.obscuration_m / 2) / step)
-    return clear
-
-
-def parts_cover(parts: Sequence[Part], x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
-    """Return the fraction of each sub-cell that `parts`, which do not overlap, cover, (rows, columns).
-
-    Parameters
-    ----------
-    parts : sequence of Part
-    x, y : ndarray, (1, columns) and (rows, 1)
-        Centres of the sub-cells [m].
-    step : float
-        Their side [m].
-    """
-    covered = np.zeros(np.broadcast_shapes(x.shape, y.shape))
-    for piece in (piece for part in parts for piece in part.pieces):
-        rows, columns = box(piece, x, y, step)
-        covered[rows, columns] += piece.cover(x[:, columns], y[rows], step)
-    return covered
-
-
-def box(piece: Part, x: np.ndarray, y: np.ndarray, step: float) -> tuple[slice, slice]:
-    """Rows and columns of a grid that a `piece` may touch; `x`, `y` and `step` as of `parts_cover`."""
-    centre, reach = piece.placement.shift_m, piece.radius_m + step
-    return _span(y[:, 0], centre[1], reach), _span(x[0], centre[0], reach)
-
-
-def _span(axis_m: np.ndarray, centre_m: float, reach_m: float) -> slice:
-    return slice(*np.searchsorted(axis_m, [centre_m - reach_m, centre_m + reach_m]))
-
-
-def inside(distance_cells: np.ndarray) -> np.ndarray:
-    """Return the covered fraction of a cell whose centre lies `distance_cells` inside an edge."""
-    return np.clip(distance_cells + 0.5, 0.0, 1.0)
-
-
 def _cover(clear: np.ndarray, vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> None:
     """Take from every sub-cell the fraction that the vane covers; most lie far from it."""
     rows, columns = np.nonzero(np.abs(across_m(vane, x, y)) < vane.width_m / 2 + step)
     clear[rows, columns] *= 1 - vane_cover(vane, x[0, columns], y[rows, 0], step)
-
-
-def vane_cover(vane: Vane, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
-    """Return the fraction that a `vane` covers of each sub-cell of side `step` at (`x`, `y`) [m]."""
-    start, length, direction = axis(vane)
-    along = (x - start[0]) * direction[0] + (y - start[1]) * direction[1]
-    across, half = across_m(vane, x, y), vane.width_m / 2
-    width = inside((across + half) / step) + inside((half - across) / step) - 1
-    return np.clip(width, 0, 1) * inside(along / step) * inside((length - along) / step)
-
-
-def across_m(vane: Vane, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the distance of (`x`, `y`) to the left of the axis of a `vane` [m]."""
-    start, _, direction = axis(vane)
-    return (y - start[1]) * direction[0] - (x - start[0]) * direction[1]
-
-
-def axis(vane: Vane) -> tuple[np.ndarray, float, np.ndarray]:
-    """Return where a vane starts, its length, and its direction."""
-    start, end = np.array(vane.start_m), np.array(vane.end_m)
-    length = float(np.hypot(*(end - start)))
-    return start, length, (end - start) / length

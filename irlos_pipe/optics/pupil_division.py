@@ -11,7 +11,8 @@ from scipy import ndimage
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.conventions.pupil_parts import anticlockwise_from_first
-from irlos_pipe.optics.pupil import area_weighted_pupil, band_limited_parts, box, grid_centres
+from irlos_pipe.optics.pupil import area_weighted_pupil, band_limited_parts, grid_centres
+from irlos_pipe.optics.pupil_cover import box
 
 LABELLED = 1024  # cells across the diameter of the drawing in which connected parts are looked for
 WIDEST_GAP = 0.02  # of the diameter: a vane that ends this close to the rim parts petals all the same

@@ -9,30 +9,40 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, turned, with_sizes
-from irlos_pipe.optics.pupil import (
-    ON_AXIS,
-    PAD,
-    across_m,
-    axis,
-    band_limited,
-    filter_matrix,
-    fine_centres,
-    inside,
-    outline_cover,
-    vane_cover,
-)
+from irlos_pipe.optics.pupil import PAD, band_limited, filter_matrix, fine_centres
+from irlos_pipe.optics.pupil_cover import ON_AXIS, across_m, axis, inside, outline_cover, vane_cover
 
 WIDTH = 1.5  # fine cells
+Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def pupil_edges(geometry: PupilGeometry, samples: int, subsamples: int, stop_m: tuple[float, float]) -> Edges:
     """Return what gives the derivatives of a pupil; see `PupilEdges` for the parameters."""
     return (PupilEdges if geometry.plain else DrawnTwice)(geometry, samples, subsamples, stop_m)
+
+
+class _Cells(NamedTuple):
+    """Cells at an edge: their rows and columns, their places [m], and how much of its width is in each [1/m].
+
+    In what is not dark for other reasons.
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    share: np.ndarray
+
+    def seen(self, clear: np.ndarray) -> _Cells:
+        """The same cells, of which the part `clear` is not dark for other reasons."""
+        return self._replace(share=self.share * clear)
 
 
 class PupilEdges:
@@ -58,15 +68,22 @@ class PupilEdges:
 
         Where stop and pupil coincide only the edges that darken count: the derivative is one-sided.
         """
-        outer = self._rim(self.geometry.diameter_m / 2, along, sign=1)
-        if self.geometry.obscuration_m == 0:
-            return outer
-        return outer + self._rim(self.geometry.obscuration_m / 2, along, sign=-1)
+        (x0, y0), changes = self.stop_m, []
+        for cells, sign in zip(self._rims, (1, -1), strict=False):
+            from_stop = np.hypot(cells.x - x0, cells.y - y0)
+            rate = sign * ((cells.x - x0) * along[0] + (cells.y - y0) * along[1]) / from_stop
+            beyond = sign * (from_stop - np.hypot(cells.x, cells.y))
+            changes.append(rate * ((beyond > 0) | ((beyond == 0) & (rate < 0))))
+        return self._filtered(self._rims, changes)
 
     def turned(self) -> np.ndarray:
         """Derivative of the amplitude while the vanes turn anticlockwise about the axis, (n, n) [1/rad]."""
-        nothing = np.zeros(self._filter.shape[:1] * 2)
-        return sum((self._turned_vane(vane) for vane in self.geometry.vanes), nothing)
+        changes = []
+        for vane, cells in zip(self.geometry.vanes, self._vanes, strict=True):
+            _, _, direction = axis(vane)
+            outwards = cells.x * direction[0] + cells.y * direction[1]
+            changes.append(-np.sign(across_m(vane, cells.x, cells.y)) * outwards)
+        return self._filtered(self._vanes, changes)
 
     def obscured(self) -> np.ndarray:
         """Derivative of the amplitude while the diameter of the hole grows, (n, n) [1/m]."""
@@ -76,76 +93,83 @@ class PupilEdges:
             """How far points lie outside the holes of pupil and stop."""
             return np.minimum(np.hypot(x, y), np.hypot(x - x0, y - y0)) - radius_m
 
-        rows, columns, share = self._near(outside_m)
-        x, y = self._fine[columns], self._fine[rows]
-        clear = replace(self.geometry, obscuration_m=0.0)
-        others = outline_cover(clear, x, y, self._step, self.stop_m) * self._between(clear.vanes, x, y)
-        return self._filtered(rows, columns, -0.5 * share * others)
+        cells, clear = self._near(outside_m), replace(self.geometry, obscuration_m=0.0)
+        others = outline_cover(clear, cells.x, cells.y, self._step, self.stop_m)
+        others = others * self._between(clear.vanes, cells)
+        return self._filtered([cells], [-0.5 * others])
 
     def widened(self) -> np.ndarray:
         """Derivative of the amplitude while the mean width of the vanes grows, (n, n) [1/m]."""
-        nothing, mean_m = np.zeros(self._filter.shape[:1] * 2), self.geometry.vane_width_m
-        vanes = self.geometry.vanes
-        return sum((self._vane_edges(v, lambda x, y: -0.5) * v.width_m / mean_m for v in vanes), nothing)
+        mean_m, pairs = self.geometry.vane_width_m, zip(self.geometry.vanes, self._vanes, strict=True)
+        changes = [np.full(len(cells.x), -0.5 * vane.width_m / mean_m) for vane, cells in pairs]
+        return self._filtered(self._vanes, changes)
 
-    def _rim(self, radius_m: float, along: tuple[float, float], sign: int) -> np.ndarray:
-        """Of the stop's outline (sign 1) or hole (-1), where it is the edge that limits the light."""
+    @cached_property
+    def _rims(self) -> list[_Cells]:
+        """The stop's outline and, where there is one, its hole."""
+        diameters_m = self.geometry.diameter_m, self.geometry.obscuration_m
+        found = [self._near(self._outside(diameter_m / 2)) for diameter_m in diameters_m if diameter_m > 0]
+        return [cells.seen(self._between(self.geometry.vanes, cells)) for cells in found]
+
+    def _outside(self, radius_m: float) -> Distance:
+        """How far points lie outside a circle about the middle of the stop [m]."""
         x0, y0 = self.stop_m
-        rows, columns, share = self._near(lambda x, y: np.hypot(x - x0, y - y0) - radius_m)
-        x, y = self._fine[columns], self._fine[rows]
-        from_stop = np.hypot(x - x0, y - y0)
-        rate = sign * ((x - x0) * along[0] + (y - y0) * along[1]) / from_stop
-        beyond = sign * (from_stop - np.hypot(x, y))
-        limits = (beyond > 0) | ((beyond == 0) & (rate < 0))
-        change = share * limits * rate * self._between(self.geometry.vanes, x, y)
-        return self._filtered(rows, columns, change)
+        return lambda x, y: np.hypot(x - x0, y - y0) - radius_m
 
-    def _turned_vane(self, vane: Vane) -> np.ndarray:
-        _, _, direction = axis(vane)
-        return self._vane_edges(
-            vane, lambda x, y: -np.sign(across_m(vane, x, y)) * (x * direction[0] + y * direction[1])
-        )
+    @cached_property
+    def _vanes(self) -> list[_Cells]:
+        """The two edges of every vane."""
+        return [self._vane_edges(vane) for vane in self.geometry.vanes]
 
-    def _vane_edges(
-        self, vane: Vane, rate_m: Callable[[np.ndarray, np.ndarray], np.ndarray | float]
-    ) -> np.ndarray:
-        """Of the two edges of one vane, where light appears at a rate [m] per unit of what changes."""
-        rows, columns, share = self._near(lambda x, y: np.abs(across_m(vane, x, y)) - vane.width_m / 2)
-        x, y = self._fine[columns], self._fine[rows]
-        others = self._between([one for one in self.geometry.vanes if one is not vane], x, y)
-        others *= outline_cover(self.geometry, x, y, self._step, self.stop_m)
+    def _vane_edges(self, vane: Vane) -> _Cells:
         broad = replace(vane, width_m=vane.width_m + 4 * self._step)  # covers both edges between its ends
-        change = share * rate_m(x, y) * others * vane_cover(broad, x, y, self._step)
-        return self._filtered(rows, columns, change)
+        middle, reach_m = (np.array(vane.start_m) + vane.end_m) / 2, axis(vane)[1] / 2
 
-    def _near(
-        self, distance_m: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows and columns of the cells at an edge, and how much of its width lies in each [1/m].
+        def outside_m(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            return np.abs(across_m(vane, x, y)) - vane.width_m / 2
+
+        def beyond_m(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            return np.hypot(x - middle[0], y - middle[1]) - reach_m - broad.width_m
+
+        cells = self._near(outside_m, beyond_m)
+        others = self._between([one for one in self.geometry.vanes if one is not vane], cells)
+        others *= outline_cover(self.geometry, cells.x, cells.y, self._step, self.stop_m)
+        return cells.seen(others * vane_cover(broad, cells.x, cells.y, self._step))
+
+    def _near(self, distance_m: Distance, beyond_m: Distance | None = None) -> _Cells:
+        """Cells at the edge whose signed distance is `distance_m`; none where `beyond_m` is positive.
 
         They are looked for in coarse cells that the edge may cross.
         """
         coarse = self._fine.reshape(-1, self._subsamples).mean(1)
         reach_m = (self._subsamples / np.sqrt(2) + WIDTH) * self._step
-        blocks = np.nonzero(np.abs(distance_m(coarse[None, :], coarse[:, None])) < reach_m)
+        crossed = np.abs(distance_m(coarse[None, :], coarse[:, None])) < reach_m
+        if beyond_m is not None:
+            crossed &= beyond_m(coarse[None, :], coarse[:, None]) < reach_m
         within = np.indices((self._subsamples,) * 2).reshape(2, 1, -1)
-        rows, columns = (np.array(blocks)[:, :, None] * self._subsamples + within).reshape(2, -1)
+        blocks = np.array(np.nonzero(crossed))
+        rows, columns = (blocks[:, :, None] * self._subsamples + within).reshape(2, -1)
         cells = distance_m(self._fine[columns], self._fine[rows]) / self._step
         share = (inside(cells + WIDTH / 2) - inside(cells - WIDTH / 2)) / (WIDTH * self._step)
-        some = share > 0
-        return rows[some], columns[some], share[some]
+        some = np.flatnonzero(share)
+        rows, columns = rows[some], columns[some]
+        return _Cells(rows, columns, self._fine[columns], self._fine[rows], share[some])
 
-    def _between(self, vanes: Sequence[Vane], x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Part of cells that vanes leave clear."""
-        clear = np.ones(len(x))
+    def _between(self, vanes: Sequence[Vane], cells: _Cells) -> np.ndarray:
+        """Part of `cells` that `vanes` leave clear."""
+        clear = np.ones(len(cells.x))
         for vane in vanes:
-            clear *= 1 - vane_cover(vane, x, y, self._step)
+            clear *= 1 - vane_cover(vane, cells.x, cells.y, self._step)
         return clear
 
-    def _filtered(self, rows: np.ndarray, columns: np.ndarray, change: np.ndarray) -> np.ndarray:
-        """Low-passed change of a few cells, (n, n)."""
+    def _filtered(self, edges: Sequence[_Cells], changes: Sequence[np.ndarray]) -> np.ndarray:
+        """Low-passed change at some edges, each with a rate at which light appears there [m], (n, n)."""
+        if not edges:
+            return np.zeros(self._filter.shape[:1] * 2)
+        values = np.concatenate([cells.share * rate for cells, rate in zip(edges, changes, strict=True)])
+        rows, columns = (np.concatenate([cells[axis] for cells in edges]) for axis in (0, 1))
         size = len(self._fine)
-        return self._filter @ (sparse.csr_array((change, (rows, columns)), (size, size)) @ self._filter.T)
+        return self._filter @ (sparse.csr_array((values, (rows, columns)), (size, size)) @ self._filter.T)
 
 
 class DrawnTwice:

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.optics_cases import UT4
 from helpers.reference_psf import reference
 from scipy.special import j1
 
+from irlos_pipe.conventions.placement import Placement
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
+from irlos_pipe.conventions.pupil_parts import Circle
 from irlos_pipe.optics.fourier_matrices import require_resolved
-from irlos_pipe.optics.pupil import CLEAN_BAND, area_weighted_pupil, band_limited_pupil, grid_centres
+from irlos_pipe.optics.pupil import (
+    CLEAN_BAND,
+    area_weighted_pupil,
+    band_limited,
+    band_limited_pupil,
+    grid_centres,
+)
 
 RING = PupilGeometry(8.0, 1.116)
 
@@ -82,6 +92,17 @@ def test_an_area_weighted_grid_of_the_same_size_is_far_less_accurate():
     worse = np.abs(spectrum(centres, coarse, f)[0, 1:].real - exact)
     better = np.abs(spectrum(u, amplitude, f)[0, 1:].real - exact)
     assert np.all(better < 0.1 * worse)
+
+
+@pytest.mark.parametrize("stop_m", [(0.0, 0.0), (0.11, -0.07)], ids=["on axis", "displaced"])
+@pytest.mark.parametrize("geometry", [UT4, RING, PupilGeometry(8.0)], ids=["vanes", "ring", "disc"])
+def test_cells_away_from_the_edges_are_all_clear_or_all_dark(geometry, stop_m):
+    """Truth: every fine cell drawn by itself, as where an obstruction is drawn; this one covers nothing."""
+    nowhere = Circle(1e-6).placed(Placement.of(0.0, "none", (3.99, 3.99)))
+    every = replace(geometry, obstructions=(nowhere,))
+    assert geometry.plain and not every.plain
+    ours, theirs = (band_limited(one, 48, stop_m=stop_m, subsamples=8) for one in (geometry, every))
+    assert ours == pytest.approx(theirs, abs=1e-12)
 
 
 def test_a_window_beyond_what_the_grid_resolves_is_refused():
