@@ -18,7 +18,7 @@ from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.refit import PER_PARAMETER, Refit
 from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.diagnose.verdict import Ranked
-from irlos_pipe.effects.effect_set import label_of, occurrences
+from irlos_pipe.effects.labels import label_of, occurrences
 from irlos_pipe.numerics.parallel import ordered_map
 
 MUST_EXPLAIN = 0.8  # of what is left, for a further name

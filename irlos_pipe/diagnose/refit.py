@@ -13,7 +13,7 @@ from irlos_pipe.diagnose.null_model import Excess, Optimum
 from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect
-from irlos_pipe.effects.effect_set import label_of
+from irlos_pipe.effects.labels import label_of
 from irlos_pipe.numerics.parallel import ordered_map
 
 PROPOSALS = 8

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cached_property, reduce
 from itertools import groupby, pairwise
 from typing import Any, get_args
@@ -14,8 +13,9 @@ import torch
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Parameter, Plane
-from irlos_pipe.numerics.forward_mode import along_all
-from irlos_pipe.optics.grids import Grids, Optics, OtfGrid, Sampling, Tangents
+from irlos_pipe.effects.labels import labels_of
+from irlos_pipe.numerics.forward_mode import along_all, pushed_each
+from irlos_pipe.optics.grids import Change, Grids, Optics, OtfGrid, Sampling, Tangents
 
 PLANES: tuple[Plane, ...] = get_args(Plane)
 Acting = tuple[Effect, slice]  # and its part of the parameter vector
@@ -78,7 +78,10 @@ class EffectSet:
 
     def __call__(self, values: torch.Tensor = NOTHING) -> Optics:
         """What the effects make of pupil, OTF and sampling."""
-        sampling = self._sampling(values)
+        return self._optics(values, self._sampling(values))
+
+    def _optics(self, values: torch.Tensor, sampling: Sampling) -> Optics:
+        """The same for a `sampling` that the effects may not make."""
         star = Optics(
             self._pupil(values, sampling) if self.at("pupil") else None,
             self._transfer(values, sampling, self.at("otf")) if self.at("otf") else None,
@@ -88,12 +91,35 @@ class EffectSet:
         return star._replace(copies=tuple(copies))
 
     def tangents(self, values: torch.Tensor) -> Tangents:
-        """Derivatives of pupil and OTF factors with respect to the parameters at these planes."""
+        """Derivatives of pupil, OTF factors and sampling with respect to the parameters at these planes."""
         sampling = self._sampling(values)
         transfer = self._transfer_derivatives(values, sampling, self.at("otf"))
         star = Tangents(self._pupil_slopes(values, sampling), transfer)
-        copies = (self._copied_tangents(values, sampling, star, path) for path in self._copies)
+        copies = [self._copied_tangents(values, sampling, star, path) for path in self._copies]
+        every = [self._resampled(values, index) for index in self.free_at("sampling")]
+        star, *copies = (
+            path._replace(sampling=[changes[number] for changes in every])
+            for number, path in enumerate([star, *copies])
+        )
         return star._replace(copies=tuple(copies))
+
+    def _resampled(self, values: torch.Tensor, index: int) -> list[Change]:
+        """Derivatives for star and copies with respect to the parameter `index`, one of the sampling."""
+        sampling, direction = self._sampling(values), torch.zeros_like(values)
+        direction[index] = 1
+        rates = zip(sampling, pushed_each(self._sampling, values, direction), strict=True)
+        change = Sampling(*(torch.zeros_like(one) if rate is None else rate for one, rate in rates))
+
+        def light(along: torch.Tensor) -> list[torch.Tensor | None]:
+            pairs = zip(sampling, change, strict=True)
+            star = self._optics(values, Sampling(*(one + along * rate for one, rate in pairs)))
+            return [factor for path in (star, *star.copies) for factor in (path.pupil, path.transfer)]
+
+        zero = torch.zeros((), dtype=torch.float64)
+        factors = pushed_each(light, zero, torch.ones_like(zero))
+        return [
+            (pupil, transfer, change) for pupil, transfer in zip(factors[0::2], factors[1::2], strict=True)
+        ]
 
     def modes_at(self, values: torch.Tensor, modes_nm: torch.Tensor, when: torch.Tensor) -> torch.Tensor:
         """Coefficients `modes_nm` with the effects at `values`, at times `when`, see `TimeEffect.apply`."""
@@ -251,27 +277,6 @@ class EffectSet:
         pairs = zip(self.effects, self._pieces, strict=True)
         held = [e if piece == own else _held(e, values[piece]) for e, piece in pairs]
         return EffectSet(held, self.grids), own
-
-
-def occurrences(names: Iterable[str]) -> list[int]:
-    """How many of the same name come before each of `names`."""
-    seen: Counter[str] = Counter()
-    found = []
-    for name in names:
-        found.append(seen[name])
-        seen[name] += 1
-    return found
-
-
-def labels_of(effects: Sequence[Effect]) -> list[str]:
-    """Unique labels of `effects` in this order: the name, and of a second of its kind ``name_2``."""
-    names = [effect.name for effect in effects]
-    return [label_of(name, before) for name, before in zip(names, occurrences(names), strict=True)]
-
-
-def label_of(name: str, before: int) -> str:
-    """Label of an effect with this `name` of which there are some `before` it."""
-    return f"{name}_{before + 1}" if before else name
 
 
 def _clear_factor(grid: OtfGrid) -> torch.Tensor:

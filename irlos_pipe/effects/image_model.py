@@ -2,8 +2,8 @@
 
 This is where the light path ends and estimation begins: a fit, a bound or a search sees images as
 a function of Zernike modes, effect parameters, flux and background, and their derivatives, whatever the
-plane in which an effect acts. Parameters in the pupil and of the OTF are differentiated by the chain
-rule in their plane, those that change colours, pixel scale or the wavefront's course in time by
+plane in which an effect acts. Parameters in the pupil, of the OTF, of colours and pixel scale are
+differentiated by the chain rule in their plane, those that change the wavefront's course in time by
 forward-mode differentiation of the whole path.
 """
 
@@ -193,8 +193,8 @@ class ImageModel:
             unit, jacobian = _mean(unit, weights), _mean(jacobian, weights)
         if held:
             return unit, jacobian
-        rest = [*self.effects.free_at("sampling"), *self.effects.free_at("time")]
-        whole = [self._whole_path(modes_nm, values, when, index)[:, None].to(unit.dtype) for index in rest]
+        moving = self.effects.free_at("time")
+        whole = [self._whole_path(modes_nm, values, when, index)[:, None].to(unit.dtype) for index in moving]
         return unit, torch.cat([jacobian, *whole], dim=1)
 
     def _whole_path(self, modes_nm, values: torch.Tensor, when, index: int) -> torch.Tensor:

@@ -126,3 +126,9 @@ class AmplitudeAberration(ZernikeTable, PupilEffect):
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         """See `PupilEffect.apply`."""
         return field * (1 + torch.tensordot(values, torch.tensor(grid.modes(self.nolls)), 1))
+
+    def slopes(
+        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `PupilEffect.slopes`."""
+        return [field * mode for mode in torch.tensor(grid.modes(self.nolls)[list(wanted)])]

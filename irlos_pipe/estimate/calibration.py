@@ -13,8 +13,8 @@ import torch
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects import Effect
-from irlos_pipe.effects.effect_set import occurrences
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.labels import occurrences
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.calibration_errors import ErrorsFrom, errors_of
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2

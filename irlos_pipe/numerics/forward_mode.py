@@ -6,27 +6,41 @@ PyTorch keeps one level of dual numbers per process, not per thread: threads tak
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Sequence
 
 import torch
 from torch.autograd import forward_ad
 
 Function = Callable[[torch.Tensor], torch.Tensor]
+Functions = Callable[[torch.Tensor], Sequence[torch.Tensor | None]]
 
 _turn = threading.RLock()
 
 
 def pushed(function: Function, values: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
     """Return the derivative of `function` at `values` along a `direction` in its argument."""
-    with _turn:
-        return torch.func.jvp(function, (values,), (direction,))[1]
+    with _turn, forward_ad.dual_level():
+        dual = forward_ad.unpack_dual(function(forward_ad.make_dual(values.clone(), direction.to(values))))
+        return torch.zeros_like(dual.primal) if dual.tangent is None else dual.tangent.clone()
+
+
+def pushed_each(
+    functions: Functions, values: torch.Tensor, direction: torch.Tensor
+) -> list[torch.Tensor | None]:
+    """Return those of several results of `functions`; None of one that does not depend on its argument."""
+    with _turn, forward_ad.dual_level():
+        results = functions(forward_ad.make_dual(values.clone(), direction.to(values)))
+        tangents = [None if one is None else forward_ad.unpack_dual(one).tangent for one in results]
+        return [None if one is None else one.clone() for one in tangents]
 
 
 def pushed_all(function: Function, values: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
-    """Return those of `function` at `values` along several `directions`, the second axis there and here."""
-    with _turn:
-        return torch.func.vmap(partial(pushed, function, values), in_dims=1, out_dims=1)(directions)
+    """Return those of `function` at `values` along several `directions`, the second axis there and here.
+
+    The function gets its argument with that axis, and must make the same of every element along it.
+    """
+    repeated = values.unsqueeze(1).expand_as(directions).contiguous()
+    return pushed(function, repeated, directions)
 
 
 def along(function: Function, values: torch.Tensor, index: int) -> torch.Tensor:
@@ -38,19 +52,4 @@ def along(function: Function, values: torch.Tensor, index: int) -> torch.Tensor:
 
 def along_all(function: Function, values: torch.Tensor) -> torch.Tensor:
     """Return those of a real or complex `function` by all elements of `values`, elements first."""
-    with _turn:
-        if len(values) == 1:  # dual numbers cost much less than the vectorised transform
-            with forward_ad.dual_level():
-                dual = function(forward_ad.make_dual(values, torch.ones_like(values)))
-                return forward_ad.unpack_dual(dual).tangent[None]
-        return _vectorised(function, values)
-
-
-def _vectorised(function: Function, values: torch.Tensor) -> torch.Tensor:
-    is_complex = function(values).is_complex()
-
-    def parts(v: torch.Tensor) -> torch.Tensor:
-        return torch.view_as_real(function(v)) if is_complex else function(v)
-
-    slopes = torch.func.jacfwd(parts)(values).movedim(-1, 0).contiguous()
-    return torch.view_as_complex(slopes) if is_complex else slopes
+    return torch.stack([along(function, values, index) for index in range(len(values))])

@@ -78,6 +78,11 @@ class FocalPlane:
             return (self._filtered if filtered else self._plain)[index]
         return (self._filtered_matrices if filtered else self._plain_matrices)(index, sampling)
 
+    def pixel_slopes(self, index: int, sampling: Sampling, *, filtered: bool) -> Matrices:
+        """Return the derivatives of `to_pixels` by the logarithm of pixel scale over wavelength."""
+        make = self._filtered_matrices if filtered else self._plain_matrices
+        return make(index, sampling, slope=True)
+
     @cached_property
     def _plain(self) -> list[Matrices]:
         return [self._plain_matrices(index, self.sampling) for index in range(len(self.grids))]
@@ -86,17 +91,17 @@ class FocalPlane:
     def _filtered(self) -> list[Matrices]:
         return [self._filtered_matrices(index, self.sampling) for index in range(len(self.grids))]
 
-    def _plain_matrices(self, index: int, sampling: Sampling) -> Matrices:
+    def _plain_matrices(self, index: int, sampling: Sampling, *, slope: bool = False) -> Matrices:
         sky = sampling.pixel_scale_mas, sampling.wavelengths_m[index], self.grids[index]
-        made = {px: focal_to_pixels(px, *sky) for px in {*self.window}}
+        made = {px: focal_to_pixels(px, *sky, slope=slope) for px in {*self.window}}
         rows, columns = (made[px] for px in self.window)
         return (sampling.weights[index] * rows).to(self.like), columns.to(self.like)
 
-    def _filtered_matrices(self, index: int, sampling: Sampling) -> Matrices:
+    def _filtered_matrices(self, index: int, sampling: Sampling, *, slope: bool = False) -> Matrices:
         grid = self.grids[index]
         (rows, columns), sky = self.window, (sampling.pixel_scale_mas, sampling.wavelengths_m[index], grid)
-        along_y = baseline_to_pixels(grid.baseline_y_m, rows, *sky, half=False)
-        along_x = baseline_to_pixels(grid.baseline_x_m, columns, *sky, half=True)
+        along_y = baseline_to_pixels(grid.baseline_y_m, rows, *sky, half=False, slope=slope)
+        along_x = baseline_to_pixels(grid.baseline_x_m, columns, *sky, half=True, slope=slope)
         device, dtype = self.like.device, COMPLEX[self.like.dtype]
         return (sampling.weights[index] * along_y).to(device, dtype), along_x.to(device, dtype)
 

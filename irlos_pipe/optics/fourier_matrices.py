@@ -123,6 +123,7 @@ def baseline_to_pixels(
     grid: FocalGrid,
     *,
     half: bool,
+    slope: bool = False,
 ) -> torch.Tensor:
     """Return the matrix from FFT coefficients of the focal intensity to pixel-integrated flux.
 
@@ -138,6 +139,8 @@ def baseline_to_pixels(
     half : bool
         True for the axis of a real FFT: inner coefficients count twice, and the real part
         of the two-axis product is taken.
+    slope : bool
+        Its derivative with respect to the logarithm of pixel scale over wavelength instead.
 
     Returns
     -------
@@ -151,13 +154,17 @@ def baseline_to_pixels(
     scale, colour = (float(torch.as_tensor(value).detach()) for value in (pixel_scale_mas, wavelength_m))
     require_field(pixels, scale, colour, grid)
     pixel = torch.as_tensor(pixel_scale_mas * MAS / wavelength_m, dtype=torch.float64)  # over baselines
-    offset = torch.as_tensor(grid_centres(pixels, 1.0))[:, None] * pixel
-    offset = offset - grid.frequency_per_m[0]  # the FFT counts from the first sample
     baselines = torch.as_tensor(baselines_m)
-    weight = torch.sinc(baselines * pixel) * pixel * 2 * grid.width_m / grid.padded
-    if half:
-        weight = weight * torch.as_tensor(half_plane_counts(len(baselines_m), grid.padded))
-    return phasor(2 * np.pi * offset * baselines) * weight
+    phase = 2 * np.pi * torch.as_tensor(grid_centres(pixels, 1.0))[:, None] * pixel * baselines
+    # The FFT counts from the first sample.
+    waves = phasor(phase - 2 * np.pi * grid.frequency_per_m[0] * baselines)
+    counts = half_plane_counts(len(baselines_m), grid.padded) if half else np.ones(len(baselines_m))
+    coefficient = pixel * torch.as_tensor(counts * 2 * grid.width_m / grid.padded)
+    weight = torch.sinc(baselines * pixel)
+    if slope:
+        edge = torch.cos(np.pi * baselines * pixel).expand_as(phase)
+        return waves * coefficient * torch.complex(edge, phase * weight)
+    return waves * (coefficient * weight)
 
 
 def require_field(pixels: int, pixel_scale_mas: float, wavelength_m: float, grid: FocalGrid) -> None:
@@ -183,19 +190,26 @@ def half_plane_counts(baselines: int, padded: int) -> np.ndarray:
 
 
 def focal_to_pixels(
-    pixels: int, pixel_scale_mas: float | torch.Tensor, wavelength_m: float | torch.Tensor, grid: FocalGrid
+    pixels: int,
+    pixel_scale_mas: float | torch.Tensor,
+    wavelength_m: float | torch.Tensor,
+    grid: FocalGrid,
+    *,
+    slope: bool = False,
 ) -> torch.Tensor:
     """Return the matrix from focal intensity to pixel-integrated flux along one axis, without OTF factors.
 
     Parameters
     ----------
-    pixels, pixel_scale_mas, wavelength_m, grid
+    pixels, pixel_scale_mas, wavelength_m, grid, slope
         As of `baseline_to_pixels`.
 
     Returns
     -------
     tensor, (pixels, grid.samples), float64
     """
-    to_pixels = baseline_to_pixels(grid.baseline_y_m, pixels, pixel_scale_mas, wavelength_m, grid, half=False)
+    to_pixels = baseline_to_pixels(
+        grid.baseline_y_m, pixels, pixel_scale_mas, wavelength_m, grid, half=False, slope=slope
+    )
     transform = np.fft.fft(np.eye(grid.padded), axis=0)[:, : grid.samples]
     return (to_pixels @ torch.as_tensor(transform)).real

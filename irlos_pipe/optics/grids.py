@@ -168,6 +168,9 @@ class Optics(NamedTuple):
     copies: tuple[Optics, ...] = ()
 
 
+Change = tuple[torch.Tensor | None, torch.Tensor | None, Sampling]
+
+
 class Tangents(NamedTuple):
     """Derivatives of `Optics` with respect to effect parameters, parameters first.
 
@@ -177,6 +180,8 @@ class Tangents(NamedTuple):
     transfer : sequence of tensor, (wavelengths, p, p//2 + 1) each
     pupil_too : sequence of (int, tensor)
         Of the pupil with respect to parameters of the OTF: positions among these, (wavelengths, n, n).
+    sampling : sequence of (tensor or None, tensor or None, Sampling)
+        With respect to parameters of the sampling: of pupil and OTF, None without a change, and of it.
     copies : tuple of Tangents
         Of each of the copies, with respect to the same parameters.
     """
@@ -184,6 +189,7 @@ class Tangents(NamedTuple):
     pupil: Sequence[torch.Tensor] = ()
     transfer: Sequence[torch.Tensor] = ()
     pupil_too: Sequence[tuple[int, torch.Tensor]] = ()
+    sampling: Sequence[Change] = ()
     copies: tuple[Tangents, ...] = ()
 
 

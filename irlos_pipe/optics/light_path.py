@@ -72,7 +72,7 @@ class LightPath(Protocol):
         modes_nm : tensor, (frames, modes)
         optics : see `images`
         tangents : Tangents
-            Derivatives of pupil and OTF factors with respect to effect parameters.
+            Derivatives of pupil, OTF factors and sampling with respect to effect parameters.
         modal : bool
             False leaves the derivatives with respect to the modes out.
 
@@ -80,7 +80,7 @@ class LightPath(Protocol):
         -------
         images : tensor, (frames, rows, columns)
         jacobian : tensor, (frames, modes + parameters, rows, columns)
-            First the modes [1/nm], then the parameters in the pupil, then those of the OTF.
+            First the modes [1/nm], then the parameters in the pupil, of the OTF, and of the sampling.
         """
 
     def images_and_pullback(

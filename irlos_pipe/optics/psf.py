@@ -39,7 +39,8 @@ from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, Pullback
 from irlos_pipe.optics.matrix_dft import MatrixDft, mirrored, products_up_to
 from irlos_pipe.optics.monochromatic import Colour
 from irlos_pipe.optics.psf_settings import PsfSettings
-from irlos_pipe.optics.zernike import noll_to_nm, zernike_basis
+from irlos_pipe.optics.resampled import Rates, resampled
+from irlos_pipe.optics.zernike import in_products, noll_to_nm
 
 CHUNK_ELEMENTS = 6_000_000  # complex numbers held per batch of frames
 
@@ -126,9 +127,9 @@ class PsfModel:
         pairs = products_up_to(degree)
         along_x, along_y = np.array(pairs).T
         reach = grid.u_m[-1] / grid.radius_m
-        terms = _in_products(self.nolls, degree, reach)
+        terms = in_products(self.nolls, degree, reach)
         if len(companions) > 1:
-            shape = _in_products([*companions], degree, reach)
+            shape = in_products([*companions], degree, reach)
             terms[self.nolls.index(DEFOCUS)] = np.tensordot([*companions.values()], shape, 1)
         signs = [-1.0 if a % 2 and b % 2 else 1.0 for a, b in pairs]  # as `MatrixDft.products` returns them
         self.combine = self._real(terms[:, along_y, along_x] * signs)  # (K, pairs)
@@ -155,14 +156,19 @@ class PsfModel:
         """The light path at one wavelength."""
         plane, sampling = self.focal_plane, optics.sampling
         wavelength_m = float(self.wavelengths_m[index]) if sampling is None else sampling.wavelengths_m[index]
-        transfer = None if optics.transfer is None else self._like_images(optics.transfer[index])
+        transfer = self._transfer(optics.transfer, index)
         to_rows, to_columns = plane.to_pixels(index, sampling, filtered=transfer is not None)
-        pupil = self.amplitude if optics.pupil is None else mirrored(self._complex(optics.pupil[index]))
-        grid = plane.grids[index]
+        pupil, grid = self._pupil(optics.pupil, index), plane.grids[index]
+        pupil = self.amplitude if pupil is None else pupil
         return Colour(wavelength_m, pupil, transfer, to_rows, to_columns, grid.padded, grid.samples)
 
-    def _like_images(self, factor: torch.Tensor) -> torch.Tensor:
-        return self._complex(factor) if factor.is_complex() else self._real(factor)
+    def _pupil(self, pupils: torch.Tensor | None, index: int) -> torch.Tensor | None:
+        return None if pupils is None else mirrored(self._complex(pupils[index]))
+
+    def _transfer(self, factors: torch.Tensor | None, index: int) -> torch.Tensor | None:
+        if factors is None:
+            return None
+        return (self._complex if factors.is_complex() else self._real)(factors[index])
 
     def images(self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
         """See `LightPath.images`."""
@@ -217,16 +223,29 @@ class PsfModel:
             amplitude, columns = dft.amplitude(field), []
 
         def by_pupil(slope: torch.Tensor) -> torch.Tensor:
-            change = dft.amplitude(colour.field(opd, mirrored(self._complex(slope[index]))))
+            change = dft.amplitude(colour.field(opd, self._pupil(slope, index)))
             return colour.image(2 * (amplitude * change).sum(1))[None]
 
         columns += [by_pupil(one) for one in tangents.pupil]
         intensity = _intensity(amplitude)
-        by_transfer = [colour.image(intensity, self._like_images(one[index])) for one in tangents.transfer]
+        by_transfer = [colour.image(intensity, self._transfer(one, index)) for one in tangents.transfer]
         for place, one in tangents.pupil_too:
             by_transfer[place] = by_transfer[place] + by_pupil(one)[0]
         columns += [one[None] for one in by_transfer]
+        if tangents.sampling:
+            columns.append(self._resampled(colour, opd, path))
         return colour.image(intensity), columns[0] if len(columns) == 1 else torch.cat(columns)
+
+    def _resampled(self, colour: Colour, opd: torch.Tensor, path: _Path) -> torch.Tensor:
+        """Derivatives of weighted images by the parameters of the sampling; see `resampled`."""
+        (optics, tangents, index), plane = path, self.focal_plane
+        sampling = optics.sampling or self.grids.sampling
+        slopes = plane.pixel_slopes(index, sampling, filtered=colour.transfer is not None)
+        every = [
+            Rates.of(sampling, change, index, self._pupil(pupil, index), self._transfer(transfer, index))
+            for pupil, transfer, change in tangents.sampling
+        ]
+        return resampled(colour, plane.dfts[index], slopes, opd, every)
 
     def _derivatives(self, colour: Colour, changes: torch.Tensor) -> torch.Tensor:
         """Weighted pixel flux of the derivatives of the focal intensity, in the precision wanted of them."""
@@ -278,17 +297,6 @@ class _Path(NamedTuple):
     optics: Optics
     tangents: Tangents
     colour: int
-
-
-def _in_products(nolls: Sequence[int], degree: int, reach: float) -> np.ndarray:
-    """Zernike modes in products ``T_b(y/reach) T_a(x/reach)``, (modes, b, a): interpolated, so exact.
-
-    Their values at the corners of the square rule how exact: rounding of float64 errs by 4e-8 at degree 20.
-    """
-    nodes = chebyshev.chebpts1(degree + 1)
-    invert = np.linalg.inv(chebyshev.chebvander(nodes, degree))
-    values = zernike_basis(nolls, *np.meshgrid(reach * nodes, reach * nodes))
-    return invert @ values @ invert.T
 
 
 def _intensity(amplitude: torch.Tensor) -> torch.Tensor:

@@ -5,11 +5,12 @@ Reference: R. J. Noll, "Zernike polynomials and atmospheric turbulence", JOSA 66
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import count, islice
 from math import isqrt, sqrt
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 
 def noll_to_nm(noll: int) -> tuple[int, int]:
@@ -86,3 +87,14 @@ def _radial_factors(m: int, squared: np.ndarray) -> Iterator[np.ndarray]:
         slope = (twice - 1) * (twice * (twice - 2) * t - m**2)
         after = slope * now - 2 * (k - 1) * (k + m - 1) * twice * before
         before, now = now, after / (2 * k * (k + m) * (twice - 2))
+
+
+def in_products(nolls: Sequence[int], degree: int, reach: float) -> np.ndarray:
+    """Return Zernike modes in products ``T_b(y/reach) T_a(x/reach)``, (modes, b, a): interpolated, so exact.
+
+    Their values at the corners of the square rule how exact: rounding of float64 errs by 4e-8 at degree 20.
+    """
+    nodes = chebyshev.chebpts1(degree + 1)
+    invert = np.linalg.inv(chebyshev.chebvander(nodes, degree))
+    values = zernike_basis(nolls, *np.meshgrid(reach * nodes, reach * nodes))
+    return invert @ values @ invert.T

@@ -96,6 +96,23 @@ def test_effects_are_differentiated_in_the_star_and_in_its_ghosts():
         assert jacobian[:, index].numpy() == pytest.approx(theirs, abs=2e-5 * np.abs(theirs).max())
 
 
+def test_colours_and_pixels_are_differentiated_through_pupil_otf_and_copies():
+    """Dispersion depends on the mean wavelength, a bump and a ghost's focus on each."""
+    names = ["spectrum", "plate_scale", "atmospheric_dispersion", "ghost", "phase_bump"]
+    (effects, starts), step = zip(*map(made, names), strict=True), 1e-5
+    whole = ImageModel(psf(), effects)
+    by_name = dict(zip(names, starts, strict=True))
+    values = torch.cat([by_name[effect.name] for effect in whole.effects.effects])
+    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values)[1][:, len(NOLLS) : -2]
+    assert len(whole.effects.free_at("sampling")) == 4
+    for index in whole.effects.free_at("sampling"):
+        move = torch.zeros_like(values)
+        move[index] = step * max(1.0, abs(float(values[index])))
+        high, low = (whole.predict(WAVEFRONTS, FLUX, BACKGROUND, values + s * move) for s in (1, -1))
+        theirs = ((high - low) / (2 * move[index])).numpy()
+        assert jacobian[:, index].numpy() == pytest.approx(theirs, abs=1e-6 * np.abs(theirs).max())
+
+
 def test_ghosts_are_there_in_the_pullback_and_among_frozen_effects():
     """Truth: the Jacobian, and the model itself."""
     ghost, values = made("ghost")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from irlos_pipe.numerics.forward_mode import along, along_all, pushed, pushed_all
+from irlos_pipe.numerics.forward_mode import along, along_all, pushed, pushed_all, pushed_each
 
 VALUES = torch.tensor([0.3, -1.2, 2.0], dtype=torch.float64)
 FACTORS = torch.arange(1, 4, dtype=torch.float64)
@@ -35,6 +35,14 @@ def test_derivatives_along_one_element_along_a_direction_and_along_several():
     assert pushed(squares, VALUES, direction).tolist() == pytest.approx([0.6, -4.8, 0.0])
     columns = torch.stack([direction, 2 * direction], dim=1)
     assert pushed_all(squares, VALUES, columns)[:, 1].tolist() == pytest.approx([1.2, -9.6, 0.0])
+
+
+def test_results_that_do_not_depend_on_the_argument_have_no_derivative():
+    direction = torch.tensor([1.0, 2.0, 0.0], dtype=torch.float64)
+    found = pushed_each(lambda v: [squares(v), FACTORS, None], VALUES, direction)
+    assert found[0].tolist() == pytest.approx([0.6, -4.8, 0.0])
+    assert found[1:] == [None, None]
+    assert pushed(lambda v: FACTORS, VALUES, direction).tolist() == [0.0, 0.0, 0.0]
 
 
 @pytest.mark.slow
