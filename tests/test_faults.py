@@ -78,7 +78,11 @@ def test_of_two_runs_on_one_tree_the_second_leaves_with_75_and_the_first_is_not_
     assert first.end().code == harness.end.code and content(tree) == harness.content
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_beside_a_program_that_writes_a_recording_a_night_ends_and_the_next_is_whole(harness):
+    assert harness.beside_writers(1) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_signal_ends_a_night_with_130_and_one_line_and_the_next_run_completes_it(harness, tree, number):
     running = runs.start(harness.bench, tree)
     while not (tree / ".lock").exists():

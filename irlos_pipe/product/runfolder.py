@@ -135,7 +135,7 @@ def require_outside_inputs(folder: Path, inputs: Mapping[str, Iterable[Path]]) -
     """
     for name, roots in inputs.items():
         for root in roots:
-            if folder.resolve().is_relative_to(root.resolve()):
+            if Path(os.path.realpath(folder)).is_relative_to(os.path.realpath(root)):
                 raise ConfigurationError(
                     f"--output {folder}: lies inside input '{name}' ({root}); choose a folder elsewhere"
                 )
@@ -181,6 +181,8 @@ def owned_folder(path: Path) -> Iterator[RunFolder]:
         When it cannot be made or written.
     """
     lock = FileLock(path / LOCK_NAME, timeout=0)
+    if (path / LOCK_NAME).is_symlink():
+        raise IrlosError(f"{path / LOCK_NAME}: a link, which is not followed; remove it")
     try:
         path.mkdir(parents=True, exist_ok=True)
         lock.acquire()

@@ -38,10 +38,14 @@ def each_once(files: Iterable[Path]) -> list[Path]:
     """Return `files` without those that are another one under a second name; links give way."""
     files = list(dict.fromkeys(files))
     chosen: dict[object, Path] = {}
-    for file in sorted(files, key=lambda file: file.resolve() != file):  # those without a link come first
+    for file in sorted(files, key=_is_linked):  # those without a link come first
         chosen.setdefault(_identity(file) or file, file)
     kept = set(chosen.values())
     return [file for file in files if file in kept]
+
+
+def _is_linked(file: Path) -> bool:
+    return os.path.realpath(file) != str(file)  # Path.resolve raises an error for links in a circle
 
 
 def natural_order(path: Path) -> list:
@@ -72,7 +76,7 @@ def _folders(root: Path, refused: Refused) -> Iterator[Path]:
 
 def _is_above(link: Path, root: Path) -> bool:
     """Whether a link leads to a folder that holds the one that is searched."""
-    return root.resolve().is_relative_to(link.resolve())
+    return Path(os.path.realpath(root)).is_relative_to(os.path.realpath(link))
 
 
 def _entries(folder: Path) -> list[Path]:

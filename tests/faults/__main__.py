@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -13,9 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from faults.runs import End, Patches, make_night, no_file_above, run, signalled
+from faults.runs import End, Patches, make_night, no_file_above, rewritten, run, signalled
 from faults.tree import broken, content, leftovers
 
+SIGNALS = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+INTERRUPTED = 130
+BESIDE_A_WRITER = {0, 3, 5, 64}
 PAGES = "night_"  # a run that could not even look for recordings tells so on the page of the last night
 
 
@@ -24,6 +28,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="faults", description=__doc__)
     parser.add_argument("--kills", type=int, default=100, help="kill -9 at so many random moments")
     parser.add_argument("--disks", type=int, default=50, help="full disks, at so many random sizes")
+    parser.add_argument("--signals", type=int, default=30, help="SIGTERM, SIGHUP and SIGINT in turn")
+    parser.add_argument(
+        "--writers", type=int, default=10, help="runs beside a program that writes recordings"
+    )
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="irlos-faults-") as place:
@@ -33,7 +41,12 @@ def main() -> int:
         kills = harness.suffered("kill -9", [lambda tree, at=at: harness.killed(tree, at) for at in moments])
         sizes = np.exp(rng.uniform(np.log(100), np.log(harness.largest), options.disks)).astype(int)
         disks = harness.suffered("full disk", [lambda tree, n=n: harness.filled(tree, int(n)) for n in sizes])
-    return int(bool(kills + disks))
+        moments = rng.uniform(0, harness.seconds, options.signals)
+        chosen = [(at, SIGNALS[index % len(SIGNALS)]) for index, at in enumerate(moments)]
+        ends = [lambda tree, at=at, n=n: harness.signalled(tree, at, n) for at, n in chosen]
+        signals = harness.suffered("signal", ends)
+        writers = harness.beside_writers(options.writers)
+    return int(bool(kills + disks + signals + writers))
 
 
 class Harness:
@@ -53,6 +66,31 @@ class Harness:
     def killed(self, tree: Path, after_s: float) -> End:
         """Kill a run."""
         return signalled(self.bench, tree, after_s)
+
+    def signalled(self, tree: Path, after_s: float, number: int) -> End:
+        """Ask a run to end; one that is not yet at work ends at once."""
+        return signalled(self.bench, tree, after_s, number)
+
+    def beside_writers(self, times: int) -> list[str]:
+        """Run while recordings are cut and written again; return what is wrong then, and when they rest."""
+        problems, ends = [], Counter()
+        for number in range(times):
+            tree, fresh = (self.folder / f"{name}-{number}" for name in ("written", "fresh"))
+            with rewritten(self.bench):
+                end = run(self.bench, tree)
+            ends[end.code] += 1
+            found = after_harm(tree, end) if tree.exists() else []
+            found += [f"ended with {end.code}: {end.stderr}"] if end.code not in BESIDE_A_WRITER else []
+            for folder in (tree, fresh):
+                run(self.bench, folder)
+            before, after = content(fresh), content(tree)
+            names = [name for name in before | after if not name.startswith(PAGES)]
+            found += [f"different: {name}" for name in names if before.get(name) != after.get(name)]
+            problems += found
+            for problem in found:
+                print(f"writer {number}: {problem}", flush=True)
+        print(f"beside a writer: {times} times, ends {dict(ends)}, {len(problems)} problems", flush=True)
+        return problems
 
     def filled(self, tree: Path, size: int) -> End:
         """Let a run have no file larger than so many bytes."""
@@ -89,6 +127,8 @@ class Harness:
 def after_harm(tree: Path, end: End) -> list[str]:
     """Return what nobody should come upon while the harm is not repaired."""
     problems = broken(tree) if tree.exists() else []
+    if end.code == INTERRUPTED and end.stderr.count("irlos: error: interrupted") != 1:
+        problems.append(f"not one line: {end.stderr}")
     if "Traceback" in end.stderr or "unexpected" in end.stderr:
         problems.append(f"stderr: {end.stderr[-500:]}")
     return problems

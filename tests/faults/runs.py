@@ -7,7 +7,8 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -89,6 +90,26 @@ def signalled(bench: night_bench.NightBench, tree: Path, after_s: float, number:
     return running.end()
 
 
+@contextmanager
+def rewritten(bench: night_bench.NightBench) -> Iterator[None]:
+    """While the block lasts, a process cuts the first recording and writes it again, over and over."""
+    path = min(bench.archive.rglob("cube.fits"))
+    whole = path.read_bytes()
+    pid = os.fork()
+    if not pid:
+        while True:
+            with open(path, "r+b") as file:
+                file.truncate(2880)
+                file.write(whole)
+            time.sleep(0.002)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        path.write_bytes(whole)
+
+
 def no_file_above(size: int) -> Callable[[], None]:
     """Harm: files cannot grow beyond a size [bytes]; writing more fails as on a full disk."""
 
@@ -114,7 +135,8 @@ def _become_a_run(stderr: int) -> None:
     """Nothing of the parent's terminal, signals and drawing; tasks one after the other in this process."""
     os.setsid()
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
     os.dup2(stderr, 2)
     sys.stderr = open(2, "w", closefd=False)  # noqa: SIM115 (ends with the process)
     cli_night._runner = lambda *_: lambda work, tasks: map(work, tasks)

@@ -23,12 +23,15 @@ class Case:
         Name of the unspoiled recording whose result must come out; empty if nothing is to be compared.
     plausible : bool
         The input is as valid as before and says something else: nobody can notice.
+    place : bool
+        The place for the results is spoiled: exit code 1 or 75 in one line is right as well.
     """
 
     summary: str
     arguments: tuple[str, ...]
     reference: str = ""
     plausible: bool = False
+    place: bool = False
 
 
 Maker = Callable[[Path, np.random.Generator], Case]

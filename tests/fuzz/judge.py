@@ -18,7 +18,7 @@ from irlos_pipe.commands.main import cli
 from irlos_pipe.conventions.errors import IrlosError
 
 DOCUMENTED = {0, 2, 3, 4, 5, 64}
-OF_THE_DISK = {1, 75}  # what cannot be written, or is in use: one line as well
+OF_THE_PLACE = {1, 75}  # what cannot be written, or is in use
 MEMORY = 2 * GIB
 TIME_S = 30.0  # of the processor, or twenty times that by the clock: the machine may be busy
 PRODUCT = "01_ingest.h5"
@@ -80,7 +80,7 @@ def _finding(case: Case, result: Result, folder: Path) -> str:
         return "traceback: " + "".join(traceback.format_exception(result.exception))[-600:]
     if "Traceback" in result.output or "irlos: error: unexpected" in result.output:
         return f"unexpected error: {result.output[-400:]}"
-    if result.exit_code not in DOCUMENTED:
+    if result.exit_code not in (DOCUMENTED | OF_THE_PLACE if case.place else DOCUMENTED):
         return f"exit code {result.exit_code}: {result.output[-400:]}"
     return _wrong_messages(result) or _silently_wrong(case, result, folder)
 
@@ -88,7 +88,7 @@ def _finding(case: Case, result: Result, folder: Path) -> str:
 def _wrong_messages(result: Result) -> str:
     """Errors are reported in lines of their own; bad data in exactly one."""
     lines = [line for line in result.output.splitlines() if line.startswith("irlos: error: ")]
-    if result.exit_code in (3, 64) and len(lines) != 1:
+    if result.exit_code in (1, 3, 64, 75) and len(lines) != 1:
         return f"{len(lines)} error lines for one problem: {result.output[-400:]}"
     if result.exit_code == 2 and not lines and "Error: " not in result.output:
         return f"no reason given: {result.output[-400:]}"

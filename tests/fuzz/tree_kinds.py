@@ -84,7 +84,7 @@ def output_entries(folder: Path, rng: np.random.Generator) -> Case:
         _remove(out / str(name))
         how(out / str(name), folder / "mine")
         done.append(f"{name}:{how.__name__}")
-    return Case(", ".join(done), _run(folder), plausible=True)
+    return Case(", ".join(done), _run(folder), place=True)
 
 
 @kind
@@ -102,7 +102,7 @@ def tree_database(folder: Path, rng: np.random.Generator) -> Case:
         with sqlite3.connect(path) as connection:
             connection.execute(how)
     trend = ("trend", str(folder / "out"), *pick(rng, [(), ("--json",)]))
-    return Case(how, pick(rng, [arguments, trend]))
+    return Case(how, pick(rng, [arguments, trend]), place=True)
 
 
 def _clutter(path: Path, rng: np.random.Generator) -> str:

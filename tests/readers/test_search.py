@@ -127,6 +127,13 @@ def test_a_pipe_or_device_named_like_a_recording_is_reported(tmp_path, make):
         read_recordings(tmp_path / "c.fits", IRLOS)
 
 
+def test_a_link_to_itself_is_reported(tmp_path):
+    (tmp_path / "c.fits").symlink_to("c.fits")
+    assert recording_files([tmp_path]) == [tmp_path / "c.fits"]
+    with pytest.raises(InputDataError, match=r"c\.fits: a link to c\.fits, which is not there"):
+        read_recordings(tmp_path / "c.fits", IRLOS)
+
+
 def test_a_link_to_a_recording_that_is_gone_is_reported(tmp_path):
     (tmp_path / "c.fits").symlink_to("elsewhere.fits")
     assert recording_files([tmp_path]) == [tmp_path / "c.fits"]

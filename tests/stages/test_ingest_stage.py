@@ -367,8 +367,8 @@ def test_an_input_with_darks_only_is_refused(tmp_path):
 
 
 def test_equal_names_in_one_input_stay_apart(tmp_path):
-    for night in ("a", "b"):
-        write_recorder(tmp_path / night / "offset_00", counts(IMAGE))
+    for seed, night in enumerate(("a", "b")):
+        write_recorder(tmp_path / night / "offset_00", counts(IMAGE, seed=seed))
     output = run(tmp_path)
     assert len({row["name"] for row in output.results.as_json()["inputs"]}) == 2
     assert len(recordings_from_product(product_of(output))) == 2
