@@ -21,6 +21,17 @@ Role = Literal["ncpa_calibration", "defocus_ramp", "derotator", "psf", "dark"]
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, coerce_numbers_to_str=True)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers_are_no_truth_values(cls, values: Any) -> Any:
+        """Refuse ``true`` where a number is wanted, which would count as 1."""
+        if isinstance(values, dict):
+            for key, value in values.items():
+                field = cls.model_fields.get(str(key))
+                if isinstance(value, bool) and field is not None and "bool" not in str(field.annotation):
+                    raise ValueError(f"{key} is {str(value).lower()}, which is no number; give its value")
+        return values
+
 
 class SpectrumPoint(_Section):
     """One wavelength with its photon weight."""

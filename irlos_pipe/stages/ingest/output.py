@@ -12,6 +12,7 @@ from irlos_pipe.frames.cleaning import Cleaned
 from irlos_pipe.frames.detector import star_position
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.frames.screening import SATURATED, tally
+from irlos_pipe.frames.told import Told
 from irlos_pipe.product.product import Check
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.stages.ingest.config import Config
@@ -20,7 +21,7 @@ from irlos_pipe.stages.ingest.results import NoiseRow, RecordingRow
 from irlos_pipe.stages.ingest.sources import Source
 
 
-def row(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> RecordingRow:
+def row(recording: Recording, cleaned: Cleaned, raw: RawRecording, told: Sequence[Told] = ()) -> RecordingRow:
     """Return the entry of a `recording` in the results.
 
     Parameters
@@ -31,6 +32,8 @@ def row(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> RecordingR
         What was found on the way.
     raw : RawRecording
         What it was made from.
+    told : sequence of Told
+        What was told of it, against what its frames show.
     """
     acquisition = recording.acquisition
     return RecordingRow(
@@ -64,7 +67,16 @@ def row(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> RecordingR
         },
         corner_scatter_e=cleaned.noise.corner_scatter_e,
         sources=acquisition.sources,
+        doubts=[one.text for one in told if one.warned],
     )
+
+
+def told_check(recording: Recording, told: Sequence[Told]) -> Check:
+    """Return the check that fails where the frames of a `recording` contradict what was `told` of it."""
+    wrong = [one.text for one in told if one.wrong]
+    message = "; ".join(wrong) or "nothing that was told is contradicted by the frames beyond doubt"
+    name = f"ingest/{recording.input}/{recording.name}/told"
+    return Check(name, float(len(wrong)), "1", None, 0.0, message)
 
 
 def contradictions(recording: Recording, cleaned: Cleaned) -> list[str]:

@@ -62,6 +62,8 @@ class RecordingRow(ResultsPart):
         RMS over time of the darkest pixels, stripes and a changing halo included.
     sources : dict of str to str
         Where each key of the acquisition came from.
+    doubts : list of str
+        What was told and the frames, or plain sense, put in doubt.
     """
 
     name: str = ""
@@ -91,6 +93,7 @@ class RecordingRow(ResultsPart):
     noise: dict[str, NoiseRow] = {}
     corner_scatter_e: Number = math.nan
     sources: dict[str, str] = {}
+    doubts: list[str] = []
 
     @property
     def frames_used(self) -> int:

@@ -17,14 +17,16 @@ from irlos_pipe.frames.believed_detector import READ_NOISE, believed
 from irlos_pipe.frames.cleaning import Cleaned, clean
 from irlos_pipe.frames.recording import PROFILE, Acquisition, Recording
 from irlos_pipe.frames.screening import REPEATED_IMAGE, tally
+from irlos_pipe.frames.told import told_of
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.readers.find import files_of as recording_parts
 from irlos_pipe.readers.find import recording_files
-from irlos_pipe.readers.times import frames_missing, relative_times
+from irlos_pipe.readers.raw_file import RawRecording
+from irlos_pipe.readers.times import counter_step, frames_missing, relative_times
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.ingest.config import Config
-from irlos_pipe.stages.ingest.output import checks, contradictions, dark_row, row, summary
+from irlos_pipe.stages.ingest.output import checks, contradictions, dark_row, row, summary, told_check
 from irlos_pipe.stages.ingest.recording_arrays import arrays_of
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
 from irlos_pipe.stages.ingest.sources import (
@@ -36,7 +38,7 @@ from irlos_pipe.stages.ingest.sources import (
 )
 
 NAME = "ingest"
-VERSION = 5
+VERSION = 6
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})
 BYTES_PER_PIXEL = 1600  # of the window; cleaning took 6.3 GB for a frame of 2000x2000 px
@@ -73,10 +75,12 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     for source in ctx.progress(stars, desc="ingest"):
         with failing_alone(failures, source.input, source.raw.path, ctx.log):
             recording, cleaned = ingest(source, ctx.config, ctx.instrument)
-            for line in contradictions(recording, cleaned):
+            told = told_of(recording, cleaned.noise, ctx.instrument.facility, _step_s(source.raw))
+            doubts = [f"{recording.name}: {one.text}" for one in told if one.warned]
+            for line in (*contradictions(recording, cleaned), *doubts):
                 ctx.log.warning(line)
-            rows.append(row(recording, cleaned, source.raw))
-            quality += checks(recording, ctx.config)
+            rows.append(row(recording, cleaned, source.raw, told))
+            quality += [*checks(recording, ctx.config), told_check(recording, told)]
             arrays |= arrays_of(recording, cleaned, source.raw)
     _require_every_input(ctx.inputs, rows, failures)
     lines = [text for _, text in failures]
@@ -134,6 +138,16 @@ def _cleaned(source: Source, config: Config, instrument: Instrument) -> Cleaned:
             "give it once, as one frame"
         )
     return cleaned
+
+
+def _step_s(raw: RawRecording) -> float:
+    """Time from frame to frame by the clock of the recorder; NaN without one [s]."""
+    if raw.unix_s is None or np.isfinite(raw.unix_s).sum() < 3:
+        return float("nan")
+    known = np.isfinite(raw.unix_s)
+    times_s, counter = raw.unix_s[known], raw.frame_counter[known]
+    frames = (counter[-1] - counter[0]) / counter_step(raw.frame_counter)
+    return float((times_s[-1] - times_s[0]) / frames) if frames > 0 else float("nan")
 
 
 def _require_noise_level(source: Source, cleaned: Cleaned) -> None:

@@ -22,9 +22,14 @@ from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point
 from irlos_pipe.stages.model.effects import model_effects
 
 NAME = "lift"
-VERSION = 8
+VERSION = 9
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
+UNTESTED = (
+    "the zero point of the focus stage against the defocus among the NCPAs",
+    "sign and orientation of diversity and offsets together: the slope tests one against the other",
+    "wavelength and pixel scale wrong by the same factor",
+)
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
@@ -128,6 +133,7 @@ def _results(
         ao_defocus_nm=errors.ao_defocus_nm,
         chi2_nu=errors.chi2_nu,
         nominal_chi2_nu=errors.nominal_chi2_nu,
+        untested=list(UNTESTED),
     )
 
 
