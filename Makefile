@@ -40,7 +40,7 @@ BEADS = $(MEASURED)/microscopy_pyotf/psf_wl520nm_z300nm_x130nm_na0.85_n1.0.tif
 where = if test -f $(1); then $(2) || test $$? -eq 4; fi
 
 .DEFAULT_GOAL := help
-.PHONY: help env env-test demo test test-quick lint bench fuzz faults clean full calibrate dip-global ramp
+.PHONY: help env env-test demo test test-quick lint bench fuzz faults misled clean full calibrate dip-global ramp
 .PHONY: sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
 
 help: ## list the targets
@@ -83,6 +83,9 @@ diagnose-suite: env-test ## hide effects in simulated cubes and score diagnose, 
 
 fuzz: env-test ## try some thousand damaged and hostile inputs (ARGS="--cases 2000 --seed 1 --jobs 2")
 	PYTHONPATH=tests $(BIN)/python -m fuzz $(ARGS)
+
+misled: env-test ## reduce plausible but wrong inputs, and right ones, and count what misleads (ARGS="--draws 2 --jobs 2")
+	$(BIN)/python -m benchmarks.misled --output $(RUNS)/misled $(ARGS)
 
 faults: env-test ## kill runs and fill their disks at random moments (ARGS="--kills 200 --seed 1")
 	PYTHONPATH=tests $(BIN)/python -m faults $(ARGS)
