@@ -77,7 +77,8 @@ def test_the_image_ends_at_the_cut_off_of_the_telescope(mean_e):
     good = np.ones(mean_e.shape, bool)
     assert 0.75 < cutoff_ratio(mean_e, good, CUTOFF_PER_PX) < 1.1
     assert cutoff_ratio(mean_e, good, CUTOFF_PER_PX / 1.5) > 1.25  # scale told too small by a third
-    assert cutoff_ratio(mean_e, good, CUTOFF_PER_PX * 1.7) < 0.7  # the taper smears by one sample, 0.05
+    smear = 2 / len(mean_e) / (1.5 * CUTOFF_PER_PX)  # of the taper, half the width of its main lobe
+    assert cutoff_ratio(mean_e, good, CUTOFF_PER_PX * 1.5) == pytest.approx(1 / 1.5, abs=smear)
     assert np.isnan(
         cutoff_ratio(mean_e / 1e6 + np.random.default_rng(2).normal(size=mean_e.shape), good, 0.2)
     )
