@@ -8,6 +8,7 @@ from scipy.ndimage import median_filter
 RINGS_PER_PX = 2.0  # rings of the spectrum per sample: half a sample wide
 BEYOND = 1.25  # times the expected cut-off, from where on there is nothing but noise
 ABOVE_NOISE = 3.0  # ring means that count as signal, over those of the noise
+LOBE = 2.0  # half of the width of the main lobe of the taper (Hann), in samples of the spectrum
 LEAST_SNR = 1e3  # amplitude at zero frequency over noise: of a fainter image the end is not seen
 
 
@@ -45,5 +46,7 @@ def cutoff_ratio(mean_e: np.ndarray, good: np.ndarray, expected_per_px: float) -
     if not np.sqrt(power[0, 0]) > LEAST_SNR * np.sqrt(noise) > 0:
         return float("nan")
     inside = (count > 0) & (np.arange(len(rings)) * width < 0.5)
-    signal = np.flatnonzero(inside & (rings > ABOVE_NOISE * noise))
-    return float(signal[-1] * width / expected_per_px)
+    end = float(np.flatnonzero(inside & (rings > ABOVE_NOISE * noise))[-1]) * width
+    if end > expected_per_px:  # the taper smears the spectrum by half of its main lobe
+        end = max(expected_per_px, end - LOBE / min(mean_e.shape))
+    return end / expected_per_px

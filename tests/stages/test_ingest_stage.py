@@ -108,7 +108,7 @@ def test_the_results_describe_every_recording(tmp_path):
 def test_a_clean_recording_passes_its_checks(tmp_path):
     write_recorder(tmp_path / "rec", counts(IMAGE))
     checks = run(tmp_path).checks
-    assert len(checks) == 5
+    assert len(checks) == 6
     assert all(check.passed for check in checks)
 
 
