@@ -71,7 +71,7 @@ RAMP_HIDDEN = {
 RIGHTS: dict[str, dict[str, Any]] = {
     "as usual": {},
     "faint": {"mag_j": 11.5},
-    "bright": {"mag_j": 5.0},
+    "bright": {"mag_j": 6.8},
     "poor seeing": {"seeing_arcsec": 1.2},
     "good seeing": {"seeing_arcsec": 0.35},
     "few frames": {"frames": 10},

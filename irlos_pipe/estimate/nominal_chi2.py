@@ -22,6 +22,7 @@ import torch
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.frames.blocks import blocks
 
+LEAST_FRAMES = 4  # whose scatter is looked at
 LONGEST = 512  # frames of which all pairs are looked at; of more, runs of neighbours are averaged
 
 
@@ -39,7 +40,7 @@ def nominal_chi2(frames: Frames, jacobian: torch.Tensor, precision: torch.Tensor
     Parameters
     ----------
     frames : Frames
-        Of a few, see `Frames.show_scatter`, the noise model takes the place of the scatter.
+        Of fewer than `LEAST_FRAMES` the noise model takes the place of the scatter.
     jacobian : tensor, (parameters, pixels)
         Derivatives of the model image [e- per unit of the parameter].
     precision : tensor, (parameters,)
@@ -54,7 +55,7 @@ def nominal_chi2(frames: Frames, jacobian: torch.Tensor, precision: torch.Tensor
     freedom = max(used - len(precision), 1)
     followed = gain @ (columns.mT @ columns)
     white = used - 2 * float(torch.trace(followed)) + float((followed * followed.mT).sum())
-    if not frames.show_scatter:
+    if len(frames.images_e) < LEAST_FRAMES:
         return NominalChi2(white / freedom, float(np.sqrt(2 * white)) / freedom)
     shared = float((frames.noise.shared_e2 * root**2).sum()) * white / used
     expected, deviation = _of_scatter(_left(frames, root, columns, gain))

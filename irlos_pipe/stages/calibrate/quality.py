@@ -7,6 +7,7 @@ import math
 from pydantic import Field
 
 from irlos_pipe.estimate.calibration import Calibration
+from irlos_pipe.estimate.nominal_chi2 import LEAST_FRAMES
 from irlos_pipe.product.product import Check
 from irlos_pipe.stages.base import StageConfig
 
@@ -56,7 +57,7 @@ def _misfit(limits: Limits, result: Calibration) -> Check:
     """χ²/ν against what the frames let expect, from both sides."""
     nominal = result.nominal
     high = (1 + NUMERICAL) * nominal.value + SIGMA * nominal.sigma
-    low = max(0.0, nominal.value - SIGMA * nominal.sigma)
+    low = max(0.0, nominal.value - SIGMA * nominal.sigma) if len(result.frames_nm) >= LEAST_FRAMES else 0.0
     if limits.max_chi2_nu is not None:
         high, low = limits.max_chi2_nu, 0.0
     why = ""
