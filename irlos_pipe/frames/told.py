@@ -117,7 +117,7 @@ def _times(recording: Recording, step_s: float) -> Iterator[Told]:
         "exposure by the clock", by_clock, OVERLAP_DOUBTFUL, OVERLAP_IMPOSSIBLE, f"{by_clock:.3g} {text}"
     )
     cadence = rate_hz * step_s
-    told = f"the clock of the recorder has {1 / step_s if step_s else math.nan:.4g} frames per second"
+    told = f"the clock of the recorder has {1 / step_s:.4g} frames per second"
     yield Told("cadence", cadence, CADENCE_DOUBTFUL, ANY, f"{told}, told are {rate_hz:.4g}: times hang on it")
 
 

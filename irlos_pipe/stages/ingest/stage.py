@@ -147,7 +147,8 @@ def _step_s(raw: RawRecording) -> float:
     known = np.isfinite(raw.unix_s)
     times_s, counter = raw.unix_s[known], raw.frame_counter[known]
     frames = (counter[-1] - counter[0]) / counter_step(raw.frame_counter)
-    return float((times_s[-1] - times_s[0]) / frames) if frames > 0 else float("nan")
+    step_s = float((times_s[-1] - times_s[0]) / frames) if frames > 0 else 0.0
+    return step_s if step_s > 0 else float("nan")  # a clock that stands tells nothing
 
 
 def _require_noise_level(source: Source, cleaned: Cleaned) -> None:
