@@ -266,6 +266,17 @@ def _with_wider_forms(found: Sequence[Refit]) -> list[tuple[Refit, type[Effect]]
     return [(one, kind) for one in close for kind in CATALOGUE.values() if kind.widens == one.name]
 
 
+def wider_forms(fitter: Fitter, one: Refit) -> list[Refit]:
+    """Fits of all wider forms of what was fitted.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    one : Refit
+    """
+    return [_widened(fitter, (one, kind)) for kind in CATALOGUE.values() if kind.widens == one.name]
+
+
 def _widened(fitter: Fitter, pair: tuple[Refit, type[Effect]]) -> Refit:
     """A wider form of what was fitted, from where it is: a second image may be out of focus."""
     one, kind = pair

@@ -23,7 +23,7 @@ from irlos_pipe.diagnose.elimination import needed
 from irlos_pipe.diagnose.fitting import Fitted
 from irlos_pipe.diagnose.grade import AT_ITS_PLACE, share_at_its_place
 from irlos_pipe.diagnose.null_model import Optimum
-from irlos_pipe.diagnose.refit import FAR, PER_PARAMETER, Refit, quick_refits
+from irlos_pipe.diagnose.refit import FAR, PER_PARAMETER, Refit, quick_refits, wider_forms
 from irlos_pipe.diagnose.search.scores import Family, Score, score_family
 from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect
@@ -215,7 +215,9 @@ class TolerantTask(AllowingTask):
         else:
             found = [one for one in self._scores(refit.origin)[0] if one.name != refit.name]
         near = [one for one in found if one.testable and one.gain > RIVALS * refit.gain]
-        return quick_refits(self.fitter, refit.origin, sorted(near, key=lambda one: -one.gain)[:PROPOSALS])
+        likely = sorted(near, key=lambda one: -one.gain)[:PROPOSALS]
+        wider = [one for one in wider_forms(self.fitter, refit) if np.isfinite(one.fitted.chi2)]
+        return [*wider, *quick_refits(self.fitter, refit.origin, likely)]
 
     def _against_without(self, current: Optimum, label: str) -> Refit:
         """The model against itself without one effect."""
