@@ -241,10 +241,10 @@ class Effect:
         return [parameter.name for parameter, value in pairs if not parameter.allows(value)]
 
     def ordinary(self, values: Values) -> bool:
-        """Whether `values` (parameters,) are such as any instrument has: of a fact, within its prior."""
+        """Whether any instrument has such `values` (parameters,): of a fact, within two σ of its prior."""
         pairs = zip(self.parameters, np.asarray(values, float).tolist(), strict=True)
         told = [(p, value) for p, value in pairs if p.null is not None]
-        return self.fact and all(abs(value - p.null) <= p.prior_sigma for p, value in told)
+        return self.fact and all(abs(value - p.null) <= 2 * p.prior_sigma for p, value in told)
 
     @property
     def base(self) -> Effect:
