@@ -146,6 +146,17 @@ def _bump(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
     return Hidden("phase_bump", bump, {"nm": bump["nm"]})
 
 
+def _chromatic(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
+    """Of tip and tilt nothing, which are dispersion."""
+    table = {"zernike_nm_per_um": _table(rng, size, range(4, 16), 4)}
+    return Hidden("chromatic_ncpa", table, table)
+
+
+def _filter(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
+    table = {"zernike_nm": _table(rng, size, range(5, 16), 4)}
+    return Hidden("filter_ncpa", table, table)
+
+
 def _drift(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
     table = {"zernike_nm": _table(rng, size, range(4, 12), 3)}
     return Hidden("ncpa_drift", table, table)
@@ -202,6 +213,8 @@ DRAWS: dict[str, Draw] = {
     "high_order_ncpa": _high_order,
     "phase_bump": _bump,
     "ncpa_drift": _drift,
+    "chromatic_ncpa": _chromatic,
+    "filter_ncpa": _filter,
     "companion": _companion,
     "ghost": _ghost,
     "interpixel_crosstalk": _plain("interpixel_crosstalk", "fraction"),

@@ -36,6 +36,13 @@ SIZES: dict[str, dict[str, tuple[float, float, float]]] = {
     "high_order_ncpa": {"bench": (1.0, 6.0, 25.0), "sky": (10.0, 20.0, 35.0)},  # nm RMS
     "phase_bump": {"bench": (12.0, 50.0, 150.0), "sky": (200.0, 400.0, 600.0)},  # nm
     "ncpa_drift": {"bench": (4.0, 15.0, 40.0), "sky": (25.0, 50.0, 90.0)},  # nm RMS
+    "chromatic_ncpa": {  # nm RMS per µm
+        "bench_narrow": (50.0, 150.0, 400.0),
+        "bench_broad": (5.0, 30.0, 120.0),
+        "sky_narrow": (50.0, 150.0, 400.0),
+        "sky_broad": (50.0, 100.0, 200.0),
+    },
+    "filter_ncpa": {"bench": (5.0, 15.0, 40.0), "sky": (5.0, 15.0, 40.0)},  # nm RMS
     "companion": {"bench": (0.0003, 0.005, 0.05), "sky": (0.005, 0.02, 0.08)},
     "ghost": {"bench": (0.0003, 0.005, 0.05), "sky": (0.005, 0.02, 0.08)},
     "interpixel_crosstalk": {"bench": (0.012, 0.03, 0.08), "sky": (0.05, 0.1, 0.18)},

@@ -199,6 +199,10 @@ class Effect:
         """The effect, stated for a `first` recording, as it acts in another one taken under `here`."""
         return self
 
+    def shown_by(self, recordings: Sequence[Conditions]) -> bool:
+        """Whether `recordings` taken under these conditions can tell it from the static wavefront."""
+        return True
+
     def handed_on(self, values: np.ndarray, now: Conditions, then: Calibrated) -> FixedEffect:
         """The effect for a recording taken under `now`, as a calibration found its `values` under `then`."""
         return FixedEffect(self, values)
@@ -364,6 +368,10 @@ class FixedEffect(Effect):
         """See `Effect.seen_in`."""
         free = [self.base.parameters[i].name for i in self.free]
         return FixedEffect(self.base.seen_in(here, first), self.values, free)
+
+    def shown_by(self, recordings: Sequence[Conditions]) -> bool:
+        """See `Effect.shown_by`; what is held needs no showing."""
+        return not self.free or self.base.shown_by(recordings)
 
     def phrase(self, public: Mapping[str, Any]) -> str:
         """See `Effect.phrase`."""

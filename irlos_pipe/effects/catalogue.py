@@ -8,6 +8,7 @@ import textwrap
 import numpy as np
 
 from irlos_pipe.effects.base import Effect
+from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.colour import AtmosphericDispersion, PlateScale, Spectrum
 from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.declaration import Public
@@ -47,6 +48,8 @@ CATALOGUE: dict[str, type[Effect]] = {
         HighOrderNcpa,
         PhaseBump,
         NcpaDrift,
+        ChromaticNcpa,
+        FilterNcpa,
         Companion,
         Ghost,
         InterpixelCrosstalk,

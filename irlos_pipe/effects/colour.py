@@ -16,21 +16,27 @@ import torch
 
 from irlos_pipe.conventions.units import MAS, NM
 from irlos_pipe.effects.base import Effect
-from irlos_pipe.effects.declaration import Conditions, Parameter, direction, number
+from irlos_pipe.effects.declaration import Conditions, Parameter, Refraction, direction, number
 from irlos_pipe.effects.planes import OtfEffect, SamplingEffect
 from irlos_pipe.effects.public_values import components, size_and_angle
 from irlos_pipe.optics.grids import OtfGrid, Sampling
 from irlos_pipe.optics.phasor import phasor
 
 UM = 1e-6
+NOTHING_KNOWN = Refraction()
+AIR_UM2 = 3.666e-9 / 4.39108e-7  # second coefficient of the refractivity of air over the first
 
 
 class AtmosphericDispersion(OtfEffect):
     """Chromatic elongation that is left when nothing, or not enough, corrects the atmosphere's.
 
-    Every wavelength is displaced in proportion to its distance from the mean one, along the direction
-    to the zenith; the OTF factor is ``exp(-2πi b·s/λ)``. Refractivity is nearly linear in
-    λ over a band.
+    Every wavelength is displaced along the direction to the zenith as the refractivity of air has it,
+    ``1/λ² + 0.00835 µm²/λ⁴``; the OTF factor is ``exp(-2πi b·s/λ)``. The size is the slope at the mean
+    wavelength: between J and H dispersion is 1.5 times as large in J and two thirds of it in H.
+
+    Parameters
+    ----------
+    expected : Refraction
     """
 
     name = "atmospheric_dispersion"
@@ -43,15 +49,22 @@ class AtmosphericDispersion(OtfEffect):
     )
     sentence = "a chromatic elongation of {mas_per_um:.0f} mas/µm along {angle_deg:.0f}°"
     look_alike = "vibration, which is as long at every wavelength"
-    reference = "Filippenko 1982, PASP 94, 715; Edlén 1966, Metrologia 2, 71"
-    parameters = (
-        Parameter("x_mas_per_um", "mas/µm", 0.0, prior_sigma=300.0, plausible=(-1500.0, 1500.0)),
-        Parameter("y_mas_per_um", "mas/µm", 0.0, prior_sigma=300.0, plausible=(-1500.0, 1500.0)),
-    )
+    reference = "Filippenko 1982, PASP 94, 715; refractivity: IAG 1999, as IAU SOFA's refco has it"
+
+    def __init__(self, expected: Refraction = NOTHING_KNOWN):
+        self.parameters = tuple(
+            Parameter(name, "mas/µm", start, start, expected.sigma_mas_per_um, plausible=(-1500.0, 1500.0))
+            for name, start in zip(("x_mas_per_um", "y_mas_per_um"), expected.mas_per_um, strict=True)
+        )
+
+    @classmethod
+    def under(cls, conditions: Conditions) -> AtmosphericDispersion:
+        """See `Effect.under`: it starts at what altitude and air make of it, where these are known."""
+        return cls(conditions.refraction)
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
-        distance_um = (grid.wavelengths_m - grid.mean_m) / UM
+        distance_um = displacement_um(grid.wavelengths_m / UM, grid.mean_m / UM)
         path_m = grid.path_m(values[0] * MAS, values[1] * MAS) * distance_um
         return factor * phasor(-2 * np.pi * path_m / grid.wavelengths_m)
 
@@ -62,6 +75,22 @@ class AtmosphericDispersion(OtfEffect):
     def values_of(self, mas_per_um: float, angle_deg: float) -> list[float]:
         """See `Effect.values_of`."""
         return components(mas_per_um, angle_deg)
+
+
+def displacement_um(wavelengths_um, mean_um):
+    """Return how far refraction displaces light, over its slope at the mean wavelength [µm].
+
+    Parameters
+    ----------
+    wavelengths_um : tensor or ndarray
+    mean_um : tensor or float
+    """
+
+    def curve(um):
+        return um**-2 + AIR_UM2 * um**-4
+
+    slope = -2 * mean_um**-3 - 4 * AIR_UM2 * mean_um**-5
+    return (curve(wavelengths_um) - curve(mean_um)) / slope
 
 
 class Spectrum(SamplingEffect):

@@ -85,6 +85,22 @@ class Public:
 
 
 @dataclass(frozen=True)
+class Refraction:
+    """What is to be expected of atmospheric dispersion at the mean wavelength.
+
+    Attributes
+    ----------
+    mas_per_um : (float, float)
+        Along x and y.
+    sigma_mas_per_um : float
+        How far off it may be, along either axis.
+    """
+
+    mas_per_um: tuple[float, float] = (0.0, 0.0)
+    sigma_mas_per_um: float = 300.0
+
+
+@dataclass(frozen=True)
 class Conditions:
     """Circumstances of a recording that effects may start from.
 
@@ -105,6 +121,11 @@ class Conditions:
         Prior of the modes.
     numerical_aperture : float
         NA / n of the beam in which the focus moves; 0 where it is not known.
+    elements : tuple of str
+        Filter and source of the diversity that the light passes, by name.
+    ncpa_wavelength_nm : float, optional
+        At which NCPAs that differ by wavelength are stated; the mean of the spectrum if left out.
+    refraction : Refraction
     """
 
     settings: PsfSettings
@@ -115,6 +136,14 @@ class Conditions:
     seeing_measured: bool = True
     ncpa_law: NcpaLaw | None = None
     numerical_aperture: float = 0.0
+    elements: tuple[str, ...] = ()
+    ncpa_wavelength_nm: float | None = None
+    refraction: Refraction = Refraction()
+
+    @property
+    def reference_nm(self) -> float:
+        """Wavelength at which NCPAs that differ by wavelength are stated."""
+        return self.ncpa_wavelength_nm or self.settings.mean_nm
 
     @property
     def diversity_nm(self) -> Mapping[int, float]:

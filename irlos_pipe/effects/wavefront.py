@@ -21,8 +21,8 @@ REACH_M = 4.0  # from the axis
 BUMP_STEP_M, BUMP_WIDTHS_M = 0.8, (0.3, 0.8)  # of a search
 
 
-class _Map(PupilEffect):
-    """An OPD: multiplies the field by ``exp(2πi OPD/λ)``."""
+class OpdMap(PupilEffect):
+    """An OPD, which may depend on wavelength: multiplies the field by ``exp(2πi OPD/λ)``."""
 
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         """See `PupilEffect.apply`."""
@@ -48,7 +48,7 @@ class _Map(PupilEffect):
         return [along(lambda v: self._map_nm(v, grid), values, index) for index in wanted]
 
 
-class DiversityError(_Map):
+class DiversityError(OpdMap):
     """The introduced diversity is larger than it is said to be, by some nm along its own shape.
 
     A lens that is not as calibrated, a mirror that does not reach its command. Not a part of the NCPAs.
@@ -110,7 +110,7 @@ class _SameFraction(DiversityError):
         return values[0] * torch.as_tensor(total)
 
 
-class HighOrderNcpa(ZernikeTable, _Map):
+class HighOrderNcpa(ZernikeTable, OpdMap):
     """Static modes beyond the estimated ones: polishing marks of mirrors, print-through of actuators.
 
     The law of the NCPAs falls slowly, so modes that are left out weigh as much together as the last ones
@@ -145,7 +145,7 @@ class HighOrderNcpa(ZernikeTable, _Map):
         return torch.tensor(grid.modes(self.nolls)[list(wanted)]).unbind()
 
 
-class PhaseBump(_Map):
+class PhaseBump(OpdMap):
     """A Gaussian OPD somewhere in the pupil: a bad actuator, glue, dust on a mirror near the pupil.
 
     ``nm · exp(-½ r²/width²)``. Position and width mean nothing without it and are scanned in a search.

@@ -23,6 +23,7 @@ from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf import PsfModel
 
 OUTLIER_CHI2 = 2.0  # a fit this much worse than the median of the ramp gets a second try
+SHARED_FRAMES = 24  # of a ramp that determine what all frames share: more take long and add little
 MIN_FRAMES = 3  # whose fits take longer than making a table of images
 CONTRADICTION_NM = 100.0  # and so does one that the scan of defocus puts this far away
 
@@ -119,7 +120,8 @@ def fit_ramp(
         See `solve`.
     """
     free = EffectSet(effects, model.grids)
-    which = torch.as_tensor(np.ones(len(start_nm), bool) if seen is None else seen)
+    which = torch.nonzero(torch.as_tensor(np.ones(len(start_nm), bool) if seen is None else seen))[:, 0]
+    which = which[_spread(len(which))]
     shared = _fit_effects(model, data.of(which), start_nm[which], free) if free.parameters else None
     held = free.held(shared.values if shared else NOTHING)
     complete = ImageModel(model, held)
@@ -135,6 +137,11 @@ def _fit_effects(model: PsfModel, data: RampData, start_nm: torch.Tensor, effect
     variance = data.noise.variance_e2(smooth(data.images_e))
     problem = image_problem(ImageModel(model, effects), layout, data.images_e, variance, data.good)
     return fit_shared(problem, layout.start((data.images_e * data.good).flatten(1), start_nm))
+
+
+def _spread(frames: int) -> torch.Tensor:
+    """Numbers of at most `SHARED_FRAMES` of some frames, from the first to the last."""
+    return torch.linspace(0, frames - 1, min(frames, SHARED_FRAMES)).round().long()
 
 
 def second_try(model: ImageModel, data: RampData, result: LiftResult, options: LiftOptions) -> LiftResult:

@@ -3,7 +3,8 @@
 In one image the size of the object and the defocus are degenerate, which is why the paper tuned
 the kernel by hand; on a ramp the defocus changes and the object does not. The per-image
 parameters are eliminated from the joint normal equations by the Schur complement, so the cost is
-that of LIFT plus one small system.
+that of LIFT plus one small system. Speckles that a frame did not average out count as further noise: the
+variances grow by χ²/ν, as in `few_frames`, so that priors keep their weight.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class SharedFit:
     ----------
     values : tensor, (shared,)
     covariance : tensor, (shared, shared)
-        Per-image parameters marginalised.
+        Per-image parameters marginalised, the misfit counted as noise.
     x : tensor, (images, parameters)
     status : str
     """
@@ -59,7 +60,8 @@ def fit_shared(problem: ImageFit, x: torch.Tensor) -> SharedFit:
     status = MAX_ITERATIONS
     for _ in range(OUTER_ITERATIONS):
         x = solve(problem, x, max_iterations=20).values
-        gradient, information = _reduced(problem, x)
+        misfit = problem.reduced_chi2(x).mean().clamp_min(1.0)
+        gradient, information = (one / misfit for one in _reduced(problem, x))
         gradient, information = _with_prior(parameters, values, gradient, information)
         covariance = torch.linalg.inv(information)
         trial = (values - covariance @ gradient).clamp(limits[:, 0], limits[:, 1])

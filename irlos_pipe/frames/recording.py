@@ -53,7 +53,15 @@ class Acquisition:
     subaperture : int or None
         Number of the lenslet, from 1, lower left to upper right; None for the full pupil.
     parallactic_angle_deg, altitude_deg : float or None
-        Direction of the zenith in the image and height of the star.
+        Angles of the telescope.
+    zenith_angle_deg : float or None
+        Direction of the zenith in the image, from +x towards +y.
+    pressure_hpa, temperature_c, humidity_percent : float or None
+        Air at the telescope.
+    dispersion_corrected : bool
+        Whether a corrector takes out the dispersion of the atmosphere.
+    filter : str
+        Name of the filter; empty if not known.
     pupil_rotation_deg : float
         By which the pupil is turned on the detector from how the instrument profile draws it, anticlockwise.
     sources : dict of str to str
@@ -74,10 +82,22 @@ class Acquisition:
     derotator_angle_deg: float = 0.0
     parallactic_angle_deg: float | None = None
     altitude_deg: float | None = None
+    zenith_angle_deg: float | None = None
+    pressure_hpa: float | None = None
+    temperature_c: float | None = None
+    humidity_percent: float | None = None
+    dispersion_corrected: bool = False
+    filter: str = ""
     pupil_rotation_deg: float = 0.0
     mode: str = ""
     subaperture: int | None = None
     sources: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def wavelength_nm(self) -> float:
+        """Mean wavelength of the photons [nm]."""
+        wavelengths_nm, weights = np.array(self.spectrum, float).T
+        return float(np.average(wavelengths_nm, weights=weights))
 
     @property
     def seeing_measured(self) -> bool:

@@ -75,13 +75,16 @@ FACTS: dict[str, FactRule] = {
     "amplifier_e_per_adu": FactRule("e-/ADU", "gain behind the avalanche, for `modes`", 1e-9, 1e6, False),
 }
 # Facts that defaults, modes and seeing scales choose among; any other name must be used by one of them.
-FAMILIES = r"(pixel_scale|apd_gain|read_noise|excess_noise|recorder|seeing_ratio|seeing_offset)_\w+"
+FAMILIES = r"(site|pixel_scale|apd_gain|read_noise|excess_noise|recorder|seeing_ratio|seeing_offset)_\w+"
 # Keys of the side-car that a profile may give.
 DEFAULTS = (
     "pixel_scale_mas",
     "frame_rate_hz",
     "exposure_s",
     "seeing_arcsec",
+    "pressure_hpa",
+    "temperature_c",
+    "humidity_percent",
     "detector.e_per_adu",
     "detector.read_noise_e",
     "detector.excess_noise_factor",

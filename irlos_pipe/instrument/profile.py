@@ -11,7 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.validation import Origins, require_valid
 from irlos_pipe.instrument.facts import DEFAULTS, require_facts
-from irlos_pipe.instrument.pupil import PupilSection
+from irlos_pipe.instrument.pupil import PupilSection, ZenithSection
 from irlos_pipe.instrument.status import Status
 
 
@@ -79,6 +79,7 @@ class Profile(_Section):
     seeing_scales: dict[str, SeeingScaleEntry] = Field({}, description="monitor: its relation to SPARTA")
     modes: dict[str, ModeEntry] = Field({}, description="mode string of the header: properties")
 
+    zenith: ZenithSection | None = Field(None, description="direction of the zenith in the image")
     pupil: PupilSection | None = Field(None, description="drawing of the pupil, beyond its facts")
 
     @model_validator(mode="after")

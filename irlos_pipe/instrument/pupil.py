@@ -67,6 +67,13 @@ class TurnRule(_Section):
         return (self.offset_deg + sum(f * angles_deg[key] for key, f in self.factors.items())) % 360
 
 
+class ZenithSection(TurnRule):
+    """Direction of the zenith in the image, from +x towards +y: offset + Σ factor · angle."""
+
+    source: str = Field(min_length=1, description="where the rule comes from")
+    status: Status = Field(description="how far to trust it")
+
+
 class PupilSection(_Section):
     """What the facts of the pupil leave out; these still give diameter, central hole and plain vanes."""
 

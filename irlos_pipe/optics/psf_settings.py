@@ -88,6 +88,18 @@ class PsfSettings:
         return min(wavelength_nm for wavelength_nm, _ in self.spectrum) * NM
 
     @property
+    def mean_nm(self) -> float:
+        """Mean wavelength of the photons [nm]."""
+        total = sum(weight for _, weight in self.spectrum)
+        return sum(wavelength_nm * weight for wavelength_nm, weight in self.spectrum) / total
+
+    @property
+    def span_nm(self) -> float:
+        """From the shortest wavelength of the spectrum to the longest [nm]."""
+        wavelengths_nm = [wavelength_nm for wavelength_nm, _ in self.spectrum]
+        return max(wavelengths_nm) - min(wavelengths_nm)
+
+    @property
     def breadth(self) -> float:
         """How much larger λ/D is than in the images that the margins were tuned on, at least 1."""
         longest_m = max(wavelength_nm for wavelength_nm, _ in self.spectrum) * NM

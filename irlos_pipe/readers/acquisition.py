@@ -14,6 +14,7 @@ from irlos_pipe.conventions.seeing import SPARTA
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.frames.recording import HEADER, PROFILE, RECIPE, SIDECAR, Acquisition, Detector
 from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.readers.altitude import altitude_deg
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
 
@@ -25,8 +26,19 @@ HARMLESS = {
     "derotator_angle_deg": 0.0,
     "pupil_rotation_deg": 0.0,
     "target": "",
+    "filter": "",
+    "dispersion_corrected": False,
 }
-NOT_WORTH_A_WARNING = {*HARMLESS, "detector.excess_noise_factor", "parallactic_angle_deg", "altitude_deg"}
+OF_THE_SKY = (
+    "parallactic_angle_deg",
+    "altitude_deg",
+    "airmass",
+    "zenith_angle_deg",
+    "pressure_hpa",
+    "temperature_c",
+    "humidity_percent",
+)
+NOT_WORTH_A_WARNING = {*HARMLESS, *OF_THE_SKY, "detector.excess_noise_factor"}
 
 
 @dataclass(frozen=True)
@@ -74,6 +86,8 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     where = f"{path}:" if path.exists() else f"{raw.path}: no side-car {path.name};"
     _require(values, sources, where)
     values["pupil_rotation_deg"] = _pupil_rotation(values, sources, instrument, where)
+    values["zenith_angle_deg"] = _zenith_angle(values, instrument)
+    values["altitude_deg"] = altitude_deg(values.get("altitude_deg"), values.get("airmass"), where)
     defocus = _per_frame(values["introduced_defocus_nm"], raw, sources["introduced_defocus_nm"])
     warnings = _warnings(raw, values, sources)
     monitor = _seeing_monitor(layers, sources)
@@ -165,6 +179,14 @@ def _pupil_rotation(
     return rule.rotation_deg(values)
 
 
+def _zenith_angle(values: Mapping[str, Any], instrument: Instrument) -> float | None:
+    """As stated; else by the profile's rule; None where either is lacking [deg]."""
+    rule = instrument.profile.zenith
+    if "zenith_angle_deg" in values or rule is None or any(key not in values for key in rule.factors):
+        return values.get("zenith_angle_deg")
+    return rule.rotation_deg(values)
+
+
 def _per_frame(defocus_nm: float | list[float], raw: RawRecording, source: str) -> np.ndarray:
     values = np.atleast_1d(np.asarray(defocus_nm, dtype=np.float64))
     if values.size not in (1, raw.frames):
@@ -188,6 +210,10 @@ def _acquisition(raw: RawRecording, values: Mapping[str, Any], sources: dict[str
             "seeing_arcsec",
             "parallactic_angle_deg",
             "altitude_deg",
+            "zenith_angle_deg",
+            "pressure_hpa",
+            "temperature_c",
+            "humidity_percent",
         )
     }
     return Acquisition(
@@ -200,6 +226,8 @@ def _acquisition(raw: RawRecording, values: Mapping[str, Any], sources: dict[str
         target=values["target"],
         derotator_angle_deg=values["derotator_angle_deg"],
         pupil_rotation_deg=values["pupil_rotation_deg"],
+        dispersion_corrected=values["dispersion_corrected"],
+        filter=values["filter"],
         mode=raw.mode,
         subaperture=raw.subaperture,
         sources=sources,

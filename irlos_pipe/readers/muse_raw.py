@@ -27,6 +27,10 @@ HEADER_KEYS = {
     "seeing_arcsec": "ESO TEL AMBI FWHM START",
     "parallactic_angle_deg": "ESO TEL PARANG START",
     "altitude_deg": "ESO TEL ALT",
+    "airmass": "ESO TEL AIRM START",
+    "pressure_hpa": "ESO TEL AMBI PRES START",
+    "temperature_c": "ESO TEL AMBI TEMP",
+    "humidity_percent": "ESO TEL AMBI RHUM",
     "derotator_angle_deg": "ESO INS DROT START",
 }
 MONITOR = "mass_dimm"  # whose seeing stands in the header

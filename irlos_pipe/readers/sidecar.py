@@ -91,6 +91,15 @@ class AcquisitionKeys(_Section):
         None, ge=-720, le=720, description="of the pupil on the detector, anticlockwise from the profile's"
     )
     altitude_deg: float | None = Field(None, ge=0, le=90, description="altitude of the telescope")
+    airmass: float | None = Field(None, ge=1, le=40, description="1 / sin(altitude), instead of it")
+    zenith_angle_deg: float | None = Field(
+        None, ge=-720, le=720, description="direction of the zenith in the image, from +x towards +y"
+    )
+    pressure_hpa: float | None = Field(None, gt=0, le=1100, description="air pressure at the telescope")
+    temperature_c: float | None = Field(None, ge=-90, le=60, description="its temperature")
+    humidity_percent: float | None = Field(None, ge=0, le=100, description="its relative humidity")
+    dispersion_corrected: bool | None = Field(None, description="a corrector takes out the atmosphere's")
+    filter: str | None = Field(None, min_length=1, description="name of the filter")
     detector: DetectorKeys | None = Field(None, description="detector constants")
 
     @model_validator(mode="after")

@@ -11,7 +11,8 @@ from scipy.signal import firwin
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.simulate.aperture import centres, clear_fraction
-from irlos_pipe.simulate.effects.base import PupilEffect
+from irlos_pipe.simulate.effects.base import PupilEffect, WavefrontEffect
+from irlos_pipe.simulate.light import mean_centre_nm
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.telescope import Telescope
 
@@ -95,7 +96,9 @@ def _build(as_built: PupilGeometry, samples: int, stop_m: tuple[float, float] | 
 
 
 def amplitude(scene: Scene, pupil: Pupil, wavelength_nm: float, defocus_nm: float = 0.0) -> np.ndarray:
-    """Return the pupil amplitude (n, n), complex where an effect makes steps and out of focus.
+    """Return the pupil amplitude (n, n), complex where it has a wavefront of this light only.
+
+    Such are steps between petals, the focus of a ray, and what depends on wavelength.
 
     Steps between petals lie on the vanes, so they belong to the drawing rather than to the smooth
     wavefront that multiplies the samples.
@@ -109,14 +112,24 @@ def amplitude(scene: Scene, pupil: Pupil, wavelength_nm: float, defocus_nm: floa
         Defocus beyond that of the wavefront, Noll 4 [nm RMS].
     """
     transparency: np.ndarray | float = 1.0
-    if defocus_nm:
-        transparency = np.exp(2j * np.pi / wavelength_nm * defocus_nm * pupil.mode(DEFOCUS))
+    own_nm = _own_zernike_nm(scene, wavelength_nm, defocus_nm)
+    if own_nm:
+        transparency = np.exp(2j * np.pi / wavelength_nm * pupil.opd_nm(own_nm))
     for effect in scene.acting(PupilEffect):
         transparency = transparency * effect.transparency(pupil)
     steps = steps_nm(scene, pupil, *pupil.drawing_grid_m())
     if steps is None:
         return transparency * pupil.sampled(pupil.drawn)
     return transparency * pupil.sampled(pupil.drawn * np.exp(2j * np.pi / wavelength_nm * steps))
+
+
+def _own_zernike_nm(scene: Scene, wavelength_nm: float, defocus_nm: float) -> dict[int, float]:
+    """Coefficients of light of one wavelength and focus beyond those of all light, Noll: nm RMS."""
+    own = {DEFOCUS: defocus_nm} if defocus_nm else {}
+    for effect in scene.acting(WavefrontEffect):
+        for noll, nm in effect.chromatic_zernike_nm(wavelength_nm, mean_centre_nm(scene.bands)).items():
+            own[noll] = own.get(noll, 0.0) + nm
+    return own
 
 
 def steps_nm(scene: Scene, pupil: Pupil, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray | None:

@@ -95,7 +95,7 @@ def test_every_effect_of_the_catalogue_is_hidden_at_every_level_in_every_setting
     on_ramps = {(case.effects[0], case.level) for case in CASES if case.kind == RAMP_SINGLE}
     catalogue = [name for name in CATALOGUE if name not in ELSEWHERE]
     cubes = [name for name in catalogue if not name.startswith("focus_stage")]
-    assert len(catalogue) == 23
+    assert len(catalogue) == 25
     assert found == set(product(cubes, LEVELS, SETTINGS))
     assert on_ramps == set(product(set(catalogue) - set(cubes), LEVELS))
 

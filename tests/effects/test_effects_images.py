@@ -3,6 +3,7 @@ there by the definition of its parameters, or as a sum of HCIPy images (independ
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,6 +14,7 @@ from helpers.optics_cases import DIVERSITY, MAS_RAD, SCALE_MAS, ncpa_nm, setting
 from helpers.reference_psf import reference
 
 from irlos_pipe.effects import CATALOGUE, EffectSet, FixedEffect
+from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.optics.psf import PsfModel
 
@@ -72,14 +74,57 @@ def test_a_sinusoidal_vibration_is_the_time_average_of_the_moving_image():
     agree(ours("vibration"), np.mean([truth(tilt_nm(s * x, s * y)) for s in phases], axis=0))
 
 
-def test_dispersion_displaces_each_wavelength_in_proportion_to_its_distance_from_the_mean():
+def refractivity(nm: float) -> float:
+    """n − 1 of standard air times 10⁸, Edlén's formula as Filippenko 1982 has it."""
+    per_um2 = (nm / 1e3) ** -2
+    return 6432.8 + 2_949_810 / (146 - per_um2) + 25_540 / (41 - per_um2)
+
+
+def test_dispersion_displaces_each_wavelength_by_the_refractivity_of_air_at_it():
     wavelengths, weights = np.array(SPECTRUM).T
     mean_nm = np.average(wavelengths, weights=weights)
-    x, y = polar(60.0, 120.0)
-    agree(
-        ours("atmospheric_dispersion"),
-        truth(lambda nm: tilt_nm(x * (nm - mean_nm) / 1e3, y * (nm - mean_nm) / 1e3)),
+    slope = (refractivity(mean_nm + 1) - refractivity(mean_nm - 1)) / 2
+
+    def displacement_mas(nm: float) -> tuple[float, float]:
+        distance_nm = (refractivity(nm) - refractivity(mean_nm)) / slope
+        return polar(60.0 * distance_nm / 1e3, 120.0)
+
+    agree(ours("atmospheric_dispersion"), truth(lambda nm: tilt_nm(*displacement_mas(nm))))
+
+
+def test_chromatic_aberrations_grow_with_the_distance_from_the_mean_wavelength():
+    wavelengths, weights = np.array(SPECTRUM).T
+    mean_nm = np.average(wavelengths, weights=weights)
+    slopes = reference().opd_nm(STRONG["chromatic_ncpa"]["zernike_nm_per_um"])
+    agree(ours("chromatic_ncpa"), truth(lambda nm: slopes * (nm - mean_nm) / 1e3))
+
+
+def test_the_wavefront_of_a_filter_adds_to_that_of_the_optics():
+    agree(ours("filter_ncpa"), truth(reference().opd_nm(STRONG["filter_ncpa"]["zernike_nm"])))
+
+
+def test_the_wavefront_of_a_filter_acts_only_in_recordings_through_it():
+    through = replace(CONDITIONS, elements=("J+H", "lens"))
+    lens = FilterNcpa.under(through, nolls=(5, 8), of="lens")
+    assert lens.seen_in(replace(CONDITIONS, elements=("NH", "lens")), through) is lens
+    elsewhere = lens.seen_in(replace(CONDITIONS, elements=("J+H", "mirror")), through)
+    values = torch.tensor([80.0, -60.0], dtype=torch.float64)
+    unchanged = model().images(vector(STATIC_NM, NOLLS))[0]
+    seen = model().images(vector(STATIC_NM, NOLLS), EffectSet([elsewhere], model().grids)(values))[0]
+    assert seen.numpy() == pytest.approx(unchanged.numpy(), abs=1e-12)
+
+
+def test_what_tells_chromatic_and_filter_aberrations_from_common_ones():
+    narrow = replace(
+        CONDITIONS, settings=replace(CONDITIONS.settings, spectrum=((1590.0, 1.0), (1610.0, 1.0)))
     )
+    mirror = replace(CONDITIONS, elements=("J+H", "mirror"))
+    lens = replace(CONDITIONS, elements=("J+H", "lens"))
+    chromatic, of_lens = ChromaticNcpa.under(CONDITIONS), FilterNcpa.under(lens, of="lens")
+    assert chromatic.shown_by([CONDITIONS])
+    assert not chromatic.shown_by([narrow])
+    assert of_lens.shown_by([lens, mirror])
+    assert not of_lens.shown_by([lens])
 
 
 def test_another_spectrum_is_that_of_other_wavelengths_and_weights():

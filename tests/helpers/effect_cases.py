@@ -32,6 +32,8 @@ STRONG = {
     "high_order_ncpa": {"zernike_nm": {20: 50.0, 37: -40.0, 66: 30.0}},
     "phase_bump": {"nm": 250.0, "x_m": 1.6, "y_m": -1.1, "width_m": 0.45},
     "ncpa_drift": {"zernike_nm": {4: 120.0, 7: -80.0}},
+    "chromatic_ncpa": {"zernike_nm_per_um": {4: 180.0, 7: -240.0, 11: 120.0}},
+    "filter_ncpa": {"zernike_nm": {5: 40.0, 8: -35.0, 12: 30.0}},
     "companion": {"flux_ratio": 0.2, "sep_mas": 90.0, "pa_deg": 300.0},
     "ghost": {"flux_ratio": 0.2, "sep_mas": 90.0, "pa_deg": 120.0, "defocus_nm": 90.0, "blur_mas": 10.0},
     "interpixel_crosstalk": {"fraction": 0.08},

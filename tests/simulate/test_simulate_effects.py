@@ -27,6 +27,8 @@ CONTRACT = {
     "vibration",
     "seeing_halo",
     "atmospheric_dispersion",
+    "chromatic_ncpa",
+    "filter_ncpa",
     "spectrum",
     "plate_scale",
     "diversity_error",
@@ -173,10 +175,27 @@ def test_dispersion_moves_wavelengths_apart_about_their_mean():
     bands = (Band(1500.0, 1e-6, 0.25), Band(1700.0, 1e-6, 0.75))
     effect = {"atmospheric_dispersion": {"mas_per_um": 100.0, "angle_deg": 40.0}}
     expected = 0.0
-    for band, shift_mas in zip(bands, (-15.0, 5.0), strict=True):  # mean wavelength 1650 nm
+    # 100 mas/µm at the mean wavelength, 1650 nm, of what is very nearly a + b/λ² (Cauchy).
+    shifts_mas = [50 * 1.65**3 * (1.65**-2 - um**-2) for um in (1.5, 1.7)]
+    for band, shift_mas in zip(bands, shifts_mas, strict=True):
         x_mas, y_mas = shift_mas * np.cos(np.deg2rad(40)), shift_mas * np.sin(np.deg2rad(40))
         expected = expected + moved(x_mas, y_mas, bands=(band,))
-    assert worst(image(bands=bands, effects=effect), expected) < 1e-6
+    assert worst(image(bands=bands, effects=effect), expected) < 5e-4
+
+
+def test_chromatic_aberrations_are_those_of_each_wavelength():
+    bands = (Band(1500.0, 1e-6, 0.25), Band(1700.0, 1e-6, 0.75))
+    table, expected = {4: 200.0, 7: -150.0}, 0.0
+    for band, distance_um in zip(bands, (-0.1, 0.1), strict=True):
+        opd = {noll: nm + distance_um * table.get(noll, 0.0) for noll, nm in NCPA_NM.items()}
+        expected = expected + image(bands=(band,), ncpa_nm=opd)
+    found = {"zernike_nm_per_um": table, "reference_nm": 1600.0}
+    assert worst(image(bands=bands, effects={"chromatic_ncpa": found}), expected) < 1e-6
+
+
+def test_the_wavefront_of_a_filter_is_a_part_of_the_truth():
+    found = expose(scene(effects={"filter_ncpa": {"zernike_nm": {9: 30.0}}})).mean_zernike_nm()
+    assert np.isclose(found[9] - NCPA_NM[9], 30.0, atol=1e-6)
 
 
 @pytest.mark.slow

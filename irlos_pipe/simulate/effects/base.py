@@ -145,6 +145,16 @@ class WavefrontEffect(SimulatedEffect):
         """Return static coefficients, Noll: nm RMS, beside the declared diversity `diversity_nm`."""
         return {}
 
+    def chromatic_zernike_nm(self, wavelength_nm: float, mean_nm: float) -> Mapping[int, float]:
+        """Return coefficients at one wavelength only, Noll: nm RMS.
+
+        Parameters
+        ----------
+        wavelength_nm, mean_nm : float
+            The wavelength, and the photon-weighted mean of the bands' centres.
+        """
+        return {}
+
     def static_opd_nm(self, telescope: Telescope) -> np.ndarray | float:
         """Return a static wavefront (n, n) [nm] that is no sum of Zernikes, on the grid of `telescope`."""
         return 0.0

@@ -22,7 +22,14 @@ from irlos_pipe.simulate.effects.low_wind import LowWindEffect, SegmentPiston
 from irlos_pipe.simulate.effects.motion import TipTiltJitter, Vibration
 from irlos_pipe.simulate.effects.pupil_stop import AmplitudeAberration, PupilMisregistration, PupilSizes
 from irlos_pipe.simulate.effects.seeing_halo import SeeingHalo
-from irlos_pipe.simulate.effects.wavefront import DiversityError, HighOrderNcpa, NcpaDrift, PhaseBump
+from irlos_pipe.simulate.effects.wavefront import (
+    ChromaticNcpa,
+    DiversityError,
+    FilterNcpa,
+    HighOrderNcpa,
+    NcpaDrift,
+    PhaseBump,
+)
 from irlos_pipe.simulate.errors import SceneError, require_known
 
 # By name, in the order in which effects of one plane act.
@@ -46,6 +53,8 @@ EFFECTS: dict[str, type[SimulatedEffect]] = {
         DiversityError,
         PhaseBump,
         NcpaDrift,
+        ChromaticNcpa,
+        FilterNcpa,
         FocusStageScale,
         FocusStageHysteresis,
         FocusStageOffset,

@@ -50,7 +50,7 @@ class Spectrum(LightEffect):
 
 @dataclass(frozen=True)
 class AtmosphericDispersion(LightEffect):
-    """Images move by `mas_per_um` about the mean wavelength, towards `angle_deg`."""
+    """Refraction displaces colours, by `mas_per_um` at the mean wavelength, towards `angle_deg`."""
 
     name = "atmospheric_dispersion"
     mas_per_um: float = wider(-5000.0, 5000.0)
@@ -59,8 +59,24 @@ class AtmosphericDispersion(LightEffect):
     def rays(self, rays: list[Ray]) -> list[Ray]:
         """See `LightEffect.rays`."""
         mean_nm = np.average([ray.wavelength_nm for ray in rays], weights=[ray.weight for ray in rays])
-        per_nm = self.mas_per_um / 1000
-        return [ray.moved(per_nm * (ray.wavelength_nm - mean_nm), self.angle_deg) for ray in rays]
+        step_um = 1e-4
+        slope = (
+            (_refractivity(mean_nm / 1e3 + step_um) - _refractivity(mean_nm / 1e3 - step_um)) / 2 / step_um
+        )
+        mas = self.mas_per_um / slope
+        return [
+            ray.moved(
+                mas * (_refractivity(ray.wavelength_nm / 1e3) - _refractivity(mean_nm / 1e3)), self.angle_deg
+            )
+            for ray in rays
+        ]
+
+
+def _refractivity(wavelength_um: float) -> float:
+    """n − 1 of standard air, 15 °C and 1013.25 hPa (Peck & Reeder 1972, J. Opt. Soc. Am. 62, 958)."""
+    wavenumber2 = wavelength_um**-2
+    terms = 8060.51 + 2_480_990 / (132.274 - wavenumber2) + 17_455.7 / (39.32957 - wavenumber2)
+    return 1e-8 * terms
 
 
 @dataclass(frozen=True)

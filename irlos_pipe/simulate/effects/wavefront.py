@@ -1,4 +1,4 @@
-"""Effects on the smooth wavefront: `high_order_ncpa`, `diversity_error`, `phase_bump` and `ncpa_drift`."""
+"""Effects on the smooth wavefront: further modes, errors of the diversity, bumps, drifts, colour, filters."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.simulate.effects.base import RecordingSetup, WavefrontEffect, wider
+from irlos_pipe.simulate.effects.base import RecordingSetup, WavefrontEffect, own, wider
 from irlos_pipe.simulate.telescope import Telescope
 
 
@@ -69,4 +69,36 @@ class NcpaDrift(WavefrontEffect):
 
     def drift_zernike_nm(self) -> Mapping[int, float]:
         """See `WavefrontEffect.drift_zernike_nm`."""
+        return self.zernike_nm
+
+
+@dataclass(frozen=True)
+class ChromaticNcpa(WavefrontEffect):
+    """Modes that change in proportion to wavelength, Noll: nm RMS per µm.
+
+    Attributes
+    ----------
+    reference_nm : float, optional
+        Wavelength at which they vanish; the photon-weighted mean of the bands' centres by default.
+    """
+
+    name = "chromatic_ncpa"
+    zernike_nm_per_um: Mapping[int, float] = wider(-1e4, 1e4)
+    reference_nm: float | None = own("nm, where they vanish", 300.0, 5000.0)
+
+    def chromatic_zernike_nm(self, wavelength_nm: float, mean_nm: float) -> Mapping[int, float]:
+        """See `WavefrontEffect.chromatic_zernike_nm`."""
+        distance_um = (wavelength_nm - (self.reference_nm or mean_nm)) / 1000
+        return {noll: slope * distance_um for noll, slope in self.zernike_nm_per_um.items()}
+
+
+@dataclass(frozen=True)
+class FilterNcpa(WavefrontEffect):
+    """The wavefront `zernike_nm` of the filter or lens of this recording, Noll: nm RMS."""
+
+    name = "filter_ncpa"
+    zernike_nm: Mapping[int, float] = wider(-1e4, 1e4)
+
+    def static_zernike_nm(self, diversity_nm: Mapping[int, float]) -> Mapping[int, float]:
+        """See `WavefrontEffect.static_zernike_nm`."""
         return self.zernike_nm

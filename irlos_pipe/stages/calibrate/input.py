@@ -16,7 +16,8 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.stages.base import StageContext
-from irlos_pipe.stages.model.effects import good_pixels, image_effects, model_effects
+from irlos_pipe.stages.model.colour import colour_warning, with_colour
+from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects, shown
 from irlos_pipe.stages.model.recording_settings import pooled_images, psf_settings
 
 ROLES = ("ncpa_calibration", "psf", "derotator")
@@ -67,7 +68,11 @@ def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: Cali
         State the modes, which the model depends on.
     """
     first, highest_noll = recordings[0], options.last_noll
-    effects = model_effects(ctx.instrument, ctx.model, first, highest_noll)
+    conditions = conditions_of(ctx.instrument, ctx.model, first, highest_noll)
+    effects = shown(model_effects(ctx.instrument, ctx.model, first, highest_noll), [conditions])
+    effects = with_colour(effects, ctx.model, conditions)
+    if warning := colour_warning(effects, recordings):
+        ctx.log.warning(warning)
     images_e, good, noise = pooled_images(recordings)
     good = good & torch.as_tensor(good_pixels(effects, first.window))
     introduced_nm = {DEFOCUS: float(first.introduced_defocus_nm[0])}

@@ -11,6 +11,7 @@ import numpy as np
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.estimate.calibration import Calibration
+from irlos_pipe.frames.recording import Acquisition
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageOutput
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of
@@ -35,7 +36,7 @@ def joint_output(
     result: Calibration,
     others: Sequence[Calibration],
     seeing_arcsec: float,
-    diversity_nm: Mapping[int, float],
+    acquisition: Acquisition,
 ) -> StageOutput:
     """Return the output of one estimate from all recordings.
 
@@ -48,16 +49,17 @@ def joint_output(
         Estimates with the methods to compare.
     seeing_arcsec : float
         Seeing of the first recording.
-    diversity_nm : mapping of int to float
-        Its diversity as told.
+    acquisition : Acquisition
+        How it was taken.
     """
     twin = result.twin
     results = CalibrateResults(
         **estimate_keys(result),
         effects=result.effects,
         seeing_arcsec=seeing_arcsec,
+        wavelength_nm=acquisition.wavelength_nm,
         twin=None if twin is None else Twin(**asdict(twin), preferred=twin.preferred),
-        untested=untested(diversity_nm),
+        untested=untested(acquisition.diversity),
         compare=[Estimate(**estimate_keys(other)) for other in others],
     )
     arrays = arrays_of(result) | effect_arrays(result.effect_values)

@@ -137,6 +137,7 @@ class _Mean:
         self.covariance_nm2 = np.sum(covariances_nm2, axis=0) / len(self.all) ** 2
         self.sigma_nm = np.sqrt(np.diag(self.covariance_nm2))
         self.seeing_arcsec = float(np.mean([cube.seeing_arcsec for cube in cubes]))
+        self.wavelength_nm = float(np.mean([cube.acquisition.wavelength_nm for cube in cubes]))
         self.effects = mean_of([one.effects for one in self.all])
 
     def arrays(self) -> dict[str, Quantity]:
@@ -168,6 +169,7 @@ class _Mean:
             "status": counts([status for one in self.all for status in one.frame_status]),
             "effects": self.effects,
             "seeing_arcsec": self.seeing_arcsec,
+            "wavelength_nm": self.wavelength_nm,
             "twin": None,
             "compare": [],
         }

@@ -97,6 +97,8 @@ class CalibrateResults(Estimate, StageResults):
         Estimated effects with the values of their parameters.
     seeing_arcsec : float
         Seeing taken for the calibration.
+    wavelength_nm : float
+        Mean wavelength of its recordings, at which the NCPAs are stated.
     twin : Twin or None
         None without a twin solution, and for the mean over cubes.
     compare : list of Estimate
@@ -108,6 +110,7 @@ class CalibrateResults(Estimate, StageResults):
     stage: ClassVar[str] = "calibrate"
     effects: dict[str, EffectValues] = {}
     seeing_arcsec: Number = math.nan
+    wavelength_nm: Number = math.nan
     twin: Twin | None = None
     compare: list[Estimate] = []
     cubes: list[CubeRow] = []

@@ -22,7 +22,7 @@ from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.recording_settings import require_one_setup, seeing_arcsec
 
 NAME = "calibrate"
-VERSION = 10
+VERSION = 11
 NEEDS = ("ingest",)
 READS = ("ingest",)
 ClosedNoll = Annotated[int, Field(ge=4, le=231)]
@@ -109,9 +109,9 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
         for method in ctx.config.compare
         if method != ctx.config.method
     ]
-    seeing = seeing_arcsec(ctx.instrument, recordings[0].acquisition)
-    diversity_nm = recordings[0].acquisition.diversity
-    return joint_output(ctx.config, result, others, seeing, diversity_nm)
+    first = recordings[0].acquisition
+    seeing = seeing_arcsec(ctx.instrument, first)
+    return joint_output(ctx.config, result, others, seeing, first)
 
 
 def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:

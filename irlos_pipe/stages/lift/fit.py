@@ -13,6 +13,7 @@ from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.lift.config import Config
 from irlos_pipe.stages.lift.input import Ramp, calibrated_ncpa_nm, effects_for_lift, ramp_model, ramp_start
+from irlos_pipe.stages.model.colour import colour_warning
 
 
 def fit_frames(
@@ -35,6 +36,8 @@ def fit_frames(
     model = ramp_model(ctx, ramp, ctx.config.modes, ncpa_nm)
     recording, kernel = ramp.recordings[0], ctx.config.object_sigma_mas
     effects = effects_for_lift(ctx, recording, halo, kernel, calibrated=calibrated)
+    if warning := colour_warning(effects, ramp.recordings):
+        ctx.log.warning(warning)
     if ctx.config.common_modes:
         effects.append(HighOrderNcpa(ctx.config.common_modes))
     start = ramp_start(ctx, model, ramp, ncpa_nm, ctx.config.start)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,14 @@ from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.calibrate.results import CalibrateResults
-from irlos_pipe.stages.model.effects import calibrated_effects, good_pixels, image_effects, model_effects
+from irlos_pipe.stages.model.colour import with_colour
+from irlos_pipe.stages.model.effects import (
+    calibrated_effects,
+    conditions_of,
+    good_pixels,
+    image_effects,
+    model_effects,
+)
 from irlos_pipe.stages.model.recording_settings import pooled_images, psf_settings, used_in_time_order
 
 
@@ -131,18 +139,31 @@ def effects_for_lift(
     calibrated : bool
         False leaves effects out that are a part of the NCPAs.
     """
-    available = image_effects(model_effects(ctx.instrument, ctx.model, recording))
+    reference = _calibrated_at_nm(ctx) if calibrated else None
+    arguments = ctx.instrument, ctx.model, recording
+    listed = model_effects(*arguments, ncpa_wavelength_nm=reference)
+    conditions = conditions_of(*arguments, ncpa_wavelength_nm=reference)
+    available = image_effects(with_colour(listed, ctx.model, conditions))
     available = [e for e in available if e.plane != "time" and (calibrated or not e.aberration)]
-    return ramp_effects(available, _known(ctx, recording), halo, object_sigma_mas)
+    return ramp_effects(available, _known(ctx, recording, reference), halo, object_sigma_mas)
 
 
-def _known(ctx: StageContext, recording: Recording) -> dict[str, FixedEffect]:
+def _known(ctx: StageContext, recording: Recording, reference_nm: float | None) -> dict[str, FixedEffect]:
     """Effects as the calibration found them; none without a calibration."""
     if "calibrate" not in ctx.products:
         return {}
     product = ctx.products["calibrate"]
     seeing_arcsec = results_of(CalibrateResults, product).seeing_arcsec
-    return calibrated_effects(product, ctx.instrument, ctx.model, recording, seeing_arcsec)
+    arguments = product, ctx.instrument, ctx.model, recording, seeing_arcsec
+    return calibrated_effects(*arguments, ncpa_wavelength_nm=reference_nm)
+
+
+def _calibrated_at_nm(ctx: StageContext) -> float | None:
+    """Wavelength of the calibrated NCPAs; None without a calibration, or where it does not say."""
+    if "calibrate" not in ctx.products:
+        return None
+    wavelength_nm = results_of(CalibrateResults, ctx.products["calibrate"]).wavelength_nm
+    return wavelength_nm if math.isfinite(wavelength_nm) else None
 
 
 def ramp_start(

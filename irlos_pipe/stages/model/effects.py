@@ -12,13 +12,14 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects import CATALOGUE, Calibrated, Conditions, Effect, FixedEffect
 from irlos_pipe.effects.labels import labels_of
-from irlos_pipe.frames.recording import Recording
+from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.model.effect_entry import EffectEntry
 from irlos_pipe.stages.model.recording_settings import psf_settings, residual_band, seeing_arcsec
+from irlos_pipe.stages.model.refraction import refraction_of
 from irlos_pipe.stages.model.section import ModelConfig
 
 
@@ -29,6 +30,7 @@ def conditions_of(
     highest_noll: int = HIGHEST_REPORTED_NOLL,
     *,
     introduced_nm: Mapping[int, float] | None = None,
+    ncpa_wavelength_nm: float | None = None,
 ) -> Conditions:
     """What effects may start from.
 
@@ -39,9 +41,12 @@ def conditions_of(
         Last mode that is estimated as such.
     introduced_nm : mapping of int to float, optional
         See `psf_settings`.
+    ncpa_wavelength_nm : float, optional
+        See `Conditions`.
     """
+    settings = psf_settings(instrument, model, recording, introduced_nm=introduced_nm)
     return Conditions(
-        psf_settings(instrument, model, recording, introduced_nm=introduced_nm),
+        settings,
         residual_band(instrument, model),
         instrument.facility.residual_law,
         seeing_arcsec(instrument, recording.acquisition),
@@ -49,7 +54,20 @@ def conditions_of(
         seeing_measured=recording.acquisition.seeing_measured,
         ncpa_law=instrument.facility.ncpa_law,
         numerical_aperture=instrument.facility.numerical_aperture,
+        elements=elements_of(recording.acquisition),
+        ncpa_wavelength_nm=ncpa_wavelength_nm,
+        refraction=refraction_of(recording.acquisition, settings.mean_nm / 1e3),
     )
+
+
+def elements_of(acquisition: Acquisition) -> tuple[str, str]:
+    """Return the names of the filter and of the source of the diversity that light passes.
+
+    A filter without a name goes by its mean wavelength and the width of its band.
+    """
+    wavelengths_nm, weights = np.array(acquisition.spectrum, float).T
+    band = f"{np.average(wavelengths_nm, weights=weights):.0f} nm, {np.ptp(wavelengths_nm):.0f} nm wide"
+    return acquisition.filter or band, acquisition.diversity_source
 
 
 def model_effects(
@@ -57,12 +75,14 @@ def model_effects(
     model: ModelConfig,
     recording: Recording,
     highest_noll: int = HIGHEST_REPORTED_NOLL,
+    *,
+    ncpa_wavelength_nm: float | None = None,
 ) -> list[Effect]:
     """Return the effects of the recipe's model for one recording.
 
     Parameters
     ----------
-    instrument, model, recording, highest_noll
+    instrument, model, recording, highest_noll, ncpa_wavelength_nm
         See `conditions_of`.
 
     Raises
@@ -70,7 +90,9 @@ def model_effects(
     ConfigurationError
         If an effect means nothing for this recording.
     """
-    conditions = conditions_of(instrument, model, recording, highest_noll)
+    conditions = conditions_of(
+        instrument, model, recording, highest_noll, ncpa_wavelength_nm=ncpa_wavelength_nm
+    )
     return [_effect(entry, conditions, recording.name) for entry in model.entries()]
 
 
@@ -91,6 +113,11 @@ def _under(entry: EffectEntry, conditions: Conditions, public: dict[str, Any]) -
     """The effect with the parameters that given public values, or else the recipe's options, ask for."""
     kind = CATALOGUE[entry.name]
     return kind.under(conditions, **entry.options | kind.options_for(**public))
+
+
+def shown(effects: Sequence[Effect], recordings: Sequence[Conditions]) -> list[Effect]:
+    """Return the effects that recordings taken under these conditions tell from the static wavefront."""
+    return [effect for effect in effects if effect.shown_by(recordings)]
 
 
 def image_effects(effects: Sequence[Effect]) -> list[Effect]:
@@ -122,6 +149,7 @@ def calibrated_effects(
     calibration_seeing_arcsec: float,
     *,
     same_star: bool = False,
+    ncpa_wavelength_nm: float | None = None,
 ) -> dict[str, FixedEffect]:
     """Return effects as `calibrate` found them, by label, for a recording taken under another seeing.
 
@@ -136,8 +164,10 @@ def calibrated_effects(
         See `conditions_of`.
     calibration_seeing_arcsec : float
     same_star : bool
+    ncpa_wavelength_nm : float, optional
+        See `Conditions`.
     """
-    conditions = conditions_of(instrument, model, recording)
+    conditions = conditions_of(instrument, model, recording, ncpa_wavelength_nm=ncpa_wavelength_nm)
     known: dict[str, FixedEffect] = {}
     then = Calibrated(calibration_seeing_arcsec, _brightest_e(product))
     entries = model.entries()

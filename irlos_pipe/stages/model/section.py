@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
@@ -25,6 +25,11 @@ class ModelConfig(BaseModel):
     effects: tuple[Annotated[Any, Field()], ...] = Field(
         ("seeing_halo", "tip_tilt_jitter"),
         description="effects beyond the static wavefront, by name, or {name: {parameter: value}} to fix one",
+    )
+    colour: Literal["auto", "off"] = Field(
+        "auto",
+        description="auto: atmospheric dispersion and the star's colour belong to the model of calibrate and "
+        "lift where the band is broad and there is an AO residual; off: only what effects lists",
     )
     pupil_samples: int = Field(128, ge=48, le=512, description="samples across the pupil diameter")
     cutoff_per_m: float | None = Field(

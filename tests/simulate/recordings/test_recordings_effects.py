@@ -30,6 +30,8 @@ SIZES = {
     "high_order_ncpa": {"zernike_nm": {60: 40}},
     "phase_bump": {"nm": 150, "x_m": 1.5, "y_m": -1.0, "width_m": 0.8},
     "ncpa_drift": {"zernike_nm": {4: 80}},
+    "chromatic_ncpa": {"zernike_nm_per_um": {7: 400}, "reference_nm": 1500},
+    "filter_ncpa": {"zernike_nm": {7: 40}},
     "companion": {"flux_ratio": 0.05, "sep_mas": 60, "pa_deg": 30},
     "ghost": {"flux_ratio": 0.05, "sep_mas": 60, "pa_deg": 30, "defocus_nm": 50},
     "interpixel_crosstalk": {"fraction": 0.05},
