@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -145,6 +145,8 @@ class Calibration:
         Of the closed basis.
     tail : TailLaw or None
         Law of the modes beyond it; None where there are none.
+    effects_sigma : dict
+        Standard errors of tables of modes among the `effects`, where a fit of several set-ups gives them.
     """
 
     options: CalibrationOptions
@@ -168,6 +170,7 @@ class Calibration:
     twin: TwinCheck | None
     tail: TailLaw | None
     seconds: float
+    effects_sigma: dict[str, dict] = field(default_factory=dict)
 
     @property
     def sigma_nm(self) -> np.ndarray:

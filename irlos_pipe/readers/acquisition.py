@@ -86,8 +86,8 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     where = f"{path}:" if path.exists() else f"{raw.path}: no side-car {path.name};"
     _require(values, sources, where)
     values["pupil_rotation_deg"] = _pupil_rotation(values, sources, instrument, where)
-    values["zenith_angle_deg"] = _zenith_angle(values, instrument)
-    values["altitude_deg"] = altitude_deg(values.get("altitude_deg"), values.get("airmass"), where)
+    for key, value in _of_the_sky(values, instrument, where).items():
+        values[key], sources[key] = value, sources.get(key, PROFILE)
     defocus = _per_frame(values["introduced_defocus_nm"], raw, sources["introduced_defocus_nm"])
     warnings = _warnings(raw, values, sources)
     monitor = _seeing_monitor(layers, sources)
@@ -179,12 +179,17 @@ def _pupil_rotation(
     return rule.rotation_deg(values)
 
 
-def _zenith_angle(values: Mapping[str, Any], instrument: Instrument) -> float | None:
-    """As stated; else by the profile's rule; None where either is lacking [deg]."""
-    rule = instrument.profile.zenith
-    if "zenith_angle_deg" in values or rule is None or any(key not in values for key in rule.factors):
-        return values.get("zenith_angle_deg")
-    return rule.rotation_deg(values)
+def _of_the_sky(values: Mapping[str, Any], instrument: Instrument, where: str) -> dict[str, float]:
+    """Altitude and direction of the zenith, as far as they are known [deg].
+
+    The altitude as stated, or from the airmass; the direction as stated, or by the profile's rule.
+    """
+    altitude = altitude_deg(values.get("altitude_deg"), values.get("airmass"), where)
+    found = {} if altitude is None else {"altitude_deg": altitude}
+    rule, known = instrument.profile.zenith, {**values, **found}
+    if "zenith_angle_deg" not in values and rule is not None and rule.factors.keys() <= known.keys():
+        found["zenith_angle_deg"] = rule.rotation_deg(known)
+    return found
 
 
 def _per_frame(defocus_nm: float | list[float], raw: RawRecording, source: str) -> np.ndarray:
