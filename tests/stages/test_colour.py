@@ -33,7 +33,7 @@ def test_a_broad_band_on_sky_has_dispersion_as_expected_and_a_free_colour():
 
 @pytest.mark.parametrize(
     ("effects", "model", "conditions"),
-    [(SKY, DEFAULT, NARROW), (SKY[1:], DEFAULT, CONDITIONS), (SKY, ModelConfig(colour="off"), CONDITIONS)],
+    [(SKY, DEFAULT, NARROW), (SKY[1:], DEFAULT, CONDITIONS), (SKY, ModelConfig(colour="listed"), CONDITIONS)],
     ids=["a narrow band", "the bench", "switched off"],
 )
 def test_others_have_neither(effects, model, conditions):

@@ -26,10 +26,10 @@ class ModelConfig(BaseModel):
         ("seeing_halo", "tip_tilt_jitter"),
         description="effects beyond the static wavefront, by name, or {name: {parameter: value}} to fix one",
     )
-    colour: Literal["auto", "off"] = Field(
+    colour: Literal["auto", "listed"] = Field(
         "auto",
         description="auto: atmospheric dispersion and the star's colour belong to the model of calibrate and "
-        "lift where the band is broad and there is an AO residual; off: only what effects lists",
+        "lift where the band is broad and there is an AO residual; listed: only what effects lists",
     )
     pupil_samples: int = Field(128, ge=48, le=512, description="samples across the pupil diameter")
     cutoff_per_m: float | None = Field(
