@@ -147,17 +147,17 @@ class FilterNcpa(_Table):
         elements = (of,) if of else conditions.elements
         return cls(nolls or FILTER_NOLLS, elements, conditions.ncpa_law)
 
-    def acts_in(self, conditions: Conditions) -> bool:
+    def lies_in(self, conditions: Conditions) -> bool:
         """Whether the light of a recording taken under `conditions` passes the elements."""
         return self.elements <= set(conditions.elements)
 
     def shown_by(self, recordings: Sequence[Conditions]) -> bool:
         """See `Effect.shown_by`: recordings with and without the elements."""
-        return len({self.acts_in(one) for one in recordings}) == 2
+        return len({self.lies_in(one) for one in recordings}) == 2
 
     def seen_in(self, here: Conditions, first: Conditions) -> Effect:
         """See `Effect.seen_in`: nothing, in recordings without the elements."""
-        return self if self.acts_in(here) else _Absent(self)
+        return self if self.lies_in(here) else _Absent(self)
 
     def handed_on(self, values: np.ndarray, now: Conditions, then: Calibrated) -> FixedEffect:
         """See `Effect.handed_on`."""
