@@ -22,6 +22,13 @@ def with_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Condi
 
     Only where the band is broad, and on sky, that is with an AO residual; what the recipe lists itself stays
     as it is.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+    model : ModelConfig
+    conditions : Conditions
+        Of the recording.
     """
     if not wants_colour(effects, model, conditions):
         return list(effects)
@@ -31,14 +38,14 @@ def with_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Condi
 
 
 def wants_colour(effects: Sequence[Effect], model: ModelConfig, conditions: Conditions) -> bool:
-    """Whether colours belong to the model of a recording taken under `conditions`, see `with_colour`."""
+    """Whether colours belong to `effects` of a `model` under `conditions`, see `with_colour`."""
     settings = conditions.settings
     on_sky = any(effect.name == SeeingHalo.name for effect in effects)
     return model.colour == "auto" and on_sky and settings.span_nm > BROAD * settings.mean_nm
 
 
 def star_colour(conditions: Conditions) -> FixedEffect:
-    """Return the `spectrum` of a recording with its slope alone free: a star redder or bluer than stated."""
+    """Return the `spectrum` under `conditions`, its slope alone free: a star redder or bluer than stated."""
     effect = Spectrum.under(conditions)
     null = [parameter.start for parameter in effect.parameters]
     return FixedEffect(effect, null, free=["slope_per_um"])

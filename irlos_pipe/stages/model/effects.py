@@ -61,7 +61,7 @@ def conditions_of(
 
 
 def elements_of(acquisition: Acquisition) -> tuple[str, str]:
-    """Return the names of the filter and of the source of the diversity that light passes.
+    """Return the names of the filter and of the source of the diversity, of an `acquisition`.
 
     A filter without a name goes by its mean wavelength and the width of its band.
     """
@@ -116,7 +116,7 @@ def _under(entry: EffectEntry, conditions: Conditions, public: dict[str, Any]) -
 
 
 def shown(effects: Sequence[Effect], recordings: Sequence[Conditions]) -> list[Effect]:
-    """Return the effects that recordings taken under these conditions tell from the static wavefront."""
+    """Return those `effects` that `recordings`, by their conditions, tell from the static wavefront."""
     return [effect for effect in effects if effect.shown_by(recordings)]
 
 
