@@ -14,6 +14,7 @@ from irlos_pipe.diagnose.checks.motion import MOVING, motion_ratio
 from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.held_out import HeldOutEvaluation, preference
+from irlos_pipe.diagnose.joint_fit import DRIFT_NM
 from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.refit import PER_PARAMETER, Refit
 from irlos_pipe.diagnose.search.scores import Score
@@ -40,12 +41,15 @@ class Options:
         At which to stop.
     sure : float
         Significance of a detection in Gaussian σ.
+    drift_nm : float
+        Prior σ of the change of every mode between stars and nights [nm RMS].
     """
 
     highest_noll: int
     held_out: float
     most_names: int
     sure: float
+    drift_nm: float = DRIFT_NM
 
 
 @dataclass(frozen=True)
@@ -233,9 +237,9 @@ def threshold(parameters: int, trials: int) -> float:
 
 
 def explained(refit: Refit) -> float:
-    """Part of the excess that a name explains."""
-    before = refit.origin.excess.chi2
-    return (before - refit.excess.chi2) / max(before, refit.gain)
+    """Part of the excess that a name explains, of the recordings in which it acts."""
+    before = refit.origin.excess_where(refit.base)
+    return (before - refit.optimum.excess_where(refit.base)) / max(before, refit.gain)
 
 
 def no_longer_needed(

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from irlos_pipe.diagnose.acceptance import Accepted, Options, Search, choose, explained, no_longer_needed
 from irlos_pipe.diagnose.checks.drift import Drift, measure_drift
 from irlos_pipe.diagnose.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
+from irlos_pipe.diagnose.moments import Moments
 from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.refit import FAR, Refit, refits
+from irlos_pipe.diagnose.search.placements import placed_families
 from irlos_pipe.diagnose.search.scores import Score, families, scores
-from irlos_pipe.effects import CATALOGUE, Conditions, Effect
+from irlos_pipe.diagnose.sharing import parted, sharing
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
 
+SPLIT = 0.5  # of what one value for all leaves, that a value for each moment must explain
 Report = Callable[[int], None]
 
 
@@ -24,25 +28,32 @@ class Task:
 
     cube: Cube
     fitter: Fitter
-    conditions: Conditions
+    moments: Moments
     options: Options
     report: Report
+
+    @property
+    def conditions(self) -> Conditions:
+        """Those of the first recording, for which effects are stated."""
+        return self.fitter.views[0].conditions
 
     def searched(self, effects: Sequence[Effect]) -> Search:
         """Add names until nothing significant is missing, or nothing explains what is."""
         null = self._optimum(self._null(effects))
         drift, current = self._with_drift(null)
         accepted: list[Accepted] = []
-        for _ in range(2 * self.options.most_names):  # names may be dropped again
+        most_names = self.options.most_names * len(self.moments.by_number)
+        for _ in range(2 * most_names):  # names may be dropped again
             found, meaningless = self._scores(current)
-            if len(accepted) == self.options.most_names:
+            if len(accepted) >= most_names:
                 break
             chosen = self._next_name(current, found, first=not accepted)
             if chosen is None:
                 break
-            accepted.append(chosen)
-            if self._leads_nowhere(chosen.refit):
-                current = chosen.refit.optimum
+            accepted += self._of_each_moment(chosen)
+            last = accepted[-1].refit
+            if self._leads_nowhere(last):
+                current = last.optimum
                 break
             current, accepted = self._adapted(accepted)
         return Search(null, current, drift, accepted, found, meaningless)
@@ -71,13 +82,21 @@ class Task:
         drift = measure_drift(self.cube.training, null.fitted, self.options.sure)
         if drift.significance < self.options.sure:
             return drift, null
-        fitted = self.fitter.fit([*null.fitted.continued(), drift.effect()], null.fitted)
+        fitted = self.fitter.fit([*null.fitted.continued(), self._drifting(drift)], null.fitted)
         return drift, self._optimum(fitted)
+
+    def _drifting(self, drift: Drift) -> FixedEffect:
+        """The drift as an effect, of several moments in the one in which it was seen."""
+        moment = self.fitter.views[drift.recording].moment
+        return drift.effect().only_in(frozenset({moment}) if self.moments.several else None)
 
     def _scores(self, current: Optimum) -> tuple[list[Score], list[str]]:
         """Scores of all families that the model lacks."""
         present = current.fitted.effects
-        missing, meaningless = families(self.conditions, [effect.name for effect in present])
+        if self.moments.several:
+            missing, meaningless = placed_families(self.moments, present)
+        else:
+            missing, meaningless = families(self.conditions, [effect.name for effect in present])
         listed = any(effect.found_by == "pixels" for effect in present)
         pixels = [] if listed else bad_pixel_family(current)
         if not self.cube.training.in_time:
@@ -92,6 +111,20 @@ class Task:
             return None
         ranked = refits(self.fitter, current, found, self.report)
         return choose(ranked, self.cube, self.options, first=first)
+
+    def _of_each_moment(self, chosen: Accepted) -> list[Accepted]:
+        """The name, or one with its own value for each moment where one value for all leaves much."""
+        refit = chosen.refit
+        much = refit.excess.significance > self.options.sure
+        if not (self.moments.several and much and refit.base.acts_in is None):
+            return [chosen]
+        fitted, label = refit.fitted, refit.label
+        found = sharing([label], fitted, self.fitter, self.cube, self.moments, self.options.sure)
+        if found.finding != "differs" or found.chi2_fall < SPLIT * refit.excess.chi2:
+            return [chosen]
+        own = self.fitter.explored(parted(found, fitted, label), fitted)
+        of_each = replace(chosen, refit=replace(refit, fitted=self.fitter.finished(own)))
+        return [of_each] * len(found.seen)
 
     def _leads_nowhere(self, refit: Refit) -> bool:
         """Whether a name leaves much, and explains less than its share of as many names as are allowed.

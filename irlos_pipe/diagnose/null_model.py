@@ -98,3 +98,13 @@ class Optimum(NullModel):
         """χ² beyond noise and the scatter of frames."""
         expected, sigma = self.stack.chance(self.basis)
         return Excess(float(self.residual @ self.residual) - expected, sigma, expected)
+
+    def excess_where(self, effect: Effect) -> float:
+        """χ² beyond noise of those recordings in which an `effect` acts."""
+        if effect.acts_in is None:
+            return self.excess.chi2
+        pairs = zip(self.fitted.views, self.fitted.problem.pixels, strict=True)
+        pixels = [at for view, at in pairs if effect.acting(view.moment)]
+        chi2 = sum(float(self.residual[at] @ self.residual[at]) for at in pixels)
+        share = sum(int((self.root[at] > 0).sum()) for at in pixels) / int((self.root > 0).sum())
+        return chi2 - share * self.excess.expected

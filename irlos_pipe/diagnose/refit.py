@@ -262,7 +262,8 @@ def _from_elsewhere(fitter: Fitter, one: Refit) -> list[Fitted]:
 
 def _with_wider_forms(found: Sequence[Refit]) -> list[tuple[Refit, type[Effect]]]:
     """The best and its rivals, as far as wider forms of them are known, with these."""
-    close = [one for one in found if is_rival(_best(found), one)]
+    everywhere = [one for one in found if one.base.acts_in is None]
+    close = [one for one in everywhere if is_rival(_best(found), one)]
     return [(one, kind) for one in close for kind in CATALOGUE.values() if kind.widens == one.name]
 
 
@@ -295,4 +296,4 @@ def proposals(scores: Sequence[Score]) -> list[Score]:
 
 def _whole(score: Score, start: FixedEffect) -> FixedEffect:
     """The effect to be fitted, which may have more parameters than the one that was searched for."""
-    return start.base.whole(start, score.sizes)
+    return start.base.whole(start, score.sizes).only_in(score.candidate.acts_in)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from irlos_pipe.diagnose.sharing import Together
 from irlos_pipe.diagnose.verdict import NONE, PARTIAL, RESEMBLES, UNKNOWN, Diagnosis, Step
 from irlos_pipe.effects import CATALOGUE
 
@@ -29,7 +30,7 @@ def _found(diagnosis: Diagnosis) -> str:
         return f"Nothing significant is missing in the model{_limit(diagnosis)}."
     if diagnosis.verdict == UNKNOWN:
         return f"{_unnamed(diagnosis)}: {diagnosis.why_unknown}. {diagnosis.rest.text}."
-    lacking = " and ".join(_phrase(step) for step in diagnosis.steps)
+    lacking = " and ".join(f"{_phrase(step)}{_where(diagnosis, step)}" for step in diagnosis.steps)
     return f"Missing in the model: {lacking}{_others(diagnosis.steps)}; {_left(diagnosis)}."
 
 
@@ -54,6 +55,28 @@ def _left(diagnosis: Diagnosis) -> str:
 def _phrase(step: Step) -> str:
     """A name with its size."""
     return step.effect.phrase(step.public)
+
+
+def _where(diagnosis: Diagnosis, step: Step) -> str:
+    """In which recordings a name is, and whether they share it."""
+    together = diagnosis.together
+    if together is None:
+        return ""
+    named = step.found_in(together.moments)
+    where = f"in {' and '.join(named)}" if named else f"in all {len(together.moments.by_number)} recordings"
+    findings = [one.finding for one in together.sharing if step.label in one.labels]
+    words = {
+        "common": "one value for all",
+        "differs": "not in the others" if _alone(together, step) else "each recording has its own",
+        "open": "the others would not show it",
+    }
+    return f" ({', '.join([where, *(words[one] for one in findings)])})"
+
+
+def _alone(together: Together, step: Step) -> bool:
+    """Whether the recordings in which a name is not found do not show it."""
+    (sharing,) = (one for one in together.sharing if step.label in one.labels)
+    return len(sharing.labels) == 1 and step.effect.acts_in is not None
 
 
 def _advised(diagnosis: Diagnosis) -> str:

@@ -81,7 +81,7 @@ class TolerantTask(AllowingTask):
     def _moving(self, search: Search) -> list[Effect]:
         """The drift, if it is significant."""
         drift = search.drift
-        return [drift.effect()] if drift and drift.significance > self.options.sure else []
+        return [self._drifting(drift)] if drift and drift.significance > self.options.sure else []
 
     def _named(self, current: Optimum, least: float = 0.0) -> tuple[TolerantTask, Optimum]:
         """The search and its model with further names; they are judged in the end, beside all others.
@@ -156,7 +156,7 @@ class TolerantTask(AllowingTask):
             self.options.sure,
         )
         dropped = set(labels) - set(kept)
-        pairs = zip(fitted.problem.model.effects.labels, fitted.continued(), strict=True)
+        pairs = zip(fitted.problem.effects.labels, fitted.continued(), strict=True)
         return self.fitter.explored([effect for label, effect in pairs if label not in dropped], fitted)
 
     def _further(self, current: Optimum, found: list[Score], least: float) -> Accepted | None:
@@ -223,14 +223,16 @@ class TolerantTask(AllowingTask):
         """The model against itself without one effect."""
         fitted = current.fitted
         near = without_linearly(fitted, label)
-        effects = dict(zip(fitted.problem.model.effects.labels, near.continued(), strict=True))
+        effects = dict(zip(fitted.problem.effects.labels, near.continued(), strict=True))
         name = effects.pop(label).name
         origin = Optimum(current.stack, self.fitter.explored(list(effects.values()), near))
         kind = CATALOGUE[name]
         variants = (
             kind.variants(self.conditions) if kind.found_by == "score" else (fitted.effect(label).base,)
         )
-        return Refit(score_family(origin, Family(variants)), origin, fitted, label)
+        where = fitted.effect(label).acts_in
+        family = Family(tuple(one.only_in(where) for one in variants), placements=(where,))
+        return Refit(score_family(origin, family), origin, fitted, label)
 
 
 def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
@@ -256,7 +258,7 @@ def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
 def added(fitted: Fitted, told: Sequence[Effect]) -> list[str]:
     """Labels of the effects of a model beyond those that it was told."""
     known = {*labels_of(told)}
-    return [label for label in fitted.problem.model.effects.labels if label not in known]
+    return [label for label in fitted.problem.effects.labels if label not in known]
 
 
 def _testable_columns(fitted: Fitted, label: str) -> list[int]:

@@ -13,8 +13,10 @@ from irlos_pipe.diagnose.checks.fine_structure import FineStructure
 from irlos_pipe.diagnose.checks.noise import NoiseVerdict
 from irlos_pipe.diagnose.cube import HeldOutKind
 from irlos_pipe.diagnose.held_out import Gap
+from irlos_pipe.diagnose.moments import Moments
 from irlos_pipe.diagnose.rest import Rest
 from irlos_pipe.diagnose.second_recording import Advice
+from irlos_pipe.diagnose.sharing import Together
 from irlos_pipe.effects import FixedEffect
 
 NONE: Final = "none"
@@ -93,6 +95,10 @@ class Step:
         """Name of the effect."""
         return self.effect.name
 
+    def found_in(self, moments: Moments) -> list[str]:
+        """Names of the `moments` in which it acts; none where it acts in all."""
+        return [] if self.effect.acts_in is None else moments.names_of(self.effect.acts_in)
+
     @property
     def unusual(self) -> list[str]:
         """Parameters at a bound, or beyond what is usual for the effect."""
@@ -153,6 +159,8 @@ class Diagnosis:
         What no fit saw.
     chi2_nu : (float, float)
         Of the mean training image over its expectation, before and after.
+    together : Together or None
+        What the recordings share; None of a single star and night.
     modes_nm : (ndarray, ndarray)
         Total Zernike coefficients before and after, in the order of `nolls`.
     """
@@ -181,4 +189,5 @@ class Diagnosis:
     pictures: Pictures
     advice: dict[str, Advice] = field(default_factory=dict)
     adjusted: Sequence[FixedEffect] = ()
+    together: Together | None = None
     seconds: float = 0.0

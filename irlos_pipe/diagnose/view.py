@@ -46,12 +46,16 @@ class Exposures:
         Pixels masked in the frames because of what they showed there.
     moment : int
         Number of the moment: recordings of another one are of another star or night.
+    name, star : str
+        Of the moment, for people, and of its star: equal names are the same star.
     """
 
     frames: Frames
     conditions: Conditions
     screened: Sequence[Screened] = ()
     moment: int = 0
+    name: str = ""
+    star: str = ""
 
     def view(self, nolls: Sequence[int], device: str) -> View:
         """Its model of the modes `nolls` on `device`, in float64: a mean is more precise than float32."""

@@ -15,9 +15,11 @@ from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.forward import Report, Task
 from irlos_pipe.diagnose.grade import much_is_left
+from irlos_pipe.diagnose.moments import Moments
 from irlos_pipe.diagnose.splitting import hold_out_of
+from irlos_pipe.diagnose.together import together
 from irlos_pipe.diagnose.tolerant import TolerantTask
-from irlos_pipe.diagnose.verdict import Diagnosis
+from irlos_pipe.diagnose.verdict import UNKNOWN, Diagnosis
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.effects import Effect
 
@@ -35,15 +37,15 @@ def diagnose(
     device: str = "cpu",
     report: Report = silent,
 ) -> Diagnosis:
-    """Find what the model of one recording lacks, or that of several taken with different settings.
+    """Find what the model of one recording lacks, or that of several with other settings, stars or nights.
 
     Parameters
     ----------
     recordings : sequence of Exposures
-        With different focus, diversity or band, but the same window; of one wavefront. Effects are stated
-        for the first.
+        With different focus, diversity or band, but the same window; those of one moment have one
+        wavefront. Effects are stated for the first recording in which they act.
     effects : sequence of Effect
-        What the model has already.
+        What the model has already, see `moments.placed`.
     options : Options
     device : str
     report : callable, optional
@@ -56,10 +58,12 @@ def diagnose(
     cube = Cube.of_all([one.limited_by(noise.kind == PHOTONS) for one in cubes])
 
     views = [one.view(range(2, options.highest_noll + 1), device) for one in recordings]
-    fitter, conditions = Fitter(views, cube.training), recordings[0].conditions
-    search = Task(cube, fitter, conditions, options, report).searched(effects)
+    fitter, moments = Fitter(views, cube.training, options.drift_nm), Moments.of(recordings)
+    search = Task(cube, fitter, moments, options, report).searched(effects)
     if much_is_left(search, noise.kind, options.sure):
-        tolerant = TolerantTask(cube, fitter, conditions, options, report, noise.kind)
+        tolerant = TolerantTask(cube, fitter, moments, options, report, noise.kind)
         search = tolerant.beyond(search, effects)
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
+    if moments.several and diagnosis.verdict != UNKNOWN:
+        diagnosis = replace(diagnosis, together=together(search, fitter, cube, moments, options))
     return replace(diagnosis, seconds=time.perf_counter() - began)

@@ -43,7 +43,7 @@ class Ghost(OtfEffect):
         number("defocus_nm", "nm RMS, more than the star has", -1000.0, 1000.0, required=False),
         number("blur_mas", "mas RMS per axis, beyond the star's", 0.0, LARGEST_BLUR_MAS, required=False),
     )
-    repeatable = True
+    copies_star = repeatable = True
     sentence = (
         "a ghost of {flux_ratio:.2%} at {sep_mas:.0f} mas, PA {pa_deg:.0f}°, "
         "{defocus_nm:+.0f} nm out of focus and blurred by {blur_mas:.0f} mas"

@@ -21,6 +21,7 @@ from irlos_pipe.report.radial import star_profile
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_diagnose_names import ranking_figures, separation_tables, step_tables
 from irlos_pipe.report.section_diagnose_rest import grade_texts, rest_blocks
+from irlos_pipe.report.section_diagnose_sharing import sharing_tables
 from irlos_pipe.report.text import is_known, number, with_error
 from irlos_pipe.stages.diagnose.results import DiagnoseResults, GapRow
 
@@ -47,6 +48,7 @@ def diagnose_section(run: RunData) -> Section:
         *_stacked(*_profile(run), *ranking_figures(results)),
         *grade_texts(results),
         *step_tables(results),
+        *sharing_tables(results),
         *separation_tables(results),
         *_stacked(*rest_blocks(run, results)),
         *_modes(results),

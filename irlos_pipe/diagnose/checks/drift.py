@@ -38,12 +38,15 @@ class Drift:
         From the first frame to the last.
     significance : float
         In Gaussian σ, pointing left out.
+    recording : int
+        Number of the recording in which it was seen.
     """
 
     nolls: tuple[int, ...]
     change_nm: np.ndarray
     sigma_nm: np.ndarray
     significance: float
+    recording: int = 0
 
     def detectable_nm(self, sure: float) -> np.ndarray:
         """Change of each mode alone that would be significant, (modes,)."""
@@ -70,6 +73,7 @@ def measure_drift(stack: Stacks, fitted: Fitted, sure: float) -> Drift:
     steps = [LinearStep(one, part, problem.part(fitted.x, number)) for number, (one, part) in pairs]
     drifts = [(step, _drift(step, trials=len(steps))) for step in steps]
     step, drift = max(drifts, key=lambda one: one[1].significance)
+    drift = replace(drift, recording=steps.index(step))
     if drift.significance < sure:
         return drift
     beyond_linear = drift.change_nm - step.of_a_drift(drift.change_nm)

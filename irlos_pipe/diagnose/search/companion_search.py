@@ -24,12 +24,12 @@ RING_MAS, DIRECTIONS = 150.0, 8
 def brightest_copies(optimum: Optimum, effect: Effect) -> list[FixedEffect]:
     """The most promising positions of `effect` at an `optimum`, of any on the pixel grid of the window."""
     settings = optimum.settings
-    gain, scale = companion_gains(optimum), settings.pixel_scale_mas
+    gain, scale = companion_gains(optimum, effect), settings.pixel_scale_mas
     rows, columns = (np.fft.fftfreq(n, 1 / n) for n in gain.shape)
     y, x = (axis * scale for axis in np.meshgrid(rows, columns, indexing="ij"))
     inside = (np.abs(y) < settings.window[0] / 2 * scale) & (np.abs(x) < settings.window[1] / 2 * scale)
     gain[~inside | (np.hypot(x, y) < INNER_MAS)] = 0
-    for x_mas, y_mas in _copies(optimum):  # two that cannot be resolved are one that is no copy
+    for x_mas, y_mas in _copies(optimum, effect):  # two that cannot be resolved are one that is no copy
         gain[np.hypot(x - x_mas, y - y_mas) < RESOLVED * _resolution_mas(optimum)] = 0
     found = []
     for _ in range(POSITIONS):
@@ -39,12 +39,14 @@ def brightest_copies(optimum: Optimum, effect: Effect) -> list[FixedEffect]:
     return found
 
 
-def _copies(optimum: Optimum) -> list[tuple[float, float]]:
-    """Positions of the copies of the star that the model has [mas]."""
+def _copies(optimum: Optimum, wanted: Effect) -> list[tuple[float, float]]:
+    """Positions of the copies of the star that the model has where the `wanted` one would act [mas]."""
     fitted, found = optimum.fitted, []
+    moments = [view.moment for view in fitted.views if wanted.acting(view.moment)]
     for effect, label in zip(fitted.effects, fitted.problem.effects.labels, strict=True):
         names = [parameter.name for parameter in effect.base.parameters]
-        if "x_mas" in names and effect.base.plane == "otf":
+        beside = any(effect.acting(moment) for moment in moments)
+        if beside and "x_mas" in names and effect.base.plane == "otf":
             values = fitted.values_of(label)
             found.append((values[names.index("x_mas")], values[names.index("y_mas")]))
     return found
@@ -61,13 +63,23 @@ def around(effect: Effect) -> list[FixedEffect]:
     return [effect.displaced(RING_MAS * np.cos(angle), RING_MAS * np.sin(angle)) for angle in angles]
 
 
-def companion_gains(optimum: Optimum) -> np.ndarray:
-    """Fall of χ² for every shift (rows, columns), 0 first, of a window of twice the size."""
+def companion_gains(optimum: Optimum, effect: Effect | None = None) -> np.ndarray:
+    """Fall of χ² for every shift (rows, columns), 0 first, of a window of twice the size.
+
+    Parameters
+    ----------
+    optimum : Optimum
+    effect : Effect, optional
+        The copy of the star, which need not be in all recordings.
+    """
     window, fitted = optimum.settings.window, optimum.fitted
     padded = [2 * n for n in window]
     backgrounds = torch.cat([x[0, -1:].expand(window[0] * window[1]) for _, x in fitted.recordings])
     stars = (fitted.image_e - backgrounds).reshape(-1, *window)
     root = optimum.root
+    if effect is not None:
+        acting = [float(effect.acting(view.moment)) for view in fitted.views]
+        stars = stars * torch.tensor(acting, dtype=torch.float64)[:, None, None]
 
     def correlate(weights: torch.Tensor, images: torch.Tensor) -> torch.Tensor:
         """Correlation of the parts of every recording, summed over the recordings."""

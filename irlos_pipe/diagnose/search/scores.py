@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import torch
 
+from irlos_pipe.diagnose.moments import Placement
 from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.search.companion_search import around, brightest_copies
 from irlos_pipe.diagnose.significance import significance_of
@@ -21,6 +22,7 @@ from irlos_pipe.optics.grids import PupilGrid
 
 BUNDLED = 16  # candidates in the pupil
 LINEAR = 0.5  # of the prior's σ: how far from nothing a fit begins at most
+CLEARLY_MORE = 25.0  # of calibrated χ², that one moment alone must gain beyond all together
 FURTHER_STARTS, FAR_APART = 2, 0.2  # of a fit; part of the range of a position or direction
 
 
@@ -34,10 +36,13 @@ class Family:
         Shapes of the same effect that are tried.
     positions : int
         Where the effect was looked for before, of which these are the best.
+    placements : sequence of Placement
+        Of recordings of several moments, those in which the effect may act alone; None: in all.
     """
 
     variants: tuple[Effect, ...]
     positions: int = 1
+    placements: Sequence[Placement] = (None,)
 
     @property
     def effect(self) -> Effect:
@@ -146,9 +151,14 @@ class Score:
 
 
 def scores(optimum: Optimum, families: Sequence[Family]) -> list[Score]:
-    """Score the best candidate of each of the `families` at an `optimum`, the most significant first."""
+    """Score the best candidate of each of the `families` at an `optimum`, the most significant first.
+
+    Of families of one name, for different moments, the best stands.
+    """
     found = [score_family(optimum, family) for family in families]
-    return sorted(found, key=lambda one: -one.significance)
+    names = dict.fromkeys(one.name for one in found)
+    best = [_best_placed([one for one in found if one.name == name]) for name in names]
+    return sorted(best, key=lambda one: -one.significance)
 
 
 def score_family(optimum: Optimum, family: Family) -> Score:
@@ -159,15 +169,28 @@ def score_family(optimum: Optimum, family: Family) -> Score:
         for effect in family.variants
         for candidate in effect.candidates(settings.window, settings.pixel_scale_mas)
     ]
-    trials = len(tried) * family.positions
+    trials = len(tried) * family.positions * len(family.placements)
     if family.effect.copies_star:
         tried = [*brightest_copies(optimum, family.effect), *around(family.effect)]
-    pieces = ordered_map(partial(_scored, optimum, trials), _bundles(tried))
+    pieces = ordered_map(partial(_scored, optimum, trials, family.placements), _bundles(tried))
     found = [score for piece in pieces for score in piece]
+    alike = ([one for one in found if one.candidate.acts_in == where] for where in family.placements)
+    return _best_placed([_best_of(some) for some in alike])
+
+
+def _best_of(found: Sequence[Score]) -> Score:
+    """The best of the candidates of one family, with the others that a fit may want."""
     kinds = {one.usable: _typical([o for o in found if o.usable == one.usable]) for one in found}
     best = max(kinds.values(), key=lambda one: one.gain)
     besides = tuple(one for one in kinds.values() if one is not best and one.usable)
     return replace(best, besides=besides, elsewhere=_elsewhere(best, found))
+
+
+def _best_placed(alike: Sequence[Score]) -> Score:
+    """Of scores of one effect the best; one moment alone only where it gains clearly more than all."""
+    best = max(alike, key=lambda one: one.gain / one.inflation)
+    common = next((one for one in alike if one.candidate.acts_in is None), best)
+    return common if best.gain - common.gain < CLEARLY_MORE * common.inflation else best
 
 
 def _typical(alike: Sequence[Score]) -> Score:
@@ -239,9 +262,27 @@ def _bundles(candidates: Sequence[Effect]) -> list[Sequence[Effect]]:
     return [candidates[i : i + size] for i in range(0, len(candidates), size)]
 
 
-def _scored(optimum: Optimum, trials: int, candidates: Sequence[Effect]) -> list[Score]:
-    pairs = zip(candidates, whitened_shapes(optimum, candidates), strict=True)
-    return [_score(optimum, trials, candidate, shapes) for candidate, shapes in pairs]
+def _scored(
+    optimum: Optimum, trials: int, placements: Sequence[Placement], candidates: Sequence[Effect]
+) -> list[Score]:
+    """Scores of every candidate, in every placement that all the recordings of the `candidates` hold."""
+    pairs = list(zip(candidates, whitened_shapes(optimum, candidates), strict=True))
+    return [
+        _score(optimum, trials, candidate.only_in(where), _seen_in(optimum, where, shapes))
+        for candidate, shapes in pairs
+        for where in placements
+    ]
+
+
+def _seen_in(optimum: Optimum, where: Placement, shapes: torch.Tensor) -> torch.Tensor:
+    """What recordings of some moments show of whitened shapes (pixels, m)."""
+    if where is None:
+        return shapes
+    seen, fitted = torch.zeros_like(shapes), optimum.fitted
+    for view, pixels in zip(fitted.views, fitted.problem.pixels, strict=True):
+        if view.moment in where:
+            seen[pixels] = shapes[pixels]
+    return seen
 
 
 def _score(optimum: Optimum, trials: int, candidate: Effect, shapes: torch.Tensor) -> Score:

@@ -1,6 +1,9 @@
-"""Recordings of one wavefront that a diagnosis takes together: those that are alike pooled."""
+"""Recordings that a diagnosis takes together: those that are alike pooled, by star and night."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,24 +15,82 @@ from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product, s
 from irlos_pipe.stages.model.recording_settings import differences, in_time_order
 
 COMMON = {"pixel_scale_mas": "pixel scale", "derotator_angle_deg": "derotator angle"}
+NIGHT_S = 12 * 3600.0  # between recordings, from which they are of different nights
 
 
-def by_setting(ingest: Product, input_name: str) -> list[list[Recording]]:
-    """Return the used frames of the input `input_name` of `ingest` in order of time, one list per setting.
+@dataclass(frozen=True)
+class Alike:
+    """Recordings of one moment with equal settings.
+
+    Attributes
+    ----------
+    recordings : sequence of Recording
+        In order of time.
+    moment : int
+        Number of the star and night.
+    """
+
+    recordings: Sequence[Recording]
+    moment: int = 0
+
+    @property
+    def first(self) -> Recording:
+        """The first recording."""
+        return self.recordings[0]
+
+    @property
+    def star(self) -> str:
+        """What the side-car or header calls it."""
+        return self.first.acquisition.target
+
+    @property
+    def diversity_nm(self) -> float:
+        """Size of the diversity [nm RMS]."""
+        return float(np.linalg.norm(list(self.first.acquisition.diversity.values())))
+
+
+def by_setting(ingest: Product, input_name: str, *, apart: bool | None = None) -> list[Alike]:
+    """Return the used frames of the input `input_name` of `ingest`, one group per setting and moment.
 
     The setting with the largest diversity comes first: errors of the diversity are stated for it.
+
+    Parameters
+    ----------
+    ingest : Product
+    input_name : str
+    apart : bool, optional
+        Whether every recording is of its own star or night, or all are of one; by default targets and times
+        tell.
 
     Raises
     ------
     InputDataError
-        If recordings differ in more than focus, diversity and band.
+        If recordings of one moment differ in more than focus, diversity and band.
     """
     recordings = [r.accepted() for r in in_time_order(recordings_from_product(ingest, input_name))]
     _require_common(recordings)
-    settings: dict[tuple, list[Recording]] = {}
+    groups: dict[tuple, list[Recording]] = {}
+    for recording, moment in zip(recordings, moments_of(recordings, apart), strict=True):
+        groups.setdefault((moment, *_setting(recording)), []).append(recording)
+    found = [Alike(alike, key[0]) for key, alike in groups.items()]
+    return sorted(found, key=lambda alike: -alike.diversity_nm)
+
+
+def moments_of(recordings: Sequence[Recording], apart: bool | None = None) -> list[int]:
+    """Return the number of the star and night of every recording, from 0 in the order given.
+
+    `recordings` in order of time; `apart`: see `by_setting`.
+    """
+    if apart is not None:
+        return [number if apart else 0 for number in range(len(recordings))]
+    night, last_s = 0, float("nan")
+    known: dict[tuple[str, int], int] = {}
+    found = []
     for recording in recordings:
-        settings.setdefault(_setting(recording), []).append(recording)
-    return sorted(settings.values(), key=lambda alike: -_size(alike[0].acquisition.diversity))
+        night += bool(recording.start_unix_s - last_s > NIGHT_S)
+        last_s = recording.start_unix_s
+        found.append(known.setdefault((recording.acquisition.target, night), len(known)))
+    return found
 
 
 def introduced_nm(recording: Recording) -> float:
@@ -58,11 +119,7 @@ def screened_pixels(ingest: Product, recording: Recording) -> list[Screened]:
 def _setting(recording: Recording) -> tuple:
     acquisition = recording.acquisition
     diversity = tuple(sorted((noll, nm) for noll, nm in acquisition.diversity.items() if nm))
-    return acquisition.spectrum, diversity, introduced_nm(recording)
-
-
-def _size(diversity: dict[int, float]) -> float:
-    return float(np.linalg.norm(list(diversity.values())))
+    return acquisition.spectrum, diversity, introduced_nm(recording), acquisition.pupil_rotation_deg
 
 
 def _require_common(recordings: list[Recording]) -> None:
@@ -72,5 +129,5 @@ def _require_common(recordings: list[Recording]) -> None:
         if differing:
             raise InputDataError(
                 f"{other.name}: {' and '.join(differing)} of {recordings[0].name} are others; cubes "
-                "diagnosed together may differ in focus, diversity and band only"
+                "diagnosed together may differ in star, night, focus, diversity and band only"
             )

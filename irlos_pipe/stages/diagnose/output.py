@@ -13,6 +13,7 @@ from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.diagnose.held_out import Gap
 from irlos_pipe.diagnose.rest import Rest
 from irlos_pipe.diagnose.sentence import sentence
+from irlos_pipe.diagnose.sharing import Sharing, Together
 from irlos_pipe.diagnose.verdict import Diagnosis, Step
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.product.product import Quantity
@@ -26,8 +27,11 @@ from irlos_pipe.stages.diagnose.results import (
     GapRow,
     ModesChange,
     NoiseRow,
+    OwnValueRow,
     RankedRow,
     RestRow,
+    SharingRow,
+    StarRow,
     StepRow,
     WhereRow,
 )
@@ -47,13 +51,15 @@ def diagnose_results(result: Diagnosis) -> DiagnoseResults:
         verdict=result.verdict,
         grade=result.grade,
         sentence=sentence(result),
-        steps=[_step(step) for step in result.steps],
-        nearest=None if result.nearest is None else _step(result.nearest),
+        steps=[_step(step, result.together) for step in result.steps],
+        nearest=None if result.nearest is None else _step(result.nearest, result.together),
         gap=gap_row(result.gap),
         unexplained=result.unexplained,
         why_unknown=result.why_unknown,
         rest=_rest(result.rest),
         untestable=list(result.untestable),
+        recordings=_stars(result.together),
+        sharing=[_sharing(one) for one in result.together.sharing] if result.together else [],
         second_recording=advice,
         mdb=result.mdb,
         model=MODEL_FILE,
@@ -76,7 +82,35 @@ def gap_row(gap: Gap) -> GapRow:
     return GapRow(before=gap.before, after=gap.after, floor=gap.floor, shrink=gap.shrink)
 
 
-def _step(step: Step) -> StepRow:
+def _stars(together: Together | None) -> list[StarRow]:
+    if together is None:
+        return []
+    pairs = zip(together.moments.by_number.values(), together.changes, strict=True)
+    return [
+        StarRow(name=one.name, star=one.star, ncpa_change_nm=change.rms_nm, sigma_nm=change.sigma_nm)
+        for one, change in pairs
+    ]
+
+
+def _sharing(one: Sharing) -> SharingRow:
+    values = [
+        OwnValueRow(
+            recording=own.moment, parameters=own.public, sigma=own.sigma, significance=own.significance
+        )
+        for own in one.values
+    ]
+    return SharingRow(
+        effect=one.labels[0],
+        finding=one.finding,
+        significance=one.significance,
+        chi2_fall=one.chi2_fall,
+        parameters=one.parameters,
+        held_out_z=one.preference,
+        values=values,
+    )
+
+
+def _step(step: Step, together: Together | None = None) -> StepRow:
     return StepRow(
         effect=step.label,
         indistinguishable=[other.name for other in step.alternatives],
@@ -91,6 +125,7 @@ def _step(step: Step) -> StepRow:
         ranking=[RankedRow(**asdict(one)) for one in step.ranking],
         share=step.share,
         unusual=step.unusual,
+        recordings=[] if together is None else step.found_in(together.moments),
     )
 
 
@@ -178,8 +213,9 @@ def _with_one_list_of_pixels(effects: list[Any]) -> list[Any]:
 
 
 def model_entries(result: Diagnosis) -> list[dict[str, Any]]:
-    """Return what a diagnosis found and adjusted as entries of the section."""
-    return [recipe_entry(one) for one in (*(step.effect for step in result.steps), *result.adjusted)]
+    """Return what a diagnosis found and adjusted, common to its recordings, as entries of the section."""
+    found = [*(step.effect for step in result.steps), *result.adjusted]
+    return [recipe_entry(one) for one in found if one.acts_in is None]
 
 
 def recipe_entry(effect: FixedEffect) -> dict[str, Any]:

@@ -69,6 +69,8 @@ class StepRow(ResultsPart):
         Part of its own signal that the final model explains where that signal lies.
     unusual : list of str
         Parameters beyond what is usual for the effect.
+    recordings : list of str
+        Where it was found; empty: in all.
     """
 
     effect: str = ""
@@ -84,6 +86,57 @@ class StepRow(ResultsPart):
     ranking: list[RankedRow] = []
     share: Number = math.nan
     unusual: list[str] = []
+    recordings: list[str] = []
+
+
+class OwnValueRow(ResultsPart):
+    """What one star and night has of an effect, see `diagnose.sharing.OwnValue`."""
+
+    recording: str = ""
+    parameters: EffectValues = {}
+    sigma: EffectValues = {}
+    significance: Number = math.nan
+
+
+class SharingRow(ResultsPart):
+    """Whether stars and nights share an effect, see `diagnose.sharing.Sharing`.
+
+    Attributes
+    ----------
+    effect : str
+    finding : str
+        ``common``, ``differs``, or ``open`` where these data do not tell.
+    significance : float
+        Of the differences, in Gaussian σ.
+    chi2_fall : float
+        By which χ² falls with a value of each, for so many more `parameters`.
+    held_out_z : float
+        Vuong's statistic for a value of each against one for all.
+    """
+
+    effect: str = ""
+    finding: str = ""
+    significance: Number = math.nan
+    chi2_fall: Number = math.nan
+    parameters: int = 0
+    held_out_z: Number = math.nan
+    values: list[OwnValueRow] = []
+
+
+class StarRow(ResultsPart):
+    """One star and night, see `diagnose.moments.Moment`, and by how much its wavefront differs.
+
+    Attributes
+    ----------
+    name, star : str
+    ncpa_change_nm, sigma_nm : float
+        RMS over the modes of the change from the common wavefront, and of its standard errors.
+    """
+
+    name: str = ""
+    star: str = ""
+    ncpa_change_nm: Number = math.nan
+    sigma_nm: Number = math.nan
 
 
 class AdviceRow(ResultsPart):
@@ -174,6 +227,8 @@ class DiagnoseResults(StageResults):
         Whether a significant part of the residual is left.
     untestable : list of str
         Effects that the free parameters absorb.
+    recordings : list of StarRow
+        Stars and nights, where there are several; `sharing` says what they share.
     second_recording : dict of str to AdviceRow
         For those of them that a second recording would show.
     mdb : dict of str to dict
@@ -203,6 +258,8 @@ class DiagnoseResults(StageResults):
     why_unknown: str = ""
     rest: RestRow | None = None
     untestable: list[str] = []
+    recordings: list[StarRow] = []
+    sharing: list[SharingRow] = []
     second_recording: dict[str, AdviceRow] = {}
     mdb: dict[str, EffectValues] = {}
     model: str = ""

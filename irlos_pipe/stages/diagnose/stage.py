@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import torch
@@ -11,6 +12,8 @@ from pydantic import Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.diagnose.acceptance import Options
+from irlos_pipe.diagnose.joint_fit import DRIFT_NM
+from irlos_pipe.diagnose.moments import Moments, placed
 from irlos_pipe.diagnose.verdict import Diagnosis
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.diagnose.workflow import diagnose
@@ -18,7 +21,7 @@ from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.diagnose.input import by_setting, introduced_nm, screened_pixels
+from irlos_pipe.stages.diagnose.input import Alike, by_setting, introduced_nm, screened_pixels
 from irlos_pipe.stages.diagnose.output import (
     MODEL_FILE,
     diagnose_arrays,
@@ -37,6 +40,7 @@ VERSION = 10
 NEEDS = ("ingest",)
 READS = ("ingest", "calibrate", "lift")
 EXPECTED_FITS = 11  # of one cube, for the progress bar
+APART = {"auto": None, "together": False, "apart": True}
 
 
 class Config(StageConfig):
@@ -52,7 +56,17 @@ class Config(StageConfig):
         le=0.5,
         description="part of the frames, or of the pixels of fewer than 16, that no fit sees",
     )
-    most_names: int = Field(4, ge=1, le=10, description="names at which to stop")
+    most_names: int = Field(4, ge=1, le=10, description="names at which to stop, of each star and night")
+    recordings: Literal["auto", "together", "apart"] = Field(
+        "auto",
+        description="of one star and night (together), each of its own (apart), or as targets and times tell",
+    )
+    night_drift_nm: float = Field(
+        DRIFT_NM,
+        gt=0,
+        le=100,
+        description="prior σ of the change of every mode between stars and nights [nm]",
+    )
     sure_sigma: float = Field(5.0, ge=3, le=20, description="significance of a detection")
 
 
@@ -61,7 +75,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     if "lift" in ctx.products:
         output, entries = run_on_ramp(ctx, round(1 / ctx.config.held_out))
         return replace(output, files={MODEL_FILE: model_yaml(ctx.model, entries)})
-    result = _diagnose(ctx, by_setting(ctx.products["ingest"], ctx.config.input))
+    apart = APART[ctx.config.recordings]
+    result = _diagnose(ctx, by_setting(ctx.products["ingest"], ctx.config.input, apart=apart))
     model = model_yaml(ctx.model, model_entries(result))
     results = diagnose_results(result)
     return StageOutput(
@@ -73,20 +88,27 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     )
 
 
-def _diagnose(ctx: StageContext[Config], settings: list[list[Recording]]) -> Diagnosis:
+def _diagnose(ctx: StageContext[Config], groups: list[Alike]) -> Diagnosis:
     config = ctx.config
-    effects = model_effects(ctx.instrument, ctx.model, settings[0][0], config.highest_noll)
-    exposures = [_exposures(ctx, alike, effects) for alike in settings]
-    options = Options(config.highest_noll, config.held_out, config.most_names, config.sure_sigma)
-    with ctx.progress(total=EXPECTED_FITS, desc="diagnose") as bar:
-        return diagnose(exposures, image_effects(effects), options, device=ctx.device, report=bar.update)
+    effects: dict[int, list[Effect]] = {}
+    for alike in groups:
+        if alike.moment not in effects:
+            effects[alike.moment] = model_effects(ctx.instrument, ctx.model, alike.first, config.highest_noll)
+    exposures = [_exposures(ctx, alike, effects[alike.moment]) for alike in groups]
+    options = Options(
+        config.highest_noll, config.held_out, config.most_names, config.sure_sigma, config.night_drift_nm
+    )
+    in_images = {moment: image_effects(some) for moment, some in effects.items()}
+    model = placed(in_images, Moments.of(exposures))
+    with ctx.progress(total=EXPECTED_FITS * len(effects), desc="diagnose") as bar:
+        return diagnose(exposures, model, options, device=ctx.device, report=bar.update)
 
 
-def _exposures(ctx: StageContext[Config], alike: list[Recording], effects: list[Effect]) -> Exposures:
-    """Recordings of one setting, the introduced defocus in the known wavefront."""
-    first = alike[0]
+def _exposures(ctx: StageContext[Config], alike: Alike, effects: list[Effect]) -> Exposures:
+    """Recordings of one setting and moment, the introduced defocus in the known wavefront."""
+    first = alike.first
     return Exposures(
-        pooled_frames(alike, good_pixels(effects, first.window)),
+        pooled_frames(alike.recordings, good_pixels(effects, first.window)),
         conditions_of(
             ctx.instrument,
             ctx.model,
@@ -95,6 +117,9 @@ def _exposures(ctx: StageContext[Config], alike: list[Recording], effects: list[
             introduced_nm={4: introduced_nm(first)},
         ),
         screened_pixels(ctx.products["ingest"], first),
+        alike.moment,
+        first.name,
+        alike.star,
     )
 
 

@@ -1,0 +1,54 @@
+"""What recordings of several stars and nights share, as a diagnosis states it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from irlos_pipe.diagnose.acceptance import Options, Search, labels_in
+from irlos_pipe.diagnose.cube import Cube
+from irlos_pipe.diagnose.effect_sizes import parameter_covariance
+from irlos_pipe.diagnose.fitting import Fitter
+from irlos_pipe.diagnose.moments import Moments
+from irlos_pipe.diagnose.sharing import Change, Together, sharing
+
+
+def together(search: Search, fitter: Fitter, cube: Cube, moments: Moments, options: Options) -> Together:
+    """Compare the moments in what was found.
+
+    Parameters
+    ----------
+    search : Search
+    fitter : Fitter
+    cube : Cube
+    moments : Moments
+        Several.
+    options : Options
+    """
+    fitted = search.final.fitted
+    fitter = fitter.of(search.final.stack, fitted.views)
+    found = [sharing(labels, fitted, fitter, cube, moments, options.sure) for labels in _groups(search)]
+    return Together(moments, found, _changes(search, moments))
+
+
+def _groups(search: Search) -> list[list[str]]:
+    """Labels of every effect that was named; those of one kind of which a model has one are together."""
+    fitted = search.final.fitted
+    groups: dict[str, list[str]] = {}
+    for label in labels_in(fitted, search.accepted):
+        effect = fitted.effect(label)
+        groups.setdefault(label if effect.repeatable else effect.name, []).append(label)
+    return list(groups.values())
+
+
+def _changes(search: Search, moments: Moments) -> list[Change]:
+    final, drifts = search.final, search.final.fitted.problem.drifts
+    sigma = np.sqrt(np.diag(parameter_covariance(final.stack, final.fitted)))
+    values = final.fitted.x[0].numpy()
+    return [
+        Change(moments.by_number[number].name, _rms(values[columns]), _rms(sigma[columns]))
+        for number, columns in drifts.items()
+    ]
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
