@@ -23,6 +23,7 @@ from irlos_pipe.effects.labels import label_of, occurrences
 from irlos_pipe.numerics.parallel import ordered_map
 
 MUST_EXPLAIN = 0.8  # of what is left, for a further name
+SIGNIFICANT = 5.0  # standard errors of the excess, from which a moment's counts
 PLAINLY = 10.0  # times its price, by which χ² grows without a name that is needed
 PREFERRED = 3.0  # Vuong's statistic on held-out frames, where noise is known or a model has errors
 
@@ -237,9 +238,13 @@ def threshold(parameters: int, trials: int) -> float:
 
 
 def explained(refit: Refit) -> float:
-    """Part of the excess that a name explains, of the recordings in which it acts."""
-    before = refit.origin.excess_where(refit.base)
-    return (before - refit.optimum.excess_where(refit.base)) / max(before, refit.gain)
+    """Part of the excess that a name explains, of several moments in that where it explains most."""
+    moments = {view.moment for view in refit.fitted.views if refit.base.acting(view.moment)}
+    pairs = [(refit.origin.excess_in(one), refit.optimum.excess_in(one)) for one in moments]
+    if len(pairs) == 1:
+        return (pairs[0][0] - pairs[0][1]) / max(pairs[0][0], refit.gain)
+    significant = [one for one in pairs if one[0] > SIGNIFICANT * refit.origin.excess.sigma]
+    return max(((before - after) / before for before, after in significant), default=0.0)
 
 
 def no_longer_needed(

@@ -99,12 +99,12 @@ class Optimum(NullModel):
         expected, sigma = self.stack.chance(self.basis)
         return Excess(float(self.residual @ self.residual) - expected, sigma, expected)
 
-    def excess_where(self, effect: Effect) -> float:
-        """χ² beyond noise of those recordings in which an `effect` acts."""
-        if effect.acts_in is None:
-            return self.excess.chi2
+    def excess_in(self, moment: int) -> float:
+        """χ² beyond noise of the recordings of one `moment`."""
         pairs = zip(self.fitted.views, self.fitted.problem.pixels, strict=True)
-        pixels = [at for view, at in pairs if effect.acting(view.moment)]
+        pixels = [at for view, at in pairs if view.moment == moment]
+        if len(pixels) == len(self.fitted.views):
+            return self.excess.chi2
         chi2 = sum(float(self.residual[at] @ self.residual[at]) for at in pixels)
         share = sum(int((self.root[at] > 0).sum()) for at in pixels) / int((self.root > 0).sum())
         return chi2 - share * self.excess.expected

@@ -1,8 +1,8 @@
 """Whether recordings of several moments share what was named, or each has its own.
 
-A name is fitted once with one value for all moments and once with a value for each. By how much the values
-differ, in units of their errors (Wald's test), and which of the two models frames prefer that no fit has
-seen, says whether it is the instrument's. A name that only one moment shows may still be in the others, too
+A name is fitted once with one value for all moments and once with a value for each. How significantly χ²
+falls by the latter, and which of the two models frames prefer that no fit has seen, says whether it is the
+instrument's. A name that only one moment shows may still be in the others, too
 weak to be seen there: then neither is said.
 """
 
@@ -87,7 +87,7 @@ class Sharing:
 
 @dataclass(frozen=True)
 class Change:
-    """How much the wavefront of a moment differs from the common one.
+    """How much the wavefront of a moment differs from the mean of those of all moments.
 
     Attributes
     ----------
@@ -140,8 +140,8 @@ def sharing(
     others = [effect for label, effect in everything if label not in labels]
     chosen = [effect for label, effect in everything if label in labels]
     own = [_own_of(number, chosen) for number in moments.by_number]
-    apart = fitter.explored([*others, *own], fitted)
-    together = fitter.explored([*others, _one_for_all(chosen[0])], fitted)
+    apart = fitter.finished(fitter.explored([*others, *own], fitted))
+    together = fitter.finished(fitter.explored([*others, _one_for_all(chosen[0])], fitted))
     return _judged(labels, chosen[0].name, together, apart, cube, moments, sure)
 
 
@@ -183,18 +183,15 @@ def _judged(
     stack = cube.training
     misfit = max(1.0, Optimum(stack, apart).excess.chi2_nu)  # what both models miss is no difference
     covariance = misfit * parameter_covariance(stack, apart)
+    more = len(apart.effect_values) - len(together.effect_values)
+    significance = _significance(together, apart, Optimum(stack, together), more, misfit)
     frames = np.inf if stack.photon_limited else stack.independent
     places = {number: _last_of(number, name, apart) for number in moments.by_number}
     values = [_value(number, place, apart, covariance, moments, frames) for number, place in places.items()]
-    free = [{p.name for p in apart.effect(place).parameters} for place in places.values()]
-    columns = [_columns(apart, place, set.intersection(*free)) for place in places.values()]
-    differences, error = _contrasts(apart.x[0].numpy(), covariance, columns)
-    significance = _wald(differences, error, frames)
     z = preference(*(HeldOutEvaluation(cube.held_out, one) for one in (apart, together)))
     seen = sum(one.significance > SEEN for one in values)
     differs = significance > sure and z > PREFERRED
     finding: Finding = "differs" if differs else "common" if seen > 1 else "open"
-    more = len(apart.effect_values) - len(together.effect_values)
     return Sharing(labels, finding, significance, together.chi2 - apart.chi2, more, z, values)
 
 
@@ -203,11 +200,6 @@ def _last_of(number: int, name: str, fitted: Fitted) -> str:
     pairs = zip(fitted.problem.effects.labels, fitted.effects, strict=True)
     found = [one for one, effect in pairs if effect.name == name and effect.acts_in == {number}]
     return found[-1]
-
-
-def _columns(fitted: Fitted, label: str, names: set[str]) -> list[int]:
-    pairs = zip(fitted.columns_of(label), fitted.effect(label).parameters, strict=True)
-    return [column for column, parameter in pairs if parameter.name in names]
 
 
 def _value(
@@ -228,14 +220,27 @@ def _value(
     )
 
 
-def _contrasts(
-    x: np.ndarray, covariance: np.ndarray, columns: Sequence[Sequence[int]]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Differences between the first and all other moments, and their covariance."""
-    size, count = len(columns[0]), len(columns)
-    every = [column for own in columns for column in own]
-    step = np.kron(np.column_stack([-np.ones(count - 1), np.eye(count - 1)]), np.eye(size))
-    return step @ x[every], step @ covariance[np.ix_(every, every)] @ step.T
+def _significance(together: Fitted, apart: Fitted, optimum: Optimum, parameters: int, misfit: float) -> float:
+    """Significance of the fall of χ² by values of each, against noise or the scatter of frames [σ].
+
+    Parameters
+    ----------
+    together, apart : Fitted
+        With one value for all, and with a value for each.
+    optimum : Optimum
+        Of the former.
+    parameters : int
+        That the latter has more.
+    misfit : float
+        By which errors of both models enlarge χ².
+    """
+    stack, fall = optimum.stack, together.chi2 - apart.chi2
+    if stack.photon_limited:
+        return gaussian_sigma(max(fall / misfit, 0.0), parameters, np.inf)
+    change = ((apart.image_e - together.image_e) * optimum.root)[:, None]
+    variance = misfit * stack.covariance_of(optimum.project(change))[0, 0]
+    hotelling = float(optimum.projection(change)[0] ** 2 / variance.clamp_min(1e-300))
+    return gaussian_sigma(hotelling, parameters, stack.independent)
 
 
 def _wald(estimate: np.ndarray, covariance: np.ndarray, frames: float) -> float:

@@ -41,12 +41,18 @@ def _groups(search: Search) -> list[list[str]]:
 
 
 def _changes(search: Search, moments: Moments) -> list[Change]:
+    """Changes from the mean of all moments, which images determine better than those from the common part."""
     final, drifts = search.final, search.final.fitted.problem.drifts
-    sigma = np.sqrt(np.diag(parameter_covariance(final.stack, final.fitted)))
-    values = final.fitted.x[0].numpy()
+    columns = np.array([drifts[number] for number in moments.by_number])  # (moments, modes)
+    covariance = parameter_covariance(final.stack, final.fitted)
+    from_mean = np.eye(len(columns)) - 1 / len(columns)
+    changes = from_mean @ final.fitted.x[0].numpy()[columns]
+    of_modes = covariance[columns.T[:, :, None], columns.T[:, None, :]]  # (modes, moments, moments)
+    variances = np.diagonal(from_mean @ of_modes @ from_mean.T, axis1=1, axis2=2).T
+    names = [one.name for one in moments.by_number.values()]
     return [
-        Change(moments.by_number[number].name, _rms(values[columns]), _rms(sigma[columns]))
-        for number, columns in drifts.items()
+        Change(name, _rms(change), float(np.sqrt(np.mean(variance))))
+        for name, change, variance in zip(names, changes, variances, strict=True)
     ]
 
 

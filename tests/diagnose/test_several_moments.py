@@ -21,7 +21,9 @@ from irlos_pipe.diagnose.sharing import sharing
 from irlos_pipe.diagnose.verdict import Diagnosis
 from irlos_pipe.diagnose.view import Exposures, View
 from irlos_pipe.diagnose.workflow import diagnose
-from irlos_pipe.effects import Companion, PlateScale, TipTiltJitter
+from irlos_pipe.effects import TipTiltJitter
+from irlos_pipe.effects.colour import PlateScale
+from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.cube import Frames
 
@@ -47,14 +49,14 @@ def drifted(seed: int) -> dict[int, float]:
 
 def two_nights() -> tuple[Fitter, Cube]:
     """One wrong scale in both nights, image motion in the second alone; images of the model itself."""
-    first = image(drifted(1), PlateScale(), [FRACTION])
+    first = image(drifted(1), PlateScale.under(CONDITIONS), [FRACTION])
     second = _with_both(drifted(2))
     both = Cube.of_all([cube(first, 1), cube(second, 2)])
     return Fitter([View(model(), CONDITIONS, number) for number in (0, 1)], both.training), both
 
 
 def _with_both(modes_nm: dict[int, float]) -> np.ndarray:
-    whole = ImageModel(model(), [PlateScale(), TipTiltJitter()])
+    whole = ImageModel(model(), [PlateScale.under(CONDITIONS), TipTiltJitter()])
     values = torch.tensor(
         [{"plate_scale": FRACTION}.get(one.name, JITTER_MAS**2) for one in whole.effects.effects],
         dtype=torch.float64,
@@ -66,7 +68,7 @@ def _with_both(modes_nm: dict[int, float]) -> np.ndarray:
 @pytest.fixture(scope="module")
 def fitted():
     fitter, _ = two_nights()
-    return fitter.fit([PlateScale(), TipTiltJitter().only_in(SECOND)])
+    return fitter.fit([PlateScale.under(CONDITIONS), TipTiltJitter().only_in(SECOND)])
 
 
 def test_gradients_with_own_effects_and_drifts_are_those_of_finite_differences(fitted):
@@ -110,7 +112,7 @@ def test_one_value_for_all_is_told_from_a_value_of_one_night(fitted):
 
 
 def test_a_model_has_what_is_the_instruments_once_and_the_sky_for_every_moment():
-    of_each = {number: [PlateScale(), TipTiltJitter(), Companion()] for number in range(3)}
+    of_each = {number: [PlateScale.under(CONDITIONS), TipTiltJitter(), Companion()] for number in range(3)}
     found = placed(of_each, moments("AAB"))
     assert [(one.name, one.acts_in) for one in found] == [
         ("plate_scale", None),
@@ -124,7 +126,7 @@ def test_a_model_has_what_is_the_instruments_once_and_the_sky_for_every_moment()
 
 @pytest.mark.parametrize(("stars", "ghost"), [("AB", {None}), ("AA", set())])
 def test_a_ghost_is_looked_for_in_all_recordings_and_a_companion_at_each_star(stars, ghost):
-    found, _ = placed_families(moments(stars), [PlateScale(), TipTiltJitter().only_in(FIRST)])
+    found, _ = placed_families(moments(stars), [PlateScale.under(CONDITIONS), TipTiltJitter().only_in(FIRST)])
     places = {
         name: {where for family in found if family.effect.name == name for where in family.placements}
         for name in ("ghost", "companion", "plate_scale", "tip_tilt_jitter", "pupil_misregistration")
