@@ -19,6 +19,7 @@ from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.calibration_errors import ErrorsFrom, errors_of
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.estimate.effect_modes import drifts, measured_drift
+from irlos_pipe.estimate.frame_kinds import kurtosis_of_frames
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
 from irlos_pipe.estimate.lbfgs import solve_lbfgs
 from irlos_pipe.estimate.methods import (
@@ -141,6 +142,8 @@ class Calibration:
         See `Frames.noise_ratio`.
     window_resolutions : float
         Smaller side of the window in λ/D.
+    kurtosis : float
+        Of the frames, see `frame_kinds`.
     twin : TwinCheck or None
         Of the closed basis.
     tail : TailLaw or None
@@ -167,6 +170,7 @@ class Calibration:
     nominal: NominalChi2
     noise_ratio: float
     window_resolutions: float
+    kurtosis: float
     twin: TwinCheck | None
     tail: TailLaw | None
     seconds: float
@@ -362,6 +366,7 @@ def _result(
         nominal,
         frames.noise_ratio,
         window_resolutions(problem.model.psf.settings),
+        kurtosis_of_frames(frames),
         twin,
         tail,
         seconds,

@@ -17,6 +17,7 @@ GOOD = {
     "nominal": NominalChi2(0.37, 0.03),
     "window_resolutions": 15.0,
     "noise_ratio": 9.0,
+    "kurtosis": 2.8,
     "errors_from": "frames",
     "frames_nm": [None] * 200,
     "twin": TwinCheck(7.5, 100.0, 330.0, 310.0, 60.0),
@@ -52,6 +53,11 @@ def test_a_limit_of_the_recipe_takes_the_place_of_the_nominal_one():
 
 def test_noise_told_larger_than_the_frames_show_fails():
     assert "e_per_adu" in _failed(noise_ratio=0.01)["noise as told"]
+
+
+def test_frames_of_two_stars_fail():
+    assert "two kinds" in _failed(kurtosis=1.05)["frames of one kind"]
+    assert not _failed(kurtosis=float("nan"))
 
 
 def test_a_small_window_fails():

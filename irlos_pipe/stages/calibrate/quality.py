@@ -14,6 +14,7 @@ from irlos_pipe.stages.base import StageConfig
 SIGMA = 5.0  # standard deviations that χ²/ν may differ from its nominal value by chance
 # Part of the nominal χ²/ν: complete models leave up to 1.14, by errors of the discretisation.
 NUMERICAL = 0.15
+LOWEST_KURTOSIS = 1.3  # two kinds in halves have 1, a sinusoidal vibration 1.5
 LOWEST_NOISE_RATIO = 0.5  # cross-talk of detectors lowers the scatter to 0.7 of the noise at most
 
 
@@ -38,6 +39,8 @@ def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Che
     checks = [_converged(limits, result), _misfit(limits, result), _window(limits, result)]
     if math.isfinite(result.noise_ratio):
         checks.append(_noise(result))
+    if math.isfinite(result.kurtosis):
+        checks.append(_kinds(result))
     if result.errors_from == "few_frames":
         checks.append(_frames(limits, result))
     if result.twin is not None:
@@ -82,6 +85,13 @@ def _noise(result: Calibration) -> Check:
         f"the frames scatter by {ratio:.2f} times the variance that detector and star are told to have{why}"
     )
     return Check("noise as told", ratio, "", LOWEST_NOISE_RATIO, None, message)
+
+
+def _kinds(result: Calibration) -> Check:
+    """Frames of two stars, pointings or wavefronts, whose scatter would excuse any misfit."""
+    why = ": they are of two kinds, as of two stars" if result.kurtosis < LOWEST_KURTOSIS else ""
+    message = f"the frames have a kurtosis of {result.kurtosis:.2f} where they differ most{why}"
+    return Check("frames of one kind", result.kurtosis, "", LOWEST_KURTOSIS, None, message)
 
 
 def _window(limits: Limits, result: Calibration) -> Check:
