@@ -8,7 +8,7 @@ know λ by itself, distinguish them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -67,6 +67,15 @@ class AtmosphericDispersion(OtfEffect):
         distance_um = displacement_um(grid.wavelengths_m / UM, grid.mean_m / UM)
         path_m = grid.path_m(values[0] * MAS, values[1] * MAS) * distance_um
         return factor * phasor(-2 * np.pi * path_m / grid.wavelengths_m)
+
+    def slopes(
+        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `OtfEffect.slopes`."""
+        distance_um = (grid.wavelengths_m - grid.mean_m) / UM
+        turned = -2j * np.pi * distance_um / grid.wavelengths_m * self.apply(values, factor, grid)
+        along = (MAS, 0.0), (0.0, MAS)
+        return [turned * grid.path_m(*along[index]) for index in wanted]
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """Size and direction."""

@@ -115,6 +115,8 @@ class EffectSet:
             star = self._optics(values, Sampling(*(one + along * rate for one, rate in pairs)))
             return [factor for path in (star, *star.copies) for factor in (path.pupil, path.transfer)]
 
+        if not (change.wavelengths_m.any() or change.weights.any()):
+            return [(None, None, change) for _ in range(1 + len(self._copies))]
         zero = torch.zeros((), dtype=torch.float64)
         factors = pushed_each(light, zero, torch.ones_like(zero))
         return [

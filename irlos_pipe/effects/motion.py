@@ -8,6 +8,8 @@ variance along the baseline. The parameter is the variance, because ∂μ/∂σ 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -56,6 +58,13 @@ class TipTiltJitter(OtfEffect):
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
         return factor * torch.exp(-damping(values[0], grid.length2_m2, grid))
+
+    def slopes(
+        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `OtfEffect.slopes`."""
+        slope = -damping(torch.ones(()), grid.length2_m2, grid) * self.apply(values, factor, grid)
+        return [slope for _ in wanted]
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """RMS per axis [mas]."""
