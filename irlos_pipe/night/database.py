@@ -54,6 +54,8 @@ CREATE TABLE IF NOT EXISTS numbers (
 );
 CREATE INDEX IF NOT EXISTS numbers_by_name ON numbers (name);
 """
+# A row that a run can have; others were made by somebody else, and are left out.
+SOUND = "date(night) = night AND run LIKE '%/%/%' AND coalesce(start_unix_s, 0) BETWEEN 0 AND 4102444800"
 DESCRIPTION = TypeAdapter(Description)
 LOCKED_S = 30.0  # how long another program may hold the file
 # For a night without times: local midnight of Paranal, which comes after that of its date.
@@ -146,7 +148,8 @@ class Database:
             Status, numbers and verdict.
         """
         first = group.first
-        self._connection.execute("DELETE FROM runs WHERE run = ?", (run,))  # its numbers go with it
+        for table in ("numbers", "runs"):
+            self._connection.execute(f"DELETE FROM {table} WHERE run = ?", (run,))
         self._connection.execute(
             "INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             (
@@ -177,11 +180,12 @@ class Database:
             Names of the recipes that judge them.
         """
         rows = self._connection.execute(
-            "SELECT run, recipe, checks_failed FROM runs WHERE kind = 'calibration' AND status = 'qc_failed'"
+            "SELECT run, recipe, CASE WHEN json_valid(checks_failed) THEN checks_failed ELSE '[]' END"
+            " FROM runs WHERE kind = 'calibration' AND status = 'qc_failed'"
         )
         wanted = set(recipes)
         return {
-            run.rpartition("/")[0]: "failed " + ", ".join(json.loads(checks))
+            run.rpartition("/")[0]: "failed " + ", ".join(map(str, json.loads(checks) or ["?"]))
             for run, recipe, checks in rows
             if recipe in wanted
         }
@@ -194,8 +198,8 @@ class Database:
         rows = self._connection.execute(
             f"SELECT run, night, coalesce(start_unix_s, {MIDNIGHT}), name, recipe,"
             " configuration, value, sigma FROM numbers JOIN runs USING (run)"
-            " WHERE status != 'qc_failed' AND typeof(value) = 'real' AND typeof(sigma) IN ('real', 'null')"
-            " ORDER BY 3, run, name"
+            f" WHERE {SOUND} AND typeof(value) = 'real' AND typeof(sigma) IN ('real', 'null')"
+            " AND status != 'qc_failed' ORDER BY 3, run, name"
         )
         return [one for one in (Point(*row) for row in rows) if not until or one.night <= until]
 
@@ -203,7 +207,9 @@ class Database:
         """Return the verdicts of `diagnose` in order of time, up to the night `until` (all if empty)."""
         rows = self._connection.execute(
             "SELECT run, night, target, verdict, effects FROM runs"
-            " WHERE verdict IS NOT NULL ORDER BY night, start_unix_s, run"
+            f" WHERE {SOUND} AND verdict IS NOT NULL"
+            " AND CASE WHEN json_valid(effects) THEN json_type(effects) = 'array' END"
+            " ORDER BY night, start_unix_s, run"
         )
         found = (
             Verdict(run, night, target, verdict, tuple(json.loads(effects)))

@@ -143,6 +143,11 @@ def test_a_database_that_another_program_holds_is_waited_for_and_then_named(tmp_
         """UPDATE recordings SET description = replace(description, '2024-02-10', '../../out')""",
         "UPDATE numbers SET value = 'many'",
         "UPDATE numbers SET sigma = x'00'",
+        "UPDATE runs SET verdict = 'effect', effects = '{'",
+        "UPDATE runs SET verdict = 'effect', effects = '5'",
+        "UPDATE runs SET verdict = 'none', run = 'no slash'",
+        "UPDATE runs SET verdict = 'none', night = '../../out'",
+        "UPDATE runs SET start_unix_s = 1e300",
     ],
 )
 def test_a_row_that_makes_no_sense_is_made_again_or_left_out(bench, spoil):
