@@ -139,13 +139,19 @@ class FilterNcpa(_Table):
 
     def __init__(self, nolls: Sequence[int], elements: Sequence[str], law: NcpaLaw | None = None):
         super().__init__(nolls, law)
-        self.elements = frozenset(elements)
+        self.elements, self.law = frozenset(elements), law
 
     @classmethod
     def under(cls, conditions: Conditions, nolls: Sequence[int] = (), of: str = "") -> FilterNcpa:
         """See `Effect.under`: by default of the filter and the lens of the recording together."""
         elements = (of,) if of else conditions.elements
         return cls(nolls or FILTER_NOLLS, elements, conditions.ncpa_law)
+
+    def with_focus(self) -> FilterNcpa:
+        """Return the same with Noll 4, which recordings of known focus show; chosen modes stay."""
+        if self.nolls != tuple(FILTER_NOLLS):
+            return self
+        return FilterNcpa((4, *self.nolls), tuple(self.elements), self.law)
 
     def lies_in(self, conditions: Conditions) -> bool:
         """Whether the light of a recording taken under `conditions` passes the elements."""

@@ -53,7 +53,7 @@ class Setup:
 
 def is_common(effect: Effect) -> bool:
     """Return whether an effect belongs to the wavefront or the instrument, and not to star and sky."""
-    return effect.belongs_to == "instrument"
+    return effect.belongs_to == "instrument" and effect.instrumental
 
 
 class SetupsFit(Problem):

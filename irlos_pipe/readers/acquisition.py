@@ -16,7 +16,8 @@ from irlos_pipe.frames.recording import HEADER, PROFILE, RECIPE, SIDECAR, Acquis
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.altitude import altitude_deg
 from irlos_pipe.readers.raw_file import RawRecording
-from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
+from irlos_pipe.readers.sidecar import AcquisitionKeys, SpectrumPoint, read_sidecar, sidecar_path
+from irlos_pipe.readers.star_spectrum import spectrum_of, temperature_of
 
 REQUIRED = ("role", "spectrum", "diversity")  # no value is safe to assume
 REQUIRED_OF_DARK = ("role",)
@@ -37,6 +38,8 @@ OF_THE_SKY = (
     "pressure_hpa",
     "temperature_c",
     "humidity_percent",
+    "star_temperature_k",
+    "j_minus_h",
 )
 NOT_WORTH_A_WARNING = {*HARMLESS, *OF_THE_SKY, "detector.excess_noise_factor"}
 
@@ -84,6 +87,8 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     }
     values, sources = _settle(layers)
     where = f"{path}:" if path.exists() else f"{raw.path}: no side-car {path.name};"
+    if "spectrum" not in values and "filter_curve" in values:
+        values["spectrum"], sources["spectrum"] = _spectrum(values, where), sources["filter_curve"]
     _require(values, sources, where)
     values["pupil_rotation_deg"] = _pupil_rotation(values, sources, instrument, where)
     for key, value in _of_the_sky(values, instrument, where).items():
@@ -177,6 +182,17 @@ def _pupil_rotation(
             "pupil_rotation_deg"
         )
     return rule.rotation_deg(values)
+
+
+def _spectrum(values: Mapping[str, Any], where: str) -> list[SpectrumPoint]:
+    """What the curve of the filter passes of the star."""
+    kelvin = values.get("star_temperature_k")
+    if kelvin is None and "j_minus_h" in values:
+        kelvin = temperature_of(values["j_minus_h"], where)
+    if kelvin is None:
+        raise InputDataError(f"{where} filter_curve needs the star: give star_temperature_k or j_minus_h")
+    points = spectrum_of(values["filter_curve"], kelvin, where)
+    return [SpectrumPoint(wavelength_nm=nm, weight=weight) for nm, weight in points]
 
 
 def _of_the_sky(values: Mapping[str, Any], instrument: Instrument, where: str) -> dict[str, float]:

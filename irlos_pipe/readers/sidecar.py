@@ -100,6 +100,13 @@ class AcquisitionKeys(_Section):
     humidity_percent: float | None = Field(None, ge=0, le=100, description="its relative humidity")
     dispersion_corrected: bool | None = Field(None, description="a corrector takes out the atmosphere's")
     filter: str | None = Field(None, min_length=1, description="name of the filter")
+    filter_curve: list[tuple[float, float]] | None = Field(
+        None, min_length=3, description="[wavelength in nm, transmission], …; instead of spectrum"
+    )
+    star_temperature_k: float | None = Field(
+        None, ge=1000, le=50000, description="of the star, with the curve"
+    )
+    j_minus_h: float | None = Field(None, ge=-5, le=20, description="colour of the star, instead of it")
     detector: DetectorKeys | None = Field(None, description="detector constants")
 
     @model_validator(mode="after")

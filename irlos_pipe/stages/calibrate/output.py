@@ -56,6 +56,7 @@ def joint_output(
     results = CalibrateResults(
         **estimate_keys(result),
         effects=result.effects,
+        effects_sigma=result.effects_sigma,
         seeing_arcsec=seeing_arcsec,
         wavelength_nm=acquisition.wavelength_nm,
         twin=None if twin is None else Twin(**asdict(twin), preferred=twin.preferred),

@@ -95,6 +95,8 @@ class CalibrateResults(Estimate, StageResults):
     ----------
     effects : dict of str to dict
         Estimated effects with the values of their parameters.
+    effects_sigma : dict of str to dict
+        Standard errors of tables of modes among them, where several set-ups were calibrated together.
     seeing_arcsec : float
         Seeing taken for the calibration.
     wavelength_nm : float
@@ -109,6 +111,7 @@ class CalibrateResults(Estimate, StageResults):
 
     stage: ClassVar[str] = "calibrate"
     effects: dict[str, EffectValues] = {}
+    effects_sigma: dict[str, EffectValues] = {}
     seeing_arcsec: Number = math.nan
     wavelength_nm: Number = math.nan
     twin: Twin | None = None

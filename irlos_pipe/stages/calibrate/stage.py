@@ -11,6 +11,7 @@ from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.estimate.calibration import OPEN, Calibration, CalibrationOptions, OptimiserName, calibrate
 from irlos_pipe.estimate.methods import DEFAULT_METHOD, METHODS, MethodName
 from irlos_pipe.estimate.ncpa_prior import NcpaPrior
+from irlos_pipe.estimate.setups import calibrate_setups
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.stages.base import StageContext, StageOutput
@@ -18,8 +19,9 @@ from irlos_pipe.stages.calibrate.input import cube_input, require_calibration
 from irlos_pipe.stages.calibrate.output import joint_output, wfe_nm
 from irlos_pipe.stages.calibrate.per_recording import Cube, each_output
 from irlos_pipe.stages.calibrate.quality import Limits
+from irlos_pipe.stages.calibrate.setups import by_setup, require_joint, setups_of
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
-from irlos_pipe.stages.model.recording_settings import require_one_setup, seeing_arcsec
+from irlos_pipe.stages.model.recording_settings import SETUP_KEYS, differences, seeing_arcsec
 
 NAME = "calibrate"
 VERSION = 11
@@ -100,9 +102,11 @@ def run(ctx: StageContext[Config]) -> StageOutput:
 
 
 def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
-    require_one_setup(recordings)
-    if not any(r.frames for r in recordings):
+    used = [r for r in recordings if r.frames]
+    if not used:
         raise InputDataError(_no_frame(recordings[0]))
+    if any(differences(used[0], other, SETUP_KEYS) for other in used[1:]):
+        return _jointly(ctx, used)
     result = _calibrate(ctx, recordings, ctx.config.options(ctx.instrument.facility.ncpa_law))
     others = [
         _calibrate(ctx, recordings, ctx.config.options(ctx.instrument.facility.ncpa_law, method))
@@ -112,6 +116,18 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
     first = recordings[0].acquisition
     seeing = seeing_arcsec(ctx.instrument, first)
     return joint_output(ctx.config, result, others, seeing, first)
+
+
+def _jointly(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
+    """One wavefront, and what of it belongs to wavelength, filter or lens, from several set-ups."""
+    groups, options = by_setup(recordings), ctx.config.options(ctx.instrument.facility.ncpa_law)
+    require_joint(ctx, groups, options.method)
+    if ctx.config.compare:
+        ctx.log.warning("calibrate.compare is left out: methods are compared on recordings of one set-up")
+    result = calibrate_setups(setups_of(ctx, groups, options), options, device=ctx.device)
+    ctx.log.info("%d set-ups together: chi2/nu %.2f, %.1f s", len(groups), result.chi2_nu, result.seconds)
+    first = groups[0][0].acquisition
+    return joint_output(ctx.config, result, [], seeing_arcsec(ctx.instrument, first), first)
 
 
 def _each(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:

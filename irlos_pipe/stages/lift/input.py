@@ -10,6 +10,7 @@ import torch
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.effects import Effect, FixedEffect
+from irlos_pipe.effects.chromatic import FilterNcpa
 from irlos_pipe.estimate.ramp_fit import RampData, ramp_effects, start_from_defocus
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.recording import Acquisition, Recording
@@ -143,6 +144,7 @@ def effects_for_lift(
     arguments = ctx.instrument, ctx.model, recording
     listed = model_effects(*arguments, ncpa_wavelength_nm=reference)
     conditions = conditions_of(*arguments, ncpa_wavelength_nm=reference)
+    listed = [e for e in listed if not isinstance(e, FilterNcpa) or e.lies_in(conditions)]
     available = image_effects(with_colour(listed, ctx.model, conditions))
     available = [e for e in available if e.plane != "time" and (calibrated or not e.aberration)]
     return ramp_effects(available, _known(ctx, recording, reference), halo, object_sigma_mas)
