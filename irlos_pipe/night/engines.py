@@ -161,7 +161,7 @@ def _connected(scheduler: str) -> Iterator[Client]:
     try:
         _require_port(scheduler)
         client = _distributed().Client(scheduler, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:  # a timeout is an OSError
+    except (OSError, TypeError, ValueError) as error:  # a timeout is an OSError, no certificate a TypeError
         raise ConfigurationError(
             f"--scheduler {scheduler}: no Dask scheduler answers there "
             f"({next(iter(str(error).splitlines()), type(error).__name__)})"
