@@ -29,7 +29,7 @@ MAY_IMPORT = {
         "estimate", "diagnose", "product",
     },
     "recipe": {"conventions", "files", "instrument", "stages"},
-    "reference": {"conventions", "effects", "product", "readers", "recipe", "stages"},
+    "reference": {"conventions", "effects", "files", "product", "readers", "recipe", "stages"},
     "report": {
         "conventions", "files", "frames", "instrument", "numerics", "optics", "effects", "estimate",
         "product", "stages",

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import tomllib
 from collections.abc import Iterator
 from itertools import pairwise
 
@@ -131,6 +132,18 @@ def test_the_version_stands_in_the_citation_and_in_the_changelog():
     assert re.search(
         rf"^## \[?{re.escape(version)}\b", (REPOSITORY / "CHANGELOG.md").read_text(), re.MULTILINE
     )
+
+
+def test_the_conda_recipe_has_the_version_and_the_requirements_of_the_package():
+    text = (REPOSITORY / "packaging" / "meta.yaml").read_text()
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+    assert f'version = "{irlos_pipe.__version__}"' in text
+    run = re.findall(r"    - (\S+) (>=\S+)", text.partition("  run:\n")[2])
+    other_names = {"pytorch": "torch", "astropy-base": "astropy", "matplotlib-base": "matplotlib"}
+    assert [f"{other_names.get(name, name)}{limits}" for name, limits in run] == [
+        f"python{project['requires-python']}",
+        *project["dependencies"],
+    ]
 
 
 def test_the_check_sees_an_unknown_option():

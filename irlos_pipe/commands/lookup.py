@@ -25,7 +25,7 @@ def recipes(name: str | None) -> None:
       irlos recipes ncpa_calibration > mine.yaml
       irlos recipes on_sky > night.yaml
     """
-    from irlos_pipe.recipe.listing import recipe_list, recipe_text
+    from irlos_pipe.reference.recipes import recipe_list, recipe_text
 
     click.echo(recipe_list() if name is None else recipe_text(name), nl=name is None)
 

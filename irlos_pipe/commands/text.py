@@ -8,13 +8,14 @@ import yaml
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
 from irlos_pipe.conventions.text import aligned, printable
-from irlos_pipe.pipeline.plan import Selection
-from irlos_pipe.pipeline.run import plan_run
+from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.product.product import Check, Product, Quantity
 from irlos_pipe.product.results import provenance_of
 from irlos_pipe.product.runfolder import RunFolder, existing_run
+from irlos_pipe.product.standing import is_standing
 from irlos_pipe.product.storage import read_product
-from irlos_pipe.recipe import load_recipe
+
+UP_TO_DATE = "up to date"
 
 
 def product_text(path: Path) -> str:
@@ -52,12 +53,25 @@ def status_text(folder: Path) -> str:
 
 def _states(run: RunFolder) -> dict[str, str]:
     """State of each product of the run's recipe by file name."""
+    if is_standing(run):
+        return {path.name: UP_TO_DATE for path in _paths(run)}
+    # late: a plan needs the modules of all stages, which take seconds to load
+    from irlos_pipe.pipeline.plan import Selection
+    from irlos_pipe.pipeline.run import plan_run
+    from irlos_pipe.recipe import load_recipe
+
     try:
         _, steps = plan_run(load_recipe(run.recipe), run.path, Selection())
     except IrlosError as error:
         reason = str(error).splitlines()[0]
         return {path.name: f"cannot be checked: {reason}" for path in run.path.glob("[0-9][0-9]_*.h5")}
     return {step.path.name: step.reason if step.current else f"outdated: {step.reason}" for step in steps}
+
+
+def _paths(run: RunFolder) -> list[Path]:
+    """The products of the run's recipe."""
+    stages = load_yaml(run.recipe)[0]["stages"]
+    return [run.product(position, stage) for position, stage in enumerate(stages, 1)]
 
 
 def _quality_and_time(path: Path) -> tuple[str, str]:

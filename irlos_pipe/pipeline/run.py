@@ -20,6 +20,7 @@ from irlos_pipe.pipeline.resources import Resources
 from irlos_pipe.pipeline.runlog import RUN, TRACE, written_to
 from irlos_pipe.product.results import provenance_of
 from irlos_pipe.product.runfolder import RunFolder, owned_folder, require_free, require_outside_inputs
+from irlos_pipe.product.standing import inputs_stamp, remember_standing
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
@@ -81,6 +82,7 @@ def run_recipe(
         When a stage cannot do its work; products of finished stages stay.
     """
     selection = selection or Selection()
+    inputs = inputs_stamp(path for paths in recipe.inputs.values() for path in paths)
     # Planned once before the folder is made, so that a mistake leaves no empty folder behind.
     files, _ = plan_run(recipe, folder, selection)
     with owned_folder(folder) as run, written_to(run.log), _reported_in_one_line(run.log):
@@ -94,7 +96,10 @@ def run_recipe(
         job = Job(recipe, folder, files, steps, resources or Resources())
         with _failure_recorded(job, run):
             job.perform()
-        return _concluded(job, run)
+        outcome = _concluded(job, run)
+        if all(step.action in (Action.RUN, Action.SKIP) for step in steps):
+            remember_standing(run, inputs)
+        return outcome
 
 
 def _concluded(job: Job, run: RunFolder) -> Outcome:
