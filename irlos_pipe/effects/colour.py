@@ -64,16 +64,14 @@ class AtmosphericDispersion(OtfEffect):
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
-        distance_um = displacement_um(grid.wavelengths_m / UM, grid.mean_m / UM)
-        path_m = grid.path_m(values[0] * MAS, values[1] * MAS) * distance_um
-        return factor * phasor(-2 * np.pi * path_m / grid.wavelengths_m)
+        path_m = grid.path_m(values[0] * MAS, values[1] * MAS)
+        return factor * phasor(-2 * np.pi * path_m * _displaced_um(grid) / grid.wavelengths_m)
 
     def slopes(
         self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
         """See `OtfEffect.slopes`."""
-        distance_um = (grid.wavelengths_m - grid.mean_m) / UM
-        turned = -2j * np.pi * distance_um / grid.wavelengths_m * self.apply(values, factor, grid)
+        turned = -2j * np.pi * _displaced_um(grid) / grid.wavelengths_m * self.apply(values, factor, grid)
         along = (MAS, 0.0), (0.0, MAS)
         return [turned * grid.path_m(*along[index]) for index in wanted]
 
@@ -100,6 +98,11 @@ def displacement_um(wavelengths_um, mean_um):
 
     slope = -2 * mean_um**-3 - 4 * AIR_UM2 * mean_um**-5
     return (curve(wavelengths_um) - curve(mean_um)) / slope
+
+
+def _displaced_um(grid: OtfGrid) -> torch.Tensor:
+    """How far dispersion displaces each wavelength, in equivalent µm, (wavelengths, 1, 1)."""
+    return displacement_um(grid.wavelengths_m / UM, grid.mean_m / UM)
 
 
 class Spectrum(SamplingEffect):
