@@ -78,10 +78,6 @@ def test_of_two_runs_on_one_tree_the_second_leaves_with_75_and_the_first_is_not_
     assert first.end().code == harness.end.code and content(tree) == harness.content
 
 
-def test_beside_a_program_that_writes_a_recording_a_night_ends_and_the_next_is_whole(harness):
-    assert harness.beside_writers(1) == []
-
-
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_signal_ends_a_night_with_130_and_one_line_and_the_next_run_completes_it(harness, tree, number):
     running = runs.start(harness.bench, tree)
@@ -130,3 +126,8 @@ def test_the_comparison_sees_a_changed_bit_a_cut_page_and_a_leftover(harness, tr
     product.write_bytes(product.read_bytes()[:-1] + b"x")
     (tree / ".x.part").touch()
     assert len(broken(tree)) == 2 and leftovers(tree) == [".x.part"]
+
+
+def test_beside_a_program_that_writes_a_recording_a_night_ends_and_the_next_is_whole(harness):
+    """The last: afterwards the recordings have other times."""
+    assert harness.beside_writers(1) == []
