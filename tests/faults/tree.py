@@ -17,7 +17,7 @@ DATABASE = "trend.sqlite"
 TABLES = ("recordings", "runs", "numbers")
 # Whole, but with times of the run in them: only their presence and their end are looked at.
 TIMED = (".html", ".log")
-KEPT_HIDDEN = {LOCK_NAME, ".input_checksums.json"}
+KEPT_HIDDEN = {LOCK_NAME, ".input_checksums.json", ".standing.json"}
 
 
 def content(tree: Path) -> dict[str, Any]:
