@@ -237,9 +237,9 @@ def _require_complete(hdus: fits.HDUList, path: Path) -> None:
                 f"{hdu_label(path, index, hdu)}: the header announces {hdu.size} bytes of data, the "
                 f"file holds {max(0, file_bytes - info['datLoc'])}: truncated, or a wrong header"
             )
-        require_memory(2.0 * hdu.size, hdu_label(path, index, hdu), InputDataError, "cut it into parts")
         if hdu.size > stored:
             _require_unpackable(hdu.size, stored, hdu_label(path, index, hdu))
+        require_memory(2.0 * hdu.size, hdu_label(path, index, hdu), InputDataError, "cut it into parts")
 
 
 def _require_unpackable(size: int, stored: int, where: str) -> None:

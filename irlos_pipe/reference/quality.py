@@ -26,6 +26,10 @@ CHECKS = {
     ),
     "calibrate.window": ("smaller side of the window in λ/D", "calibrate.min_window"),
     "calibrate.frames": ("number of frames, where they scatter by more than noise", "calibrate.min_frames"),
+    "calibrate.frames of one kind": (
+        "kurtosis of the frames along what they differ by most: small where two stars or pointings are mixed",
+        "",
+    ),
     "calibrate.twin solution": (
         "whether the sign of the even modes is known: 1 if the twin, which has it reversed, is excluded",
         "",

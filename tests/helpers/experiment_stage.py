@@ -43,4 +43,4 @@ def section_of(output: StageOutput, name: str, build: Callable[[RunData], Sectio
     """Build the section of a stage's output as it is read back from its product."""
     settings = config.model_dump() if config else {}
     product = Product(name, output.arrays, output.results.as_json(), config=settings)
-    return build(RunData({}, "", "ok", "", {name: product}, []))
+    return build(RunData({}, "", "ok", "", "", {name: product}, []))

@@ -181,9 +181,10 @@ def test_an_address_without_a_port_is_reported_before_a_client_is_made(tasks, mo
 
 def test_without_dask_the_error_names_the_package_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
+    (night := tmp_path / "night").mkdir()
     result = invoke(
         "night",
-        str(tmp_path),
+        str(night),
         "--output",
         str(tmp_path / "tree"),
         "--engine",
@@ -196,5 +197,6 @@ def test_without_dask_the_error_names_the_package_to_install(tmp_path, monkeypat
 
 @pytest.mark.parametrize("options", [["--engine", "dask"], ["--scheduler", "tcp://127.0.0.1:9"]])
 def test_engine_and_address_need_each_other(tmp_path, options):
-    result = invoke("night", str(tmp_path), "--output", str(tmp_path / "tree"), *options)
+    (night := tmp_path / "night").mkdir()
+    result = invoke("night", str(night), "--output", str(tmp_path / "tree"), *options)
     assert result.exit_code == 2 and "need each other" in result.output

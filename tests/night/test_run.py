@@ -25,7 +25,8 @@ def bench(tmp_path, monkeypatch) -> night_bench.NightBench:
 
 
 def contents(folder) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != ".lock"}
+    files = (path for path in folder.iterdir() if path.is_file())
+    return {path.name: path.read_bytes() for path in files if path.name != ".lock"}
 
 
 def change_model(monkeypatch, stage: str = "calibrate") -> None:

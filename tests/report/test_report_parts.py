@@ -238,7 +238,7 @@ def test_the_prior_of_ten_thousand_frames_takes_little_more_room_than_that_of_so
     def drawn(frames: int) -> int:
         values = np.random.default_rng(1).standard_normal(frames)
         arrays = {name: Quantity(values, "nm") for name in ("ratio", "defocus_nm", "introduced_nm")}
-        run = RunData({}, "", "ok", "", {"prior": Product("prior", arrays, {})}, [])
+        run = RunData({}, "", "ok", "", "", {"prior": Product("prior", arrays, {})}, [])
         return sum(len(block.svg) for block in prior_section(run).blocks)
 
     assert drawn(10_000) < 2 * drawn(300)

@@ -74,7 +74,7 @@ def section_of(kind: str):
     diagnosis = diagnosis_of(kind)
     results = diagnose_results(diagnosis).as_json()
     product = Product("diagnose", diagnose_arrays(diagnosis), results, config={"input": "cube"})
-    return diagnose_section(RunData({}, "", "ok", "", {"diagnose": product}, []))
+    return diagnose_section(RunData({}, "", "ok", "", "", {"diagnose": product}, []))
 
 
 @pytest.mark.slow
