@@ -45,7 +45,8 @@ class TolerantTask(AllowingTask):
     def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
         """Begin again where a plain search left much: facts first, then names.
 
-        The wavefront is opened last: many modes imitate whatever is small and bright.
+        The wavefront is opened after the facts, as many modes imitate whatever is small and bright, and again
+        after further names, as long as that changes what is left. Names are given last.
 
         Parameters
         ----------
