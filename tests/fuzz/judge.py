@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 
 from fuzz import pristine
 from fuzz.case import Case, draw
-from fuzz.guard import GIB, Hang, limited_memory, limited_time, witnessed_writes
+from fuzz.guard import GIB, Hang, limited_memory, limited_time, nights_in_this_process, witnessed_writes
 from irlos_pipe.commands.main import cli
 from irlos_pipe.conventions.errors import IrlosError
 
@@ -54,9 +54,10 @@ def judged(kind: str, seed: int) -> Verdict:
 
 
 def _judged(kind: str, seed: int, folder: Path) -> Verdict:
-    case = draw(kind, seed, folder)
-    before = _listing(folder)
-    result, writes = _run(case)
+    with nights_in_this_process():
+        case = draw(kind, seed, folder)
+        before = _listing(folder)
+        result, writes = _run(case)
     finding = result if isinstance(result, str) else _finding(case, result, folder)
     finding = finding or _strays(folder, before, writes)
     code, output = (-1, "") if isinstance(result, str) else (result.exit_code, result.output)

@@ -6,7 +6,6 @@ import gzip
 import os
 import shutil
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from helpers import sparta_files
 from fuzz import pristine
 from fuzz.case import Case, kind, pick
 from fuzz.damage import damaged
-from irlos_pipe.commands import night as night_command
 from irlos_pipe.commands.main import cli
 from irlos_pipe.night.database import NAME
 
@@ -37,14 +35,6 @@ SQL = (
     "PRAGMA user_version = 99",
     "PRAGMA user_version = -1",
 )
-
-
-def in_this_process(*_: object) -> Callable:
-    """Runner of a night without worker processes, whose limits the judge would not see."""
-    return lambda work, tasks: map(work, tasks)
-
-
-night_command._runner = in_this_process
 
 
 @kind
