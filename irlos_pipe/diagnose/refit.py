@@ -262,9 +262,13 @@ def _from_elsewhere(fitter: Fitter, one: Refit) -> list[Fitted]:
 
 def _with_wider_forms(found: Sequence[Refit]) -> list[tuple[Refit, type[Effect]]]:
     """The best and its rivals, as far as wider forms of them are known, with these."""
-    everywhere = [one for one in found if one.base.acts_in is None]
-    close = [one for one in everywhere if is_rival(_best(found), one)]
-    return [(one, kind) for one in close for kind in CATALOGUE.values() if kind.widens == one.name]
+    return [pair for one in found if is_rival(_best(found), one) for pair in _wider_kinds(one)]
+
+
+def _wider_kinds(one: Refit) -> list[tuple[Refit, type[Effect]]]:
+    """What was fitted with each of its wider forms; none of what acts in one moment alone."""
+    kinds = CATALOGUE.values() if one.base.acts_in is None else ()
+    return [(one, kind) for kind in kinds if kind.widens == one.name]
 
 
 def wider_forms(fitter: Fitter, one: Refit) -> list[Refit]:
@@ -275,7 +279,7 @@ def wider_forms(fitter: Fitter, one: Refit) -> list[Refit]:
     fitter : Fitter
     one : Refit
     """
-    return [_widened(fitter, (one, kind)) for kind in CATALOGUE.values() if kind.widens == one.name]
+    return ordered_map(partial(_widened, fitter), _wider_kinds(one))
 
 
 def _widened(fitter: Fitter, pair: tuple[Refit, type[Effect]]) -> Refit:

@@ -141,16 +141,16 @@ class TolerantTask(AllowingTask):
         """The model without those effects, unless told, that are not significant beside the others."""
         fitted = current.fitted
         labels = added(fitted, told)
-        columns = {label: _testable_columns(fitted, label) for label in labels}
+        nulls = {label: _nulls(fitted, label) for label in labels}
         zero = np.zeros(fitted.problem.size)
-        for label in labels:
-            zero[columns[label]] = _nulls(fitted, label)
+        for own in nulls.values():
+            zero[[*own]] = [*own.values()]
         errors = self.errors_of(fitted)
         alone = self.cube.training.with_errors(replace(errors, alike_px=1.0))  # to keep rather than to drop
         covariance = parameter_covariance(alone, fitted)
         frames = np.inf if current.stack.photon_limited else current.stack.independent
         kept = needed(
-            columns,
+            {label: [*own] for label, own in nulls.items()},
             fitted.x[0].numpy() - zero,
             covariance,
             lambda rise, count: gaussian_sigma(max(rise, 0.0), count, frames),
@@ -262,15 +262,10 @@ def added(fitted: Fitted, told: Sequence[Effect]) -> list[str]:
     return [label for label in fitted.problem.effects.labels if label not in known]
 
 
-def _testable_columns(fitted: Fitted, label: str) -> list[int]:
-    """Columns of those parameters of an effect that have a value without effect."""
+def _nulls(fitted: Fitted, label: str) -> dict[int, float]:
+    """Values without effect of those parameters that have one, by column."""
     pairs = zip(fitted.columns_of(label), fitted.effect(label).parameters, strict=True)
-    return [column for column, parameter in pairs if parameter.null is not None]
-
-
-def _nulls(fitted: Fitted, label: str) -> list[float]:
-    """Their values without effect."""
-    return [parameter.null for parameter in fitted.effect(label).parameters if parameter.null is not None]
+    return {column: parameter.null for column, parameter in pairs if parameter.null is not None}
 
 
 def without_linearly(fitted: Fitted, label: str) -> Fitted:
@@ -282,9 +277,10 @@ def without_linearly(fitted: Fitted, label: str) -> Fitted:
     label : str
         Of the effect.
     """
-    own, x = _testable_columns(fitted, label), fitted.x.clone()
+    nulls, x = _nulls(fitted, label), fitted.x.clone()
+    own = [*nulls]
     covariance, moved = fitted.solution.covariance[0], x.clone()
-    excess = x[0, own] - torch.tensor(_nulls(fitted, label), dtype=x.dtype)
+    excess = x[0, own] - torch.tensor([*nulls.values()], dtype=x.dtype)
     moved[0] -= covariance[:, own] @ torch.linalg.pinv(covariance[own][:, own], hermitian=True) @ excess
     x[0, own] -= excess
     moved = moved.clamp(fitted.problem.lower, fitted.problem.upper)
