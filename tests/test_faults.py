@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from faults import runs
-from faults.__main__ import Harness, after_harm
+from faults.harness import Harness, after_harm
 from faults.tree import broken, content, leftovers
 
 from irlos_pipe.pipeline import provenance
@@ -128,6 +128,6 @@ def test_the_comparison_sees_a_changed_bit_a_cut_page_and_a_leftover(harness, tr
     assert len(broken(tree)) == 2 and leftovers(tree) == [".x.part"]
 
 
-def test_beside_a_program_that_writes_a_recording_a_night_ends_and_the_next_is_whole(harness):
+def test_beside_a_program_that_writes_a_recording_a_night_ends_and_the_next_is_whole(harness, tree):
     """The last: afterwards the recordings have other times."""
-    assert harness.beside_writers(1) == []
+    assert harness.beside_a_writer(tree)[1] == []

@@ -15,7 +15,7 @@ from benchmarks.misled.table import summary, table, write_page
 from benchmarks.misled.working import work
 from irlos_pipe.files.processes import in_processes
 
-REPORTED_SEED = 16180339  # of the reported runs; no threshold may rest on its cases
+REPORTED_SEED = 14142135  # of the reported runs; no limit may rest on its cases, 16180339 is for trials
 
 
 @click.command()

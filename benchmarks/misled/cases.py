@@ -1,8 +1,4 @@
-"""All cases of the suite: right recordings of every kind, and what may be wrong with one, by family.
-
-What is wrong is either told wrongly (`TOLD`, changes of the side-car), or stands in the images (`SEEN`), or
-is an effect that nobody told (`HIDDEN`).
-"""
+"""All cases of the suite, made from the families."""
 
 from __future__ import annotations
 
@@ -11,96 +7,38 @@ from dataclasses import dataclass, field
 from typing import Any
 from zlib import crc32
 
-CALIBRATION, RAMP, DIAGNOSIS = "calibration", "ramp", "diagnosis"
+from benchmarks.misled import families
+
+CALIBRATION, RAMP, DIAGNOSIS, NIGHT = "calibration", "ramp", "diagnosis", "night"
 BENCH, SKY = "bench", "sky"
 RIGHT = "right"
-# Changes of a side-car: key, and a number to multiply by or a value to replace.
-TOLD: dict[str, dict[str, Any]] = {
-    "scale 2 % off": {"pixel_scale_mas": 1.02},
-    "scale 5 % off": {"pixel_scale_mas": 0.95},
-    "wavelength 2 % off": {"wavelength": 1.02},
-    "wavelength 10 % off": {"wavelength": 0.9},
-    "wavelength and scale 10 % off": {"wavelength": 1.1, "pixel_scale_mas": 1.1},
-    "gain 1e-5": {"e_per_adu": 5e-6},
-    "gain 100 times too small": {"e_per_adu": 0.01},
-    "gain 1000 times too large": {"e_per_adu": 1e3},
-    "read noise 1e4": {"read_noise_e": 1e4},
-    "diversity in micrometres": {"diversity": 1e-3},
-    "diversity of wrong sign": {"diversity": -1.0},
-    "diversity 15 % off": {"diversity": 1.15},
-    "diversity of Noll 5": {"noll": 5},
-    "diversity not told": {"diversity": 0.0},
-    "exposure in minutes": {"exposure_s": 60.0},
-    "role of a ramp": {"role": "defocus_ramp"},
-}
-SEEN = (
-    "flipped left to right",
-    "flipped up and down",
-    "turned by 180°",
-    "transposed",
-    "window of 5 λ/D",
-    "three frames",
-    "frames twice",
-    "half of another star",
-    "core clipped",
-)
-HIDDEN: dict[str, dict[str, Any]] = {
-    "companion 20 %": {"companion": {"flux_ratio": 0.2, "sep_mas": 60.0, "pa_deg": 40.0}},
-    "companion 5 %": {"companion": {"flux_ratio": 0.05, "sep_mas": 110.0, "pa_deg": 200.0}},
-    "pupil 20 cm off": {"pupil_misregistration": {"dx_m": 0.2, "dy_m": 0.0, "rotation_deg": 0.0}},
-    "non-linearity 30 %": {"detector_nonlinearity": {"fraction_at_peak": 0.3}},
-    "vibration 15 mas": {"vibration": {"sigma_mas": 15.0, "angle_deg": 30.0}},
-    "low wind": {"low_wind_effect": {"piston_nm": [90.0, -60.0, 40.0, -70.0]}},
-}
-RAMP_TOLD: dict[str, dict[str, Any]] = {
-    "offsets of wrong sign": {"offsets": -1.0},
-    "offsets × 2": {"offsets": 2.0},
-    "offsets × 0.7": {"offsets": 0.7},
-    "offsets in micrometres": {"offsets": 1e-3},
-    "diversity of wrong sign in the ramp": {"diversity": -1.0},
-    "diversity of wrong sign in ramp and cube": {"diversity": -1.0, "both": True},
-    "diversity halved in the ramp": {"diversity": 0.5},
-    "wavelength 10 % off in the ramp": {"wavelength": 1.1},
-}
-RAMP_SEEN = ("flipped left to right", "flipped up and down", "turned by 180°", "transposed")
-RAMP_HIDDEN = {
-    "companion 30 %": {"companion": {"flux_ratio": 0.3, "sep_mas": 190.0, "pa_deg": 40.0}},
-    "calibration of another instrument": {},
-}
-# Right recordings: changes of the usual one.
-RIGHTS: dict[str, dict[str, Any]] = {
-    "as usual": {},
-    "faint": {"mag_j": 11.5},
-    "bright": {"mag_j": 6.8},
-    "poor seeing": {"seeing_arcsec": 1.2},
-    "good seeing": {"seeing_arcsec": 0.35},
-    "few frames": {"frames": 10},
-    "many frames": {"frames": 120},
-    "odd window": {"window": (43, 56)},
-    "long exposures": {"exposure_s": 0.3},
-    "residual along the wind": {"shape": "servo_lag"},
-}
-DIAGNOSED = ("companion 5 %", "low wind", "pupil 20 cm off")
+RIGHT_DRAWS = {CALIBRATION: 3, RAMP: 2, DIAGNOSIS: 1, NIGHT: 1}  # times those of the wrong ones
 
 
 @dataclass(frozen=True)
 class Case:
-    """One recording, or one ramp with its calibration.
+    """One recording, one ramp with its calibration, or one night.
 
     Attributes
     ----------
     kind : str
-        `CALIBRATION`, `RAMP` or `DIAGNOSIS`.
+        `CALIBRATION`, `RAMP`, `DIAGNOSIS` or `NIGHT`.
     family : str
         What is wrong, or `RIGHT` and how.
     setting : str
         `BENCH` or `SKY`.
+    number, suite_seed : int
+        Draw of the family, and of all.
     usual, told, hidden : mapping
         Changes of the simulation, of the side-car, and effects nobody told.
     seen : str
         What is done to the images.
-    number, suite_seed : int
-        Draw of the family, and of all.
+    both : bool
+        The calibration of a ramp has the same.
+    names : tuple of str
+        Effects that a diagnosis may rightly name.
+    cause : str
+        Words by which a result says before its numbers that it cannot tell this.
     """
 
     kind: str
@@ -112,6 +50,9 @@ class Case:
     told: dict[str, Any] = field(default_factory=dict)
     hidden: dict[str, Any] = field(default_factory=dict)
     seen: str = ""
+    both: bool = False
+    names: tuple[str, ...] = ()
+    cause: str = ""
 
     @property
     def right(self) -> bool:
@@ -131,30 +72,70 @@ class Case:
 
 
 def all_cases(suite_seed: int, draws: int) -> list[Case]:
-    """Return every case, `draws` of each family and setting; two of three draws of right ones are more."""
-    cases = [case for number in range(draws) for case in _draw(suite_seed, number)]
-    more = range(draws, 3 * draws)
-    return cases + [case for number in more for case in _draw(suite_seed, number) if case.right]
+    """Return every case in turn: `draws` of each wrong family and setting, and more of the right ones."""
+    most = draws * max(RIGHT_DRAWS.values())
+    cases = [case for number in range(most) for case in _draw(suite_seed, number)]
+    return [case for case in cases if case.number < draws * (RIGHT_DRAWS[case.kind] if case.right else 1)]
 
 
 def _draw(suite_seed: int, number: int) -> Iterator[Case]:
     for setting in (SKY, BENCH):
-        for name, usual in RIGHTS.items():
-            if setting == SKY or not {"seeing_arcsec", "shape"} & set(usual):
-                yield Case(CALIBRATION, f"{RIGHT}: {name}", setting, number, suite_seed, usual)
-        for name, told in TOLD.items():
-            yield Case(CALIBRATION, name, setting, number, suite_seed, told=told)
-        for name in SEEN:
-            yield Case(CALIBRATION, name, setting, number, suite_seed, seen=name)
-        for name, hidden in HIDDEN.items():
-            yield Case(CALIBRATION, name, setting, number, suite_seed, hidden=hidden)
-        yield Case(RAMP, f"{RIGHT}: ramp", setting, number, suite_seed)
-        for name, told in RAMP_TOLD.items():
-            yield Case(RAMP, name, setting, number, suite_seed, told=told)
-        for name in RAMP_SEEN:
-            yield Case(RAMP, name, setting, number, suite_seed, seen=name)
-        for name, hidden in RAMP_HIDDEN.items():
-            yield Case(RAMP, name, setting, number, suite_seed, hidden=hidden)
-        yield Case(DIAGNOSIS, f"{RIGHT}: nothing hidden", setting, number, suite_seed)
-        for name in DIAGNOSED:
-            yield Case(DIAGNOSIS, name, setting, number, suite_seed, hidden=HIDDEN[name])
+        for of_kind in (_calibrations, _ramps, _diagnoses, _nights):
+            for family, keys in of_kind(setting):
+                yield Case(family=family, setting=setting, number=number, suite_seed=suite_seed, **keys)
+
+
+Drawn = Iterator[tuple[str, dict[str, Any]]]
+
+
+def _possible(changes: families.Change, setting: str) -> bool:
+    return setting == SKY or not families.SKY_ONLY & set(changes)
+
+
+def _calibrations(setting: str) -> Drawn:
+    for name, usual in families.RIGHTS.items():
+        if _possible(usual, setting):
+            yield f"{RIGHT}: {name}", {"kind": CALIBRATION, "usual": usual}
+    for name, keys in _wrong_cubes(families.TOLD, families.SEEN, families.HIDDEN):
+        yield name, {"kind": CALIBRATION, "cause": families.INHERENT.get(name, "")} | keys
+
+
+def _wrong_cubes(told, seen, hidden) -> Drawn:
+    yield from ((name, {"told": families.TOLD[name]}) for name in told)
+    yield from ((name, {"seen": name}) for name in seen)
+    yield from ((name, {"hidden": change}) for name, change in hidden.items())
+
+
+def _ramps(setting: str) -> Drawn:
+    for name, usual in families.RAMP_RIGHTS.items():
+        if _possible(usual, setting):
+            yield f"{RIGHT}: {name}", {"kind": RAMP, "usual": usual}
+    for name, keys in _wrong_ramps():
+        if _possible(keys.get("told", {}), setting):
+            yield name, {"kind": RAMP, "cause": families.RAMP_INHERENT.get(name, "")} | keys
+
+
+def _wrong_ramps() -> Drawn:
+    for name, told in families.RAMP_TOLD.items():
+        yield name, {"told": told, "both": "both" in told}
+    for name, how in families.RAMP_SEEN.items():
+        yield name, {"seen": name.partition(" in ")[0], "both": "both" in how}
+    yield from ((name, {"hidden": change}) for name, change in families.RAMP_HIDDEN.items())
+
+
+def _diagnoses(setting: str) -> Drawn:
+    for name in families.DIAGNOSED_RIGHTS:
+        if _possible(families.RIGHTS[name], setting):
+            yield f"{RIGHT}: {name}", {"kind": DIAGNOSIS, "usual": families.RIGHTS[name]}
+    named = families.DIAGNOSED_TOLD | families.DIAGNOSED_SEEN
+    named |= {name: tuple(change) for name, change in families.DIAGNOSED.items()}
+    wrong = _wrong_cubes(families.DIAGNOSED_TOLD, families.DIAGNOSED_SEEN, families.DIAGNOSED)
+    for name, keys in wrong:
+        cause = families.INHERENT.get(name, "")
+        yield name, {"kind": DIAGNOSIS, "names": named[name], "cause": cause} | keys
+
+
+def _nights(setting: str) -> Drawn:
+    yield from ((f"{RIGHT}: {name}", {"kind": NIGHT}) for name in families.RIGHT_NIGHTS)
+    for name in families.NIGHTS:
+        yield name, {"kind": NIGHT, "cause": families.NIGHT_INHERENT.get(name, "")}

@@ -1,8 +1,8 @@
-"""Recordings of a case: simulated, spoilt as the case says, and written with what is told of them."""
+"""Recordings: simulated, spoilt as a case says, and written with what is told of them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import yaml
 from astropy.io import fits
 
 from benchmarks.misled.cases import RAMP, SKY, Case
+from benchmarks.misled.families import Change, Taken
 from irlos_pipe.conventions.bands import NARROW_H
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.simulate.atmosphere import Sky
@@ -23,13 +24,12 @@ from irlos_pipe.simulate.readout import electrons
 from irlos_pipe.simulate.scene import Sampling, Scene
 
 FACILITY = load_instrument("irlos").facility
-TOTAL_NM, MODES_AS = 142.0, "Noll 2 to 51"
+TOTAL_NM = 142.0  # in Noll 2 to 51
 THROUGHPUT = 0.047  # of the narrow band, relative to J and H
 DIVERSITY_NM = -170.0
 GAIN_E, PEDESTAL_ADU = 0.5, 200.0
 OFFSETS_NM = (-200.0, -100.0, 0.0, 100.0, 200.0)
-PER_OFFSET = 4
-USUAL = {
+USUAL: dict[str, Any] = {
     "frames": 40,
     "mag_j": 7.5,
     "exposure_s": 0.1,
@@ -37,6 +37,7 @@ USUAL = {
     "seeing_arcsec": 0.6,
     "shape": "power_law",
 }
+RAMP_USUAL: dict[str, Any] = {"frames": 4, "mag_j": 9.0, "exposure_s": 0.5}
 SMALL_PX = 24
 
 
@@ -48,38 +49,82 @@ class Made:
     ----------
     ncpa_nm : dict of int to float
         Static modes of the calibration, Noll: nm RMS.
-    introduced_nm : tuple of float
-        True defocus of the frames of the ramp in order.
+    introduced_nm : dict of str to float
+        True defocus of the recordings of the ramp, by name.
     """
 
     inputs: dict[str, list[Path]]
     ncpa_nm: dict[int, float]
-    introduced_nm: tuple[float, ...] = ()
+    introduced_nm: dict[str, float] = field(default_factory=dict)
 
 
 def make_case(case: Case, folder: Path) -> Made:
     """Write the recordings of a `case` into a `folder`, which must exist."""
-    ncpa_nm = draw_ncpa_nm(np.random.default_rng(case.seed), FACILITY.ncpa_law, TOTAL_NM)
+    wrong = Taken(0, case.told, case.hidden, case.seen)
     if case.kind != RAMP:
-        cube = _written(folder / "cube", _images(case, ncpa_nm, case.usual, case.hidden, 0), case, case.usual)
-        return Made({"calibration": [cube], "cube": [cube]}, ncpa_nm)
-    other = np.random.default_rng(case.seed + 1)
-    foreign = case.family == "calibration of another instrument"
-    calibrated_nm = draw_ncpa_nm(other, FACILITY.ncpa_law, TOTAL_NM) if foreign else ncpa_nm
-    both = case.told if case.told.get("both") else {}
-    cube = _written(folder / "cube", _images(case, calibrated_nm, {}, {}, 0, spoil=False), case, {}, both)
-    ramp = []
+        cube = make_cube(case, wrong, folder / "cube", case.usual)
+        return Made({"calibration": [cube], "cube": [cube]}, ncpa_of(case, wrong))
+    foreign = Taken(0, foreign=case.family == "calibration of another instrument")
+    calibrated = Taken(0, case.told, {}, case.seen) if case.both else foreign
+    seeing = {key: case.usual[key] for key in ("seeing_arcsec",) if key in case.usual}
+    cube = make_cube(case, calibrated, folder / "cube", seeing)
+    ramp, introduced = make_ramp(case, wrong, folder, case.usual)
+    return Made({"calibration": [cube], "ramp": ramp}, ncpa_of(case, calibrated), introduced)
+
+
+def ncpa_of(case: Case, taken: Taken) -> dict[int, float]:
+    """Return the static modes with which something was `taken`, Noll: nm RMS."""
+    rng = np.random.default_rng(case.seed + int(taken.foreign))
+    return draw_ncpa_nm(rng, FACILITY.ncpa_law, TOTAL_NM)
+
+
+def make_cube(
+    case: Case, taken: Taken, folder: Path, usual: Change, stream: int = 0, begin_s: int | None = None
+) -> Path:
+    """Write a calibration cube; returns its folder, which must not exist.
+
+    Parameters
+    ----------
+    case : Case
+        Gives setting and seed.
+    taken : Taken
+        What is wrong with it.
+    folder : Path
+    usual : mapping
+        Changes of the usual recording.
+    stream : int
+        Of the random numbers.
+    begin_s : int, optional
+        Start since 1970; a plain FITS cube without times if None.
+    """
+    images = _images(case, taken, usual, stream)
+    return _written(folder, images, _sidecar(case, usual, taken.told), begin_s)
+
+
+def make_ramp(
+    case: Case, taken: Taken, folder: Path, usual: Change, begin_s: int | None = None
+) -> tuple[list[Path], dict[str, float]]:
+    """Write the recordings of a ramp into a `folder`; returns theirs, and the true defocus by name.
+
+    Parameters
+    ----------
+    case, taken, folder, usual, begin_s
+        See `make_cube`.
+    """
+    usual = RAMP_USUAL | dict(usual)
+    as_told = [OFFSETS_NM[index] for index in taken.told.get("order", range(len(OFFSETS_NM)))]
+    recordings = []
     for index, offset_nm in enumerate(OFFSETS_NM):
-        usual = {"frames": PER_OFFSET, "mag_j": 9.0, "exposure_s": 0.5}
-        images = _images(case, ncpa_nm, usual, case.hidden, 1 + index, offset_nm)
-        told = dict(case.told) | {"introduced": offset_nm, "role": "defocus_ramp"}
-        ramp.append(_written(folder / f"offset_{index}", images, case, usual, told))
-    introduced = tuple(np.repeat(OFFSETS_NM, PER_OFFSET).tolist())
-    return Made({"calibration": [cube], "ramp": ramp}, ncpa_nm, introduced)
+        images = _images(case, taken, usual, 1 + index, offset_nm)
+        told = {"introduced": as_told[index], "role": "defocus_ramp"} | dict(taken.told)
+        start_s = None if begin_s is None else begin_s + 60 * index
+        keys = _sidecar(case, usual, told)
+        recordings.append(_written(folder / f"offset_{index}", images, keys, start_s))
+    return recordings, dict(zip((path.name for path in recordings), OFFSETS_NM, strict=True))
 
 
-def _scene(case: Case, ncpa_nm, usual: dict[str, Any], hidden: dict, stream: int, offset_nm: float) -> Scene:
-    of = USUAL | usual
+def _scene(case: Case, taken: Taken, usual: Change, stream: int, offset_nm: float) -> Scene:
+    of = USUAL | dict(usual)
     sky = case.setting == SKY
     return Scene(
         "misled",
@@ -92,43 +137,36 @@ def _scene(case: Case, ncpa_nm, usual: dict[str, Any], hidden: dict, stream: int
         throughput=THROUGHPUT,
         frame_rate_hz=1 / of["exposure_s"],
         window=of["window"],
-        ncpa_nm=ncpa_nm,
+        ncpa_nm=ncpa_of(case, taken),
         diversity_nm={6: DIVERSITY_NM},
         introduced_nm=offset_nm,
         sky=Sky(of["seeing_arcsec"], shape=of["shape"]) if sky else None,
         motion=Motion(7.0) if sky else None,
-        effects=hidden,
+        effects=taken.hidden,
         detector=DetectorModel(e_per_adu=GAIN_E),
         sampling=Sampling(points_per_band=2, step_s=0.03),
     )
 
 
-def _images(
-    case: Case,
-    ncpa_nm,
-    usual: dict[str, Any],
-    hidden: dict,
-    stream: int,
-    offset_nm: float = 0.0,
-    *,
-    spoil: bool = True,
-) -> np.ndarray:
+def _images(case: Case, taken: Taken, usual: Change, stream: int, offset_nm: float = 0.0) -> np.ndarray:
     """Frames in electrons, (frames, rows, columns)."""
-    scene = _scene(case, ncpa_nm, usual, hidden, stream, offset_nm)
-    images = electrons(scene, expose(scene).mean_e, np.random.default_rng([case.seed, stream, 7]))
-    return _spoilt(case, images, ncpa_nm) if spoil and case.seen else images
+    return _spoilt(case, taken, usual, _frames(_scene(case, taken, usual, stream, offset_nm)))
 
 
-def _spoilt(case: Case, images: np.ndarray, ncpa_nm) -> np.ndarray:
+def _frames(scene: Scene) -> np.ndarray:
+    return electrons(scene, expose(scene).mean_e, np.random.default_rng([*scene.seed, 7]))
+
+
+def _spoilt(case: Case, taken: Taken, usual: Change, images: np.ndarray) -> np.ndarray:
     """What is wrong with the images themselves."""
     rows, columns = images.shape[1:]
-    if case.seen == "half of another star":
-        other = _images(case, {noll: -nm for noll, nm in ncpa_nm.items()}, case.usual, {}, 9, spoil=False)
-        return np.concatenate([images[::2], other[1::2]])
-    if case.seen == "core clipped":
-        return np.minimum(images, 0.5 * images.mean(0).max())
+    if taken.seen == "half of another star":
+        scene = _scene(case, Taken(0), usual, 9, 0.0)
+        turned = replace(scene, ncpa_nm={noll: -nm for noll, nm in scene.ncpa_nm.items()})
+        return np.concatenate([images[::2], _frames(turned)[1::2]])
     top, left = (rows - SMALL_PX) // 2, (columns - SMALL_PX) // 2
     return {
+        "": lambda: images,
         "flipped left to right": lambda: images[:, :, ::-1],
         "flipped up and down": lambda: images[:, ::-1],
         "turned by 180°": lambda: images[:, ::-1, ::-1],
@@ -136,23 +174,41 @@ def _spoilt(case: Case, images: np.ndarray, ncpa_nm) -> np.ndarray:
         "window of 5 λ/D": lambda: images[:, top : top + SMALL_PX, left : left + SMALL_PX],
         "three frames": lambda: images[:3],
         "frames twice": lambda: np.concatenate([images, images]),
-    }[case.seen]()
+        "core clipped": lambda: np.minimum(images, 0.5 * images.mean(0).max()),
+    }[taken.seen]()
 
 
-def _written(
-    folder: Path, images: np.ndarray, case: Case, usual: dict, told: dict[str, Any] | None = None
-) -> Path:
-    """Write a FITS cube and its side-car; returns the folder."""
-    folder.mkdir()
+def _written(folder: Path, images: np.ndarray, keys: dict[str, Any], begin_s: int | None) -> Path:
+    """Write the data file and its side-car; returns the folder."""
+    folder.mkdir(parents=True)
     adu = np.clip(np.rint(images / GAIN_E + PEDESTAL_ADU), 0, 65535).astype(np.uint16)
-    fits.PrimaryHDU(adu).writeto(folder / f"{folder.name}.fits")
-    keys = _sidecar(USUAL | usual, case.told if told is None else told, case.setting == SKY)
+    path = folder / f"{folder.name}.fits"
+    if begin_s is None:
+        fits.PrimaryHDU(adu).writeto(path)
+    else:
+        _recorder_table(adu, begin_s + np.arange(len(adu)) * keys["exposure_s"]).writeto(path)
     (folder / "acquisition.yaml").write_text(yaml.safe_dump(keys))
     return folder
 
 
-def _sidecar(of: dict[str, Any], told: dict[str, Any], sky: bool) -> dict[str, Any]:
+def _recorder_table(adu: np.ndarray, unix_s: np.ndarray) -> fits.BinTableHDU:
+    """The pixel table of the recorder."""
+    frames, rows, columns = adu.shape
+    numbers = {
+        "FrameCounter": 1000 + np.arange(frames),
+        "Seconds": unix_s.astype(int),
+        "USeconds": (unix_s % 1 * 1e6).astype(int),
+        "WindowSizeX": np.full(frames, columns),
+        "WindowSizeY": np.full(frames, rows),
+    }
+    pixels = fits.Column("Pixels", f"{rows * columns}I", bzero=32768, array=adu.reshape(frames, -1))
+    plain = [fits.Column(name, "J", array=values) for name, values in numbers.items()]
+    return fits.BinTableHDU.from_columns([*plain, pixels], name="IRPixelFrame")
+
+
+def _sidecar(case: Case, usual: Change, told: Change) -> dict[str, Any]:
     """What the side-car says, wrongly where `told` says so."""
+    of = USUAL | dict(usual)
     factor = told.get("wavelength", 1.0)
     nodes, weights = np.polynomial.legendre.leggauss(3)
     band_nm = factor * (NARROW_H.centre_nm + NARROW_H.half_width_nm * nodes)
@@ -162,6 +218,8 @@ def _sidecar(of: dict[str, Any], told: dict[str, Any], sky: bool) -> dict[str, A
     ]
     detector = {"e_per_adu": told.get("e_per_adu", GAIN_E), "read_noise_e": told.get("read_noise_e", 1.0)}
     diversity = {told.get("noll", 6): DIVERSITY_NM * told.get("diversity", 1.0)}
+    introduced_nm = told.get("introduced", 0.0) * told.get("offsets", 1.0) + told.get("beside_nm", 0.0)
+    seeing = {"seeing_arcsec": of["seeing_arcsec"] * told.get("seeing_arcsec", 1.0)}
     return {
         "role": told.get("role", "ncpa_calibration"),
         "target": "misled",
@@ -171,6 +229,6 @@ def _sidecar(of: dict[str, Any], told: dict[str, Any], sky: bool) -> dict[str, A
         "pixel_scale_mas": 9.7 * told.get("pixel_scale_mas", 1.0),
         "spectrum": spectrum,
         "diversity": {"source": "lens", "zernike": diversity},
-        "introduced_defocus_nm": told.get("introduced", 0.0) * told.get("offsets", 1.0),
+        "introduced_defocus_nm": introduced_nm,
         "detector": detector,
-    } | ({"seeing_arcsec": of["seeing_arcsec"]} if sky else {})
+    } | (seeing if case.setting == SKY else {})

@@ -6,32 +6,38 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.misled.cases import NIGHT
 from benchmarks.misled.working import WRONG_SIGMA
 
 PAGE = Path(__file__).parents[2] / "docs" / "reliability.md"
 BEGIN, END = "<!-- misled: begin -->", "<!-- misled: end -->"
-COLUMNS = ("kind", "family", "cases", "accused", "warned only", "passed", "passed, > 5 σ wrong")
+ACCUSED, WARNED, STATED, PASSED, MISLED = "accused", "warned only", "said before", "passed", "misled"
+COLUMNS = ("kind", "family", "cases", ACCUSED, WARNED, STATED, PASSED, MISLED)
 ROUTINE = "taken from the"  # what every recording with a plain side-car is warned of
-# What no cube can tell of itself, see "Not tested by these data".
-INHERENT = (
-    "diversity of wrong sign",
-    "diversity 15 % off",
-    "diversity of Noll 5",
-    "turned by 180°",
-    "transposed",
-    "wavelength and scale 10 % off",
-)
 
 
 def verdict(outcome: Mapping[str, Any]) -> str:
-    """`accused`, `warned`, `passed`, or `misled`: passed without a word, and beyond 5 σ."""
-    if outcome["accused"]:
-        return "accused"
+    """Return the column of an outcome.
+
+    It misleads where nothing is accused and a number is beyond 5 σ, where a diagnosis names what is not
+    there, and where it finds nothing although what is hidden is larger than what it says that it can detect.
+    A run of a night that passes and is wrong misleads, whatever else the night is accused of.
+    """
+    misnamed = outcome.get("finding") == "misnamed"
+    told = bool(outcome["accused"]) or outcome.get("finding") == "named" or (misnamed and outcome["right"])
+    if told and not (_beyond(outcome) and outcome["kind"] == NIGHT):
+        return ACCUSED
     if any(ROUTINE not in line for line in outcome["warned"]):
-        return "warned"
-    wrong = outcome["sigmas"] is not None and outcome["sigmas"] > WRONG_SIGMA
-    silent = outcome.get("verdict") == "none" and not outcome["right"]
-    return "misled" if wrong or silent else "passed"
+        return WARNED
+    missed = outcome.get("finding") == "none" and not outcome["right"]
+    if not (_beyond(outcome) or misnamed or missed):
+        return PASSED
+    cause = outcome["cause"]
+    return STATED if cause and any(cause in line for line in outcome["untested"]) else MISLED
+
+
+def _beyond(outcome: Mapping[str, Any]) -> bool:
+    return outcome["sigmas"] is not None and outcome["sigmas"] > WRONG_SIGMA
 
 
 def table(outcomes: Sequence[Mapping[str, Any]]) -> str:
@@ -50,24 +56,19 @@ def _order(key: tuple[str, str]) -> tuple[str, bool, str]:
 
 
 def _row(kind: str, family: str, found: list[str]) -> str:
-    mark = " ¹" if family in INHERENT and kind == "calibration" else ""
-    counts = [found.count("accused"), found.count("warned"), found.count("passed"), found.count("misled")]
-    return f"| {kind} | {family}{mark} | " + " | ".join(map(str, [len(found), *counts])) + " |"
+    counts = [found.count(column) for column in COLUMNS[3:]]
+    return f"| {kind} | {family} | " + " | ".join(map(str, [len(found), *counts])) + " |"
 
 
 def summary(outcomes: Sequence[Mapping[str, Any]]) -> str:
     """Return the totals in one line each."""
-    right = [verdict(one) for one in outcomes if one["right"]]
-    wrong = [(one, verdict(one)) for one in outcomes if not one["right"]]
-    inherent = [one for one, what in wrong if what == "misled" and one["family"] in INHERENT]
-    misled = sum(what == "misled" for _, what in wrong)
-    return (
-        f"{len(right)} right inputs: {right.count('accused')} accused, {right.count('warned')} warned of, "
-        f"{right.count('misled')} beyond {WRONG_SIGMA:g} σ.\n"
-        f"{len(wrong)} wrong inputs: {sum(what == 'accused' for _, what in wrong)} accused, "
-        f"{sum(what == 'warned' for _, what in wrong)} warned of, {misled} passed though beyond "
-        f"{WRONG_SIGMA:g} σ or with nothing found, {len(inherent)} of them of families that no cube can tell."
-    )
+    lines = []
+    for name, right in (("right", True), ("wrong", False)):
+        found = [verdict(one) for one in outcomes if one["right"] == right]
+        counts = ", ".join(f"{found.count(column)} {column}" for column in COLUMNS[3:])
+        lines.append(f"{len(found)} {name} inputs: {counts}.")
+    beyond = sum(_beyond(one) for one in outcomes if one["right"] and not one["accused"])
+    return "\n".join([*lines, f"{beyond} right inputs that passed have a number beyond {WRONG_SIGMA:g} σ."])
 
 
 def write_page(text: str) -> None:

@@ -9,10 +9,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from benchmarks.misled.cases import CALIBRATION, DIAGNOSIS, RAMP, Case
+from benchmarks.misled.cases import CALIBRATION, DIAGNOSIS, NIGHT, RAMP, Case
+from benchmarks.misled.judging import diagnosis_errors, mode_errors, ramp_errors
 from benchmarks.misled.making import Made, make_case
+from benchmarks.misled.nights import night_outcome
 from irlos_pipe.conventions.errors import IrlosError
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import json_text
@@ -29,6 +29,7 @@ SETTINGS = {
     RAMP: ("calibrate.highest_noll=66",),
     DIAGNOSIS: (),
 }
+LAST = {CALIBRATION: "calibrate", RAMP: "lift", DIAGNOSIS: "diagnose"}
 WRONG_SIGMA = 5.0
 ERROR = "refused"
 
@@ -60,17 +61,20 @@ def work(case: Case, folder: Path) -> dict[str, Any]:
 
 
 def _worked(case: Case, scratch: Path) -> dict[str, Any]:
-    made = make_case(case, scratch)
     outcome: dict[str, Any] = {
         "case": case.name,
         "kind": case.kind,
         "family": case.family,
         "setting": case.setting,
         "right": case.right,
+        "cause": case.cause,
         "suite_seed": case.suite_seed,
     }
     warned = Collected()
     try:
+        if case.kind == NIGHT:
+            return outcome | night_outcome(case, scratch)
+        made = make_case(case, scratch)
         products = reduced(_recipe(case, made), warned, scratch)
     except IrlosError as problem:
         return outcome | {"accused": [ERROR], "why": str(problem), "warned": warned.lines, "sigmas": None}
@@ -79,6 +83,7 @@ def _worked(case: Case, scratch: Path) -> dict[str, Any]:
         "accused": [check.name for check in failed],
         "why": "; ".join(check.message for check in failed),
         "warned": warned.lines,
+        "untested": products[LAST[case.kind]].results.get("untested", []),
         **_errors(case, made, products),
     }
 
@@ -119,24 +124,10 @@ def reduced(recipe: Recipe, warned: logging.Handler, scratch: Path) -> dict[str,
 
 
 def _errors(case: Case, made: Made, products: dict[str, Product]) -> dict[str, Any]:
-    """True errors over the quoted ones: of the worst mode, of a ramp as RMS; None of a diagnosis."""
+    """True errors over the quoted ones, and of a diagnosis what it found."""
+    results = products[LAST[case.kind]].results
     if case.kind == DIAGNOSIS:
-        return {"sigmas": None, "verdict": products["diagnose"].results["verdict"]}
+        return diagnosis_errors(case, results, made.ncpa_nm)
     if case.kind == RAMP:
-        points = products["lift"].results["points"]
-        error = np.array([point["defocus_nm"] or np.nan for point in points]) - made.introduced_nm
-        sigma = np.array([point["sigma_nm"] or np.nan for point in points])
-        return _both(error, sigma, float(np.sqrt(np.nanmean((error / sigma) ** 2))))
-    results = products["calibrate"].results
-    nolls = [noll for noll in results["zernike_nm"] if int(noll) > 3]
-    error = np.array([results["zernike_nm"][noll] - made.ncpa_nm.get(int(noll), 0.0) for noll in nolls])
-    sigma = np.array([results["sigma_nm"][noll] for noll in nolls])
-    return _both(error, sigma, float(np.max(np.abs(error / sigma))))
-
-
-def _both(error: np.ndarray, sigma: np.ndarray, sigmas: float) -> dict[str, Any]:
-    return {
-        "sigmas": sigmas,
-        "error_nm": float(np.linalg.norm(error) if len(error) > 20 else np.sqrt(np.nanmean(error**2))),
-        "quoted_nm": float(np.linalg.norm(sigma) if len(sigma) > 20 else np.sqrt(np.nanmean(sigma**2))),
-    }
+        return ramp_errors(results, made.introduced_nm)
+    return mode_errors(results["zernike_nm"], results["sigma_nm"], made.ncpa_nm)

@@ -25,6 +25,7 @@ COVARIANCE = {
 }
 UNTESTED = (
     "the sign of the even modes, which is that of the diversity as told: {diversity}",
+    "size and mode of the diversity: an error of theirs is taken for one of the NCPAs",
     "images transposed or turned by 180°: they fit as well, with other modes",
     "wavelength and pixel scale wrong by the same factor",
     "a wrong flat or dark that is smooth",

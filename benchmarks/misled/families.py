@@ -1,0 +1,218 @@
+"""What may be wrong with a recording, by family, and the kinds of right recordings.
+
+What is wrong is either told wrongly (`*_TOLD`, changes of the side-car), or stands in the images
+(`*_SEEN`), or is an effect that nobody told (`*_HIDDEN`). `NIGHTS` says what was taken in a night.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+Change = Mapping[str, Any]
+SKY_ONLY = frozenset({"seeing_arcsec", "shape"})  # keys that a bench does not have
+
+# Changes of a side-car: key, and a number to multiply by or a value to replace.
+TOLD: dict[str, Change] = {
+    "scale 2 % off": {"pixel_scale_mas": 1.02},
+    "scale 5 % off": {"pixel_scale_mas": 0.95},
+    "wavelength 2 % off": {"wavelength": 1.02},
+    "wavelength 10 % off": {"wavelength": 0.9},
+    "wavelength and scale 10 % off": {"wavelength": 1.1, "pixel_scale_mas": 1.1},
+    "gain 1e-5": {"e_per_adu": 5e-6},
+    "gain 100 times too small": {"e_per_adu": 0.01},
+    "gain 1000 times too large": {"e_per_adu": 1e3},
+    "read noise 1e4": {"read_noise_e": 1e4},
+    "diversity in micrometres": {"diversity": 1e-3},
+    "diversity of wrong sign": {"diversity": -1.0},
+    "diversity 15 % off": {"diversity": 1.15},
+    "diversity of Noll 5": {"noll": 5},
+    "diversity not told": {"diversity": 0.0},
+    "exposure in minutes": {"exposure_s": 60.0},
+    "role of a ramp": {"role": "defocus_ramp"},
+}
+SEEN = (
+    "flipped left to right",
+    "flipped up and down",
+    "turned by 180°",
+    "transposed",
+    "window of 5 λ/D",
+    "three frames",
+    "frames twice",
+    "half of another star",
+    "core clipped",
+)
+HIDDEN: dict[str, Change] = {
+    "companion 20 %": {"companion": {"flux_ratio": 0.2, "sep_mas": 60.0, "pa_deg": 40.0}},
+    "companion 5 %": {"companion": {"flux_ratio": 0.05, "sep_mas": 110.0, "pa_deg": 200.0}},
+    "pupil 20 cm off": {"pupil_misregistration": {"dx_m": 0.2, "dy_m": 0.0, "rotation_deg": 0.0}},
+    "non-linearity 30 %": {"detector_nonlinearity": {"fraction_at_peak": 0.3}},
+    "vibration 15 mas": {"vibration": {"sigma_mas": 15.0, "angle_deg": 30.0}},
+    "low wind": {"low_wind_effect": {"piston_nm": [90.0, -60.0, 40.0, -70.0]}},
+}
+# Right recordings: changes of the usual one.
+RIGHTS: dict[str, Change] = {
+    "as usual": {},
+    "faint": {"mag_j": 11.5},
+    "bright": {"mag_j": 6.8},
+    "poor seeing": {"seeing_arcsec": 1.2},
+    "good seeing": {"seeing_arcsec": 0.35},
+    "few frames": {"frames": 10},
+    "many frames": {"frames": 120},
+    "odd window": {"window": (43, 56)},
+    "long exposures": {"exposure_s": 0.3},
+    "residual along the wind": {"shape": "servo_lag"},
+}
+# What no cube can tell of itself, and the words by which a result says so before its numbers.
+INHERENT = {
+    "diversity of wrong sign": "sign of the even modes",
+    "diversity 15 % off": "size and mode of the diversity",
+    "diversity of Noll 5": "size and mode of the diversity",
+    "turned by 180°": "turned by 180°",
+    "transposed": "transposed",
+    "wavelength and scale 10 % off": "same factor",
+}
+
+# Ramps: `both` says that the calibration cube has the same; `offsets` as told are those of `as_told`.
+RAMP_TOLD: dict[str, Change] = {
+    "offsets of wrong sign": {"offsets": -1.0},
+    "offsets × 2": {"offsets": 2.0},
+    "offsets × 0.7": {"offsets": 0.7},
+    "offsets in micrometres": {"offsets": 1e-3},
+    "offsets 60 nm beside": {"beside_nm": 60.0},
+    "two offsets exchanged": {"order": (0, 1, 3, 2, 4)},
+    "offsets in the wrong order": {"order": (4, 3, 2, 1, 0)},
+    "one offset told as its neighbour": {"order": (0, 1, 3, 3, 4)},
+    "diversity of wrong sign in the ramp": {"diversity": -1.0},
+    "diversity of wrong sign in ramp and cube": {"diversity": -1.0, "both": True},
+    "diversity halved in the ramp": {"diversity": 0.5},
+    "diversity of Noll 5 in the ramp": {"noll": 5},
+    "diversity 15 % off in ramp and cube": {"diversity": 1.15, "both": True},
+    "wavelength 10 % off in the ramp": {"wavelength": 1.1},
+    "wavelength 10 % off in ramp and cube": {"wavelength": 1.1, "both": True},
+    "scale 5 % off in the ramp": {"pixel_scale_mas": 1.05},
+    "scale 5 % off in ramp and cube": {"pixel_scale_mas": 1.05, "both": True},
+    "wavelength and scale 10 % off in ramp and cube": {
+        "wavelength": 1.1,
+        "pixel_scale_mas": 1.1,
+        "both": True,
+    },
+    "gain 100 times too small in the ramp": {"e_per_adu": 0.01},
+    "seeing four times too large in the ramp": {"seeing_arcsec": 4.0},
+}
+RAMP_SEEN: dict[str, Change] = {
+    "flipped left to right": {},
+    "flipped up and down": {},
+    "turned by 180°": {},
+    "transposed": {},
+    "core clipped": {},
+    "transposed in ramp and cube": {"both": True},
+    "flipped left to right in ramp and cube": {"both": True},
+}
+RAMP_HIDDEN: dict[str, Change] = {
+    "companion 30 %": {"companion": {"flux_ratio": 0.3, "sep_mas": 190.0, "pa_deg": 40.0}},
+    "companion 30 % at λ/D": {"companion": {"flux_ratio": 0.3, "sep_mas": 38.0, "pa_deg": 40.0}},
+    "low wind": HIDDEN["low wind"],
+    "vibration 20 mas": {"vibration": {"sigma_mas": 20.0, "angle_deg": 30.0}},
+    "calibration of another instrument": {},
+}
+RAMP_INHERENT = {
+    "wavelength and scale 10 % off in ramp and cube": "same factor",
+    "diversity of wrong sign in ramp and cube": "sign and orientation",
+}
+RAMP_RIGHTS: dict[str, Change] = {
+    "ramp": {},
+    "faint ramp": {"mag_j": 11.0},
+    "bright ramp": {"mag_j": 7.5},
+    "ramp in poor seeing": {"seeing_arcsec": 1.2},
+    "ramp in good seeing": {"seeing_arcsec": 0.35},
+    "two frames per offset": {"frames": 2},
+    "ramp in an odd window": {"window": (43, 56)},
+}
+
+# Diagnoses: effects that nobody told, and facts told wrongly with the names that would be right for them.
+DIAGNOSED: dict[str, Change] = {
+    name: HIDDEN[name] for name in ("companion 5 %", "low wind", "pupil 20 cm off", "non-linearity 30 %")
+} | {
+    "vibration 20 mas": {"vibration": {"sigma_mas": 20.0, "angle_deg": 30.0}},
+    "ghost 5 %": {"ghost": {"flux_ratio": 0.05, "sep_mas": 120.0, "pa_deg": 300.0, "defocus_nm": 100.0}},
+    "bump 200 nm": {"phase_bump": {"nm": 200.0, "x_m": 2.0, "y_m": -1.0, "width_m": 0.5}},
+}
+SCALES = ("plate_scale", "spectrum")  # in a narrow band one cannot be told from the other
+DIAGNOSED_TOLD: dict[str, tuple[str, ...]] = {
+    "scale 2 % off": SCALES,
+    "wavelength 2 % off": SCALES,
+    "wavelength and scale 10 % off": SCALES,
+    "diversity of wrong sign": ("diversity_error",),
+    "diversity 15 % off": ("diversity_error",),
+}
+DIAGNOSED_SEEN: dict[str, tuple[str, ...]] = {
+    "transposed": (),
+    "flipped left to right": (),
+    "half of another star": (),
+    "core clipped": ("detector_nonlinearity",),
+}
+DIAGNOSED_RIGHTS = ("as usual", "bright", "poor seeing", "many frames")
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A recording of a night, or all recordings of a ramp.
+
+    Attributes
+    ----------
+    minutes : int
+        After the beginning of the night.
+    told, hidden, seen : mapping, mapping, str
+        What is wrong, as in a single recording.
+    foreign : bool
+        Taken with the NCPAs of another instrument.
+    harm : str
+        What became of the files: ``cut``, ``no side-car`` (of a ramp: of its third offset) or ``copied``.
+    """
+
+    minutes: int
+    told: Change = field(default_factory=dict)
+    hidden: Change = field(default_factory=dict)
+    seen: str = ""
+    foreign: bool = False
+    harm: str = ""
+
+
+EARLY, LATE, RAMP_AT = 60, 110, 120
+GOOD, LAST_NIGHT = Taken(EARLY), Taken(EARLY - 24 * 60)
+COMPANION = HIDDEN["companion 20 %"]
+# Cubes, and the ramp if there is one.
+NIGHTS: dict[str, tuple[Sequence[Taken], Taken | None]] = {
+    "nearest cube has a companion": ((GOOD, Taken(LATE, hidden=COMPANION)), Taken(RAMP_AT)),
+    "only cube has a companion": ((Taken(EARLY, hidden=COMPANION),), Taken(RAMP_AT)),
+    "nearest cube is half of another star": (
+        (GOOD, Taken(LATE, seen="half of another star")),
+        Taken(RAMP_AT),
+    ),
+    "nearest cube flipped": ((GOOD, Taken(LATE, seen="flipped up and down")), Taken(RAMP_AT)),
+    "nearest cube has three frames": ((GOOD, Taken(LATE, seen="three frames")), Taken(RAMP_AT)),
+    "nearest cube cut off": ((GOOD, Taken(LATE, harm="cut")), Taken(RAMP_AT)),
+    "nearest cube without side-car": ((GOOD, Taken(LATE, harm="no side-car")), Taken(RAMP_AT)),
+    "nearest cube of another instrument": ((GOOD, Taken(LATE, foreign=True)), Taken(RAMP_AT)),
+    "only cube of another instrument": ((Taken(EARLY, foreign=True),), Taken(RAMP_AT)),
+    "cube with a wrong gain": ((Taken(EARLY, told={"e_per_adu": 0.01}),), Taken(RAMP_AT)),
+    "scale 5 % off in the cube": ((Taken(EARLY, told={"pixel_scale_mas": 1.05}),), Taken(RAMP_AT)),
+    "diversity of wrong sign in the cube": ((Taken(EARLY, told={"diversity": -1.0}),), Taken(RAMP_AT)),
+    "diversity of wrong sign in the ramp": ((GOOD,), Taken(RAMP_AT, told={"diversity": -1.0})),
+    "offsets of wrong sign": ((GOOD,), Taken(RAMP_AT, told={"offsets": -1.0})),
+    "offsets × 2": ((GOOD,), Taken(RAMP_AT, told={"offsets": 2.0})),
+    "an offset cut off": ((GOOD,), Taken(RAMP_AT, harm="cut")),
+    "an offset without side-car": ((GOOD,), Taken(RAMP_AT, harm="no side-car")),
+    "ramp flipped": ((GOOD,), Taken(RAMP_AT, seen="flipped up and down")),
+    "no cube": ((), Taken(RAMP_AT)),
+}
+RIGHT_NIGHTS: dict[str, tuple[Sequence[Taken], Taken | None]] = {
+    "night": ((GOOD,), Taken(RAMP_AT)),
+    "night of two cubes": ((GOOD, Taken(LATE)), Taken(RAMP_AT)),
+    "calibration of the night before": ((LAST_NIGHT,), Taken(RAMP_AT)),
+    "night of cubes only": ((GOOD, Taken(LATE)), None),
+}
+# What no cube of a night can tell of itself, and its words.
+NIGHT_INHERENT = {"diversity of wrong sign in the cube": "sign of the even modes"}
