@@ -8,6 +8,7 @@ import torch
 
 from benchmarks.baseline_fft import FftModel, fit
 from benchmarks.baseline_numpy_lift import NumpyLift
+from benchmarks.focus_latency import compare, histogram
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
@@ -79,3 +80,9 @@ def test_the_numpy_lift_finds_the_coefficients_of_its_own_image(settings):
     truth_nm = np.array([20.0, -30.0, 60.0])
     found_nm = fitter.fit_nm(1e6 * fitter.images(truth_nm)[0])
     assert np.abs(found_nm - truth_nm).max() < 0.5
+
+
+def test_the_latency_of_the_focus_sensor_is_timed_beside_that_of_lift_on_the_same_images():
+    focus, single = compare(3)
+    assert (len(focus.wall_ms), len(single.wall_ms)) == (3, 50)
+    assert sum(int(line.split("ms")[1].split()[0]) for line in histogram(focus.cpu_ms)) == 3

@@ -1,0 +1,169 @@
+"""The maximum-likelihood fit of one image by tip, tilt, focus, flux and background.
+
+The estimator is that of `lift` with variances that follow the model: the minimum of the quasi-likelihood of
+`NoiseModel`, by Fisher scoring. With five parameters and one image the arithmetic is a few matrix products,
+which NumPy does in memory that is set aside once.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from irlos_pipe.numerics.problem import CHI2_TOLERANCE
+from irlos_pipe.optics.focus_images import FocusImages
+
+ITERATIONS = 20
+HALVINGS = 6  # of a step that would raise the objective
+
+
+class Noise(NamedTuple):
+    """``V = factor · signal + floor`` [e-²], see `NoiseModel`."""
+
+    factor: float
+    floor_e2: float
+
+
+class Found(NamedTuple):
+    """Where a fit ended.
+
+    Attributes
+    ----------
+    x : ndarray, (5,)
+        Tip, tilt, focus [nm RMS], flux, background [e-].
+    covariance : ndarray, (5, 5)
+        Inverse Fisher matrix.
+    objective : float
+        Minus the quasi-likelihood, up to a constant of the image.
+    chi2_nu : float
+    iterations : int
+    converged : bool
+    """
+
+    x: np.ndarray
+    covariance: np.ndarray
+    objective: float
+    chi2_nu: float
+    iterations: int
+    converged: bool
+
+
+class PhotonFit:
+    """Fits of single images, one after the other.
+
+    Parameters
+    ----------
+    images : FocusImages
+    good : ndarray of bool, (rows, columns)
+    """
+
+    def __init__(self, images: FocusImages, good: np.ndarray):
+        self._images, self._good = images, good.ravel().astype(np.float64)
+        pixels = good.size
+        self._freedom = max(1, int(good.sum()) - 5)
+        self._slopes = np.ones((5, pixels), np.float32)
+        self._weighted = np.empty((5, pixels), np.float32)
+        self._model, self._residual, self._weight, self._scratch = np.empty((4, pixels))
+        self._single_weight = np.empty(pixels, np.float32)
+
+    def __call__(self, image_e: np.ndarray, start_nm: tuple[float, float, float], noise: Noise) -> Found:
+        """Fit an image.
+
+        Parameters
+        ----------
+        image_e : ndarray, (rows · columns,), float64
+            Bad pixels finite.
+        start_nm : (float, float, float)
+            Tip, tilt and focus.
+        noise : Noise
+        """
+        x = np.array([*np.clip(start_nm, *self._images.limits_nm), 0.0, 0.0])
+        self._images(*x[:3])
+        x[3:] = self._brightness(image_e)
+        value = self._compare(image_e, x, noise)
+        for iteration in range(1, ITERATIONS + 1):
+            gradient, fisher = self._equations(x)
+            chi2_nu = self._chi2_nu()
+            step, gain = _scoring(gradient, fisher)
+            if gain < CHI2_TOLERANCE * max(1.0, chi2_nu):
+                return Found(self._bounded(x + step), _inverse(fisher), value, chi2_nu, iteration, True)
+            rise = CHI2_TOLERANCE * max(1.0, chi2_nu)  # of rounding: images are of single precision
+            trial, lower = self._descend(image_e, x, step, value + rise, noise)
+            if trial is None:
+                break
+            x, value = trial, lower
+        return Found(x, _inverse(fisher), value, chi2_nu, iteration, False)
+
+    def _descend(self, image_e, x, step, highest, noise) -> tuple[np.ndarray | None, float]:
+        """The point after a step, halved until the objective is not above `highest`, and the objective."""
+        for _ in range(HALVINGS):
+            trial = self._bounded(x + step)
+            self._images(*trial[:3])
+            lower = self._compare(image_e, trial, noise)
+            if lower <= highest:
+                return trial, lower
+            step = step / 2
+        return None, highest
+
+    def _bounded(self, x: np.ndarray) -> np.ndarray:
+        x[:3] = np.clip(x[:3], *self._images.limits_nm)
+        return x
+
+    def _brightness(self, image_e: np.ndarray) -> np.ndarray:
+        """Flux and background by least squares, the wavefront being that of the last images."""
+        good, unit = self._good, np.multiply(self._images.image, self._good, out=self._scratch)
+        across = unit.sum()
+        normal = np.array([[unit @ self._images.image, across], [across, good.sum()]])
+        return np.linalg.solve(normal, [unit @ image_e, good @ image_e])
+
+    def _compare(self, image_e: np.ndarray, x: np.ndarray, noise: Noise) -> float:
+        """Objective of the last images; slopes, residuals and weights are kept."""
+        images, model, scratch = self._images, self._model, self._scratch
+        np.multiply(images.image, x[3], out=model, dtype=np.float64)
+        model += x[4]
+        np.subtract(image_e, model, out=self._residual)
+        positive = np.maximum(model, 0.0, out=scratch)
+        np.multiply(positive, noise.factor, out=self._weight)
+        self._weight += noise.floor_e2
+        np.divide(self._good, self._weight, out=self._weight)
+        return float(_minus_quasi_likelihood(image_e, model, positive, noise) @ self._good)
+
+    def _equations(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient of the objective and Fisher matrix where images were compared last."""
+        np.multiply(self._images.slopes, np.float32(x[3]), out=self._slopes[:3])
+        self._slopes[3] = self._images.image
+        self._single_weight[:] = self._weight
+        np.multiply(self._slopes, self._single_weight, out=self._weighted)
+        fisher = (self._weighted @ self._slopes.T).astype(np.float64)
+        return -(self._weighted @ self._residual), fisher
+
+    def _chi2_nu(self) -> float:
+        np.multiply(self._residual, self._residual, out=self._scratch)
+        return float(self._scratch @ self._weight) / self._freedom
+
+
+def _minus_quasi_likelihood(
+    image_e: np.ndarray, model_e: np.ndarray, positive_e: np.ndarray, noise: Noise
+) -> np.ndarray:
+    """See `NoiseModel.minus_quasi_likelihood`; `positive_e` is the model without what lies below 0."""
+    factor, floor = noise
+    growth = np.log1p(positive_e * (factor / floor))
+    growth *= image_e + floor / factor
+    pixels = (positive_e - growth) / factor
+    below = model_e - positive_e
+    return pixels + (0.5 * below - image_e) * below / floor
+
+
+def _scoring(gradient: np.ndarray, fisher: np.ndarray) -> tuple[np.ndarray, float]:
+    """Step of Fisher scoring, and twice the fall of the objective that it promises."""
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(fisher), 1e-300))
+    scaled = fisher * scale * scale[:, None]
+    scaled.flat[::6] += 1e-9
+    step = -np.linalg.solve(scaled, gradient * scale) * scale
+    return step, float(-gradient @ step)
+
+
+def _inverse(fisher: np.ndarray) -> np.ndarray:
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(fisher), 1e-300))
+    return np.linalg.pinv(fisher * scale * scale[:, None], hermitian=True) * scale * scale[:, None]

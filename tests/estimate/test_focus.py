@@ -1,0 +1,192 @@
+"""The focus sensor of a loop. Truth: the wavefronts that images are drawn from, LIFT by its own solver and
+start, the table that batches use, and the statistics of many draws."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from helpers import optics_cases as cases
+
+from irlos_pipe.effects import FixedEffect, TipTiltJitter
+from irlos_pipe.effects.detector import InterpixelCrosstalk
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.focus.sensor import Focus, Limits
+from irlos_pipe.estimate.lift import lift
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.optics.focus_images import FocusImages
+from irlos_pipe.optics.focus_table import FocusTable, Reach
+from irlos_pipe.optics.grids import Optics
+from irlos_pipe.optics.psf import PsfModel
+
+TWO_COLOURS = ((1215.0, 0.5), (1625.0, 0.5))
+WINDOW = (48, 40)
+SETTINGS = cases.settings(WINDOW, TWO_COLOURS, {6: -170.0, 8: 40.0, 11: -30.0}).for_single_frames()
+MODEL = ImageModel(PsfModel(SETTINGS, (2, 3, 4)))
+GOOD = np.ones(WINDOW, bool)
+NOISE = NoiseModel(1.0, 1.0)
+BRIGHT_E = 1e5
+
+
+def sensor(good: np.ndarray = GOOD, **limits) -> Focus:
+    return Focus(MODEL, good, NOISE, Limits(**limits))
+
+
+@pytest.fixture(scope="module")
+def focus() -> Focus:
+    return sensor()
+
+
+def drawn(wavefronts_nm, flux_e: float = BRIGHT_E, seed: int = 0, reads: int = 1) -> np.ndarray:
+    """Images with photon and read noise, (images, rows, columns)."""
+    x = torch.as_tensor(np.atleast_2d(wavefronts_nm))
+    mean_e = MODEL.psf.images(x).double().clamp_min(0).numpy() * flux_e
+    rng = np.random.default_rng(seed)
+    return rng.poisson(mean_e) + rng.normal(0, math.sqrt(reads), mean_e.shape)
+
+
+def anywhere(count: int, focus_nm: float, seed: int = 1) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.column_stack([rng.uniform(-150, 150, (count, 2)), rng.uniform(-focus_nm, focus_nm, count)])
+
+
+def test_images_and_slopes_are_those_of_the_table():
+    table = FocusTable(MODEL.psf, Optics(), Reach((-500.0, 400.0), 300.0))
+    images = FocusImages(table)
+    for x in anywhere(3, 350.0):
+        truth, jacobian = table.images_and_jacobian(torch.as_tensor(x)[None])
+        images(*x)
+        np.testing.assert_allclose(images.image.reshape(WINDOW), truth[0].numpy(), atol=1e-8)
+        for mine, theirs in zip(images.slopes, jacobian[0].numpy(), strict=True):
+            np.testing.assert_allclose(mine.reshape(WINDOW), theirs, atol=1e-4 * np.abs(theirs).max())
+
+
+@pytest.mark.parametrize("flux_e", [1e6, 1e4, 1e3])
+def test_it_finds_the_minimum_that_lift_finds_from_the_truth(focus, flux_e):
+    truth = anywhere(12, 100.0)
+    images = drawn(truth, flux_e)
+    found = [focus.measurement(image) for image in images]
+    theirs = lift(MODEL, torch.as_tensor(images), torch.as_tensor(GOOD), NOISE, torch.as_tensor(truth))
+    value, sigma = (one.numpy() for one in theirs.mode(4))
+    assert all(one.valid for one in found)
+    np.testing.assert_allclose([one.sigma_nm for one in found], sigma, rtol=0.01)
+    assert np.abs([one.defocus_nm for one in found] - value).max() < 0.05 * sigma.min()
+    np.testing.assert_allclose([one.chi2_nu for one in found], theirs.chi2_nu.numpy(), atol=0.01)
+
+
+@pytest.mark.slow
+def test_errors_are_as_large_as_stated(focus):
+    truth = anywhere(300, 300.0)
+    found = [focus.measurement(image) for image in drawn(truth, 3e3)]
+    pulls = [(one.defocus_nm - x[2]) / one.sigma_nm for one, x in zip(found, truth, strict=True)]
+    # The mean of 300 unit normals is within 3/√300 = 0.17, their scatter within 3/√600 = 0.12 of 1.
+    assert abs(np.mean(pulls)) < 0.17
+    assert abs(np.std(pulls) - 1) < 0.12
+
+
+def test_defocus_up_to_900_nm_is_found_without_a_start(focus):
+    truth = np.column_stack([*np.zeros((2, 19)), np.linspace(-900, 900, 19)])
+    found = [focus.measurement(image) for image in drawn(truth)]
+    assert all(one.valid for one in found)
+    assert np.abs([one.defocus_nm - x[2] for one, x in zip(found, truth, strict=True)]).max() < 5.0
+
+
+def test_the_short_form_is_defocus_error_and_verdict(focus):
+    image = drawn([0.0, 0.0, 50.0])[0]
+    assert focus.measure(image) == focus.measurement(image)[:3]
+
+
+def test_the_order_of_images_does_not_matter_to_the_bit(focus):
+    images = drawn(anywhere(6, 800.0))
+    forwards = [focus.measurement(image) for image in images]
+    assert [focus.measurement(image) for image in images[::-1]] == forwards[::-1]
+    assert [sensor().measurement(image) for image in images] == forwards
+
+
+def test_reads_add_their_noise(focus):
+    one = focus.measurement(drawn([0.0, 0.0, 50.0], 500.0)[0])
+    many = focus.measurement(drawn([0.0, 0.0, 50.0], 500.0, reads=16)[0], reads=16)
+    assert many.sigma_nm > 2 * one.sigma_nm
+    assert 0.9 < many.chi2_nu < 1.1
+
+
+def test_bad_pixels_do_not_count():
+    good = GOOD.copy()
+    good[20:22, 18] = False
+    image = drawn([0.0, 0.0, 50.0])[0]
+    spoilt = image.copy()
+    spoilt[20:22, 18] = (np.nan, 1e9)
+    assert sensor(good).measurement(spoilt) == sensor(good).measurement(image)
+    assert sensor(good).measurement(spoilt).valid
+
+
+def spoilt(**changes) -> np.ndarray:
+    image = drawn([0.0, 0.0, 50.0])[0]
+    return image * changes.get("factor", 1.0) + changes.get("add", 0.0)
+
+
+@pytest.mark.parametrize(
+    ("reason", "image"),
+    [
+        ("not_finite", spoilt(add=np.where(np.arange(40) == 3, np.nan, 0.0))),
+        ("lost_star", drawn([0.0, 0.0, 50.0], 0.0)[0]),
+        ("range", drawn([600.0, 0.0, 50.0])[0]),
+        ("range", drawn([0.0, 0.0, 1200.0])[0]),
+        ("chi2", spoilt(add=np.where(np.arange(40) == 20, 400.0, 0.0))),
+    ],
+    ids=["NaN", "no star", "star aside", "too much defocus", "a bright column"],
+)
+def test_what_cannot_be_used_says_why(focus, reason, image):
+    found = focus.measurement(image)
+    assert not found.valid
+    assert reason in found.reasons
+
+
+def test_a_saturated_read_is_not_used():
+    image = drawn([0.0, 0.0, 50.0])[0]
+    assert "saturated" in sensor(saturation_e=0.9 * image.max()).measurement(image).reasons
+    assert sensor(saturation_e=0.9 * image.max()).measurement(image, reads=2).reasons == ()
+
+
+def test_without_diversity_the_sign_is_open_and_the_twin_is_named():
+    plain = ImageModel(PsfModel(replace(SETTINGS, known=replace(SETTINGS.known, diversity_nm={})), (2, 3, 4)))
+    blind = Focus(plain, GOOD, NOISE)
+    mean_e = plain.psf.images(torch.tensor([[0.0, 0.0, 300.0]])).double().clamp_min(0).numpy()[0] * 1e4
+    found = blind.measurement(np.random.default_rng(0).poisson(mean_e).astype(float))
+    assert "twin" in found.reasons
+
+
+def test_no_faint_image_gives_a_valid_wrong_defocus(focus):
+    truth = anywhere(150, 900.0)
+    found = [focus.measurement(image) for image in drawn(truth, 400.0)]
+    errors = [one.defocus_nm - x[2] for one, x in zip(found, truth, strict=True) if one.valid]
+    assert len(errors) > 50
+    assert np.abs(errors).max() < 120.0
+
+
+def test_another_window_is_refused(focus):
+    with pytest.raises(ValueError, match=r"\(40, 40\).*\(48, 40\)"):
+        focus.measure(np.zeros((40, 40)))
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        (ImageModel(PsfModel(SETTINGS, (2, 3))), "Noll 2, 3 and 4"),
+        (ImageModel(MODEL.psf, [TipTiltJitter()]), "free"),
+        (ImageModel(MODEL.psf, [FixedEffect(InterpixelCrosstalk(), [0.01])]), "detector"),
+    ],
+    ids=["modes", "free effects", "detector effects"],
+)
+def test_models_without_a_table_are_refused(model, words):
+    with pytest.raises(ValueError, match=words):
+        Focus(model, GOOD, NOISE)
+
+
+def test_fixed_motion_is_in_the_table():
+    model = ImageModel(MODEL.psf, [FixedEffect(TipTiltJitter(), TipTiltJitter().values_of(12.0))])
+    one, zero = torch.ones(1, dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
+    image = model.predict(torch.tensor([[0.0, 0.0, 60.0]]), one * 1e6, zero)[0].numpy()
+    assert Focus(model, GOOD, NOISE).measurement(image).defocus_nm == pytest.approx(60.0, abs=0.5)
+    assert abs(sensor().measurement(image).defocus_nm - 60.0) > 1.0
