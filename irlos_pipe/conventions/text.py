@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
@@ -18,6 +19,25 @@ def suggestion(word: object, known: Iterable[object]) -> str:
     if close is not None:
         return f"; did you mean '{close}'?"
     return f"; known: {', '.join(names)}" if names else ""
+
+
+def rounded_by_error(value: float, error: float, pattern: str = "") -> str:
+    """Return ``value ± error`` to the second digit of the error.
+
+    Parameters
+    ----------
+    value, error : float
+    pattern : str
+        Format of the value alone, where the error is not positive or not finite. Of the two together it
+        says whether the value has a sign (``+``) and whether both are in per cent (``%``).
+    """
+    if not (math.isfinite(value) and math.isfinite(error) and error > 0):
+        return format(value, pattern)
+    factor, unit = (100.0, " %") if pattern.endswith("%") else (1.0, "")
+    decimals = 1 - math.floor(math.log10(factor * error))
+    value, error = (round(factor * one, decimals) for one in (value, error))
+    sign, digits = "+" if pattern.startswith("+") else "", max(decimals, 0)
+    return f"{value:{sign}.{digits}f} ± {error:.{digits}f}{unit}"
 
 
 def and_more(items: Sequence[object]) -> str:

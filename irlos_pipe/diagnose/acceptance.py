@@ -20,7 +20,6 @@ from irlos_pipe.diagnose.refit import PER_PARAMETER, Refit
 from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.diagnose.verdict import Ranked
 from irlos_pipe.effects.labels import label_of, occurrences
-from irlos_pipe.numerics.parallel import ordered_map
 
 MUST_EXPLAIN = 0.8  # of what is left, for a further name
 SIGNIFICANT = 5.0  # standard errors of the excess, from which a moment's counts
@@ -152,10 +151,14 @@ def accepted(ranked: Sequence[Refit], cube: Cube, options: Options) -> Accepted 
     z = preference(judges[0], HeldOutEvaluation(cube.held_out, before.fitted))
     if z < (PREFERRED if cube.training.photon_limited else 0.0):
         return None
-    ranking = ordered_map(lambda r: Ranked(r.name, r.gain, explained(r), r.significance), ranked)
+    ranking = [_ranked(one, preference(judges[0], judge)) for one, judge in zip(ranked, judges, strict=True)]
     others = alternatives(ranked, judges)
     rivals = [next(r for r in ranked if r.name == other.name) for other in others]
     return Accepted(best, z, others, ranking, rivals)
+
+
+def _ranked(refit: Refit, held_out_z: float) -> Ranked:
+    return Ranked(refit.name, refit.gain, explained(refit), refit.significance, held_out_z)
 
 
 def by_motion(

@@ -28,7 +28,8 @@ from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.rest import rest_of
 from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.diagnose.second_recording import Advice, SecondRecordings
-from irlos_pipe.diagnose.verdict import COMPLETE, EFFECT, NONE, UNKNOWN, Diagnosis, Pictures, Step
+from irlos_pipe.diagnose.tried import tried
+from irlos_pipe.diagnose.verdict import COMPLETE, EFFECT, NONE, UNKNOWN, Adjusted, Diagnosis, Pictures, Step
 from irlos_pipe.diagnose.view import Screened
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
@@ -81,6 +82,7 @@ def conclude(
         unexplained=bool(why) or judgement.left or fine.significance > options.sure,
         why_unknown=why,
         adjusted=_adjusted(search) if not why else [],
+        tried=tried(search, options, hidden, named=not why),
         rest=rest_of(judges[1], gap.floor, fine, options.sure, search.final.settings),
         gap=gap,
         mdb=_with_wider_forms({s.name: _smallest(s) for s in testable}) | _elsewhere(search, options),
@@ -164,12 +166,18 @@ def _with_separation(step: Step, search: Search, seconds: SecondRecordings) -> S
     return replace(step, alternatives=alternatives)
 
 
-def _adjusted(search: Search) -> list[FixedEffect]:
+def _adjusted(search: Search) -> list[Adjusted]:
     """Effects that make the final model fit better and are not named, as it has them."""
     fitted = search.final.fitted
-    present = [effect.name for effect in fitted.effects]
-    names = [name for name in search.adjusted if name in present]
-    return [FixedEffect(fitted.effect(name).base, fitted.values_of(name)) for name in names]
+    labels = [label for label in fitted.problem.effects.labels if label in search.adjusted]
+    if not labels:
+        return []
+    covariance, found = parameter_covariance(search.final.stack, fitted), []
+    for label in labels:
+        base, values = fitted.effect(label).base, fitted.values_of(label)
+        sigma = public_sigma(base, values, _own_covariance(fitted, label, covariance))
+        found.append(Adjusted(label, FixedEffect(base, values), base.describe(values), sigma))
+    return found
 
 
 # -- names -------------------------------------------------------------------------------------
@@ -184,12 +192,8 @@ def _steps(cube: Cube, search: Search, shares: Sequence[float]) -> list[Step]:
 
 def _step(cube: Cube, accepted: Accepted, label: str, fitted: Fitted, covariance: np.ndarray) -> Step:
     refit = accepted.refit
-    base = refit.base
-    effect, values = fitted.effect(label), fitted.values_of(label)
-    full = np.zeros((len(values), len(values)))
-    columns = fitted.columns_of(label)
-    own = determined(effect.parameters, covariance[np.ix_(columns, columns)])
-    full[np.ix_(effect.free, effect.free)] = own
+    base, values = refit.base, fitted.values_of(label)
+    full = _own_covariance(fitted, label, covariance)
     judges = (HeldOutEvaluation(cube.held_out, one) for one in (refit.origin.fitted, refit.fitted))
     return Step(
         FixedEffect(base, values),
@@ -202,7 +206,18 @@ def _step(cube: Cube, accepted: Accepted, label: str, fitted: Fitted, covariance
         accepted.alternatives,
         accepted.ranking,
         label,
+        shown=base.shown(values),
+        shown_sigma=public_sigma(base, values, full, shown=True),
     )
+
+
+def _own_covariance(fitted: Fitted, label: str, covariance: np.ndarray) -> np.ndarray:
+    """Covariance of all parameters of one effect, from that of the whole model; zero for what is held."""
+    effect, columns = fitted.effect(label), fitted.columns_of(label)
+    full = np.zeros((len(effect.base.parameters), len(effect.base.parameters)))
+    own = determined(effect.parameters, covariance[np.ix_(columns, columns)])
+    full[np.ix_(effect.free, effect.free)] = own
+    return full
 
 
 def _drift_steps(cube: Cube, search: Search, options: Options) -> list[Step]:

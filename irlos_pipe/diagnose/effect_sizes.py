@@ -16,6 +16,7 @@ STEP = 1e-3  # of a standard error, in derivatives of public values
 FAR = 1e3  # standard errors, in place of a prior that there is none of
 UNDETERMINED = 0.5  # of the prior's variance that is left, from which the data determine nothing
 NOTHING = 1e-9
+Describe = Callable[[np.ndarray], dict[str, Any]]
 
 
 def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
@@ -33,11 +34,17 @@ def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
     return scatter * np.outer(ratio, ratio)
 
 
-def public_sigma(base: Effect, values: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
-    """Standard errors of the public values of effect `base` at `values`, to first order in `covariance`."""
-    steps = np.sqrt(np.diag(covariance)) * STEP
+def public_sigma(
+    base: Effect, values: np.ndarray, covariance: np.ndarray, *, shown: bool = False
+) -> dict[str, Any]:
+    """Standard errors of the public values of effect `base` at `values`, to first order in `covariance`.
+
+    Those of what a reader is told of it if `shown`, see `Effect.shown`.
+    """
+    steps, describe = np.sqrt(np.diag(covariance)) * STEP, base.shown if shown else base.describe
     slopes = [
-        _difference(base, values + one, values - one) for one in np.diag(np.where(steps > 0, steps, 1e-9))
+        _difference(base, values + one, values - one, describe)
+        for one in np.diag(np.where(steps > 0, steps, 1e-9))
     ]
     return _combined(slopes, covariance, 2 * np.where(steps > 0, steps, 1e-9))
 
@@ -122,9 +129,12 @@ def _map(function: Callable, *values: Any) -> Any:
     return function(*values)
 
 
-def _difference(effect: Effect, one: np.ndarray, other: np.ndarray) -> dict[str, Any]:
+def _difference(
+    effect: Effect, one: np.ndarray, other: np.ndarray, describe: Describe | None = None
+) -> dict[str, Any]:
     """Difference of public values that are close to each other; angles may lie on both sides of 0 or 180°."""
-    change = _map(lambda a, b: float(a - b), effect.describe(one), effect.describe(other))
+    public = describe or effect.describe
+    change = _map(lambda a, b: float(a - b), public(one), public(other))
     angles = [key for key in change if effect.role_of(key) == "direction"]
     return change | {key: (change[key] + 90.0) % 180.0 - 90.0 for key in angles}
 

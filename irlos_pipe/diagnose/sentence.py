@@ -54,7 +54,7 @@ def _left(diagnosis: Diagnosis) -> str:
 
 def _phrase(step: Step) -> str:
     """A name with its size."""
-    return step.effect.phrase(step.public)
+    return step.phrase
 
 
 def _where(diagnosis: Diagnosis, step: Step) -> str:

@@ -18,6 +18,7 @@ from irlos_pipe.diagnose.rest import Rest
 from irlos_pipe.diagnose.second_recording import Advice
 from irlos_pipe.diagnose.sharing import Together
 from irlos_pipe.effects import FixedEffect
+from irlos_pipe.effects.public_values import measured
 
 NONE: Final = "none"
 EFFECT: Final = "effect"
@@ -26,6 +27,7 @@ COMPLETE: Final = "complete"
 PARTIAL: Final = "partial"
 RESEMBLES: Final = "resembles"
 Grade = Literal["none", "complete", "partial", "resembles", "unknown"]
+Outcome = Literal["named", "nearest", "modelled", "adjusted", "fitted", "scored", "absorbed", "not tried"]
 
 
 @dataclass(frozen=True)
@@ -40,12 +42,15 @@ class Ranked:
         Part of the excess that it explains.
     significance : float
         In Gaussian σ.
+    held_out_z : float
+        Vuong's statistic for the first of all against it, on data that no fit has seen.
     """
 
     name: str
     gain: float
     explained: float
     significance: float
+    held_out_z: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -73,6 +78,8 @@ class Step:
         Of the effect among those of the final model; by default its name.
     share : float
         Part of its own signal that the final model explains where that signal lies.
+    shown, shown_sigma : dict
+        What a reader is told of its size, see `Effect.shown`, and standard errors.
     """
 
     effect: FixedEffect
@@ -86,6 +93,8 @@ class Step:
     ranking: Sequence[Ranked] = ()
     label: str = ""
     share: float = float("nan")
+    shown: dict[str, Any] = field(default_factory=dict)
+    shown_sigma: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "label", self.label or self.name)
@@ -100,9 +109,58 @@ class Step:
         return [] if self.effect.acts_in is None else moments.names_of(self.effect.acts_in)
 
     @property
+    def phrase(self) -> str:
+        """The effect with its size and error, as a sentence names it."""
+        sizes = measured(self.public, self.sigma) | measured(self.shown, self.shown_sigma)
+        return self.effect.phrase(sizes)
+
+    @property
     def unusual(self) -> list[str]:
         """Parameters at a bound, or beyond what is usual for the effect."""
         return self.effect.base.unusual(self.effect.values)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """One effect of the catalogue in a diagnosis.
+
+    Attributes
+    ----------
+    name : str
+    outcome : str
+        ``named``; ``nearest``: what comes nearest where the verdict is unknown; ``modelled``: in the model
+        from the start; ``adjusted``: in the final model without being named; ``fitted``: fitted and explains
+        less; ``scored``: not significant in what was left; ``absorbed``: these data cannot show it;
+        ``not tried``.
+    significance : float
+        Of its score test at the last model for which a name was looked for, in Gaussian σ; NaN without one.
+    reason : str
+    """
+
+    name: str
+    outcome: Outcome
+    significance: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """An effect that makes the final model fit better and is not named.
+
+    Attributes
+    ----------
+    label : str
+        Of the effect among those of the final model.
+    effect : FixedEffect
+        As it stands there, nothing free.
+    public, sigma : dict
+        Parameters and standard errors under public names.
+    """
+
+    label: str
+    effect: FixedEffect
+    public: dict[str, Any]
+    sigma: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -143,8 +201,10 @@ class Diagnosis:
     why_unknown : str
     rest : Rest
         What the final model misses.
-    adjusted : sequence of FixedEffect
+    adjusted : sequence of Adjusted
         Of the final model beside the steps: it fits better with them, but none is sure enough to be named.
+    tried : sequence of Tried
+        Every effect of the catalogue, and what became of it.
     mdb : dict
         Smallest detectable size of every effect that was not seen.
     untestable : sequence of str
@@ -188,6 +248,7 @@ class Diagnosis:
     modes_sigma_nm: np.ndarray
     pictures: Pictures
     advice: dict[str, Advice] = field(default_factory=dict)
-    adjusted: Sequence[FixedEffect] = ()
+    adjusted: Sequence[Adjusted] = ()
+    tried: Sequence[Tried] = ()
     together: Together | None = None
     seconds: float = 0.0

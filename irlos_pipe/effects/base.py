@@ -130,6 +130,13 @@ class Effect:
         """Options under which the effect has the parameters that given public values need."""
         return {}
 
+    def shown(self, values: np.ndarray) -> dict[str, Any]:
+        """What a reader is told of it: public values, or what the data determine of them.
+
+        Of parts of the pupil these are differences from their mean, of a table of modes their RMS as well.
+        """
+        return self.describe(values)
+
     def values_of(self, *args: Any, **public: Any) -> list[float]:
         """Solver's parameters for given values of the public ones; here they are the same."""
         return [float(public.get(p.name, p.null or 0.0)) for p in self.parameters]
@@ -230,7 +237,7 @@ class Effect:
         raise NotImplementedError(f"{self.name} adds no copy of the star")
 
     def phrase(self, public: Mapping[str, Any]) -> str:
-        """The effect with its size, as a sentence names it; `public`: as `describe` has them."""
+        """The effect with its size, as a sentence names it; `public`: as `describe` and `shown` have them."""
         if self.sentence:
             return self.sentence.format(**public)
         return f"{self.name} with " + ", ".join(f"{key} {value:.3g}" for key, value in public.items())
@@ -380,6 +387,10 @@ class FixedEffect(Effect):
     def describe(self, values: np.ndarray) -> dict[str, Any]:
         """See `Effect.describe`."""
         return self.base.describe(self.all_values(values).numpy())
+
+    def shown(self, values: np.ndarray) -> dict[str, Any]:
+        """See `Effect.shown`."""
+        return self.base.shown(self.all_values(values).numpy())
 
 
 def expected(effects: Sequence[Effect]) -> list[Effect]:

@@ -216,9 +216,14 @@ class PlateScale(SamplingEffect):
         """See `Effect.under`."""
         return cls(conditions.settings.pixel_scale_mas)
 
+    def shown(self, values: np.ndarray) -> dict[str, Any]:
+        """See `Effect.shown`: the wanted scale, too."""
+        public = self.describe(values)
+        return {"pixel_scale_mas": self.told_mas * (1 + public["fraction"])} | public
+
     def phrase(self, public: Mapping[str, Any]) -> str:
         """See `Effect.phrase`: the wanted and the told scale."""
-        wanted_mas = self.told_mas * (1 + public["fraction"])
+        wanted_mas = public.get("pixel_scale_mas", self.told_mas * (1 + public["fraction"]))
         return f"pixels of {wanted_mas:.3f} mas instead of {self.told_mas:.3f} mas"
 
     def apply(self, values: torch.Tensor, sampling: Sampling, nominal: Sampling) -> Sampling:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import reduce
 from typing import Any
 
@@ -131,7 +131,6 @@ class BadPixels(DetectorEffect):
     public = (Public("pixels", "[row, column]", "pixels"),)
     in_image = False
     found_by = "pixels"
-    sentence = "bad pixels at {pixels}"
     look_alike = "a companion, or whatever else a single pixel pulls at; its course in time is not the star's"
     reference = "Baarda 1968, A testing procedure for use in geodetic networks (data snooping)"
 
@@ -174,6 +173,13 @@ class BadPixels(DetectorEffect):
     def describe(self, values: np.ndarray) -> dict[str, list[list[int]]]:
         """Where they are."""
         return {"pixels": [list(pixel) for pixel in self.pixels]}
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`."""
+        places = [f"row {row}, column {column}" for row, column in public["pixels"]]
+        return (
+            f"{'a bad pixel' if len(places) == 1 else 'bad pixels'} at {'; '.join(places)} (counted from 0)"
+        )
 
     def values_of(self, pixels: Sequence[Sequence[int]]) -> list[float]:
         """Nothing in excess: the pixels are masked."""

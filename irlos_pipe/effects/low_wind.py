@@ -49,6 +49,7 @@ class LowWindEffect(PupilSteps):
 
     def phrase(self, public: Mapping[str, Any]) -> str:
         """See `Effect.phrase`: how much petals differ; what they have in common is no low-wind effect."""
-        piston_nm, tip_nm, tilt_nm = (np.std(public[kind]) for kind in KINDS)
-        differ = f"{piston_nm:.0f} nm RMS in piston and {np.hypot(tip_nm, tilt_nm):.0f} nm in tip and tilt"
-        return f"petals that differ by {differ}"
+        piston_nm, slopes_nm = self.differences(public)
+        return (
+            f"petals that differ by {piston_nm:.0f} nm RMS in piston and {slopes_nm:.0f} nm in tip and tilt"
+        )

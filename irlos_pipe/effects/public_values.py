@@ -7,6 +7,39 @@ from typing import Any
 
 import numpy as np
 
+from irlos_pipe.conventions.text import rounded_by_error
+
+
+class Measured(float):
+    """A public value that is written with its standard error, whatever the format says of its digits.
+
+    Parameters
+    ----------
+    value, sigma : float
+    """
+
+    sigma: float
+
+    def __new__(cls, value: float, sigma: float) -> Measured:
+        """Return the value with its error."""
+        made = super().__new__(cls, value)
+        made.sigma = float(sigma)
+        return made
+
+    def __format__(self, pattern: str) -> str:
+        """Format as `rounded_by_error` does."""
+        return rounded_by_error(float(self), self.sigma, pattern)
+
+
+def measured(public: Mapping[str, Any], sigma: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the `public` values, numbers with their standard errors `sigma` where there are any."""
+    return {
+        key: Measured(value, sigma[key])
+        if isinstance(value, (int, float)) and isinstance(sigma.get(key), (int, float))
+        else value
+        for key, value in public.items()
+    }
+
 
 def size_and_angle(x: float, y: float) -> tuple[float, float]:
     """Size of (`x`, `y`), and its direction from +x towards +y in [0, 360) [deg]."""

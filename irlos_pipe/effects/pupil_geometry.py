@@ -84,8 +84,11 @@ class PupilSizes(RedrawnPupil):
         """See `Effect.phrase`: the wanted and the told sizes; what rounds to the told one is left out."""
         pieces = {"obscuration_m": "a central obscuration of {} m instead of {} m"}
         pieces["vane_width_m"] = "vanes {} m wide instead of {} m"
-        sizes = ((name, _text(name, public[name]), _text(name, told)) for name, told in self.told_m.items())
-        changed = [pieces[name].format(wanted, told) for name, wanted, told in sizes if wanted != told]
+        changed = [
+            pieces[name].format(_text(name, public[name]), _text(name, told))
+            for name, told in self.told_m.items()
+            if _text(name, float(public[name])) != _text(name, told)
+        ]
         return " and ".join(changed) or "a pupil as told"
 
     def _named(self, values: Sequence[float]) -> dict[str, float]:

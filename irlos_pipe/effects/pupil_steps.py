@@ -15,6 +15,7 @@ from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.optics.grids import PupilGrid
 
 UT4_PETALS = 4
+RMS_OF_PISTON, RMS_OF_SLOPES = "piston_rms_nm", "slopes_rms_nm"
 
 
 class PupilSteps(PupilEffect):
@@ -129,9 +130,29 @@ class PupilSteps(PupilEffect):
         table = np.asarray(values, float).reshape(len(self.kinds), self.count)
         return {kind: row.tolist() for kind, row in zip(self.kinds, table, strict=True)}
 
+    def shown(self, values: np.ndarray) -> dict[str, Any]:
+        """Differences of the parts from their mean, which the rest of the model imitates, and their RMS."""
+        table = np.asarray(values, float).reshape(len(self.kinds), self.count)
+        apart = table - table.mean(axis=1, keepdims=True)
+        rms = {RMS_OF_PISTON: _rms(apart[:1])} | ({RMS_OF_SLOPES: _rms(apart[1:])} if len(apart) > 1 else {})
+        return rms | {f"{kind}_from_mean": row.tolist() for kind, row in zip(self.kinds, apart, strict=True)}
+
+    def differences(self, public: Mapping[str, Any]) -> tuple[float, float]:
+        """Return the RMS of the differences in piston, and in tip and tilt [nm], see `Effect.phrase`."""
+        values = np.concatenate([public[kind] for kind in self.kinds])
+        own = self.shown(values) | {
+            key: public[key] for key in (RMS_OF_PISTON, RMS_OF_SLOPES) if key in public
+        }
+        return own[RMS_OF_PISTON], own.get(RMS_OF_SLOPES, 0.0)
+
     def values_of(self, **public: Sequence[float]) -> list[float]:
         """See `Effect.values_of`."""
         return [float(value) for kind in self.kinds for value in public[kind]]
+
+
+def _rms(apart: np.ndarray) -> float:
+    """Root of the squares of some coefficients of every part (coefficients, parts), mean over the parts."""
+    return float(np.sqrt((apart**2).sum(0).mean()))
 
 
 def per_part(kinds: Mapping[str, int], unit: str) -> tuple[Public, ...]:

@@ -80,12 +80,9 @@ class PupilMisregistration(RedrawnPupil):
 
     def phrase(self, public: Mapping[str, Any]) -> str:
         """See `Effect.phrase`: what rounds to nothing is left out."""
-        x, y, turn = (
-            f"{public[key]:+{form}}"
-            for key, form in (("dx_m", ".3f"), ("dy_m", ".3f"), ("rotation_deg", ".1f"))
-        )
-        turned = f"vanes turned by {turn}° against the profile" if float(turn) else ""
-        moved = f"a stop {x}, {y} m off" if float(x) or float(y) else ""
+        x, y, turn = (public[key] for key in ("dx_m", "dy_m", "rotation_deg"))
+        turned = f"vanes turned by {turn:+.1f}° against the profile" if round(turn, 1) else ""
+        moved = f"a stop {x:+.3f}, {y:+.3f} m off" if round(x, 3) or round(y, 3) else ""
         return " and ".join(filter(None, [turned, moved])) or "an internal stop in its place"
 
     def values_of(self, dx_m: float, dy_m: float, rotation_deg: float) -> list[float]:

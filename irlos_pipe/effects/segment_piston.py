@@ -55,4 +55,4 @@ class SegmentPiston(PupilSteps):
 
     def phrase(self, public: Mapping[str, Any]) -> str:
         """See `Effect.phrase`."""
-        return f"segments that differ by {np.std(public['piston_nm']):.0f} nm RMS in piston"
+        return f"segments that differ by {self.differences(public)[0]:.0f} nm RMS in piston"

@@ -41,9 +41,19 @@ class ZernikeTable(Effect):
         """Coefficients by Noll index."""
         return {self.table: {str(n): float(v) for n, v in zip(self.nolls, values, strict=True)}}
 
+    @property
+    def rms_name(self) -> str:
+        """Name of the RMS of all modes together, with their unit."""
+        return self.table.replace("zernike", "rms")
+
+    def shown(self, values: np.ndarray) -> dict[str, Any]:
+        """See `Effect.shown`."""
+        return {self.rms_name: float(np.linalg.norm(values))} | self.describe(values)
+
     def phrase(self, public: Mapping[str, Any]) -> str:
         """See `Effect.phrase`; the size is the RMS of all modes together."""
-        return self.sentence.format(size=float(np.linalg.norm(list(public[self.table].values()))))
+        rms = float(np.linalg.norm(list(public[self.table].values())))
+        return self.sentence.format(size=public.get(self.rms_name, rms))
 
     def values_of(self, *args: Any, **public: Mapping) -> list[float]:
         """Solver's parameters for a table of coefficients; modes that it lacks are 0."""

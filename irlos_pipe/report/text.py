@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TypeGuard
 
+from irlos_pipe.conventions import text
 from irlos_pipe.optics.zernike import noll_to_nm
 
 MISSING = "–"
@@ -44,11 +45,9 @@ def with_error(value: float | None, error: float | None, pattern: str = ".1f", u
 
 def rounded_by_error(value: float, error: float | None) -> str:
     """Format `value` ± `error` to the second digit of the error; four digits without an error."""
-    if not is_known(value) or not is_known(error) or error <= 0:
+    if not is_known(value) or not is_known(error):
         return number(value, ".4g")
-    decimals = 1 - math.floor(math.log10(error))
-    value, error = (round(one, decimals) for one in (value, error))
-    return f"{value:.{max(decimals, 0)}f} ± {error:.{max(decimals, 0)}f}"
+    return text.rounded_by_error(value, error, ".4g")
 
 
 def plural(count: int, noun: str) -> str:

@@ -42,6 +42,7 @@ from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.effects.motion import Vibration
+from irlos_pipe.effects.public_values import measured
 from irlos_pipe.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
 from irlos_pipe.effects.wavefront import HighOrderNcpa, PhaseBump
 from irlos_pipe.frames.noise import NoiseModel
@@ -310,6 +311,29 @@ def test_errors_of_public_values_follow_from_those_of_the_solver():
     sigma = public_sigma(companion, values, covariance)
     for key in ("flux_ratio", "sep_mas", "pa_deg"):
         assert sigma[key] == pytest.approx(np.std([one[key] for one in public]), rel=0.03)
+
+
+def test_petals_are_told_as_differences_with_the_errors_of_these():
+    """Monte Carlo of 20000 draws in which all petals move together by far more than they differ."""
+    effect, rng = LowWindEffect(), np.random.default_rng(3)
+    values, own = np.array([70.0, -70, 50, -30, 0, 20, 0, -20, 25, 0, -25, 0]), rng.uniform(1, 3, 12)
+    together = np.kron(np.eye(3), np.ones((4, 1)))
+    covariance = np.diag(own**2) + 150.0**2 * together @ together.T
+    drawn = [effect.shown(one) for one in rng.multivariate_normal(values, covariance, 20000)]
+    shown, sigma = effect.shown(values), public_sigma(effect, values, covariance, shown=True)
+    assert shown["piston_nm_from_mean"] == pytest.approx([65.0, -75.0, 45.0, -35.0])
+    for key in shown:
+        scatter = np.std([one[key] for one in drawn], axis=0)
+        assert sigma[key] == pytest.approx(scatter, rel=0.03), key
+        assert np.all(scatter < 4)
+
+
+def test_a_size_is_said_with_its_error():
+    effect, values = Companion(), np.array([0.03, 60.0, -45.0])
+    public = measured(effect.describe(values), public_sigma(effect, values, np.diag([1e-7, 0.04, 0.04])))
+    assert effect.phrase(public) == (
+        "a second source of 3.000 ± 0.032 % at 75.00 ± 0.20 mas, PA 323.13 ± 0.15°"
+    )
 
 
 @pytest.mark.parametrize(

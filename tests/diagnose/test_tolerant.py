@@ -12,7 +12,9 @@ from helpers.diagnose_frames import CONDITIONS, cube, fitted, image
 
 from irlos_pipe.diagnose.acceptance import labels_in
 from irlos_pipe.diagnose.allowance import errors_of
+from irlos_pipe.diagnose.conclude import _adjusted
 from irlos_pipe.diagnose.fitting import Fitter
+from irlos_pipe.diagnose.null_model import Optimum
 from irlos_pipe.diagnose.tolerant import added, everyday, without_linearly
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 
@@ -73,3 +75,13 @@ def test_of_one_kind_the_labels_keep_their_order_when_others_have_gone():
     found = [one("companion", "companion_3"), one(STOP.name, STOP.name), one("companion", "companion_2")]
     assert labels_in(model, found) == ["companion_2", STOP.name, "companion"]
     assert np.unique(labels_in(model, found)).size == 3
+
+
+def test_what_was_adjusted_is_handed_on_by_its_label_if_there_are_two_of_a_kind():
+    copies = [FixedEffect(COMPANION, (0.02, 150.0, 40.0 * n), ["flux_ratio"]) for n in (-1, 1)]
+    training = cube(image(effect=COMPANION, values=(0.02, 150.0, 40.0))).training
+    final = Optimum(training, fitted(training, copies))
+    (one,) = _adjusted(SimpleNamespace(final=final, adjusted=["companion_2"]))
+    assert one.label == "companion_2"
+    assert one.public["flux_ratio"] == pytest.approx(0.02, abs=5 * one.sigma["flux_ratio"])
+    assert one.public["pa_deg"] == pytest.approx(np.rad2deg(np.arctan2(40, 150)))

@@ -112,4 +112,4 @@ def test_the_stage_is_not_blamed_while_images_miss_something(ramps):
     stage = diagnose_ramp(OFFSETS_NM, 1.1 * OFFSETS_NM, ~ramps.held_out)
     told = sentence(replace(stage, names=[], nearest=stage.names), lens)
     assert "NA / n = 0.85" in told and "no error of the focus stage can be named" in told
-    assert "focus stage scale of +10.0%" in sentence(stage, replace(lens, comparison=found))
+    assert "focus stage scale of +10.0" in sentence(stage, replace(lens, comparison=found))

@@ -17,6 +17,7 @@ from irlos_pipe.diagnose.significance import gaussian_sigma
 from irlos_pipe.diagnose.verdict import EFFECT, NONE, UNKNOWN
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.planes import RampEffect
+from irlos_pipe.effects.public_values import measured
 
 PER_PARAMETER = 8.0  # of χ², that a size or an edge has to earn
 CLOSE = 6.0  # of χ², by which two indistinguishable names differ at most
@@ -61,9 +62,14 @@ class RampName:
         return self.effect.describe(np.array([self.size])) | self.effect.part
 
     @property
+    def public_sigma(self) -> dict[str, float]:
+        """Standard error of the size under its public name."""
+        return self.effect.describe(np.array([self.sigma]))
+
+    @property
     def phrase(self) -> str:
         """The error with its size, as a sentence names it."""
-        return self.effect.phrase(self.public)
+        return self.effect.phrase(measured(self.public, self.public_sigma))
 
     @property
     def plausible(self) -> bool:

@@ -18,6 +18,7 @@ from irlos_pipe.diagnose.verdict import Diagnosis, Step
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.diagnose.results import (
+    AdjustedRow,
     AdviceRow,
     AlternativeRow,
     Change,
@@ -33,6 +34,7 @@ from irlos_pipe.stages.diagnose.results import (
     SharingRow,
     StarRow,
     StepRow,
+    TriedRow,
     WhereRow,
 )
 from irlos_pipe.stages.model.section import ModelConfig
@@ -57,6 +59,13 @@ def diagnose_results(result: Diagnosis) -> DiagnoseResults:
         unexplained=result.unexplained,
         why_unknown=result.why_unknown,
         rest=_rest(result.rest),
+        adjusted=[
+            AdjustedRow(effect=one.label, parameters=one.public, sigma=one.sigma) for one in result.adjusted
+        ],
+        tried=[
+            TriedRow(effect=one.name, outcome=one.outcome, significance=one.significance, reason=one.reason)
+            for one in result.tried
+        ],
         untestable=list(result.untestable),
         recordings=_stars(result.together),
         sharing=[_sharing(one) for one in result.together.sharing] if result.together else [],
@@ -117,6 +126,9 @@ def _step(step: Step, together: Together | None = None) -> StepRow:
         alternatives=[AlternativeRow(**asdict(other)) for other in step.alternatives],
         parameters=step.public,
         sigma=step.sigma,
+        phrase=step.phrase,
+        shown=step.shown or step.public,
+        shown_sigma=step.shown_sigma or step.sigma,
         significance=step.significance,
         explained=step.explained,
         held_out_z=step.preference,
@@ -214,7 +226,7 @@ def _with_one_list_of_pixels(effects: list[Any]) -> list[Any]:
 
 def model_entries(result: Diagnosis) -> list[dict[str, Any]]:
     """Return what a diagnosis found and adjusted, common to its recordings, as entries of the section."""
-    found = [*(step.effect for step in result.steps), *result.adjusted]
+    found = [*(step.effect for step in result.steps), *(one.effect for one in result.adjusted)]
     return [recipe_entry(one) for one in found if one.acts_in is None]
 
 

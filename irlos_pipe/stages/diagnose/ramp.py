@@ -128,6 +128,8 @@ def _lens_steps(lens: LightPathName | None) -> list[StepRow]:
         StepRow(
             effect=lens.effect.name,
             parameters=lens.public,
+            phrase=lens.phrase,
+            shown=lens.public,
             significance=found.significance,
             explained=1 - (found.chi2_nu[1] - 1) / (found.chi2_nu[0] - 1),
             gap_before=found.gap[0],
@@ -146,7 +148,10 @@ def _step(one: RampName, gap: Gap) -> StepRow:
             for other in one.alternatives
         ],
         parameters=one.public,
-        sigma=one.effect.describe(np.array([one.sigma])),
+        sigma=one.public_sigma,
+        phrase=one.phrase,
+        shown=one.public,
+        shown_sigma=one.public_sigma,
         significance=one.significance,
         explained=one.explained,
         gap_before=gap.before,

@@ -40,12 +40,42 @@ class AlternativeRow(ResultsPart):
 
 
 class RankedRow(ResultsPart):
-    """A candidate when an effect was chosen, see `diagnose.verdict.Ranked`."""
+    """A candidate when an effect was chosen, see `diagnose.verdict.Ranked`.
+
+    Attributes
+    ----------
+    gain : float
+        Fall of χ² by the fit.
+    explained : float
+        Part of the excess over noise that it explains.
+    significance : float
+        In Gaussian σ.
+    held_out_z : float
+        Vuong's statistic for the first of all against it, on data that no fit has seen.
+    """
 
     name: str = ""
     gain: Number = math.nan
     explained: Number = math.nan
     significance: Number = math.nan
+    held_out_z: Number = math.nan
+
+
+class TriedRow(ResultsPart):
+    """What became of an effect of the catalogue, see `diagnose.verdict.Tried`."""
+
+    effect: str = ""
+    outcome: str = ""
+    significance: Number = math.nan
+    reason: str = ""
+
+
+class AdjustedRow(ResultsPart):
+    """An effect that makes the final model fit better and is not named; `effect` is its label there."""
+
+    effect: str = ""
+    parameters: EffectValues = {}
+    sigma: EffectValues = {}
 
 
 class StepRow(ResultsPart):
@@ -55,8 +85,12 @@ class StepRow(ResultsPart):
     ----------
     indistinguishable : list of str
         Names of the `alternatives`.
+    phrase : str
+        The effect with its size and error, as a sentence names it.
     parameters, sigma : dict
         Values and standard errors by name of the parameter.
+    shown, shown_sigma : dict
+        The same for readers: of petals differences from their mean, of a table of modes the RMS as well.
     significance : float
         In Gaussian σ.
     explained : float
@@ -78,6 +112,9 @@ class StepRow(ResultsPart):
     alternatives: list[AlternativeRow] = []
     parameters: EffectValues = {}
     sigma: EffectValues = {}
+    phrase: str = ""
+    shown: EffectValues = {}
+    shown_sigma: EffectValues = {}
     significance: Number = math.nan
     explained: Number = math.nan
     held_out_z: Number = math.nan
@@ -225,6 +262,10 @@ class DiagnoseResults(StageResults):
         What comes nearest, where the verdict is unknown.
     unexplained : bool
         Whether a significant part of the residual is left.
+    adjusted : list of AdjustedRow
+        In the final model without being named.
+    tried : list of TriedRow
+        Every effect of the catalogue, and what became of it.
     untestable : list of str
         Effects that the free parameters absorb.
     recordings : list of StarRow
@@ -257,6 +298,8 @@ class DiagnoseResults(StageResults):
     unexplained: bool = False
     why_unknown: str = ""
     rest: RestRow | None = None
+    adjusted: list[AdjustedRow] = []
+    tried: list[TriedRow] = []
     untestable: list[str] = []
     recordings: list[StarRow] = []
     sharing: list[SharingRow] = []

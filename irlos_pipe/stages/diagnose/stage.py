@@ -36,7 +36,7 @@ from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_ef
 from irlos_pipe.stages.model.recording_settings import pooled_images
 
 NAME = "diagnose"
-VERSION = 10
+VERSION = 11
 NEEDS = ("ingest",)
 READS = ("ingest", "calibrate", "lift")
 EXPECTED_FITS = 11  # of one cube, for the progress bar
