@@ -11,13 +11,16 @@ from typing import Any
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import jsonable
 from irlos_pipe.pipeline.inputs import InputFile, require_unchanged
+from irlos_pipe.pipeline.origin import origin_of, recordings_of
 from irlos_pipe.pipeline.plan import Action, Step, checksum
 from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
 from irlos_pipe.pipeline.resources import Resources, limited_threads
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
+from irlos_pipe.product.header import Origin
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.product.storage import open_product, read_product, write_product
+from irlos_pipe.product.table import Table, table_content
 from irlos_pipe.recipe import Recipe
 from irlos_pipe.stages import STAGES
 from irlos_pipe.stages.base import StageContext, StageOutput, depends_on, reads
@@ -78,14 +81,12 @@ class Job:
 
     def _context(self, step: Step, log: logging.Logger) -> StageContext:
         name = step.name
-        earlier = self.recipe.stages[: self.recipe.stages.index(name)]
-        products = {other: self._product(other) for other in reads(STAGES[name], earlier)}
         return StageContext(
             self.recipe.configs[name],
             self.recipe.model,
             self.recipe.instrument,
             self.recipe.inputs,
-            products,
+            self._read_by(name),
             self.resources.device,
             self.recipe.seed,
             self.resources.jobs,
@@ -93,6 +94,11 @@ class Job:
             log,
             RunFolder(self.folder).scratch(name, step.key),
         )
+
+    def _read_by(self, name: str) -> dict[str, Product]:
+        """Products of the earlier stages that a stage reads."""
+        earlier = self.recipe.stages[: self.recipe.stages.index(name)]
+        return {other: self._product(other) for other in reads(STAGES[name], earlier)}
 
     def _product(self, name: str) -> Product:
         if name not in self._loaded:
@@ -102,16 +108,28 @@ class Job:
 
     def _write(self, step: Step, output: StageOutput, times: dict[str, Any], log: list[str]) -> None:
         """Write the further files first: the product says that the stage is complete."""
-        for name, content in output.files.items():
-            write_bytes(self.folder / PurePath(name).name, content)
+        config = jsonable(self.recipe.configs[step.name])
+        before = self._read_by(step.name)
+        seen = recordings_of(output.results, before, config)
+        notice = self.recipe.notice if self.recipe.samples else ""
+        provenance = (
+            self._provenance(step, output)
+            | times
+            | {
+                "recordings": [one.as_json() for one in seen],
+                "notice": notice,
+            }
+        )
+        origin = origin_of(step.name, provenance, seen, before, output.checks, config, notice)
+        files = {PurePath(name).name: _content(name, file, origin) for name, file in output.files.items()}
+        for name, content in files.items():
+            write_bytes(self.folder / name, content)
+        provenance |= {
+            "files": sorted(files),
+            "file_sha256": {name: checksum(content) for name, content in files.items()},
+        }
         product = Product(
-            step.name,
-            output.arrays,
-            output.results.as_json(),
-            list(output.checks),
-            jsonable(self.recipe.configs[step.name]),
-            self._provenance(step, output) | times,
-            log,
+            step.name, output.arrays, output.results.as_json(), list(output.checks), config, provenance, log
         )
         write_product(product, step.path)
         RunFolder(self.folder).remove_scratch(step.name)
@@ -123,8 +141,6 @@ class Job:
             "recipe": self.recipe.name,
             "summary": list(output.summary),
             "failures": list(output.failures),
-            "files": sorted(PurePath(name).name for name in output.files),
-            "file_sha256": {PurePath(name).name: checksum(content) for name, content in output.files.items()},
             "inputs": self.files,
             "seed": self.recipe.seed,
             "device": self.resources.device,
@@ -133,3 +149,7 @@ class Job:
             "machine": machine(),
             "command": command_line(),
         }
+
+
+def _content(name: str, file: bytes | Table, origin: Origin) -> bytes:
+    return file if isinstance(file, bytes) else table_content(file, PurePath(name).suffix, origin)

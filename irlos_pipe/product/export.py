@@ -13,14 +13,23 @@ from astropy.io import fits
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.product.fits_file import ascii_text, fits_content
+from irlos_pipe.product.header import Card, Origin, header_cards
+from irlos_pipe.product.observed import Recorded, recorded
 from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.product.results import provenance_of
+from irlos_pipe.product.table import comment_block
+
+NOLL = "noll"
+MODAL = ("zernike_nm", "modes_nm", "offset_nm")  # arrays with one coefficient per Noll index
 
 
 def export_arrays(product: Product, names: Sequence[str], path: Path, *, replace: bool = False) -> None:
-    """Write arrays of a product to a ``.fits`` or ``.csv`` file.
+    """Write arrays of a product to a ``.fits`` or ``.csv`` file, with the header of what is handed on.
 
     FITS gets one extension per array (and one per error, named ``<array>_ERROR``) with its unit in
-    BUNIT. CSV gets one column per array of one dimension, or the rows of one array of two.
+    BUNIT. CSV gets one column per array of one dimension, or the rows of one array of two; coefficients
+    come with their Noll indices.
 
     Parameters
     ----------
@@ -47,20 +56,41 @@ def export_arrays(product: Product, names: Sequence[str], path: Path, *, replace
     for name in names:
         if name not in product.arrays:
             raise ConfigurationError(f"no array '{name}' in this product{suggestion(name, product.arrays)}")
-    write_bytes(path, writers[path.suffix](product.stage, {name: product.arrays[name] for name in names}))
+    write_bytes(path, writers[path.suffix](product, {name: product.arrays[name] for name in names}))
 
 
-def _fits_bytes(stage: str, quantities: dict[str, Quantity]) -> bytes:
-    primary = fits.PrimaryHDU()
-    primary.header["STAGE"] = (stage, "irlos stage that made the arrays")
-    hdus = [primary]
+def _origin(product: Product) -> Origin:
+    made = provenance_of(product)
+    category = f"IRLOS_{product.stage.upper()}"
+    seen = recorded(product.provenance)
+    return Origin(product.stage, category, made, seen, product.checks, product.config, made.notice)
+
+
+def _fits_bytes(product: Product, quantities: dict[str, Quantity]) -> bytes:
+    origin = _origin(product)
+    hdus = []
     for name, quantity in quantities.items():
         hdus.append(_hdu(name, quantity.value, quantity))
         if quantity.error is not None:
             hdus.append(_hdu(f"{name}_error", quantity.error, quantity))
-    stream = io.BytesIO()
-    fits.HDUList(hdus).writeto(stream)
-    return stream.getvalue()
+    for hdu in hdus:
+        _add_scale(hdu, origin.recordings)
+    # As it was called before there were ESO's keywords.
+    stage = Card("STAGE", product.stage, "irlos stage that made the arrays")
+    return fits_content(hdus, [stage, *header_cards(origin)])
+
+
+def _add_scale(hdu: fits.hdu.base.ExtensionHDU, recordings: Sequence[Recorded]) -> None:
+    """Say where the pixels of an image lie: offsets from the centre of the window [mas]."""
+    window = recordings[0].window if recordings else ()
+    if not isinstance(hdu, fits.ImageHDU) or hdu.data.ndim < 2 or hdu.shape[-2:] != tuple(window):
+        return
+    for axis, name in ((1, "X"), (2, "Y")):
+        hdu.header[f"CTYPE{axis}"] = (f"{name}OFFSET", "from the centre of the window")
+        hdu.header[f"CUNIT{axis}"] = "mas"
+        hdu.header[f"CRPIX{axis}"] = (hdu.shape[-axis] + 1) / 2
+        hdu.header[f"CRVAL{axis}"] = 0.0
+        hdu.header[f"CDELT{axis}"] = recordings[0].pixel_scale_mas
 
 
 def _hdu(name: str, values: np.ndarray, quantity: Quantity) -> fits.hdu.base.ExtensionHDU:
@@ -70,7 +100,7 @@ def _hdu(name: str, values: np.ndarray, quantity: Quantity) -> fits.hdu.base.Ext
         # FITS images know no booleans.
         hdu = fits.ImageHDU(values.astype(np.uint8) if values.dtype == bool else values, name=name)
         hdu.header["BUNIT"] = quantity.unit
-    hdu.header.add_comment(quantity.description.encode("ascii", "replace").decode())
+    hdu.header.add_comment(ascii_text(quantity.description))
     return hdu
 
 
@@ -80,8 +110,8 @@ def _column(values: np.ndarray) -> fits.Column:
     return fits.Column(name="value", format=code, array=flat)
 
 
-def _csv_bytes(stage: str, quantities: dict[str, Quantity]) -> bytes:
-    columns = _columns(quantities)
+def _csv_bytes(product: Product, quantities: dict[str, Quantity]) -> bytes:
+    columns = _columns(_with_indices(product, quantities))
     lengths = {len(column) for column in columns.values()}
     if len(lengths) > 1:
         raise ConfigurationError(
@@ -89,10 +119,20 @@ def _csv_bytes(stage: str, quantities: dict[str, Quantity]) -> bytes:
             "do not fit into one table; export them one by one"
         )
     stream = io.StringIO()
+    stream.write(comment_block(header_cards(_origin(product))))
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)
     writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
     return stream.getvalue().encode()
+
+
+def _with_indices(product: Product, quantities: dict[str, Quantity]) -> dict[str, Quantity]:
+    """The arrays, behind the Noll indices of the coefficients among them."""
+    nolls = product.arrays.get(NOLL)
+    if nolls is None or NOLL in quantities:
+        return quantities
+    modal = any(name in MODAL and one.value.shape == nolls.value.shape for name, one in quantities.items())
+    return {NOLL: nolls, **quantities} if modal else quantities
 
 
 def _columns(quantities: dict[str, Quantity]) -> dict[str, np.ndarray]:

@@ -70,6 +70,8 @@ class Provenance(ResultsPart):
         Further files that the stage wrote; `file_sha256` are their checksums by name.
     software : dict of str to str
         Versions by package.
+    notice : str
+        What has to be said before any number; empty if nothing has to be.
     started, finished : str
         UTC, ISO 8601; `seconds` lie between.
     """
@@ -88,6 +90,7 @@ class Provenance(ResultsPart):
     software: dict[str, str] = {}
     machine: Machine = Machine()
     command: str = ""
+    notice: str = ""
     started: str = ""
     finished: str = ""
     seconds: Number = math.nan

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from typing import Protocol
@@ -14,6 +15,7 @@ from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers import aot, cube, muse_raw, recorder
 from irlos_pipe.readers.fitsfile import has_fits_name, open_fits
+from irlos_pipe.readers.inherited import inherited_cards
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.search import Refused, each_once, files_by_folder
 from irlos_pipe.readers.sidecar import FOLDER_SIDECAR, own_sidecar, sidecar_path
@@ -103,7 +105,8 @@ def read_recordings(path: Path, instrument: Instrument) -> list[RawRecording]:
     with open_fits(path) as hdus:
         reader = _recognised(hdus)
         if reader is not None:
-            return reader.read(path, hdus, instrument)
+            cards = inherited_cards(hdus[0].header)
+            return [replace(raw, cards=cards) for raw in reader.read(path, hdus, instrument)]
     raise InputDataError(
         f"{path}: no recording in it; expected a table IRPixelFrame, an image SPARTA_TT_CUBE, "
         "a plain cube (frames, y, x), or an AOT file"

@@ -36,6 +36,8 @@ class RawRecording(RawFrames):
         Begin of the recording, NaN if not known [s since 1970].
     notes : tuple of str
         Remarks for the log.
+    cards : mapping
+        What products inherit of the file's primary header, by keyword.
     """
 
     name: str
@@ -47,3 +49,4 @@ class RawRecording(RawFrames):
     subaperture: int | None = None
     start_unix_s: float = float("nan")
     notes: tuple[str, ...] = ()
+    cards: Mapping[str, Any] = field(default_factory=dict)

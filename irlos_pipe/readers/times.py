@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 import numpy as np
 from astropy.io import fits
 
@@ -46,6 +48,13 @@ def require_times(times_s: np.ndarray, where: str) -> None:
     if wrong.size or times_s.ndim != 1:
         row = wrong[0] if wrong.size else 0
         raise InputDataError(f"{where}: {times_s[row]!r} s in row {row + 1} is no time from 1970 to 2100")
+
+
+def iso_time(unix_s: float) -> str:
+    """Return a time [s since 1970] as UTC in ISO 8601 to the millisecond; "" if it is not known."""
+    if not np.isfinite(unix_s):
+        return ""
+    return datetime.fromtimestamp(round(unix_s, 3), UTC).isoformat(timespec="milliseconds")[:23]
 
 
 def pair_by_counter(wanted: np.ndarray, counter: np.ndarray, times_s: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict
 
 from irlos_pipe.product.product import Check, Product, Quantity
 from irlos_pipe.product.results import StageResults
+from irlos_pipe.product.table import Table
 
 if TYPE_CHECKING:
     from irlos_pipe.instrument.instrument import Instrument
@@ -76,8 +77,8 @@ class StageOutput:
     ----------
     results : StageResults
         The stage's section of results.json.
-    files : dict of str to bytes
-        Further files for the run folder, by file name.
+    files : dict of str to bytes or Table
+        Further files for the run folder, by file name; a table is written with its origin in the header.
     summary : sequence of str
         Lines for the table on the terminal.
     failures : sequence of str
@@ -87,7 +88,7 @@ class StageOutput:
     arrays: dict[str, Quantity]
     results: StageResults
     checks: Sequence[Check] = ()
-    files: dict[str, bytes] = field(default_factory=dict)
+    files: dict[str, bytes | Table] = field(default_factory=dict)
     summary: Sequence[str] = ()
     failures: Sequence[str] = ()
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from typing import ClassVar
 
 import numpy as np
-from astropy.io import fits
 from pydantic import Field
 
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
@@ -16,8 +13,10 @@ from irlos_pipe.effects import SeeingHalo, fixed_optics
 from irlos_pipe.estimate.correction import Prediction, predict_correction
 from irlos_pipe.frames.recording import PROFILE, Recording
 from irlos_pipe.optics.wavefront import clear_pupil, opd_maps_nm
+from irlos_pipe.product.header import Card
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.product.results import ByNoll, Number, StageResults, results_of
+from irlos_pipe.product.table import Column, Table
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
@@ -61,20 +60,12 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     offsets = _offsets(nolls, -ctx.config.gain * zernike, sigma)
     recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
     prediction = _predict(ctx, recording, nolls, zernike)
-    table = fits.BinTableHDU.from_columns(
-        [
-            fits.Column("NOLL", "J", array=offsets[0]),
-            fits.Column("OFFSET", "D", unit="nm", array=offsets[1]),
-            fits.Column("SIGMA", "D", unit="nm", array=offsets[2]),
-        ],
-        name="MODAL_OFFSETS",
-    )
-    files = {"correction.csv": _csv(offsets), "correction.fits": _fits(table)}
+    table = _table(ctx, offsets, prediction)
     return StageOutput(
         _arrays(ctx, nolls, zernike, offsets, prediction),
         _results(offsets, prediction),
         _checks(ctx, recording, prediction),
-        files=files,
+        files={"correction.csv": table, "correction.fits": table},
         summary=[
             f"Correction      Strehl {prediction.strehl_before:.3f} → {prediction.strehl_after:.3f} "
             f"predicted, {len(offsets[0])} offsets in correction.csv and correction.fits"
@@ -89,21 +80,27 @@ def _offsets(nolls: list[int], offset_nm: np.ndarray, sigma_nm: np.ndarray) -> O
     return np.array(REPORTED_NOLLS), values[:, 0], values[:, 1]
 
 
-def _csv(offsets: Offsets) -> bytes:
-    text = io.StringIO()
-    text.write(f"# {SIGN}\n")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["noll", "offset_nm", "sigma_nm"])
-    rows = zip(*offsets, strict=True)
-    writer.writerows([int(noll), f"{value:.4f}", f"{sigma:.4f}"] for noll, value, sigma in rows)
-    return text.getvalue().encode()
-
-
-def _fits(table: fits.BinTableHDU) -> bytes:
-    table.header["COMMENT"] = SIGN
-    data = io.BytesIO()
-    fits.HDUList([fits.PrimaryHDU(), table]).writeto(data)
-    return data.getvalue()
+def _table(ctx: StageContext[Config], offsets: Offsets, prediction: Prediction) -> Table:
+    """The offsets as they are handed on, with what they mean and how good they are."""
+    calibration = results_of(CalibrateResults, ctx.products["calibrate"])
+    columns = (
+        Column("noll", "", offsets[0], "Noll index"),
+        Column("offset_nm", "nm", offsets[1], "to be added to the reference", ".4f"),
+        Column("sigma_nm", "nm", offsets[2], "1-sigma error", ".4f"),
+    )
+    facts = (
+        Card("IRLOS SIGN", "offset = -NCPA", "add it to the reference"),
+        Card("IRLOS BASIS", "Zernike, Noll", "indices and order"),
+        Card("IRLOS NORM", "unit RMS over the unobscured disc"),
+        Card("IRLOS PUPIL DIAMETER", float(ctx.instrument.pupil.diameter_m), "[m] of the disc"),
+        Card("IRLOS GAIN", ctx.config.gain, "part of the aberration corrected"),
+        Card("ESO QC NCPA RMS", calibration.wfe_nm, "[nm] NCPAs, Noll 2-30"),
+        Card("ESO QC NCPA RMS SIGMA", calibration.wfe_sigma_nm, "[nm]"),
+        Card("ESO QC CHI2 NU", calibration.chi2_nu, "of the mean image"),
+        Card("ESO QC STREHL BEFORE", prediction.strehl_before, "predicted"),
+        Card("ESO QC STREHL AFTER", prediction.strehl_after, "predicted with the offsets"),
+    )
+    return Table("MODAL_OFFSETS", "IRLOS_MODAL_OFFSETS", columns, SIGN, facts)
 
 
 def _checks(ctx: StageContext[Config], recording: Recording, prediction: Prediction) -> list[Check]:

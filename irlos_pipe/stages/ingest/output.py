@@ -13,15 +13,23 @@ from irlos_pipe.frames.detector import star_position
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.frames.screening import SATURATED, tally
 from irlos_pipe.frames.told import Told
+from irlos_pipe.product.observed import Observed
 from irlos_pipe.product.product import Check
 from irlos_pipe.readers.raw_file import RawRecording
+from irlos_pipe.readers.times import iso_time
 from irlos_pipe.stages.ingest.config import Config
 from irlos_pipe.stages.ingest.recording_arrays import found_bad
 from irlos_pipe.stages.ingest.results import NoiseRow, RecordingRow
 from irlos_pipe.stages.ingest.sources import Source
 
 
-def row(recording: Recording, cleaned: Cleaned, raw: RawRecording, told: Sequence[Told] = ()) -> RecordingRow:
+def row(
+    recording: Recording,
+    cleaned: Cleaned,
+    raw: RawRecording,
+    told: Sequence[Told] = (),
+    instrument: str = "",
+) -> RecordingRow:
     """Return the entry of a `recording` in the results.
 
     Parameters
@@ -34,6 +42,8 @@ def row(recording: Recording, cleaned: Cleaned, raw: RawRecording, told: Sequenc
         What it was made from.
     told : sequence of Told
         What was told of it, against what its frames show.
+    instrument : str
+        Name of the instrument profile.
     """
     acquisition = recording.acquisition
     return RecordingRow(
@@ -67,7 +77,24 @@ def row(recording: Recording, cleaned: Cleaned, raw: RawRecording, told: Sequenc
         },
         corner_scatter_e=cleaned.noise.corner_scatter_e,
         sources=acquisition.sources,
+        observed=observed(recording, raw, instrument),
         doubts=[one.text for one in told if one.warned],
+    )
+
+
+def observed(recording: Recording, raw: RawRecording, instrument: str) -> Observed:
+    """Return what products hand on of a `recording` that was made from `raw`, under a profile's name."""
+    acquisition = recording.acquisition
+    same = ("target", "mode", "exposure_s", "frame_rate_hz", "mag_j", "pixel_scale_mas", "diversity_source")
+    angles = ("derotator_angle_deg", "parallactic_angle_deg", "altitude_deg", "pupil_rotation_deg")
+    return Observed(
+        file=raw.path.name,
+        start=iso_time(recording.start_unix_s),
+        cards=dict(raw.cards),
+        instrument=instrument,
+        wavelength_nm=acquisition.wavelength_nm,
+        diversity_nm=acquisition.diversity,
+        **{name: getattr(acquisition, name) for name in (*same, *angles)},
     )
 
 

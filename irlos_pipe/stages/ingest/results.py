@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
+from irlos_pipe.product.observed import Observed
 from irlos_pipe.product.results import Number, ResultsPart, StageResults
 
 
@@ -62,6 +63,8 @@ class RecordingRow(ResultsPart):
         RMS over time of the darkest pixels, stripes and a changing halo included.
     sources : dict of str to str
         Where each key of the acquisition came from.
+    observed : Observed
+        What products hand on of it.
     doubts : list of str
         What was told and the frames, or plain sense, put in doubt.
     """
@@ -93,6 +96,7 @@ class RecordingRow(ResultsPart):
     noise: dict[str, NoiseRow] = {}
     corner_scatter_e: Number = math.nan
     sources: dict[str, str] = {}
+    observed: Observed = Observed()
     doubts: list[str] = []
 
     @property

@@ -38,7 +38,7 @@ from irlos_pipe.stages.ingest.sources import (
 )
 
 NAME = "ingest"
-VERSION = 6
+VERSION = 7
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})
 BYTES_PER_PIXEL = 1600  # of the window; cleaning took 6.3 GB for a frame of 2000x2000 px
@@ -79,7 +79,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             doubts = [f"{recording.name}: {one.text}" for one in told if one.warned]
             for line in (*contradictions(recording, cleaned), *doubts):
                 ctx.log.warning(line)
-            rows.append(row(recording, cleaned, source.raw, told))
+            rows.append(row(recording, cleaned, source.raw, told, ctx.instrument.name))
             quality += [*checks(recording, ctx.config), told_check(recording, told)]
             arrays |= arrays_of(recording, cleaned, source.raw)
     _require_every_input(ctx.inputs, rows, failures)

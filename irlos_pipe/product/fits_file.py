@@ -1,0 +1,71 @@
+"""FITS files with full headers and checksums."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Iterable, Sequence
+
+from astropy.io import fits
+
+from irlos_pipe.product.header import Card, Value
+
+CARD_LETTERS = 80
+# Letters of units and comments that FITS, which is ASCII, does not have.
+SPELT = str.maketrans(
+    {"χ": "chi", "ν": "nu", "σ": "sigma", "λ": "lambda", "Σ": "sum", "²": "2", "±": "+-", "→": "->", "–": "-",
+     "−": "-", "µ": "u", "×": "x", "″": " arcsec", "≤": "<=", "≥": ">="}
+)  # fmt: skip
+
+
+def fits_content(hdus: Sequence[fits.hdu.base.ExtensionHDU], cards: Iterable[Card]) -> bytes:
+    """Return a FITS file: a primary header, and the `hdus` behind it.
+
+    Parameters
+    ----------
+    hdus : sequence of ExtensionHDU
+        Tables and images.
+    cards : iterable of Card
+        The primary header. A text that does not fit into a card loses its beginning, as of a path.
+    """
+    primary = fits.PrimaryHDU()
+    for card in cards:
+        set_card(primary.header, card)
+    stream = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", fits.verify.VerifyWarning)
+        fits.HDUList([primary, *hdus]).writeto(stream, checksum=True, output_verify="exception")
+    return stream.getvalue()
+
+
+def ascii_text(text: str) -> str:
+    """Return a `text` in the letters that FITS has."""
+    plain = text.translate(SPELT).encode("ascii", "replace").decode()
+    return "".join(letter if letter.isprintable() else "?" for letter in plain)
+
+
+def set_card(header: fits.Header, card: Card) -> None:
+    """Add a `card` to a `header`."""
+    plain = len(card.key) <= 8 and " " not in card.key
+    keyword = card.key if plain else f"HIERARCH {card.key}"
+    room = CARD_LETTERS - (10 if plain else len(keyword) + 3)
+    value = _fitting(card.value, room)
+    left = room - len(_written(value)) - 3
+    header[keyword] = (value, ascii_text(card.comment)[: max(left, 0)])
+
+
+def _fitting(value: Value, room: int) -> Value:
+    """A value that takes no more letters than there is room for, its end if it is text."""
+    if not isinstance(value, str):
+        return value if len(_written(value)) <= room else float(f"{value:.{max(room - 8, 1)}g}")
+    text = ascii_text(value)
+    while len(_written(text)) > room:
+        text = text[1:]
+    return text
+
+
+def _written(value: Value) -> str:
+    """The value as a card has it, at least as long as astropy writes it."""
+    if isinstance(value, str):
+        return "'" + value.replace("'", "''").ljust(8) + "'"
+    return str(value) if isinstance(value, (bool, int)) else f"{value:.16G}".ljust(20)
