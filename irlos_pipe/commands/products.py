@@ -57,20 +57,34 @@ def show(product: Path) -> None:
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=FOLDER)
-def report(folder: Path) -> None:
+@click.option("--figures", is_flag=True, help="Write every figure to DIR/figures as well.")
+@click.option(
+    "--format",
+    "formats",
+    type=click.Choice(["pdf", "png", "svg"]),
+    multiple=True,
+    help="File format of the figures (default: all three). May be repeated.",
+)
+def report(folder: Path, figures: bool, formats: tuple[str, ...]) -> None:
     """Write DIR/report.html again from the products of a run.
 
     \b
-    Example:
+    Examples:
       irlos report demo
+      irlos report demo --figures --format pdf
     """
     from irlos_pipe.product.runfolder import existing_run, owned_folder
 
+    if formats and not figures:
+        raise click.UsageError("--format is that of the figures: give --figures as well")
     with owned_folder(existing_run(folder).path) as run_folder:
         from irlos_pipe.report.build import write_report
+        from irlos_pipe.report.figures import FORMATS, write_figures
 
         with readable(folder):
             click.echo(write_report(run_folder.path))
+            for path in write_figures(run_folder, formats or FORMATS) if figures else ():
+                click.echo(path)
 
 
 @click.command()

@@ -106,6 +106,8 @@ def _concluded(job: Job, run: RunFolder) -> Outcome:
     outcome = assess(job.recipe, job.summaries())
     changed = _write_outcome(outcome, run)
     ran = any(step.action is Action.RUN for step in job.steps)
+    if changed or ran:
+        run.set_figures_aside()
     if changed or ran or not run.report.is_file():
         outcome = replace(outcome, report_error=_report_error(run))
     return replace(outcome, report=run.report if run.report.is_file() else None)
@@ -159,6 +161,7 @@ def _set_outdated_aside(job: Job, run: RunFolder) -> None:
         if step.name not in job.finished and step.path.is_file():
             run.set_aside(_files_beside(step.path))
     run.set_aside([run.report.name])
+    run.set_figures_aside()
 
 
 def _files_beside(product: Path) -> list[str]:

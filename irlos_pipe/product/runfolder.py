@@ -47,6 +47,11 @@ class RunFolder:
         return self.path / "report.html"
 
     @property
+    def figures(self) -> Path:
+        """The figures of the report as files, where they were asked for."""
+        return self.path / "figures"
+
+    @property
     def log(self) -> Path:
         """What happened, run after run."""
         return self.path / "run.log"
@@ -74,6 +79,24 @@ class RunFolder:
                 os.replace(path, self.path / EARLIER / path.name)
             except OSError as error:
                 raise IrlosError(f"{path}: cannot be moved: {error.strerror or error}") from error
+
+    def set_figures_aside(self) -> None:
+        """Move figures that are no longer those of the run to the folder ``earlier``.
+
+        Raises
+        ------
+        IrlosError
+            When they cannot be moved.
+        """
+        if not self.figures.is_dir() or self.figures.is_symlink():
+            return
+        target = self.path / EARLIER / self.figures.name
+        try:
+            target.parent.mkdir(exist_ok=True)
+            shutil.rmtree(target, ignore_errors=True)
+            os.replace(self.figures, target)
+        except OSError as error:
+            raise IrlosError(f"{self.figures}: cannot be moved: {error.strerror or error}") from error
 
     def scratch(self, stage: str, key: str) -> Path:
         """Return where `stage` keeps finished parts of the product of that `key`; it is not made here."""

@@ -95,11 +95,12 @@ def _render(run: RunData) -> str:
         finished=finished(run),
         key_numbers=key_numbers(run),
         warnings=warnings(run),
-        sections=_sections(run),
+        sections=report_sections(run),
     )
 
 
-def _sections(run: RunData) -> list[Section]:
+def report_sections(run: RunData) -> list[Section]:
+    """Return all sections of the report of a run."""
     sections = (*stage_sections(run).values(), quality_section(run), origin_section(run))
     return [section for section in sections if section]
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import matplotlib
@@ -68,6 +70,19 @@ IDENTIFIER = re.compile(r'\sid="([^"]*)"')
 REFERENCE = re.compile(r'(?<=href="#)[^"]*|(?<=url\(#)[^)]*')
 FONT = re.compile(r"font-family: [^;\"]*")
 
+Keep = Callable[[str, Figure], None]
+_KEEP: ContextVar[Keep | None] = ContextVar("keep", default=None)
+
+
+@contextmanager
+def kept_by(keep: Keep) -> Iterator[None]:
+    """Call ``keep(name, figure)`` with every figure that is drawn in this block."""
+    token = _KEEP.set(keep)
+    try:
+        yield
+    finally:
+        _KEEP.reset(token)
+
 
 def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None]) -> Markup:
     """Draw a figure and return it as SVG to stand inside a page.
@@ -87,6 +102,8 @@ def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None])
         matplotlib.rcParams.update(STYLE)
         figure = Figure(figsize=size_in)
         draw(figure)
+        if keep := _KEEP.get():
+            keep(name, figure)
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None})
     return Markup(_for_page(text.getvalue(), name))

@@ -1,0 +1,86 @@
+"""Every figure of a report as a file of its own, for papers and slides."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from irlos_pipe.conventions.errors import IrlosError
+from irlos_pipe.files.atomic import write_bytes
+from irlos_pipe.product.runfolder import RunFolder
+from irlos_pipe.report.build import report_sections
+from irlos_pipe.report.drawing import kept_by
+from irlos_pipe.report.run_data import read_run
+
+FORMATS = ("pdf", "png", "svg")
+PNG_DPI = 200
+# Text as outlines in SVG, which looks the same everywhere, and as text in PDF, which can be edited.
+FONTS = {"svg.fonttype": "path", "pdf.fonttype": 42}
+NO_DATE = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
+
+
+def write_figures(run: RunFolder, formats: Sequence[str] = FORMATS) -> list[Path]:
+    """Write all figures of the report of a run into its folder ``figures``, in place of earlier ones.
+
+    Parameters
+    ----------
+    run : RunFolder
+        A finished run, owned by the caller.
+    formats : sequence of str
+        ``pdf``, ``png``, ``svg``.
+
+    Returns
+    -------
+    list of Path
+        The files, in the order of the report.
+
+    Raises
+    ------
+    InputDataError
+        When a product cannot be read.
+    IrlosError
+        When a file cannot be written.
+    """
+    drawn: dict[str, dict[str, bytes]] = {}
+
+    def keep(name: str, figure: Figure) -> None:
+        drawn[_unused(name, drawn)] = {kind: _file(figure, kind) for kind in formats}
+
+    with kept_by(keep):
+        report_sections(read_run(run.path))
+    _make_folder(run)
+    return [_written(run.figures / f"{name}.{kind}", file) for name, files in drawn.items()
+            for kind, file in files.items()]  # fmt: skip
+
+
+def _make_folder(run: RunFolder) -> None:
+    if run.figures.is_symlink():
+        raise IrlosError(f"{run.figures}: a link, through which nothing is written; remove it")
+    run.set_figures_aside()
+    try:
+        run.figures.mkdir(exist_ok=True)
+    except OSError as error:
+        raise IrlosError(f"{run.figures}: cannot be made: {error.strerror or error}") from error
+
+
+def _unused(name: str, taken: dict[str, dict[str, bytes]]) -> str:
+    """The name of a drawing, numbered where there are several."""
+    plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in name)
+    count = sum(other == plain or other.rpartition("-")[0] == plain for other in taken)
+    return plain if plain not in taken else f"{plain}-{count + 1}"
+
+
+def _file(figure: Figure, kind: str) -> bytes:
+    stream = io.BytesIO()
+    with rc_context(FONTS):
+        figure.savefig(stream, format=kind, facecolor="white", dpi=PNG_DPI, metadata=NO_DATE[kind])
+    return stream.getvalue()
+
+
+def _written(path: Path, content: bytes) -> Path:
+    write_bytes(path, content)
+    return path
