@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
@@ -19,7 +20,7 @@ from irlos_pipe.report.run_data import read_run
 FORMATS = ("pdf", "png", "svg")
 PNG_DPI = 200
 # Text as outlines in SVG, which looks the same everywhere, and as text in PDF, which can be edited.
-FONTS = {"svg.fonttype": "path", "pdf.fonttype": 42}
+FONTS: dict[Any, Any] = {"svg.fonttype": "path", "pdf.fonttype": 42}
 NO_DATE = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
 
 
