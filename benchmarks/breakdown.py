@@ -16,7 +16,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from benchmarks.inputs import Inputs
 from benchmarks.lift_cases import prepared_lift
 from benchmarks.measure import stopwatch
-from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration import calibrate
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.numerics.parallel import workers
 
 PRODUCTS = ("mm", "bmm", "addmm", "baddbmm")

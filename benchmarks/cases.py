@@ -20,12 +20,13 @@ from benchmarks.inputs import Inputs, true_zernike_nm
 from benchmarks.lift_cases import lift_bare, lift_halo, lift_latency, lift_numpy, lift_solvephase
 from benchmarks.long_recording import stream_10000
 from benchmarks.measure import peak_mib, stopwatch
-from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration import calibrate
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.parallel import workers
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
+from irlos_pipe.stages.calibrate.config import Config as CalibrateConfig
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.effects import model_effects
 from irlos_pipe.stages.model.recording_settings import psf_settings

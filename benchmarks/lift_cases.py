@@ -18,7 +18,8 @@ from benchmarks.inputs import Inputs
 from benchmarks.measure import stopwatch
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.lift import LiftOptions, lift
+from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.estimate.sensitivity import dim
 from irlos_pipe.estimate.tabulated import tabulated

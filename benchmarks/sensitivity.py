@@ -10,7 +10,7 @@ import torch
 from benchmarks.inputs import Inputs
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.lift import LiftOptions
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.sensitivity import Criterion, scan
 from irlos_pipe.stages.lift.input import calibrated_ncpa_nm, effects_for_lift, ramp_model, read_ramp

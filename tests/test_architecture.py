@@ -15,7 +15,7 @@ MAY_IMPORT = {
     "instrument": {"conventions", "files"},
     "frames": {"conventions"},
     "readers": {"conventions", "files", "frames", "instrument"},
-    "numerics": set(),
+    "numerics": {"conventions"},
     "optics": {"conventions", "numerics"},
     "effects": {"conventions", "numerics", "optics"},
     "estimate": {"conventions", "frames", "numerics", "optics", "effects"},
@@ -54,8 +54,8 @@ MAY_IMPORT = {
 SCIENCE = ("conventions", "frames", "numerics", "optics", "effects", "estimate", "diagnose", "simulate")
 SCIENCE_MAY_USE = {
     "__future__", "abc", "collections", "concurrent", "contextlib", "contextvars", "copy", "dataclasses",
-    "difflib", "enum", "functools", "hashlib", "inspect", "itertools", "math", "textwrap", "threading",
-    "time", "typing", "warnings", "numpy", "scipy", "torch",
+    "difflib", "enum", "functools", "hashlib", "importlib", "inspect", "itertools", "math", "textwrap",
+    "threading", "time", "typing", "warnings", "numpy", "scipy", "torch",
 }  # fmt: skip
 # A package's own __init__ may be empty; the one of the whole comes first and imports nothing.
 MODULES = sorted(path.relative_to(PACKAGE.parent) for path in PACKAGE.rglob("*.py"))

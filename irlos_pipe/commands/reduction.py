@@ -221,6 +221,8 @@ def _outcome(
 
 def _exit_if_wrong(recipe: Recipe) -> None:
     """Report all that is wrong with the recordings of a recipe, if anything is, and exit."""
+    if not any(recipe.inputs.values()):
+        return
     from irlos_pipe.pipeline.problems import input_problems
 
     problems = input_problems(recipe)

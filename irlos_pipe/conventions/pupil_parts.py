@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from irlos_pipe.conventions.placement import UNMOVED, Placement
 
@@ -277,11 +277,11 @@ class AmplitudeMap(Part):
         x_m, y_m = np.broadcast_arrays(*self.placement.back(x_m, y_m))
         middle = (len(self._spline) - 1) / 2
         places = np.stack([y_m, x_m]) / self.step_m + middle
-        return ndimage.map_coordinates(self._spline, places, order=3, prefilter=False)
+        return scipy.ndimage.map_coordinates(self._spline, places, order=3, prefilter=False)
 
     @cached_property
     def _spline(self) -> np.ndarray:
-        return ndimage.spline_filter(np.pad(self.samples.values, SPLINE_MARGIN), order=3)
+        return scipy.ndimage.spline_filter(np.pad(self.samples.values, SPLINE_MARGIN), order=3)
 
     @cached_property
     def outline(self) -> Part:
@@ -290,7 +290,7 @@ class AmplitudeMap(Part):
         margin = int(np.ceil(CLOSED_GAPS * len(values)))
         lit = np.pad(values > values.max() / 2, 2 * margin)
         inner = slice(2 * margin, -2 * margin)
-        closed = ndimage.binary_fill_holes(ndimage.binary_closing(lit, iterations=margin))
+        closed = scipy.ndimage.binary_fill_holes(scipy.ndimage.binary_closing(lit, iterations=margin))
         return replace(self, samples=Samples.of(closed[inner, inner]))
 
 

@@ -14,8 +14,8 @@ from irlos_pipe.diagnose.checks.motion import MOVING, motion_ratio
 from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.held_out import HeldOutEvaluation, preference
-from irlos_pipe.diagnose.joint_fit import DRIFT_NM
 from irlos_pipe.diagnose.null_model import Optimum
+from irlos_pipe.diagnose.options import Options
 from irlos_pipe.diagnose.refit import PER_PARAMETER, Refit
 from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.diagnose.verdict import Ranked
@@ -25,31 +25,6 @@ MUST_EXPLAIN = 0.8  # of what is left, for a further name
 SIGNIFICANT = 5.0  # standard errors of the excess, from which a moment's counts
 PLAINLY = 10.0  # times its price, by which χ² grows without a name that is needed
 PREFERRED = 3.0  # Vuong's statistic on held-out frames, where noise is known or a model has errors
-
-
-@dataclass(frozen=True)
-class Options:
-    """Choices of a diagnosis.
-
-    Attributes
-    ----------
-    highest_noll : int
-        Noll 2 to this belong to every model; what lies beyond can be found as `high_order_ncpa`.
-    held_out : float
-        Part of the frames that no fit sees.
-    most_names : int
-        At which to stop.
-    sure : float
-        Significance of a detection in Gaussian σ.
-    drift_nm : float
-        Prior σ of the change of every mode between stars and nights [nm RMS].
-    """
-
-    highest_noll: int
-    held_out: float
-    most_names: int
-    sure: float
-    drift_nm: float = DRIFT_NM
 
 
 @dataclass(frozen=True)

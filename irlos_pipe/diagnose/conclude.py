@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from irlos_pipe.diagnose.acceptance import Accepted, Options, Search, labels_in, threshold
+from irlos_pipe.diagnose.acceptance import Accepted, Search, labels_in, threshold
 from irlos_pipe.diagnose.checks.fine_structure import fine_structure
 from irlos_pipe.diagnose.checks.motion import motion_ratio
 from irlos_pipe.diagnose.checks.noise import NoiseVerdict
@@ -25,6 +25,7 @@ from irlos_pipe.diagnose.fitting import Fitted
 from irlos_pipe.diagnose.grade import judged
 from irlos_pipe.diagnose.held_out import HeldOutEvaluation, gap_between
 from irlos_pipe.diagnose.null_model import Optimum
+from irlos_pipe.diagnose.options import Options
 from irlos_pipe.diagnose.rest import rest_of
 from irlos_pipe.diagnose.search.scores import Score
 from irlos_pipe.diagnose.second_recording import Advice, SecondRecordings

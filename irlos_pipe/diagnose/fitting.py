@@ -10,7 +10,8 @@ import numpy as np
 import torch
 
 from irlos_pipe.diagnose.cube import Stack, Stacks
-from irlos_pipe.diagnose.joint_fit import DRIFT_NM, POINTING, JointFit
+from irlos_pipe.diagnose.joint_fit import POINTING, JointFit
+from irlos_pipe.diagnose.options import DRIFT_NM
 from irlos_pipe.diagnose.view import View
 from irlos_pipe.effects import Effect, FixedEffect, Parameter
 from irlos_pipe.effects.effect_set import EffectSet

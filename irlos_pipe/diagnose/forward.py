@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from irlos_pipe.diagnose.acceptance import Accepted, Options, Search, choose, explained, no_longer_needed
+from irlos_pipe.diagnose.acceptance import Accepted, Search, choose, explained, no_longer_needed
 from irlos_pipe.diagnose.checks.drift import Drift, measure_drift
 from irlos_pipe.diagnose.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.fitting import Fitted, Fitter
 from irlos_pipe.diagnose.moments import Moments
 from irlos_pipe.diagnose.null_model import Optimum
+from irlos_pipe.diagnose.options import Options
 from irlos_pipe.diagnose.refit import FAR, Refit, refits
 from irlos_pipe.diagnose.search.placements import placed_families
 from irlos_pipe.diagnose.search.scores import Score, families, scores

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from irlos_pipe.diagnose.acceptance import Options, Search
+from irlos_pipe.diagnose.acceptance import Search
 from irlos_pipe.diagnose.checks.fine_structure import FineStructure
 from irlos_pipe.diagnose.checks.noise import PHOTONS, SPECKLES, UNSEEN, NoiseVerdict
 from irlos_pipe.diagnose.null_model import Optimum
+from irlos_pipe.diagnose.options import Options
 from irlos_pipe.diagnose.refit import Refit
 from irlos_pipe.diagnose.verdict import COMPLETE, NONE, PARTIAL, RESEMBLES, UNKNOWN, Grade
 

@@ -14,12 +14,12 @@ from itertools import pairwise
 
 import torch
 
+from irlos_pipe.diagnose.options import DRIFT_NM
 from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE, CheapGradientProblem
 
 OWN = 4  # tip, tilt, flux and background
-DRIFT_NM = 10.0  # by which every mode may change from one star or night to another
 POINTING = 2  # modes that belong to each recording
 
 

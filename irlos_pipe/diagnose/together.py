@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from irlos_pipe.diagnose.acceptance import Options, Search, labels_in
+from irlos_pipe.diagnose.acceptance import Search, labels_in
 from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.effect_sizes import parameter_covariance
 from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.moments import Moments
+from irlos_pipe.diagnose.options import Options
 from irlos_pipe.diagnose.sharing import Change, Together, sharing
 
 

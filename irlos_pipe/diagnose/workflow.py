@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import torch
 
-from irlos_pipe.diagnose.acceptance import Options
 from irlos_pipe.diagnose.checks.noise import PHOTONS, judge_all
 from irlos_pipe.diagnose.conclude import conclude
 from irlos_pipe.diagnose.cube import Cube
@@ -16,6 +15,7 @@ from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.forward import Report, Task
 from irlos_pipe.diagnose.grade import much_is_left
 from irlos_pipe.diagnose.moments import Moments
+from irlos_pipe.diagnose.options import Options
 from irlos_pipe.diagnose.splitting import hold_out_of
 from irlos_pipe.diagnose.together import together
 from irlos_pipe.diagnose.tolerant import TolerantTask

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
-import torch
 
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.effects.declaration import (
     Belongs,
     Calibrated,
@@ -22,7 +22,7 @@ from irlos_pipe.effects.declaration import (
 )
 from irlos_pipe.optics.grids import PupilGrid
 
-Values = Sequence[float] | np.ndarray | torch.Tensor
+Values: TypeAlias = "Sequence[float] | np.ndarray | torch.Tensor"
 
 
 class Effect:

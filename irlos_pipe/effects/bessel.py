@@ -2,30 +2,36 @@
 
 from __future__ import annotations
 
-import torch
+from functools import cache
+
+from irlos_pipe.conventions.late import torch
 
 
-class _J0OfTwiceRoot(torch.autograd.Function):
+@cache
+def _differentiable() -> type[torch.autograd.Function]:
     """``J0(2√w)``, analytic in w, with ``d/dw = -J1(2√w)/√w``, which is -1 at 0."""
 
-    generate_vmap_rule = True
+    class J0OfTwiceRoot(torch.autograd.Function):
+        generate_vmap_rule = True
 
-    @staticmethod
-    def forward(w):
-        return torch.special.bessel_j0(2 * torch.sqrt(w))
+        @staticmethod
+        def forward(w):
+            return torch.special.bessel_j0(2 * torch.sqrt(w))
 
-    @staticmethod
-    def setup_context(ctx, inputs, output):
-        ctx.save_for_backward(*inputs)
-        ctx.save_for_forward(*inputs)
+        @staticmethod
+        def setup_context(ctx, inputs, output):
+            ctx.save_for_backward(*inputs)
+            ctx.save_for_forward(*inputs)
 
-    @staticmethod
-    def jvp(ctx, change):
-        return change * _slope(*ctx.saved_tensors)
+        @staticmethod
+        def jvp(ctx, change):
+            return change * _slope(*ctx.saved_tensors)
 
-    @staticmethod
-    def backward(ctx, change):
-        return change * _slope(*ctx.saved_tensors)
+        @staticmethod
+        def backward(ctx, change):
+            return change * _slope(*ctx.saved_tensors)
+
+    return J0OfTwiceRoot
 
 
 def _slope(w: torch.Tensor) -> torch.Tensor:
@@ -36,4 +42,4 @@ def _slope(w: torch.Tensor) -> torch.Tensor:
 
 def j0_of_twice_root(w: torch.Tensor) -> torch.Tensor:
     """``J0(2√w)`` for w ≥ 0, differentiable everywhere."""
-    return _J0OfTwiceRoot.apply(w)
+    return _differentiable().apply(w)

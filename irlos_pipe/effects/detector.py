@@ -7,8 +7,8 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
-import torch
 
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.effects.base import FixedEffect
 from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, Public, direction, number
 from irlos_pipe.effects.planes import DetectorEffect

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import torch
-
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public
 from irlos_pipe.effects.planes import TimeEffect
 from irlos_pipe.effects.zernike_table import ZernikeTable

@@ -8,8 +8,8 @@ from itertools import groupby, pairwise
 from typing import Any, get_args
 
 import numpy as np
-import torch
 
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Parameter, Plane
@@ -19,7 +19,6 @@ from irlos_pipe.optics.grids import Change, Grids, Optics, OtfGrid, Sampling, Ta
 
 PLANES: tuple[Plane, ...] = get_args(Plane)
 Acting = tuple[Effect, slice]  # and its part of the parameter vector
-NOTHING = torch.zeros(0, dtype=torch.float64)
 
 
 class EffectSet:
@@ -76,8 +75,9 @@ class EffectSet:
 
     # -- light path --------------------------------------------------------------------------
 
-    def __call__(self, values: torch.Tensor = NOTHING) -> Optics:
-        """What the effects make of pupil, OTF and sampling."""
+    def __call__(self, values: torch.Tensor | None = None) -> Optics:
+        """What the effects make of pupil, OTF and sampling; without `values` if all are held."""
+        values = torch.zeros(0, dtype=torch.float64) if values is None else values
         return self._optics(values, self._sampling(values))
 
     def _optics(self, values: torch.Tensor, sampling: Sampling) -> Optics:

@@ -6,8 +6,8 @@ They change the defocus that a ramp really introduces, and with it what its esti
 from __future__ import annotations
 
 import numpy as np
-import torch
 
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.effects.declaration import Parameter, number
 from irlos_pipe.effects.planes import RampEffect
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.effects.base import Effect, FixedEffect, Values
 from irlos_pipe.effects.companion import FAINT, Companion, copy_of_star
 from irlos_pipe.effects.declaration import Conditions, Parameter, direction, number

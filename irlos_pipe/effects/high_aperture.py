@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import torch
-
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.effects.declaration import Conditions, Parameter, number
 from irlos_pipe.effects.planes import LensEffect
 from irlos_pipe.optics.defocus import HIGHEST_SINE

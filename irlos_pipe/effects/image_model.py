@@ -16,12 +16,14 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects.base import Effect
-from irlos_pipe.effects.effect_set import NOTHING, EffectSet
+from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.numerics.forward_mode import along, pushed_all
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.light_path import NO_TANGENTS, LightPath
 
 TIMES = 3  # nodes of the average over a recording: exact for images of 5th order in time
+
+NOTHING = torch.zeros(0, dtype=torch.float64)  # the parameter vector of effects that are all held
 
 
 class ImageModel:

@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.bessel import j0_of_twice_root

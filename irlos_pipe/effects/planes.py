@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import torch
 
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.numerics.forward_mode import along, along_all
 from irlos_pipe.optics.grids import OtfGrid, PupilGrid, Sampling

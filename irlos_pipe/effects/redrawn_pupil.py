@@ -7,12 +7,12 @@ turned vane that is wider than told is where both say.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import torch
 
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.planes import PupilEffect
@@ -60,7 +60,7 @@ class RedrawnPupil(PupilEffect):
 
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         """See `PupilEffect.apply`."""
-        change = _Change.apply(values, self, grid) if len(values) else _changed(values, self, grid)
+        change = _differentiable().apply(values, self, grid) if len(values) else _changed(values, self, grid)
         return field + change * grid.light
 
     def slopes(
@@ -108,28 +108,32 @@ class _Together(RedrawnPupil):
         return [(one.base, one.all_values(piece).tolist()) for one, piece in pairs]  # type: ignore[misc]
 
 
-class _Change(torch.autograd.Function):
+@cache
+def _differentiable() -> type[torch.autograd.Function]:
     """Change of the band-limited amplitude by an effect, (n, n)."""
 
-    @staticmethod
-    def forward(values, effect, grid):
-        return _changed(values, effect, grid)
+    class Change(torch.autograd.Function):
+        @staticmethod
+        def forward(values, effect, grid):
+            return _changed(values, effect, grid)
 
-    @staticmethod
-    def setup_context(ctx, inputs, output):
-        values, ctx.effect, ctx.grid = inputs
-        ctx.values = values.detach()
+        @staticmethod
+        def setup_context(ctx, inputs, output):
+            values, ctx.effect, ctx.grid = inputs
+            ctx.values = values.detach()
 
-    @staticmethod
-    def jvp(ctx, along, *_):
-        rates = along.tolist()
-        slopes = _slopes(ctx.effect, ctx.grid, ctx.values, range(len(rates)))
-        return sum(rate * slope for rate, slope in zip(rates, slopes, strict=True))
+        @staticmethod
+        def jvp(ctx, along, *_):
+            rates = along.tolist()
+            slopes = _slopes(ctx.effect, ctx.grid, ctx.values, range(len(rates)))
+            return sum(rate * slope for rate, slope in zip(rates, slopes, strict=True))
 
-    @staticmethod
-    def backward(ctx, upstream):
-        slopes = _slopes(ctx.effect, ctx.grid, ctx.values, range(len(ctx.values)))
-        return torch.stack([(upstream * slope).sum() for slope in slopes]), None, None
+        @staticmethod
+        def backward(ctx, upstream):
+            slopes = _slopes(ctx.effect, ctx.grid, ctx.values, range(len(ctx.values)))
+            return torch.stack([(upstream * slope).sum() for slope in slopes]), None, None
+
+    return Change
 
 
 def _changed(values: torch.Tensor, effect: RedrawnPupil, grid: PupilGrid) -> torch.Tensor:

@@ -15,8 +15,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import torch
 
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.effects.base import Effect, FixedEffect

@@ -5,33 +5,29 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal
 
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.labels import occurrences
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.calibration_errors import ErrorsFrom, errors_of
+from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.estimate.effect_modes import drifts, measured_drift
 from irlos_pipe.estimate.frame_kinds import kurtosis_of_frames
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
 from irlos_pipe.estimate.lbfgs import solve_lbfgs
 from irlos_pipe.estimate.methods import (
-    DEFAULT_METHOD,
     EVERY_FRAME,
-    METHODS,
     Report,
-    Scheme,
     linear_estimates,
+    scheme_of,
     start_at_centroids,
 )
-from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.estimate.nominal_chi2 import NominalChi2, nominal_chi2
 from irlos_pipe.estimate.open_fit import Opened, open_basis
 from irlos_pipe.estimate.parameters import Layout
@@ -39,7 +35,6 @@ from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.estimate.starts import START_HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
 from irlos_pipe.estimate.tail_law import TailLaw
 from irlos_pipe.estimate.twin import TwinCheck
-from irlos_pipe.numerics.loss import LOSSES, Loss, LossName
 from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -47,64 +42,6 @@ from irlos_pipe.optics.psf_settings import PsfSettings
 MISFIT, MISFIT_ROUNDS = 1.3, 3  # χ²/ν from which few frames are weighed by it; how often at most
 
 Fit = tuple[ImageFit, Solution]
-
-
-OptimiserName = Literal["lm", "lbfgs"]
-OPEN: Final = "open"
-HighestNoll = int | Literal["open"]
-
-
-@dataclass(frozen=True)
-class CalibrationOptions:
-    """Choices of the user; None takes the method's default.
-
-    Attributes
-    ----------
-    method : str
-        A key of `METHODS`.
-    loss : str or None
-        A key of `LOSSES`.
-    optimiser : {"lm", "lbfgs"}
-    highest_noll : int, "open" or None
-        Modes Noll 2 to this are estimated, or as many as the window shows.
-    prior : NcpaPrior or None
-    law : NcpaLaw or None
-        By which the sign of the even modes is judged, see `twin`; None leaves it to the data alone.
-    """
-
-    method: str = DEFAULT_METHOD
-    loss: LossName | None = None
-    optimiser: OptimiserName = "lm"
-    highest_noll: HighestNoll | None = None
-    prior: NcpaPrior | None = None
-    max_iterations: int = 60
-    law: NcpaLaw | None = None
-
-    @property
-    def last_noll(self) -> int:
-        """Modes Noll 2 to this are estimated, of an open basis first; the method's own choice filled in."""
-        given = self.highest_noll
-        return given if isinstance(given, int) else METHODS[self.method].highest_noll
-
-    @property
-    def open(self) -> bool:
-        """Whether all modes that the window shows follow."""
-        return METHODS[self.method].open and not isinstance(self.highest_noll, int)
-
-    @property
-    def loss_function(self) -> Loss:
-        """The loss, the method's own choice filled in."""
-        return LOSSES[self.loss or METHODS[self.method].loss]
-
-    @property
-    def scheme(self) -> Scheme:
-        """What the method fits to what."""
-        return METHODS[self.method].scheme
-
-    def resolved(self) -> CalibrationOptions:
-        """Return the same with the method's defaults filled in."""
-        highest_noll: HighestNoll = OPEN if self.open else self.last_noll
-        return replace(self, loss=self.loss_function.name, highest_noll=highest_noll)
 
 
 @dataclass(frozen=True)
@@ -218,7 +155,7 @@ def calibrate(
     began = time.perf_counter()
     options = options.resolved()
     effects = tuple(effects) if METHODS[options.method].effects else ()
-    psf = options.scheme.psf_model(settings, range(2, options.last_noll + 1), device)
+    psf = scheme_of(options).psf_model(settings, range(2, options.last_noll + 1), device)
     task = _Task(frames, psf, options, start_nm, report)
     steady = [effect for effect in effects if not drifts(effect)]
     fit = _fit_steady(task, steady)
@@ -232,7 +169,7 @@ def calibrate(
         if drifts(effect):
             frames_nm = linear_estimates(frames, *fit).frames_nm
             fit = task.fit([*fit[0].model.effects.effects, measured_drift(effect, psf.nolls, frames_nm)], fit)
-    twin, tail = options.scheme.twin(*fit, options.law), None
+    twin, tail = scheme_of(options).twin(*fit, options.law), None
     opened = _opened(options, effects, fit)
     if opened is not None:
         fit, tail = (opened.problem, opened.solution), opened.law
@@ -253,7 +190,7 @@ class _Task:
         """Fit with these effects, from scratch or from the modes of another fit."""
         problem = self._problem(ImageModel(self.psf, effects))
         if self.start_nm is None:
-            start = self.options.scheme.start(self.frames, problem)
+            start = scheme_of(self.options).start(self.frames, problem)
         else:
             start = start_at_centroids(self.frames, problem, self.start_nm)
         if near is not None:
@@ -268,7 +205,7 @@ class _Task:
         nolls, prior = self.psf.nolls, self.options.prior
         sigma_nm = None if prior is None else prior.sigma_nm(nolls)
         layout = Layout(nolls, model.effects.parameters, prior_sigma_nm=sigma_nm)
-        images, variance = self.options.scheme.data(self.frames)
+        images, variance = scheme_of(self.options).data(self.frames)
         variance = masked_variance(variance, self.frames.good)
         data = (one.flatten(-2).to(self.psf.device) for one in (images, variance))
         return ImageFit(model, layout, *data, loss=self.options.loss_function)
@@ -284,7 +221,7 @@ class _Task:
         limit = self.options.max_iterations
         if self.options.optimiser == "lbfgs":
             return solve_lbfgs(problem, start, max_iterations=5 * limit)
-        return self.options.scheme.solve(problem, start, limit, report)
+        return scheme_of(self.options).solve(problem, start, limit, report)
 
 
 def _fit_steady(task: _Task, effects: Sequence[Effect]) -> Fit:
@@ -341,7 +278,7 @@ def _result(
 ) -> Calibration:
     problem, solution = fit
     layout, effects = problem.layout, problem.model.effects
-    found = options.scheme.estimates(frames, problem, solution)
+    found = scheme_of(options).estimates(frames, problem, solution)
     mean, sigma = frames.mean_e, mean_variance_e2(frames).sqrt()
     model_image = problem.predict(found.values)[0].reshape(mean.shape).cpu()
     pull = ((mean - model_image) / sigma)[frames.good]

@@ -11,56 +11,23 @@ precision on the diagonal only and the ``-C⁻¹(a - ā)`` term that the publish
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import torch
 
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import Alike, AlikeFit, PhotonFit
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import Solution, joined, mixed
 
+DEFAULTS = LiftOptions()
 ROUGH_TOLERANCE = 10.0  # fall of χ² (3 σ) that does not matter while only the variances are sought
 IMAGES_AT_ONCE = 128  # a dozen copies of them are made on the way
 COARSE_TOLERANCE = 1000.0  # 30 σ: near enough to go on with variances that follow the model
-
-
-NoiseSource = Literal["data", "model", "iterative"]
-
-
-@dataclass(frozen=True)
-class LiftOptions:
-    """Choices of LIFT.
-
-    Attributes
-    ----------
-    noise : {"data", "model", "iterative"}
-        Where the variances come from: the smoothed image; the model fitted with those; or the
-        model of the very estimate.
-    prior_mean_nm, prior_sigma_nm : tensor, (images, modes) and (modes,), optional
-        Gaussian prior; with it the estimate is MAP, without it ML.
-    alike : Alike, optional
-        Where many images are realisations of a few frames: quicker, covariances are those of the frames.
-    """
-
-    noise: NoiseSource = "iterative"
-    prior_mean_nm: torch.Tensor | None = None
-    prior_sigma_nm: torch.Tensor | None = None
-    max_iterations: int = 40
-    alike: Alike | None = None
-
-    def of(self, which: torch.Tensor) -> LiftOptions:
-        """Return the same for some of the images."""
-        mean_nm, alike = self.prior_mean_nm, self.alike
-        return replace(
-            self,
-            prior_mean_nm=mean_nm if mean_nm is None else mean_nm[which],
-            alike=alike if alike is None else alike.of(which),
-        )
 
 
 @dataclass(frozen=True)
@@ -116,7 +83,7 @@ def lift(
     good: torch.Tensor,
     noise: NoiseModel,
     start_nm: torch.Tensor,
-    options: LiftOptions = LiftOptions(),
+    options: LiftOptions = DEFAULTS,
     *,
     report: Callable[[int], None] | None = None,
 ) -> LiftResult:

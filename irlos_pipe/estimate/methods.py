@@ -1,20 +1,16 @@
-"""The ways to calibrate NCPAs from a cube: what is fitted to what, and with which loss.
-
-The first five are those of the paper (its Fig. "methods"), the sixth puts the AO residual
-into the model and needs the mean image only.
-"""
+"""The ways to fit the images of a cube: their mean, every frame, or all frames together."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
 
 from irlos_pipe.conventions.laws import NcpaLaw
+from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions, Fits
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.estimate.effect_modes import whole_wavefront
 from irlos_pipe.estimate.frame_fits import fit_frames
@@ -23,7 +19,6 @@ from irlos_pipe.estimate.starts import median_of_frames_nm, start_tilts_nm
 from irlos_pipe.estimate.twin import TwinCheck, check_twin
 from irlos_pipe.frames.blocks import blocks
 from irlos_pipe.numerics.levenberg_marquardt import solve
-from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.numerics.solution import INVALID, Solution
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -208,89 +203,9 @@ def linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> E
 
 
 MEAN_IMAGE, EVERY_FRAME, ALL_FRAMES = MeanImage(), EveryFrame(), AllFrames()
+SCHEMES: dict[Fits, Scheme] = {"mean image": MEAN_IMAGE, "every frame": EVERY_FRAME, "all frames": ALL_FRAMES}
 
 
-MethodName = Literal["long_exposure", "dip_global", "dip_avg", "dip_joint", "lift_avg", "lift_slices"]
-DEFAULT_METHOD: MethodName = "long_exposure"
-
-
-@dataclass(frozen=True)
-class Method:
-    """A calibration method.
-
-    Attributes
-    ----------
-    name : str
-    scheme : Scheme
-        What is fitted to what.
-    loss : str
-        Default loss.
-    highest_noll : int
-        Default number of modes, Noll 2 to this.
-    open : bool
-        Whether they are only the first, and all that the window shows follow, see `open_fit`.
-    effects : bool
-        Whether the AO residual and jitter belong to the model.
-    description : str
-    """
-
-    name: str
-    scheme: Scheme
-    loss: LossName
-    highest_noll: int
-    open: bool
-    effects: bool
-    description: str
-
-
-METHODS: dict[str, Method] = {
-    method.name: method
-    for method in (
-        Method(
-            "long_exposure",
-            MEAN_IMAGE,
-            "gaussian",
-            66,
-            True,
-            True,
-            "mean image; the AO residual's long-exposure OTF and the jitter are part of the model",
-        ),
-        Method(
-            "dip_global",
-            EVERY_FRAME,
-            "l1",
-            30,
-            False,
-            False,
-            "every frame by itself, coefficients averaged (paper, method 3)",
-        ),
-        Method("dip_avg", MEAN_IMAGE, "l1", 30, False, False, "mean image, L1 loss (paper, method 1)"),
-        Method(
-            "dip_joint",
-            ALL_FRAMES,
-            "l1",
-            30,
-            False,
-            False,
-            "one coefficient vector for all frames (paper, method 2)",
-        ),
-        Method(
-            "lift_avg",
-            MEAN_IMAGE,
-            "gaussian",
-            30,
-            False,
-            False,
-            "mean image, noise-weighted Gauss-Newton (paper, LIFT avg.)",
-        ),
-        Method(
-            "lift_slices",
-            EVERY_FRAME,
-            "gaussian",
-            30,
-            False,
-            False,
-            "every frame by itself, noise-weighted Gauss-Newton (paper, LIFT slices)",
-        ),
-    )
-}
+def scheme_of(options: CalibrationOptions) -> Scheme:
+    """Return what the method of the `options` fits to what."""
+    return SCHEMES[METHODS[options.method].fits]

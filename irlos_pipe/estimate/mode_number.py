@@ -15,7 +15,8 @@ import torch
 
 from irlos_pipe.conventions.modes import REPORTED_NOLLS
 from irlos_pipe.effects import Effect
-from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration import Calibration, calibrate
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.optics.psf_settings import PsfSettings
 

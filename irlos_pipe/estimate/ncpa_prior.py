@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import torch
-
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.laws import NcpaLaw
 
 POINTING_NM = 5000.0  # tip and tilt: where the star lies in the window says nothing about the optics

@@ -10,10 +10,10 @@ import torch
 
 from irlos_pipe.conventions.modes import DEFOCUS, TIP_TILT
 from irlos_pipe.effects import Effect, EffectSet, FixedEffect, SeeingHalo, TipTiltJitter
-from irlos_pipe.effects.effect_set import NOTHING
-from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.effects.labels import labels_of
-from irlos_pipe.estimate.lift import LiftOptions, LiftResult, image_problem, lift, smooth
+from irlos_pipe.estimate.lift import LiftResult, image_problem, lift, smooth
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.ramp_shared import SharedFit, fit_shared
 from irlos_pipe.estimate.starts import scan_start_nm, start_tilts_nm

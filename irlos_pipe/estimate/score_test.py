@@ -17,8 +17,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects import Effect, EffectSet, FixedEffect
-from irlos_pipe.effects.effect_set import NOTHING
-from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.effects.planes import CopyOfStar, OtfEffect, PupilEffect
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.optics.grids import OtfGrid, PupilGrid

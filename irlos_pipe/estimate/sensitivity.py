@@ -9,7 +9,8 @@ import torch
 
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
-from irlos_pipe.estimate.lift import LiftOptions, lift
+from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import alike
 from irlos_pipe.estimate.ramp_fit import RampData
 from irlos_pipe.frames.noise import NoiseModel

@@ -17,7 +17,8 @@ import torch
 from irlos_pipe.effects import Effect, EffectSet
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.zernike_table import ZernikeTable
-from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration import Calibration, calibrate
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
 from irlos_pipe.estimate.effect_modes import whole_wavefront
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance

@@ -10,8 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import maximum_filter, median_filter, uniform_filter
-from scipy.stats import chi2
+import scipy
 
 from irlos_pipe.frames.blocks import SAMPLE_FRAMES, blocks, sample_frames
 from irlos_pipe.frames.neighbour_prediction import REACH_PX, Prediction, neighbour_prediction
@@ -73,7 +72,7 @@ def stuck_pixels(adu: np.ndarray, read_noise_adu: float, ratio: float) -> np.nda
     if floor <= (0.3 if adu.dtype.kind in "iu" else 0.0):
         return np.zeros(scatter.shape, dtype=bool)
     degrees = min(len(adu), SAMPLE_FRAMES) - 1
-    by_chance = np.sqrt(chi2.ppf(FALSE_ALARM / scatter.size, degrees) / degrees)
+    by_chance = np.sqrt(scipy.stats.chi2.ppf(FALSE_ALARM / scatter.size, degrees) / degrees)
     return scatter <= floor * min(ratio, by_chance)
 
 
@@ -139,7 +138,7 @@ def optical_limit(prediction: Prediction, mean: np.ndarray, thresholds: Threshol
     thresholds : Thresholds
         `fraction` and `sigma` are used.
     """
-    around = np.sqrt(uniform_filter(np.square(mean), size=2 * REACH_PX + 1, mode="nearest"))
+    around = np.sqrt(scipy.ndimage.uniform_filter(np.square(mean), size=2 * REACH_PX + 1, mode="nearest"))
     by_optics = thresholds.sigma * prediction.error * around
     return np.hypot(thresholds.fraction * _brightness(prediction, mean), by_optics)
 
@@ -156,14 +155,14 @@ def _usual(deviation: np.ndarray, prediction: Prediction, mean: np.ndarray, good
     """
     brightness = _brightness(prediction, mean)
     relative = np.where(good, deviation / brightness, 0.0)
-    return UNUSUAL * 1.4826 * median_filter(relative, size=7, mode="nearest") * brightness
+    return UNUSUAL * 1.4826 * scipy.ndimage.median_filter(relative, size=7, mode="nearest") * brightness
 
 
 def seen_variance(residual: np.ndarray) -> np.ndarray | float:
     """Return the variance over time that is usual around each pixel of `residual`; 0 with too few frames."""
     if len(residual) < MIN_FRAMES_FOR_NOISE:
         return 0.0
-    return median_filter(_inner_scatter(residual) ** 2, size=5, mode="nearest")
+    return scipy.ndimage.median_filter(_inner_scatter(residual) ** 2, size=5, mode="nearest")
 
 
 def _variance_of_median(frames: int) -> float:
@@ -173,7 +172,7 @@ def _variance_of_median(frames: int) -> float:
 
 def _local_maxima(values: np.ndarray) -> np.ndarray:
     """Positive values that no other value within reach of the prediction exceeds."""
-    return (values > 0) & (values == maximum_filter(values, size=5, mode="constant"))
+    return (values > 0) & (values == scipy.ndimage.maximum_filter(values, size=5, mode="constant"))
 
 
 def noisy_pixels(
@@ -217,7 +216,7 @@ def _noise_ratio(
     expected = np.sqrt(prediction.variance(noise.variance_e2(mean)))
     tolerated = np.hypot(expected, optical_limit(prediction, mean, thresholds) / thresholds.sigma)
     ratio = scatter / tolerated
-    return ratio / np.maximum(1.0, median_filter(ratio, size=9, mode="nearest"))
+    return ratio / np.maximum(1.0, scipy.ndimage.median_filter(ratio, size=9, mode="nearest"))
 
 
 def _inner_scatter(values: np.ndarray) -> np.ndarray:
@@ -243,7 +242,7 @@ def hot_in_dark(dark_adu: np.ndarray, detector: Detector, thresholds: Thresholds
     -------
     ndarray of bool, (rows, columns)
     """
-    excess = dark_adu - median_filter(dark_adu, size=5, mode="nearest")
+    excess = dark_adu - scipy.ndimage.median_filter(dark_adu, size=5, mode="nearest")
     pattern = 1.4826 * np.median(np.abs(excess))
     shot_noise_e2 = detector.excess_noise_factor * np.maximum(excess, 0) * detector.e_per_adu
     noisy = shot_noise_e2 > (thresholds.noisy_ratio * detector.read_noise_e) ** 2

@@ -8,8 +8,7 @@ the noise of the photons would let them.
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import erf
-from scipy.stats import binom
+import scipy
 
 from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE
 
@@ -60,8 +59,8 @@ def _piled_up(values: np.ndarray, sigma: np.ndarray, step: float) -> np.ndarray:
     for close, wide in WIDTHS:
         near, around = (_others_within(values, width * sigma) for width in (close, wide))
         # of normal values about their own mean; any wider distribution has a smaller share
-        share = erf(close / np.sqrt(2)) / erf(wide / np.sqrt(2))
-        found |= (binom.sf(near - 1, around, share) < FALSE_ALARM) & (close * sigma > 2 * step)
+        share = scipy.special.erf(close / np.sqrt(2)) / scipy.special.erf(wide / np.sqrt(2))
+        found |= (scipy.stats.binom.sf(near - 1, around, share) < FALSE_ALARM) & (close * sigma > 2 * step)
     return found
 
 

@@ -11,8 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import convolve1d
-from scipy.optimize import nnls
+import scipy
 
 from irlos_pipe.frames.blocks import frame_variance, mean_frame, sample_frames
 from irlos_pipe.frames.neighbour_prediction import Prediction
@@ -123,7 +122,7 @@ def _fit(
     """
     for _ in range(ROUNDS):
         weighted = terms / expected[:, None]
-        solution, _ = nnls(weighted, (variance - known) / expected)
+        solution, _ = scipy.optimize.nnls(weighted, (variance - known) / expected)
         expected = np.maximum(known + terms @ solution, 0.05 * expected)
     present = solution > 0
     inside = weighted[:, present]
@@ -182,5 +181,5 @@ def dark_variance_e2(images_e: np.ndarray, good: np.ndarray, at_most_e2: float) 
 def _both_ways(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
     """Convolution along rows and columns; NaN near edges and bad pixels."""
     for axis in (0, 1):
-        image = convolve1d(image, kernel, axis=axis, mode="constant", cval=np.nan)
+        image = scipy.ndimage.convolve1d(image, kernel, axis=axis, mode="constant", cval=np.nan)
     return image

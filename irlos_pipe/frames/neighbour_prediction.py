@@ -10,9 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.signal import correlate2d
-from scipy.sparse import csr_matrix
-from scipy.special import j1
+import scipy
 
 REACH_PX = 3  # neighbours are the other pixels of a (2 * REACH_PX + 1) square
 NEAR_PX = 2  # neighbours whose brightness tells how bright a pixel could be
@@ -38,15 +36,15 @@ class Prediction:
         (pixel - prediction) of a pixel with all its neighbours.
     """
 
-    weights: csr_matrix
-    average: csr_matrix
+    weights: scipy.sparse.csr_matrix
+    average: scipy.sparse.csr_matrix
     error: np.ndarray
     kernel: np.ndarray
 
     @property
     def dependence(self) -> float:
         """Pixels that count as one in a mean of (pixel - prediction)², for they share neighbours."""
-        correlation = correlate2d(self.kernel, self.kernel) / np.sum(self.kernel**2)
+        correlation = scipy.signal.correlate2d(self.kernel, self.kernel) / np.sum(self.kernel**2)
         return float(np.sum(correlation**2))
 
     def of(self, images: np.ndarray) -> np.ndarray:
@@ -55,7 +53,7 @@ class Prediction:
 
     def variance(self, pixel_variance: np.ndarray) -> np.ndarray:
         """Return the variance of (pixel - prediction), from `pixel_variance` of independent pixels."""
-        squares = csr_matrix(
+        squares = scipy.sparse.csr_matrix(
             (self.weights.data**2, self.weights.indices, self.weights.indptr), self.weights.shape
         )
         return pixel_variance + _apply(squares, pixel_variance)
@@ -140,15 +138,15 @@ def _kernel(sampling_px: float) -> np.ndarray:
 
 def _covariance(distance_px: np.ndarray, sampling_px: float) -> np.ndarray:
     z = np.maximum(np.pi * distance_px * CUTOFF_MARGIN / sampling_px, 1e-6)
-    return (2 * j1(z) / z) ** 2
+    return (2 * scipy.special.j1(z) / z) ** 2
 
 
-def _sparse(values: np.ndarray, index: np.ndarray) -> csr_matrix:
+def _sparse(values: np.ndarray, index: np.ndarray) -> scipy.sparse.csr_matrix:
     pixels, neighbours = values.shape
     starts = np.arange(0, pixels * neighbours + 1, neighbours, dtype=np.int32)
-    return csr_matrix((values.ravel(), index.ravel(), starts), shape=(pixels, pixels))
+    return scipy.sparse.csr_matrix((values.ravel(), index.ravel(), starts), shape=(pixels, pixels))
 
 
-def _apply(matrix: csr_matrix, images: np.ndarray) -> np.ndarray:
+def _apply(matrix: scipy.sparse.csr_matrix, images: np.ndarray) -> np.ndarray:
     flat = images.reshape(-1, matrix.shape[1])
     return (matrix @ flat.T).T.reshape(images.shape)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-import torch
 
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.frames.recording import Detector, Recording
 
-Signal = TypeVar("Signal", float, np.ndarray, torch.Tensor)
+Signal = TypeVar("Signal", float, np.ndarray, "torch.Tensor")
 MIN_FRAMES_FOR_NOISE = 10  # with fewer, the scatter of a single pixel over time means little
 
 

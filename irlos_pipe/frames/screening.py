@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter
+import scipy
 
 from irlos_pipe.frames.blocks import blocks, frame_flux, sample_frames
 from irlos_pipe.frames.hits import Hits
@@ -137,7 +137,7 @@ def star_peaks(images_e: np.ndarray) -> StarPeak:
 
 def _peaks(images_e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows, columns = images_e.shape[1:]
-    smooth = uniform_filter(images_e, size=(0, 3, 3), mode="nearest").reshape(len(images_e), -1)
+    smooth = scipy.ndimage.uniform_filter(images_e, size=(0, 3, 3), mode="nearest").reshape(len(images_e), -1)
     above = smooth - np.median(smooth, axis=1, keepdims=True)
     scatter = 1.4826 * np.median(np.abs(above), axis=1)
     y, x = np.unravel_index(smooth.argmax(axis=1), (rows, columns))

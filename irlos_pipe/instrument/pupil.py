@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from astropy.io import fits
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
 
 from irlos_pipe.conventions.placement import Flip, Placement
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed
 from irlos_pipe.conventions.pupil_parts import PARTS, AmplitudeMap, Part, Samples
 from irlos_pipe.conventions.text import suggestion
+from irlos_pipe.files.late import fits
 from irlos_pipe.files.regular import open_regular
 from irlos_pipe.instrument.status import Status
 

@@ -16,6 +16,7 @@ from irlos_pipe.night.page_sections import (
 )
 from irlos_pipe.night.settings import BandSettings
 from irlos_pipe.night.state import Night
+from irlos_pipe.night.tree import page_path
 from irlos_pipe.night.trend import Trend, make_trend
 from irlos_pipe.report.render import rendered
 from irlos_pipe.report.text import plural
@@ -23,11 +24,6 @@ from irlos_pipe.report.text import plural
 TEMPLATE = "night.html.j2"
 FINISHED = '<meta name="irlos-night" content="finished">'
 RUNNING = "not finished"
-
-
-def page_path(tree: Path, date: str) -> Path:
-    """Return the path in `tree` of the page of the night of a `date`."""
-    return tree / f"night_{date}.html"
 
 
 def begin_page(tree: Path, night: Night) -> None:

@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from irlos_pipe.conventions.errors import ExitCode
 from irlos_pipe.conventions.text import aligned, and_more
 from irlos_pipe.files.json import json_text
 from irlos_pipe.night.database import Point
-from irlos_pipe.night.page import page_path
-from irlos_pipe.night.state import Night, RunState
-from irlos_pipe.night.tasks import Job
+from irlos_pipe.night.tree import page_path
 from irlos_pipe.night.trend import Series, Trend, alarm_text
 from irlos_pipe.night.trend_statistics import DAY_S, Band, Structure
-from irlos_pipe.pipeline import Step
 from irlos_pipe.report.text import number, plural
+
+if TYPE_CHECKING:
+    from irlos_pipe.night.state import Night, RunState
+    from irlos_pipe.night.tasks import Job
+    from irlos_pipe.pipeline import Step
 
 NEW_STEP = ("all stages", "run", "no products yet")
 SERIES_COLUMNS = ("number", "recipe", "night", "value", "±", "band", "nights", "", "configuration")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from scipy.stats import t as student_t
+import scipy
 
 from irlos_pipe.night.settings import BandSettings
 
@@ -92,7 +92,7 @@ def _expected(earlier: np.ndarray, rule: BandSettings) -> tuple[Band, float] | N
 @cache
 def _width(false_alarm: float, count: int) -> float:
     """Half width of the band in units of the scatter that `count` values show."""
-    return float(student_t.isf(false_alarm / 2, MAD_EFFICIENCY * (count - 1)))
+    return -float(scipy.special.stdtrit(MAD_EFFICIENCY * (count - 1), false_alarm / 2))
 
 
 def _widened(expected: tuple[Band, float] | None, sigma: float | None) -> Band | None:

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
+from typing import TypeAlias
 
-import torch
-from torch.autograd import forward_ad
+from irlos_pipe.conventions.late import LateModule, torch
 
-Function = Callable[[torch.Tensor], torch.Tensor]
-Functions = Callable[[torch.Tensor], Sequence[torch.Tensor | None]]
+forward_ad = LateModule("torch.autograd.forward_ad")
+Function: TypeAlias = "Callable[[torch.Tensor], torch.Tensor]"
+Functions: TypeAlias = "Callable[[torch.Tensor], Sequence[torch.Tensor | None]]"
 
 _turn = threading.RLock()
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-import torch
+from irlos_pipe.conventions.late import torch
 
 HUBER_KNEE = 2.0  # residuals beyond this many sigma count linearly
 L1_ROUNDING = 1.0  # the kink of |r| is rounded over this many sigma: noise blurs a sharper one anyway
@@ -49,7 +49,11 @@ class Loss:
     @property
     def quadratic(self) -> bool:
         """True for plain least squares, whose weights are all one."""
-        return self.weight is torch.ones_like
+        return self.weight is _ones
+
+
+def _ones(r: torch.Tensor) -> torch.Tensor:
+    return torch.ones_like(r)
 
 
 def _huber(r: torch.Tensor) -> torch.Tensor:
@@ -72,7 +76,7 @@ def _l1_curvature(r: torch.Tensor) -> torch.Tensor:
     return 0.5 * (rounded + width**2 * rounded**3)
 
 
-GAUSSIAN = Loss("gaussian", True, lambda r: 0.5 * r * r, torch.ones_like, torch.ones_like)
+GAUSSIAN = Loss("gaussian", True, lambda r: 0.5 * r * r, _ones, _ones)
 HUBER = Loss("huber", True, _huber, _huber_weight, _huber_weight)
 L1 = Loss(
     "l1",

@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from scipy.fft import next_fast_len
+import scipy
 
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.optics.phasor import phasor
 from irlos_pipe.optics.pupil import CLEAN_BAND, grid_centres
@@ -74,7 +74,7 @@ def focal_samples_for(
 def quick_fft_length(samples: int) -> int:
     """Return the next length of which an FFT is quick: a multiple of 8 without prime factors beyond 5."""
     length = samples + (-samples) % 8
-    while next_fast_len(length, real=True) != length:
+    while scipy.fft.next_fast_len(length, real=True) != length:
         length += 8
     return length
 

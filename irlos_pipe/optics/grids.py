@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-import torch
 
+from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.optics.fourier_matrices import FocalGrid
@@ -168,7 +168,7 @@ class Optics(NamedTuple):
     copies: tuple[Optics, ...] = ()
 
 
-Change = tuple[torch.Tensor | None, torch.Tensor | None, Sampling]
+Change: TypeAlias = "tuple[torch.Tensor | None, torch.Tensor | None, Sampling]"
 
 
 class Tangents(NamedTuple):

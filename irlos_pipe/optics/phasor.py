@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import torch
+from irlos_pipe.conventions.late import torch
 
 
 def phasor(phase: torch.Tensor) -> torch.Tensor:

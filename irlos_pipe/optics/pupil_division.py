@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import lru_cache, partial
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.conventions.pupil_parts import anticlockwise_from_first
@@ -34,11 +34,12 @@ class Petals:
         self._step = geometry.diameter_m / LABELLED
         self._u = grid_centres(LABELLED + 2 * NARROWEST, self._step)
         clear = area_weighted_pupil(_parted(geometry, self._step), self._u)
-        labels, _ = ndimage.label(clear > clear.max() / 2)
+        labels, _ = scipy.ndimage.label(clear > clear.max() / 2)
         areas = np.bincount(labels.ravel())[1:]
         large = np.flatnonzero(areas > SMALLEST * areas.sum()) + 1
         centres = (
-            np.array(ndimage.center_of_mass(labels > 0, labels, large))[:, ::-1] - (len(self._u) - 1) / 2
+            np.array(scipy.ndimage.center_of_mass(labels > 0, labels, large))[:, ::-1]
+            - (len(self._u) - 1) / 2
         )
         number = np.full(len(areas) + 1, -1)
         number[large[anticlockwise_from_first(centres)]] = np.arange(len(large))
@@ -134,5 +135,5 @@ def _lengthened(vane: Vane, by_m: float, least_width_m: float) -> Vane:
 
 def _grown(index: np.ndarray) -> np.ndarray:
     """`index` with the nearest number in place of negative ones."""
-    nearest = ndimage.distance_transform_edt(index < 0, return_distances=False, return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(index < 0, return_distances=False, return_indices=True)
     return index[tuple(nearest)]

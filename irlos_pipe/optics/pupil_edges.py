@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, turned, with_sizes
 from irlos_pipe.optics.pupil import PAD, band_limited, filter_matrix, fine_centres
@@ -169,7 +169,9 @@ class PupilEdges:
         values = np.concatenate([cells.share * rate for cells, rate in zip(edges, changes, strict=True)])
         rows, columns = (np.concatenate([cells[axis] for cells in edges]) for axis in (0, 1))
         size = len(self._fine)
-        return self._filter @ (sparse.csr_array((values, (rows, columns)), (size, size)) @ self._filter.T)
+        return self._filter @ (
+            scipy.sparse.csr_array((values, (rows, columns)), (size, size)) @ self._filter.T
+        )
 
 
 class DrawnTwice:

@@ -14,8 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from scipy.special import j0
+import scipy
+
+from irlos_pipe.conventions.late import torch
 
 SPARE_NODES, SPARE_ORDERS = 8, 40  # beyond what the fringes of the longest baseline need
 HARMONICS = 24  # of the angular part of the PSD; those beyond are below 1e-6 for any it can have
@@ -73,7 +74,7 @@ def fitting_structure_nm2(baselines_m: np.ndarray, band: ResidualBand, r0_m: flo
     power = 2 * np.pi * f * weight * von_karman_nm2(f, r0_m, band.outer_scale_m)
     lengths, inverse = np.unique(np.round(baselines_m.ravel(), 9), return_inverse=True)
     # The oscillating integrand is resolved up to the pupil's diameter; beyond, J0 averages out.
-    values = np.array([2 * np.sum(power * (1 - j0(2 * np.pi * f * b))) for b in lengths])
+    values = np.array([2 * np.sum(power * (1 - scipy.special.j0(2 * np.pi * f * b))) for b in lengths])
     return values[inverse].reshape(baselines_m.shape)
 
 

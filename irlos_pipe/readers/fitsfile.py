@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
+from irlos_pipe.files.late import fits
 from irlos_pipe.files.memory import require_memory
 from irlos_pipe.files.regular import open_regular
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from astropy.io import fits
-from astropy.time import Time
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.seeing import SPARTA
@@ -86,7 +85,7 @@ def _mode(header: fits.Header, instrument: Instrument, path: Path) -> Mode:
             f"{path}: HDU 0: header key {MODE_KEY} is missing, so the read-out mode is not known"
         )
     day = str(header.get("DATE-OBS", ""))[:10]
-    modes = (instrument.on(day) if _is_date(day) else instrument).modes
+    modes = (instrument.on(day) if _unix(day) is not None else instrument).modes
     if name not in modes:
         raise InputDataError(
             f"{path}: HDU 0: {MODE_KEY} = '{name}' is no mode of {instrument.name}"
@@ -95,12 +94,14 @@ def _mode(header: fits.Header, instrument: Instrument, path: Path) -> Mode:
     return modes[name]
 
 
-def _is_date(text: str) -> bool:
+def _unix(stamp: str) -> float | None:
+    """Seconds since 1970 of a UTC `stamp`; None of what is no date."""
+    from astropy.time import Time
+
     try:
-        Time(text)
+        return float(Time(stamp, scale="utc").unix)
     except ValueError:
-        return False
-    return True
+        return None
 
 
 def _from_mode(mode: Mode) -> dict[str, Any]:
@@ -134,9 +135,9 @@ def _from_atmosphere(hdus: fits.HDUList) -> dict[str, Any]:
 
 def _start(hdus: fits.HDUList, header: fits.Header, path: Path) -> float:
     """Begin of the exposure [s since 1970]: DATE-OBS, else the first row of the atmosphere table."""
-    stamp = str(header.get("DATE-OBS", ""))
-    if _is_date(stamp):
-        return float(Time(stamp, scale="utc").unix)
+    told = _unix(str(header.get("DATE-OBS", "")))
+    if told is not None:
+        return told
     times = unix_seconds(hdus[ATMOSPHERE]) if ATMOSPHERE in hdus else None
     if times is None or not times.size:
         return float("nan")

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from irlos_pipe.conventions.errors import InputDataError
 
@@ -60,7 +60,7 @@ def temperature_of(j_minus_h: float, where: str) -> float:
             f"{where} j_minus_h = {j_minus_h:g} is the colour of no star; it should lie between {bluest:.2f} "
             f"and {reddest:.2f}"
         )
-    return float(brentq(lambda t: colour_of(t) - j_minus_h, COOLEST_K, HOTTEST_K))
+    return float(scipy.optimize.brentq(lambda t: colour_of(t) - j_minus_h, COOLEST_K, HOTTEST_K))
 
 
 def spectrum_of(curve: Sequence[Point], temperature_k: float, where: str) -> list[Point]:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from typing import Any, get_args
 
-from irlos_pipe.product.results import ResultsPart, StageResults
+from irlos_pipe.product.results import ResultsPart
 from irlos_pipe.reference.entry import Entry
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 
@@ -30,10 +30,7 @@ ATTRIBUTE = re.compile(r"^([\w, ]+?) : .*\n((?:    .*\n?|\n)*)", re.MULTILINE)
 def number_entries() -> Iterator[Entry]:
     """Yield every key under ``stages`` of results.json."""
     for stage in LIGHT_PATH:
-        STAGES[stage]  # its results are known once it is imported
-    for model in _all_subclasses(StageResults):
-        if getattr(model, "stage", None) in LIGHT_PATH:
-            yield from _entries(model, (model.stage,))
+        yield from _entries(STAGES[stage].Results, (stage,))
 
 
 def _entries(model: type[ResultsPart], above: tuple[str, ...]) -> Iterator[Entry]:
@@ -65,9 +62,3 @@ def _models_in(annotation: Any) -> Iterator[type[ResultsPart]]:
         yield annotation
     for part in get_args(annotation):
         yield from _models_in(part)
-
-
-def _all_subclasses(model: type[StageResults]) -> Iterator[type[StageResults]]:
-    for kind in model.__subclasses__():
-        yield kind
-        yield from _all_subclasses(kind)

@@ -11,7 +11,7 @@ from irlos_pipe.report.images import PANEL_IN, image_panel, log_scale
 from irlos_pipe.report.radial import profile_plot
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, mode_name, number
-from irlos_pipe.stages.correct import CorrectResults
+from irlos_pipe.stages.correct.results import CorrectResults
 
 STAGE = "correct"
 ROWS_PER_TABLE = 10

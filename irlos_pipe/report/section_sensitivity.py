@@ -15,7 +15,7 @@ from irlos_pipe.report.content import Block, Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import CYCLE, INK, log_y, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number
-from irlos_pipe.stages.sensitivity import CriterionRow, CurveRow, SensitivityResults
+from irlos_pipe.stages.sensitivity.results import CriterionRow, CurveRow, SensitivityResults
 
 STAGE = "sensitivity"
 MARKERS = ("o", "s", "^", "D", "v", "P")

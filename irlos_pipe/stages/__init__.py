@@ -1,6 +1,7 @@
 """The stages a recipe can name, in the order of the light path.
 
-Modules are imported when first asked for, so that a recipe loads only what it uses.
+A module `stage` declares a stage: settings, results, what it needs. The module `work` beside it does the work
+and is imported when the stage runs; so recipes are checked, planned and explained without PyTorch.
 """
 
 from __future__ import annotations
@@ -14,13 +15,13 @@ if TYPE_CHECKING:
 
 LIGHT_PATH = {
     "ingest": "irlos_pipe.stages.ingest.stage",
-    "prior": "irlos_pipe.stages.prior",
+    "prior": "irlos_pipe.stages.prior.stage",
     "calibrate": "irlos_pipe.stages.calibrate.stage",
     "lift": "irlos_pipe.stages.lift.stage",
-    "sensitivity": "irlos_pipe.stages.sensitivity",
-    "correct": "irlos_pipe.stages.correct",
+    "sensitivity": "irlos_pipe.stages.sensitivity.stage",
+    "correct": "irlos_pipe.stages.correct.stage",
     "derotator": "irlos_pipe.stages.derotator.stage",
-    "modes": "irlos_pipe.stages.modes",
+    "modes": "irlos_pipe.stages.modes.stage",
     "diagnose": "irlos_pipe.stages.diagnose.stage",
 }
 # Experiments of the paper on simulated data, each a stage of its own recipe, in the order of the paper.

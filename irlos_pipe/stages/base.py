@@ -94,9 +94,18 @@ class StageOutput:
 
 
 class Stage(Protocol):
-    """A module of this package that can stand in a recipe.
+    """A module ``stage`` of this package: what can stand in a recipe.
 
-    A module may further define
+    Attributes
+    ----------
+    VERSION : int
+        Raised where its products change.
+    Config : type
+        Its section of a recipe.
+    Results : type
+        Its section of results.json.
+
+    It may further define
 
     - ``NEEDS``: names of stages that must come before it in a recipe (default none);
     - ``READS``: names of the earlier stages whose products it looks at (default all of them).
@@ -112,6 +121,7 @@ class Stage(Protocol):
     NAME: str
     VERSION: int
     Config: type[StageConfig]
+    Results: type[StageResults]
 
     @staticmethod
     def run(ctx: StageContext[Any]) -> StageOutput:

@@ -2,15 +2,13 @@
 
 import json
 import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from conftest import invoke, products
 from filelock import FileLock
-from helpers.paths import RECIPES, REPOSITORY
+from helpers.paths import RECIPES
 
 from irlos_pipe.commands.main import cli
 from irlos_pipe.files import shipped
@@ -30,14 +28,6 @@ def test_the_help_teaches_by_examples_and_exit_codes():
 def test_every_command_has_an_example(command):
     result = invoke(command, "--help")
     assert result.exit_code == 0 and f"irlos {command} " in result.stdout
-
-
-def test_the_help_does_not_wait_for_pytorch():
-    code = (
-        "import sys; sys.argv = ['irlos', '--help']; import irlos_pipe.commands.main as c\n"
-        "try: c.cli()\nexcept SystemExit: sys.exit('torch' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, cwd=REPOSITORY).returncode == 0
 
 
 def test_results_of_samples_say_so_on_the_terminal_and_in_the_results(bench, monkeypatch):

@@ -14,7 +14,7 @@ import torch
 from helpers.optics_cases import BAND, DIVERSITY, NCPA_LAW, RESIDUAL_LAW, draw_frames, everything
 from helpers.simulated_scenes import FINE, NARROW_H, NCPA_NM, UT4, scene
 
-from irlos_pipe.diagnose.acceptance import Options
+from irlos_pipe.diagnose.options import Options
 from irlos_pipe.diagnose.verdict import Diagnosis
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.diagnose.workflow import diagnose

@@ -11,10 +11,10 @@ from helpers.diagnose_frames import CONDITIONS, FLUX_E, NOLLS, TRUE_NM, cube, fr
 from helpers.optics_cases import vector
 from helpers.simulated_scenes import image as simulated
 
-from irlos_pipe.diagnose.acceptance import Options
 from irlos_pipe.diagnose.cube import Cube
 from irlos_pipe.diagnose.fitting import Fitter
 from irlos_pipe.diagnose.moments import Moments, placed
+from irlos_pipe.diagnose.options import Options
 from irlos_pipe.diagnose.search.placements import placed_families
 from irlos_pipe.diagnose.sentence import sentence
 from irlos_pipe.diagnose.sharing import sharing

@@ -11,7 +11,8 @@ from helpers.optics_cases import PRIOR, READ_NOISE, draw_frames, everything, ncp
 from helpers.paths import REPOSITORY
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration import calibrate
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.optics.psf import PsfModel
 

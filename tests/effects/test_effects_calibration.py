@@ -23,7 +23,8 @@ from helpers.reference_psf import reference
 from test_effects_images import petal_of, xy_m
 
 from irlos_pipe.effects import CATALOGUE
-from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration import Calibration, calibrate
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 
 WINDOW, LAST, FLUX_E, COUNT = (40, 40), 21, 1e6, 12

@@ -15,7 +15,7 @@ from irlos_pipe.diagnose.ramp.diagnosis import diagnose_ramp
 from irlos_pipe.diagnose.ramp.light_path import LightPathName, compare
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.wavefront import HighOrderNcpa
-from irlos_pipe.estimate.lift import LiftOptions
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.defocus import defocus_nm_per_um, shaped_modes

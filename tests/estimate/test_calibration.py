@@ -7,10 +7,10 @@ import pytest
 import torch
 from helpers import optics_cases as cases
 
-from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_errors import widening
+from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, autocorrelation_time, covariance_of_mean
-from irlos_pipe.estimate.methods import METHODS
 from irlos_pipe.estimate.twin import twin_of
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel

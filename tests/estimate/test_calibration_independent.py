@@ -7,9 +7,9 @@ import pytest
 from helpers.optics_cases import PRIOR, READ_NOISE, draw_frames, everything, ncpa_nm, settings
 from helpers.reference_psf import reference
 
-from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration import calibrate
+from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.methods import METHODS
 
 HIGHEST_NOLL, FRAMES, FLUX_E = 21, 16, 2e6
 TRUE_NM = ncpa_nm(9, HIGHEST_NOLL, 120.0)

@@ -9,7 +9,8 @@ from helpers import optics_cases as cases
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
 from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
-from irlos_pipe.estimate.lift import LiftOptions, image_problem, lift
+from irlos_pipe.estimate.lift import image_problem, lift
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import PhotonFit
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus

@@ -8,7 +8,8 @@ from helpers import optics_cases as cases
 
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.lift import LiftOptions, lift
+from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import alike
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.optics.psf import PsfModel

@@ -6,7 +6,7 @@ import pytest
 import torch
 from helpers import optics_cases as cases
 
-from irlos_pipe.estimate.calibration import CalibrationOptions
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.mode_number import BLOCKS_PER_HALF, choose, halves, scan_mode_numbers
 from irlos_pipe.optics.psf import PsfModel

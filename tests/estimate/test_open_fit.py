@@ -14,7 +14,8 @@ from helpers.simulated_scenes import image
 from scipy.special import jnp_zeros
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration import calibrate
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.open_fit import MOST_ORDERS, OpenFit, last_noll_of, visible_order

@@ -24,7 +24,7 @@ from helpers.reference_psf import reference
 
 from irlos_pipe.effects import Conditions
 from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
-from irlos_pipe.estimate.calibration import CalibrationOptions
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.setups import Setup, SetupsFit, _part, calibrate_setups
 

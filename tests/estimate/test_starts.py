@@ -7,7 +7,8 @@ import torch
 from helpers import optics_cases as cases
 
 from irlos_pipe.estimate import calibration
-from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration import calibrate
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.methods import MeanImage, start_at_centroids
 from irlos_pipe.estimate.starts import FEW_FRAMES, better, median_of_frames_nm

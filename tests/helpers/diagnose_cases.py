@@ -19,7 +19,7 @@ from helpers.optics_cases import (
     shift_nm,
 )
 from helpers.reference_psf import ReferenceImager, reference
-from irlos_pipe.diagnose.acceptance import Options
+from irlos_pipe.diagnose.options import Options
 from irlos_pipe.diagnose.verdict import Diagnosis
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.diagnose.workflow import diagnose

@@ -15,7 +15,8 @@ import numpy as np
 import torch
 
 from helpers import optics_cases as cases
-from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration import calibrate
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.elongation import axis_ratios
 from irlos_pipe.frames.cleaning import clean

@@ -24,11 +24,12 @@ from irlos_pipe.diagnose.splitting import HeldOutFrames
 from irlos_pipe.diagnose.view import Exposures
 from irlos_pipe.effects import Conditions, TipTiltJitter
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.calibration import CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration import calibrate
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.elongation import calibrate_law
-from irlos_pipe.estimate.lift import LiftOptions
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.optics.psf import PsfModel

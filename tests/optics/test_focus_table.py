@@ -13,7 +13,8 @@ from irlos_pipe.effects.colour import AtmosphericDispersion, PlateScale
 from irlos_pipe.effects.detector import InterpixelCrosstalk
 from irlos_pipe.effects.drift import NcpaDrift
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.lift import LiftOptions, lift
+from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.tabulated import TabulatedModel, tabulated
 from irlos_pipe.optics.focus_table import FocusTable, Reach
 from irlos_pipe.optics.grids import Optics

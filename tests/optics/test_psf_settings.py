@@ -11,7 +11,8 @@ import torch
 from helpers.optics_cases import READ_NOISE, everything, ncpa_nm, settings
 
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.lift import LiftOptions, lift
+from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import FRAME_PUPIL_SAMPLES
 

@@ -24,7 +24,7 @@ from irlos_pipe.report.text import (
     rounded_by_error,
     with_error,
 )
-from irlos_pipe.stages.sensitivity import CurveRow
+from irlos_pipe.stages.sensitivity.results import CurveRow
 
 NAN = float("nan")
 

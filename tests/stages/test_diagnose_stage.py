@@ -13,7 +13,7 @@ from irlos_pipe.product.product import Product
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_diagnose import diagnose_section
 from irlos_pipe.stages.diagnose.output import diagnose_arrays, diagnose_results, model_yaml, recipe_entry
-from irlos_pipe.stages.diagnose.stage import pooled_frames
+from irlos_pipe.stages.diagnose.work import pooled_frames
 from irlos_pipe.stages.model.effect_entry import EffectEntry
 from irlos_pipe.stages.model.section import ModelConfig
 

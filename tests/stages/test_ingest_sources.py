@@ -12,7 +12,7 @@ from irlos_pipe.readers import find
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.stages.ingest.config import Config
 from irlos_pipe.stages.ingest.sources import read_sources
-from irlos_pipe.stages.ingest.stage import ingest
+from irlos_pipe.stages.ingest.work import ingest
 
 IRLOS = load_instrument("irlos")
 CUBE = counts(star(12, 12), 3)

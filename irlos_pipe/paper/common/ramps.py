@@ -14,7 +14,8 @@ from irlos_pipe.effects import Effect, FixedEffect, expected, fixed_optics
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.elongation import axis_ratios, calibrate_law
-from irlos_pipe.estimate.lift import LiftOptions, LiftResult, lift
+from irlos_pipe.estimate.lift import LiftResult, lift
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import (
     RampData,
     RampFit,

@@ -9,11 +9,11 @@ from functools import partial
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects import Effect, FixedEffect, SeeingHalo, expected
-from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions, calibrate
+from irlos_pipe.estimate.calibration import Calibration, calibrate
+from irlos_pipe.estimate.calibration_options import DEFAULT_METHOD, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.methods import DEFAULT_METHOD
 from irlos_pipe.optics.psf_settings import PsfSettings
-from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
+from irlos_pipe.stages.calibrate.config import Config as CalibrateConfig
 
 DEFAULT = DEFAULT_METHOD
 PAPER_CHOICE = "dip_global"

@@ -19,7 +19,7 @@ from irlos_pipe.paper.faint.experiment import (
 from irlos_pipe.paper.faint.results import ExposureGroup, FaintCriterion, FaintResults, VariantCurve
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.sensitivity import UNITS
+from irlos_pipe.stages.sensitivity.work import UNITS
 
 NAME = FaintResults.stage
 VERSION = 5

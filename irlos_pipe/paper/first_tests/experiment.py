@@ -15,7 +15,8 @@ import torch
 
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.lift import LiftOptions, LiftResult
+from irlos_pipe.estimate.lift import LiftResult
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp import summarise
 from irlos_pipe.paper.common.broad_band import FINE
 from irlos_pipe.paper.common.cube import BRIGHT_MAG_J, CubeSample

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from irlos_pipe.estimate.calibration import Calibration, CalibrationOptions
+from irlos_pipe.estimate.calibration import Calibration
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.mode_number import choose, fit_mode_numbers, scan_mode_numbers
 from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
 from irlos_pipe.paper.common.variants import DEFAULT, Variant

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.estimate.calibration import CalibrationOptions
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
 from irlos_pipe.paper.common.variants import Variant
 

@@ -22,7 +22,7 @@ from irlos_pipe.paper.mode_statistics.experiment import (
 from irlos_pipe.paper.mode_statistics.results import ModeStatisticsResults
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.modes import LawRow
+from irlos_pipe.stages.modes.results import LawRow
 
 NAME = ModeStatisticsResults.stage
 VERSION = 2

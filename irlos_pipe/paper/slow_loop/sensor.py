@@ -10,7 +10,8 @@ import torch
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
-from irlos_pipe.estimate.lift import LiftOptions, lift
+from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import ramp_effects
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel

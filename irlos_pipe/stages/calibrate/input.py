@@ -11,7 +11,7 @@ import torch
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects import Effect
-from irlos_pipe.estimate.calibration import CalibrationOptions
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.optics.psf_settings import PsfSettings

@@ -4,34 +4,16 @@ from __future__ import annotations
 
 import math
 
-from pydantic import Field
-
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.nominal_chi2 import LEAST_FRAMES
 from irlos_pipe.product.product import Check
-from irlos_pipe.stages.base import StageConfig
+from irlos_pipe.stages.calibrate.config import Limits
 
 SIGMA = 5.0  # standard deviations that χ²/ν may differ from its nominal value by chance
 # Part of the nominal χ²/ν: complete models leave up to 1.14, by errors of the discretisation.
 NUMERICAL = 0.15
 LOWEST_KURTOSIS = 1.3  # two kinds in halves have 1, a sinusoidal vibration 1.5
 LOWEST_NOISE_RATIO = 0.5  # cross-talk of detectors lowers the scatter to 0.7 of the noise at most
-
-
-class Limits(StageConfig):
-    """Limits of the quality control, part of the stage's settings."""
-
-    max_chi2_nu: float | None = Field(
-        None,
-        gt=0,
-        description="QC limit on the reduced chi-square of the mean image; null: by its nominal value, which "
-        "the scatter of the frames tells",
-    )
-    min_converged: float = Field(0.9, ge=0, le=1, description="QC limit on the part of fits that converge")
-    min_frames: int = Field(
-        8, ge=1, description="QC limit on the frames where they scatter by more than noise"
-    )
-    min_window: float = Field(8.0, ge=0, description="QC limit on the smaller side of the window, in λ/D")
 
 
 def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Check]:

@@ -10,9 +10,8 @@ import torch
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.effects import Conditions, Effect
 from irlos_pipe.effects.chromatic import FilterNcpa
-from irlos_pipe.estimate.calibration import CalibrationOptions
+from irlos_pipe.estimate.calibration_options import DEFAULT_METHOD, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.methods import DEFAULT_METHOD
 from irlos_pipe.estimate.setups import Setup, is_common
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.stages.base import StageContext

@@ -16,8 +16,7 @@ from irlos_pipe.diagnose.ramp.gap import ramp_gap
 from irlos_pipe.diagnose.ramp.light_path import LightPathName
 from irlos_pipe.diagnose.verdict import EFFECT
 from irlos_pipe.effects import EffectSet
-from irlos_pipe.effects.effect_set import NOTHING
-from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.product.product import Product, Quantity
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.diagnose.lens import wanted_lens

@@ -2,136 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Literal
+from irlos_pipe.stages.base import StageContext, StageOutput
+from irlos_pipe.stages.diagnose.config import Config
+from irlos_pipe.stages.diagnose.results import DiagnoseResults as Results
 
-import numpy as np
-import torch
-from pydantic import Field
-
-from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.diagnose.acceptance import Options
-from irlos_pipe.diagnose.joint_fit import DRIFT_NM
-from irlos_pipe.diagnose.moments import Moments, placed
-from irlos_pipe.diagnose.verdict import Diagnosis
-from irlos_pipe.diagnose.view import Exposures
-from irlos_pipe.diagnose.workflow import diagnose
-from irlos_pipe.effects import Effect
-from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.frames.recording import Recording
-from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.diagnose.input import Alike, by_setting, introduced_nm, screened_pixels
-from irlos_pipe.stages.diagnose.output import (
-    MODEL_FILE,
-    diagnose_arrays,
-    diagnose_results,
-    model_entries,
-    model_yaml,
-    summary_lines,
-)
-from irlos_pipe.stages.diagnose.quality import checks_of
-from irlos_pipe.stages.diagnose.ramp import run_on_ramp
-from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects
-from irlos_pipe.stages.model.recording_settings import pooled_images
+__all__ = ["Config", "Results", "run"]
 
 NAME = "diagnose"
 VERSION = 11
 NEEDS = ("ingest",)
 READS = ("ingest", "calibrate", "lift")
-EXPECTED_FITS = 11  # of one cube, for the progress bar
-APART = {"auto": None, "together": False, "apart": True}
-
-
-class Config(StageConfig):
-    """Settings of the diagnosis."""
-
-    input: str = Field("cube", description="recipe input that holds the cubes, or the ramp")
-    highest_noll: int = Field(
-        66, ge=4, le=231, description="modes 2 to this belong to every model; beyond: high_order_ncpa"
-    )
-    held_out: float = Field(
-        0.25,
-        gt=0.05,
-        le=0.5,
-        description="part of the frames, or of the pixels of fewer than 16, that no fit sees",
-    )
-    most_names: int = Field(4, ge=1, le=10, description="names at which to stop, of each star and night")
-    recordings: Literal["auto", "together", "apart"] = Field(
-        "auto",
-        description="of one star and night (together), each of its own (apart), or as targets and times tell",
-    )
-    night_drift_nm: float = Field(
-        DRIFT_NM,
-        gt=0,
-        le=100,
-        description="prior σ of the change of every mode between stars and nights [nm]",
-    )
-    sure_sigma: float = Field(5.0, ge=3, le=20, description="significance of a detection")
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Diagnose the recipe's input: behind the stage `lift` a ramp, else cubes of one wavefront."""
-    if "lift" in ctx.products:
-        output, entries = run_on_ramp(ctx, round(1 / ctx.config.held_out))
-        return replace(output, files={MODEL_FILE: model_yaml(ctx.model, entries)})
-    apart = APART[ctx.config.recordings]
-    result = _diagnose(ctx, by_setting(ctx.products["ingest"], ctx.config.input, apart=apart))
-    model = model_yaml(ctx.model, model_entries(result))
-    results = diagnose_results(result)
-    return StageOutput(
-        diagnose_arrays(result),
-        results,
-        checks_of(results),
-        files={MODEL_FILE: model},
-        summary=summary_lines(result),
-    )
+    from irlos_pipe.stages.diagnose.work import run as work
 
-
-def _diagnose(ctx: StageContext[Config], groups: list[Alike]) -> Diagnosis:
-    config = ctx.config
-    effects: dict[int, list[Effect]] = {}
-    for alike in groups:
-        if alike.moment not in effects:
-            effects[alike.moment] = model_effects(ctx.instrument, ctx.model, alike.first, config.highest_noll)
-    exposures = [_exposures(ctx, alike, effects[alike.moment]) for alike in groups]
-    options = Options(
-        config.highest_noll, config.held_out, config.most_names, config.sure_sigma, config.night_drift_nm
-    )
-    in_images = {moment: image_effects(some) for moment, some in effects.items()}
-    model = placed(in_images, Moments.of(exposures))
-    with ctx.progress(total=EXPECTED_FITS * len(effects), desc="diagnose") as bar:
-        return diagnose(exposures, model, options, device=ctx.device, report=bar.update)
-
-
-def _exposures(ctx: StageContext[Config], alike: Alike, effects: list[Effect]) -> Exposures:
-    """Recordings of one setting and moment, the introduced defocus in the known wavefront."""
-    first = alike.first
-    return Exposures(
-        pooled_frames(alike.recordings, good_pixels(effects, first.window)),
-        conditions_of(
-            ctx.instrument,
-            ctx.model,
-            first,
-            ctx.config.highest_noll,
-            introduced_nm={4: introduced_nm(first)},
-        ),
-        screened_pixels(ctx.products["ingest"], first),
-        alike.moment,
-        first.name,
-        alike.star,
-    )
-
-
-def pooled_frames(recordings: Sequence[Recording], good: np.ndarray) -> Frames:
-    """Return the frames of `recordings` of one setting; pixels that are not `good` are masked.
-
-    Raises
-    ------
-    InputDataError
-        Without a frame.
-    """
-    images_e, recorded_good, noise = pooled_images(recordings)
-    if not len(images_e):
-        raise InputDataError(f"{recordings[0].name}: no used frame is left to diagnose")
-    return Frames(images_e, recorded_good & torch.as_tensor(good), noise)
+    return work(ctx)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from irlos_pipe.estimate.lift import LiftOptions, NoiseSource
+from irlos_pipe.estimate.lift_options import LiftOptions, NoiseSource
 from irlos_pipe.stages.base import StageConfig
 
 HIGHEST_NOLL = 231  # memory and time grow with their number

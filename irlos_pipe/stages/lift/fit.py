@@ -7,7 +7,7 @@ import torch
 
 from irlos_pipe.conventions.laws import NcpaLaw
 from irlos_pipe.effects.wavefront import HighOrderNcpa
-from irlos_pipe.estimate.lift import LiftOptions
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
 from irlos_pipe.stages.base import StageContext

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import ClassVar
 
 import numpy as np
-from pydantic import Field, field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.modes import TIP_TILT
@@ -15,126 +12,17 @@ from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter, fit_mode_law, mod
 from irlos_pipe.estimate.mode_number import MIN_FRAMES, Choice, ModeScan, choose, scan_mode_numbers
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.product.product import Quantity
-from irlos_pipe.product.results import Number, ResultsPart, StageResults, results_of
-from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.product.results import results_of
+from irlos_pipe.stages.base import StageContext, StageOutput
+from irlos_pipe.stages.calibrate.config import Config as CalibrateConfig
 from irlos_pipe.stages.calibrate.input import cube_input
 from irlos_pipe.stages.calibrate.per_recording import CubeEstimate, cube_estimates
 from irlos_pipe.stages.calibrate.results import CalibrateResults
-from irlos_pipe.stages.calibrate.stage import Config as CalibrateConfig
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
+from irlos_pipe.stages.modes.config import Config
+from irlos_pipe.stages.modes.results import LawRow, ModesResults, NumberScan
 
-NAME = "modes"
-VERSION = 4
-NEEDS = ("ingest", "calibrate")
-READS = ("ingest", "calibrate")
 MIN_MODES = 4
-
-
-class Config(StageConfig):
-    """Settings of the mode statistics."""
-
-    same_ncpas: bool = Field(
-        False, description="whether the cubes have the same NCPAs, and so count as one draw of every mode"
-    )
-    law_highest_noll: int | None = Field(
-        None,
-        ge=7,
-        le=231,
-        description="highest Noll mode that the law is fitted to, from 4 on; null: all estimated modes",
-    )
-    numbers: tuple[int, ...] = Field(
-        (21, 36, 45, 55, 66, 78, 91, 105), description="highest Noll modes to try"
-    )
-    cubes: int = Field(
-        4, ge=0, description="number of cubes, from the first, that the numbers of modes are tried on"
-    )
-
-    @field_validator("numbers")
-    @classmethod
-    def _rising(cls, numbers: tuple[int, ...]) -> tuple[int, ...]:
-        if len(numbers) < 2 or list(numbers) != sorted(set(numbers)) or numbers[0] < 4 or numbers[-1] > 231:
-            raise ValueError("give at least two rising numbers between 4 and 231")
-        return numbers
-
-
-class LawRow(ResultsPart):
-    """A fitted law std(i) = A exp(−B i) + C, i = 0 for Noll 2, see `estimate.mode_law.ModeLaw`."""
-
-    A_nm: Number = math.nan
-    B: Number = math.nan
-    C_nm: Number = math.nan
-    A_sigma_nm: Number = math.nan
-    B_sigma: Number = math.nan
-    C_sigma_nm: Number = math.nan
-    deviance_nu: Number = math.nan
-    plateau_noll: int | None = None
-
-    @classmethod
-    def of(cls, law: ModeLaw) -> LawRow:
-        """Return the parameters of a `law` with their errors."""
-        a, b, c = law.sigma
-        return cls(
-            A_nm=law.a_nm,
-            B=law.decay,
-            C_nm=law.plateau_nm,
-            A_sigma_nm=a,
-            B_sigma=b,
-            C_sigma_nm=c,
-            deviance_nu=law.deviance_nu,
-            plateau_noll=law.plateau_noll,
-        )
-
-
-class NumberScan(ResultsPart):
-    """Fits with several numbers of modes; lists are over `highest_noll`.
-
-    Attributes
-    ----------
-    cubes : int
-        Cubes that the numbers were tried on.
-    held_out_chi2_nu, fitted_chi2_nu : list of float
-        Reduced χ² of unseen frames, and of those fitted.
-    excess, excess_sigma : list of float
-        Held-out χ²/ν above the least, with its error.
-    change_nm : list of float
-        RMS difference of the reported modes from the estimate with the recommended number.
-    halves_nm : list of float
-        Error from the difference of the two halves of the frames.
-    best, recommended : int
-        Highest Noll index with the least χ², and the least one that is as good within the error.
-    """
-
-    cubes: int = 0
-    highest_noll: list[int] = []
-    held_out_chi2_nu: list[Number] = []
-    excess: list[Number] = []
-    excess_sigma: list[Number] = []
-    fitted_chi2_nu: list[Number] = []
-    change_nm: list[Number] = []
-    halves_nm: list[Number] = []
-    best: int = 0
-    recommended: int = 0
-
-
-class ModesResults(StageResults):
-    """Strength of the modes and their number.
-
-    Attributes
-    ----------
-    draws : int
-        Independent sets of NCPAs among the `cubes`.
-    laws : dict of str to LawRow
-        ``estimates`` as they are, and ``ncpas`` without the errors of the estimates.
-    numbers : NumberScan or None
-        None where no cube has frames enough.
-    """
-
-    stage: ClassVar[str] = NAME
-    method: str = ""
-    cubes: int = 0
-    draws: int = 0
-    laws: dict[str, LawRow] = {}
-    numbers: NumberScan | None = None
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from typing import ClassVar
-
 import numpy as np
 import torch
-from pydantic import Field
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.effects import expected, fixed_optics
@@ -15,53 +11,11 @@ from irlos_pipe.estimate.elongation import ElongationLaw, axis_ratios, calibrate
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.product.product import Check, Quantity
-from irlos_pipe.product.results import Number, ResultsPart, StageResults
-from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.model.effects import good_pixels, model_effects
 from irlos_pipe.stages.model.recording_settings import psf_settings, used_in_time_order
-
-NAME = "prior"
-VERSION = 2
-NEEDS = ("ingest",)
-READS = ("ingest",)
-
-
-class Config(StageConfig):
-    """Settings of the elongation prior."""
-
-    input: str = Field("ramp", description="recipe input whose frames get a prior")
-    max_failed_fraction: float = Field(0.1, ge=0, le=1, description="QC limit on Gaussian fits that fail")
-
-
-class DefocusPrior(ResultsPart):
-    """Prior of the defocus of one frame."""
-
-    name: str = ""
-    frame: int = 0
-    introduced_nm: Number = math.nan
-    defocus_nm: Number = math.nan
-
-
-class PriorResults(StageResults):
-    """The law defocus = `A` (σ1/σ2 − 1) + `B` [nm], and what it gives for every frame.
-
-    Attributes
-    ----------
-    angle_deg : float
-        Direction of the first axis, from +x towards +y.
-    valid_nm : (float, float)
-        Range of defocus of the law.
-    law_residual_nm : float
-        RMS departure of the law from the model.
-    """
-
-    stage: ClassVar[str] = NAME
-    A: Number = math.nan
-    B: Number = math.nan
-    angle_deg: Number = math.nan
-    valid_nm: tuple[Number, Number] = (math.nan, math.nan)
-    law_residual_nm: Number = math.nan
-    estimates: list[DefocusPrior] = []
+from irlos_pipe.stages.prior.config import Config
+from irlos_pipe.stages.prior.results import DefocusPrior, PriorResults
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:

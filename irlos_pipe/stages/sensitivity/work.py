@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import ClassVar
 
 import numpy as np
-from pydantic import Field, field_validator
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.estimate.lift import LiftOptions
+from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, Curve, scan
 from irlos_pipe.product.product import Quantity
-from irlos_pipe.product.results import Number, ResultsPart, StageResults
-from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
-from irlos_pipe.stages.lift.config import Mode
+from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.lift.input import (
     Ramp,
     calibrated_ncpa_nm,
@@ -25,11 +21,9 @@ from irlos_pipe.stages.lift.input import (
     ramp_start,
     read_ramp,
 )
+from irlos_pipe.stages.sensitivity.config import Config
+from irlos_pipe.stages.sensitivity.results import CriterionRow, CurveRow, SensitivityResults
 
-NAME = "sensitivity"
-VERSION = 7
-NEEDS = ("ingest",)
-READS = ("ingest", "prior", "calibrate")
 # Arrays of a curve with their units.
 UNITS = {
     "mag_j": "mag",
@@ -39,92 +33,6 @@ UNITS = {
     "crb_nm": "nm",
     "failures": "",
 }
-
-
-class Config(StageConfig):
-    """Settings of the sensitivity scan."""
-
-    input: str = Field("ramp", description="recipe input that holds the ramp")
-    max_defocus_nm: float = Field(
-        170.0, gt=0, description="frames with a larger introduced defocus are left out"
-    )
-    mag_step: float = Field(1.0, ge=0.05, le=5, description="step of the magnitude grid")
-    faintest_mag_j: float = Field(
-        19.0, ge=0, le=30, description="end of the magnitude grid, which begins at the magnitude of the ramp"
-    )
-    realisations: int = Field(5, ge=1, le=1000, description="noise realisations per frame and magnitude")
-    frames_per_offset: int = Field(2, ge=1, le=1000, description="number of frames used of every offset")
-    modes: tuple[tuple[Mode, ...], ...] = Field(
-        ((2, 3, 4), (2, 3, 4, 5, 7, 8, 9, 10, 11)),
-        max_length=20,
-        description="sets of Noll modes to be estimated",
-    )
-    calibrated: tuple[bool, ...] = Field(
-        (True, False), description="whether the NCPAs are known: with, without, or both"
-    )
-    limit_nm: float = Field(30.0, gt=0, description="largest median error at the limiting magnitude [nm RMS]")
-    limit_failures: float = Field(
-        0.1, ge=0, le=1, description="largest part of failures at the limiting magnitude"
-    )
-
-    @field_validator("modes")
-    @classmethod
-    def _focus_among_them(cls, modes: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, ...], ...]:
-        if any(4 not in one for one in modes):
-            raise ValueError("every set of modes must hold 4 (defocus)")
-        return modes
-
-
-class CurveRow(ResultsPart):
-    """One curve over the magnitudes `mag_j`.
-
-    Attributes
-    ----------
-    calibrated : bool
-        Whether the NCPAs are part of the known wavefront.
-    modes : list of int
-        Estimated modes (Noll).
-    median_abs_error_nm, p16_nm, p84_nm : list of float
-        Percentiles of |estimated − introduced| defocus.
-    crb_nm : list of float
-        Cramér–Rao bound, 1σ.
-    failures : list of int
-        Estimates that failed, of `trials` per magnitude.
-    limit_mag : float
-        Faintest magnitude that meets the criterion; NaN if none does.
-    """
-
-    calibrated: bool = False
-    modes: list[int] = []
-    mag_j: list[Number] = []
-    median_abs_error_nm: list[Number] = []
-    p16_nm: list[Number] = []
-    p84_nm: list[Number] = []
-    crb_nm: list[Number] = []
-    failures: list[int] = []
-    trials: int | None = None
-    limit_mag: Number = math.nan
-
-    @property
-    def at_the_end(self) -> bool:
-        """Whether the magnitudes end before the criterion is missed."""
-        return bool(self.mag_j) and self.limit_mag == self.mag_j[-1]
-
-
-class CriterionRow(ResultsPart):
-    """What a limiting magnitude keeps: largest median error, and largest part of failures."""
-
-    median_abs_error_nm: Number = math.nan
-    failures: Number = math.nan
-
-
-class SensitivityResults(StageResults):
-    """One curve per combination of modes and calibration."""
-
-    stage: ClassVar[str] = NAME
-    curves: list[CurveRow] = []
-    criterion: CriterionRow = CriterionRow()
-    crb_note: str = ""
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.effects import SeeingHalo, fixed_optics
@@ -15,41 +13,22 @@ from irlos_pipe.frames.recording import PROFILE, Recording
 from irlos_pipe.optics.wavefront import clear_pupil, opd_maps_nm
 from irlos_pipe.product.header import Card
 from irlos_pipe.product.product import Check, Quantity
-from irlos_pipe.product.results import ByNoll, Number, StageResults, results_of
+from irlos_pipe.product.results import results_of
 from irlos_pipe.product.table import Column, Table
-from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
+from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.correct.config import Config
+from irlos_pipe.stages.correct.results import CorrectResults
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.effects import calibrated_effects
 from irlos_pipe.stages.model.recording_settings import psf_settings, seeing_arcsec
 
-NAME = "correct"
-VERSION = 4
-NEEDS = ("ingest", "calibrate")
-READS = ("ingest", "calibrate")
 MAP_SAMPLES = 160
 SIGN = (
     "offset = -NCPA: add the offset to the reference to cancel the aberration; OPD in nm RMS, Noll; "
     "diversity not included"
 )
 Offsets = tuple[np.ndarray, np.ndarray, np.ndarray]  # Noll indices, offsets [nm], standard errors [nm]
-
-
-class Config(StageConfig):
-    """Settings of the correction."""
-
-    input: str = Field("calibration", description="recipe input whose configuration the prediction uses")
-    gain: float = Field(1.0, gt=0, le=1, description="part of the measured aberration to correct")
-
-
-class CorrectResults(StageResults):
-    """Offsets to add to the reference [nm RMS], and the Strehl ratio predicted without and with them."""
-
-    stage: ClassVar[str] = NAME
-    offset_nm: ByNoll = {}
-    sign: str = ""
-    strehl_before: Number = math.nan
-    strehl_after: Number = math.nan
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:

@@ -1,0 +1,1 @@
+"""Stage `correct`: modal offsets, and what they would do to the image."""

@@ -1,0 +1,207 @@
+"""Stage `lift`: tip, tilt and defocus of every frame of a ramp, the NCPAs in the known wavefront."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise
+from irlos_pipe.estimate.ramp_fit import RampFit
+from irlos_pipe.estimate.ramp_quality import FrameErrors, excess_scatter_nm, nominal_frame_chi2
+from irlos_pipe.product.product import Quantity
+from irlos_pipe.product.results import results_of
+from irlos_pipe.stages.base import StageContext, StageOutput
+from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.lift.config import Config
+from irlos_pipe.stages.lift.fit import fit_frames
+from irlos_pipe.stages.lift.input import Ramp, read_ramp
+from irlos_pipe.stages.lift.quality import WITHOUT_NCPAS, checks_of
+from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point
+from irlos_pipe.stages.model.effects import model_effects
+
+UNTESTED = (
+    "the zero point of the focus stage against the defocus among the NCPAs",
+    "sign and orientation of diversity and offsets together: the slope tests one against the other",
+    "wavelength and pixel scale wrong by the same factor",
+)
+
+
+def run(ctx: StageContext[Config]) -> StageOutput:
+    """Estimate the ramp, and repeat it with parts of the model left out to show what each contributes."""
+    if 4 not in ctx.config.modes:
+        raise InputDataError(
+            f"lift.modes {list(ctx.config.modes)} lacks 4 (defocus), which is what LIFT is for"
+        )
+    ramp = read_ramp(ctx, ctx.config.input)
+    fit = fit_frames(ctx, ramp, calibrated=ctx.config.calibrated, halo=ctx.config.halo)
+    focus = _focus_stage(ctx, ramp, fit)
+    ramp = replace(ramp, data=replace(ramp.data, introduced_nm=focus.introduced_nm))
+    summary = _summarise(ramp, fit)
+    others = _comparison(ctx, ramp) if ctx.config.compare else {}
+    errors = _frame_errors(ramp, fit)
+    sigma_nm = errors.sigma_nm(fit.result.mode(4)[1].numpy(), _calibration_nm(ctx, 4))
+    converged = float(fit.result.solution.converged.double().mean())
+    calibration_nm = _calibration_nm(ctx)
+    return StageOutput(
+        _arrays(ramp, fit, summary, sigma_nm),
+        _results(ctx, ramp, fit, summary, others, focus, errors, sigma_nm),
+        checks_of(ctx.config, converged, summary, others, errors, calibration_nm, len(ramp.names)),
+        summary=_lines(ctx, fit, summary, others),
+    )
+
+
+def _frame_errors(ramp: Ramp, fit: RampFit) -> FrameErrors:
+    """What the frames at one offset say of noise and misfit."""
+    data, result = ramp.data, fit.result
+    nominal = nominal_frame_chi2(
+        data.images_e,
+        result.model_e,
+        data.good,
+        data.noise,
+        data.introduced_nm,
+        result.solution.values.shape[1],
+    )
+    scatter_nm = excess_scatter_nm(data.introduced_nm, fit.defocus_nm, result.mode(4)[1].numpy())
+    return FrameErrors(scatter_nm, float(result.chi2_nu.nanmedian()), nominal)
+
+
+def _calibration_nm(ctx: StageContext[Config], noll: int | None = None) -> float:
+    """Error of one mode of the NCPAs, or of all together [nm]; 0 where they are left out."""
+    if not ctx.config.calibrated or "calibrate" not in ctx.products:
+        return 0.0
+    results = results_of(CalibrateResults, ctx.products["calibrate"])
+    sigma_nm = results.wfe_sigma_nm if noll is None else results.sigma_nm.get(noll, 0.0)
+    return sigma_nm if np.isfinite(sigma_nm) else 0.0
+
+
+def _focus_stage(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> FocusStage:
+    """What the focus stage really did, as far as the recipe's model says that it may err."""
+    effects = model_effects(ctx.instrument, ctx.model, ramp.recordings[0])
+    ramp_effects = [effect for effect in effects if effect.plane == "ramp"]
+    try:
+        return fit_focus_stage(ramp_effects, ramp.commanded_nm, fit.defocus_nm)
+    except ValueError as problem:
+        raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
+
+
+def _comparison(ctx: StageContext[Config], ramp: Ramp) -> dict[str, RampSummary]:
+    """Estimate the same ramp without NCPAs and without the AO residual."""
+    config, found = ctx.config, {}
+    if config.calibrated:
+        found[WITHOUT_NCPAS] = fit_frames(ctx, ramp, calibrated=False, halo=config.halo)
+    if config.halo != "off" and ctx.model.effects:
+        found["without AO residual"] = fit_frames(ctx, ramp, calibrated=config.calibrated, halo="off")
+    return {name: _summarise(ramp, fit) for name, fit in found.items()}
+
+
+def _summarise(ramp: Ramp, fit: RampFit) -> RampSummary:
+    try:
+        return summarise(ramp.data.introduced_nm, fit.defocus_nm)
+    except ValueError as problem:
+        raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
+
+
+# -- what is reported --------------------------------------------------------------------------
+
+
+def _results(
+    ctx: StageContext[Config],
+    ramp: Ramp,
+    fit: RampFit,
+    summary: RampSummary,
+    others: dict[str, RampSummary],
+    focus: FocusStage,
+    errors: FrameErrors,
+    sigma_nm: np.ndarray,
+) -> LiftResults:
+    return LiftResults(
+        modes=list(ctx.config.modes),
+        calibrated=ctx.config.calibrated,
+        points=_points(ramp, fit, sigma_nm),
+        summary=_line(summary),
+        offsets=_offsets(summary),
+        effects=fit.effects | focus.effects,
+        effects_sigma=focus.sigma,
+        effects_fitted_jointly=fit.shared is not None,
+        compare={name: _line(other) for name, other in others.items()},
+        ao_defocus_nm=errors.ao_defocus_nm,
+        chi2_nu=errors.chi2_nu,
+        nominal_chi2_nu=errors.nominal_chi2_nu,
+        untested=list(UNTESTED),
+    )
+
+
+def _points(ramp: Ramp, fit: RampFit, sigma_nm: np.ndarray) -> list[Point]:
+    """One row per frame, as results.json has them."""
+    defocus, photon = fit.defocus_nm.tolist(), fit.result.mode(4)[1].tolist()
+    return [
+        Point(
+            name=name,
+            frame=ramp.frame[i],
+            introduced_nm=float(ramp.data.introduced_nm[i]),
+            commanded_nm=float(ramp.commanded_nm[i]),
+            defocus_nm=defocus[i],
+            sigma_nm=float(sigma_nm[i]),
+            sigma_photon_nm=photon[i],
+            converged=fit.result.solution.status[i] == "converged",
+            status=fit.result.solution.status[i],
+            chi2_nu=float(fit.result.chi2_nu[i]),
+            zernike_nm=dict(zip(fit.result.nolls, fit.result.zernike_nm[i].tolist(), strict=True)),
+        )
+        for i, name in enumerate(ramp.names)
+    ]
+
+
+def _line(summary: RampSummary) -> Line:
+    return Line(**{key: getattr(summary, key) for key in Line.model_fields})
+
+
+def _offsets(summary: RampSummary) -> list[Offset]:
+    return [
+        Offset(introduced_nm=float(o), median_nm=float(m), scatter_nm=float(s))
+        for o, m, s in zip(summary.offsets_nm, summary.median_nm, summary.scatter_nm, strict=True)
+    ]
+
+
+def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary, sigma_nm: np.ndarray) -> dict[str, Quantity]:
+    introduced, shape = ramp.data.introduced_nm, ramp.recordings[0].window
+    model = fit.result.model_e.numpy()
+    groups = [introduced == value for value in summary.offsets_nm]
+    measured = np.array([ramp.data.images_e.numpy()[g].mean(0, dtype=float) for g in groups])
+    modelled = np.array([model[g].mean(0) for g in groups]).reshape(-1, *shape)
+    return {
+        "introduced_nm": Quantity(introduced, "nm", "introduced defocus, frames in order of time"),
+        "defocus_nm": Quantity(fit.defocus_nm, "nm", "estimated introduced defocus", sigma_nm),
+        "noll": Quantity(np.array(fit.result.nolls), "", "estimated modes"),
+        "zernike_nm": Quantity(
+            fit.result.zernike_nm.numpy(),
+            "nm",
+            "estimates (frame, mode), errors of photon noise",
+            fit.result.sigma_nm.numpy(),
+        ),
+        "covariance_nm2": Quantity(fit.result.covariance_nm2.numpy(), "nm2", "per frame"),
+        "chi2_nu": Quantity(fit.result.chi2_nu.numpy(), "", "per frame"),
+        "model_e": Quantity(model.astype(np.float32), "e-", "model of every frame"),
+        "start_nm": Quantity(fit.start_nm.numpy(), "nm", "start of every frame"),
+        "offsets_nm": Quantity(summary.offsets_nm, "nm", "the offsets of the ramp"),
+        "measured_per_offset_e": Quantity(measured, "e-", "mean frame of every offset"),
+        "model_per_offset_e": Quantity(modelled, "e-", "mean model of every offset"),
+    }
+
+
+def _lines(
+    ctx: StageContext[Config], fit: RampFit, summary: RampSummary, others: dict[str, RampSummary]
+) -> list[str]:
+    label = "with NCPAs" if ctx.config.calibrated else "without NCPAs"
+    lines = [
+        f"Ramp            slope {summary.slope:.4f} ± {summary.slope_sigma:.4f}, "
+        f"offset {summary.offset_nm:+.1f} nm, "
+        f"error {summary.rms_nm:.1f} nm RMS, about the line {summary.residual_rms_nm:.1f} nm ({label})"
+    ]
+    lines += [
+        f"  {name}: slope {other.slope:.4f}, error {other.rms_nm:.1f} nm RMS"
+        for name, other in others.items()
+    ]
+    return lines

@@ -1,0 +1,1 @@
+"""Stage `modes`: strength and number of the modes."""

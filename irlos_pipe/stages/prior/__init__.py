@@ -1,0 +1,1 @@
+"""Stage `prior`: defocus of a ramp from the elongation of its images."""

@@ -1,0 +1,1 @@
+"""Stage `sensitivity`: how faint a star may be."""

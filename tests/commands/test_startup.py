@@ -1,0 +1,58 @@
+"""Commands that compute nothing do not wait for the libraries that compute."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from helpers.paths import REPOSITORY
+
+from irlos_pipe.commands.main import cli
+
+LARGE = ("torch", "matplotlib", "scipy.stats", "scipy.signal")
+# Commands that compute, simulate or draw; all others start without any of the large libraries.
+MAY_LOAD = {"run", "demo", "report", "score", "simulate", "paper", "night"}
+SAMPLE = "data_samples/ramp/offset_00/offset_00.fits"
+QUICK = {
+    "validate": ["validate", "full_reduction", "--samples"],
+    "recipes": ["recipes"],
+    "explain": ["explain", "seeing_halo"],
+    "sidecar": ["sidecar", SAMPLE, "--output", "-"],
+    "status": ["status", "RUN"],
+    "show": ["show", "RUN/01_ingest.h5"],
+    "export": ["export", "RUN/01_ingest.h5", "--list"],
+    "trend": ["trend", "RUN"],
+}
+PLANS = ["run", "full_reduction", "--samples", "--output", "RUN", "--dry-run"]
+CODE = """
+import json, sys
+from click.testing import CliRunner
+from irlos_pipe.commands.main import cli
+for arguments in json.loads(sys.argv[1]):
+    result = CliRunner().invoke(cli, arguments)
+    loaded = [name for name in {large} if name in sys.modules]
+    print(json.dumps([arguments[0], repr(result.exception), loaded]))
+"""
+
+
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory) -> dict[str, list[str]]:
+    """By command, in one process: the large libraries that are there after it."""
+    run = str(tmp_path_factory.mktemp("run"))
+    calls = [[one.replace("RUN", run) for one in call] for call in ([], ["--help"], *QUICK.values(), PLANS)]
+    calls[0] = ["--version"]
+    code = CODE.replace("{large}", repr(LARGE))
+    done = subprocess.run(
+        [sys.executable, "-c", code, json.dumps(calls)], capture_output=True, text=True, cwd=REPOSITORY
+    )
+    return {name: large for name, _, large in map(json.loads, done.stdout.splitlines())}
+
+
+def test_every_command_either_computes_or_starts_at_once():
+    assert set(QUICK) | MAY_LOAD == set(cli.commands)
+
+
+@pytest.mark.parametrize("name", ["--version", "--help", *QUICK, "run"])
+def test_a_command_that_computes_nothing_loads_nothing_large(loaded, name):
+    """``run`` stands for ``run --dry-run``. A library once loaded stays: the first command to fail is it."""
+    assert loaded[name] == []
