@@ -82,7 +82,7 @@ def measure_noise(
         return MeasuredNoise()
     sample = images_e[sample_frames(len(images_e))]
     single = len(sample) == 1
-    signal = np.maximum(sample.mean(axis=0, dtype=np.float64), 0)
+    signal = sample.mean(axis=0, dtype=np.float64)
     residual = sample - prediction.of(sample)
     variance = residual[0] ** 2 if single else residual.var(axis=0, ddof=1)
     if single:
@@ -90,7 +90,7 @@ def measure_noise(
     flat = prediction.variance(np.ones_like(signal))
     photons, structure = prediction.variance(signal), prediction.local_rms(signal) ** 2
     seen = float(np.percentile(variance[good] / flat[good], FAINTEST)) if good.any() else 0.0
-    expected = declared.excess_noise_factor * photons + max(declared.floor_e2, seen) * flat
+    expected = declared.excess_noise_factor * np.maximum(photons, 0) + max(declared.floor_e2, seen) * flat
     terms = np.stack([flat, photons, structure], axis=-1)
     faint, most = (good & (PREDICTION_ERROR**2 * structure < limit * expected) for limit in DOMINATES)
     degrees = max(len(sample) - 1, 1) / prediction.dependence
@@ -116,19 +116,23 @@ def _corner_scatter_e(images_e: np.ndarray, good: np.ndarray) -> float:
 def _fit(
     terms: np.ndarray, known: np.ndarray, variance: np.ndarray, expected: np.ndarray, degrees: float
 ) -> list[tuple[float, float]]:
-    """Coefficients of ``variance = known + terms``, none negative, each with its error.
+    """Coefficients of ``variance = known + terms``, each with its error; the first is that of the floor.
 
-    The weights follow the fitted variance, for a variance scatters in proportion to itself.
+    The weights follow the fitted variance, for a variance scatters in proportion to itself. No coefficient is
+    negative, but the floor may be while it is fitted: a level of the background that is too low by some
+    electrons takes as many off it, which would else be taken off the slope.
     """
+    lowest = np.array([-np.inf, 0.0, 0.0])[: terms.shape[1]]
     for _ in range(ROUNDS):
         weighted = terms / expected[:, None]
-        solution, _ = scipy.optimize.nnls(weighted, (variance - known) / expected)
+        solved = scipy.optimize.lsq_linear(weighted, (variance - known) / expected, (lowest, np.inf), "bvls")
+        solution = solved.x
         expected = np.maximum(known + terms @ solution, 0.05 * expected)
-    present = solution > 0
+    present = solution > lowest
     inside = weighted[:, present]
     errors = np.full(len(solution), np.nan)
     errors[present] = np.sqrt(np.diag(np.linalg.inv(inside.T @ inside)) * 2 / degrees)
-    return list(zip(solution.tolist(), errors.tolist(), strict=True))
+    return list(zip(np.maximum(solution, 0.0).tolist(), errors.tolist(), strict=True))
 
 
 def mean_variance(stack: np.ndarray) -> float:

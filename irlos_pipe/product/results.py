@@ -38,9 +38,16 @@ class ResultsPart(BaseModel):
 
 
 class StageResults(ResultsPart):
-    """Base of the section of one stage, named by `stage`."""
+    """Base of the section of one stage, named by `stage`.
+
+    Attributes
+    ----------
+    untested : list of str
+        What the data cannot tell and stands as told: the first key of the section, before any number.
+    """
 
     stage: ClassVar[str]
+    untested: list[str] = []
 
 
 class InputFileEntry(ResultsPart):

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from irlos_pipe.frames.measured_noise import dark_variance_e2
+from irlos_pipe.frames.measured_noise import dark_variance_e2, measure_noise
+from irlos_pipe.frames.neighbour_prediction import neighbour_prediction
 from irlos_pipe.frames.noise import NoiseModel
 
 ALL_GOOD = np.ones((64, 64), dtype=bool)
@@ -57,3 +58,14 @@ def test_without_a_dark_the_pattern_of_the_detector_counts():
     """An unlimited estimate finds the 2 e- that were put in; a single frame cannot tell."""
     assert dark_variance_e2(frames_e(2.0), ALL_GOOD, np.inf) == pytest.approx(4.0, rel=0.2)
     assert dark_variance_e2(frames_e(2.0)[:1], ALL_GOOD, np.inf) == 0.0
+
+
+@pytest.mark.parametrize("level_e", [-3.0, 0.0, 3.0])
+def test_a_background_that_is_off_by_some_electrons_does_not_change_the_photon_transfer(level_e):
+    """Ten frames of a gain as told: a slope of 1 to five of its errors, and less of an error than a tenth."""
+    prediction = neighbour_prediction(ALL_GOOD, 4.2)
+    images = frames_e(0.0, count=10, seed=3) + level_e
+    found = measure_noise(images, ALL_GOOD, prediction, NoiseModel(1.0, 1.0))
+    assert 0 < found.excess_noise_error < 0.1
+    assert abs(found.excess_noise_factor - 1) < 5 * found.excess_noise_error
+    assert np.isfinite(found.floor_error_e2) and found.floor_e2 >= 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -17,19 +17,13 @@ from irlos_pipe.stages.base import StageOutput
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of
 from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate, Tail, Twin
 from irlos_pipe.stages.model.effects import effect_arrays
+from irlos_pipe.stages.model.untested import CUBES_IN_SHORT, untested_by_cubes
 
 COVARIANCE = {
     "frames": "from the scatter over frames and the misfit",
     "few_frames": "from the noise model, the misfit, and the scatter of few frames",
     "noise": "from the noise model and the misfit",
 }
-UNTESTED = (
-    "the sign of the even modes, which is that of the diversity as told: {diversity}",
-    "size and mode of the diversity: an error of theirs is taken for one of the NCPAs",
-    "images transposed or turned by 180°: they fit as well, with other modes",
-    "wavelength and pixel scale wrong by the same factor",
-    "a wrong flat or dark that is smooth",
-)
 
 
 def joint_output(
@@ -61,17 +55,11 @@ def joint_output(
         seeing_arcsec=seeing_arcsec,
         wavelength_nm=acquisition.wavelength_nm,
         twin=None if twin is None else Twin(**asdict(twin), preferred=twin.preferred),
-        untested=untested(acquisition.diversity),
+        untested=untested_by_cubes(acquisition.diversity),
         compare=[Estimate(**estimate_keys(other)) for other in others],
     )
     arrays = arrays_of(result) | effect_arrays(result.effect_values)
     return StageOutput(arrays, results, checks_of(limits, result), summary=_summary(result, others))
-
-
-def untested(diversity_nm: Mapping[int, float]) -> list[str]:
-    """Return what a cube taken with such a diversity cannot tell, whatever its χ²/ν."""
-    told = ", ".join(f"Noll {noll} {nm:+g} nm" for noll, nm in sorted(diversity_nm.items())) or "none"
-    return [line.format(diversity=told) for line in UNTESTED]
 
 
 def reported(nolls: Sequence[int]) -> slice:
@@ -163,6 +151,7 @@ def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
     last = result.nolls[reported(result.nolls)][-1]
     few = ["  errors from the noise model and the misfit: too few frames to show their scatter"]
     return [
+        CUBES_IN_SHORT,
         f"NCPA            {wfe:.1f} ± {sigma:.1f} nm RMS in Noll 2–{last} "
         f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f}, "
         f"nominal {result.nominal.value:.2f})",

@@ -25,12 +25,12 @@ from irlos_pipe.stages.calibrate.output import (
     effect_lines,
     estimate_keys,
     reported,
-    untested,
     wfe_nm,
 )
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of
 from irlos_pipe.stages.calibrate.results import CalibrateResults, CubeRow
 from irlos_pipe.stages.model.effects import effect_arrays
+from irlos_pipe.stages.model.untested import CUBES_IN_SHORT, untested_by_cubes
 
 ROOT = "cubes"
 
@@ -86,7 +86,7 @@ def each_output(limits: Limits, cubes: Sequence[Cube], failures: Sequence[str]) 
     results = CalibrateResults(
         **mean.results(),
         cubes=[_row(cube) for cube in cubes],
-        untested=untested(cubes[0].acquisition.diversity),
+        untested=untested_by_cubes(cubes[0].acquisition.diversity),
     )
     checks = [check for cube in cubes for check in checks_of(limits, cube.result, f"{cube.name}: ")]
     return StageOutput(arrays, results, checks, summary=_summary(mean, cubes), failures=failures)
@@ -178,6 +178,7 @@ class _Mean:
 def _summary(mean: _Mean, cubes: Sequence[Cube]) -> list[str]:
     last = mean.nolls[reported(mean.nolls)][-1]
     return [
+        CUBES_IN_SHORT,
         f"NCPA            {wfe_nm(mean.nolls, mean.zernike_nm):.1f} ± "
         f"{wfe_nm(mean.nolls, mean.sigma_nm):.1f} nm RMS in Noll 2–{last}: mean of {len(cubes)} "
         f"{'cube' if len(cubes) == 1 else 'cubes'} ({mean.first.options.method})",

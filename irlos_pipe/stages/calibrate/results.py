@@ -105,8 +105,6 @@ class CalibrateResults(Estimate, StageResults):
         None without a twin solution, and for the mean over cubes.
     compare : list of Estimate
         Estimates with other methods.
-    untested : list of str
-        What the data cannot tell: it stands as told.
     """
 
     stage: ClassVar[str] = "calibrate"
@@ -117,7 +115,6 @@ class CalibrateResults(Estimate, StageResults):
     twin: Twin | None = None
     compare: list[Estimate] = []
     cubes: list[CubeRow] = []
-    untested: list[str] = []
 
     def effect_number(self, effect: str, parameter: str) -> float:
         """Return an estimated `parameter` of an `effect` as a number; NaN where there is none."""

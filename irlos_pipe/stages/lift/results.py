@@ -78,8 +78,6 @@ class LiftResults(StageResults):
         Scatter of the estimates at one offset beyond photon noise.
     chi2_nu, nominal_chi2_nu : float
         Median of the frames, and what their scatter lets expect of a right model.
-    untested : list of str
-        What this ramp cannot tell.
     """
 
     stage: ClassVar[str] = "lift"
@@ -95,4 +93,3 @@ class LiftResults(StageResults):
     ao_defocus_nm: Number = math.nan
     chi2_nu: Number = math.nan
     nominal_chi2_nu: Number = math.nan
-    untested: list[str] = []

@@ -20,12 +20,7 @@ from irlos_pipe.stages.lift.input import Ramp, read_ramp
 from irlos_pipe.stages.lift.quality import WITHOUT_NCPAS, checks_of
 from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point
 from irlos_pipe.stages.model.effects import model_effects
-
-UNTESTED = (
-    "the zero point of the focus stage against the defocus among the NCPAs",
-    "sign and orientation of diversity and offsets together: the slope tests one against the other",
-    "wavelength and pixel scale wrong by the same factor",
-)
+from irlos_pipe.stages.model.untested import BY_RAMP
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
@@ -129,7 +124,7 @@ def _results(
         ao_defocus_nm=errors.ao_defocus_nm,
         chi2_nu=errors.chi2_nu,
         nominal_chi2_nu=errors.nominal_chi2_nu,
-        untested=list(UNTESTED),
+        untested=list(BY_RAMP),
     )
 
 
