@@ -21,7 +21,14 @@ def ramp_errors(results: Results, introduced_nm: Mapping[str, float]) -> Numbers
     error = error - [introduced_nm[point["name"]] for point in points]
     sigma = _numbers(point["sigma_nm"] for point in points)
     sigmas = float(np.sqrt(np.nanmean((error / sigma) ** 2)))
-    return {"sigmas": sigmas, "error_nm": _rms(error), "quoted_nm": _rms(sigma)}
+    chi2_ratio = (results["chi2_nu"] or np.nan) / (results["nominal_chi2_nu"] or np.nan)
+    return {
+        "sigmas": sigmas,
+        "error_nm": _rms(error),
+        "quoted_nm": _rms(sigma),
+        "slope": results["summary"]["slope"],
+        "chi2_ratio": float(chi2_ratio),
+    }
 
 
 def mode_errors(modes_nm: Results, sigma_nm: Results, true_nm: Mapping[int, float]) -> Numbers:

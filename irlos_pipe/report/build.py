@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from irlos_pipe.files.atomic import write_bytes
-from irlos_pipe.product.results import provenance_of
+from irlos_pipe.product.results import StageResults, provenance_of, results_of
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.content import Section, Text
 from irlos_pipe.report.key_numbers import key_numbers
@@ -95,8 +95,15 @@ def _render(run: RunData) -> str:
         finished=finished(run),
         key_numbers=key_numbers(run),
         warnings=warnings(run),
+        untested=_untested(run),
         sections=report_sections(run),
     )
+
+
+def _untested(run: RunData) -> list[str]:
+    """Return what the data of all stages cannot tell, to be read before the numbers, everything once."""
+    lines = (line for product in run.products.values() for line in results_of(StageResults, product).untested)
+    return list(dict.fromkeys(lines))
 
 
 def report_sections(run: RunData) -> list[Section]:

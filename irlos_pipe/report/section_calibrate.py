@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.effects.public_values import rows_of
-from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Text
+from irlos_pipe.report.content import Block, Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import BLUE, CYCLE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.images import SIGMA_LIMIT, SIGNED, brightness_scale, image_panel, symmetric_scale
 from irlos_pipe.report.radial import star_profile
@@ -42,7 +42,6 @@ def calibrate_section(run: RunData) -> Section:
     """Build the section."""
     results = run.results(CalibrateResults)
     blocks: list[Block] = [
-        *untested_text(results.untested),
         *_images(run, results),
         *_bars(results),
         Stack([*_profile(run), *_maps(run)]),
@@ -50,11 +49,6 @@ def calibrate_section(run: RunData) -> Section:
         Stack([*_effects(results), *_cubes(results), *_methods(results)]),
     ]
     return Section(STAGE, "NCPA calibration", _lead(run, results), blocks)
-
-
-def untested_text(untested: Sequence[str]) -> list[Text]:
-    """Return what a result takes as told, to be read before its numbers."""
-    return [Text(f"{'; '.join(untested)}.", "Not tested by these data")] if untested else []
 
 
 def _lead(run: RunData, results: CalibrateResults) -> str:

@@ -15,7 +15,6 @@ from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Widt
 from irlos_pipe.report.drawing import BLUE, INK, ORANGE, PURPLE, svg
 from irlos_pipe.report.images import BRIGHTNESS, SIGNED, brightness_scale, symmetric_scale
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.section_calibrate import untested_text
 from irlos_pipe.report.text import number, plural, with_error
 from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point
 
@@ -51,7 +50,6 @@ def lift_section(run: RunData) -> Section:
     results = run.results(LiftResults)
     tables = Stack([_variants(results), *_offsets(results.offsets)])
     blocks: list[Block] = [
-        *untested_text(results.untested),
         *_ramp(results.points),
         tables,
         *_strip(run),

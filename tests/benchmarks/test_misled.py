@@ -19,6 +19,7 @@ PASSED = {
     "warned": [],
     "sigmas": 1.0,
 }
+RAMP = {"chi2_nu": 1.0, "nominal_chi2_nu": 0.5, "summary": {"slope": 1.0}}
 FOUND = {"steps": [], "mdb": {}, "untestable": [], "grade": "none", "verdict": "none"}
 FOUND |= {"zernike_nm": {"after": {"4": 10.0}}, "sigma_nm": {"4": 1.0}}
 
@@ -72,7 +73,7 @@ def test_a_ramp_counts_by_the_rms_of_its_frames_whatever_their_order():
     points = [
         {"name": name, "defocus_nm": value, "sigma_nm": 2.0} for name, value in (("b", 14.0), ("a", -4.0))
     ]
-    assert ramp_errors({"points": points}, {"a": 0.0, "b": 10.0})["sigmas"] == 2.0
+    assert ramp_errors({"points": points} | RAMP, {"a": 0.0, "b": 10.0})["sigmas"] == 2.0
 
 
 @pytest.mark.parametrize(("stated", "finding"), [(0.1, "too small"), (0.01, "none")])

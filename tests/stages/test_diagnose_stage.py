@@ -31,7 +31,7 @@ KEYS = {"verdict", "steps", "gap", "unexplained", "untestable", "mdb", "model"}
 
 @pytest.fixture(scope="module")
 def results() -> dict:
-    return diagnose_results(diagnosis_of("companion")).as_json()
+    return diagnose_results(diagnosis_of("companion"), {6: -170.0}).as_json()
 
 
 @pytest.mark.slow
@@ -72,7 +72,7 @@ def test_the_companion_found_is_one_that_the_recipe_can_place():
 
 def section_of(kind: str):
     diagnosis = diagnosis_of(kind)
-    results = diagnose_results(diagnosis).as_json()
+    results = diagnose_results(diagnosis, {6: -170.0}).as_json()
     product = Product("diagnose", diagnose_arrays(diagnosis), results, config={"input": "cube"})
     return diagnose_section(RunData({}, "", "ok", "", "", {"diagnose": product}, []))
 
@@ -82,7 +82,7 @@ def section_of(kind: str):
 def test_the_section_begins_with_the_verdict_in_words_and_shows_both_models(kind):
     section = section_of(kind)
     titles = [getattr(block, "title", "") for block in section.blocks]
-    assert section.lead == diagnose_results(diagnosis_of(kind)).sentence
+    assert section.lead == diagnose_results(diagnosis_of(kind), {6: -170.0}).sentence
     assert {"Measured", "Predicted before", "Predicted after", "Residual before", "Gap"} <= set(titles)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -38,18 +38,20 @@ from irlos_pipe.stages.diagnose.results import (
     WhereRow,
 )
 from irlos_pipe.stages.model.section import ModelConfig
+from irlos_pipe.stages.model.untested import untested_by_cubes
 
 MODEL_FILE = "model.yaml"
 
 
-def diagnose_results(result: Diagnosis) -> DiagnoseResults:
-    """Return the results of a diagnosis of cubes."""
+def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> DiagnoseResults:
+    """Return the results of a diagnosis of cubes, taken with a diversity (Noll: nm RMS)."""
     noise, modes = result.noise, [_by_noll(result, one) for one in result.modes_nm]
     advice = {
         name: AdviceRow(recording=one.recording, survival=one.observability, smallest=one.smallest)
         for name, one in result.advice.items()
     }
     return DiagnoseResults(
+        untested=untested_by_cubes(diversity_nm),
         verdict=result.verdict,
         grade=result.grade,
         sentence=sentence(result),

@@ -43,9 +43,10 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         output, entries = run_on_ramp(ctx, round(1 / ctx.config.held_out))
         return replace(output, files={MODEL_FILE: model_yaml(ctx.model, entries)})
     apart = APART[ctx.config.recordings]
-    result = _diagnose(ctx, by_setting(ctx.products["ingest"], ctx.config.input, apart=apart))
+    groups = by_setting(ctx.products["ingest"], ctx.config.input, apart=apart)
+    result = _diagnose(ctx, groups)
     model = model_yaml(ctx.model, model_entries(result))
-    results = diagnose_results(result)
+    results = diagnose_results(result, groups[0].first.acquisition.diversity)
     return StageOutput(
         diagnose_arrays(result),
         results,

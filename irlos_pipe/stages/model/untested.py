@@ -1,0 +1,28 @@
+"""What recordings cannot tell of themselves, whatever their χ²/ν: it stands as told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+BY_CUBES = (
+    "the sign of the even modes, which is that of the diversity as told: {diversity}",
+    "size and mode of the diversity: an error of theirs is taken for one of the NCPAs",
+    "images transposed or turned by 180°: they fit as well, with other modes",
+    "wavelength and pixel scale wrong by the same factor",
+    "a wrong flat or dark that is smooth",
+)
+BY_RAMP = (
+    "the zero point of the focus stage against the defocus among the NCPAs",
+    "sign and orientation of diversity and offsets together: the slope tests one against the other",
+    "wavelength and pixel scale wrong by the same factor",
+)
+CUBES_IN_SHORT = (
+    "  not tested      sign, size and mode of the diversity; images transposed or turned by 180°; wavelength "
+    "and scale by one factor"
+)
+
+
+def untested_by_cubes(diversity_nm: Mapping[int, float]) -> list[str]:
+    """Return what cubes taken with such a diversity cannot tell, one line each."""
+    told = ", ".join(f"Noll {noll} {nm:+g} nm" for noll, nm in sorted(diversity_nm.items())) or "none"
+    return [line.format(diversity=told) for line in BY_CUBES]
