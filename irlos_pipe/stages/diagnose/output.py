@@ -44,7 +44,14 @@ MODEL_FILE = "model.yaml"
 
 
 def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> DiagnoseResults:
-    """Return the results of a diagnosis of cubes, taken with a diversity (Noll: nm RMS)."""
+    """Return the results of a diagnosis of cubes.
+
+    Parameters
+    ----------
+    result : Diagnosis
+    diversity_nm : mapping of int to float
+        With which they were taken, Noll: nm RMS.
+    """
     noise, modes = result.noise, [_by_noll(result, one) for one in result.modes_nm]
     advice = {
         name: AdviceRow(recording=one.recording, survival=one.observability, smallest=one.smallest)

@@ -23,6 +23,12 @@ CUBES_IN_SHORT = (
 
 
 def untested_by_cubes(diversity_nm: Mapping[int, float]) -> list[str]:
-    """Return what cubes taken with such a diversity cannot tell, one line each."""
+    """Return what cubes cannot tell, one line each.
+
+    Parameters
+    ----------
+    diversity_nm : mapping of int to float
+        With which they were taken, Noll: nm RMS.
+    """
     told = ", ".join(f"Noll {noll} {nm:+g} nm" for noll, nm in sorted(diversity_nm.items())) or "none"
     return [line.format(diversity=told) for line in BY_CUBES]
