@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from irlos_pipe.conventions.laws import NcpaLaw, ResidualLaw
@@ -32,6 +33,8 @@ class Facility:
         Seeing that is assumed where none was measured.
     vibration_lines : tuple of (hz, share_x, share_y)
         Vibrations of the telescope; the slow wander has the rest of the variance.
+    sky_mag_per_arcsec2 : tuple of (wavelength_nm, mag)
+        Surface brightness of the sky in each band, by the band's wavelength.
     numerical_aperture : float
         NA / n of the beam in which the focus stage moves; 0 where it is not known.
     """
@@ -45,3 +48,29 @@ class Facility:
     typical_seeing_arcsec: float
     vibration_lines: tuple[VibrationLine, ...] = ()
     numerical_aperture: float = 0.0
+    sky_mag_per_arcsec2: tuple[tuple[float, float], ...] = ()
+
+    def sky_photons_per_s(
+        self, spectrum: Iterable[tuple[float, float]], photons_per_s_m0: float, pixel_scale_mas: float
+    ) -> float:
+        """Return the photons of the sky in a pixel [1/s]; 0 where its brightness is not known.
+
+        Every wavelength has the brightness of the nearest band.
+
+        Parameters
+        ----------
+        spectrum : iterable of (wavelength_nm, weight)
+            Photon weights, any scale.
+        photons_per_s_m0 : float
+            Of a star of magnitude 0 through the same optics [1/s].
+        pixel_scale_mas : float
+        """
+        if not self.sky_mag_per_arcsec2:
+            return 0.0
+        points = list(spectrum)
+        brightness = sum(weight * 10 ** (-0.4 * self._sky_mag(nm)) for nm, weight in points)
+        area_arcsec2 = (pixel_scale_mas / 1000) ** 2
+        return photons_per_s_m0 * area_arcsec2 * brightness / sum(weight for _, weight in points)
+
+    def _sky_mag(self, wavelength_nm: float) -> float:
+        return min(self.sky_mag_per_arcsec2, key=lambda band: abs(band[0] - wavelength_nm))[1]

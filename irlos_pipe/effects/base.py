@@ -59,9 +59,9 @@ class Effect:
         Whether it is a part of the static wavefront, which a calibration of NCPAs hands on.
     in_image : bool
         Whether the model of an image contains it.
-    found_by : {"score", "frames", "pixels", "ramp"}
-        How a diagnosis finds it: by a score test of the mean image, from estimates of single frames, pixel
-        by pixel, or from the offsets of a ramp.
+    found_by : {"score", "frames", "noise", "pixels", "ramp"}
+        How a diagnosis finds it: by a score test of the mean image, from estimates of single frames, from
+        the scatter of the frames, pixel by pixel, or from the offsets of a ramp.
     blurs : {"", "motion", "detector"}
         What blurs the image, of effects that the mean image hardly distinguishes.
     speckles : bool

@@ -15,6 +15,7 @@ from irlos_pipe.effects.declaration import Public
 from irlos_pipe.effects.detector import (
     BackgroundGradient,
     BadPixels,
+    CorrelatedNoise,
     DetectorNonlinearity,
     InterpixelCrosstalk,
 )
@@ -55,6 +56,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         InterpixelCrosstalk,
         DetectorNonlinearity,
         BackgroundGradient,
+        CorrelatedNoise,
         BadPixels,
         FocusStageOffset,
         FocusStageScale,

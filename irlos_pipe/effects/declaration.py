@@ -15,7 +15,7 @@ Plane = Literal["pupil", "otf", "sampling", "time", "detector", "ramp", "lens"]
 Kind = Literal["number", "zernike", "parts", "pixels", "nolls", "word"]
 Role = Literal["size", "position", "direction", "component"]
 Belongs = Literal["instrument", "star", "moment"]
-FoundBy = Literal["score", "frames", "pixels", "ramp"]
+FoundBy = Literal["score", "frames", "noise", "pixels", "ramp"]
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The detector: `interpixel_crosstalk`, `detector_nonlinearity`, `background_gradient`, `bad_pixels`."""
+"""The detector: cross-talk, non-linearity, a gradient, correlated noise, bad pixels."""
 
 from __future__ import annotations
 
@@ -113,6 +113,51 @@ class BackgroundGradient(DetectorEffect):
     def values_of(self, e_per_pixel: float, angle_deg: float) -> list[float]:
         """See `Effect.values_of`."""
         return components(e_per_pixel, angle_deg)
+
+
+class CorrelatedNoise(DetectorEffect):
+    """Noise that the pixels of a row or column share: pick-up in the read-out chain.
+
+    It differs from frame to frame and has no mean, so that it is no part of an image but of its noise: errors
+    that rest on the scatter of frames contain it, those of a noise model do not.
+    """
+
+    name = "correlated_noise"
+    belongs_to = "moment"
+    order = 4
+    instrumental = False
+    in_image = False
+    found_by = "noise"
+    public = (
+        number("e_rms", "e- per frame", 0.0, 1e6),
+        Public("axis", "pixels that are alike", "word", required=False, choices=("rows", "columns")),
+        number("period_px", "px across the stripes; 1/f noise if left out", 2.0, 1e4, required=False),
+    )
+    sentence = "noise of {e_rms:.2g} e⁻ that rows or columns share"
+    look_alike = "background_gradient, which does not change; read noise, which no two pixels share"
+    reference = "Moseley et al. 2010, SPIE 7742, 77421B"
+    parameters = (Parameter("e_rms", "e-", 0.0, lower=0.0, upper=1e6),)
+
+    def __init__(self, axis: str = "rows", period_px: float | None = None):
+        self.axis, self.period_px = axis, period_px
+
+    def apply(self, values: torch.Tensor, images_e: torch.Tensor) -> torch.Tensor:
+        """See `DetectorEffect.apply`: the mean image is what it was."""
+        return images_e
+
+    def describe(self, values: np.ndarray) -> dict[str, Any]:
+        """Its size, and which pixels are alike."""
+        period = {} if self.period_px is None else {"period_px": self.period_px}
+        return {"e_rms": float(values[0]), "axis": self.axis, **period}
+
+    @classmethod
+    def options_for(cls, **public: Any) -> dict[str, Any]:
+        """Axis and period, which are not estimated."""
+        return {name: value for name, value in public.items() if name != "e_rms"}
+
+    def values_of(self, e_rms: float, axis: str = "rows", period_px: float | None = None) -> list[float]:
+        """See `Effect.values_of`."""
+        return [e_rms]
 
 
 class BadPixels(DetectorEffect):

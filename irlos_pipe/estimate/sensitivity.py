@@ -27,8 +27,8 @@ class Curve:
     mag_j : ndarray, (magnitudes,)
     median_abs_error_nm, p16_nm, p84_nm : ndarray, (magnitudes,)
         Of |estimated - introduced| over frames and realisations that did not fail.
-    crb_nm : ndarray, (magnitudes,)
-        Median over the frames of the Cramér–Rao bound, 1σ.
+    crb_nm, one_read_crb_nm : ndarray, (magnitudes,)
+        Median over the frames of the Cramér–Rao bound, 1σ; and of exposures of one read without sky.
     failures : ndarray of int, (magnitudes,)
         Estimates that did not converge or left the plausible range.
     trials : int
@@ -49,6 +49,12 @@ class Curve:
     trials: int
     limit_mag: float
     abs_error_nm: np.ndarray
+    one_read_crb_nm: np.ndarray
+
+    def bound_mag(self, criterion: Criterion) -> float:
+        """Return the limiting magnitude of an efficient estimate from exposures of one read without sky."""
+        never = np.zeros(len(self.mag_j))
+        return limiting_magnitude(self.mag_j, MEDIAN_OF_NORMAL * self.one_read_crb_nm, never, criterion)
 
 
 @dataclass(frozen=True)
@@ -76,12 +82,13 @@ def dim(
     factor: float,
     noise: NoiseModel,
     generator: torch.Generator,
+    faint: NoiseModel | None = None,
 ) -> torch.Tensor:
     """Return frames as a star dimmer by `factor` would have given them.
 
     Scaling by s < 1 scales the noise variance by s²; what is missing to the variance of a frame of
-    the scaled flux is ``F s (1 - s) signal + (1 - s²) floor``, drawn as an excess-scaled Poisson
-    and a normal variate.
+    the scaled flux is ``(F' s - F s²) signal + floor' - s² floor``, F' and floor' being those of the faint
+    frame, drawn as an excess-scaled Poisson and a normal variate.
 
     Parameters
     ----------
@@ -90,7 +97,11 @@ def dim(
     factor : float
         Between 0 and 1.
     noise : NoiseModel
+        Of the frames.
     generator : torch.Generator
+    faint : NoiseModel, optional
+        Of those of the dimmer star; that of the frames if left out. Where it has less than scaling leaves,
+        nothing is taken away.
 
     Raises
     ------
@@ -99,11 +110,13 @@ def dim(
     """
     if not 0 < factor <= 1:
         raise ValueError(f"frames can only be dimmed, not scaled by {factor:.3g}")
-    gain = noise.excess_noise_factor
-    mean = signal_e.double().clamp_min(0) * factor * (1 - factor)
-    shot = gain * (torch.poisson(mean / gain, generator=generator) - mean / gain)
+    faint = faint or noise
+    gain = faint.excess_noise_factor
+    lacking = max(0.0, gain * factor - noise.excess_noise_factor * factor**2)
+    photons = signal_e.double().clamp_min(0) * lacking / gain**2
+    shot = gain * (torch.poisson(photons, generator=generator) - photons)
     floor = torch.randn(images_e.shape, generator=generator, dtype=torch.float64)
-    missing = np.sqrt(max(0.0, 1 - factor**2) * noise.floor_e2)
+    missing = np.sqrt(max(0.0, faint.floor_e2 - factor**2 * noise.floor_e2))
     return images_e.double() * factor + shot + missing * floor
 
 
@@ -118,6 +131,8 @@ def scan(
     criterion: Criterion,
     seed: int,
     *,
+    faint: NoiseModel | None = None,
+    one_read: NoiseModel | None = None,
     near_nm: torch.Tensor | None = None,
     report=None,
 ) -> Curve:
@@ -137,6 +152,10 @@ def scan(
     start_nm : tensor, (frames, modes)
     criterion : Criterion
     seed : int
+    faint : NoiseModel, optional
+        Of the dimmed frames; that of the measured ones if left out.
+    one_read : NoiseModel, optional
+        Of exposures of one read without sky, for comparison; that of the measured frames if left out.
     near_nm : tensor, (frames, modes), optional
         Estimates from the frames as they are, which make the scan quicker. Estimates stay the same, except
         that a fit for which several minima compete may end in another.
@@ -153,22 +172,27 @@ def scan(
     start = start_nm.repeat(realisations, 1)
     frames = torch.arange(len(start_nm)).repeat(realisations)
     options = LiftOptions(noise="model", alike=None if near_nm is None else alike(model, near_nm, frames))
-    flux, errors, bounds = signal_e.double().sum((1, 2)), [], []
+    flux, errors = signal_e.double().sum((1, 2)), []
+    bounds: list[float] = []
+    of_one_read: list[float] = []
+    faint, one_read = faint or data.noise, one_read or data.noise
     for index, magnitude in enumerate(magnitudes):
         factor = min(1.0, 10 ** (-0.4 * (magnitude - mag_j)))
         generator = torch.Generator().manual_seed(seed + 7919 * index)
         dimmed = torch.cat(
-            [dim(data.images_e, signal_e, factor, data.noise, generator) for _ in range(realisations)]
+            [dim(data.images_e, signal_e, factor, data.noise, generator, faint) for _ in range(realisations)]
         )
-        result = lift(model, dimmed, data.good, data.noise, start, options)
+        result = lift(model, dimmed, data.good, faint, start, options)
         error = np.abs(result.mode(4)[0].numpy() - introduced)
         failed = ~result.solution.converged.numpy() | ~(error < criterion.implausible_nm)
         errors.append(np.where(failed, np.nan, error))
-        bound = cramer_rao_nm(model, true, flux * factor, data.noise)
-        bounds.append(float(bound[:, focus].median()))
+        for found, noise in ((bounds, faint), (of_one_read, one_read)):
+            found.append(float(cramer_rao_nm(model, true, flux * factor, noise)[:, focus].median()))
         if report is not None:
             report(1)
-    return curve_of(model.psf.nolls, magnitudes, np.array(errors), np.array(bounds), criterion)
+    return curve_of(
+        model.psf.nolls, magnitudes, np.array(errors), np.array(bounds), np.array(of_one_read), criterion
+    )
 
 
 def curve_of(
@@ -176,6 +200,7 @@ def curve_of(
     magnitudes: np.ndarray,
     abs_error_nm: np.ndarray,
     crb_nm: np.ndarray,
+    one_read_crb_nm: np.ndarray,
     criterion: Criterion,
 ) -> Curve:
     """Return the curve of single errors, which may come from several scans over the same magnitudes.
@@ -186,14 +211,16 @@ def curve_of(
     magnitudes : ndarray
     abs_error_nm : ndarray, (magnitudes, trials)
         NaN where the estimate failed.
-    crb_nm : ndarray, (magnitudes,)
+    crb_nm, one_read_crb_nm : ndarray, (magnitudes,)
     criterion : Criterion
     """
     mag_j, trials = np.asarray(magnitudes, float), abs_error_nm.shape[1]
     failures = np.isnan(abs_error_nm).sum(axis=1)
     median, low, high = np.array([_percentiles(row[~np.isnan(row)]) for row in abs_error_nm]).T
     limit = limiting_magnitude(mag_j, median, failures / trials, criterion)
-    return Curve(nolls, mag_j, median, low, high, crb_nm, failures, trials, limit, abs_error_nm)
+    return Curve(
+        nolls, mag_j, median, low, high, crb_nm, failures, trials, limit, abs_error_nm, one_read_crb_nm
+    )
 
 
 def limiting_magnitude(

@@ -141,10 +141,11 @@ def clean(
 
 
 def _background_variance_e2(maps: CalibrationMaps, detector: Detector, noise: MeasuredNoise) -> float:
-    """Variance beyond read noise and star: measured, else from the sky."""
+    """Variance beyond read noise and star: measured, else from the sky as recorded or told."""
     sky = maps.background_adu
     sky_e = 0.0 if sky is None else max(0.0, float(np.nanmedian(sky)) * detector.e_per_adu)
-    return max(noise.beyond_e2(detector.read_noise_e**2), sky_e * detector.excess_noise_factor)
+    known_e2 = max(sky_e, detector.background_e) * detector.excess_noise_factor
+    return max(noise.beyond_e2(detector.read_noise_e**2), known_e2)
 
 
 def _dark_variance_e2(

@@ -30,12 +30,29 @@ class Detector:
         Variance of the photon signal over its Poisson variance (1 = Poisson).
     saturation_adu : float or None
         Raw level from which a pixel counts as saturated [ADU].
+    reads : int
+        That a frame is the sum of; `read_noise_e` is that of all together.
+    background_e : float
+        Light of the sky and dark current in a pixel of a frame, as told [e-].
     """
 
     e_per_adu: float
     read_noise_e: float
     excess_noise_factor: float = 1.0
     saturation_adu: float | None = None
+    reads: int = 1
+    background_e: float = 0.0
+
+    def accumulated(self, frames: int) -> Detector:
+        """Return the constants of a sum of so many `frames`."""
+        saturation = None if self.saturation_adu is None else frames * self.saturation_adu
+        return replace(
+            self,
+            read_noise_e=self.read_noise_e * frames**0.5,
+            saturation_adu=saturation,
+            reads=frames * self.reads,
+            background_e=frames * self.background_e,
+        )
 
 
 @dataclass(frozen=True)

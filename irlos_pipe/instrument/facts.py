@@ -40,8 +40,8 @@ class FactRule:
     low, high : float
         Limits of a number, or of every number in a list.
     required : bool
-    kind : {"number", "vanes", "lines"}
-        A number; a list of vanes [[x, y], [x, y]]; a list of vibrations [Hz, share_x, share_y].
+    kind : {"number", "vanes", "lines", "sky"}
+        A number; a list of vanes [[x, y], [x, y]]; of vibrations [Hz, share_x, share_y]; of bands [nm, mag].
     """
 
     unit: str
@@ -49,7 +49,7 @@ class FactRule:
     low: float
     high: float
     required: bool = True
-    kind: Literal["number", "vanes", "lines"] = "number"
+    kind: Literal["number", "vanes", "lines", "sky"] = "number"
 
 
 FACTS: dict[str, FactRule] = {
@@ -72,10 +72,16 @@ FACTS: dict[str, FactRule] = {
     "vibration_lines": FactRule(
         "Hz, 1, 1", "[Hz, share of the variance along x, along y]", 0, 1e5, False, "lines"
     ),
+    "sky_mag_per_arcsec2": FactRule(
+        "nm, mag/arcsec2", "brightness of the sky in each band, [wavelength, mag]", -10, 1e6, False, "sky"
+    ),
     "amplifier_e_per_adu": FactRule("e-/ADU", "gain behind the avalanche, for `modes`", 1e-9, 1e6, False),
 }
 # Facts that defaults, modes and seeing scales choose among; any other name must be used by one of them.
-FAMILIES = r"(site|pixel_scale|apd_gain|read_noise|excess_noise|recorder|seeing_ratio|seeing_offset)_\w+"
+FAMILIES = (
+    r"(site|pixel_scale|apd_gain|read_noise|read_exposure|dark_current|excess_noise|recorder|seeing_ratio|"
+    r"seeing_offset)_\w+"
+)
 # Keys of the side-car that a profile may give.
 DEFAULTS = (
     "pixel_scale_mas",
@@ -89,6 +95,8 @@ DEFAULTS = (
     "detector.read_noise_e",
     "detector.excess_noise_factor",
     "detector.saturation_adu",
+    "detector.read_s",
+    "detector.dark_e_per_s",
 )
 
 
@@ -136,6 +144,7 @@ def _require_value(name: str, rule: FactRule, value: Any) -> None:
         "number": (_is_number, f"a number from {rule.low:g} to {rule.high:g}"),
         "vanes": (_is_vane, "a list of [[x, y], [x, y]] in metres"),
         "lines": (_is_line, "a list of [Hz, share_x, share_y]"),
+        "sky": (_is_point, "a list of [wavelength in nm, mag]"),
     }
     fits, text = shapes[rule.kind]
     several = value if rule.kind != "number" else [value]

@@ -212,6 +212,9 @@ def _facility(values: _Values, pupil: PupilGeometry) -> Facility:
         typical_seeing_arcsec=values.number("seeing_arcsec"),
         vibration_lines=lines,
         numerical_aperture=float(values.get("focus_numerical_aperture", 0.0)),
+        sky_mag_per_arcsec2=tuple(
+            (float(nm), float(mag)) for nm, mag in values.get("sky_mag_per_arcsec2", ())
+        ),
     )
 
 

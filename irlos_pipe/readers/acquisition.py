@@ -18,6 +18,7 @@ from irlos_pipe.readers.altitude import altitude_deg
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, SpectrumPoint, read_sidecar, sidecar_path
 from irlos_pipe.readers.star_spectrum import spectrum_of, temperature_of
+from irlos_pipe.readers.told_reads import COADDS, READ_S, reads_of
 
 REQUIRED = ("role", "spectrum", "diversity")  # no value is safe to assume
 REQUIRED_OF_DARK = ("role",)
@@ -29,6 +30,7 @@ HARMLESS = {
     "target": "",
     "filter": "",
     "dispersion_corrected": False,
+    "sky_e_per_s": 0.0,
 }
 OF_THE_SKY = (
     "parallactic_angle_deg",
@@ -41,7 +43,13 @@ OF_THE_SKY = (
     "star_temperature_k",
     "j_minus_h",
 )
-NOT_WORTH_A_WARNING = {*HARMLESS, *OF_THE_SKY, "detector.excess_noise_factor"}
+NOT_WORTH_A_WARNING = {
+    *HARMLESS,
+    *OF_THE_SKY,
+    "detector.excess_noise_factor",
+    "detector.read_s",
+    "detector.dark_e_per_s",
+}
 
 
 @dataclass(frozen=True)
@@ -93,13 +101,15 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     values["pupil_rotation_deg"] = _pupil_rotation(values, sources, instrument, where)
     for key, value in _of_the_sky(values, instrument, where).items():
         values[key], sources[key] = value, sources.get(key, PROFILE)
+    values["exposure_s"] = _exposure_s(values, sources)
+    reads = reads_of(values, sources, where)
     defocus = _per_frame(values["introduced_defocus_nm"], raw, sources["introduced_defocus_nm"])
     warnings = _warnings(raw, values, sources)
     monitor = _seeing_monitor(layers, sources)
     if monitor != SPARTA:
         values, line = _on_sparta_scale(raw, values, monitor, instrument)
         warnings = (*warnings, line)
-    return Resolved(_acquisition(raw, values, sources), defocus, warnings)
+    return Resolved(_acquisition(raw, values, sources, reads), defocus, warnings)
 
 
 def _settle(layers: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Any], dict[str, str]]:
@@ -219,7 +229,18 @@ def _per_frame(defocus_nm: float | list[float], raw: RawRecording, source: str) 
     return np.broadcast_to(values, (raw.frames,)).copy()
 
 
-def _acquisition(raw: RawRecording, values: Mapping[str, Any], sources: dict[str, str]) -> Acquisition:
+def _exposure_s(values: Mapping[str, Any], sources: dict[str, str]) -> float | None:
+    """As told; else of as many reads as told, before what the profile says."""
+    told = [sources.get(key, PROFILE) != PROFILE for key in (COADDS, READ_S)]
+    if all(told) and sources.get("exposure_s", PROFILE) == PROFILE:
+        sources["exposure_s"] = sources[READ_S]
+        return values[COADDS] * values[READ_S]
+    return values.get("exposure_s")
+
+
+def _acquisition(
+    raw: RawRecording, values: Mapping[str, Any], sources: dict[str, str], reads: int
+) -> Acquisition:
     diversity = values.get("diversity")
     spectrum = values.get("spectrum", ())
     optional = {
@@ -239,7 +260,7 @@ def _acquisition(raw: RawRecording, values: Mapping[str, Any], sources: dict[str
     }
     return Acquisition(
         role=values["role"],
-        detector=_detector(values),
+        detector=_detector(values, reads, told_reads=sources.get(READ_S, PROFILE) != PROFILE),
         spectrum=tuple((point.wavelength_nm, point.weight) for point in spectrum),
         diversity=dict(diversity.zernike) if diversity else {},
         diversity_source=diversity.source if diversity else "",
@@ -256,16 +277,19 @@ def _acquisition(raw: RawRecording, values: Mapping[str, Any], sources: dict[str
     )
 
 
-def _detector(values: Mapping[str, Any]) -> Detector:
-    """Constants of a frame; the keys are those of one exposure, of which a frame is the sum or mean."""
-    coadds = values.get("detector.coadds", 1)
+def _detector(values: Mapping[str, Any], reads: int, *, told_reads: bool) -> Detector:
+    """Constants of a frame; the keys are those of one read, of which a frame is the sum or mean."""
+    coadds = values.get(COADDS, reads if told_reads else 1)
+    background_e_per_s = values["sky_e_per_s"] + values.get("detector.dark_e_per_s", 0.0)
     averaged = values.get("detector.coadds_averaged", False)
     saturation = values.get("detector.saturation_adu")
     return Detector(
         e_per_adu=values["detector.e_per_adu"] * (coadds if averaged else 1),
-        read_noise_e=values["detector.read_noise_e"] * coadds**0.5,
+        read_noise_e=values["detector.read_noise_e"] * reads**0.5,
         excess_noise_factor=values.get("detector.excess_noise_factor", 1.0),
         saturation_adu=saturation if saturation is None or averaged else saturation * coadds,
+        reads=reads,
+        background_e=background_e_per_s * (values.get("exposure_s") or 0.0),
     )
 
 

@@ -60,11 +60,15 @@ class DetectorKeys(_Section):
     """Detector constants."""
 
     e_per_adu: float | None = Field(None, gt=0, le=1e5, description="photo-electrons per ADU")
-    read_noise_e: float | None = Field(None, ge=0, le=1e5, description="RMS per pixel and frame in e-")
+    read_noise_e: float | None = Field(
+        None, ge=0, le=1e5, description="RMS per pixel and read in e-, rounding included"
+    )
     excess_noise_factor: float | None = Field(None, ge=1, le=10, description="photon variance over Poisson's")
     saturation_adu: float | None = Field(None, gt=0, description="raw level that counts as saturated")
-    coadds: int | None = Field(None, ge=1, le=10**6, description="exposures in a frame")
-    coadds_averaged: bool | None = Field(None, description="mean of the exposures, not their sum")
+    coadds: int | None = Field(None, ge=1, le=10**6, description="reads in a frame")
+    coadds_averaged: bool | None = Field(None, description="mean of the reads, not their sum")
+    read_s: float | None = Field(None, gt=0, le=3600, description="exposure of a read in seconds")
+    dark_e_per_s: float | None = Field(None, ge=0, le=1e8, description="dark current per pixel in e-/s")
 
 
 class AcquisitionKeys(_Section):
@@ -99,6 +103,7 @@ class AcquisitionKeys(_Section):
     temperature_c: float | None = Field(None, ge=-90, le=60, description="its temperature")
     humidity_percent: float | None = Field(None, ge=0, le=100, description="its relative humidity")
     dispersion_corrected: bool | None = Field(None, description="a corrector takes out the atmosphere's")
+    sky_e_per_s: float | None = Field(None, ge=0, le=1e8, description="light of the sky per pixel in e-/s")
     filter: str | None = Field(None, min_length=1, description="name of the filter")
     filter_curve: list[tuple[float, float]] | None = Field(
         None, min_length=3, description="[wavelength in nm, transmission], …; instead of spectrum"

@@ -15,15 +15,23 @@ from irlos_pipe.report.content import Block, Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import CYCLE, INK, log_y, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number
-from irlos_pipe.stages.sensitivity.results import CriterionRow, CurveRow, SensitivityResults
+from irlos_pipe.stages.sensitivity.results import CriterionRow, CurveRow, NoiseRow, SensitivityResults
 
 STAGE = "sensitivity"
 MARKERS = ("o", "s", "^", "D", "v", "P")
 CAPTION = (
     f"Bands: 16th to 84th percentile. Dashed: Cramér–Rao bound times {MEDIAN_OF_NORMAL}, the median "
-    "|error| of an efficient estimate. Horizontal and vertical lines: criterion and limiting magnitudes."
+    "|error| of an efficient estimate; dotted: the same of exposures of one read without sky. Horizontal and "
+    "vertical lines: criterion and limiting magnitudes."
 )
-COLUMNS = ("NCPAs", "modes", "limit [J mag]", "error at the bright end [nm]")
+COLUMNS = (
+    "NCPAs",
+    "modes",
+    "limit [J mag]",
+    "limit of the bound, one read without sky [J mag]",
+    "error at the bright end [nm]",
+)
+NOISE_COLUMNS = ("", "dimmed frames", "one read without sky")
 
 
 def sensitivity_section(run: RunData) -> Section:
@@ -38,7 +46,25 @@ def _blocks(results: SensitivityResults) -> list[Block]:
         return []
     drawing = sensitivity_plot("sensitivity", [Curve.of(row, curve_label(row)) for row in rows], criterion)
     limits = Table(COLUMNS, [_row(row) for row in rows], "Limiting magnitude", criterion_text(criterion))
-    return [Figure(drawing, "Defocus error against magnitude", CAPTION), Stack([limits])]
+    tables = [limits] if results.noise.reads is None else [limits, _noise_table(results.noise)]
+    return [Figure(drawing, "Defocus error against magnitude", CAPTION), Stack(tables)]
+
+
+def _noise_table(noise: NoiseRow) -> Table:
+    """What the dimmed frames are noisier by than one read without sky."""
+    light = f"{number(noise.sky_e, '.2f')} + {number(noise.dark_e, '.2f')}"
+    read_e, factor = number(noise.read_noise_e, ".2g"), number(noise.excess_noise_factor, ".2f")
+    floors = (number(floor, ".3g") for floor in (noise.floor_e2, noise.one_read_floor_e2))
+    rows = [
+        ("reads in an exposure", str(noise.reads), "1"),
+        ("noise of a read [e⁻]", read_e, read_e),
+        ("sky + dark [e⁻ per pixel]", light, "0 + 0"),
+        ("excess noise factor", factor, "1.00"),
+        ("variance without star [e⁻²]", *floors),
+    ]
+    ratio = number(noise.floor_e2 / noise.one_read_floor_e2, ".3g")
+    text = f"The variance without star is {ratio} times that of one read without sky."
+    return Table(NOISE_COLUMNS, rows, "Noise of a pixel", text)
 
 
 def _lead(rows: Sequence[CurveRow]) -> str:
@@ -56,6 +82,7 @@ def _row(row: CurveRow) -> tuple[str, ...]:
         "added" if row.calibrated else "left out",
         ", ".join(map(str, row.modes)),
         limit_text(row),
+        number(row.one_read_bound_mag),
         number(row.median_abs_error_nm[0]) if row.median_abs_error_nm else MISSING,
     )
 
@@ -85,6 +112,7 @@ class Curve:
     p16_nm: np.ndarray
     p84_nm: np.ndarray
     crb_nm: np.ndarray
+    one_read_crb_nm: np.ndarray
     failed: np.ndarray
     limit_mag: float
 
@@ -102,6 +130,7 @@ class Curve:
             values(row.p16_nm),
             values(row.p84_nm),
             values(row.crb_nm),
+            values(row.one_read_crb_nm),
             values(row.failures) / (row.trials or np.nan),
             row.limit_mag,
         )
@@ -175,6 +204,9 @@ def _draw_errors(axes: Axes, curve: Curve, look: Look) -> None:
     if look.main:
         axes.fill_between(curve.mag_j, curve.p16_nm, curve.p84_nm, color=look.colour, alpha=0.15, linewidth=0)
         axes.plot(curve.mag_j, MEDIAN_OF_NORMAL * curve.crb_nm, "--", color=look.colour, linewidth=0.9)
+        axes.plot(
+            curve.mag_j, MEDIAN_OF_NORMAL * curve.one_read_crb_nm, ":", color=look.colour, linewidth=0.9
+        )
     if look.main and np.isfinite(curve.limit_mag):
         axes.axvline(curve.limit_mag, color=look.colour, linewidth=0.8, linestyle=":")
 

@@ -74,9 +74,12 @@ class Camera:
         blur : MotionBlur
             Motion of all images on top.
         """
-        if self._sampled or self._blurred:
-            return self._pixels(self._filtered(images, positions_mas, blur))
-        return self._pixels(images.mean(axis=0))
+        if not (self._sampled or self._blurred):
+            return self._pixels(images.mean(axis=0))
+        filtered = self._pixels(self._filtered(images, positions_mas, blur))
+        return np.maximum(
+            filtered, 0.0
+        )  # the filter rings by 1e-8 of the light, about the dark rings of a PSF
 
     def _filtered(self, images: np.ndarray, positions_mas: np.ndarray | None, blur: MotionBlur) -> np.ndarray:
         border = MIRROR_PX * self._parts

@@ -25,6 +25,7 @@ import numpy as np
 from scipy.ndimage import convolve
 
 from irlos_pipe.simulate.detector import DetectorModel, marked
+from irlos_pipe.simulate.pattern_noise import Pattern
 
 NEIGHBOURS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
 PEDESTAL_STREAM, FLAT_STREAM, FLAT_ERROR_STREAM = 0, 1, 2  # of a detector's `pattern_seed`
@@ -32,7 +33,7 @@ PEDESTAL_STREAM, FLAT_STREAM, FLAT_ERROR_STREAM = 0, 1, 2  # of a detector's `pa
 
 @dataclass(frozen=True)
 class Pixels:
-    """The pixels of one recording.
+    """The pixels of one recording; all charges are those of one read.
 
     Attributes
     ----------
@@ -40,18 +41,24 @@ class Pixels:
     response : ndarray, (rows, columns)
         Mean gain, 1 on average; 0 in dead pixels.
     dark_e : ndarray, (rows, columns)
-        Mean dark charge per frame, as the dark image shows it [e-].
+        Mean dark charge per read, as the dark image shows it [e-].
     diffusion : float
         Charge that leaves a pixel for its four neighbours, fraction.
     nonlinearity_per_e : float
         k of the response ``s (1 - k s)`` [1/e-].
     hot_e, background_e : ndarray, (rows, columns)
-        Mean charge of hot pixels per frame, and what is left of pedestal or background, neither of which
+        Mean charge of hot pixels per read, and what is left of pedestal or background, neither of which
         the dark image shows [e-].
     alive : ndarray, (rows, columns)
         0 in pixels that died after the map of dead pixels was made.
     stuck_e : ndarray, (rows, columns)
         Constant reading above the pedestal; NaN where the pixel works [e-].
+    reads : int
+        That are added up to a frame.
+    sky_e : float
+        Mean light of the sky per read [e-].
+    pattern : Pattern or None
+        Noise that pixels of a row or column share.
     """
 
     detector: DetectorModel
@@ -63,23 +70,26 @@ class Pixels:
     background_e: np.ndarray
     alive: np.ndarray
     stuck_e: np.ndarray
+    reads: int = 1
+    sky_e: float = 0.0
+    pattern: Pattern | None = None
 
     def signal_e(self, mean_e: np.ndarray, read_noise_e: float, rng: np.random.Generator) -> np.ndarray:
-        """Return the signal at the converter [e-].
+        """Return the signal of one read at the converter [e-].
 
         Parameters
         ----------
         mean_e : ndarray, (..., rows, columns)
-            Mean photo-electrons of frames.
+            Mean photo-electrons of the star per read.
         read_noise_e : float
         rng : numpy.random.Generator
         """
-        light_e = shared(mean_e, self.diffusion) + self.hot_e
+        light_e = shared(mean_e + self.sky_e, self.diffusion) + self.hot_e
         multiplied_e = multiplied(rng.poisson(light_e + self.dark_e), self.detector.excess_noise_factor, rng)
         return self._analogue_e(multiplied_e * self.alive, read_noise_e, rng) + self.background_e
 
     def dark_signal_e(self, frames: int, read_noise_e: float, rng: np.random.Generator) -> np.ndarray:
-        """Return the signal of frames without light, before the effects came, (frames, rows, columns) [e-].
+        """Return the signal of reads without light, before the effects came, (frames, rows, columns) [e-].
 
         Parameters
         ----------
@@ -90,6 +100,11 @@ class Pixels:
         counts = rng.poisson(np.broadcast_to(self.dark_e, (frames, *self.dark_e.shape)))
         return self._analogue_e(multiplied(counts, self.detector.excess_noise_factor, rng), read_noise_e, rng)
 
+    def dark_moments_e(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean [e-] and variance [e-²] of a read without light, before the effects came."""
+        charge_e2 = self.detector.excess_noise_factor * self.dark_e * self.response**2
+        return self.dark_e * self.response, charge_e2 + self.detector.read_noise_e**2
+
     def read(self, values: np.ndarray, stuck: np.ndarray) -> np.ndarray:
         """Return frames (..., rows, columns) of `values` with the constant readings of `stuck` pixels."""
         return np.where(np.isnan(self.stuck_e), values, stuck)
@@ -99,21 +114,43 @@ class Pixels:
     ) -> np.ndarray:
         induced_e = shared(multiplied_e * self.response, self.detector.coupling_fraction)
         node_e = compressed(induced_e, self.nonlinearity_per_e, self.detector.full_well_e)
-        return node_e + read_noise_e * rng.standard_normal(node_e.shape)
+        noise_e = read_noise_e * rng.standard_normal(node_e.shape)
+        return (
+            node_e + noise_e
+            if self.pattern is None
+            else node_e + noise_e + self.pattern.drawn_e(node_e.shape, rng)
+        )
 
 
-def nominal_pixels(detector: DetectorModel, window: tuple[int, int], exposure_s: float) -> Pixels:
-    """Return the pixels of a `detector` without effects, for a `window` and an `exposure_s`."""
+def nominal_pixels(
+    detector: DetectorModel, window: tuple[int, int], exposure_s: float, sky_e_per_s: float = 0.0
+) -> Pixels:
+    """Return the pixels of a `detector` without effects.
+
+    Parameters
+    ----------
+    detector : DetectorModel
+    window : (int, int)
+        Rows and columns [px].
+    exposure_s : float
+        Of a frame.
+    sky_e_per_s : float
+        Light of the sky in every pixel.
+    """
+    reads = detector.reads(exposure_s)
+    read_s = exposure_s / reads
     return Pixels(
         detector,
         response_map(detector, window),
-        dark_map_e(detector, window, exposure_s),
+        dark_map_e(detector, window, read_s),
         detector.crosstalk_fraction,
         detector.nonlinearity_per_e,
         hot_e=np.zeros(window),
         background_e=np.zeros(window),
         alive=np.ones(window),
         stuck_e=np.full(window, np.nan),
+        reads=reads,
+        sky_e=sky_e_per_s * read_s,
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.reads import whole_reads
 
 ADC_TOP_ADU = 65535.0
 Pixel = tuple[int, int]
@@ -22,7 +23,9 @@ class DetectorModel:
     e_per_adu : float
         Gain [e-/ADU], avalanche gain included.
     read_noise_e : float
-        Noise of a pixel without light, rounding to whole ADU included [e- RMS per frame].
+        Noise of a pixel without light, rounding to whole ADU included [e- RMS per read].
+    read_s : float, optional
+        Exposure of one read [s]; a frame is the sum of as many as fill its exposure. None: of one.
     pedestal_adu : float
         Electronic level without light; it carries no shot noise [ADU].
     fixed_pattern_adu : float
@@ -70,6 +73,19 @@ class DetectorModel:
     full_well_e: float = float("inf")
     saturation_adu: float = float("inf")
     pattern_seed: int = 0
+    read_s: float | None = None
+
+    def reads(self, exposure_s: float) -> int:
+        """Return the number of reads that are added up to an exposure of `exposure_s`.
+
+        Raises
+        ------
+        ConfigurationError
+            When the exposure is no multiple of `read_s`.
+        """
+        if self.read_s is None:
+            return 1
+        return whole_reads(exposure_s, self.read_s)
 
     @property
     def analogue_noise_e(self) -> float:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,9 +28,9 @@ def pixels_of(scene: Scene, mean_image_e: np.ndarray) -> Pixels:
     mean_image_e : ndarray, (rows, columns)
         Mean image, at whose peak a non-linearity is stated [e-].
     """
-    pixels = nominal_pixels(scene.detector, scene.window, scene.exposure_s)
+    pixels = nominal_pixels(scene.detector, scene.window, scene.exposure_s, scene.sky_e_per_s)
     for effect in scene.acting(DetectorEffect):
-        pixels = effect.on(pixels, mean_image_e)
+        pixels = effect.on(pixels, mean_image_e / pixels.reads)
     return pixels
 
 
@@ -46,14 +47,16 @@ def electrons(scene: Scene, mean_e: np.ndarray, rng: np.random.Generator) -> np.
     Returns
     -------
     ndarray, (frames, rows, columns), float32
-        Without pedestal and dark, divided by the flat; not rounded to whole ADU [e-].
+        Without pedestal and dark, divided by the flat; not rounded to whole ADU. The sky is in them [e-].
     """
     pixels, detector = pixels_of(scene, mean_e.mean(axis=0, dtype=np.float64)), scene.detector
-    signal_e = pixels.signal_e(mean_e, detector.read_noise_e, rng)
     top_e = (detector.saturation_adu - detector.pedestal_adu) * detector.e_per_adu
-    read_e = pixels.read(np.minimum(signal_e, top_e), pixels.stuck_e)
-    flat = flat_map(detector, scene.window)
-    return _over_flat(read_e - pixels.dark_e * pixels.response, flat).astype(np.float32)
+
+    def read_e() -> np.ndarray:
+        signal_e = pixels.signal_e(mean_e / pixels.reads, detector.read_noise_e, rng)
+        return pixels.read(np.minimum(signal_e, top_e), pixels.stuck_e) - pixels.dark_e * pixels.response
+
+    return _over_flat(_summed(read_e, pixels.reads), flat_map(detector, scene.window)).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -85,17 +88,44 @@ class Readout:
     @property
     def top_adu(self) -> int:
         """Return the highest value of a raw frame [ADU]."""
+        return self.pixels.reads * self._top_of_read_adu
+
+    @property
+    def _top_of_read_adu(self) -> int:
         return int(min(self.pixels.detector.saturation_adu, ADC_TOP_ADU))
 
     def frames_adu(self, mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return raw frames (..., rows, columns) uint16 [ADU] of mean `mean_e` [e-] with noise of `rng`."""
-        signal_e = self.pixels.signal_e(mean_e, self.pixels.detector.analogue_noise_e, rng)
-        return self.pixels.read(self._converted(signal_e), self._converted(self.pixels.stuck_e))
+        """Return raw frames of mean light `mean_e` [e-] with noise of `rng`.
+
+        Parameters
+        ----------
+        mean_e : ndarray, (..., rows, columns)
+        rng : numpy.random.Generator
+
+        Returns
+        -------
+        ndarray, (..., rows, columns)
+            uint16, or the sum of several reads as int32 [ADU].
+        """
+        pixels = self.pixels
+
+        def read_adu() -> np.ndarray:
+            signal_e = pixels.signal_e(mean_e / pixels.reads, pixels.detector.analogue_noise_e, rng)
+            return pixels.read(self._converted(signal_e), self._converted(pixels.stuck_e))
+
+        return _summed(read_adu, pixels.reads)
 
     def dark_adu(self, rng: np.random.Generator) -> np.ndarray:
         """Return the mean of `DARK_FRAMES` raw frames without light, (rows, columns) float32 [ADU]."""
-        signal_e = self.pixels.dark_signal_e(DARK_FRAMES, self.pixels.detector.analogue_noise_e, rng)
-        return self._converted(signal_e).mean(axis=0, dtype=np.float64).astype(np.float32)
+        reads, noise_e = self.pixels.reads, self.pixels.detector.analogue_noise_e
+        if reads == 1:
+            signal_e = self.pixels.dark_signal_e(DARK_FRAMES, noise_e, rng)
+            return self._converted(signal_e).mean(axis=0, dtype=np.float64).astype(np.float32)
+        # the mean of thousands of reads is normal; to draw each would take longer than all frames of a star
+        mean_e, variance_e2 = self.pixels.dark_moments_e()
+        error_e = np.sqrt(variance_e2 / (DARK_FRAMES * reads)) * rng.standard_normal(mean_e.shape)
+        dark_adu = reads * ((mean_e + error_e) / self.pixels.detector.e_per_adu + self.pedestal_adu)
+        return dark_adu.astype(np.float32)
 
     def flat(self, rng: np.random.Generator) -> np.ndarray | None:
         """Return the relative response as the flat shows it, (rows, columns) float32; None if uniform."""
@@ -110,7 +140,18 @@ class Readout:
 
     def _converted(self, signal_e: np.ndarray) -> np.ndarray:
         level_adu = np.rint(np.nan_to_num(signal_e) / self.pixels.detector.e_per_adu + self.pedestal_adu)
-        return np.clip(level_adu, 0, self.top_adu).astype(np.uint16)
+        return np.clip(level_adu, 0, self._top_of_read_adu).astype(np.uint16)
+
+
+def _summed(read: Callable[[], np.ndarray], reads: int) -> np.ndarray:
+    """Add up `reads` results of `read`; whole ADU become int32, which 32 000 reads cannot fill."""
+    first = read()
+    if reads == 1:
+        return first
+    total = first.astype(np.int32 if first.dtype.kind in "iu" else first.dtype)
+    for _ in range(reads - 1):
+        total += read()
+    return total
 
 
 def _over_flat(signal_e: np.ndarray, flat: np.ndarray) -> np.ndarray:

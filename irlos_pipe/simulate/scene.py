@@ -9,6 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned
 from irlos_pipe.simulate.atmosphere import Sky
@@ -75,6 +76,8 @@ class Scene:
         AO residual; None on the bench.
     motion : Motion or None
         Residual tip-tilt.
+    sky_e_per_s : float
+        Light of the sky in every pixel [e-/s].
     effects : mapping of str to mapping
         Effects by their catalogue names, with the catalogue's parameters; the side-car does not state them.
     """
@@ -101,6 +104,7 @@ class Scene:
     introduced_nm: float | tuple[float, ...] = 0.0
     sky: Sky | None = None
     motion: Motion | None = None
+    sky_e_per_s: float = 0.0
     effects: Mapping[str, Mapping] = field(default_factory=dict)
     detector: DetectorModel = field(default_factory=DetectorModel)
     sampling: Sampling = field(default_factory=Sampling)
@@ -114,6 +118,10 @@ class Scene:
         given = self.frames if isinstance(self.introduced_nm, float | int) else len(self.introduced_nm)
         if given != self.frames:
             raise SceneError(f"introduced_nm: {given} values for {self.frames} frames; give one or as many")
+        try:
+            self.detector.reads(self.exposure_s)
+        except ConfigurationError as problem:
+            raise SceneError(f"detector.read_s: {problem}") from None
 
     @property
     def geometry(self) -> PupilGeometry:
@@ -134,6 +142,11 @@ class Scene:
         """Return the photons per frame through the whole aperture."""
         rate = self.facility.photons_per_s_m15 * 10 ** (0.4 * (15 - self.mag_j)) * self.throughput
         return rate * self.exposure_s
+
+    @property
+    def reads(self) -> int:
+        """Return the number of reads that are added up to a frame."""
+        return self.detector.reads(self.exposure_s)
 
     @property
     def moves(self) -> bool:

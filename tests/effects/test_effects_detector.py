@@ -19,7 +19,7 @@ CONTRACT = {
     "segment_piston", "high_order_ncpa",
     "phase_bump", "ncpa_drift", "companion", "ghost", "interpixel_crosstalk", "detector_nonlinearity",
     "background_gradient", "bad_pixels", "focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale",
-    "high_aperture", "chromatic_ncpa", "filter_ncpa",
+    "high_aperture", "chromatic_ncpa", "filter_ncpa", "correlated_noise",
 }  # fmt: skip
 
 

@@ -40,6 +40,16 @@ def test_dimmed_frames_have_mean_and_variance_of_a_faint_star(bright_image, fact
     assert abs(np.mean(dimmed.var(0) / expected) - 1) < 0.01
 
 
+@pytest.mark.slow
+def test_dimmed_frames_can_have_the_noise_of_many_reads(bright_image):
+    frames = cases.draw_frames(bright_image, FRAMES, seed=1, noise=NOISE)
+    signal, many = torch.as_tensor(bright_image).expand(FRAMES, -1, -1), NoiseModel(1.5, 200.0)
+    dimmed = dim(frames, signal, 0.1, NOISE, torch.Generator().manual_seed(3), many).numpy()
+    expected = many.variance_e2(0.1 * bright_image)
+    assert abs(dimmed.mean(0).sum() / (0.1 * bright_image.sum()) - 1) < 5e-3
+    assert abs(np.mean(dimmed.var(0) / expected) - 1) < 0.01
+
+
 def test_a_factor_of_one_changes_nothing(bright_image):
     frames = cases.draw_frames(bright_image, 3, seed=1, noise=NOISE)
     same = dim(frames, torch.as_tensor(bright_image).expand(3, -1, -1), 1.0, NOISE, torch.Generator())
@@ -77,7 +87,7 @@ def test_a_curve_that_always_meets_it_ends_with_the_grid():
 
 def test_a_curve_counts_failures_apart_from_errors():
     errors = np.array([[1.0, 2.0, 3.0, 4.0, 5.0], [10.0, np.nan, 20.0, 30.0, np.nan]])
-    curve = curve_of((2, 3, 4), np.array([12.0, 14.0]), errors, np.array([1.0, 2.0]), CRITERION)
+    curve = curve_of((2, 3, 4), np.array([12.0, 14.0]), errors, np.array([1.0, 2.0]), np.ones(2), CRITERION)
     assert curve.median_abs_error_nm.tolist() == [3.0, 20.0]
     assert curve.failures.tolist() == [0, 2]
     assert (curve.trials, curve.limit_mag) == (5, 12.0)
@@ -85,7 +95,7 @@ def test_a_curve_counts_failures_apart_from_errors():
 
 def test_a_magnitude_at_which_everything_fails_has_no_error():
     errors = np.array([[1.0, 1.0], [np.nan, np.nan]])
-    curve = curve_of((2, 3, 4), np.array([12.0, 14.0]), errors, np.ones(2), CRITERION)
+    curve = curve_of((2, 3, 4), np.array([12.0, 14.0]), errors, np.ones(2), np.ones(2), CRITERION)
     assert np.isnan(curve.median_abs_error_nm[1])
     assert curve.limit_mag == 12.0
 

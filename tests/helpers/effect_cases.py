@@ -39,6 +39,7 @@ STRONG = {
     "interpixel_crosstalk": {"fraction": 0.08},
     "detector_nonlinearity": {"fraction_at_peak": 0.06},
     "background_gradient": {"e_per_pixel": 4.0, "angle_deg": 30.0},
+    "correlated_noise": {"e_rms": 3.0, "axis": "columns"},
     "bad_pixels": {"pixels": [[4, 7], [20, 21]]},
 }
 

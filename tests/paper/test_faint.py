@@ -70,6 +70,7 @@ def made(errors, residual=0.0) -> dict[str, np.ndarray]:
     return {
         "0.1/default_3/abs_error_nm": np.array(errors, float),
         "0.1/default_3/crb_nm": np.array([1.0, 4.0]),
+        "0.1/default_3/one_read_crb_nm": np.array([0.5, 1.0]),
         "0.1/residual_nm": np.array([residual, -residual]),
     }
 

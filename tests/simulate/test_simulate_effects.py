@@ -50,6 +50,7 @@ CONTRACT = {
     "focus_stage_offset",
     "focus_stage_scale",
     "high_aperture",
+    "correlated_noise",
 }
 SAMPLES = 512  # of HCIPy's pupil
 TOTAL_NM = {**NCPA_NM, 6: NCPA_NM[6] - 170.0}

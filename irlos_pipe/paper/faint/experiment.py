@@ -15,8 +15,11 @@ import torch
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, Curve, curve_of, scan
+from irlos_pipe.frames.exposure_noise import ExposureNoise
+from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.paper.common.broad_band import FINE
 from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM, CubeSample
+from irlos_pipe.paper.common.observation import noise_of
 from irlos_pipe.paper.common.ramps import (
     DEFOCUS,
     LIFT_VARIANTS,
@@ -30,6 +33,7 @@ from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
 
 COMPARED = ("none_3", "none_9", "published_3", "published_9", "default_3", "default_9")
+BOUNDS = ("crb_nm", "one_read_crb_nm")
 SIGNAL_VARIANT = "default_9"  # the best model gives the noise-free signal of the frames that are dimmed
 
 
@@ -42,6 +46,16 @@ class Exposures:
 
 
 @dataclass(frozen=True)
+class Read:
+    """One read of the detector: exposure [s], noise [e- RMS], excess noise, dark current [e-/s]."""
+
+    exposure_s: float
+    noise_e: float
+    excess_noise_factor: float
+    dark_e_per_s: float
+
+
+@dataclass(frozen=True)
 class FaintSample:
     """One set of NCPAs: a calibration cube, and bright ramps of every length of exposure.
 
@@ -51,6 +65,9 @@ class FaintSample:
         On SPARTA's scale.
     mag_j : float
         Of cube and ramps, before dimming.
+    read : Read or None
+        Of which the dimmed exposures are the sum, with the light of the sky; None gives them the noise of the
+        bright ones: one read without sky.
     """
 
     name: str
@@ -62,6 +79,23 @@ class FaintSample:
     cube_frames: int
     seeing_arcsec: float
     mag_j: float
+    read: Read | None = None
+
+    def noise_of(self, ramp: Scene) -> NoiseModel | None:
+        """Return the noise of dimmed exposures of a `ramp`; None is that of the bright ones."""
+        if self.read is None:
+            return None
+        photons_per_s_m0 = ramp.photons / ramp.exposure_s * 10 ** (0.4 * ramp.mag_j)
+        spectrum = [(band.centre_nm, band.share) for band in ramp.bands]
+        sky_per_s = self.facility.sky_photons_per_s(spectrum, photons_per_s_m0, ramp.pixel_scale_mas)
+        told = ExposureNoise(
+            max(1, round(ramp.exposure_s / self.read.exposure_s)),
+            self.read.noise_e,
+            self.read.excess_noise_factor,
+            sky_per_s * ramp.exposure_s,
+            self.read.dark_e_per_s * ramp.exposure_s,
+        )
+        return told.beyond(noise_of(ramp))
 
 
 def scenes_of(sample: FaintSample) -> tuple[Scene, list[Scene]]:
@@ -95,7 +129,8 @@ def dim_and_estimate(sample: FaintSample) -> dict[str, np.ndarray]:
     dict of str to ndarray
         For every exposure time ``<s>``: ``<s>/residual_nm`` (offsets,), the mean AO residual's defocus of
         every frame; and for every variant ``<s>/<variant>/abs_error_nm`` (magnitudes, offsets ×
-        realisations), NaN where it failed, and ``<s>/<variant>/crb_nm`` (magnitudes,).
+        realisations), NaN where it failed, and ``<s>/<variant>/crb_nm`` and ``…/one_read_crb_nm``
+        (magnitudes,).
     """
     cube, ramps = scenes_of(sample)
     knowledge = calibrated(cube, methods_of(LIFT_VARIANTS[key] for key in COMPARED))
@@ -103,23 +138,35 @@ def dim_and_estimate(sample: FaintSample) -> dict[str, np.ndarray]:
     for ramp, exposures in zip(ramps, sample.exposures, strict=True):
         exposed = expose(ramp)
         residual = exposed.zernike_nm[:, DEFOCUS - 2] - ramp.ncpa_nm[DEFOCUS]
-        curves = _scans(observe(ramp, exposed, knowledge), exposures.magnitudes, sample)
+        observed = observe(ramp, exposed, knowledge)
+        curves = _scans(observed, exposures.magnitudes, sample, sample.noise_of(ramp))
         found |= {f"{exposures.exposure_s:g}/{key}": values for key, values in curves.items()}
         found[f"{exposures.exposure_s:g}/residual_nm"] = residual
     return found
 
 
-def _scans(observed: ObservedRamp, magnitudes: Sequence[float], sample: FaintSample) -> dict[str, np.ndarray]:
+def _scans(
+    observed: ObservedRamp, magnitudes: Sequence[float], sample: FaintSample, faint: NoiseModel | None
+) -> dict[str, np.ndarray]:
     signal_e = observed.estimate(LIFT_VARIANTS[SIGNAL_VARIANT]).result.model_e
     found: dict[str, np.ndarray] = {}
     for key in COMPARED:
-        curve = _scan(observed, key, signal_e, np.array(magnitudes), sample)
-        found |= {f"{key}/abs_error_nm": curve.abs_error_nm, f"{key}/crb_nm": curve.crb_nm}
+        curve = _scan(observed, key, signal_e, np.array(magnitudes), sample, faint)
+        found |= {
+            f"{key}/abs_error_nm": curve.abs_error_nm,
+            f"{key}/crb_nm": curve.crb_nm,
+            f"{key}/one_read_crb_nm": curve.one_read_crb_nm,
+        }
     return found
 
 
 def _scan(
-    observed: ObservedRamp, key: str, signal_e: torch.Tensor, magnitudes: np.ndarray, sample: FaintSample
+    observed: ObservedRamp,
+    key: str,
+    signal_e: torch.Tensor,
+    magnitudes: np.ndarray,
+    sample: FaintSample,
+    faint: NoiseModel | None,
 ) -> Curve:
     variant, data = LIFT_VARIANTS[key], observed.data
     return scan(
@@ -132,6 +179,7 @@ def _scan(
         torch.zeros(len(data.images_e), len(variant.modes), dtype=torch.float64),
         Criterion(np.inf, 1.0),  # the limit is that of all samples together
         sample.seed[-1],
+        faint=faint,
     )
 
 
@@ -156,8 +204,9 @@ def pooled(
     """
     path = f"{exposures.exposure_s:g}/{key}"
     errors = np.concatenate([one[f"{path}/abs_error_nm"] for one in found], axis=1)
-    bound = np.median([one[f"{path}/crb_nm"] for one in found], axis=0)
-    return curve_of(LIFT_VARIANTS[key].modes, np.array(exposures.magnitudes), errors, bound, criterion)
+    bound, recorded = (np.median([one[f"{path}/{name}"] for one in found], axis=0) for name in BOUNDS)
+    nolls, magnitudes = LIFT_VARIANTS[key].modes, np.array(exposures.magnitudes)
+    return curve_of(nolls, magnitudes, errors, bound, recorded, criterion)
 
 
 def residual_floor_nm(found: Sequence[Mapping[str, np.ndarray]], exposures: Exposures) -> float:

@@ -16,8 +16,9 @@ COLOURS = {"none": ORANGE, "published": GREEN, "default": BLUE}
 CAPTION = (
     "Median |estimated − introduced defocus|. Circles, thick lines: three modes, with the 16th to 84th "
     f"percentile as a band and, dashed, the Cramér–Rao bound times {MEDIAN_OF_NORMAL}, the median |error| of "
-    "an efficient estimate. Squares: nine modes. Dotted: a perfect sensor, which sees the mean defocus of "
-    "the AO residual in every frame. Dash-dotted and vertical lines: criterion and limiting magnitudes."
+    "an efficient estimate (dotted lines: of frames of one read without sky). Squares: nine modes. Dotted: a "
+    "perfect sensor, which sees the mean defocus of the AO residual in every frame. Dash-dotted and vertical "
+    "lines: criterion and limiting magnitudes."
 )
 
 
@@ -60,16 +61,20 @@ def _look(curve: VariantCurve) -> Look:
 def _table(groups: list[ExposureGroup], criterion: FaintCriterion) -> Table:
     columns = ["estimate", "modes"]
     for group in groups:
-        columns += [f"limit at {group.exposure_s:g} s [J mag]", "error at the bright end [nm]"]
+        own = f"at {group.exposure_s:g} s"
+        columns += [f"limit {own} [J mag]", f"bound {own}, one read [J mag]", "error at the bright end [nm]"]
     rows = [_row(together) for together in zip(*(group.curves for group in groups), strict=True)]
     marks = ["good" if curve.key.startswith("default") else "" for curve in groups[0].curves]
     trials = max(curve.trials or 0 for group in groups for curve in group.curves)
-    caption = f"{criterion_text(criterion)} {trials} estimates per magnitude."
+    caption = (
+        f"{criterion_text(criterion)} {trials} estimates per magnitude. Bound: an efficient estimate of "
+        "frames of one read without sky."
+    )
     return Table(columns, rows, "Limiting magnitude", caption, marks)
 
 
 def _row(together: tuple[VariantCurve, ...]) -> list[str]:
     cells = [together[0].label, str(len(together[0].modes))]
     for curve in together:
-        cells += [limit_text(curve), number(curve.median_abs_error_nm[0])]
+        cells += [limit_text(curve), number(curve.one_read_bound_mag), number(curve.median_abs_error_nm[0])]
     return cells

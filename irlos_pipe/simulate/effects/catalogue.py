@@ -12,6 +12,7 @@ from irlos_pipe.simulate.effects.companion import Companion
 from irlos_pipe.simulate.effects.detector import (
     BackgroundGradient,
     BadPixels,
+    CorrelatedNoise,
     DetectorNonlinearity,
     InterpixelCrosstalk,
 )
@@ -62,6 +63,7 @@ EFFECTS: dict[str, type[SimulatedEffect]] = {
         InterpixelCrosstalk,
         DetectorNonlinearity,
         BackgroundGradient,
+        CorrelatedNoise,
         BadPixels,
     )
 }

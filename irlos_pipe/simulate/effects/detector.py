@@ -11,8 +11,24 @@ import numpy as np
 from irlos_pipe.simulate.charge import Pixels, shared
 from irlos_pipe.simulate.detector import Pixel, marked, outside_window
 from irlos_pipe.simulate.effects.base import DetectorEffect, RecordingSetup, own, wider
+from irlos_pipe.simulate.pattern_noise import Axis, Pattern
 
 Kind = Literal["hot", "dead", "stuck"]
+
+
+@dataclass(frozen=True)
+class CorrelatedNoise(DetectorEffect):
+    """Stripes of `e_rms` per frame that differ from read to read: 1/f noise, or a tone of `period_px`."""
+
+    name = "correlated_noise"
+    e_rms: float
+    axis: Axis = "rows"
+    period_px: float | None = None
+
+    def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
+        """See `DetectorEffect.on`; stripes of independent reads add up in variance."""
+        of_one = self.e_rms / np.sqrt(pixels.reads)
+        return replace(pixels, pattern=Pattern(float(of_one), self.axis, self.period_px))
 
 
 @dataclass(frozen=True)
@@ -55,7 +71,7 @@ class BackgroundGradient(DetectorEffect):
         angle = np.deg2rad(self.angle_deg)
         y, x = (np.arange(size) - (size - 1) / 2 for size in pixels.response.shape)
         plane = np.cos(angle) * x + np.sin(angle) * y[:, None]
-        return replace(pixels, background_e=self.level_e + self.e_per_pixel * plane)
+        return replace(pixels, background_e=(self.level_e + self.e_per_pixel * plane) / pixels.reads)
 
 
 @dataclass(frozen=True)
@@ -81,9 +97,9 @@ class BadPixels(DetectorEffect):
 
     def on(self, pixels: Pixels, mean_image_e: np.ndarray) -> Pixels:
         """See `DetectorEffect.on`."""
-        bad = marked(self.pixels, pixels.response.shape)
+        bad, level_e = marked(self.pixels, pixels.response.shape), self.level_e / pixels.reads
         if self.kind == "hot":
-            return replace(pixels, hot_e=np.where(bad, self.level_e, 0.0))
+            return replace(pixels, hot_e=np.where(bad, level_e, 0.0))
         if self.kind == "dead":
             return replace(pixels, alive=np.where(bad, 0.0, 1.0))
-        return replace(pixels, stuck_e=np.where(bad, self.level_e, np.nan))
+        return replace(pixels, stuck_e=np.where(bad, level_e, np.nan))

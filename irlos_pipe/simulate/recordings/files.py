@@ -48,7 +48,7 @@ class Layout(ABC):
         ----------
         folder : Path
         readout : Readout
-        frames_adu : iterable of ndarray, (rows, columns) uint16
+        frames_adu : iterable of ndarray, (rows, columns) uint16, or int32 for sums of reads
             Raw frames.
         rng : numpy.random.Generator
             For the noise of the calibration images.
@@ -79,10 +79,12 @@ class RecorderFolder(Layout):
     def _row_columns(self) -> list[fits.Column]:
         names = ("FrameCounter", "Seconds", "USeconds", "WindowSizeX", "WindowSizeY")
         pixels = int(np.prod(self._scene.window))
-        return [
-            *(fits.Column(name, "J") for name in names),
-            fits.Column("Pixels", f"{pixels}I", bzero=UNSIGNED),
-        ]
+        own = (
+            fits.Column("Pixels", f"{pixels}I", bzero=UNSIGNED)
+            if self._scene.reads == 1
+            else fits.Column("Pixels", f"{pixels}J")
+        )
+        return [*(fits.Column(name, "J") for name in names), own]
 
     def _row(self, index: int, frame_adu: np.ndarray) -> np.ndarray:
         """One row of the pixel table as bytes."""
@@ -117,7 +119,7 @@ class MuseRaw(Layout):
         rows, columns = self._scene.window
         cards = [
             ("XTENSION", "IMAGE"),
-            ("BITPIX", 16),
+            ("BITPIX", 16 if self._scene.reads == 1 else 32),
             ("NAXIS", 3),
             ("NAXIS1", columns),
             ("NAXIS2", rows),
@@ -125,7 +127,7 @@ class MuseRaw(Layout):
             ("PCOUNT", 0),
             ("GCOUNT", 1),
             ("BSCALE", 1),
-            ("BZERO", UNSIGNED),
+            ("BZERO", UNSIGNED if self._scene.reads == 1 else 0),
             ("EXTNAME", "SPARTA_TT_CUBE"),
             ("BUNIT", "adu"),
         ]
@@ -184,7 +186,9 @@ def _table_header(columns: list[fits.Column], rows: int, name: str) -> fits.Head
 
 
 def _as_signed(frame_adu: np.ndarray) -> np.ndarray:
-    """Whole ADU as FITS stores unsigned numbers: big-endian, shifted to signed."""
+    """Whole ADU as FITS stores them, big-endian: unsigned ones of a read shifted to signed."""
+    if frame_adu.dtype != np.uint16:
+        return frame_adu.astype(">i4")
     return (frame_adu.astype(np.int32) - UNSIGNED).astype(">i2")
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from irlos_pipe.simulate.scene import Scene
 
 LOOP_HZ = 200
-BYTES_PER_VALUE = 2
+BYTES_PER_VALUE, BYTES_PER_SUM = 2, 4  # of a read, and of a sum of reads
 DOUBLE = "__"  # stands for '/' in the names of truth files
 Defocus = float | tuple[float, ...]  # of all frames, or of every frame [nm RMS]
 
@@ -43,4 +43,5 @@ class Planned:
     def size_bytes(self) -> int:
         """Size of its frames on the disk."""
         rows, columns = self.scene.window
-        return self.scene.frames * rows * columns * BYTES_PER_VALUE
+        each = BYTES_PER_VALUE if self.scene.reads == 1 else BYTES_PER_SUM
+        return self.scene.frames * rows * columns * each

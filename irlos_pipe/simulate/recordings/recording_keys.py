@@ -6,8 +6,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
+from irlos_pipe.conventions.reads import whole_reads
 from irlos_pipe.simulate.detector import outside_window
 from irlos_pipe.simulate.effects.base import RecordingSetup
 from irlos_pipe.simulate.effects.catalogue import effects_of
@@ -73,6 +75,9 @@ class RecordingKeys(Shared):
     frames: int = Field(ge=1, le=1_000_000, description="number of frames, of each recording of a series")
     exposure_s: float = Field(gt=0, le=600, description="exposure of a frame")
     frame_rate_hz: float | None = Field(None, gt=0, le=1000, description="frames per second; 1/exposure_s")
+    sky_e_per_s: float | Literal["profile"] = Field(
+        0.0, description="light of the sky in every pixel; profile: by the instrument's surface brightness"
+    )
     window: tuple[Side, Side] = Field((64, 64), description="[rows, columns]")
     pixel_scale_mas: float | None = Field(None, gt=1, le=200, description="of the instrument, if left out")
     pupil_rotation_deg: Degrees = Field(0.0, description="of the profile's pupil on the detector")
@@ -96,6 +101,8 @@ class RecordingKeys(Shared):
             self._time_problem(),
             self._layout_problem(),
             self._pixel_problem(),
+            self._reads_problem(),
+            self._sky_problem(),
         )
         if any(found):
             raise ValueError(next(filter(None, found)))
@@ -121,10 +128,25 @@ class RecordingKeys(Shared):
             )
         return ""
 
+    def _reads_problem(self) -> str:
+        """Say that reads do not fill the exposure; the detector may be shared, so asked when it is in."""
+        if self.detector is None or self.detector.read_s is None:
+            return ""
+        try:
+            whole_reads(self.exposure_s, self.detector.read_s)
+        except ConfigurationError as problem:
+            return f"detector.read_s: {problem}"
+        return ""
+
     def _layout_problem(self) -> str:
         if self.layout == "muse_raw" and (self.offsets_nm or self.angles_deg):
             return "layout: muse_raw holds one cube; use layout: recorder for a series"
         return ""
+
+    def _sky_problem(self) -> str:
+        if isinstance(self.sky_e_per_s, str) or 0 <= self.sky_e_per_s <= 1e6:
+            return ""
+        return f"sky_e_per_s = {self.sky_e_per_s:g} should be from 0 to 1e6"
 
     def _pixel_problem(self) -> str:
         """Say which pixel of the detector lies outside the window; empty if none does."""

@@ -75,6 +75,7 @@ def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
         diversity_source=diversity.source if diversity else "none",
         sky=_sky(keys.sky),
         motion=_motion(keys.motion),
+        sky_e_per_s=_sky_e_per_s(spec, name, keys),
         effects=_within_scene(keys),
         detector=_detector(keys.detector),
         sampling=Sampling(**dict(keys.sampling)) if keys.sampling else Sampling(),
@@ -171,6 +172,21 @@ def _pupil(pupil: PupilGeometry, name: str, keys: PupilKeys) -> PupilGeometry:
             f"{pupil.diameter_m:g} m; give less"
         )
     return replace(pupil, obscuration_m=keys.obscuration_m)
+
+
+def _sky_e_per_s(spec: Spec, name: str, keys: RecordingKeys) -> float:
+    """Light of the sky in a pixel, as given or by the profile [e-/s]."""
+    if not isinstance(keys.sky_e_per_s, str):
+        return keys.sky_e_per_s
+    facility, scale_mas = spec.instrument.facility, _pixel_scale_mas(spec, name, keys)
+    if not facility.sky_mag_per_arcsec2:
+        raise ConfigurationError(
+            f"recordings.{name}: the profile {spec.instrument.name} states no sky_mag_per_arcsec2; give "
+            "sky_e_per_s as a number"
+        )
+    spectrum = [(band.centre_nm, band.share) for band in _bands(keys.bands)]
+    photons_per_s_m0 = facility.photons_per_s_m15 * 10 ** (0.4 * 15) * _throughput(keys)
+    return facility.sky_photons_per_s(spectrum, photons_per_s_m0, scale_mas)
 
 
 def _sky(keys: SkyKeys | None) -> Sky | None:

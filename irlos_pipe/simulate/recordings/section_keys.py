@@ -160,7 +160,7 @@ class DetectorKeys(Section):
 
     e_per_adu: float = Field(DetectorModel.e_per_adu, gt=0, le=1000, description="photo-electrons per ADU")
     read_noise_e: float = Field(
-        DetectorModel.read_noise_e, ge=0, le=1000, description="RMS per pixel and frame, rounding included"
+        DetectorModel.read_noise_e, ge=0, le=1000, description="RMS per pixel and read, rounding included"
     )
     pedestal_adu: float = Field(DetectorModel.pedestal_adu, ge=0, le=60000, description="level without light")
     fixed_pattern_adu: float = Field(
@@ -191,6 +191,12 @@ class DetectorKeys(Section):
     )
     full_well_e: float | None = Field(None, gt=0, description="signal at which a pixel stops collecting")
     saturation_adu: float = Field(ADC_TOP_ADU, gt=0, le=ADC_TOP_ADU, description="end of the converter")
+    read_s: float | None = Field(
+        None,
+        gt=0,
+        le=600,
+        description="exposure of a read, of which a frame is the sum; one read if left out",
+    )
     pattern_seed: int = Field(
         DetectorModel.pattern_seed, ge=0, description="seed of what is fixed in the detector"
     )

@@ -27,7 +27,8 @@ def side_car(planned: Planned) -> dict[str, Any]:
         "introduced_defocus_nm": _plain(planned.commanded_nm),
         "derotator_angle_deg": scene.derotator_angle_deg,
         "pupil_rotation_deg": scene.pupil_rotation_deg or None,
-        "detector": _detector(scene.detector),
+        "sky_e_per_s": float(f"{scene.sky_e_per_s:.3g}") or None,
+        "detector": _detector(scene.detector, scene.reads),
     }
     return {key: value for key, value in stated.items() if value is not None}
 
@@ -45,10 +46,14 @@ def declared_spectrum(scene: Scene) -> list[dict[str, float]]:
     return [{"wavelength_nm": at, "weight": round(weight, 6)} for at, weight in weights.items()]
 
 
-def _detector(detector: DetectorModel) -> dict[str, float]:
+def _detector(detector: DetectorModel, reads: int) -> dict[str, float]:
     stated = {"e_per_adu": detector.e_per_adu, "read_noise_e": detector.read_noise_e}
     if detector.excess_noise_factor != 1:
         stated["excess_noise_factor"] = detector.excess_noise_factor
-    if detector.saturation_adu < ADC_TOP_ADU:
-        stated["saturation_adu"] = detector.saturation_adu
+    if detector.saturation_adu < ADC_TOP_ADU or reads > 1:
+        stated["saturation_adu"] = min(detector.saturation_adu, ADC_TOP_ADU)
+    if detector.read_s is not None:
+        stated |= {"coadds": reads, "read_s": detector.read_s}
+    if detector.dark_e_per_s:
+        stated["dark_e_per_s"] = detector.dark_e_per_s
     return stated

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import Field
 
 from irlos_pipe.frames.bad_pixels import Thresholds
@@ -18,6 +20,13 @@ class Config(StageConfig):
     )
     acquisition_of: dict[str, AcquisitionKeys] = Field(
         {}, description="the same for single inputs, by input name; wins over `acquisition`"
+    )
+
+    accumulate_s: float | None = Field(
+        None, gt=0, le=600, description="raw frames are summed to exposures of this length; longer ones stay"
+    )
+    accumulate_s_of: dict[str, Annotated[float, Field(gt=0, le=600)]] = Field(
+        {}, description="the same for single inputs, by input name; wins over `accumulate_s`"
     )
 
     bad_pixel_sigma: float = Field(
@@ -73,6 +82,10 @@ class Config(StageConfig):
             core_fraction=self.core_fraction,
             core_hits_px=self.max_core_hits_px,
         )
+
+    def exposure_of(self, input_name: str) -> float | None:
+        """Return the length to which frames of an input are summed [s]; None leaves them as they are."""
+        return self.accumulate_s_of.get(input_name, self.accumulate_s)
 
     def keys_for(self, input_name: str) -> AcquisitionKeys:
         """Return what the recipe says about an input."""

@@ -21,6 +21,7 @@ from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.times import counter_step, frames_missing, relative_times
 from irlos_pipe.stages.base import StageContext, StageOutput
+from irlos_pipe.stages.ingest.accumulate import accumulated
 from irlos_pipe.stages.ingest.config import Config
 from irlos_pipe.stages.ingest.output import checks, contradictions, dark_row, row, summary, told_check
 from irlos_pipe.stages.ingest.recording_arrays import arrays_of
@@ -53,6 +54,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     quality: list[Check] = []
     for source in ctx.progress(stars, desc="ingest"):
         with failing_alone(failures, source.input, source.raw.path, ctx.log):
+            source = _accumulated(source, ctx)
             recording, cleaned = ingest(source, ctx.config, ctx.instrument)
             told = told_of(recording, cleaned.noise, ctx.instrument.facility, _step_s(source.raw))
             doubts = [f"{recording.name}: {one.text}" for one in told if one.warned]
@@ -65,6 +67,17 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     lines = [text for _, text in failures]
     results = IngestResults(inputs=[*rows, *map(dark_row, darks)])
     return StageOutput(arrays, results, quality, summary=summary(rows), failures=lines)
+
+
+def _accumulated(source: Source, ctx: StageContext[Config]) -> Source:
+    """The recording with raw frames summed, where that is wanted."""
+    exposure_s = ctx.config.exposure_of(source.input)
+    if exposure_s is None:
+        return source
+    summed = accumulated(source, exposure_s)
+    if summed is not source:
+        ctx.log.info(summed.raw.notes[-1])
+    return summed
 
 
 def ingest(source: Source, config: Config, instrument: Instrument) -> tuple[Recording, Cleaned]:

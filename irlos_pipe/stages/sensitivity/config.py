@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field, field_validator
 
 from irlos_pipe.stages.base import StageConfig
@@ -32,6 +34,12 @@ class Config(StageConfig):
     limit_nm: float = Field(30.0, gt=0, description="largest median error at the limiting magnitude [nm RMS]")
     limit_failures: float = Field(
         0.1, ge=0, le=1, description="largest part of failures at the limiting magnitude"
+    )
+
+    noise: Literal["reads", "recorded"] = Field(
+        "reads",
+        description="noise of the dimmed frames: of all the reads of an exposure, with sky and dark current; "
+        "or as the frames were recorded, which in simulations may be one read without sky",
     )
 
     @field_validator("modes")

@@ -19,12 +19,14 @@ class CurveRow(ResultsPart):
         Estimated modes (Noll).
     median_abs_error_nm, p16_nm, p84_nm : list of float
         Percentiles of |estimated − introduced| defocus.
-    crb_nm : list of float
-        Cramér–Rao bound, 1σ.
+    crb_nm, one_read_crb_nm : list of float
+        Cramér–Rao bound, 1σ; and of exposures of one read without sky.
     failures : list of int
         Estimates that failed, of `trials` per magnitude.
     limit_mag : float
         Faintest magnitude that meets the criterion; NaN if none does.
+    one_read_bound_mag : float
+        The same of an efficient estimate from exposures of one read without sky.
     """
 
     calibrated: bool = False
@@ -34,9 +36,11 @@ class CurveRow(ResultsPart):
     p16_nm: list[Number] = []
     p84_nm: list[Number] = []
     crb_nm: list[Number] = []
+    one_read_crb_nm: list[Number] = []
     failures: list[int] = []
     trials: int | None = None
     limit_mag: Number = math.nan
+    one_read_bound_mag: Number = math.nan
 
     @property
     def at_the_end(self) -> bool:
@@ -51,10 +55,36 @@ class CriterionRow(ResultsPart):
     failures: Number = math.nan
 
 
+class NoiseRow(ResultsPart):
+    """Noise of the dimmed frames, beside that of exposures of one read without sky.
+
+    Attributes
+    ----------
+    reads : int
+        In an exposure.
+    read_noise_e : float
+        Of one read.
+    sky_e, dark_e : float
+        In a pixel of an exposure.
+    floor_e2, one_read_floor_e2 : float
+        Variance of a pixel without star.
+    """
+
+    reads: int | None = None
+    exposure_s: Number = math.nan
+    read_noise_e: Number = math.nan
+    excess_noise_factor: Number = math.nan
+    sky_e: Number = math.nan
+    dark_e: Number = math.nan
+    floor_e2: Number = math.nan
+    one_read_floor_e2: Number = math.nan
+
+
 class SensitivityResults(StageResults):
     """One curve per combination of modes and calibration."""
 
     stage: ClassVar[str] = "sensitivity"
     curves: list[CurveRow] = []
     criterion: CriterionRow = CriterionRow()
+    noise: NoiseRow = NoiseRow()
     crb_note: str = ""

@@ -22,7 +22,8 @@ from irlos_pipe.stages.lift.input import (
     read_ramp,
 )
 from irlos_pipe.stages.sensitivity.config import Config
-from irlos_pipe.stages.sensitivity.results import CriterionRow, CurveRow, SensitivityResults
+from irlos_pipe.stages.sensitivity.noise import Noises, noises_of
+from irlos_pipe.stages.sensitivity.results import CriterionRow, CurveRow, NoiseRow, SensitivityResults
 
 # Arrays of a curve with their units.
 UNITS = {
@@ -31,6 +32,7 @@ UNITS = {
     "p16_nm": "nm",
     "p84_nm": "nm",
     "crb_nm": "nm",
+    "one_read_crb_nm": "nm",
     "failures": "",
 }
 
@@ -51,13 +53,14 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             f"own m_J {bright}: frames can only be dimmed"
         )
     chosen = _choose(ramp, ctx.config)
+    noises = noises_of(ramp, bright, ctx.instrument, ctx.config.noise)
     combinations = [(calibrated, nolls) for calibrated in ctx.config.calibrated for nolls in ctx.config.modes]
     with ctx.progress(total=len(combinations) * len(magnitudes), desc="sensitivity") as bar:
         curves = [
-            _curve(ctx, ramp, chosen, calibrated, nolls, magnitudes, bar.update)
+            _curve(ctx, ramp, chosen, calibrated, nolls, magnitudes, noises, bar.update)
             for calibrated, nolls in combinations
         ]
-    return _output(ctx.config, combinations, curves)
+    return _output(ctx.config, combinations, curves, noises.row(ramp.acquisition.exposure_s))
 
 
 def _choose(ramp: Ramp, config: Config) -> np.ndarray:
@@ -83,6 +86,7 @@ def _curve(
     calibrated: bool,
     nolls: tuple[int, ...],
     magnitudes: np.ndarray,
+    noises: Noises,
     report: Callable[[int], None],
 ) -> Curve:
     """One curve; the model of each bright frame gives the noise-free signal and the start."""
@@ -105,13 +109,18 @@ def _curve(
         start,
         criterion,
         ctx.seed,
+        faint=noises.faint,
+        one_read=noises.one_read,
         near_nm=bright.result.zernike_nm,
         report=report,
     )
 
 
 def _output(
-    config: Config, combinations: Sequence[tuple[bool, tuple[int, ...]]], curves: Sequence[Curve]
+    config: Config,
+    combinations: Sequence[tuple[bool, tuple[int, ...]]],
+    curves: Sequence[Curve],
+    noise: NoiseRow,
 ) -> StageOutput:
     rows: list[CurveRow] = []
     arrays: dict[str, Quantity] = {}
@@ -121,25 +130,44 @@ def _output(
         arrays |= {f"curves/{number}/{key}": Quantity(values[key], UNITS[key], text) for key in UNITS}
         lists = {key: value.tolist() for key, value in values.items()}
         own = CurveRow(
-            calibrated=calibrated, modes=list(nolls), trials=curve.trials, limit_mag=curve.limit_mag, **lists
+            calibrated=calibrated,
+            modes=list(nolls),
+            trials=curve.trials,
+            limit_mag=curve.limit_mag,
+            one_read_bound_mag=curve.bound_mag(Criterion(config.limit_nm, config.limit_failures)),
+            **lists,
         )
         rows.append(own)
     results = SensitivityResults(
         curves=rows,
         criterion=CriterionRow(median_abs_error_nm=config.limit_nm, failures=config.limit_failures),
+        noise=noise,
         crb_note=f"1 sigma; the median |error| of an efficient estimate is {MEDIAN_OF_NORMAL} of it",
     )
-    return StageOutput(arrays, results, summary=_lines(config, rows))
+    return StageOutput(arrays, results, summary=_lines(config, rows, noise))
 
 
-def _lines(config: Config, rows: Sequence[CurveRow]) -> list[str]:
+def _lines(config: Config, rows: Sequence[CurveRow], noise: NoiseRow) -> list[str]:
     lines = [
-        f"Limit           median |error| ≤ {config.limit_nm:.0f} nm, failures ≤ {config.limit_failures:.0%}:"
+        f"Noise           {noise_text(noise)}",
+        f"Limit           median |error| ≤ {config.limit_nm:.0f} nm, failures ≤ {config.limit_failures:.0%}:",
     ]
     for row in rows:
         ncpas = "with" if row.calibrated else "without"
         lines.append(f"  {ncpas} NCPAs, {len(row.modes)} modes: {_limit_text(row)}")
     return lines
+
+
+def noise_text(noise: NoiseRow) -> str:
+    """Return the noise of the dimmed frames in words."""
+    if noise.reads is None:
+        return f"{noise.floor_e2:.3g} e⁻² per pixel, as recorded"
+    ratio = noise.floor_e2 / noise.one_read_floor_e2
+    sky = (noise.sky_e + noise.dark_e) * noise.excess_noise_factor
+    return (
+        f"{noise.reads} reads of {noise.read_noise_e:.2g} e⁻ in {noise.exposure_s:g} s, sky and dark "
+        f"{sky:.2g} e⁻²: {noise.floor_e2:.3g} e⁻² per pixel, {ratio:.3g} times that of one read without sky"
+    )
 
 
 def _limit_text(row: CurveRow) -> str:

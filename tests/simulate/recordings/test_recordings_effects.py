@@ -37,6 +37,7 @@ SIZES = {
     "interpixel_crosstalk": {"fraction": 0.05},
     "detector_nonlinearity": {"fraction_at_peak": 0.05},
     "background_gradient": {"e_per_pixel": 5.0, "angle_deg": 30},
+    "correlated_noise": {"e_rms": 100.0},
     "bad_pixels": [[3, 4], [15, 7]],
     "focus_stage_hysteresis": {"nm": 40},
     "focus_stage_offset": {"nm": 40},
