@@ -154,6 +154,22 @@ class ImageFit(Problem):
         image, columns = self.model.predict_and_jacobian(*self._arguments(x))
         return image.flatten(1), columns.flatten(2)
 
+    def curvature_weights(self, x: torch.Tensor, model_e: torch.Tensor) -> torch.Tensor:
+        """Return the weights of the pixels in the Hessian at `x`, (members, pixels), float64.
+
+        Over images that share a member they are summed; those of a robust loss hold its curvature.
+
+        Parameters
+        ----------
+        x : tensor, (members, parameters)
+        model_e : tensor, (members, pixels)
+            The model's images there.
+        """
+        residual, root = self._whitened(model_e, torch.arange(len(x)))
+        if self.loss.quadratic:
+            return (root**2).expand_as(residual).sum(1).cpu()
+        return (self.loss.curvature(residual) * root**2).sum(1).cpu()
+
     def _arguments(self, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Modes, flux, background and effect parameters, in the order of `ImageModel.predict`."""
         values = x[0, self.layout.effect_values].cpu() if self.layout.effects else self.held

@@ -191,9 +191,9 @@ def linear_estimates(frames: Frames, problem: ImageFit, solution: Solution) -> E
     """
     x, layout = solution.values[:1], problem.layout
     added, read = whole_wavefront(problem, x[0])
-    _, jacobian = problem.predict_and_jacobian(x)
-    weight = problem.root_weight[0].double().mean(0) ** 2
-    gain = read @ solution.covariance[0] @ (jacobian[0].double() * weight).cpu()
+    model_e, jacobian = problem.predict_and_jacobian(x)
+    weight = problem.curvature_weights(x, model_e)[0]
+    gain = read @ solution.covariance[0] @ (jacobian[0].double().cpu() * weight)
     images, mean, flux = frames.images_e.flatten(1), frames.mean_e.flatten(), frames.flux_e[:, None]
     total = x[0, layout.modes] + added
     per_frame = torch.empty(len(images), len(total), dtype=torch.float64)
