@@ -1,0 +1,1 @@
+"""The functions for Python programs, importable from `irlos_pipe` itself."""

@@ -1,0 +1,126 @@
+"""Run recipes from Python, and look at what they left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from irlos_pipe.conventions.text import aligned, suggestion
+from irlos_pipe.pipeline import Resources, Selection, run_recipe
+from irlos_pipe.product.product import Check, Product
+from irlos_pipe.product.results import RunResults, read_run_results
+from irlos_pipe.product.runfolder import RunFolder, existing_run
+from irlos_pipe.product.storage import open_product
+from irlos_pipe.recipe import Recipe
+
+
+class Run(Mapping[str, Product]):
+    """A finished run: its products by stage, in the order of the recipe.
+
+    Parameters
+    ----------
+    path : Path or str
+        The run's folder.
+
+    Raises
+    ------
+    InputDataError
+        When it is not the folder of a run.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = existing_run(Path(path)).path
+        files = sorted(self.path.glob("[0-9][0-9]_*.h5"))
+        self._files = {file.stem.partition("_")[2]: file for file in files}
+        self._opened: dict[str, Product] = {}
+
+    def __getitem__(self, stage: str) -> Product:
+        """Return the product of a stage; its arrays are read when they are asked for."""
+        if stage not in self._files:
+            raise KeyError(f"{self.path}: no product of '{stage}'{suggestion(stage, self._files)}")
+        if stage not in self._opened:
+            self._opened[stage] = open_product(self._files[stage])
+        return self._opened[stage]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._files)
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    @cached_property
+    def results(self) -> RunResults:
+        """Content of results.json."""
+        return read_run_results(RunFolder(self.path).results)
+
+    @property
+    def checks(self) -> list[Check]:
+        """The quality checks of all stages."""
+        return [check for product in self.values() for check in product.checks]
+
+    def figures(self) -> dict[str, Figure]:
+        """Return the figures of the report by name, drawn anew, see `figures`."""
+        from irlos_pipe.report.figures import figures
+
+        return figures(self.path)
+
+    def __repr__(self) -> str:
+        """Say what was run, and what came out of it."""
+        failed = [check.name for check in self.checks if not check.passed]
+        quality = f"{len(self.checks) - len(failed)} of {len(self.checks)} checks passed"
+        rows = [(f"  {stage}", "; ".join(product.summary[:1])) for stage, product in self.items()]
+        head = f"Run {self.path}: recipe {self.results.recipe}, {self.results.status}, {quality}"
+        return "\n".join([head, aligned(rows), *(f"  failed: {name}" for name in failed)])
+
+
+def run(
+    recipe: Recipe,
+    output: Path | str,
+    *,
+    first: str | None = None,
+    last: str | None = None,
+    force: bool = False,
+    device: str = "cpu",
+    jobs: int = 1,
+) -> Run:
+    """Bring the products of a recipe up to date, as ``irlos run`` does.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        From `load_recipe`.
+    output : Path or str
+        The run's folder; made if it does not exist.
+    first, last : str, optional
+        First and last stage to run; all by default.
+    force : bool
+        Run stages even if their products are up to date.
+    device : str
+        ``cpu`` or ``cuda``.
+    jobs : int
+        Number of threads.
+
+    Raises
+    ------
+    Locked
+        When another run owns the folder.
+    IrlosError
+        When a stage cannot do its work; products of finished stages stay. Failed quality checks raise
+        nothing: see `Run.checks`.
+    """
+    run_recipe(recipe, Path(output), Selection(first, last, force), Resources(device=device, jobs=jobs))
+    return Run(output)
+
+
+def open_run(path: Path | str) -> Run:
+    """Return the finished run in the folder `path`.
+
+    Raises
+    ------
+    InputDataError
+        When it is not the folder of a run.
+    """
+    return Run(path)
