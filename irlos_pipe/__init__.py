@@ -1,25 +1,26 @@
 """Focal-plane wavefront sensing for the IRLOS sensor of MUSE's narrow-field mode.
 
-The names in ``__all__`` are the interface for Python programs. They are imported when they are first used.
+The names in ``__all__`` are the interface for Python programs. Each is imported when it is first used; type
+checkers read them in ``__init__.pyi``.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 __version__ = "0.2.0"
 
 # Name: the module it comes from, in the order of use.
-_HOMES = {
+HOMES = {
     "load_recipe": "recipe",
     "run": "api.running",
     "open_run": "api.running",
     "read_product": "product.storage",
+    "figures": "report.figures",
     "calibrate": "api.reducing",
     "lift": "api.reducing",
     "diagnose": "api.reducing",
-    "figures": "report.figures",
     "read_recordings": "api.recordings",
     "load_instrument": "instrument.instrument",
     "PsfModel": "optics.psf",
@@ -27,31 +28,18 @@ _HOMES = {
     "Focus": "estimate.focus.sensor",
     "explain": "reference.lookup",
 }
-__all__ = list(_HOMES)  # noqa: PLE0605
-
-if TYPE_CHECKING:
-    from irlos_pipe.api.recordings import read_recordings
-    from irlos_pipe.api.reducing import calibrate, diagnose, lift
-    from irlos_pipe.api.running import open_run, run
-    from irlos_pipe.estimate.focus.sensor import Focus
-    from irlos_pipe.instrument.instrument import load_instrument
-    from irlos_pipe.optics.psf import PsfModel
-    from irlos_pipe.optics.psf_settings import PsfSettings
-    from irlos_pipe.product.storage import read_product
-    from irlos_pipe.recipe import load_recipe
-    from irlos_pipe.reference.lookup import explain
-    from irlos_pipe.report.figures import figures
+__all__ = sorted(HOMES)
 
 
 def __getattr__(name: str) -> Any:
     """Import one of the names of the interface."""
-    if name not in _HOMES:
+    if name not in HOMES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    value = getattr(import_module(f"{__name__}.{HOMES[name]}"), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
     """Return the names of the interface and of the module itself."""
-    return sorted({*globals(), *_HOMES})
+    return sorted({*globals(), *HOMES})

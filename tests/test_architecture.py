@@ -19,14 +19,14 @@ MAY_IMPORT = {
     "optics": {"conventions", "numerics"},
     "effects": {"conventions", "numerics", "optics"},
     "estimate": {"conventions", "frames", "numerics", "optics", "effects"},
-    "diagnose": {"conventions", "frames", "numerics", "optics", "effects", "estimate"},
+    "diagnosis": {"conventions", "frames", "numerics", "optics", "effects", "estimate"},
     # The simulator shares no line of optics with the model that is fitted to its images.
     "simulate": {"conventions"},
     "simulate.recordings": {"conventions", "effects", "files", "instrument", "product", "simulate"},
     "product": {"conventions", "files"},
     "stages": {
         "conventions", "files", "frames", "instrument", "readers", "numerics", "optics", "effects",
-        "estimate", "diagnose", "product",
+        "estimate", "diagnosis", "product",
     },
     "recipe": {"conventions", "files", "instrument", "stages"},
     "reference": {"conventions", "effects", "files", "product", "readers", "recipe", "stages"},
@@ -48,10 +48,13 @@ MAY_IMPORT = {
         "conventions", "files", "simulate.recordings", "product", "recipe", "pipeline", "report", "paper.run",
         "night", "instrument", "readers", "reference",
     },
+    "api": {
+        "conventions", "frames", "instrument", "readers", "product", "stages", "recipe", "pipeline", "report",
+    },
     "__main__": {"commands"},
 }  # fmt: skip
 # Science knows no files, no HDF5, no YAML and no command line: this is all it may use.
-SCIENCE = ("conventions", "frames", "numerics", "optics", "effects", "estimate", "diagnose", "simulate")
+SCIENCE = ("conventions", "frames", "numerics", "optics", "effects", "estimate", "diagnosis", "simulate")
 SCIENCE_MAY_USE = {
     "__future__", "abc", "collections", "concurrent", "contextlib", "contextvars", "copy", "dataclasses",
     "difflib", "enum", "functools", "hashlib", "importlib", "inspect", "itertools", "math", "textwrap",

@@ -4,38 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from irlos_pipe.conventions.text import aligned
+from irlos_pipe.product.quantity import Quantity
+from irlos_pipe.product.table_view import table_of
 
-@dataclass(frozen=True)
-class Quantity:
-    """An array with its unit.
+if TYPE_CHECKING:
+    from astropy.table import QTable
 
-    Attributes
-    ----------
-    value : ndarray
-        Numbers, booleans or strings, of any shape (scalars included).
-    unit : str
-        Unit as text, for example ``nm``; empty for dimensionless values and strings.
-    error : ndarray or None
-        1-sigma error in the same unit and of the same shape.
-
-    Raises
-    ------
-    ValueError
-        When value and error differ in shape.
-    """
-
-    value: np.ndarray
-    unit: str
-    description: str = ""
-    error: np.ndarray | None = None
-
-    def __post_init__(self) -> None:
-        if self.error is not None and np.shape(self.error) != np.shape(self.value):
-            raise ValueError(f"error has shape {np.shape(self.error)}, value {np.shape(self.value)}")
+SHOWN = 12  # arrays of a product, in its text
 
 
 @dataclass(frozen=True)
@@ -88,3 +68,37 @@ class Product:
     config: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
     log: list[str] = field(default_factory=list)
+
+    @property
+    def summary(self) -> list[str]:
+        """What came out, in lines for people."""
+        return list(self.provenance.get("summary", ()))
+
+    def __getitem__(self, name: str) -> Quantity:
+        """Return the array called `name`."""
+        return self.arrays[name]
+
+    def table(self, *names: str) -> QTable:
+        """Return arrays of equal length as an `astropy.table.QTable` with units.
+
+        Parameters
+        ----------
+        *names : str
+            By default all arrays of one dimension that have the length of the first of them. An error
+            becomes the column ``<name>_error``.
+
+        Raises
+        ------
+        ConfigurationError
+            When an array is unknown, or the lengths differ.
+        """
+        return table_of(self.stage, self.arrays, names)
+
+    def __repr__(self) -> str:
+        """Return what came out and what the product holds, in lines."""
+        passed = sum(check.passed for check in self.checks)
+        head = f"Product of '{self.stage}': {passed} of {len(self.checks)} checks passed"
+        names = list(self.arrays)
+        rows = [(f"  {name}", *self.arrays[name].described) for name in names[:SHOWN]]
+        more = [f"  … and {len(names) - SHOWN} more arrays"] if len(names) > SHOWN else []
+        return "\n".join([head, *(f"  {line}" for line in self.summary), aligned(rows), *more])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +58,29 @@ def write_figures(run: RunFolder, formats: Sequence[str] = FORMATS) -> list[Path
             for kind, file in files.items()]  # fmt: skip
 
 
+def figures(path: Path | str) -> dict[str, Figure]:
+    """Return every figure of the report of a run by name, for notebooks, papers and slides.
+
+    Parameters
+    ----------
+    path : Path or str
+        Folder of a finished run.
+
+    Raises
+    ------
+    InputDataError
+        When it is not the folder of a run, or a product cannot be read.
+    """
+    drawn: dict[str, Figure] = {}
+
+    def keep(name: str, figure: Figure) -> None:
+        drawn[_unused(name, drawn)] = figure
+
+    with kept_by(keep):
+        report_sections(read_run(Path(path)))
+    return drawn
+
+
 def _make_folder(run: RunFolder) -> None:
     if run.figures.is_symlink():
         raise IrlosError(f"{run.figures}: a link, through which nothing is written; remove it")
@@ -68,7 +91,7 @@ def _make_folder(run: RunFolder) -> None:
         raise IrlosError(f"{run.figures}: cannot be made: {error.strerror or error}") from error
 
 
-def _unused(name: str, taken: dict[str, dict[str, bytes]]) -> str:
+def _unused(name: str, taken: Collection[str]) -> str:
     """The name of a drawing, numbered where there are several."""
     plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in name)
     count = sum(other == plain or other.rpartition("-")[0] == plain for other in taken)

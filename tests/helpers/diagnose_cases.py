@@ -19,10 +19,10 @@ from helpers.optics_cases import (
     shift_nm,
 )
 from helpers.reference_psf import ReferenceImager, reference
-from irlos_pipe.diagnose.options import Options
-from irlos_pipe.diagnose.verdict import Diagnosis
-from irlos_pipe.diagnose.view import Exposures
-from irlos_pipe.diagnose.workflow import diagnose
+from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.verdict import Diagnosis
+from irlos_pipe.diagnosis.view import Exposures
+from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import Conditions
 from irlos_pipe.estimate.cube import Frames
 

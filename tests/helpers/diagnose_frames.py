@@ -18,11 +18,11 @@ from helpers.optics_cases import (
     settings,
     vector,
 )
-from irlos_pipe.diagnose.cube import Cube, Stacks
-from irlos_pipe.diagnose.fitting import Fitted, Fitter
-from irlos_pipe.diagnose.null_model import Optimum
-from irlos_pipe.diagnose.splitting import HeldOutFrames
-from irlos_pipe.diagnose.view import View
+from irlos_pipe.diagnosis.cube import Cube, Stacks
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.splitting import HeldOutFrames
+from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import Conditions
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.cube import Frames

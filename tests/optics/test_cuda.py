@@ -14,14 +14,14 @@ from helpers import optics_cases as cases
 from helpers.effect_cases import NOLLS, SPECTRUM, STRONG, WINDOW, made
 from helpers.stand_in_device import MixedDevicesError, StandInDevice
 
-from irlos_pipe.diagnose.checks.drift import measure_drift
-from irlos_pipe.diagnose.fitting import Fitter
-from irlos_pipe.diagnose.held_out import HeldOutEvaluation
-from irlos_pipe.diagnose.null_model import Optimum
-from irlos_pipe.diagnose.search.companion_search import companion_gains
-from irlos_pipe.diagnose.search.scores import families, scores
-from irlos_pipe.diagnose.splitting import HeldOutFrames
-from irlos_pipe.diagnose.view import Exposures
+from irlos_pipe.diagnosis.checks.drift import measure_drift
+from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.search.companion_search import companion_gains
+from irlos_pipe.diagnosis.search.scores import families, scores
+from irlos_pipe.diagnosis.splitting import HeldOutFrames
+from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.effects import Conditions, TipTiltJitter
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.calibration import calibrate

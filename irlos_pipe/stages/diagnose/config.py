@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from irlos_pipe.diagnose.options import DRIFT_NM
+from irlos_pipe.diagnosis.options import DRIFT_NM
 from irlos_pipe.stages.base import StageConfig
 
 

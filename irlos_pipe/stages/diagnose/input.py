@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.diagnose.view import Screened
+from irlos_pipe.diagnosis.view import Screened
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.product.product import Product
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product, screened_e

@@ -10,11 +10,11 @@ import numpy as np
 import yaml
 
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
-from irlos_pipe.diagnose.held_out import Gap
-from irlos_pipe.diagnose.rest import Rest
-from irlos_pipe.diagnose.sentence import sentence
-from irlos_pipe.diagnose.sharing import Sharing, Together
-from irlos_pipe.diagnose.verdict import Diagnosis, Step
+from irlos_pipe.diagnosis.held_out import Gap
+from irlos_pipe.diagnosis.rest import Rest
+from irlos_pipe.diagnosis.sentence import sentence
+from irlos_pipe.diagnosis.sharing import Sharing, Together
+from irlos_pipe.diagnosis.verdict import Diagnosis, Step
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.diagnose.results import (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from irlos_pipe.diagnose.verdict import UNKNOWN
+from irlos_pipe.diagnosis.verdict import UNKNOWN
 from irlos_pipe.product.product import Check
 from irlos_pipe.stages.diagnose.results import DiagnoseResults
 

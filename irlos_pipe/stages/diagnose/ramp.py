@@ -10,11 +10,11 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.diagnose.held_out import Gap
-from irlos_pipe.diagnose.ramp.diagnosis import RampDiagnosis, RampName, diagnose_ramp
-from irlos_pipe.diagnose.ramp.gap import ramp_gap
-from irlos_pipe.diagnose.ramp.light_path import LightPathName
-from irlos_pipe.diagnose.verdict import EFFECT
+from irlos_pipe.diagnosis.held_out import Gap
+from irlos_pipe.diagnosis.ramp.diagnosis import RampDiagnosis, RampName, diagnose_ramp
+from irlos_pipe.diagnosis.ramp.gap import ramp_gap
+from irlos_pipe.diagnosis.ramp.light_path import LightPathName
+from irlos_pipe.diagnosis.verdict import EFFECT
 from irlos_pipe.effects import EffectSet
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.product.product import Product, Quantity

@@ -29,7 +29,7 @@ class GapRow(ResultsPart):
 
 
 class AlternativeRow(ResultsPart):
-    """An effect not distinguished from the one found, see `diagnose.ambiguity.Alternative`."""
+    """An effect not distinguished from the one found, see `diagnosis.ambiguity.Alternative`."""
 
     name: str = ""
     reason: str = ""
@@ -40,7 +40,7 @@ class AlternativeRow(ResultsPart):
 
 
 class RankedRow(ResultsPart):
-    """A candidate when an effect was chosen, see `diagnose.verdict.Ranked`.
+    """A candidate when an effect was chosen, see `diagnosis.verdict.Ranked`.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class RankedRow(ResultsPart):
 
 
 class TriedRow(ResultsPart):
-    """What became of an effect of the catalogue, see `diagnose.verdict.Tried`."""
+    """What became of an effect of the catalogue, see `diagnosis.verdict.Tried`."""
 
     effect: str = ""
     outcome: str = ""
@@ -127,7 +127,7 @@ class StepRow(ResultsPart):
 
 
 class OwnValueRow(ResultsPart):
-    """What one star and night has of an effect, see `diagnose.sharing.OwnValue`."""
+    """What one star and night has of an effect, see `diagnosis.sharing.OwnValue`."""
 
     recording: str = ""
     parameters: EffectValues = {}
@@ -136,7 +136,7 @@ class OwnValueRow(ResultsPart):
 
 
 class SharingRow(ResultsPart):
-    """Whether stars and nights share an effect, see `diagnose.sharing.Sharing`.
+    """Whether stars and nights share an effect, see `diagnosis.sharing.Sharing`.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class SharingRow(ResultsPart):
 
 
 class StarRow(ResultsPart):
-    """One star and night, see `diagnose.moments.Moment`, and by how much its wavefront differs.
+    """One star and night, see `diagnosis.moments.Moment`, and by how much its wavefront differs.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ class StarRow(ResultsPart):
 
 
 class AdviceRow(ResultsPart):
-    """A second recording that shows an effect, see `diagnose.second_recording.Advice`."""
+    """A second recording that shows an effect, see `diagnosis.second_recording.Advice`."""
 
     recording: str = ""
     survival: Number = math.nan
@@ -185,7 +185,7 @@ class AdviceRow(ResultsPart):
 
 
 class NoiseRow(ResultsPart):
-    """Whether the noise model holds, see `diagnose.checks.noise.NoiseVerdict`."""
+    """Whether the noise model holds, see `diagnosis.checks.noise.NoiseVerdict`."""
 
     kind: str = ""
     bright_ratio: Number = math.nan
@@ -195,7 +195,7 @@ class NoiseRow(ResultsPart):
 
 
 class FineStructureRow(ResultsPart):
-    """Structure finer than the telescope can make, see `diagnose.checks.fine_structure.FineStructure`."""
+    """Structure finer than the telescope can make, see `diagnosis.checks.fine_structure.FineStructure`."""
 
     ratio: Number = math.nan
     significance: Number = math.nan
@@ -236,7 +236,7 @@ class WhereRow(ResultsPart):
 
 
 class RestRow(ResultsPart):
-    """What the model still misses, see `diagnose.rest.Rest`."""
+    """What the model still misses, see `diagnosis.rest.Rest`."""
 
     light_fraction: Number = math.nan
     where: WhereRow = WhereRow()
@@ -255,7 +255,7 @@ class DiagnoseResults(StageResults):
     verdict : str
         ``none``, ``effect`` or ``unknown``.
     grade : str
-        ``none``, ``complete``, ``partial``, ``resembles`` or ``unknown``, see `diagnose.verdict.Diagnosis`.
+        ``none``, ``complete``, ``partial``, ``resembles`` or ``unknown``, see `diagnosis.verdict.Diagnosis`.
     rest : RestRow or None
         What the model with the effects still misses.
     nearest : StepRow or None

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.diagnose.moments import Moments, placed
-from irlos_pipe.diagnose.options import Options
-from irlos_pipe.diagnose.verdict import Diagnosis
-from irlos_pipe.diagnose.view import Exposures
-from irlos_pipe.diagnose.workflow import diagnose
+from irlos_pipe.diagnosis.moments import Moments, placed
+from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.verdict import Diagnosis
+from irlos_pipe.diagnosis.view import Exposures
+from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.recording import Recording

@@ -1,0 +1,263 @@
+"""Whether a fitted name is accepted, and whether names found earlier are still needed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from irlos_pipe.diagnosis.ambiguity import Alternative, alternatives
+from irlos_pipe.diagnosis.checks.drift import Drift
+from irlos_pipe.diagnosis.checks.motion import MOVING, motion_ratio
+from irlos_pipe.diagnosis.cube import Cube
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, preference
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.refit import PER_PARAMETER, Refit
+from irlos_pipe.diagnosis.search.scores import Score
+from irlos_pipe.diagnosis.verdict import Ranked
+from irlos_pipe.effects.labels import label_of, occurrences
+
+MUST_EXPLAIN = 0.8  # of what is left, for a further name
+SIGNIFICANT = 5.0  # standard errors of the excess, from which a moment's counts
+PLAINLY = 10.0  # times its price, by which χ² grows without a name that is needed
+PREFERRED = 3.0  # Vuong's statistic on held-out frames, where noise is known or a model has errors
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """A name, and how it compared.
+
+    Attributes
+    ----------
+    refit : Refit
+    preference : float
+        Vuong's statistic on the held-out frames, against the model before.
+    alternatives : sequence of Alternative
+    ranking : sequence of Ranked
+    rivals : sequence of Refit
+        Fits of the alternatives.
+    """
+
+    refit: Refit
+    preference: float
+    alternatives: Sequence[Alternative]
+    ranking: Sequence[Ranked]
+    rivals: Sequence[Refit] = ()
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.refit.name
+
+    @property
+    def ordinary(self) -> bool:
+        """Whether as much of it is to be expected anywhere."""
+        return self.refit.base.ordinary(self.refit.values)
+
+
+@dataclass(frozen=True)
+class Search:
+    """What was found on the way.
+
+    Attributes
+    ----------
+    null, final : Optimum
+        Before and after all names.
+    drift : Drift or None
+        None where the model has one already.
+    accepted : list of Accepted
+        Names in the order found, the drift not among them.
+    scores : list of Score
+        Of all families, at the last model for which a name was looked for.
+    meaningless : list of str
+        Effects that mean nothing for this cube.
+    adjusted : list of str
+        Effects of the final model that make it fit better and are not sure enough to be named.
+    """
+
+    null: Optimum
+    final: Optimum
+    drift: Drift | None
+    accepted: list[Accepted]
+    scores: list[Score]
+    meaningless: list[str]
+    adjusted: Sequence[str] = ()
+
+
+def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool) -> Accepted | None:
+    """Choose the best of the fitted names, or None.
+
+    It must be significant, the held-out frames must agree, and a further name must explain most of what is
+    left.
+
+    Parameters
+    ----------
+    ranked : sequence of Refit
+        The best first.
+    cube : Cube
+    options : Options
+    first : bool
+        Whether no name was found before.
+    """
+    if not ranked or not detected(ranked[0], options.sure):
+        return None
+    best = ranked[0]
+    before = best.origin
+    if not first and before.excess.significance > options.sure and explained(best) < MUST_EXPLAIN:
+        return None
+    return accepted(ranked, cube, options)
+
+
+def accepted(ranked: Sequence[Refit], cube: Cube, options: Options) -> Accepted | None:
+    """The best of the fitted names if it is significant and the held-out frames agree, or None.
+
+    `ranked`, `cube`, `options`: see `choose`.
+    """
+    if not ranked or not detected(ranked[0], options.sure):
+        return None
+    before = ranked[0].origin
+    evaluations = [HeldOutEvaluation(cube.held_out, refit.fitted) for refit in ranked]
+    ranked, judges = by_simplicity(*by_plausibility(*by_motion(ranked, evaluations, cube)))
+    best = ranked[0]
+    z = preference(judges[0], HeldOutEvaluation(cube.held_out, before.fitted))
+    if z < (PREFERRED if cube.training.photon_limited else 0.0):
+        return None
+    ranking = [_ranked(one, preference(judges[0], judge)) for one, judge in zip(ranked, judges, strict=True)]
+    others = alternatives(ranked, judges)
+    rivals = [next(r for r in ranked if r.name == other.name) for other in others]
+    return Accepted(best, z, others, ranking, rivals)
+
+
+def _ranked(refit: Refit, held_out_z: float) -> Ranked:
+    return Ranked(refit.name, refit.gain, explained(refit), refit.significance, held_out_z)
+
+
+def by_motion(
+    ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation], cube: Cube
+) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
+    """Decide by the motion of the frames between effects that blur, which a mean image hardly shows.
+
+    Parameters
+    ----------
+    ranked : sequence of Refit
+    judges : sequence of HeldOutEvaluation
+        Of each.
+    cube : Cube
+    """
+    if not cube.training.in_time:
+        return ranked, judges
+    rivals = _rivals(ranked, judges)
+    if not ranked[0].effect.blurs or not any(one.effect.blurs and one.name in rivals for one in ranked):
+        return ranked, judges
+    right = "motion" if motion_ratio(cube.training, ranked[0].fitted) > MOVING else "detector"
+    allowed = [
+        i for i, one in enumerate(ranked) if one.effect.blurs == right and (i == 0 or one.name in rivals)
+    ]
+    return _led_by(allowed, ranked, judges)
+
+
+def by_plausibility(
+    ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]
+) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
+    """Among indistinguishable names prefer the first with plausible parameters.
+
+    `ranked` and `judges`: see `by_motion`.
+    """
+    if not ranked[0].implausible:
+        return ranked, judges
+    rivals = _rivals(ranked, judges)
+    better = [i for i, one in enumerate(ranked) if one.name in rivals and not one.implausible]
+    return _led_by(better[:1], ranked, judges)
+
+
+def by_simplicity(
+    ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]
+) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
+    """Prefer to an effect the one of which it is a wider form, if these data do not distinguish them.
+
+    `ranked` and `judges`: see `by_motion`.
+    """
+    rivals = _rivals(ranked, judges)
+    narrower = [i for i, one in enumerate(ranked) if one.name == ranked[0].base.widens and one.name in rivals]
+    return _led_by(narrower, ranked, judges)
+
+
+def _rivals(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> set[str]:
+    """Names that these data allow beside the first."""
+    return {one.name for one in alternatives(ranked, judges)}
+
+
+def _led_by(
+    first: Sequence[int], ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]
+) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
+    """Both in another order: the positions `first` ahead, the others as they were."""
+    order = [*first, *(i for i in range(len(ranked)) if i not in first)]
+    return [ranked[i] for i in order], [judges[i] for i in order]
+
+
+def detected(refit: Refit, sure: float) -> bool:
+    """Whether the fall of χ² and the significance of `refit` are beyond chance, the latter above `sure` σ."""
+    return (
+        refit.significance > sure
+        and refit.gain > threshold(refit.parameters, refit.score.trials) * refit.score.inflation
+    )
+
+
+def threshold(parameters: int, trials: int) -> float:
+    """Fall of χ² that chance does not reach, over many data sets with small errors of the model.
+
+    `parameters` were fitted to the best of `trials`.
+    """
+    return parameters + 6 * np.sqrt(2 * parameters) + 20 + 2 * np.log(trials)
+
+
+def explained(refit: Refit) -> float:
+    """Part of the excess that a name explains, of several moments in that where it explains most."""
+    moments = {view.moment for view in refit.fitted.views if refit.base.acting(view.moment)}
+    pairs = [(refit.origin.excess_in(one), refit.optimum.excess_in(one)) for one in moments]
+    if len(pairs) == 1:
+        return (pairs[0][0] - pairs[0][1]) / max(pairs[0][0], refit.gain)
+    significant = [one for one in pairs if one[0] > SIGNIFICANT * refit.origin.excess.sigma]
+    return max(((before - after) / before for before, after in significant), default=0.0)
+
+
+def no_longer_needed(
+    fitter: Fitter, current: Optimum, accepted: Sequence[Accepted]
+) -> tuple[Accepted, Fitted] | None:
+    """A name found earlier without which the model fits as well, and that fit; None if all are needed.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    current : Optimum
+        With all names.
+    accepted : sequence of Accepted
+        The last one is not in question.
+    """
+    effects = dict(zip(current.fitted.problem.effects.labels, current.fitted.continued(), strict=True))
+    for one, own in list(zip(accepted, labels_in(current.fitted, accepted), strict=True))[:-1]:
+        kept = [effect for label, effect in effects.items() if label != own]
+        price = PER_PARAMETER * one.refit.parameters * one.refit.score.inflation
+        without = fitter.explored(kept, current.fitted)
+        if without.chi2 - current.fitted.chi2 < PLAINLY * price:
+            without = fitter.finished(without)
+        if without.chi2 - current.fitted.chi2 < price:
+            return one, without
+    return None
+
+
+def labels_in(fitted: Fitted, accepted: Sequence[Accepted]) -> list[str]:
+    """Labels of `accepted` names in a model that has them all: the last of their kinds.
+
+    Of one kind they keep their order, even if others of it have gone.
+    """
+    kinds = Counter(effect.name for effect in fitted.effects)
+    kinds.subtract(one.name for one in accepted)
+    ordered = sorted(accepted, key=lambda one: (len(one.refit.label), one.refit.label))
+    places = occurrences(one.name for one in ordered)
+    found = {id(one): label_of(one.name, kinds[one.name] + n) for one, n in zip(ordered, places, strict=True)}
+    return [found[id(one)] for one in accepted]

@@ -1,0 +1,140 @@
+"""Whether the wavefront changed during the recording: estimates of single frames against time.
+
+The mean image hardly shows a drift. One linear step from the common solution gives every frame its
+coefficients; their slopes are judged by their own scatter about the straight line. A large drift leaves
+the range of one linear step: the response of the step to images that drift as measured says by how much.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from scipy import stats
+
+from irlos_pipe.conventions.modes import TIP_TILT
+from irlos_pipe.diagnosis.cube import Stack, Stacks
+from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.effects import FixedEffect
+from irlos_pipe.effects.drift import NcpaDrift
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
+
+NOLLS = range(2, 12)
+TIMES = 9  # of a recording, at which a drift is looked at
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Straight lines through the coefficients of the frames.
+
+    Attributes
+    ----------
+    nolls : tuple of int
+    change_nm, sigma_nm : ndarray, (modes,)
+        From the first frame to the last.
+    significance : float
+        In Gaussian σ, pointing left out.
+    recording : int
+        Number of the recording in which it was seen.
+    """
+
+    nolls: tuple[int, ...]
+    change_nm: np.ndarray
+    sigma_nm: np.ndarray
+    significance: float
+    recording: int = 0
+
+    def detectable_nm(self, sure: float) -> np.ndarray:
+        """Change of each mode alone that would be significant, (modes,)."""
+        tested = sum(noll not in TIP_TILT for noll in self.nolls)
+        return self.sigma_nm * np.sqrt(stats.chi2.isf(stats.norm.sf(sure), tested))
+
+    def effect(self) -> FixedEffect:
+        """The drift, held at what was measured."""
+        return FixedEffect(NcpaDrift(self.nolls), self.change_nm)
+
+
+def measure_drift(stack: Stacks, fitted: Fitted, sure: float) -> Drift:
+    """Slopes of the low modes, and how significant they are together, where they are most so.
+
+    Parameters
+    ----------
+    stack : Stacks
+    fitted : Fitted
+    sure : float
+        Significance from which a drift is worth more than one linear step.
+    """
+    problem = fitted.problem
+    pairs = enumerate(zip(stack.parts, problem.parts, strict=True))
+    steps = [LinearStep(one, part, problem.part(fitted.x, number)) for number, (one, part) in pairs]
+    drifts = [(step, _drift(step, trials=len(steps))) for step in steps]
+    step, drift = max(drifts, key=lambda one: one[1].significance)
+    drift = replace(drift, recording=steps.index(step))
+    if drift.significance < sure:
+        return drift
+    beyond_linear = drift.change_nm - step.of_a_drift(drift.change_nm)
+    return replace(drift, change_nm=drift.change_nm + beyond_linear)
+
+
+class LinearStep:
+    """One linear step from the solution for the mean of a recording, which stands by itself.
+
+    Parameters
+    ----------
+    stack : Stack
+    part : ImageFit
+    x : tensor, (1, parameters)
+    """
+
+    def __init__(self, stack: Stack, part: ImageFit, x: torch.Tensor):
+        self.stack, self.part, self.x = stack, part, x
+        self.nolls = tuple(noll for noll in NOLLS if noll in part.layout.nolls)
+        rows = part.layout.modes.start + np.array([part.layout.nolls.index(noll) for noll in self.nolls])
+        hessian = part.normal_equations(x, torch.arange(1))[2]
+        jacobian = part.predict_and_jacobian(x)[1][0].cpu().double()
+        self._gain = (scaled_inverse(hessian)[0] @ (jacobian * stack.root))[rows]
+
+    def modes_nm(self, deviations: torch.Tensor) -> np.ndarray:
+        """Low modes of images beyond those of their mean, (images, modes).
+
+        Parameters
+        ----------
+        deviations : tensor, (images, pixels)
+            From the mean, whitened.
+        """
+        return (deviations @ self._gain.mT).numpy()
+
+    def of_a_drift(self, change_nm: np.ndarray) -> np.ndarray:
+        """The slopes that it finds in images of the model whose wavefront drifts, (modes,)."""
+        layout, (first, last) = self.part.layout, (self.stack.when.min(), self.stack.when.max())
+        when = first + (np.arange(TIMES) + 0.5) / TIMES * (last - first)
+        held = self.part.model.effects.held(self.x[0, layout.effect_values]).effects
+        model = ImageModel(self.part.model.psf, [*held, FixedEffect(NcpaDrift(self.nolls), change_nm)])
+        modes, flux, background = (self.x[:, at].expand(TIMES, -1) for at in (layout.modes, [-2], [-1]))
+        images = model.predict(modes, flux[:, 0], background[:, 0], when=torch.as_tensor(when))
+        images = images.cpu().flatten(1)
+        return slopes(self.modes_nm((images - images.mean(0)) * self.stack.root), when)
+
+
+def slopes(series: np.ndarray, when: np.ndarray) -> np.ndarray:
+    """Slopes of straight lines through the columns of `series` at the times `when`, (columns,)."""
+    course = when - when.mean()
+    return course @ series / (course @ course)
+
+
+def _drift(step: LinearStep, trials: int) -> Drift:
+    """The drift of one recording, as the linear step has it."""
+    stack, nolls = step.stack, step.nolls
+    series, course = step.modes_nm(stack.deviations), stack.when - stack.when.mean()
+    change = slopes(series, stack.when)
+    scatter = np.cov((series - np.outer(course, change)).T) * (len(stack) - 1) / (len(stack) - 2)
+    covariance = scatter / (course @ course) * len(stack) / stack.independent
+    tested = [i for i, noll in enumerate(nolls) if noll not in TIP_TILT]
+    own = covariance[np.ix_(tested, tested)]
+    hotelling = float(change[tested] @ np.linalg.solve(own, change[tested]))
+    significance = gaussian_sigma(hotelling, len(tested), stack.independent - 1, trials)
+    return Drift(nolls, change, np.sqrt(np.diag(covariance)), significance)

@@ -1,0 +1,158 @@
+"""Structure of the mean image that is finer than a telescope can make.
+
+Whatever the wavefront, light ends at the cut-off D/λ of spatial frequency (Goodman 2005, Introduction to
+Fourier Optics, section 6.3); motion and pixels only weaken what is below. What a mean image has beyond, and
+noise does not explain, was made behind the optics: by an error of the flat, by single pixels, by a response
+that is not linear. Speckles do not reach there, so it shows down to photon noise on sky as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from irlos_pipe.conventions.units import cutoff_per_px
+from irlos_pipe.diagnosis.cube import Stack
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.estimate.cube import local_mean
+from irlos_pipe.optics.psf_settings import PsfSettings
+
+MAIN_LOBE = 2  # half width of a Hann window's, in frequencies of the window: what leaks past it is nothing
+FADED = 0.1  # of its middle, below which the window is left out
+REGRESSIONS, SURELY = 4, 5.0  # of the flat's error; standard errors from which it is believed
+MIN_SHARE = 0.1  # of all frequencies; with less beyond the cut-off, pixels are too coarse to show any
+
+
+@dataclass(frozen=True)
+class FineStructure:
+    """Power beyond the cut-off.
+
+    Attributes
+    ----------
+    ratio : float
+        Measured over what noise leaves there; 1 where the pixels are too coarse or too few to show it.
+    significance : float
+        In standard deviations of single frames from their mean.
+    """
+
+    ratio: float = 1.0
+    significance: float = 0.0
+
+
+def fine_structure(optimum: Optimum) -> FineStructure:
+    """Fine structure of the residual of a fitted model, the most significant of its recordings.
+
+    With pixels held out it cannot be told from the gaps they leave.
+    """
+    if optimum.stack.held_out == "pixels":
+        return FineStructure()
+    fitted = optimum.fitted
+    residual_e = optimum.stack.mean_e - fitted.image_e
+    found = [
+        structure_of(part, residual_e[pixels], view.psf.settings)
+        for part, pixels, view in zip(optimum.stack.parts, fitted.problem.pixels, fitted.views, strict=True)
+    ]
+    return max(found, key=lambda one: one.significance)
+
+
+def structure_of(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings) -> FineStructure:
+    """Fine structure of one recording.
+
+    Parameters
+    ----------
+    stack : Stack
+    residual_e : tensor, (pixels,)
+        Its mean image minus that of a model [e-].
+    settings : PsfSettings
+    """
+    beyond = Beyond(stack.frames.good, highest_frequency_per_px(settings))
+    if beyond.share < MIN_SHARE:
+        return FineStructure()
+    deviations_e = torch.where(stack.root > 0, stack.deviations / stack.root, 0.0)
+    frames = beyond(deviations_e.reshape(-1, *settings.window)) ** 2
+    scatter = local_mean(frames.sum(0) / (len(frames) - 1), beyond.weight)
+    shared = beyond.share * beyond.fade**2 * stack.frames.noise.shared_e2
+    mean = beyond(residual_e.reshape(1, *settings.window))[0] ** 2
+    noise = (frames / scatter)[:, beyond.inside].mean(1) * len(frames) / (len(frames) - 1)
+    ratio = float((mean / (scatter / len(frames) + shared))[beyond.inside].mean() / noise.mean())
+    return FineStructure(ratio, (ratio - 1) * float(noise.mean() / noise.std()))
+
+
+def flat_rms(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings) -> float:
+    """Relative error of the flat that explains fine structure beyond noise; 0 where it is not significant.
+
+    The squares of the residual, filtered for what lies beyond the cut-off, are v + f² m² on average, with
+    what the filter leaves of noise v and of the squared image m²: f² is their weighted regression.
+
+    Parameters
+    ----------
+    stack, residual_e, settings : see `structure_of`
+    """
+    good = stack.frames.good
+    beyond = Beyond(good, highest_frequency_per_px(settings))
+    if beyond.share < MIN_SHARE:
+        return 0.0
+    image = stack.mean_e.reshape(settings.window)
+    noise = beyond.power(stack.frames.noise.mean_variance_e2(image, len(stack)))
+    square = beyond.power(image**2)
+    power = beyond(residual_e.reshape(1, *settings.window))[0] ** 2
+    inside, f2, sigma = beyond.inside, 0.0, np.inf
+    for _ in range(REGRESSIONS):
+        weight = ((noise + f2 * square) ** -2)[inside]
+        norm = (weight * square[inside] ** 2).sum()
+        f2 = max(0.0, float((weight * (power - noise)[inside] * square[inside]).sum() / norm))
+        sigma = float((2 / norm) ** 0.5)
+    return float(np.sqrt(f2)) if f2 > SURELY * sigma else 0.0
+
+
+def highest_frequency_per_px(settings: PsfSettings) -> float:
+    """Highest spatial frequency of an image, D/λ of the shortest wavelength [cycles/px]."""
+    return cutoff_per_px(settings.shortest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)
+
+
+class Beyond:
+    """Filter for what lies beyond a spatial frequency, in a window that fades out towards its border (Hann).
+
+    Parameters
+    ----------
+    good : tensor of bool, (rows, columns)
+        True for good pixels; others are filled from around them.
+    frequency_per_px : float
+        [cycles/px]
+    """
+
+    def __init__(self, good: torch.Tensor, frequency_per_px: float):
+        self.weight = good.double()
+        rows, columns = (torch.fft.fftfreq(size, dtype=torch.float64) for size in good.shape)
+        least = frequency_per_px + MAIN_LOBE / min(good.shape)
+        self.band = torch.hypot(rows[:, None], columns) > least
+        self.fade = torch.outer(*(_hann(size) for size in good.shape))
+
+    def __call__(self, images: torch.Tensor) -> torch.Tensor:
+        """The filtered images (images, rows, columns)."""
+        filled = torch.stack([self._filled(image) for image in images])
+        return torch.fft.ifft2(torch.fft.fft2(filled * self.fade) * self.band).real
+
+    def power(self, variance: torch.Tensor) -> torch.Tensor:
+        """Variance of the filtered image of uncorrelated pixels of some `variance`, (rows, columns)."""
+        kernel = torch.fft.fft2(torch.fft.ifft2(self.band.double()).abs() ** 2)
+        return torch.fft.ifft2(torch.fft.fft2(variance * self.fade**2) * kernel).real.clamp_min(0.0)
+
+    @property
+    def share(self) -> float:
+        """Part of all frequencies that passes."""
+        return float(self.band.double().mean())
+
+    @property
+    def inside(self) -> torch.Tensor:
+        """Good pixels where the window has not faded."""
+        return (self.weight > 0) & (self.fade > FADED)
+
+    def _filled(self, image: torch.Tensor) -> torch.Tensor:
+        return torch.where(self.weight > 0, image, local_mean(image, self.weight))
+
+
+def _hann(size: int) -> torch.Tensor:
+    return torch.sin(np.pi * (torch.arange(size, dtype=torch.float64) + 0.5) / size) ** 2

@@ -1,0 +1,83 @@
+"""Whether the noise is what the noise model says, from frames alone, before any model is fitted.
+
+Differences of successive frames hold the noise twice and nothing that stands still. What flux and
+pointing do from frame to frame is projected out with the mean image and its gradients. Photon noise
+follows the signal with the excess-noise factor; speckles of an AO residual exceed it where it is bright.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from irlos_pipe.diagnosis.cube import Stack
+
+FAINT, BRIGHT = 0.5, 0.02  # share of the pixels below the median; of the peak above which it is bright
+SPECKLE = 1.3  # measured over predicted variance of bright pixels from which speckles set the scatter
+TOLERANCE = 0.3  # of the variance
+PHOTONS, SPECKLES, UNSEEN = "photon-limited", "speckle-limited", "unseen"
+
+
+@dataclass(frozen=True)
+class NoiseVerdict:
+    """What the frames say about the noise model.
+
+    Attributes
+    ----------
+    kind : {"photon-limited", "speckle-limited", "unseen"}
+        The last of a single frame.
+    bright_ratio, faint_ratio : float
+        Measured over predicted variance of bright and of faint pixels.
+    """
+
+    kind: str
+    bright_ratio: float
+    faint_ratio: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether nothing is quieter than the noise model, nor louder without speckles to blame."""
+        if self.kind == UNSEEN:
+            return True
+        quietest = min(self.faint_ratio, self.bright_ratio)
+        return quietest > 1 - TOLERANCE and (self.kind != PHOTONS or self.faint_ratio < 1 + TOLERANCE)
+
+    @property
+    def text(self) -> str:
+        """One line for people."""
+        if self.kind == UNSEEN:
+            return "as told: one frame shows no scatter"
+        ratios = f"{self.bright_ratio:.2f} in bright, {self.faint_ratio:.2f} in faint pixels"
+        return f"{self.kind}, variance over prediction {ratios}" + (
+            "" if self.holds else "; the noise model does not hold"
+        )
+
+
+def judge_all(stacks: Sequence[Stack]) -> NoiseVerdict:
+    """Noise verdict of the recording that deviates most from the noise model; speckles take precedence."""
+    found = [judge_noise(stack) for stack in stacks]
+    found = [one for one in found if one.kind != UNSEEN] or found[:1]
+    found = [one for one in found if one.kind == SPECKLES] or found
+    return max(found, key=lambda one: abs(np.log(max(one.bright_ratio, 1e-9))))
+
+
+def judge_noise(stack: Stack) -> NoiseVerdict:
+    """Compare variances with the noise model's."""
+    if len(stack) < 2:
+        return NoiseVerdict(UNSEEN, float("nan"), float("nan"))
+    images = stack.frames.images_e.double().numpy()
+    good = stack.frames.good.numpy()
+    mean = images.mean(0)
+    differences = np.diff(images, axis=0).reshape(len(images) - 1, -1)
+    shapes = np.stack([mean, *np.gradient(mean), np.ones_like(mean)]).reshape(4, -1)
+    basis = np.linalg.qr(shapes.T)[0]
+    quiet = differences - (differences @ basis) @ basis.T
+    measured = (quiet**2).mean(0).reshape(mean.shape) / 2
+    predicted = stack.frames.noise.scatter_e2(torch.as_tensor(mean)).numpy()
+    bright = good & (mean > BRIGHT * mean.max())
+    faint = good & (mean < np.quantile(mean[good], FAINT))
+    ratios = [float(measured[where].sum() / predicted[where].sum()) for where in (bright, faint)]
+    return NoiseVerdict(SPECKLES if ratios[0] > SPECKLE else PHOTONS, *ratios)

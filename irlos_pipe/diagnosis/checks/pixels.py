@@ -1,0 +1,103 @@
+"""Single pixels that are bad: those that stand out of the residual, and those that ingest has masked.
+
+The former are looked for where the model explains their neighbours well. The latter are no part of any
+fit: their mean against the prediction of a model without them says whether they are bad, and what the gap
+would have been with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from irlos_pipe.diagnosis.held_out import Gap
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.search.scores import Family
+from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.verdict import Step
+from irlos_pipe.diagnosis.view import Screened
+from irlos_pipe.effects import FixedEffect
+from irlos_pipe.effects.detector import BadPixels
+
+OUTSTANDING = 50.0  # fall of χ² by a pixel's own offset: 7 σ, one of some thousand pixels
+ALONE = 4.0  # times the largest residual of the neighbours
+MOST = 20
+
+OFF = 0.1  # of the star's signal in the pixel, below which the model may be to blame
+
+
+def outstanding_pixels(optimum: Optimum) -> list[tuple[int, int]]:
+    """(row, column) of the pixels that nothing smooth explains, the worst first."""
+    problem = optimum.fitted.problem
+    left = 1 - (optimum.basis**2).sum(1)
+    pulls = (optimum.residual / left.clamp_min(1e-6).sqrt()).abs().reshape(-1, *problem.window)
+    pull = pulls.amax(0)
+    around = _largest_neighbour(pull)
+    chosen = (pull**2 > OUTSTANDING) & (pull > ALONE * around)
+    found = torch.nonzero(chosen)[pull[chosen].argsort(descending=True)]
+    return [(int(row), int(column)) for row, column in found[:MOST]]
+
+
+def smallest_excess(optimum: Optimum) -> dict[str, dict[str, float]]:
+    """Excess of a single pixel that would stand out, median over the window [e-], under the effect's name."""
+    error = optimum.stack.variance_e2.sqrt()
+    return {BadPixels.name: {"excess_e": float(OUTSTANDING**0.5 * error[error.isfinite()].median())}}
+
+
+def bad_pixel_family(optimum: Optimum) -> list[Family]:
+    """The family of these pixels together; none where there are none."""
+    pixels = outstanding_pixels(optimum)
+    looked_at = int((optimum.root > 0).sum())
+    return [Family((BadPixels(pixels),), looked_at)] if pixels else []
+
+
+def _largest_neighbour(image: torch.Tensor) -> torch.Tensor:
+    """Largest of the eight neighbours."""
+    rows, columns = image.shape
+    padded = torch.nn.functional.pad(image[None, None], (1, 1, 1, 1))[0, 0]
+    shifted = [padded[r : r + rows, c : c + columns] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
+    return torch.stack(shifted).amax(0)
+
+
+def screened_step(screened: Sequence[Screened], optimum: Optimum, frames: int, gap: Gap) -> Step | None:
+    """The step for those of the pixels whose mean is not what the model predicts; None if all agree.
+
+    Parameters
+    ----------
+    screened : sequence of Screened
+    optimum : Optimum
+        Of the model at the end, its first recording that of the pixels.
+    frames : int
+        Over which the means were taken.
+    gap : Gap
+        Without the pixels.
+    """
+    window, stack = optimum.fitted.problem.window, optimum.stack.parts[0]
+    star_e = optimum.fitted.image_e[optimum.fitted.problem.pixels[0]]
+    sigma_e = stack.frames.noise.mean_variance_e2(star_e, frames).sqrt().reshape(window)
+    off = [(one, one.mean_e - float(star_e.reshape(window)[one.row, one.column])) for one in screened]
+    pulls = {one: miss / float(sigma_e[one.row, one.column]) for one, miss in off}
+    bad = [
+        (one, miss)
+        for one, miss in off
+        if pulls[one] ** 2 > OUTSTANDING and abs(miss) > OFF * abs(one.mean_e - miss)
+    ]
+    if not bad:
+        return None
+    effect = BadPixels([(one.row, one.column) for one, _ in bad])
+    significance = gaussian_sigma(sum(pulls[one] ** 2 for one, _ in bad), len(bad), np.inf, len(star_e))
+    nothing = np.zeros(len(bad))
+    sigma = {"pixels": [[0.0, 0.0] for _ in bad]}
+    before = _gap_with(gap.before, float(star_e.sum()), bad)
+    found = Gap(before, gap.before, gap.floor)
+    return Step(
+        FixedEffect(effect, nothing), effect.describe(nothing), sigma, significance, np.nan, np.nan, found
+    )
+
+
+def _gap_with(gap: float, light_e: float, bad: Sequence[tuple[Screened, float]]) -> float:
+    """The gap of a window of so much light, with pixels that miss by so much in it."""
+    missing = sum(abs(miss) for _, miss in bad)
+    return (gap * light_e + missing) / (light_e + sum(max(one.mean_e, 0.0) for one, _ in bad))

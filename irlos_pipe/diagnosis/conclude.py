@@ -1,0 +1,274 @@
+"""From what a search found to the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from irlos_pipe.diagnosis.acceptance import Accepted, Search, labels_in, threshold
+from irlos_pipe.diagnosis.checks.fine_structure import fine_structure
+from irlos_pipe.diagnosis.checks.motion import motion_ratio
+from irlos_pipe.diagnosis.checks.noise import NoiseVerdict
+from irlos_pipe.diagnosis.checks.pixels import screened_step, smallest_excess
+from irlos_pipe.diagnosis.cube import Cube
+from irlos_pipe.diagnosis.effect_sizes import (
+    detectable,
+    determined,
+    parameter_covariance,
+    public_sigma,
+    within_reach,
+)
+from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.grade import judged
+from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, gap_between
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.rest import rest_of
+from irlos_pipe.diagnosis.search.scores import Score
+from irlos_pipe.diagnosis.second_recording import Advice, SecondRecordings
+from irlos_pipe.diagnosis.tried import tried
+from irlos_pipe.diagnosis.verdict import COMPLETE, EFFECT, NONE, UNKNOWN, Adjusted, Diagnosis, Pictures, Step
+from irlos_pipe.diagnosis.view import Screened
+from irlos_pipe.effects import CATALOGUE, FixedEffect
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
+
+
+def conclude(
+    cube: Cube,
+    search: Search,
+    noise: NoiseVerdict,
+    options: Options,
+    screened: Sequence[Screened] = (),
+) -> Diagnosis:
+    """The verdict with all its numbers.
+
+    Parameters
+    ----------
+    cube : Cube
+    search : Search
+        What was found in it.
+    noise : NoiseVerdict
+    options : Options
+    screened : sequence of Screened
+        Pixels masked in the frames.
+    """
+    plain = search.final.under(search.null.stack)
+    fine = fine_structure(plain)
+    judgement = judged(search, noise, fine, options)
+    why = judgement.why_unknown
+    steps = [*_drift_steps(cube, search, options), *_steps(cube, search, judgement.shares)]
+    final = plain if not why else search.null
+    judges = [HeldOutEvaluation(cube.held_out, optimum.fitted) for optimum in (search.null, final)]
+    gap = gap_between(*judges)
+    present = {effect.name for effect in search.final.fitted.effects}
+    unseen = [s for s in search.scores if s.name not in present]
+    testable = [s for s in unseen if s.testable and within_reach(s, _least_gain(s))]
+    hidden = [s for s in unseen if s not in testable]
+    seconds = SecondRecordings(search.final)
+    steps = [_with_separation(step, search, seconds) for step in steps]
+    known = steps if not why else []
+    frames = len({*cube.training.parts[0].when, *cube.held_out.parts[0].when})
+    pixels = screened_step(screened, final, frames, gap)
+    if pixels is not None:
+        known, gap = [pixels, *known], replace(gap, before=pixels.gap.before)
+    return Diagnosis(
+        verdict=UNKNOWN if why else EFFECT if known else NONE,
+        grade=judgement.grade if why or judgement.left or not known else COMPLETE,
+        steps=known,
+        nearest=steps[0] if why and steps else None,
+        unexplained=bool(why) or judgement.left or fine.significance > options.sure,
+        why_unknown=why,
+        adjusted=_adjusted(search) if not why else [],
+        tried=tried(search, options, hidden, named=not why),
+        rest=rest_of(judges[1], gap.floor, fine, options.sure, search.final.settings),
+        gap=gap,
+        mdb=_with_wider_forms({s.name: _smallest(s) for s in testable}) | _elsewhere(search, options),
+        untestable=[*(s.name for s in hidden), *search.meaningless],
+        advice=_advice(hidden, seconds),
+        noise=noise,
+        fine=fine,
+        chi2_nu=(search.null.excess.chi2_nu, plain.excess.chi2_nu),
+        excess_sigma=(search.null.excess.significance, plain.excess.significance),
+        motion_ratio=motion_ratio(cube.training, search.final.fitted),
+        drift_significance=search.drift.significance if search.drift else float("nan"),
+        frames=cube.frames,
+        held_out=cube.training.held_out,
+        nolls=final.fitted.problem.layout.nolls,
+        modes_nm=_both(total_modes_nm(search.null.fitted), total_modes_nm(final.fitted)),
+        modes_sigma_nm=_modes_sigma_nm(final),
+        pictures=_pictures(judges, search.null, final),
+    )
+
+
+def _both(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients before and after, of the modes of the latter."""
+    return np.pad(before, (0, len(after) - len(before))), after
+
+
+def total_modes_nm(fitted: Fitted) -> np.ndarray:
+    """Coefficients of the whole static wavefront of the first recording, effects in the pupil included."""
+    part, x = fitted.recordings[0]
+    added = effects_in_modes_nm(part.model.effects, x[0, part.layout.effect_values], part.layout.nolls)[0]
+    return x[0, part.layout.modes].numpy() + added.numpy()
+
+
+def _modes_sigma_nm(optimum: Optimum) -> np.ndarray:
+    covariance = parameter_covariance(optimum.stack, optimum.fitted)
+    return np.sqrt(np.diag(covariance))[optimum.fitted.problem.layout.modes]
+
+
+def _least_gain(score: Score) -> float:
+    """Fall of χ², in units of its inflation, from which the effect counts as seen."""
+    return threshold(len(score.usable), score.trials)
+
+
+def _smallest(score: Score) -> dict:
+    """Public size of every parameter that would have been seen."""
+    found = (detectable(one, _least_gain(one)) for one in (*score.besides, score))
+    return {key: size for public in found for key, size in public.items()}
+
+
+def _with_wider_forms(smallest: dict[str, dict]) -> dict[str, dict]:
+    """`smallest` detectable sizes, and those of wider forms of the same effects, which act alike at best."""
+    kinds = [kind for kind in CATALOGUE.values() if kind.widens in smallest]
+    return smallest | {kind.name: smallest[kind.widens] for kind in kinds}
+
+
+def _elsewhere(search: Search, options: Options) -> dict[str, dict]:
+    """Smallest detectable drift and excess of bad pixels; these two have no score test."""
+    limits = {}
+    if search.drift and search.drift.significance < options.sure:
+        drift = search.drift.effect().base
+        limits[drift.name] = drift.describe(search.drift.detectable_nm(options.sure))
+    if not any(one.refit.effect.found_by == "pixels" for one in search.accepted):
+        limits |= smallest_excess(search.final)
+    return limits
+
+
+def _advice(hidden: Sequence[Score], seconds: SecondRecordings) -> dict[str, Advice]:
+    """A second recording for every effect that these data hide, where one helps."""
+    found = ((score.name, seconds.showing(score, _least_gain(score))) for score in hidden)
+    return {name: advice for name, advice in found if advice is not None}
+
+
+def _with_separation(step: Step, search: Search, seconds: SecondRecordings) -> Step:
+    """`step` with the second recordings that distinguish its alternatives from it best."""
+    named = zip(labels_in(search.final.fitted, search.accepted), search.accepted, strict=True)
+    pairs = [(one.refit, rival) for label, one in named if label == step.label for rival in one.rivals]
+    advised = [seconds.separating(refit, rival) for refit, rival in pairs]
+    alternatives = [
+        replace(other, second_recording=recording, likeness_then=cosine)
+        for other, (recording, cosine) in zip(step.alternatives, advised, strict=True)
+    ]
+    return replace(step, alternatives=alternatives)
+
+
+def _adjusted(search: Search) -> list[Adjusted]:
+    """Effects that make the final model fit better and are not named, as it has them."""
+    fitted = search.final.fitted
+    labels = [label for label in fitted.problem.effects.labels if label in search.adjusted]
+    if not labels:
+        return []
+    covariance, found = parameter_covariance(search.final.stack, fitted), []
+    for label in labels:
+        base, values = fitted.effect(label).base, fitted.values_of(label)
+        sigma = public_sigma(base, values, _own_covariance(fitted, label, covariance))
+        found.append(Adjusted(label, FixedEffect(base, values), base.describe(values), sigma))
+    return found
+
+
+# -- names -------------------------------------------------------------------------------------
+
+
+def _steps(cube: Cube, search: Search, shares: Sequence[float]) -> list[Step]:
+    fitted = search.final.fitted
+    covariance = parameter_covariance(search.final.stack, fitted)
+    rows = zip(search.accepted, labels_in(fitted, search.accepted), shares, strict=True)
+    return [replace(_step(cube, one, label, fitted, covariance), share=share) for one, label, share in rows]
+
+
+def _step(cube: Cube, accepted: Accepted, label: str, fitted: Fitted, covariance: np.ndarray) -> Step:
+    refit = accepted.refit
+    base, values = refit.base, fitted.values_of(label)
+    full = _own_covariance(fitted, label, covariance)
+    judges = (HeldOutEvaluation(cube.held_out, one) for one in (refit.origin.fitted, refit.fitted))
+    return Step(
+        FixedEffect(base, values),
+        base.describe(values),
+        public_sigma(base, values, full),
+        refit.significance,
+        accepted.ranking[0].explained,
+        accepted.preference,
+        gap_between(*judges),
+        accepted.alternatives,
+        accepted.ranking,
+        label,
+        shown=base.shown(values),
+        shown_sigma=public_sigma(base, values, full, shown=True),
+    )
+
+
+def _own_covariance(fitted: Fitted, label: str, covariance: np.ndarray) -> np.ndarray:
+    """Covariance of all parameters of one effect, from that of the whole model; zero for what is held."""
+    effect, columns = fitted.effect(label), fitted.columns_of(label)
+    full = np.zeros((len(effect.base.parameters), len(effect.base.parameters)))
+    own = determined(effect.parameters, covariance[np.ix_(columns, columns)])
+    full[np.ix_(effect.free, effect.free)] = own
+    return full
+
+
+def _drift_steps(cube: Cube, search: Search, options: Options) -> list[Step]:
+    drift = search.drift
+    if drift is None or drift.significance < options.sure:
+        return []
+    judge = HeldOutEvaluation(cube.held_out, search.null.fitted)
+    effect = drift.effect()
+    sigma = effect.base.describe(drift.sigma_nm)
+    return [
+        Step(
+            effect,
+            effect.describe(np.zeros(0)),
+            sigma,
+            drift.significance,
+            float("nan"),
+            float("nan"),
+            gap_between(judge, judge),
+        )
+    ]
+
+
+# -- pictures ----------------------------------------------------------------------------------
+
+
+def _pictures(judges: Sequence[HeldOutEvaluation], null: Optimum, final: Optimum) -> Pictures:
+    stack, shape = judges[0].stack.parts[0], final.fitted.problem.window
+    first = final.fitted.problem.pixels[0]
+    deviations = final.deviations - (final.deviations @ final.basis) @ final.basis.mT
+    _, size, modes = torch.linalg.svd(deviations, full_matrices=False)
+    leading = modes[0, first] * size[0] / np.sqrt(len(deviations) * len(final.stack))
+    firsts = [optimum.fitted.recordings[0] for optimum in (null, final)]
+    models = [part.model for part, _ in firsts]
+    values = [x[0, part.layout.effect_values] for part, x in firsts]
+    opds = [m.effects.opd_nm(v).numpy() for m, v in zip(models, values, strict=True)]
+    before, after = (judge.mean_e[first].reshape(shape).numpy() for judge in judges)
+    return Pictures(
+        measured_e=stack.mean_e.reshape(shape).numpy(),
+        sigma_e=stack.variance_e2.sqrt().reshape(shape).numpy(),
+        before_e=before,
+        after_e=after,
+        leading=leading.reshape(shape).numpy(),
+        added_opd_nm=opds[1] - opds[0],
+        added_amplitude=_amplitude(models[1], values[1]) - _amplitude(models[0], values[0]),
+    )
+
+
+def _amplitude(model: ImageModel, values: torch.Tensor) -> np.ndarray:
+    """Amplitude in the pupil, 1 where it is clear, (n, n)."""
+    grid = model.psf.grids.pupil
+    pupil = model.effects(values).pupil
+    field = grid.amplitude if pupil is None else pupil[0].abs().numpy()
+    return field / grid.light

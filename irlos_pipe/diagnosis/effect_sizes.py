@@ -1,0 +1,147 @@
+"""Sizes of effects under their public names: errors of what was found, limits of what was not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from irlos_pipe.diagnosis.cube import Stacks
+from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.search.scores import Score
+from irlos_pipe.effects import Effect, Parameter
+
+STEP = 1e-3  # of a standard error, in derivatives of public values
+FAR = 1e3  # standard errors, in place of a prior that there is none of
+UNDETERMINED = 0.5  # of the prior's variance that is left, from which the data determine nothing
+NOTHING = 1e-9
+Describe = Callable[[np.ndarray], dict[str, Any]]
+
+
+def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
+    """Covariance of all parameters of `fitted`, from the scatter between the frames of `stack`.
+
+    It is at least that of the Fisher matrix.
+    """
+    fisher = fitted.solution.covariance[0].numpy()
+    if stack.photon_limited:
+        return fisher
+    jacobian = fitted.problem.predict_and_jacobian(fitted.x)[1]
+    gain = fitted.solution.covariance[0] @ (jacobian * stack.root)
+    scatter = stack.covariance_of(gain.mT).numpy()
+    ratio = np.sqrt(np.maximum(np.diag(fisher) / np.maximum(np.diag(scatter), 1e-300), 1.0))
+    return scatter * np.outer(ratio, ratio)
+
+
+def public_sigma(
+    base: Effect, values: np.ndarray, covariance: np.ndarray, *, shown: bool = False
+) -> dict[str, Any]:
+    """Standard errors of the public values of effect `base` at `values`, to first order in `covariance`.
+
+    Those of what a reader is told of it if `shown`, see `Effect.shown`.
+    """
+    steps, describe = np.sqrt(np.diag(covariance)) * STEP, base.shown if shown else base.describe
+    slopes = [
+        _difference(base, values + one, values - one, describe)
+        for one in np.diag(np.where(steps > 0, steps, 1e-9))
+    ]
+    return _combined(slopes, covariance, 2 * np.where(steps > 0, steps, 1e-9))
+
+
+def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.ndarray:
+    """The `covariance` of free `parameters` without the directions that only the prior holds.
+
+    Petals may move together, which tip, tilt and piston of the whole pupil do as well: the prior keeps
+    such a direction at zero, and its width says nothing about the effect.
+    """
+    sigma, variance = np.array([p.prior_sigma for p in parameters]), np.diag(covariance)
+    measured = np.isfinite(variance) & (variance > 0)  # not a direction in which the size is zero
+    scale = np.where(np.isfinite(sigma), sigma, np.sqrt(np.where(measured, variance, 1.0)) * FAR)
+    units = np.outer(scale, scale)
+    relative = np.where(np.outer(measured, measured), covariance, 0.0) / units
+    values, vectors = np.linalg.eigh(relative)
+    kept = vectors[:, values < UNDETERMINED]
+    projector = kept @ kept.T
+    return (projector @ relative @ projector) * units
+
+
+def detectable(score: Score, gain: float) -> dict[str, Any]:
+    """Public size at which the effect would lower χ² by `gain` times its inflation, parameter by parameter.
+
+    Positions and directions, which do not change with the size, are left out; of a displacement whose
+    direction does not matter both components are its size. `score` is that of the effect.
+    """
+    null = np.array(score.candidate.null_values, float)
+    sizes = np.where(np.isfinite(score.smallest), score.smallest, 0.0) * np.sqrt(gain)
+    effect, absent = score.candidate, score.candidate.describe(null)
+    alone = np.diag(sizes) if not _is_table(absent) else [sizes]
+    changes = [_difference(effect, null + one, null) for one in alone]
+    largest = {key: max((one[key] for one in changes), key=_size) for key in absent}
+    roles = {key: effect.role_of(key) for key in absent}
+    components = [key for key, role in roles.items() if role == "component"]
+    if components:
+        largest |= dict.fromkeys(components, float(np.hypot(*(largest[key] for key in components))))
+    moving = {key for key, role in roles.items() if role in ("position", "direction")}
+    return {key: v for key, v in largest.items() if key not in moving and _size(v) > NOTHING}
+
+
+def within_reach(score: Score, gain: float, *, plausible: bool = False) -> bool:
+    """Whether the size that would be detected lies within the bounds of the effect's parameters.
+
+    Parameters
+    ----------
+    score : Score
+    gain : float
+        See `detectable`.
+    plausible : bool
+        Within the plausible range instead.
+    """
+    null = np.array(score.candidate.null_values, float)
+    limits = np.array([p.plausible if plausible else (p.lower, p.upper) for p in score.candidate.parameters])
+    reach = np.maximum(limits[:, 1] - null, null - limits[:, 0])
+    return bool(np.any(score.smallest * np.sqrt(gain) < reach))
+
+
+def _is_table(public: Mapping) -> bool:
+    return any(isinstance(value, (Mapping, Sequence)) for value in public.values())
+
+
+def _flat(value: Any) -> list[float]:
+    if isinstance(value, Mapping):
+        return [number for one in value.values() for number in _flat(one)]
+    if isinstance(value, Sequence):
+        return [number for one in value for number in _flat(one)]
+    return [value]
+
+
+def _size(value: Any) -> float:
+    return float(np.max(np.abs(_flat(value))))
+
+
+def _map(function: Callable, *values: Any) -> Any:
+    """Apply a function of numbers to public values of the same shape."""
+    first = values[0]
+    if isinstance(first, Mapping):
+        return {key: _map(function, *(value[key] for value in values)) for key in first}
+    if isinstance(first, Sequence):
+        return [_map(function, *group) for group in zip(*values, strict=True)]
+    return function(*values)
+
+
+def _difference(
+    effect: Effect, one: np.ndarray, other: np.ndarray, describe: Describe | None = None
+) -> dict[str, Any]:
+    """Difference of public values that are close to each other; angles may lie on both sides of 0 or 180°."""
+    public = describe or effect.describe
+    change = _map(lambda a, b: float(a - b), public(one), public(other))
+    angles = [key for key in change if effect.role_of(key) == "direction"]
+    return change | {key: (change[key] + 90.0) % 180.0 - 90.0 for key in angles}
+
+
+def _combined(differences: Sequence[dict], covariance: np.ndarray, widths: np.ndarray) -> dict[str, Any]:
+    def error(*along: float) -> float:
+        slope = np.array(along) / widths
+        return float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+
+    return _map(error, *differences)

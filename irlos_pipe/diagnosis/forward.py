@@ -1,0 +1,150 @@
+"""The search that adds one name after the other until nothing significant is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from irlos_pipe.diagnosis.acceptance import Accepted, Search, choose, explained, no_longer_needed
+from irlos_pipe.diagnosis.checks.drift import Drift, measure_drift
+from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
+from irlos_pipe.diagnosis.cube import Cube
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.moments import Moments
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.refit import FAR, Refit, refits
+from irlos_pipe.diagnosis.search.placements import placed_families
+from irlos_pipe.diagnosis.search.scores import Score, families, scores
+from irlos_pipe.diagnosis.sharing import parted, sharing
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
+
+SPLIT = 0.5  # of what one value for all leaves, that a value for each moment must explain
+Report = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A cube with the means to fit it."""
+
+    cube: Cube
+    fitter: Fitter
+    moments: Moments
+    options: Options
+    report: Report
+
+    @property
+    def conditions(self) -> Conditions:
+        """Those of the first recording, for which effects are stated."""
+        return self.fitter.views[0].conditions
+
+    def searched(self, effects: Sequence[Effect]) -> Search:
+        """Add names until nothing significant is missing, or nothing explains what is."""
+        null = self._optimum(self._null(effects))
+        drift, current = self._with_drift(null)
+        accepted: list[Accepted] = []
+        most_names = self.options.most_names * len(self.moments.by_number)
+        for _ in range(2 * most_names):  # names may be dropped again
+            found, meaningless = self._scores(current)
+            if len(accepted) >= most_names:
+                break
+            chosen = self._next_name(current, found, first=not accepted)
+            if chosen is None:
+                break
+            accepted += self._of_each_moment(chosen)
+            last = accepted[-1].refit
+            if self._leads_nowhere(last):
+                current = last.optimum
+                break
+            current, accepted = self._adapted(accepted)
+        return Search(null, current, drift, accepted, found, meaningless)
+
+    # -- steps ---------------------------------------------------------------------------------
+
+    def _null(self, effects: Sequence[Effect]) -> Fitted:
+        """The fit without anything new, of it and its twins the most plausible.
+
+        A changing wavefront has many false minima: the fit with it starts from that of a constant one.
+        """
+        constant = [effect for effect in effects if effect.plane != "time"]
+        near = self._null(constant) if len(constant) < len(effects) else None
+        found = [self.fitter.fit(effects, near)]
+        found.append(self.fitter.twin(found[0]))
+        if found[1].chi2 < found[0].chi2:  # a deeper minimum, which has a twin of its own
+            found.append(self.fitter.twin(found[1]))
+        self.report(2)
+        return self.fitter.most_plausible(found)
+
+    def _with_drift(self, null: Optimum) -> tuple[Drift | None, Optimum]:
+        """The drift of the frames, and the model with it if it is significant."""
+        known = any(effect.found_by == "frames" for effect in null.fitted.effects)
+        if known or not self.cube.training.in_time:
+            return None, null
+        drift = measure_drift(self.cube.training, null.fitted, self.options.sure)
+        if drift.significance < self.options.sure:
+            return drift, null
+        fitted = self.fitter.fit([*null.fitted.continued(), self._drifting(drift)], null.fitted)
+        return drift, self._optimum(fitted)
+
+    def _drifting(self, drift: Drift) -> FixedEffect:
+        """The drift as an effect, of several moments in the one in which it was seen."""
+        moment = self.fitter.views[drift.recording].moment
+        return drift.effect().only_in(frozenset({moment}) if self.moments.several else None)
+
+    def _scores(self, current: Optimum) -> tuple[list[Score], list[str]]:
+        """Scores of all families that the model lacks."""
+        present = current.fitted.effects
+        if self.moments.several:
+            missing, meaningless = placed_families(self.moments, present)
+        else:
+            missing, meaningless = families(self.conditions, [effect.name for effect in present])
+        listed = any(effect.found_by == "pixels" for effect in present)
+        pixels = [] if listed else bad_pixel_family(current)
+        if not self.cube.training.in_time:
+            meaningless += [name for name, kind in CATALOGUE.items() if kind.found_by == "frames"]
+        return scores(current, [*missing, *pixels]), meaningless
+
+    def _next_name(self, current: Optimum, found: list[Score], *, first: bool) -> Accepted | None:
+        """The name to add next; None if nothing is missing or nothing explains it."""
+        sure = self.options.sure
+        suspicious = current.excess.significance > sure or any(s.significance > sure for s in found)
+        if not suspicious:
+            return None
+        ranked = refits(self.fitter, current, found, self.report)
+        return choose(ranked, self.cube, self.options, first=first)
+
+    def _of_each_moment(self, chosen: Accepted) -> list[Accepted]:
+        """The name, or one with its own value for each moment where one value for all leaves much."""
+        refit = chosen.refit
+        much = refit.excess.significance > self.options.sure
+        if not (self.moments.several and much and refit.base.acts_in is None):
+            return [chosen]
+        fitted, label = refit.fitted, refit.label
+        found = sharing([label], fitted, self.fitter, self.cube, self.moments, self.options.sure)
+        if found.finding != "differs" or found.chi2_fall < SPLIT * refit.excess.chi2:
+            return [chosen]
+        own = self.fitter.explored(parted(found, fitted, label), fitted)
+        of_each = replace(chosen, refit=replace(refit, fitted=self.fitter.finished(own)))
+        return [of_each] * len(found.seen)
+
+    def _leads_nowhere(self, refit: Refit) -> bool:
+        """Whether a name leaves much, and explains less than its share of as many names as are allowed.
+
+        The larger of two effects explains half. Where the model stays far off and less is explained, more is
+        wrong than names one after the other can tell.
+        """
+        much = refit.excess.significance > self.options.sure
+        names = 2 if refit.excess.chi2_nu > FAR else self.options.most_names
+        return much and explained(refit) < 1 / names
+
+    def _adapted(self, accepted: list[Accepted]) -> tuple[Optimum, list[Accepted]]:
+        """The model with the new name, without one that it makes superfluous."""
+        current = accepted[-1].refit.optimum
+        superfluous = no_longer_needed(self.fitter, current, accepted)
+        if superfluous is None:
+            return current, accepted
+        one, without = superfluous
+        return self._optimum(without), [other for other in accepted if other is not one]
+
+    def _optimum(self, fitted: Fitted) -> Optimum:
+        return Optimum(self.cube.training, fitted)

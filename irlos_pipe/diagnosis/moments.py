@@ -1,0 +1,119 @@
+"""Stars and nights that recordings diagnosed together are of.
+
+A moment is one star at one time: its recordings share the sky and the wavefront. What belongs to the
+instrument is common to all moments, what belongs to a star to all moments of that star.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from irlos_pipe.diagnosis.view import Exposures
+from irlos_pipe.effects import Conditions, Effect
+
+Placement = frozenset[int] | None  # moments in which an effect acts; None: all
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One star at one time.
+
+    Attributes
+    ----------
+    name : str
+        For people.
+    star : str
+        Equal names are the same star.
+    conditions : Conditions
+        Of its first recording.
+    """
+
+    name: str
+    star: str
+    conditions: Conditions
+
+
+@dataclass(frozen=True)
+class Moments:
+    """All moments, by number.
+
+    Attributes
+    ----------
+    by_number : mapping of int to Moment
+    """
+
+    by_number: Mapping[int, Moment]
+
+    @classmethod
+    def of(cls, recordings: Sequence[Exposures]) -> Moments:
+        """The moments of some `recordings`."""
+        by_number: dict[int, Moment] = {}
+        for one in recordings:
+            by_number.setdefault(one.moment, Moment(one.name, one.star, one.conditions))
+        return cls(by_number)
+
+    @property
+    def several(self) -> bool:
+        """Whether there is more than one."""
+        return len(self.by_number) > 1
+
+    @property
+    def by_star(self) -> dict[str, frozenset[int]]:
+        """Moments of every star."""
+        stars = dict.fromkeys(one.star for one in self.by_number.values())
+        return {star: frozenset(n for n, one in self.by_number.items() if one.star == star) for star in stars}
+
+    @property
+    def each(self) -> list[frozenset[int]]:
+        """Every moment by itself."""
+        return [frozenset({number}) for number in self.by_number]
+
+    def conditions_of(self, placement: Placement) -> Conditions:
+        """Conditions of the first of the moments in which an effect acts."""
+        number = next(n for n in self.by_number if placement is None or n in placement)
+        return self.by_number[number].conditions
+
+    def names_of(self, placement: Placement) -> list[str]:
+        """Names of the moments in which an effect acts."""
+        return [one.name for n, one in self.by_number.items() if placement is None or n in placement]
+
+    def placements(self, kind: type[Effect] | Effect) -> list[Placement]:
+        """Where effects of a `kind` are looked for: with what they belong to.
+
+        What belongs to the instrument is common to all moments; one moment may still be alone in showing it.
+        """
+        if kind.belongs_to == "instrument":
+            return [None, *self.each]
+        return self.own_placements(kind)
+
+    def own_placements(self, kind: type[Effect] | Effect) -> list[Placement]:
+        """Where effects of a `kind` that are no instrument's have values of their own: per star or moment."""
+        own = list(self.by_star.values()) if kind.belongs_to == "star" else self.each
+        return [None] if len(own) == 1 else [*own]
+
+
+def placed(by_moment: Mapping[int, Sequence[Effect]], moments: Moments) -> list[Effect]:
+    """The effects of a model of several moments.
+
+    Parameters
+    ----------
+    by_moment : mapping of int to sequence of Effect
+        The same effects as the conditions of every moment make them.
+    moments : Moments
+
+    Returns
+    -------
+    list of Effect
+        Once what belongs to the instrument or is held, for every star or moment what belongs to it.
+    """
+    found: list[Effect] = []
+    for alike in zip(*by_moment.values(), strict=True):
+        first, numbered = alike[0], dict(zip(by_moment, alike, strict=True))
+        if first.belongs_to == "instrument" or not first.parameters:
+            found.append(first)
+            continue
+        for placement in moments.own_placements(first):
+            number = next(n for n in numbered if placement is None or n in placement)
+            found.append(numbered[number].only_in(placement))
+    return found

@@ -1,0 +1,227 @@
+"""What a focus stage does wrong, from the defocus of a ramp's frames against its command.
+
+Every error of the stage adds a known course to the introduced defocus, times its size, so that all choices
+of a few errors are fitted linearly to the means of the visits and compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain, combinations
+
+import numpy as np
+
+from irlos_pipe.diagnosis.ramp.visits import Visits, candidates, course
+from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.verdict import EFFECT, NONE, UNKNOWN
+from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects.planes import RampEffect
+from irlos_pipe.effects.public_values import measured
+
+PER_PARAMETER = 8.0  # of χ², that a size or an edge has to earn
+CLOSE = 6.0  # of χ², by which two indistinguishable names differ at most
+WORST_CONDITION = 1e3
+SEEN_SIGMA = 5.2  # from which an error counts as seen
+LEFT, LEFT_CHI2_NU = 0.1, 3.0  # part of χ², and χ²/ν, from which something is left
+FAR_OFF_CHI2_NU = 10.0  # visits then miss by three times their errors, whatever part of χ² it is
+Shapes = dict[RampEffect, np.ndarray]  # course of every error over the visits, whitened
+
+
+@dataclass(frozen=True)
+class RampName:
+    """One error of the stage.
+
+    Attributes
+    ----------
+    effect : RampEffect
+    size, sigma : float
+    significance : float
+        In Gaussian σ, trials counted.
+    explained : float
+        Part of the excess over noise.
+    alternatives : sequence of RampEffect
+        Errors whose courses are the same on this ramp.
+    """
+
+    effect: RampEffect
+    size: float
+    sigma: float
+    significance: float
+    explained: float
+    alternatives: Sequence[RampEffect]
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.effect.name
+
+    @property
+    def public(self) -> dict[str, float]:
+        """Size, and the part of the ramp that is concerned, under public names."""
+        return self.effect.describe(np.array([self.size])) | self.effect.part
+
+    @property
+    def public_sigma(self) -> dict[str, float]:
+        """Standard error of the size under its public name."""
+        return self.effect.describe(np.array([self.sigma]))
+
+    @property
+    def phrase(self) -> str:
+        """The error with its size, as a sentence names it."""
+        return self.effect.phrase(measured(self.public, self.public_sigma))
+
+    @property
+    def plausible(self) -> bool:
+        """Whether a stage could err by so much."""
+        low, high = self.effect.parameters[0].plausible
+        return low <= self.size <= high
+
+
+@dataclass(frozen=True)
+class RampDiagnosis:
+    """Errors of the stage in the order found.
+
+    Attributes
+    ----------
+    verdict : {"none", "effect", "unknown"}
+    names : sequence of RampName
+    nearest : sequence of RampName
+        What comes nearest, where the verdict is unknown.
+    chi2_nu : (float, float)
+        Of the visits, before and after.
+    smallest : dict of str to dict
+        Public size of each error not found at which it would have been.
+    untestable : sequence of str
+    """
+
+    verdict: str
+    names: Sequence[RampName]
+    nearest: Sequence[RampName]
+    chi2_nu: tuple[float, float]
+    smallest: dict[str, dict[str, float]]
+    untestable: Sequence[str]
+
+    def introduced_nm(self, commanded_nm: np.ndarray) -> np.ndarray:
+        """What the stage really introduced."""
+        return commanded_nm + sum(
+            (one.size * course(one.effect, commanded_nm) for one in self.names), np.zeros(len(commanded_nm))
+        )
+
+
+def diagnose_ramp(
+    commanded_nm: np.ndarray, estimated_nm: np.ndarray, used: np.ndarray, sure: float = 5.0, most: int = 3
+) -> RampDiagnosis:
+    """Name the errors of the stage, one after the other.
+
+    Parameters
+    ----------
+    commanded_nm, estimated_nm : ndarray, (frames,)
+        In order of recording; failed estimates are NaN.
+    used : ndarray of bool, (frames,)
+        Frames that the fit may see.
+    sure : float
+        Significance of a detection in Gaussian σ.
+    most : int
+        Errors at which to stop.
+    """
+    visits = Visits.of(commanded_nm, estimated_nm, used)
+    data = (visits.mean_nm - visits.commanded_nm) / visits.sigma_nm
+    shapes = {one: visits.course(one) for one in candidates(visits)}
+    fits = _all_fits(data, shapes, min(most, len(data) - 2))
+    chosen = next(fit for fit in fits if all(_significance(fit, one, shapes) > sure for one in fit.effects))
+    return _verdict(data, shapes, chosen, [_named(one, chosen, fits, data, shapes) for one in chosen.effects])
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Linear fit of some errors to the visits.
+
+    Attributes
+    ----------
+    effects : tuple of RampEffect
+    sizes : ndarray, (effects,)
+    covariance : ndarray, (effects, effects)
+    chi2 : float
+    """
+
+    effects: tuple[RampEffect, ...]
+    sizes: np.ndarray
+    covariance: np.ndarray
+    chi2: float
+
+    @classmethod
+    def of(cls, data: np.ndarray, shapes: Shapes, effects: tuple[RampEffect, ...]) -> _Fit | None:
+        """The fit; None where the ramp does not determine it."""
+        design = np.array([shapes[one] for one in effects]).reshape(len(effects), len(data)).T
+        scale = np.linalg.norm(design, axis=0)
+        if effects and (scale.min() == 0 or np.linalg.cond(design / scale) > WORST_CONDITION):
+            return None
+        covariance = np.linalg.inv(design.T @ design)
+        sizes = covariance @ design.T @ data
+        return cls(effects, sizes, covariance, float(np.sum((data - design @ sizes) ** 2)))
+
+    @property
+    def price(self) -> float:
+        """χ² after a price per size and per edge of a part of the ramp."""
+        return self.chi2 + PER_PARAMETER * (len(self.effects) + sum(len(one.part) for one in self.effects))
+
+
+def _all_fits(data: np.ndarray, shapes: Shapes, most: int) -> list[_Fit]:
+    """Every choice of up to `most` errors of different kinds, the best first.
+
+    Biases of several parts of a ramp could follow any curve, and would explain everything.
+    """
+    choices = chain.from_iterable(combinations(shapes, count) for count in range(most + 1))
+    different = (choice for choice in choices if len({one.name for one in choice}) == len(choice))
+    fits = (_Fit.of(data, shapes, choice) for choice in different)
+    return sorted((fit for fit in fits if fit is not None), key=lambda fit: fit.price)
+
+
+def _significance(fit: _Fit, effect: RampEffect, shapes: Shapes) -> float:
+    """Significance of one error beside the others, in Gaussian σ."""
+    at = fit.effects.index(effect)
+    fall = fit.sizes[at] ** 2 / fit.covariance[at, at]
+    return gaussian_sigma(float(fall), 1, np.inf, len(shapes))
+
+
+def _named(effect: RampEffect, fit: _Fit, fits: Sequence[_Fit], data: np.ndarray, shapes: Shapes) -> RampName:
+    """One of the chosen errors with its numbers."""
+    at, excess = fit.effects.index(effect), float(data @ data) - len(data)
+    kept = tuple(one for one in fit.effects if one is not effect)
+    rest_chi2 = next(other for other in fits if other.effects == kept).chi2
+    known = {one.name for one in kept}
+    rivals: dict[str, RampEffect] = {}
+    for other in fits:
+        new = {one.name: one for one in other.effects if one.name not in known}
+        alike = len(other.effects) == len(fit.effects) and other.price - fit.price < CLOSE
+        if alike and len(new) == 1:
+            rivals |= new
+    scatter = max(fit.chi2 / max(len(data) - len(fit.effects), 1), 1.0)
+    return RampName(
+        effect,
+        float(fit.sizes[at]),
+        float(np.sqrt(scatter * fit.covariance[at, at])),
+        _significance(fit, effect, shapes),
+        float(min((rest_chi2 - fit.chi2) / max(excess, 1e-9), 1.0)),
+        [rivals[name] for name in sorted(rivals.keys() - {effect.name})],
+    )
+
+
+def _verdict(data: np.ndarray, shapes: Shapes, fit: _Fit, names: list[RampName]) -> RampDiagnosis:
+    after = fit.chi2 / max(len(data) - len(fit.effects), 1)
+    unexplained = after > FAR_OFF_CHI2_NU or (after > LEFT_CHI2_NU and fit.chi2 > LEFT * float(data @ data))
+    unexplained = unexplained or not all(one.plausible for one in names)
+    seen = {one.name for one in names}
+    smallest = {
+        one.name: one.describe(SEEN_SIGMA * np.sqrt(beside.covariance[-1:, -1]))
+        for one in shapes
+        if not one.part and one.name not in seen
+        if (beside := _Fit.of(data, shapes, (*fit.effects, one))) is not None
+    }
+    verdict = UNKNOWN if unexplained else EFFECT if names else NONE
+    ramp_effects = {name for name, kind in CATALOGUE.items() if issubclass(kind, RampEffect)}
+    untestable = sorted(ramp_effects - seen - set(smallest))
+    known, nearest = ([], names) if unexplained else (names, [])
+    chi2_nu = (float(data @ data) / len(data), after)
+    return RampDiagnosis(verdict, known, nearest, chi2_nu, smallest, untestable)

@@ -1,0 +1,99 @@
+"""The gap between held-out images of a ramp and those that its offsets predict, before and after."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from irlos_pipe.diagnosis.held_out import Gap
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.ramp_fit import RampData
+
+STEPS = 3  # of the linear refit of what belongs to single frames
+FRAMES_AT_ONCE = 8
+
+
+def ramp_gap(
+    model: ImageModel,
+    data: RampData,
+    start_nm: torch.Tensor,
+    before_nm: np.ndarray,
+    after_nm: np.ndarray,
+    held_out: np.ndarray,
+) -> Gap:
+    """``Σ|measured − predicted| / Σ measured`` of the mean images per offset of the held-out frames.
+
+    Tip, tilt, flux and background of every frame are refitted, the defocus is that of the model.
+
+    Parameters
+    ----------
+    model : ImageModel
+        Noll 2, 3 and 4 among its modes; no free effects.
+    data : RampData
+    start_nm : tensor, (frames, modes)
+        Estimates of the modes, for all but the defocus.
+    before_nm, after_nm : ndarray, (frames,)
+        Introduced defocus as commanded and as corrected.
+    held_out : ndarray of bool, (frames,)
+    """
+    chosen = torch.as_tensor(held_out)
+    images, offsets = data.images_e.double()[chosen], data.introduced_nm[held_out]
+    good = data.good
+    predicted = [
+        _predicted(model, data, images, _with_defocus(model, start_nm, defocus)[chosen])
+        for defocus in (before_nm, after_nm)
+    ]
+    groups = [torch.as_tensor(offsets == value) for value in np.unique(offsets)]
+    total = sum(float(images[group].mean(0)[good].sum()) for group in groups)
+    before, after = (
+        sum(float((images[g].mean(0) - model_e[g].mean(0))[good].abs().sum()) for g in groups) / total
+        for model_e in predicted
+    )
+    noise = [
+        _noise_e(data, torch.as_tensor(data.introduced_nm == value), int((offsets == value).sum()))
+        for value in np.unique(offsets)
+    ]
+    return Gap(before, after, sum(noise) / total)
+
+
+def _with_defocus(model: ImageModel, start_nm: torch.Tensor, defocus_nm: np.ndarray) -> torch.Tensor:
+    modes = start_nm.clone()
+    modes[:, model.psf.nolls.index(4)] = torch.as_tensor(defocus_nm)
+    return modes
+
+
+def _predicted(
+    model: ImageModel, data: RampData, images: torch.Tensor, modes_nm: torch.Tensor
+) -> torch.Tensor:
+    """Predictions of frames (frames, rows, columns) by few frames at a time."""
+    parts = zip(images.split(FRAMES_AT_ONCE), modes_nm.split(FRAMES_AT_ONCE), strict=True)
+    return torch.cat([_refitted(model, data, *part) for part in parts])
+
+
+def _refitted(
+    model: ImageModel, data: RampData, images: torch.Tensor, modes_nm: torch.Tensor
+) -> torch.Tensor:
+    """Gauss–Newton steps of tip, tilt, flux and background."""
+    root = torch.where(data.good, data.noise.variance_e2(images) ** -0.5, 0.0).flatten(1)
+    own = [model.psf.nolls.index(2), model.psf.nolls.index(3), -2, -1]
+    modes, light = modes_nm.clone(), torch.stack([images.sum((1, 2)), torch.zeros(len(images))], dim=1)
+    for _ in range(STEPS):
+        image, columns = model.predict_and_jacobian(modes, light[:, 0], light[:, 1], held=True)
+        design = columns[:, own].double().flatten(2).mT * root[:, :, None]
+        misfit = (images.flatten(1) - image.flatten(1)) * root
+        step = torch.linalg.lstsq(design, misfit[:, :, None]).solution[..., 0]
+        modes[:, own[:2]] += step[:, :2]
+        light = light + step[:, 2:]
+    return model.predict(modes, light[:, 0], light[:, 1])
+
+
+def _noise_e(data: RampData, at_offset: torch.Tensor, averaged: int) -> float:
+    """What noise leaves of a mean of `averaged` frames, from the scatter of all frames at the offset.
+
+    A normal deviate is √(2/π) σ away from zero on average.
+    """
+    images = data.images_e.double()[at_offset]
+    photons = data.noise.scatter_e2(images.mean(0))
+    scatter = images.var(0, correction=1) if len(images) > 1 else photons
+    sigma = (torch.maximum(photons, scatter) / averaged + data.noise.shared_e2).sqrt()
+    return float(np.sqrt(2 / np.pi) * sigma[data.good].sum())

@@ -1,0 +1,303 @@
+"""Non-linear fits of the families that a score proposes, and their order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+import numpy as np
+
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.null_model import Excess, Optimum
+from irlos_pipe.diagnosis.search.scores import Score
+from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect
+from irlos_pipe.effects.labels import label_of
+from irlos_pipe.numerics.parallel import ordered_map
+
+PROPOSALS = 8
+HOPELESS = 0.1  # of the fall of χ² by a name that leaves nothing to explain: others need no fit
+NOTHING_LEFT = 5.0  # significance of the excess
+FAR = 10.0  # χ²/ν from which the model may be at a false minimum
+RETRIED = 2  # of the most promising families, if none leaves nothing; what a detector adds is fitted quickly
+SIDE_BY_SIDE = 2  # fits, after which it is asked whether others are hopeless
+PER_PARAMETER = 8.0  # of χ², that a parameter has to earn
+EXPLAINS_AS_MUCH = 0.97  # part of the best's fall of χ²
+CLEARLY_LESS = 25.0  # of calibrated χ²
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A family fitted beside the effects that the model has.
+
+    Attributes
+    ----------
+    score : Score
+        From which the fit started.
+    origin : Optimum
+        Without it.
+    fitted : Fitted
+        With it.
+    label : str, optional
+        Of the effect in the model; the last of its kind unless said.
+    """
+
+    score: Score
+    origin: Optimum
+    fitted: Fitted
+    label: str = ""
+
+    def __post_init__(self):
+        kinds = [effect.name for effect in self.origin.fitted.effects]
+        object.__setattr__(self, "label", self.label or label_of(self.name, kinds.count(self.name)))
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.score.name
+
+    @property
+    def gain(self) -> float:
+        """Fall of χ²."""
+        return self.origin.fitted.chi2 - self.fitted.chi2
+
+    @property
+    def explains_all(self) -> bool:
+        """Whether nothing significant is left of the excess, although there was some."""
+        return self.origin.excess.significance > NOTHING_LEFT > self.excess.significance
+
+    @property
+    def parameters(self) -> int:
+        """Number of free parameters it adds."""
+        return len(self.fitted.effect_values) - len(self.origin.fitted.effect_values)
+
+    @property
+    def merit(self) -> float:
+        """What the proposals are ranked by: fall of χ² after a price per parameter."""
+        return self.gain - PER_PARAMETER * self.score.inflation * self.parameters
+
+    @cached_property
+    def optimum(self) -> Optimum:
+        """Residual with the effect in the model."""
+        return Optimum(self.origin.stack, self.fitted)
+
+    @cached_property
+    def excess(self) -> Excess:
+        """χ² beyond noise that is left."""
+        return self.optimum.excess
+
+    @cached_property
+    def significance(self) -> float:
+        """Significance in Gaussian σ of its change of the image, against noise or the scatter of frames."""
+        origin, stack = self.origin, self.origin.stack
+        if stack.photon_limited:
+            return gaussian_sigma(max(self.gain, 0.0), self.parameters, np.inf, self.score.trials)
+        change = ((self.fitted.image_e - origin.fitted.image_e) * origin.root)[:, None]
+        variance = stack.covariance_of(origin.project(change))[0, 0]
+        hotelling = float(origin.projection(change)[0] ** 2 / variance.clamp_min(1e-300))
+        return gaussian_sigma(hotelling, self.parameters, stack.independent, self.score.trials)
+
+    @property
+    def effect(self) -> Effect:
+        """The effect as fitted."""
+        return self.fitted.effect(self.label)
+
+    @property
+    def base(self) -> Effect:
+        """The effect itself."""
+        return self.effect.base
+
+    @property
+    def values(self) -> np.ndarray:
+        """All its parameters."""
+        return self.fitted.values_of(self.label)
+
+    @property
+    def public(self) -> dict:
+        """Its parameters under public names."""
+        return self.base.describe(self.values)
+
+    @property
+    def implausible(self) -> list[str]:
+        """Parameters at a bound or outside the plausible range."""
+        return self.base.unusual(self.values)
+
+
+def refits(
+    fitter: Fitter,
+    origin: Optimum,
+    scores: Sequence[Score],
+    report: Callable[[int], None] = lambda count: None,
+) -> list[Refit]:
+    """Fit the most promising families, and return the best first.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    origin : Optimum
+        Of the model without them.
+    scores : sequence of Score
+    report : callable
+        Called with the number of finished fits.
+    """
+    found: list[Refit] = []
+    for some in _rounds(proposals(scores)):
+        hopeful = [score for score in some if not _hopeless(score, found)]
+        found = _joined(fitter, found, ordered_map(partial(_near, fitter, origin), hopeful))
+        report(len(some))
+    if origin.excess.chi2_nu > FAR:
+        detectors = [one for one in found if one.base.plane == "detector"]
+        found = _once_more(fitter, found, [*detectors, *_leading(found, but=detectors)], _from_zero)
+    several = [one for one in found if one.score.elsewhere]
+    found = _once_more(fitter, found, _leading(several), _from_elsewhere)
+    found = _joined(fitter, found, ordered_map(partial(_widened, fitter), _with_wider_forms(found)))
+    return sorted(_rivals_finished(fitter, found), key=lambda one: -one.merit)
+
+
+def quick_refits(fitter: Fitter, origin: Optimum, scores: Sequence[Score]) -> list[Refit]:
+    """Fit what scores propose in float32 to a loose tolerance; the best first.
+
+    Parameters
+    ----------
+    fitter, origin, scores : see `refits`
+    """
+    found = [
+        one for one in ordered_map(partial(_near, fitter, origin), scores) if np.isfinite(one.fitted.chi2)
+    ]
+    wider = ordered_map(partial(_widened, fitter), _with_wider_forms(found))
+    return sorted(
+        [*found, *(one for one in wider if np.isfinite(one.fitted.chi2))], key=lambda one: -one.merit
+    )
+
+
+def _rounds(promising: Sequence[Score]) -> list[Sequence[Score]]:
+    """The most promising by itself, the others side by side."""
+    rest = promising[1:]
+    return [promising[:1], *(rest[i : i + SIDE_BY_SIDE] for i in range(0, len(rest), SIDE_BY_SIDE))]
+
+
+def _hopeless(score: Score, found: Sequence[Refit]) -> bool:
+    """Whether the best leaves nothing to explain, and this one promises too little of its fall of χ²."""
+    if not found:
+        return False
+    best = _best(found)
+    return best.explains_all and score.gain < HOPELESS * best.gain
+
+
+def _leading(found: Sequence[Refit], but: Sequence[Refit] = ()) -> list[Refit]:
+    """The best that are worth further starts."""
+    return sorted((one for one in found if one not in but), key=lambda one: -one.merit)[:RETRIED]
+
+
+def _near(fitter: Fitter, origin: Optimum, score: Score) -> Refit:
+    """Fitted from the model before."""
+    return Refit(score, origin, _explored(fitter, origin, _whole(score, score.start())))
+
+
+def _explored(fitter: Fitter, origin: Optimum, effect: FixedEffect) -> Fitted:
+    """A fit from the model before, see `Fitter.explored`."""
+    return fitter.explored([*origin.fitted.continued(), effect], origin.fitted)
+
+
+def _joined(fitter: Fitter, found: Sequence[Refit], new: Sequence[Refit]) -> list[Refit]:
+    """Both without failed fits; the best of all continues until it converges."""
+    joined = [one for one in (*found, *new) if np.isfinite(one.fitted.chi2)]
+    while joined and not (best := _best(joined)).fitted.exact:
+        joined[joined.index(best)] = _finished(fitter, best)
+    return joined
+
+
+def _best(found: Sequence[Refit]) -> Refit:
+    return max(found, key=lambda one: one.merit)
+
+
+def _finished(fitter: Fitter, one: Refit) -> Refit:
+    """`one` after convergence."""
+    return replace(one, fitted=fitter.finished(one.fitted))
+
+
+def _rivals_finished(fitter: Fitter, found: Sequence[Refit]) -> list[Refit]:
+    """All of `found`; those converge that explain about as much as the best, as any may be chosen."""
+    rivals = [one for one in found if not one.fitted.exact and is_rival(_best(found), one)]
+    finished = ordered_map(partial(_finished, fitter), rivals)
+    return _joined(fitter, [one for one in found if one not in rivals], finished)
+
+
+def is_rival(best: Refit, other: Refit) -> bool:
+    """Whether χ² falls about as far with `other` as with `best`."""
+    deficit = (other.fitted.chi2 - best.fitted.chi2) / best.score.inflation
+    return deficit < CLEARLY_LESS or other.gain > EXPLAINS_AS_MUCH * best.gain
+
+
+def _once_more(
+    fitter: Fitter,
+    found: Sequence[Refit],
+    chosen: Sequence[Refit],
+    starts: Callable[[Fitter, Refit], list[Fitted]],
+) -> list[Refit]:
+    """Fit the `chosen` families from further starts, unless the best leaves nothing to explain."""
+    if not found or _best(found).excess.significance < NOTHING_LEFT:
+        return list(found)
+
+    def again(one: Refit) -> Refit:
+        return replace(one, fitted=fitter.most_plausible([one.fitted, *starts(fitter, one)]))
+
+    return _joined(fitter, [one for one in found if one not in chosen], ordered_map(again, chosen))
+
+
+def _from_zero(fitter: Fitter, one: Refit) -> list[Fitted]:
+    """Without anything of the model before, which may be at a false minimum.
+
+    A model that misses something large can fit it with a wavefront far from the true one, from where
+    little seems to help.
+    """
+    return [fitter.explored([*one.origin.fitted.restarted(), _whole(one.score, one.score.restart())])]
+
+
+def _from_elsewhere(fitter: Fitter, one: Refit) -> list[Fitted]:
+    """From the next best places or directions: the best of a linear estimate may be a wrong one."""
+    return [_explored(fitter, one.origin, other.start()) for other in one.score.elsewhere]
+
+
+def _with_wider_forms(found: Sequence[Refit]) -> list[tuple[Refit, type[Effect]]]:
+    """The best and its rivals, as far as wider forms of them are known, with these."""
+    return [pair for one in found if is_rival(_best(found), one) for pair in _wider_kinds(one)]
+
+
+def _wider_kinds(one: Refit) -> list[tuple[Refit, type[Effect]]]:
+    """What was fitted with each of its wider forms; none of what acts in one moment alone."""
+    kinds = CATALOGUE.values() if one.base.acts_in is None else ()
+    return [(one, kind) for kind in kinds if kind.widens == one.name]
+
+
+def wider_forms(fitter: Fitter, one: Refit) -> list[Refit]:
+    """Fits of all wider forms of what was fitted.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    one : Refit
+    """
+    return ordered_map(partial(_widened, fitter), _wider_kinds(one))
+
+
+def _widened(fitter: Fitter, pair: tuple[Refit, type[Effect]]) -> Refit:
+    """A wider form of what was fitted, from where it is: a second image may be out of focus."""
+    one, kind = pair
+    effect = kind.under(fitter.views[0].conditions).widened(one.values)
+    labels = one.fitted.problem.effects.labels
+    others = [o for o, label in zip(one.fitted.continued(), labels, strict=True) if label != one.label]
+    score = replace(one.score, candidate=effect, sizes=effect.values, besides=(), elsewhere=())
+    return Refit(score, one.origin, fitter.explored([*others, effect], one.fitted))
+
+
+def proposals(scores: Sequence[Score]) -> list[Score]:
+    """Families that promise most, by calibrated gain."""
+    promising = [score for score in scores if score.testable and score.gain > 0]
+    return sorted(promising, key=lambda one: -one.gain / one.inflation)[:PROPOSALS]
+
+
+def _whole(score: Score, start: FixedEffect) -> FixedEffect:
+    """The effect to be fitted, which may have more parameters than the one that was searched for."""
+    return start.base.whole(start, score.sizes).only_in(score.candidate.acts_in)

@@ -1,0 +1,344 @@
+"""Which families of effects the residual calls for: score tests at the optimum of the current model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import torch
+
+from irlos_pipe.diagnosis.moments import Placement
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.search.companion_search import around, brightest_copies
+from irlos_pipe.diagnosis.significance import significance_of
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
+from irlos_pipe.effects.planes import PupilEffect
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.score_test import ABSORBED, LinearEstimate, derivatives
+from irlos_pipe.numerics.parallel import ordered_map
+from irlos_pipe.optics.grids import PupilGrid
+
+BUNDLED = 16  # candidates in the pupil
+LINEAR = 0.5  # of the prior's σ: how far from nothing a fit begins at most
+CLEARLY_MORE = 25.0  # of calibrated χ², that one moment alone must gain beyond all together
+FURTHER_STARTS, FAR_APART = 2, 0.2  # of a fit; part of the range of a position or direction
+
+
+@dataclass(frozen=True)
+class Family:
+    """One effect that may be missing.
+
+    Attributes
+    ----------
+    variants : tuple of Effect
+        Shapes of the same effect that are tried.
+    positions : int
+        Where the effect was looked for before, of which these are the best.
+    placements : sequence of Placement
+        Of recordings of several moments, those in which the effect may act alone; None: in all.
+    """
+
+    variants: tuple[Effect, ...]
+    positions: int = 1
+    placements: Sequence[Placement] = (None,)
+
+    @property
+    def effect(self) -> Effect:
+        """The first of the variants."""
+        return self.variants[0]
+
+
+def families(conditions: Conditions, present: Iterable[str]) -> tuple[list[Family], list[str]]:
+    """Families that a score test finds, beside the effects that the model has.
+
+    Of a kind that a model may have several times, a further one is looked for.
+
+    Parameters
+    ----------
+    conditions : Conditions
+    present : iterable of str
+        Names of the effects of the model.
+
+    Returns
+    -------
+    list of Family
+    list of str
+        Effects that mean nothing under these conditions.
+    """
+    model, found, meaningless = {*present}, [], []
+    for name, kind in CATALOGUE.items():
+        if kind.found_by != "score" or kind.widens or (name in model and not kind.repeatable):
+            continue
+        try:
+            found.append(Family(kind.variants(conditions)))
+        except ValueError:
+            meaningless.append(name)
+    return found, meaningless
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """What one candidate would do at the optimum without it.
+
+    Attributes
+    ----------
+    candidate : Effect
+        Its free parameters at their null values.
+    sizes : ndarray, (parameters,)
+        Linear estimate of the free parameters, within their bounds.
+    gain : float
+        Predicted fall of χ².
+    inflation : float
+        Fall of χ² per parameter that the scatter of frames leads to expect without the effect.
+    observability : float
+        Part of the derivative's power that the fitted parameters cannot imitate, 1 − R², of the best
+        parameter.
+    significance : float
+        In Gaussian σ, candidates of the family counted as trials.
+    smallest : ndarray, (parameters,)
+        Size of each parameter whose expected gain is one times the inflation, median over the candidates.
+    usable : tuple of str
+        Parameters that these data determine.
+    trials : int
+        Candidates of the family.
+    besides : tuple of Score
+        Best candidates with other parameters of the same effect.
+    elsewhere : tuple of Score
+        Next best candidates far from this one, where a fit may begin as well.
+    """
+
+    candidate: Effect
+    sizes: np.ndarray
+    gain: float
+    inflation: float
+    observability: float
+    significance: float
+    smallest: np.ndarray
+    usable: tuple[str, ...] = ()
+    trials: int = 1
+    besides: tuple[Score, ...] = ()
+    elsewhere: tuple[Score, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.candidate.name
+
+    @property
+    def testable(self) -> bool:
+        """Whether these data can show the effect."""
+        return self.observability > ABSORBED
+
+    def start(self) -> FixedEffect:
+        """The whole effect, free but for what these data do not determine, at the linear estimate.
+
+        A phase of a radian is no longer linear: whatever has a prior starts well within it.
+        """
+        null = np.array(self.candidate.null_values)
+        reach = LINEAR * np.array([p.prior_sigma for p in self.candidate.parameters])
+        return self._begun_at(np.clip(self.sizes, null - reach, null + reach))
+
+    def restart(self) -> FixedEffect:
+        """The whole effect at its start, without the estimate."""
+        return self._begun_at([p.start for p in self.candidate.parameters])
+
+    def _begun_at(self, sizes: Sequence[float] | np.ndarray) -> FixedEffect:
+        base, values = self.candidate.base, self.candidate.all_values(sizes)
+        unseen = {p.name for p in self.candidate.parameters} - {*self.usable}
+        return FixedEffect(base, values, [p.name for p in base.parameters if p.name not in unseen])
+
+
+def scores(optimum: Optimum, families: Sequence[Family]) -> list[Score]:
+    """Score the best candidate of each of the `families` at an `optimum`, the most significant first.
+
+    Of families of one name, for different moments, the best stands.
+    """
+    found = [score_family(optimum, family) for family in families]
+    names = dict.fromkeys(one.name for one in found)
+    best = [_best_placed([one for one in found if one.name == name]) for name in names]
+    return sorted(best, key=lambda one: -one.significance)
+
+
+def score_family(optimum: Optimum, family: Family) -> Score:
+    """Score the best candidate of one `family` at an `optimum`; its other candidates count as trials."""
+    settings = optimum.settings
+    tried = [
+        candidate
+        for effect in family.variants
+        for candidate in effect.candidates(settings.window, settings.pixel_scale_mas)
+    ]
+    trials = len(tried) * family.positions * len(family.placements)
+    if family.effect.copies_star:
+        tried = [*brightest_copies(optimum, family.effect), *around(family.effect)]
+    pieces = ordered_map(partial(_scored, optimum, trials, family.placements), _bundles(tried))
+    found = [score for piece in pieces for score in piece]
+    alike = ([one for one in found if one.candidate.acts_in == where] for where in family.placements)
+    return _best_placed([_best_of(some) for some in alike])
+
+
+def _best_of(found: Sequence[Score]) -> Score:
+    """The best of the candidates of one family, with the others that a fit may want."""
+    kinds = {one.usable: _typical([o for o in found if o.usable == one.usable]) for one in found}
+    best = max(kinds.values(), key=lambda one: one.gain)
+    besides = tuple(one for one in kinds.values() if one is not best and one.usable)
+    return replace(best, besides=besides, elsewhere=_elsewhere(best, found))
+
+
+def _best_placed(alike: Sequence[Score]) -> Score:
+    """Of scores of one effect the best; one moment alone only where it gains clearly more than all."""
+    best = max(alike, key=lambda one: one.gain / one.inflation)
+    common = next((one for one in alike if one.candidate.acts_in is None), best)
+    return common if best.gain - common.gain < CLEARLY_MORE * common.inflation else best
+
+
+def _typical(alike: Sequence[Score]) -> Score:
+    """The best of candidates with the same parameters, with sizes that are typical of them all."""
+    smallest = np.median([one.smallest for one in alike], axis=0)
+    return replace(max(alike, key=lambda one: one.gain), smallest=smallest)
+
+
+def _elsewhere(best: Score, found: Sequence[Score]) -> tuple[Score, ...]:
+    """The best candidates that differ from `best` and from each other by much of the range tried."""
+    alike = [one for one in found if one.usable == best.usable]
+    if len(alike) < 2:
+        return ()
+    tried = np.array([_null_of(one) for one in alike])
+    unit = np.ptp(tried, axis=0)
+    positions = (tried - _null_of(best)) / np.where(unit > 0, unit, 1.0)
+    chosen: list[int] = []
+    for index in np.argsort([-one.gain for one in alike]):
+        distances = np.abs(positions[index] - [np.zeros(len(unit)), *positions[chosen]]).max(axis=1)
+        if len(chosen) < FURTHER_STARTS and distances.min() > FAR_APART and alike[index].gain > 0:
+            chosen.append(int(index))
+    return tuple(alike[index] for index in chosen)
+
+
+def _null_of(score: Score) -> np.ndarray:
+    """All parameters of a candidate, the free ones at null."""
+    return score.candidate.all_values(score.candidate.null_values).numpy()
+
+
+def whitened_shapes(optimum: Optimum, candidates: Sequence[Effect]) -> list[torch.Tensor]:
+    """Derivatives of the mean images with respect to each candidate's parameters at null, (pixels, m) each.
+
+    Parameters
+    ----------
+    optimum : Optimum
+    candidates : sequence of Effect
+        Several must be of the pupil.
+    """
+    fitted = optimum.fitted
+    columns = [
+        _of_recording(view.seen(candidates, fitted.views), part, x, frozen, candidates)
+        for view, (part, x), frozen in zip(fitted.views, fitted.recordings, optimum.frozen, strict=True)
+    ]
+    shapes = (torch.cat(columns, dim=1) * optimum.root).mT
+    return list(shapes.split([len(one.parameters) for one in candidates], dim=1))
+
+
+def _of_recording(
+    seen: Sequence[Effect],
+    part: ImageFit,
+    x: torch.Tensor,
+    frozen: Sequence[Effect],
+    candidates: Sequence[Effect],
+) -> torch.Tensor:
+    """Derivatives of one recording's image, (m, pixels); none where the candidates do not act."""
+    if not seen:
+        parameters = sum(len(one.parameters) for one in candidates)
+        return torch.zeros(parameters, part.images.shape[-1], dtype=torch.float64)
+    return derivatives(part, x, frozen, _together(seen))
+
+
+def _together(candidates: Sequence[Effect]) -> Effect:
+    return candidates[0] if len(candidates) == 1 else _Bundle(candidates)
+
+
+def _bundles(candidates: Sequence[Effect]) -> list[Sequence[Effect]]:
+    """Candidates of one family whose derivatives are computed together."""
+    size = BUNDLED if candidates[0].plane == "pupil" else 1
+    return [candidates[i : i + size] for i in range(0, len(candidates), size)]
+
+
+def _scored(
+    optimum: Optimum, trials: int, placements: Sequence[Placement], candidates: Sequence[Effect]
+) -> list[Score]:
+    """Scores of every candidate, in every placement that all the recordings of the `candidates` hold."""
+    pairs = list(zip(candidates, whitened_shapes(optimum, candidates), strict=True))
+    return [
+        _score(optimum, trials, candidate.only_in(where), _seen_in(optimum, where, shapes))
+        for candidate, shapes in pairs
+        for where in placements
+    ]
+
+
+def _seen_in(optimum: Optimum, where: Placement, shapes: torch.Tensor) -> torch.Tensor:
+    """What recordings of some moments show of whitened shapes (pixels, m)."""
+    if where is None:
+        return shapes
+    seen, fitted = torch.zeros_like(shapes), optimum.fitted
+    for view, pixels in zip(fitted.views, fitted.problem.pixels, strict=True):
+        if view.moment in where:
+            seen[pixels] = shapes[pixels]
+    return seen
+
+
+def _score(optimum: Optimum, trials: int, candidate: Effect, shapes: torch.Tensor) -> Score:
+    linear = LinearEstimate.of(optimum, candidate, shapes)
+    inflation, significance = 1.0, 0.0
+    if linear.usable.any():
+        tested = linear.used, linear.normal, linear.projection
+        inflation, significance = significance_of(optimum, *tested, trials)
+    smallest = (inflation / linear.left.clamp_min(1e-300)).sqrt()
+    return Score(
+        candidate,
+        linear.sizes,
+        linear.gain,
+        inflation,
+        linear.observability,
+        significance if linear.gain > 0 else 0.0,
+        torch.where(linear.usable, smallest, torch.inf).numpy(),
+        tuple(p.name for p, use in zip(candidate.parameters, linear.usable.tolist(), strict=True) if use),
+        trials,
+    )
+
+
+class _Bundle(PupilEffect):
+    """Several candidates in the pupil as one effect, at their null values, where each leaves the field.
+
+    The light path up to them is computed once for all.
+
+    Parameters
+    ----------
+    candidates : sequence of Effect
+        Of one family, in the pupil.
+    """
+
+    name = "bundle"
+
+    def __init__(self, candidates: Sequence[Effect]):
+        self.bundled, self.order = tuple(candidates), candidates[0].order
+        self.parameters = tuple(p for one in candidates for p in one.parameters)
+
+    @property
+    def null_values(self) -> list[float]:
+        """See `Effect.null_values`."""
+        return [value for one in self.bundled for value in one.null_values]
+
+    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.apply`."""
+        return field
+
+    def slopes(
+        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `PupilEffect.slopes`."""
+        every = [slope for one in self.bundled for slope in _slopes_at_null(one, field, grid)]
+        return [every[index] for index in wanted]
+
+
+def _slopes_at_null(candidate: Effect, field: torch.Tensor, grid: PupilGrid) -> Sequence[torch.Tensor]:
+    null = torch.tensor(candidate.null_values, dtype=torch.float64)
+    return candidate.slopes(null, field, grid, range(len(null)))

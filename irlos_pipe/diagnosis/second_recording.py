@@ -1,0 +1,137 @@
+"""Which further recording would show what this one cannot.
+
+Fisher matrices need no frames: at the optimum, every recording that might be taken beside the present
+ones is computed, with as many frames and as much light, and what is then left of an effect's derivative
+beyond the fitted parameters, and of the likeness of two names, says whether it would help.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from irlos_pipe.conventions.bands import H, J
+from irlos_pipe.diagnosis.ambiguity import likeness
+from irlos_pipe.diagnosis.cube import Stack
+from irlos_pipe.diagnosis.effect_sizes import detectable, within_reach
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.refit import Refit
+from irlos_pipe.diagnosis.search.scores import Score, whitened_shapes
+from irlos_pipe.effects import Conditions
+from irlos_pipe.estimate.score_test import ABSORBED, MEANINGLESS
+
+OUT_OF_FOCUS_NM = 200.0
+BANDS = {"J": J, "H": H}
+COLOURS = 3
+
+
+@dataclass(frozen=True)
+class Advice:
+    """A further recording that shows an effect.
+
+    Attributes
+    ----------
+    recording : str
+        How it differs from the first.
+    observability : float
+        Part of the power of the effect's derivative that the fitted parameters cannot imitate then, 1 − R².
+    smallest : dict
+        Public size that would be seen then.
+    """
+
+    recording: str
+    observability: float
+    smallest: dict[str, Any]
+
+
+class SecondRecordings:
+    """Recordings that might be taken beside those of a diagnosis.
+
+    Parameters
+    ----------
+    optimum : Optimum
+        Of the model as it is at the end.
+    """
+
+    def __init__(self, optimum: Optimum):
+        self.optimum, self.present = optimum, optimum.stack
+        first = optimum.fitted.views[0]
+        self.views = {
+            recording: first.under(conditions) for recording, conditions in variants(first.conditions)
+        }
+        self.beside = {recording: self._beside(optimum.fitted, recording) for recording in self.views}
+
+    def showing(self, score: Score, gain: float) -> Advice | None:
+        """The recording with which an untestable effect is seen best; None if none shows it.
+
+        Parameters
+        ----------
+        score : Score
+            Of the effect without it.
+        gain : float
+            Fall of χ² from which it counts as seen.
+        """
+        found = ((recording, self._score(score, optimum)) for recording, optimum in self.beside.items())
+        useful = [
+            (recording, one)
+            for recording, one in found
+            if one.testable and within_reach(one, gain, plausible=True)
+        ]
+        if not useful:
+            return None
+        recording, best = max(useful, key=lambda pair: pair[1].observability)
+        return Advice(recording, best.observability, detectable(best, gain))
+
+    def separating(self, one: Refit, other: Refit) -> tuple[str, float]:
+        """The recording with which fits `one` and `other` are least alike, and how much they still are."""
+        found = {recording: self._likeness(recording, one, other) for recording in self.views}
+        recording = min(found, key=lambda key: found[key])
+        return recording, found[recording]
+
+    def _score(self, score: Score, optimum: Optimum) -> Score:
+        shapes = whitened_shapes(optimum, [score.candidate])[0]
+        power, left = (shapes**2).sum(0), torch.diagonal(optimum.norm2(shapes)).clamp_min(1e-300)
+        seen = torch.where(power > MEANINGLESS * power.max(), left / power.clamp_min(1e-300), 0.0)
+        smallest = torch.where(seen > ABSORBED, left**-0.5, torch.inf).numpy()
+        return replace(score, observability=float(seen.max()), smallest=smallest)
+
+    def _likeness(self, recording: str, one: Refit, other: Refit) -> float:
+        models = (one.fitted, other.fitted, one.origin.fitted)
+        first, second, before = (self._beside(fitted, recording) for fitted in models)
+        return likeness(first.fitted, second.fitted, before)
+
+    def _beside(self, fitted: Fitted, recording: str) -> Optimum:
+        """A model with one recording more, which shows what it predicts."""
+        first, view = self.present.parts[0], self.views[recording]
+        pair = Fitter([fitted.views[0], view], replace(self.present, parts=(first, first))).at(fitted)
+        image_e = pair.image_e[pair.problem.pixels[1]]
+        stacks = replace(self.present, parts=(*self.present.parts, _expected(first, image_e)))
+        return Optimum(stacks, Fitter([*fitted.views, view], stacks).at(fitted))
+
+
+def _expected(like: Stack, image_e: torch.Tensor) -> Stack:
+    """A recording with as many frames as another one, as noisy beside its photons."""
+    noise, frames = like.frames.noise, len(like)
+    louder = like.variance_e2 * frames / noise.variance_e2(like.mean_e)
+    variance = noise.variance_e2(image_e) / frames * louder[louder.isfinite()].median()
+    return replace(like, mean_e=image_e, variance_e2=variance)
+
+
+def variants(conditions: Conditions) -> list[tuple[str, Conditions]]:
+    """Recordings that differ from one taken under `conditions` by focus, diversity or band."""
+    settings, known = conditions.settings, conditions.settings.known
+    focus = {**known.introduced_nm, 4: known.introduced_nm.get(4, 0.0) + OUT_OF_FOCUS_NM}
+    found = [(f"{OUT_OF_FOCUS_NM:+.0f} nm out of focus", replace(known, introduced_nm=focus))]
+    if any(known.diversity_nm.values()):
+        found.append(("without the diversity", replace(known, diversity_nm={})))
+    others = [(recording, replace(settings, known=one)) for recording, one in found]
+    for name, limits in ((name, band.limits_nm) for name, band in BANDS.items()):
+        if not any(limits[0] <= nm <= limits[1] for nm, _ in settings.spectrum):
+            spectrum = tuple((float(nm), 1.0) for nm in np.linspace(*limits, COLOURS))
+            recording = f"in the band {name}, {limits[0]:.0f} to {limits[1]:.0f} nm"
+            others.append((recording, replace(settings, spectrum=spectrum)))
+    return [(recording, replace(conditions, settings=one)) for recording, one in others]

@@ -1,0 +1,254 @@
+"""Whether recordings of several moments share what was named, or each has its own.
+
+A name is fitted once with one value for all moments and once with a value for each. How significantly χ²
+falls by the latter, and which of the two models frames prefer that no fit has seen, says whether it is the
+instrument's. A name that only one moment shows may still be in the others, too
+weak to be seen there: then neither is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from irlos_pipe.diagnosis.cube import Cube
+from irlos_pipe.diagnosis.effect_sizes import determined, parameter_covariance, public_sigma
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, preference
+from irlos_pipe.diagnosis.moments import Moments
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.effects import Effect, FixedEffect
+
+SEEN = 5.0  # significance from which a moment by itself shows an effect
+MEASURED = 1e-9  # of a correlation matrix, below which an eigenvalue is rounding
+PREFERRED = 3.0  # Vuong's statistic on held-out data
+Finding = Literal["common", "differs", "open"]
+
+
+@dataclass(frozen=True)
+class OwnValue:
+    """What one moment has of an effect.
+
+    Attributes
+    ----------
+    moment : str
+        Its name.
+    number : int
+    public, sigma : dict
+        Parameters and standard errors under public names.
+    significance : float
+        Of its presence, in Gaussian σ.
+    """
+
+    moment: str
+    number: int
+    public: dict[str, Any]
+    sigma: dict[str, Any]
+    significance: float
+
+
+@dataclass(frozen=True)
+class Sharing:
+    """Whether moments share an effect.
+
+    Attributes
+    ----------
+    labels : sequence of str
+        Of the effect in the model: one for all moments, or several that act in some.
+    finding : {"common", "differs", "open"}
+        ``open`` where fewer than two moments show it and the others do not exclude it.
+    significance : float
+        Of the differences between the moments, in Gaussian σ.
+    chi2_fall : float
+        By which χ² falls with a value for each moment, for so many further `parameters`.
+    preference : float
+        Vuong's statistic on the held-out data for a value of each moment against one for all.
+    values : sequence of OwnValue
+    """
+
+    labels: Sequence[str]
+    finding: Finding
+    significance: float
+    chi2_fall: float
+    parameters: int
+    preference: float
+    values: Sequence[OwnValue]
+
+    @property
+    def seen(self) -> list[OwnValue]:
+        """Values of the moments that are alone enough to show the effect."""
+        largest = max(one.significance for one in self.values)
+        return [one for one in self.values if one.significance >= min(SEEN, largest)]
+
+
+@dataclass(frozen=True)
+class Change:
+    """How much the wavefront of a moment differs from the mean of those of all moments.
+
+    Attributes
+    ----------
+    moment : str
+    rms_nm, sigma_nm : float
+        Root mean square over the modes of the changes and of their standard errors [nm].
+    """
+
+    moment: str
+    rms_nm: float
+    sigma_nm: float
+
+
+@dataclass(frozen=True)
+class Together:
+    """What the moments of a diagnosis share.
+
+    Attributes
+    ----------
+    moments : Moments
+    sharing : sequence of Sharing
+        Of every effect that was named, in the order of the steps.
+    changes : sequence of Change
+        Of the wavefront, for every moment.
+    """
+
+    moments: Moments
+    sharing: Sequence[Sharing]
+    changes: Sequence[Change]
+
+
+def sharing(
+    labels: Sequence[str], fitted: Fitted, fitter: Fitter, cube: Cube, moments: Moments, sure: float
+) -> Sharing:
+    """Compare one value for all moments with a value for each.
+
+    Parameters
+    ----------
+    labels : sequence of str
+        Of the effect in the model: of one for all moments, or of several that act in some.
+    fitted : Fitted
+        The model.
+    fitter : Fitter
+    cube : Cube
+    moments : Moments
+    sure : float
+        Significance from which values differ.
+    """
+    everything = list(zip(fitted.problem.effects.labels, fitted.continued(), strict=True))
+    others = [effect for label, effect in everything if label not in labels]
+    chosen = [effect for label, effect in everything if label in labels]
+    own = [_own_of(number, chosen) for number in moments.by_number]
+    apart = fitter.finished(fitter.explored([*others, *own], fitted))
+    together = fitter.finished(fitter.explored([*others, _one_for_all(chosen[0])], fitted))
+    return _judged(labels, chosen[0].name, together, apart, cube, moments, sure)
+
+
+def parted(comparison: Sharing, fitted: Fitted, label: str) -> list[Effect]:
+    """Effects of a model with a value of its own for each moment that shows the effect `label`."""
+    everything = list(zip(fitted.problem.effects.labels, fitted.continued(), strict=True))
+    others = [effect for name, effect in everything if name != label]
+    one = [effect for name, effect in everything if name == label]
+    return [*others, *(_own_of(value.number, one) for value in comparison.seen)]
+
+
+def _one_for_all(effect: Effect) -> FixedEffect:
+    values = effect.all_values([p.start for p in effect.parameters]).numpy()
+    return FixedEffect(effect.base.only_in(None), values, [p.name for p in effect.parameters])
+
+
+def _own_of(number: int, chosen: Sequence[Effect]) -> FixedEffect:
+    """The effect in one moment: as it is there, or absent at the place where others have it."""
+    acting = [effect for effect in chosen if effect.acting(number)]
+    effect = (acting or chosen)[0]
+    values = effect.all_values([p.start for p in effect.parameters]).numpy()
+    free = list(effect.parameters)
+    if not acting:
+        free = [p for p in free if p.null is not None]
+        absent = [p.null for p in effect.base.parameters]
+        values = np.array([v if null is None else null for v, null in zip(values, absent, strict=True)])
+    return FixedEffect(effect.base.only_in(frozenset({number})), values, [p.name for p in free])
+
+
+def _judged(
+    labels: Sequence[str],
+    name: str,
+    together: Fitted,
+    apart: Fitted,
+    cube: Cube,
+    moments: Moments,
+    sure: float,
+) -> Sharing:
+    stack = cube.training
+    misfit = max(1.0, Optimum(stack, apart).excess.chi2_nu)  # what both models miss is no difference
+    covariance = misfit * parameter_covariance(stack, apart)
+    more = len(apart.effect_values) - len(together.effect_values)
+    significance = _significance(together, apart, Optimum(stack, together), more, misfit)
+    frames = np.inf if stack.photon_limited else stack.independent
+    places = {number: _last_of(number, name, apart) for number in moments.by_number}
+    values = [_value(number, place, apart, covariance, moments, frames) for number, place in places.items()]
+    z = preference(*(HeldOutEvaluation(cube.held_out, one) for one in (apart, together)))
+    seen = sum(one.significance > SEEN for one in values)
+    differs = significance > sure and z > PREFERRED
+    finding: Finding = "differs" if differs else "common" if seen > 1 else "open"
+    return Sharing(labels, finding, significance, together.chi2 - apart.chi2, more, z, values)
+
+
+def _last_of(number: int, name: str, fitted: Fitted) -> str:
+    """Label of the effect of this `name` that was put into a moment last."""
+    pairs = zip(fitted.problem.effects.labels, fitted.effects, strict=True)
+    found = [one for one, effect in pairs if effect.name == name and effect.acts_in == {number}]
+    return found[-1]
+
+
+def _value(
+    number: int, label: str, fitted: Fitted, covariance: np.ndarray, moments: Moments, frames: float
+) -> OwnValue:
+    effect, values, columns = fitted.effect(label), fitted.values_of(label), fitted.columns_of(label)
+    full = np.zeros((len(values), len(values)))
+    own = determined(effect.parameters, covariance[np.ix_(columns, columns)])
+    full[np.ix_(effect.free, effect.free)] = own
+    sized = [i for i in effect.free if effect.base.parameters[i].null is not None]
+    null = np.array([effect.base.parameters[i].null for i in sized], float)
+    return OwnValue(
+        moments.by_number[number].name,
+        number,
+        effect.base.describe(values),
+        public_sigma(effect.base, values, full),
+        _wald(values[sized] - null, full[np.ix_(sized, sized)], frames),
+    )
+
+
+def _significance(together: Fitted, apart: Fitted, optimum: Optimum, parameters: int, misfit: float) -> float:
+    """Significance of the fall of χ² by values of each, against noise or the scatter of frames [σ].
+
+    Parameters
+    ----------
+    together, apart : Fitted
+        With one value for all, and with a value for each.
+    optimum : Optimum
+        Of the former.
+    parameters : int
+        That the latter has more.
+    misfit : float
+        By which errors of both models enlarge χ².
+    """
+    stack, fall = optimum.stack, together.chi2 - apart.chi2
+    if stack.photon_limited:
+        return gaussian_sigma(max(fall / misfit, 0.0), parameters, np.inf)
+    change = ((apart.image_e - together.image_e) * optimum.root)[:, None]
+    variance = misfit * stack.covariance_of(optimum.project(change))[0, 0]
+    hotelling = float(optimum.projection(change)[0] ** 2 / variance.clamp_min(1e-300))
+    return gaussian_sigma(hotelling, parameters, stack.independent)
+
+
+def _wald(estimate: np.ndarray, covariance: np.ndarray, frames: float) -> float:
+    """Significance of an estimate against zero, in Gaussian σ."""
+    if not len(estimate):
+        return 0.0
+    unit = np.sqrt(np.diag(covariance).clip(1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
+    measured = values > MEASURED
+    along = (estimate / unit) @ vectors[:, measured]
+    return gaussian_sigma(float(along @ (along / values[measured])), int(measured.sum()), frames)

@@ -1,0 +1,74 @@
+"""Significance of projections of a mean image, from their scatter over the frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy import special, stats
+
+from irlos_pipe.diagnosis.null_model import Optimum
+
+MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames
+
+
+def significance_of(
+    optimum: Optimum, shapes: torch.Tensor, normal: torch.Tensor, projection: torch.Tensor, trials: int
+) -> tuple[float, float]:
+    """Inflation, and Hotelling's T² of the projections over the frames in Gaussian σ.
+
+    Frames allow no test in more directions than a part of their number: the leading ones of the
+    normal matrix are taken, into which the family's power falls. Directions that the prior holds are
+    left out.
+
+    Parameters
+    ----------
+    optimum : Optimum
+    shapes : tensor, (pixels, m)
+        Whitened derivatives.
+    normal, projection : tensor, (m, m) and (m,)
+        Their normal matrix, priors included, and projections on the residual.
+    trials : int
+        Candidates that were tried.
+    """
+    stack = optimum.stack
+    values, vectors = torch.linalg.eigh(normal)
+    measured = ((vectors.mT @ optimum.norm2(shapes)) * vectors.mT).sum(1) > 0.5 * values
+    if not measured.any():
+        return 1.0, 0.0
+    axes = (vectors / values.sqrt())[:, measured]  # the shapes along them are orthonormal
+    if not stack.photon_limited:
+        axes = axes[:, -max(1, int(MOST_OF_FRAMES * stack.independent)) :]
+    along, covariance = axes.mT @ projection, stack.covariance_of(optimum.project(shapes @ axes))
+    inflation = float(covariance.diagonal().mean())
+    if stack.photon_limited:
+        return 1.0, gaussian_sigma(float(along @ along), len(along), np.inf, trials)
+    hotelling = float(along @ torch.linalg.solve(covariance, along))
+    return inflation, gaussian_sigma(hotelling, len(along), stack.independent, trials)
+
+
+def gaussian_sigma(hotelling: float, directions: int, frames: float, trials: int = 1) -> float:
+    """`hotelling`, the T² of a mean, as the σ of a normal deviate of the same tail probability.
+
+    It has `directions` over `frames`, with infinitely many of which it is χ², and is the best of `trials`.
+    """
+    if np.isinf(frames):
+        tail = stats.chi2.logsf(hotelling, directions)
+        # Beyond the range of logsf: its leading terms.
+        tail = tail if np.isfinite(tail) else -hotelling / 2 + (directions / 2 - 1) * np.log(hotelling / 2)
+    else:
+        freedom = max(frames - directions, 1.0)
+        tail = _log_tail_of_f(hotelling * freedom / (directions * (frames - 1)), directions, freedom)
+    return float(max(-special.ndtri_exp(min(tail + np.log(trials), np.log(0.5))), 0.0))
+
+
+def _log_tail_of_f(value: float, above: float, below: float) -> float:
+    """``ln P(F > value)`` for any number of degrees of freedom.
+
+    F is a ratio of which ``x = below / (below + above F)`` follows a beta law; far out its tail is the
+    leading term of the incomplete beta function.
+    """
+    tail = stats.f.logsf(value, above, below)
+    if np.isfinite(tail):
+        return float(tail)
+    x, (a, b) = below / (below + above * value), (below / 2, above / 2)
+    return float(a * np.log(x) + (b - 1) * np.log1p(-x) - np.log(a) - special.betaln(a, b))

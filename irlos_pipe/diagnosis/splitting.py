@@ -1,0 +1,131 @@
+"""What is held out of a recording: some of its frames, or, where they are too few, some of its pixels.
+
+Fits never see it, and it judges them. Of thousands of frames, means over consecutive ones are as good and
+bound memory and time: what a mean image cannot show changes slowly, or averages out.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from irlos_pipe.conventions.units import NM, resolution_px
+from irlos_pipe.diagnosis.cube import Cube, Stack, Stacks
+from irlos_pipe.diagnosis.few_frames import PatchStack, PixelStacks
+from irlos_pipe.diagnosis.view import Exposures
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.frames.blocks import mean_frame
+
+BLOCKS = 20  # of a cube in time; every fourth is held out
+MOST_FRAMES = 512  # of a recording; more are averaged
+SEED = 1  # of the choice of pixels
+
+
+class HoldOut(ABC):
+    """A way to hold out a part of the data."""
+
+    @abstractmethod
+    def split(self, frames: Frames, share: float = 0.25) -> Cube:
+        """Hold out a `share` of the data of one recording, whose `frames` are in order of time."""
+
+
+class HeldOutFrames(HoldOut):
+    """Blocks of time that interleave with the others."""
+
+    def split(self, frames: Frames, share: float = 0.25) -> Cube:
+        """See `HoldOut.split`."""
+        frames = averaged(frames, MOST_FRAMES)
+        count = len(frames.images_e)
+        blocks_of_time = min(BLOCKS, count // 2)
+        every = min(round(1 / share), blocks_of_time)
+        held = (np.arange(count) * blocks_of_time // count) % every == every // 2
+        when = np.linspace(0, 1, count)
+
+        def part(chosen: np.ndarray) -> Stacks:
+            some = replace(frames, images_e=frames.images_e[torch.as_tensor(chosen)])
+            return Stacks((Stack.of(some, when[chosen]),))
+
+        return Cube(part(~held), part(held))
+
+
+@dataclass(frozen=True)
+class HeldOutPixels(HoldOut):
+    """Squares of pixels.
+
+    Attributes
+    ----------
+    side_px : int
+        Of a square; about λ/D, which makes squares independent parts of an image.
+    """
+
+    side_px: int
+
+    def split(self, frames: Frames, share: float = 0.25) -> Cube:
+        """See `HoldOut.split`: of squares alike in brightness the same share, at random."""
+        squares = _squares(tuple(frames.good.shape), self.side_px)
+        held = torch.as_tensor(_drawn(squares, (frames.mean_e * frames.good).numpy(), share))
+        labels = torch.as_tensor(squares).flatten()
+        whole = Stack.of(frames, np.linspace(0, 1, len(frames.images_e)))
+
+        def part(chosen: torch.Tensor) -> PixelStacks:
+            good = chosen & frames.good
+            seen = good.flatten()
+            variance = torch.where(seen, whole.variance_e2, torch.inf)
+            patches = torch.where(seen, labels, -1)
+            some = replace(frames, good=good)
+            return PixelStacks((PatchStack(some, whole.when, whole.mean_e, variance, patches=patches),))
+
+        return Cube(part(~held), part(held))
+
+
+def hold_out_of(recordings: Sequence[Exposures]) -> HoldOut:
+    """What to hold out of `recordings` that are diagnosed together; the shortest of them decides."""
+    if all(one.frames.show_scatter for one in recordings):
+        return HeldOutFrames()
+    return HeldOutPixels(max(_resolution_px(one) for one in recordings))
+
+
+def averaged(frames: Frames, most: int) -> Frames:
+    """`frames`, or at most so many means over consecutive ones, as many for each; a rest is left out.
+
+    Parameters
+    ----------
+    frames : Frames
+    most : int
+        Number of means.
+    """
+    each = -(-len(frames.images_e) // most)
+    if each == 1:
+        return frames
+    whole = len(frames.images_e) // each * each
+    means = [mean_frame(run.numpy()) for run in frames.images_e[:whole].split(each)]
+    noise = frames.noise
+    quieter = replace(
+        noise, excess_noise_factor=noise.excess_noise_factor / each, floor_e2=noise.floor_e2 / each
+    )
+    return replace(frames, images_e=torch.as_tensor(np.array(means, np.float32)), noise=quieter)
+
+
+def _resolution_px(exposures: Exposures) -> int:
+    """λ/D of the longest wavelength, rounded [px]."""
+    settings = exposures.conditions.settings
+    longest_m = max(wavelength_nm for wavelength_nm, _ in settings.spectrum) * NM
+    return max(1, round(resolution_px(longest_m, settings.geometry.diameter_m, settings.pixel_scale_mas)))
+
+
+def _squares(window: tuple[int, ...], side_px: int) -> np.ndarray:
+    """Number of the square that each pixel of a `window` belongs to, (rows, columns)."""
+    rows, columns = (np.arange(size) // side_px for size in window)
+    return rows[:, None] * (columns[-1] + 1) + columns
+
+
+def _drawn(squares: np.ndarray, image_e: np.ndarray, share: float) -> np.ndarray:
+    """Pixels of a `share` of the squares, drawn by lot among squares of similar brightness."""
+    order, group = np.argsort(-np.bincount(squares.ravel(), image_e.ravel())), round(1 / share)
+    lots = np.random.default_rng(SEED)
+    drawn = [lots.choice(order[start : start + group]) for start in range(0, len(order), group)]
+    return np.isin(squares, drawn)

@@ -1,0 +1,297 @@
+"""The search where nothing is exactly as told: facts of the instrument free, errors of the model allowed.
+
+At a telescope the pupil, the scale, the band and the wavefront all differ a little from what a profile
+states, and there is a little of every mild effect. One name after the other then explains little, and every
+one of them stands in for the others. Here facts and mild effects are fitted together, the wavefront is taken
+as far as the window sees it, and what the model still misses enters the variances, so that no name is earned
+by what everything misses. What has a place is looked for beside all that. Last, effects that are not needed
+are taken out, and the others are named if held-out frames want them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from irlos_pipe.diagnosis.acceptance import PREFERRED, Accepted, Search, accepted
+from irlos_pipe.diagnosis.allowance import KNOWN, AllowingTask
+from irlos_pipe.diagnosis.effect_sizes import parameter_covariance
+from irlos_pipe.diagnosis.elimination import needed
+from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, share_at_its_place
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.refit import FAR, PER_PARAMETER, Refit, quick_refits, wider_forms
+from irlos_pipe.diagnosis.search.scores import Family, Score, score_family
+from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect
+from irlos_pipe.effects.effect_set import labels_of
+from irlos_pipe.optics.zernike import noll_to_nm
+
+STARTS, START_NM = 2, 60.0  # further wavefronts to begin with: RMS of the first radial order, falling
+RIVALS = 0.3  # of the fall of χ² by a name, that another must promise to be compared
+PROPOSALS = 4  # fitted per name
+OPENINGS = 3  # of the wavefront, while further names are found or χ²/ν falls
+SETTLED = 0.8  # of χ²/ν before
+MOST = 0.5  # of χ², that a name must explain which leaves much where it acts, while more is wrong
+HARDLY_SEEN = 2.0  # significance of a score from which it is fitted where the model misfits
+
+
+class TolerantTask(AllowingTask):
+    """A search with the facts of the instrument free, beside what the model has."""
+
+    def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
+        """Begin again where a plain search left much: facts first, then names.
+
+        The wavefront is opened after the facts, as many modes imitate whatever is small and bright, and again
+        after further names, as long as that changes what is left. Names are given last.
+
+        Parameters
+        ----------
+        search : Search
+            What was found, and what is left.
+        effects : sequence of Effect
+            From which it began.
+        """
+        told = [*effects, *self._moving(search)]
+        task = self.allowing(search.final.fitted)
+        task, current = task.with_errors(task._base(told, search))
+        task, current = task._named(current, MOST)
+        for number in range(OPENINGS):
+            before = task.misfit, len(current.fitted.effects)
+            task, current = task.opened(current)
+            if number == 0 and task.misfit > FAR:
+                task, current = task._started_elsewhere(current)
+            task, current = task._named(current)
+            same = len(current.fitted.effects) == before[1]
+            if task.misfit < KNOWN or (same and task.misfit > SETTLED * before[0]):
+                break
+        full = added(current.fitted, told)
+        task, current = task.with_errors(task._without_needless(current, told))
+        dropped = [name for name in full if name not in added(current.fitted, told) and name in CATALOGUE]
+        task, current, named = task._confirmed(current, told, dropped)
+        finished = task.fitter.finished(current.fitted)
+        if np.isfinite(finished.chi2):
+            current = Optimum(task.cube.training, finished)
+        found, meaningless = task._scores(current)
+        others = set(added(current.fitted, told)) - {one.refit.label for one in named}
+        return Search(search.null, current, search.drift, named, found, meaningless, sorted(others))
+
+    def _moving(self, search: Search) -> list[Effect]:
+        """The drift, if it is significant."""
+        drift = search.drift
+        return [self._drifting(drift)] if drift and drift.significance > self.options.sure else []
+
+    def _named(self, current: Optimum, least: float = 0.0) -> tuple[TolerantTask, Optimum]:
+        """The search and its model with further names; they are judged in the end, beside all others.
+
+        Names that leave little where they act come first; others must explain a `least` part of what is left.
+        """
+        task = self
+        for _ in range(self.options.most_names):
+            chosen = task._further(current, task._scores(current)[0], least)
+            if chosen is None:
+                break
+            task, current = task.with_errors(chosen.refit.fitted)
+        return task, current
+
+    # -- steps ---------------------------------------------------------------------------------
+
+    def _base(self, told: Sequence[Effect], search: Search) -> Fitted:
+        """The fit with all facts free, and with what a plain search found if that helps."""
+        near = search.final.fitted
+        plain = near.continued()
+        sets = [told, plain] if len(plain) > len(told) else [told]
+        first = [self.fitter.explored([*some, *everyday(self.conditions, some)], near) for some in sets]
+        self.report(len(first))
+        best = min(first, key=lambda one: one.chi2 + self._price(one))
+        return best if np.isfinite(best.chi2) else near
+
+    def _started_elsewhere(self, current: Optimum) -> tuple[TolerantTask, Optimum]:
+        """The search and its model from the most plausible of several starts: this may be a false minimum."""
+        effects, starts = current.fitted.continued(), self._starts(current.fitted)
+        found = [current.fitted, *(self.fitter.explored(effects, one) for one in starts)]
+        self.report(len(starts))
+        best = self.fitter.most_plausible([one for one in found if np.isfinite(one.chi2)])
+        return (self, current) if best is current.fitted else self.opened(self.with_errors(best)[1])
+
+    def _price(self, fitted: Fitted) -> float:
+        """What the parameters of a model have to earn of χ²."""
+        return PER_PARAMETER * self.cube.training.parts[0].alike_px * fitted.problem.size
+
+    def _starts(self, near: Fitted) -> list[Fitted]:
+        """`near` with other wavefronts: none, and some at random, less in every radial order."""
+        generator = torch.Generator().manual_seed(STARTS)
+        nolls, modes = near.problem.layout.nolls, near.problem.layout.modes
+        falling = [START_NM * min(1.0, 2.0 / noll_to_nm(noll)[0]) ** 1.5 for noll in nolls]
+        size = torch.tensor(falling, dtype=torch.float64)
+        size[:2] = 0.0
+        pointing = near.x[0, modes] * (size == 0)
+        found = []
+        for number in range(STARTS):
+            drawn = torch.randn(len(nolls), generator=generator, dtype=torch.float64) * size
+            x = near.x.clone()
+            x[0, modes] = pointing + (drawn if number else 0.0)
+            found.append(replace(near, solution=replace(near.solution, values=x)))
+        return found
+
+    def _without_needless(self, current: Optimum, told: Sequence[Effect]) -> Fitted:
+        """The model without those effects, unless told, that are not significant beside the others."""
+        fitted = current.fitted
+        labels = added(fitted, told)
+        nulls = {label: _nulls(fitted, label) for label in labels}
+        zero = np.zeros(fitted.problem.size)
+        for own in nulls.values():
+            zero[[*own]] = [*own.values()]
+        errors = self.errors_of(fitted)
+        alone = self.cube.training.with_errors(replace(errors, alike_px=1.0))  # to keep rather than to drop
+        covariance = parameter_covariance(alone, fitted)
+        frames = np.inf if current.stack.photon_limited else current.stack.independent
+        kept = needed(
+            {label: [*own] for label, own in nulls.items()},
+            fitted.x[0].numpy() - zero,
+            covariance,
+            lambda rise, count: gaussian_sigma(max(rise, 0.0), count, frames),
+            self.options.sure,
+        )
+        dropped = set(labels) - set(kept)
+        pairs = zip(fitted.problem.effects.labels, fitted.continued(), strict=True)
+        return self.fitter.explored([effect for label, effect in pairs if label not in dropped], fitted)
+
+    def _further(self, current: Optimum, found: list[Score], least: float) -> Accepted | None:
+        """The next name: significant, plausible, and wanted by the held-out frames."""
+        places = [other for score in found if score.candidate.copies_star for other in score.elsewhere]
+        least_seen = HARDLY_SEEN if self.misfit > KNOWN else self.options.sure
+        seen = [one for one in (*found, *places) if one.significance > least_seen]
+        ranked = quick_refits(
+            self.fitter, current, sorted(seen, key=lambda one: -one.significance)[:PROPOSALS]
+        )
+        self.report(len(ranked))
+        ranked = [one for one in ranked if not one.implausible]
+        right = self._wanted([one for one in ranked if self._explains_its_own(one)])
+        return right or self._wanted([one for one in ranked if one.gain > least * one.origin.fitted.chi2])
+
+    def _wanted(self, ranked: Sequence[Refit]) -> Accepted | None:
+        """The first of the ranked names if it is significant and held-out data clearly prefer it.
+
+        Beside errors of a model they must prefer it clearly on sky, too: chance companions in what is left
+        are significant and mean nothing there.
+        """
+        one = accepted(ranked, self.cube, self.options)
+        return one if one is not None and one.preference > PREFERRED else None
+
+    def _explains_its_own(self, refit: Refit) -> bool:
+        """Whether a name leaves little where it acts; one that leaves much stands in for something else."""
+        return share_at_its_place(refit, refit.optimum) > AT_ITS_PLACE[self.kind]
+
+    def _confirmed(
+        self, current: Optimum, told: Sequence[Effect], dropped: Sequence[str]
+    ) -> tuple[TolerantTask, Optimum, list[Accepted]]:
+        """Names for the effects of a model that explain their own and that it needs, also for held-out data.
+
+        One that another effect explains as well, and more plausibly, gives it its place. What is unusual
+        comes first, then what explains most. `dropped` are names that were not significant beside these.
+        """
+        task, named = self, []
+        for label in added(current.fitted, told):
+            present = task._against_without(current, label)
+            if not np.isfinite(present.origin.fitted.chi2) or not task._explains_its_own(present):
+                continue
+            rivals = [one for one in task._rivals(present, dropped) if task._explains_its_own(one)]
+            one = task._wanted(sorted([present, *rivals], key=lambda one: -one.merit))
+            if one is None:
+                continue
+            named.append(one)
+            if one.refit is not present:
+                task, current = task.with_errors(one.refit.fitted)
+        return task, current, sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
+
+    def _rivals(self, refit: Refit, dropped: Sequence[str]) -> list[Refit]:
+        """Fits of what may explain the same: of the dropped, and where it is unusual of all effects."""
+        if refit.base.ordinary(refit.values):
+            kinds = [CATALOGUE[name] for name in dropped if name != refit.name]
+            found = [score_family(refit.origin, Family(one.variants(self.conditions))) for one in kinds]
+        else:
+            found = [one for one in self._scores(refit.origin)[0] if one.name != refit.name]
+        near = [one for one in found if one.testable and one.gain > RIVALS * refit.gain]
+        likely = sorted(near, key=lambda one: -one.gain)[:PROPOSALS]
+        wider = [one for one in wider_forms(self.fitter, refit) if np.isfinite(one.fitted.chi2)]
+        return [*wider, *quick_refits(self.fitter, refit.origin, likely)]
+
+    def _against_without(self, current: Optimum, label: str) -> Refit:
+        """The model against itself without one effect."""
+        fitted = current.fitted
+        near = without_linearly(fitted, label)
+        effects = dict(zip(fitted.problem.effects.labels, near.continued(), strict=True))
+        name = effects.pop(label).name
+        origin = Optimum(current.stack, self.fitter.explored(list(effects.values()), near))
+        kind = CATALOGUE[name]
+        variants = (
+            kind.variants(self.conditions) if kind.found_by == "score" else (fitted.effect(label).base,)
+        )
+        where = fitted.effect(label).acts_in
+        family = Family(tuple(one.only_in(where) for one in variants), placements=(where,))
+        return Refit(score_family(origin, family), origin, fitted, label)
+
+
+def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
+    """Facts of the instrument and mild effects, their values free.
+
+    Parameters
+    ----------
+    conditions : Conditions
+    present : sequence of Effect
+        What a model has already.
+    """
+    model, found = {effect.name for effect in present}, []
+    for name, kind in CATALOGUE.items():
+        if not (kind.fact or kind.mild) or name in model:
+            continue
+        try:
+            found.append(kind.under(conditions))
+        except ValueError:
+            continue  # it means nothing for this instrument
+    return found
+
+
+def added(fitted: Fitted, told: Sequence[Effect]) -> list[str]:
+    """Labels of the effects of a model beyond those that it was told."""
+    known = {*labels_of(told)}
+    return [label for label in fitted.problem.effects.labels if label not in known]
+
+
+def _nulls(fitted: Fitted, label: str) -> dict[int, float]:
+    """Values without effect of those parameters that have one, by column."""
+    pairs = zip(fitted.columns_of(label), fitted.effect(label).parameters, strict=True)
+    return {column: parameter.null for column, parameter in pairs if parameter.null is not None}
+
+
+def without_linearly(fitted: Fitted, label: str) -> Fitted:
+    """A model with one effect at nothing, the others at the optimum of a linear model if that is better.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    label : str
+        Of the effect.
+    """
+    nulls, x = _nulls(fitted, label), fitted.x.clone()
+    own = [*nulls]
+    covariance, moved = fitted.solution.covariance[0], x.clone()
+    excess = x[0, own] - torch.tensor([*nulls.values()], dtype=x.dtype)
+    moved[0] -= covariance[:, own] @ torch.linalg.pinv(covariance[own][:, own], hermitian=True) @ excess
+    x[0, own] -= excess
+    moved = moved.clamp(fitted.problem.lower, fitted.problem.upper)
+    values = min(x, moved, key=lambda one: _chi2_at(fitted, one))
+    return replace(fitted, solution=replace(fitted.solution, values=values))
+
+
+def _chi2_at(fitted: Fitted, x: torch.Tensor) -> float:
+    """χ² there; infinite where nothing can be computed."""
+    try:
+        chi2 = float(fitted.problem.chi2(x))
+    except ValueError:
+        return float("inf")
+    return chi2 if np.isfinite(chi2) else float("inf")

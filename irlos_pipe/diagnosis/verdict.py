@@ -1,0 +1,254 @@
+"""What a diagnosis says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from irlos_pipe.diagnosis.ambiguity import Alternative
+from irlos_pipe.diagnosis.checks.fine_structure import FineStructure
+from irlos_pipe.diagnosis.checks.noise import NoiseVerdict
+from irlos_pipe.diagnosis.cube import HeldOutKind
+from irlos_pipe.diagnosis.held_out import Gap
+from irlos_pipe.diagnosis.moments import Moments
+from irlos_pipe.diagnosis.rest import Rest
+from irlos_pipe.diagnosis.second_recording import Advice
+from irlos_pipe.diagnosis.sharing import Together
+from irlos_pipe.effects import FixedEffect
+from irlos_pipe.effects.public_values import measured
+
+NONE: Final = "none"
+EFFECT: Final = "effect"
+UNKNOWN: Final = "unknown"
+COMPLETE: Final = "complete"
+PARTIAL: Final = "partial"
+RESEMBLES: Final = "resembles"
+Grade = Literal["none", "complete", "partial", "resembles", "unknown"]
+Outcome = Literal["named", "nearest", "modelled", "adjusted", "fitted", "scored", "absorbed", "not tried"]
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One family as it stood when a name was chosen.
+
+    Attributes
+    ----------
+    gain : float
+        Fall of χ² by the fit.
+    explained : float
+        Part of the excess that it explains.
+    significance : float
+        In Gaussian σ.
+    held_out_z : float
+        Vuong's statistic for the first of all against it, on data that no fit has seen.
+    """
+
+    name: str
+    gain: float
+    explained: float
+    significance: float
+    held_out_z: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One name, in the order found.
+
+    Attributes
+    ----------
+    effect : FixedEffect
+        As it stands in the final model, nothing free.
+    public, sigma : dict
+        Parameters and standard errors under public names.
+    significance : float
+        In Gaussian σ.
+    explained : float
+        Part of the excess that was there before.
+    preference : float
+        Vuong's statistic on the held-out frames, against the model before.
+    gap : Gap
+        On the held-out frames, of the models before and after it.
+    alternatives : sequence of Alternative
+    ranking : sequence of Ranked
+        Families that were fitted, the best first.
+    label : str
+        Of the effect among those of the final model; by default its name.
+    share : float
+        Part of its own signal that the final model explains where that signal lies.
+    shown, shown_sigma : dict
+        What a reader is told of its size, see `Effect.shown`, and standard errors.
+    """
+
+    effect: FixedEffect
+    public: dict[str, Any]
+    sigma: dict[str, Any]
+    significance: float
+    explained: float
+    preference: float
+    gap: Gap
+    alternatives: Sequence[Alternative] = ()
+    ranking: Sequence[Ranked] = ()
+    label: str = ""
+    share: float = float("nan")
+    shown: dict[str, Any] = field(default_factory=dict)
+    shown_sigma: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "label", self.label or self.name)
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.effect.name
+
+    def found_in(self, moments: Moments) -> list[str]:
+        """Names of the `moments` in which it acts; none where it acts in all."""
+        return [] if self.effect.acts_in is None else moments.names_of(self.effect.acts_in)
+
+    @property
+    def phrase(self) -> str:
+        """The effect with its size and error, as a sentence names it."""
+        sizes = measured(self.public, self.sigma) | measured(self.shown, self.shown_sigma)
+        return self.effect.phrase(sizes)
+
+    @property
+    def unusual(self) -> list[str]:
+        """Parameters at a bound, or beyond what is usual for the effect."""
+        return self.effect.base.unusual(self.effect.values)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """One effect of the catalogue in a diagnosis.
+
+    Attributes
+    ----------
+    name : str
+    outcome : str
+        ``named``; ``nearest``: what comes nearest where the verdict is unknown; ``modelled``: in the model
+        from the start; ``adjusted``: in the final model without being named; ``fitted``: fitted and explains
+        less; ``scored``: not significant in what was left; ``absorbed``: these data cannot show it;
+        ``not tried``.
+    significance : float
+        Of its score test at the last model for which a name was looked for, in Gaussian σ; NaN without one.
+    reason : str
+    """
+
+    name: str
+    outcome: Outcome
+    significance: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """An effect that makes the final model fit better and is not named.
+
+    Attributes
+    ----------
+    label : str
+        Of the effect among those of the final model.
+    effect : FixedEffect
+        As it stands there, nothing free.
+    public, sigma : dict
+        Parameters and standard errors under public names.
+    """
+
+    label: str
+    effect: FixedEffect
+    public: dict[str, Any]
+    sigma: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Mean held-out image and its predictions [e-], all (rows, columns); added OPD (n, n) [nm].
+
+    Attributes
+    ----------
+    leading : ndarray
+        Leading mode of the residual over the frames, over the standard error of a frame.
+    """
+
+    measured_e: np.ndarray
+    sigma_e: np.ndarray
+    before_e: np.ndarray
+    after_e: np.ndarray
+    leading: np.ndarray
+    added_opd_nm: np.ndarray
+    added_amplitude: np.ndarray
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The whole verdict.
+
+    Attributes
+    ----------
+    verdict : {"none", "effect", "unknown"}
+    grade : {"none", "complete", "partial", "resembles", "unknown"}
+        Nothing is missing; nothing significant is left; something else is missing as well; the best name
+        stands in for something that the catalogue lacks; nothing explains what is missing.
+    steps : sequence of Step
+        Names accepted.
+    nearest : Step or None
+        What comes nearest, where the verdict is unknown.
+    unexplained : bool
+        Whether a significant part of the residual is left.
+    why_unknown : str
+    rest : Rest
+        What the final model misses.
+    adjusted : sequence of Adjusted
+        Of the final model beside the steps: it fits better with them, but none is sure enough to be named.
+    tried : sequence of Tried
+        Every effect of the catalogue, and what became of it.
+    mdb : dict
+        Smallest detectable size of every effect that was not seen.
+    untestable : sequence of str
+        Effects that the free parameters absorb.
+    advice : dict of str to Advice
+        For those of them that a second recording beside this one would show.
+    fine : FineStructure
+        Left by the model with the names: whether pixels hold what no light can have made.
+    frames : (int, int)
+        That fits saw, and held out.
+    held_out : {"frames", "pixels"}
+        What no fit saw.
+    chi2_nu : (float, float)
+        Of the mean training image over its expectation, before and after.
+    together : Together or None
+        What the recordings share; None of a single star and night.
+    modes_nm : (ndarray, ndarray)
+        Total Zernike coefficients before and after, in the order of `nolls`.
+    """
+
+    verdict: Literal["none", "effect", "unknown"]
+    grade: Grade
+    steps: Sequence[Step]
+    nearest: Step | None
+    unexplained: bool
+    why_unknown: str
+    rest: Rest
+    gap: Gap
+    mdb: dict[str, dict]
+    untestable: Sequence[str]
+    noise: NoiseVerdict
+    fine: FineStructure
+    chi2_nu: tuple[float, float]
+    excess_sigma: tuple[float, float]
+    motion_ratio: float
+    drift_significance: float
+    frames: tuple[int, int]
+    held_out: HeldOutKind
+    nolls: tuple[int, ...]
+    modes_nm: tuple[np.ndarray, np.ndarray]
+    modes_sigma_nm: np.ndarray
+    pictures: Pictures
+    advice: dict[str, Advice] = field(default_factory=dict)
+    adjusted: Sequence[Adjusted] = ()
+    tried: Sequence[Tried] = ()
+    together: Together | None = None
+    seconds: float = 0.0

@@ -1,0 +1,69 @@
+"""The diagnosis: detect, propose, refit, decide, adapt, and judge on frames that no fit has seen."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+
+from irlos_pipe.diagnosis.checks.noise import PHOTONS, judge_all
+from irlos_pipe.diagnosis.conclude import conclude
+from irlos_pipe.diagnosis.cube import Cube
+from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.forward import Report, Task
+from irlos_pipe.diagnosis.grade import much_is_left
+from irlos_pipe.diagnosis.moments import Moments
+from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.diagnosis.splitting import hold_out_of
+from irlos_pipe.diagnosis.together import together
+from irlos_pipe.diagnosis.tolerant import TolerantTask
+from irlos_pipe.diagnosis.verdict import UNKNOWN, Diagnosis
+from irlos_pipe.diagnosis.view import Exposures
+from irlos_pipe.effects import Effect
+
+
+def silent(count: int) -> None:
+    """Report nothing."""
+
+
+@torch.no_grad()
+def diagnose(
+    recordings: Sequence[Exposures],
+    effects: Sequence[Effect],
+    options: Options,
+    *,
+    device: str = "cpu",
+    report: Report = silent,
+) -> Diagnosis:
+    """Find what the model of one recording lacks, or that of several with other settings, stars or nights.
+
+    Parameters
+    ----------
+    recordings : sequence of Exposures
+        With different focus, diversity or band, but the same window; those of one moment have one
+        wavefront. Effects are stated for the first recording in which they act.
+    effects : sequence of Effect
+        What the model has already, see `moments.placed`.
+    options : Options
+    device : str
+    report : callable, optional
+        Called with the number of finished fits, for a progress bar.
+    """
+    began = time.perf_counter()
+    hold_out = hold_out_of(recordings)
+    cubes = [hold_out.split(one.frames, options.held_out) for one in recordings]
+    noise = judge_all([part for cube in cubes for part in cube.training.parts])
+    cube = Cube.of_all([one.limited_by(noise.kind == PHOTONS) for one in cubes])
+
+    views = [one.view(range(2, options.highest_noll + 1), device) for one in recordings]
+    fitter, moments = Fitter(views, cube.training, options.drift_nm), Moments.of(recordings)
+    search = Task(cube, fitter, moments, options, report).searched(effects)
+    if much_is_left(search, noise.kind, options.sure):
+        tolerant = TolerantTask(cube, fitter, moments, options, report, noise.kind)
+        search = tolerant.beyond(search, effects)
+    diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
+    if moments.several and diagnosis.verdict != UNKNOWN:
+        diagnosis = replace(diagnosis, together=together(search, fitter, cube, moments, options))
+    return replace(diagnosis, seconds=time.perf_counter() - began)

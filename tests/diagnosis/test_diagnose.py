@@ -1,0 +1,122 @@
+"""Diagnoses of cubes whose images HCIPy made (independent code), with something hidden in them."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from helpers.diagnose_cases import COMPANION, FURTHER, GHOST, PUPIL, TRUE_NM, diagnosis_of
+
+from irlos_pipe.diagnosis.sentence import sentence
+from irlos_pipe.effects import CATALOGUE
+
+
+def error_nm(diagnosis, which: int) -> float:
+    """Error of the NCPAs before (0) or after (1)."""
+    true = np.array([TRUE_NM[noll] for noll in diagnosis.nolls])
+    return float(np.linalg.norm(diagnosis.modes_nm[which] - true))
+
+
+def assert_sized(step, second: dict[str, float]) -> None:
+    """Flux ratio and place are those of a second image, within four standard errors."""
+    x, y = (9.7 * second[key] for key in ("x_px", "y_px"))
+    true = {"sep_mas": np.hypot(x, y), "pa_deg": np.rad2deg(np.arctan2(y, x)) % 360}
+    for key, value in {"flux_ratio": second["flux_ratio"], **true}.items():
+        assert step.public[key] == pytest.approx(value, abs=4 * step.sigma[key] + 1e-3 * value), key
+
+
+@pytest.mark.slow
+def test_a_clean_cube_has_nothing_missing():
+    diagnosis = diagnosis_of("plain")
+    assert diagnosis.verdict == "none"
+    assert abs(diagnosis.excess_sigma[0]) < 4
+    assert diagnosis.gap.before < 1.2 * diagnosis.gap.floor
+
+
+@pytest.mark.slow
+def test_what_the_free_modes_absorb_is_called_untestable_not_absent():
+    diagnosis = diagnosis_of("plain")
+    assert "diversity_error" in diagnosis.untestable  # Noll 6 is estimated
+    assert "atmospheric_dispersion" in diagnosis.untestable  # one wavelength
+    assert not set(diagnosis.mdb) & set(diagnosis.untestable)
+
+
+@pytest.mark.slow
+def test_a_second_source_is_named_with_its_size():
+    (step,) = diagnosis_of("companion").steps
+    assert step.name == "companion"
+    assert_sized(step, COMPANION)
+
+
+@pytest.mark.slow
+def test_a_second_image_as_sharp_as_the_star_may_as_well_be_a_ghost_of_the_optics():
+    (step,) = diagnosis_of("companion").steps
+    assert [one.name for one in step.alternatives] == ["ghost"]
+    assert "companion: ghost" in sentence(diagnosis_of("companion"))
+
+
+@pytest.mark.slow
+def test_one_that_is_out_of_focus_is_a_ghost():
+    (step,) = diagnosis_of("ghost").steps
+    assert (step.name, step.alternatives) == ("ghost", [])
+    assert_sized(step, GHOST)
+    assert step.public["defocus_nm"] == pytest.approx(80.0, abs=4 * step.sigma["defocus_nm"])
+
+
+@pytest.mark.slow
+def test_facts_of_the_pupil_that_were_told_wrong_are_named_with_what_the_data_want():
+    diagnosis = diagnosis_of("pupil")
+    found = {key: (value, s.sigma[key]) for s in diagnosis.steps for key, value in s.public.items()}
+    assert {step.name for step in diagnosis.steps} == {"pupil_geometry", "pupil_misregistration"}
+    for key, true in PUPIL.items():
+        assert found[key][0] == pytest.approx(true, abs=4 * found[key][1]), key
+    assert re.search(r"obscuration of 1\.22\d* ± 0\.00\d+ m instead of 1\.12 m", sentence(diagnosis))
+    assert re.search(r"vanes turned by \+\d\.\d+ ± 0\.\d+° against the profile", sentence(diagnosis))
+
+
+@pytest.mark.slow
+def test_a_third_source_is_a_second_companion():
+    first, second = diagnosis_of("two").steps
+    assert (first.label, second.label) == ("companion", "companion_2")
+    assert_sized(first, COMPANION)
+    assert_sized(second, FURTHER)
+
+
+@pytest.mark.slow
+def test_the_ncpas_improve_and_the_held_out_gap_closes_with_the_name():
+    diagnosis = diagnosis_of("companion")
+    assert error_nm(diagnosis, 1) < error_nm(diagnosis, 0) / 5
+    assert diagnosis.gap.shrink > 0.95
+
+
+@pytest.mark.slow
+def test_the_sentence_says_what_and_how_much():
+    said = r"Missing in the model: a second source of \d\.\d+ ± 0\.\d+ % at \d+\.\d+ ± \d\.\d+ mas"
+    assert re.match(said, sentence(diagnosis_of("companion")))
+
+
+@pytest.mark.slow
+def test_every_effect_of_the_catalogue_is_said_to_be_named_or_why_not():
+    found = {one.name: one for one in diagnosis_of("companion").tried}
+    assert [*found] == [*CATALOGUE]
+    assert found["companion"].outcome == "named"
+    assert found["ghost"].outcome == "fitted"
+    assert found["diversity_error"].outcome == "absorbed"
+    assert found["vibration"].significance < 5 and found["vibration"].outcome in ("scored", "fitted")
+    assert all(one.reason for one in found.values() if one.outcome != "named")
+
+
+@pytest.mark.slow
+def test_a_name_that_lost_says_what_data_that_no_fit_has_seen_say_of_it():
+    first, *others = diagnosis_of("ghost").steps[0].ranking
+    assert (first.name, first.held_out_z) == ("ghost", 0)
+    assert others and all(one.held_out_z > 3 for one in others)
+
+
+@pytest.mark.slow
+def test_an_opaque_spot_which_the_catalogue_lacks_gets_no_name():
+    diagnosis = diagnosis_of("spot")
+    assert diagnosis.verdict == "unknown"
+    assert diagnosis.steps == []
+    assert diagnosis.why_unknown

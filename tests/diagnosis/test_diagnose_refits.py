@@ -1,0 +1,177 @@
+"""Fits of candidates and what is chosen of them, on frames drawn from the model itself (same code).
+
+Truth: what was put into the frames, and mpmath's incomplete beta function.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mpmath
+import numpy as np
+import pytest
+import torch
+from helpers.diagnose_frames import CONDITIONS, NOLLS, TRUE_NM, WINDOW, cube, fitted, image, model, optimum
+from helpers.optics_cases import vector
+from scipy import stats
+
+from irlos_pipe.diagnosis.acceptance import by_plausibility
+from irlos_pipe.diagnosis.checks.noise import judge_all
+from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
+from irlos_pipe.diagnosis.effect_sizes import determined, public_sigma
+from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.refit import is_rival, refits
+from irlos_pipe.diagnosis.search.scores import Family, families, score_family, scores
+from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.splitting import HeldOutFrames
+from irlos_pipe.diagnosis.view import View
+from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects.colour import PlateScale
+from irlos_pipe.effects.detector import BackgroundGradient
+from irlos_pipe.numerics.parallel import workers
+
+
+def fitter_of(stack) -> Fitter:
+    return Fitter([View(model(), CONDITIONS)], stack)
+
+
+def only(*names: str) -> list[Family]:
+    """Families of these effects."""
+    return [family for family in families(CONDITIONS, [])[0] if family.effect.name in names]
+
+
+def test_of_names_that_fit_alike_one_that_is_plausible_comes_first():
+    """5 % more wavelength is 5 % less of a pixel in a narrow band, which no lens makes; filters do differ."""
+    stack = cube(image(effect=PlateScale(9.7), values=[-0.045]))
+    at_rest = optimum(stack.training)
+    present = only("plate_scale", "spectrum")
+    fitter = Fitter([View(model(), CONDITIONS)], stack.training)
+    ranked = refits(fitter, at_rest, scores(at_rest, present))
+    ranked.sort(key=lambda one: one.name)  # plate_scale first
+    judges = [HeldOutEvaluation(stack.held_out, one.fitted) for one in ranked]
+    first, second = by_plausibility(ranked, judges)[0]
+    assert (first.name, second.name) == ("spectrum", "plate_scale")
+    assert second.implausible and not first.implausible
+
+
+@pytest.mark.slow
+def test_a_name_is_fitted_from_zero_as_well_where_the_model_lies_in_a_false_minimum(monkeypatch):
+    """The gradient is put on the image by hand; the wavefront of the model before is 600 nm off."""
+    stack = cube(image() + 6.0 * np.arange(WINDOW)).training
+    right = fitted(stack)
+    wrong = right.x.clone()
+    wrong[:, right.problem.layout.modes] += vector({5: 400.0, 9: -450.0}, NOLLS)
+    solution = replace(right.solution, values=wrong)
+    lost = Optimum(stack, replace(right, solution=solution, chi2=float(right.problem.chi2(wrong))))
+    score = score_family(lost, Family((BackgroundGradient(),)))
+    fitter = Fitter([View(model(), CONDITIONS)], stack)
+    found = refits(fitter, lost, [score])[0]
+    assert found.public["e_per_pixel"] == pytest.approx(6.0, rel=0.01)
+    assert found.fitted.modes_nm == pytest.approx(vector(TRUE_NM, NOLLS)[0].numpy(), abs=5.0)
+    monkeypatch.setattr("irlos_pipe.diagnosis.refit.FAR", np.inf)
+    assert refits(fitter, lost, [score])[0].fitted.chi2 > 10 * found.fitted.chi2
+
+
+@pytest.mark.slow
+def test_fits_are_the_same_by_one_worker_and_by_two_and_the_best_ends_in_float64():
+    at_rest = optimum(cube(image() + 0.5 * np.arange(WINDOW)).training)
+    fitter = Fitter([View(model(), CONDITIONS)], at_rest.stack)
+    present = only(*{*CATALOGUE} - {"companion", "phase_bump", "pupil_misregistration"})
+    both = []
+    for count in (1, 2):
+        with workers(count), torch.no_grad():
+            both.append(refits(fitter, at_rest, scores(at_rest, present)))
+    one, two = both
+    assert [r.name for r in one] == [r.name for r in two] and len(one) > 1
+    assert all(torch.equal(r.fitted.x, other.fitted.x) for r, other in zip(one, two, strict=True))
+    assert (one[0].name, one[0].fitted.converged) == ("background_gradient", True)
+    assert one[0].fitted.problem.model.psf.dtype == torch.float64
+
+
+@pytest.mark.slow
+def test_rivals_of_the_best_have_converged_in_float64_too():
+    """What the images hardly tell apart may be exchanged for each other."""
+    at_rest = optimum(cube(image(effect=PlateScale(9.7), values=[-0.02])).training)
+    present = only("plate_scale", "spectrum", "companion")
+    best, *others = refits(fitter_of(at_rest.stack), at_rest, scores(at_rest, present))
+    rivals = [one for one in others if is_rival(best, one)]
+    assert rivals
+    assert all(one.fitted.exact and one.fitted.converged for one in (best, *rivals))
+
+
+def test_priors_cost_what_they_cost_however_soon_a_fit_was_ended(monkeypatch):
+    monkeypatch.setattr("irlos_pipe.diagnosis.fitting.EXPLORING", 2)
+    stack = cube(image()).training
+    ended = fitter_of(stack).explored([])
+    sigma = ended.problem.prior_precision[0, ended.problem.layout.modes].numpy() ** -0.5
+    assert not ended.converged
+    assert ended.penalty == pytest.approx(np.sum((ended.modes_nm / sigma) ** 2), rel=1e-9)
+    objective = 0.5 * (ended.chi2 + ended.penalty)
+    assert float(ended.solution.objective[0]) == pytest.approx(objective, rel=1e-5)
+
+
+def test_two_hot_pixels_are_one_effect_of_both():
+    mean = image()
+    mean[5, 22] += 60
+    mean[25, 8] += 90
+    at_rest = optimum(cube(mean).training)
+    (found,) = scores(at_rest, bad_pixel_family(at_rest))
+    assert (found.name, found.trials) == ("bad_pixels", WINDOW**2)
+    (fit,) = refits(fitter_of(at_rest.stack), at_rest, [found])
+    assert fit.public == {"pixels": [[25, 8], [5, 22]]}
+    assert fit.values == pytest.approx([90.0, 60.0], abs=6.0)
+    assert abs(fit.excess.significance) < 4
+
+
+def test_a_significance_far_beyond_the_range_of_the_f_distribution_is_finite_and_right():
+    for value, directions, frames in ((3000.0, 3, 90.0), (4e4, 5, 3000.0), (1e5, 2, 2000.0)):
+        freedom = frames - directions
+        f = value * freedom / (directions * (frames - 1))
+        x = freedom / (freedom + directions * f)
+        tail = mpmath.betainc(freedom / 2, directions / 2, 0, x, regularized=True)
+        wanted = -mpmath.log(tail)
+        sigma = gaussian_sigma(value, directions, frames)
+        assert -stats.norm.logsf(sigma) == pytest.approx(float(wanted), rel=2e-3)
+
+
+def test_the_error_of_a_direction_does_not_see_the_jump_at_zero():
+    gradient, covariance = BackgroundGradient(), np.diag([0.01, 0.01]) ** 2
+    sigma = public_sigma(gradient, np.array([0.5, 0.0]), covariance)
+    assert sigma["angle_deg"] == pytest.approx(np.rad2deg(0.01 / 0.5), rel=1e-3)
+
+
+def test_what_a_direction_without_size_does_not_determine_has_no_error_and_spoils_no_other():
+    """A stop in its place has no direction: the covariance of that one is infinite."""
+    stop = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
+    known = np.array([[4e-6, 1e-6], [1e-6, 9e-4]])
+    covariance = np.diag([0.0, np.inf, 0.0])
+    covariance[np.ix_([0, 2], [0, 2])] = known
+    found = determined(stop.parameters, covariance)
+    assert found[np.ix_([0, 2], [0, 2])] == pytest.approx(known)
+    assert (found[1] == 0).all() and (found[:, 1] == 0).all()
+
+
+def test_one_recording_with_speckles_makes_the_noise_that_of_speckles():
+    quiet = cube(image()).training.parts[0]
+    tilts = np.random.default_rng(3).normal(0, 12, len(quiet.frames.images_e))
+    moving = np.array([image({**TRUE_NM, 5: TRUE_NM[5] + 4 * tilt}) for tilt in tilts])
+    still = quiet.mean_e.view(WINDOW, WINDOW).expand_as(quiet.frames.images_e)
+    calm = replace(quiet, frames=replace(quiet.frames, images_e=still))
+    loud = replace(quiet, frames=replace(quiet.frames, images_e=torch.as_tensor(moving)))
+    assert judge_all([calm, loud]).kind == "speckle-limited"
+
+
+def test_a_few_frames_are_held_out_however_small_the_share():
+    frames = cube(image()).training.parts[0].frames
+    parts = HeldOutFrames().split(replace(frames, images_e=frames.images_e[:16]), 0.06)
+    assert len(parts.held_out) >= 1 and len(parts.training) >= 8
+
+
+def test_of_what_a_model_may_have_several_times_a_further_one_is_looked_for():
+    def names(*present: str) -> set[str]:
+        return {family.effect.name for family in families(CONDITIONS, present)[0]}
+
+    assert names() - names("companion", "phase_bump", "vibration") == {"vibration"}
+    assert "ghost" not in names()  # looked for where a companion is found

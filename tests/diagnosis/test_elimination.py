@@ -1,0 +1,79 @@
+"""Backward elimination against refits of a linear model, and errors of the flat by Monte Carlo."""
+
+import numpy as np
+import pytest
+import torch
+
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
+from irlos_pipe.diagnosis.checks.fine_structure import flat_rms
+from irlos_pipe.diagnosis.cube import Errors, Stack
+from irlos_pipe.diagnosis.elimination import needed
+from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
+
+SURE = 5.0
+SETTINGS = PsfSettings(PupilGeometry(8.0), (64, 64), 9.7, ((1600.0, 1.0),), KnownWavefront())
+
+
+def sigma(rise: float, count: int) -> float:
+    return gaussian_sigma(max(rise, 1e-12), count, np.inf)
+
+
+def test_of_two_columns_that_look_alike_one_remains():
+    rng = np.random.default_rng(0)
+    first = rng.standard_normal(500)
+    design = np.stack([first, first + 0.01 * rng.standard_normal(500), rng.standard_normal(500)], axis=1)
+    data = 2.0 * first + rng.standard_normal(500)
+    covariance = np.linalg.inv(design.T @ design)
+    kept = needed({"a": [0], "b": [1], "c": [2]}, covariance @ design.T @ data, covariance, sigma, SURE)
+    assert len(kept) == 1 and kept[0] in ("a", "b")
+
+
+def test_what_remains_is_significant_in_a_refit_without_the_rest():
+    rng = np.random.default_rng(1)
+    design = rng.standard_normal((400, 6)) @ rng.standard_normal((6, 6))
+    data = design[:, :2] @ [3.0, -2.0] + rng.standard_normal(400)
+    covariance = np.linalg.inv(design.T @ design)
+    columns = {str(i): [i] for i in range(6)}
+    kept = [int(name) for name in needed(columns, covariance @ design.T @ data, covariance, sigma, SURE)]
+    chosen = design[:, kept]
+    inverse = np.linalg.inv(chosen.T @ chosen)
+    estimate = inverse @ chosen.T @ data
+    assert {0, 1} <= set(kept)
+    assert np.all(np.abs(estimate) / np.sqrt(np.diag(inverse)) > SURE)
+
+
+def cube(flat: float, seed: int) -> tuple[Stack, torch.Tensor]:
+    """A broad image through a flat with an error, and what its mean differs by from the image."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:64, :64] - 31.5
+    image = 200.0 + 2e4 * np.exp(-(x**2 + y**2) / 2 / 8.0**2)
+    gain = 1 + flat * rng.standard_normal((64, 64))
+    frames = rng.poisson(image * gain, size=(60, 64, 64)).astype(np.float32)
+    noise = NoiseModel(1.0, 1.0)
+    taken = Frames(torch.as_tensor(frames), torch.ones(64, 64, dtype=torch.bool), noise)
+    stack = Stack.of(taken, np.linspace(0, 1, 60))
+    smooth = 0.02 * image * np.cos(x / 8)  # an error of the model, which has nothing beyond the cut-off
+    return stack, stack.mean_e - torch.as_tensor((image + smooth).ravel())
+
+
+@pytest.mark.parametrize("flat", [0.002, 0.01])
+def test_the_error_of_the_flat_is_measured_beside_a_smooth_misfit(flat):
+    found = [flat_rms(*cube(flat, seed), SETTINGS) for seed in range(4)]
+    assert np.mean(found) == pytest.approx(flat, rel=0.1)
+
+
+def test_a_perfect_flat_shows_no_error():
+    assert [flat_rms(*cube(0.0, seed), SETTINGS) for seed in range(4)] == [0.0] * 4
+
+
+def test_errors_enter_the_variances_and_leave_them_again():
+    stack, _ = cube(0.0, 0)
+    allowed = stack.with_errors(Errors(misfit=3.0, alike_px=10.0, flat_rms=0.01))
+    assert torch.allclose(
+        allowed.without_model_error().variance_e2, stack.variance_e2 + allowed.flat_error_e2
+    )
+    assert torch.allclose(allowed.variance_e2, 3 * (stack.variance_e2 + allowed.flat_error_e2))
+    assert torch.allclose(allowed.with_errors(Errors()).variance_e2, stack.variance_e2)

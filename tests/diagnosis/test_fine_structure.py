@@ -1,0 +1,87 @@
+"""Structure beyond the cut-off of the telescope.
+
+Truth: HCIPy's images, what was put into the frames, Monte Carlo, and D/λ by hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from helpers.diagnose_cases import CASE, FLUX_E, WAVELENGTH_NM, WINDOW, opd_nm, plain, reference
+from helpers.optics_cases import READ_NOISE, draw_frames, everything
+
+from irlos_pipe.diagnosis.checks.fine_structure import (
+    Beyond,
+    FineStructure,
+    highest_frequency_per_px,
+    structure_of,
+)
+from irlos_pipe.diagnosis.cube import Stack
+from irlos_pipe.estimate.cube import Frames
+
+FRAMES = 40
+
+
+def found(images_e: torch.Tensor, mask: torch.Tensor, expected_e: np.ndarray, case=CASE) -> FineStructure:
+    """In frames of which a model expects a mean image."""
+    stack = Stack.of(Frames(images_e, mask, READ_NOISE), np.linspace(0, 1, len(images_e)))
+    residual_e = stack.mean_e - torch.as_tensor(expected_e.ravel())
+    return structure_of(stack, residual_e, case)
+
+
+def drawn(mean_e: np.ndarray, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
+    images = draw_frames(mean_e, FRAMES, seed=seed)
+    return images, everything(images)
+
+
+@pytest.mark.slow
+def test_the_image_of_a_telescope_has_nothing_beyond_the_cut_off():
+    image = torch.as_tensor(plain())[None]
+    mask = torch.ones(CASE.window, dtype=torch.bool)
+    beyond, within = (Beyond(mask, part * highest_frequency_per_px(CASE)) for part in (1.0, 0.5))
+    assert float(beyond(image).abs().max()) < 2e-5 * float(image.max())
+    assert float(within(image).abs().max()) > 2e-3 * float(image.max())
+
+
+def test_the_cut_off_is_that_of_the_aperture():
+    """D/λ by hand: 8 m, 1600 nm, 9.7 mas."""
+    assert highest_frequency_per_px(CASE) == pytest.approx(8.0 / 1600e-9 * 9.7e-3 / 206264.806, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_noise_alone_is_not_significant():
+    expected = plain() * FLUX_E
+    significances = [found(*drawn(expected, seed), expected).significance for seed in range(30)]
+    assert max(significances) < 4.5
+    assert abs(np.mean(significances)) < 1.0
+
+
+@pytest.mark.slow
+def test_an_error_of_the_flat_of_one_percent_is_seen():
+    expected = plain() * FLUX_E
+    gain = 1 + 0.01 * np.random.default_rng(1).standard_normal(expected.shape)
+    assert found(*drawn(expected * gain, 2), expected).significance > 5
+
+
+def test_a_wrong_wavefront_is_no_fine_structure():
+    imager = reference()
+    other = imager.image(opd_nm(imager, x_px=0.2), WAVELENGTH_NM, CASE.window, 9.7) * FLUX_E
+    assert abs(found(*drawn(other, 3), plain() * FLUX_E).significance) < 4.5
+
+
+def test_masked_pixels_do_not_pass_for_structure():
+    expected = plain() * FLUX_E
+    images, mask = drawn(expected, 4)
+    mask = mask.clone()
+    mask[WINDOW // 2, WINDOW // 2 + 3], mask[10, 12] = False, False
+    images[:, ~mask] = 0.0
+    assert abs(found(images, mask, expected).significance) < 4.5
+
+
+def test_pixels_that_are_too_coarse_tell_nothing():
+    coarse = replace(CASE, pixel_scale_mas=30.0)
+    expected = plain() * FLUX_E
+    assert found(*drawn(expected, 5), expected, coarse) == FineStructure(1.0, 0.0)

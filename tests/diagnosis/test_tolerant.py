@@ -1,0 +1,87 @@
+"""Parts of the tolerant search, on frames drawn from the model itself (same code).
+
+Truth: fits from elsewhere, what was put into the frames, and the order in which names were found.
+"""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers.diagnose_frames import CONDITIONS, cube, fitted, image
+
+from irlos_pipe.diagnosis.acceptance import labels_in
+from irlos_pipe.diagnosis.allowance import errors_of
+from irlos_pipe.diagnosis.conclude import _adjusted
+from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.tolerant import added, everyday, without_linearly
+from irlos_pipe.effects import CATALOGUE, FixedEffect
+
+STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
+SCALE = CATALOGUE["plate_scale"].under(CONDITIONS)
+COMPANION = CATALOGUE["companion"].under(CONDITIONS)
+TRUE, FREE = (0.06, -0.6, 1.0), [parameter.name for parameter in STOP.parameters]
+
+
+@pytest.fixture(scope="module")
+def off_centre():
+    """Frames behind a stop that is off, and a fit with it and the plate scale."""
+    training = cube(image(effect=STOP, values=TRUE)).training
+    return training, fitted(training, [FixedEffect(STOP, TRUE, FREE), SCALE])
+
+
+def test_without_an_effect_the_others_go_where_a_fit_would_take_them(off_centre):
+    training, full = off_centre
+    near = without_linearly(full, SCALE.name)
+    fitter = Fitter(full.views, training)
+    refit = fitter.finished(fitter.explored([full.continued()[0]], full))
+    start = float(full.problem.chi2(near.x))
+    assert near.values_of(SCALE.name) == pytest.approx(SCALE.null_values)
+    assert start - full.chi2 < 1.2 * (refit.chi2 - full.chi2) + 1.0
+    assert full.x is not near.x
+
+
+def test_where_the_others_cannot_stand_in_for_it_the_linear_model_is_no_worse_than_leaving_them(off_centre):
+    _, full = off_centre
+    x = full.x.clone()
+    x[0, full.columns_of(STOP.name)] = 0.0
+    near = without_linearly(full, STOP.name)
+    assert float(full.problem.chi2(near.x)) <= float(full.problem.chi2(x))
+    assert near.values_of(STOP.name)[[0, 2]] == pytest.approx(0.0, abs=1e-9)  # a direction has no null
+
+
+def test_a_wrong_model_never_makes_the_flat_worse_than_a_better_one_left_it(off_centre):
+    training, full = off_centre
+    wrong = replace(full, solution=replace(full.solution, values=full.x * 0.97))
+    settings = CONDITIONS.settings
+    assert errors_of(training, wrong, settings, most_flat=0.001).flat_rms <= 0.001
+    assert errors_of(training, wrong, settings).misfit > errors_of(training, full, settings).misfit
+
+
+def test_what_a_model_was_told_is_not_added_to_it(off_centre):
+    _, full = off_centre
+    assert added(full, [STOP]) == [SCALE.name]
+    assert not {STOP.name, SCALE.name} & {effect.name for effect in everyday(CONDITIONS, [STOP, SCALE])}
+
+
+def test_of_one_kind_the_labels_keep_their_order_when_others_have_gone():
+    copies = [FixedEffect(COMPANION, (0.01, 10.0 * n, 50.0)) for n in (1, 2)]
+    model = SimpleNamespace(effects=[STOP, *copies])
+
+    def one(name, label):
+        return SimpleNamespace(name=name, refit=SimpleNamespace(label=label))
+
+    found = [one("companion", "companion_3"), one(STOP.name, STOP.name), one("companion", "companion_2")]
+    assert labels_in(model, found) == ["companion_2", STOP.name, "companion"]
+    assert np.unique(labels_in(model, found)).size == 3
+
+
+def test_what_was_adjusted_is_handed_on_by_its_label_if_there_are_two_of_a_kind():
+    copies = [FixedEffect(COMPANION, (0.02, 150.0, 40.0 * n), ["flux_ratio"]) for n in (-1, 1)]
+    training = cube(image(effect=COMPANION, values=(0.02, 150.0, 40.0))).training
+    final = Optimum(training, fitted(training, copies))
+    (one,) = _adjusted(SimpleNamespace(final=final, adjusted=["companion_2"]))
+    assert one.label == "companion_2"
+    assert one.public["flux_ratio"] == pytest.approx(0.02, abs=5 * one.sigma["flux_ratio"])
+    assert one.public["pa_deg"] == pytest.approx(np.rad2deg(np.arctan2(40, 150)))
