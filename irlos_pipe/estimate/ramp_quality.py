@@ -41,15 +41,15 @@ class FrameErrors:
         ratio = self.chi2_nu / self.nominal_chi2_nu
         return float(np.sqrt(max(1.0, ratio))) if np.isfinite(ratio) else 1.0
 
-    def sigma_nm(self, photon_nm: np.ndarray, calibration_nm: float = 0.0) -> np.ndarray:
+    def sigma_nm(self, photon_nm: np.ndarray, calibration_nm: float | np.ndarray = 0.0) -> np.ndarray:
         """Return the standard errors of estimates [nm].
 
         Parameters
         ----------
         photon_nm : ndarray
             Those by photon and read-out noise alone.
-        calibration_nm : float
-            Standard error of the defocus among the NCPAs, which all frames share.
+        calibration_nm : float or ndarray, (frames,)
+            By the errors of the NCPAs, which all frames share, see `optics_error`.
         """
         return np.sqrt((self.growth * photon_nm) ** 2 + self.ao_defocus_nm**2 + calibration_nm**2)
 

@@ -103,7 +103,8 @@ class Knowledge:
     effects: Mapping[str, FixedEffect] = field(default_factory=dict)
 
 
-def _knowledge(cube: ObservedCube, calibration: Calibration) -> Knowledge:
+def knowledge_of(cube: ObservedCube, calibration: Calibration) -> Knowledge:
+    """Return what a `calibration` of a `cube` hands on."""
     ncpa_nm = dict(zip(calibration.nolls, calibration.fitted_modes_nm.tolist(), strict=True))
     effects = {
         effect.name: FixedEffect(effect, calibration.effect_values[effect.name].tolist())
@@ -116,7 +117,7 @@ def _knowledge(cube: ObservedCube, calibration: Calibration) -> Knowledge:
 def calibrated(scene: Scene, methods: Sequence[str]) -> dict[str, Knowledge]:
     """Return what each of the `methods` learns from a cube: simulate `scene` and calibrate it."""
     cube = ObservedCube.of(scene)
-    return {method: _knowledge(cube, cube.calibrated(VARIANTS[method])) for method in methods}
+    return {method: knowledge_of(cube, cube.calibrated(VARIANTS[method])) for method in methods}
 
 
 # -- the ramp ----------------------------------------------------------------------------------------

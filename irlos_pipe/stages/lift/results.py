@@ -19,9 +19,10 @@ class Point(ResultsPart):
         Introduced defocus as the model has it, and as commanded.
     defocus_nm, sigma_nm : float
         Estimate with its standard error; NaN where the fit is invalid.
-    sigma_photon_nm : float
-        The part of `sigma_nm` by photon and read-out noise; the AO residual's own defocus, the misfit of the
-        model and the error of the NCPAs add to it.
+    sigma_photon_nm, sigma_instant_nm, sigma_optics_nm : float
+        The parts of `sigma_nm`: by photon and read-out noise, which grows by the misfit of the model; of the
+        instant, by the AO residual's own defocus in the exposure, which differs from frame to frame; of the
+        optics, by the covariance of the NCPAs, which all frames share.
     zernike_nm : dict of int to float
         All estimated modes.
     """
@@ -33,6 +34,8 @@ class Point(ResultsPart):
     defocus_nm: Number = math.nan
     sigma_nm: Number = math.nan
     sigma_photon_nm: Number = math.nan
+    sigma_instant_nm: Number = math.nan
+    sigma_optics_nm: Number = math.nan
     converged: bool = True
     status: str = ""
     chi2_nu: Number = math.nan

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.estimate.optics_error import optics_sigma_nm
 from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise
 from irlos_pipe.estimate.ramp_fit import RampFit
 from irlos_pipe.estimate.ramp_quality import FrameErrors, excess_scatter_nm, nominal_frame_chi2
@@ -36,13 +37,13 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     summary = _summarise(ramp, fit)
     others = _comparison(ctx, ramp) if ctx.config.compare else {}
     errors = _frame_errors(ramp, fit)
-    sigma_nm = errors.sigma_nm(fit.result.mode(4)[1].numpy(), _calibration_nm(ctx, 4))
+    optics_nm = _optics_nm(ctx, ramp, fit)
+    sigma_nm = errors.sigma_nm(fit.result.mode(4)[1].numpy(), optics_nm)
     converged = float(fit.result.solution.converged.double().mean())
-    calibration_nm = _calibration_nm(ctx)
     return StageOutput(
         _arrays(ramp, fit, summary, sigma_nm),
-        _results(ctx, ramp, fit, summary, others, focus, errors, sigma_nm),
-        checks_of(ctx.config, converged, summary, others, errors, calibration_nm, len(ramp.names)),
+        _results(ctx, ramp, fit, summary, others, focus, errors, sigma_nm, optics_nm),
+        checks_of(ctx.config, converged, summary, others, errors, _wavefront_nm(ctx), len(ramp.names)),
         summary=_lines(ctx, fit, summary, others),
     )
 
@@ -62,13 +63,24 @@ def _frame_errors(ramp: Ramp, fit: RampFit) -> FrameErrors:
     return FrameErrors(scatter_nm, float(result.chi2_nu.nanmedian()), nominal)
 
 
-def _calibration_nm(ctx: StageContext[Config], noll: int | None = None) -> float:
-    """Error of one mode of the NCPAs, or of all together [nm]; 0 where they are left out."""
+def _wavefront_nm(ctx: StageContext[Config]) -> float:
+    """Error of all NCPAs together [nm]; 0 where they are left out."""
     if not ctx.config.calibrated or "calibrate" not in ctx.products:
         return 0.0
-    results = results_of(CalibrateResults, ctx.products["calibrate"])
-    sigma_nm = results.wfe_sigma_nm if noll is None else results.sigma_nm.get(noll, 0.0)
+    sigma_nm = results_of(CalibrateResults, ctx.products["calibrate"]).wfe_sigma_nm
     return sigma_nm if np.isfinite(sigma_nm) else 0.0
+
+
+def _optics_nm(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> np.ndarray:
+    """Error of every frame's defocus by that of the NCPAs [nm]; 0 where these are left out."""
+    none = np.zeros(len(ramp.names))
+    if not ctx.config.calibrated or "calibrate" not in ctx.products:
+        return none
+    arrays = ctx.products["calibrate"].arrays
+    nolls, covariance_nm2 = arrays["noll"].value.tolist(), arrays["covariance_nm2"].value
+    if not np.isfinite(covariance_nm2).all():
+        return none
+    return optics_sigma_nm(fit.model, fit.result, ramp.data.good, ramp.data.noise, nolls, covariance_nm2)
 
 
 def _focus_stage(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> FocusStage:
@@ -110,11 +122,12 @@ def _results(
     focus: FocusStage,
     errors: FrameErrors,
     sigma_nm: np.ndarray,
+    optics_nm: np.ndarray,
 ) -> LiftResults:
     return LiftResults(
         modes=list(ctx.config.modes),
         calibrated=ctx.config.calibrated,
-        points=_points(ramp, fit, sigma_nm),
+        points=_points(ramp, fit, errors, sigma_nm, optics_nm),
         summary=_line(summary),
         offsets=_offsets(summary),
         effects=fit.effects | focus.effects,
@@ -128,7 +141,9 @@ def _results(
     )
 
 
-def _points(ramp: Ramp, fit: RampFit, sigma_nm: np.ndarray) -> list[Point]:
+def _points(
+    ramp: Ramp, fit: RampFit, errors: FrameErrors, sigma_nm: np.ndarray, optics_nm: np.ndarray
+) -> list[Point]:
     """One row per frame, as results.json has them."""
     defocus, photon = fit.defocus_nm.tolist(), fit.result.mode(4)[1].tolist()
     return [
@@ -140,6 +155,8 @@ def _points(ramp: Ramp, fit: RampFit, sigma_nm: np.ndarray) -> list[Point]:
             defocus_nm=defocus[i],
             sigma_nm=float(sigma_nm[i]),
             sigma_photon_nm=photon[i],
+            sigma_optics_nm=float(optics_nm[i]),
+            sigma_instant_nm=errors.ao_defocus_nm,
             converged=fit.result.solution.status[i] == "converged",
             status=fit.result.solution.status[i],
             chi2_nu=float(fit.result.chi2_nu[i]),

@@ -1,0 +1,1 @@
+"""Whether quoted errors hold: pulls of calibrations and ramps over many simulated cubes."""
