@@ -22,6 +22,7 @@ from irlos_pipe.stages.lift.input import (
     read_ramp,
 )
 from irlos_pipe.stages.sensitivity.config import Config
+from irlos_pipe.stages.sensitivity.effort import announce
 from irlos_pipe.stages.sensitivity.noise import Noises, noises_of
 from irlos_pipe.stages.sensitivity.results import CriterionRow, CurveRow, NoiseRow, SensitivityResults
 
@@ -55,6 +56,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     chosen = _choose(ramp, ctx.config)
     noises = noises_of(ramp, bright, ctx.instrument, ctx.config.noise)
     combinations = [(calibrated, nolls) for calibrated in ctx.config.calibrated for nolls in ctx.config.modes]
+    window = ramp.recordings[0].window
+    announce(len(chosen), window, ctx.config.realisations, len(magnitudes), len(combinations), ctx.log)
     with ctx.progress(total=len(combinations) * len(magnitudes), desc="sensitivity") as bar:
         curves = [
             _curve(ctx, ramp, chosen, calibrated, nolls, magnitudes, noises, bar.update)
