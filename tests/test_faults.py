@@ -54,8 +54,8 @@ def test_a_full_disk_is_reported_in_one_line_and_costs_nothing_once_there_is_roo
     assert harness.after_rerun(tree) == []
 
 
-@pytest.mark.parametrize("options", ["size=200k", "ro"])
-def test_a_small_or_read_only_file_system_is_reported_in_one_line(harness, tree, options):
+@pytest.mark.parametrize("options", ["size=200k", "nr_inodes=20", "ro"])
+def test_a_file_system_without_room_or_inodes_or_read_only_is_reported_in_one_line(harness, tree, options):
     tree.mkdir()
     if subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", tree], capture_output=True).returncode:
         pytest.skip("mounting a file system is not permitted here")

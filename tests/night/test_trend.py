@@ -1,6 +1,7 @@
 """The numbers of all nights in the database, and `irlos trend`; truth is what was put in."""
 
 import json
+import sqlite3
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -198,3 +199,22 @@ def test_a_database_that_is_damaged_is_reported_with_what_to_do(tmp_path):
     (tmp_path / NAME).write_bytes(b"no database" * 100)
     result = invoke("trend", str(tmp_path))
     assert result.exit_code == 1 and "move the file away" in result.stderr and result.stderr.count("\n") == 1
+
+
+def test_a_database_of_a_newer_version_is_not_touched(tree):
+    with sqlite3.connect(tree / NAME) as connection:
+        connection.execute("PRAGMA user_version = 99")
+    before = (tree / NAME).read_bytes()
+    result = invoke("trend", str(tree))
+    assert result.exit_code == 1 and "written by a newer irlos_pipe" in result.stderr
+    assert result.stderr.count("\n") == 1 and (tree / NAME).read_bytes() == before
+
+
+@pytest.mark.slow
+def test_a_dollar_in_a_name_is_no_formula(tree):
+    run = put(tree, 20, measured(noll_4_nm=1.0), recipe="a$b_{$")
+    assert "$" in run
+    with sqlite3.connect(tree / NAME) as connection:
+        connection.execute("UPDATE runs SET configuration = 'diversity $x_{$'")
+    result = invoke("trend", str(tree), "--plot", str(tree / "focus.svg"))
+    assert (tree / "focus.svg").is_file() and "unexpected" not in result.stderr
