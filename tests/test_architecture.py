@@ -16,6 +16,7 @@ MAY_IMPORT = {
     "frames": {"conventions"},
     "readers": {"conventions", "files", "frames", "instrument"},
     "numerics": {"conventions"},
+    "control": {"conventions"},
     "optics": {"conventions", "numerics"},
     "effects": {"conventions", "numerics", "optics"},
     "estimate": {"conventions", "frames", "numerics", "optics", "effects"},
@@ -37,16 +38,20 @@ MAY_IMPORT = {
     "pipeline": {"conventions", "files", "numerics", "product", "recipe", "stages", "report"},
     "paper": {
         "conventions", "files", "frames", "instrument", "numerics", "optics", "effects", "estimate",
-        "simulate", "product", "stages", "report",
+        "control", "simulate", "product", "stages", "report",
     },
     "paper.run": {"conventions", "files", "product", "recipe", "stages", "report", "pipeline"},
     "night": {
         "conventions", "files", "frames", "readers", "instrument", "product", "recipe", "stages", "report",
         "pipeline",
     },
+    "focus": {
+        "conventions", "files", "control", "frames", "readers", "instrument", "estimate", "product", "recipe",
+        "stages",
+    },
     "commands": {
         "conventions", "files", "simulate.recordings", "product", "recipe", "pipeline", "report", "paper.run",
-        "night", "instrument", "readers", "reference",
+        "night", "instrument", "readers", "reference", "control", "estimate", "focus",
     },
     "api": {
         "conventions", "frames", "instrument", "readers", "product", "stages", "recipe", "pipeline", "report",
@@ -54,7 +59,9 @@ MAY_IMPORT = {
     "__main__": {"commands"},
 }  # fmt: skip
 # Science knows no files, no HDF5, no YAML and no command line: this is all it may use.
-SCIENCE = ("conventions", "frames", "numerics", "optics", "effects", "estimate", "diagnosis", "simulate")
+SCIENCE = (
+    "conventions", "control", "frames", "numerics", "optics", "effects", "estimate", "diagnosis", "simulate",
+)  # fmt: skip
 SCIENCE_MAY_USE = {
     "__future__", "abc", "collections", "concurrent", "contextlib", "contextvars", "copy", "dataclasses",
     "difflib", "enum", "functools", "hashlib", "importlib", "inspect", "itertools", "math", "textwrap",

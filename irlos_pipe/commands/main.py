@@ -6,6 +6,7 @@ import click
 
 import irlos_pipe
 from irlos_pipe.commands.exits import EXIT_CODES, IrlosGroup
+from irlos_pipe.commands.focus import focus
 from irlos_pipe.commands.lookup import explain, recipes, sidecar
 from irlos_pipe.commands.night import night, trend
 from irlos_pipe.commands.products import export, report, score, show, status
@@ -32,6 +33,6 @@ def cli() -> None:
 
 for command in (
     run, demo, validate, recipes, explain, sidecar, status, show, report, export, score, simulate, paper,
-    night, trend,
+    night, trend, focus,
 ):  # fmt: skip
     cli.add_command(command)

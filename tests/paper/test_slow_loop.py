@@ -8,12 +8,12 @@ import pytest
 from helpers import optics_cases as cases
 from helpers.experiment_stage import run_stage, section_of
 
+from irlos_pipe.control.disturbance import Drift, SodiumLayer
+from irlos_pipe.control.linear_theory import Integrator, best_gain
 from irlos_pipe.paper.common.broad_band import star_scene
 from irlos_pipe.paper.slow_loop import stage
-from irlos_pipe.paper.slow_loop.disturbance import Drift, SodiumLayer
 from irlos_pipe.paper.slow_loop.experiment import Conditions, LoopSample, noise_law, run_loops
 from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
-from irlos_pipe.paper.slow_loop.linear_theory import Integrator, best_gain
 from irlos_pipe.paper.slow_loop.loops import Loop, close_loops
 from irlos_pipe.paper.slow_loop.outcome import outcome_of, sensor_of
 from irlos_pipe.paper.slow_loop.section import section as slow_loop_section

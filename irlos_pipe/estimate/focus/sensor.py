@@ -144,18 +144,27 @@ class Focus:
         ValueError
             For an image of another window.
         """
+        return self.solved(image_e, reads)[0]
+
+    def solved(self, image_e: np.ndarray, reads: int = 1) -> tuple[Measurement, Found | None]:
+        """Return the measurement and the whole solution; `image_e` and `reads` as in `measurement`."""
         if np.shape(image_e) != self.window:
             raise ValueError(f"image of {np.shape(image_e)} pixels; this sensor is for {self.window}")
         self._image[...] = image_e
         flat = self._image.ravel()
         flat[self._bad] = 0.0
         if not math.isfinite(flat.sum()):
-            return Measurement(math.nan, math.nan, False, (NOT_FINITE,))
+            return Measurement(math.nan, math.nan, False, (NOT_FINITE,)), None
         noise = Noise(
             self.noise.excess_noise_factor, self.noise.floor_e2 * reads + self.noise.shared_e2 * reads**2
         )
         best, rival = self._best(flat, noise)
-        return self._judged(best, rival, float(flat.max()) / reads)
+        return self._judged(best, rival, float(flat.max()) / reads), best
+
+    def model_e(self, found: Found) -> np.ndarray:
+        """Return the image of a solution, (rows, columns) [e-]."""
+        self._images(*found.x[:3])
+        return (found.x[3] * self._images.image.astype(float) + found.x[4]).reshape(self.window)
 
     def _best(self, flat: np.ndarray, noise: Noise) -> tuple[Found, float]:
         """The best solution, and the Δχ² of the next."""

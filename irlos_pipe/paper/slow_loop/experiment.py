@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from irlos_pipe.control.disturbance import Drift
+from irlos_pipe.control.linear_theory import best_gain
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.paper.common.broad_band import FINE, star_scene
 from irlos_pipe.paper.common.cube import BRIGHT_MAG_J, CubeSample
 from irlos_pipe.paper.common.ramps import TTF, Knowledge, calibrated
-from irlos_pipe.paper.slow_loop.disturbance import Drift
 from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
-from irlos_pipe.paper.slow_loop.linear_theory import best_gain
 from irlos_pipe.paper.slow_loop.loops import Loop, close_loops
 from irlos_pipe.paper.slow_loop.sensor import FocusSensor, focus_sensor
 from irlos_pipe.simulate.scene import Scene

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from irlos_pipe.paper.slow_loop.disturbance import Drift
+from irlos_pipe.control.disturbance import Drift
 from irlos_pipe.product.results import Number, ResultsPart
 
 MIN_FOR_A_SLOPE = 20

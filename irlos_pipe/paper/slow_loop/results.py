@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-from irlos_pipe.paper.slow_loop.disturbance import Drift
+from irlos_pipe.control.disturbance import Drift
 from irlos_pipe.paper.slow_loop.outcome import LoopOutcome
 from irlos_pipe.product.results import Number, StageResults
 

@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import ScalarFormatter
 
+from irlos_pipe.control.linear_theory import Integrator
 from irlos_pipe.paper.common.section import array_of
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
 from irlos_pipe.paper.slow_loop.experiment import UNCALIBRATED
-from irlos_pipe.paper.slow_loop.linear_theory import Integrator
 from irlos_pipe.paper.slow_loop.results import LoopRow, SlowLoopResults
 from irlos_pipe.report.content import Figure, Section, Table
 from irlos_pipe.report.drawing import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, svg

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from irlos_pipe.control.disturbance import SodiumLayer
+from irlos_pipe.control.linear_theory import Integrator, best_gain
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
-from irlos_pipe.paper.slow_loop.disturbance import SodiumLayer
 from irlos_pipe.paper.slow_loop.experiment import (
     UNCALIBRATED,
     Conditions,
@@ -21,7 +22,6 @@ from irlos_pipe.paper.slow_loop.experiment import (
     noise_law,
     run_loops,
 )
-from irlos_pipe.paper.slow_loop.linear_theory import Integrator, best_gain
 from irlos_pipe.paper.slow_loop.loops import Loop
 from irlos_pipe.paper.slow_loop.outcome import LoopOutcome, outcome_of
 from irlos_pipe.paper.slow_loop.results import LoopRow, SlowLoopResults

@@ -55,6 +55,11 @@ class Config(StageConfig):
     max_iterations: int = Field(
         LiftOptions.max_iterations, ge=1, le=1000, description="largest number of iterations of a fit"
     )
+    singly: bool = Field(
+        False,
+        description="measure every frame by itself from a scan of defocus, to the bit as irlos focus does; "
+        "modes 2, 3, 4 and nothing fitted to the ramp",
+    )
     compare: bool = Field(
         True, description="repeat without the NCPAs and without the AO residual, for the report"
     )
@@ -82,4 +87,13 @@ class Config(StageConfig):
             raise ValueError(f"mode {twice[0]} is both in 'modes' and in 'common_modes'; name it once")
         if min(self.common_modes, default=2) < 2:
             raise ValueError("'common_modes' are Noll modes from 2 on")
+        return self
+
+    @model_validator(mode="after")
+    def _singly_is_what_the_loop_does(self) -> Config:
+        fitted = self.halo == "fit" or self.object_sigma_mas == "fit" or bool(self.common_modes)
+        if self.singly and (fitted or sorted(self.modes) != [2, 3, 4] or self.estimator != "ml"):
+            raise ValueError(
+                "'singly' takes modes 2, 3 and 4, estimator 'ml', and nothing that is fitted to the ramp"
+            )
         return self

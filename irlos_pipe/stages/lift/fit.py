@@ -13,6 +13,7 @@ from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.lift.config import Config
 from irlos_pipe.stages.lift.input import Ramp, calibrated_ncpa_nm, effects_for_lift, ramp_model, ramp_start
+from irlos_pipe.stages.lift.singly import fit_singly
 from irlos_pipe.stages.model.colour import colour_warning
 
 
@@ -32,6 +33,8 @@ def fit_frames(
     seen : ndarray of bool, (frames,), optional
         Frames that determine what all frames share; by default all of them.
     """
+    if ctx.config.singly:
+        return fit_singly(ctx, ramp, calibrated=calibrated, halo=halo)
     ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
     model = ramp_model(ctx, ramp, ctx.config.modes, ncpa_nm)
     recording, kernel = ramp.recordings[0], ctx.config.object_sigma_mas

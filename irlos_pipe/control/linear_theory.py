@@ -1,4 +1,4 @@
-"""Linear theory of the slow loop and its controller; `loops` closes them on simulated frames.
+"""Linear theory of the slow loop: what an integrator with delay leaves of a drift, and which gain is best.
 
 Frame k is exposed while the command stays at ``c_k``; its measurement ``m_k`` is ready `delay` frames
 after the exposure has ended: ``c_{k+1+delay} = c_{k+delay} + gain · m_k``.
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from irlos_pipe.paper.slow_loop.disturbance import Drift
+from irlos_pipe.control.disturbance import Drift
 
 GRID = 4096  # frequencies up to Nyquist's
 ALIASES = 30  # replicas of the spectrum on each side; the mean over a frame damps them by f^-4

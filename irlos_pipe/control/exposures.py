@@ -1,0 +1,156 @@
+"""Reads are added up to the exposures of the loop, whatever happens to them on the way.
+
+The counter of the recorder says which exposure a read belongs to, not the time at which it arrives: reads
+that come late, twice or out of order neither spoil an exposure nor stop the loop, and no clock is needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+RESTARTED_AFTER = 3  # exposures' worth of late reads in a row mean that the recorder counts anew
+
+
+@dataclass(frozen=True, eq=False)
+class Read:
+    """One read of the detector.
+
+    Attributes
+    ----------
+    counter : int
+        Of the recorder.
+    unix_s : float
+        Time since 1970; NaN if not known.
+    image_e : ndarray, (rows, columns)
+        Photo-electrons, dark and background subtracted.
+    """
+
+    counter: int
+    unix_s: float
+    image_e: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Exposure:
+    """Reads added up.
+
+    Attributes
+    ----------
+    index : int
+        Number of the exposure: counter over the counts of an exposure.
+    image_e : ndarray, (rows, columns), float64
+    reads, expected : int
+        Reads in it, and those of a complete one.
+    first_counter : int
+    unix_s : float
+        Time of the first read.
+    late, doubled, missing : int
+        Reads since the exposure before: come too late, come again, and not come.
+    restarted : bool
+        Whether the recorder began to count anew.
+    """
+
+    index: int
+    image_e: np.ndarray
+    reads: int
+    expected: int
+    first_counter: int
+    unix_s: float
+    late: int = 0
+    doubled: int = 0
+    missing: int = 0
+    restarted: bool = False
+
+
+@dataclass
+class _Tally:
+    late: int = 0
+    doubled: int = 0
+    restarted: bool = False
+
+
+@dataclass
+class Accumulator:
+    """Adds up reads.
+
+    Attributes
+    ----------
+    reads : int
+        Of an exposure.
+    step : int
+        Of the counter from one read to the next.
+    last_index : int or None
+        The last exposure that is done: reads of it and of earlier ones are late.
+    """
+
+    reads: int
+    step: int = 1
+    last_index: int | None = None
+    _open: dict[int, Read] = field(default_factory=dict)
+    _tally: _Tally = field(default_factory=_Tally)
+    _late_in_a_row: int = 0
+
+    def add(self, read: Read) -> list[Exposure]:
+        """Take a `read`; return the exposures that it completes, in order."""
+        index = self._index(read)
+        if self._is_late(index):
+            return []
+        done = []
+        if self._open and index != self._index(self._first):
+            if index < self._index(self._first):  # of an exposure that another one has overtaken
+                self._tally.late += 1
+                return []
+            done += self.flush()
+        if read.counter in self._open:
+            self._tally.doubled += 1
+            return done
+        self._open[read.counter] = read
+        if len(self._open) == self.reads:
+            done += self.flush()
+        return done
+
+    def flush(self) -> list[Exposure]:
+        """Close the open exposure with what it has; an empty list if there is none."""
+        if not self._open:
+            return []
+        index, first = self._index(self._first), self._first
+        images = [self._open[counter].image_e for counter in sorted(self._open)]
+        total = np.asarray(np.sum(images, axis=0, dtype=np.float64))
+        skipped = 0 if self.last_index is None or self._tally.restarted else index - self.last_index - 1
+        exposure = Exposure(
+            index=index,
+            image_e=total,
+            reads=len(images),
+            expected=self.reads,
+            first_counter=first.counter,
+            unix_s=first.unix_s,
+            late=self._tally.late,
+            doubled=self._tally.doubled,
+            missing=skipped * self.reads + self.reads - len(images),
+            restarted=self._tally.restarted,
+        )
+        self.last_index, self._open, self._tally = index, {}, _Tally()
+        return [exposure]
+
+    @property
+    def _first(self) -> Read:
+        return self._open[min(self._open)]
+
+    def _index(self, read: Read) -> int:
+        return read.counter // (self.reads * self.step)
+
+    def _is_late(self, index: int) -> bool:
+        """Whether the exposure is done; many late reads in a row are those of a recorder started again."""
+        if self.last_index is None or index > self.last_index:
+            self._late_in_a_row = 0
+            return False
+        self._late_in_a_row += 1
+        self._tally.late += 1
+        if self._late_in_a_row <= RESTARTED_AFTER * self.reads:
+            return True
+        self._late_in_a_row, self.last_index = 0, None
+        self._tally.late += len(self._open)
+        self._tally.restarted, self._open = True, {}
+        return False

@@ -1,0 +1,128 @@
+"""From exposures to records: measurement, validity, controller. Knows neither files nor sockets."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+
+from irlos_pipe.control.controller import ControllerSettings, ControllerState, Decision, decide
+from irlos_pipe.control.exposures import Exposure
+from irlos_pipe.estimate.focus.sensor import Measurement
+from irlos_pipe.focus.calibration import Calibration
+from irlos_pipe.focus.record import INCOMPLETE, LATE, SHADOW, STALE, WINDOW, Record
+
+NUMBERS = ("defocus_nm", "sigma_nm", "tip_nm", "tilt_nm", "flux_e", "background_e", "chi2_nu")
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """How a loop runs.
+
+    Attributes
+    ----------
+    controller : ControllerSettings
+    reads : int
+        Added up to an exposure.
+    counter_step : int
+        Of the recorder's counter, from one read to the next.
+    shadow : bool
+        Measure and record, command nothing.
+    stale_after_s : float
+        Age of the calibration from which nothing is valid.
+    least_reads : float
+        Part of an exposure's reads below which it is not used.
+    """
+
+    controller: ControllerSettings = field(default_factory=ControllerSettings)
+    reads: int = 1
+    counter_step: int = 1
+    shadow: bool = False
+    stale_after_s: float = math.inf
+    least_reads: float = 0.5
+
+
+class FocusLoop:
+    """Makes a record of every exposure.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    settings : LoopSettings
+    last : Record or None
+        The last record of an earlier start: the loop goes on from there.
+    """
+
+    def __init__(self, calibration: Calibration, settings: LoopSettings, last: Record | None = None):
+        self.calibration, self._settings = calibration, settings
+        self._state = ControllerState() if last is None else last.state
+        self.sequence = 0 if last is None else last.sequence
+
+    def record(
+        self, exposure: Exposure, arrived_s: float, *, damaged: int = 0, overtaken: bool = False
+    ) -> Record:
+        """Measure an exposure and decide on the offset.
+
+        Parameters
+        ----------
+        exposure : Exposure
+        arrived_s : float
+            When its last read arrived, by the monotonic clock.
+        damaged : int
+            Reads that could not be used since the exposure before.
+        overtaken : bool
+            Whether a later exposure is there already: this one is recorded and not used.
+        """
+        measured = self._judged(exposure, self._measured(exposure), overtaken)
+        decision = self._decided(measured)
+        self.sequence += 1
+        numbers = {name: getattr(measured, name) for name in NUMBERS}
+        state = decision.state
+        return Record(
+            sequence=self.sequence,
+            exposure=exposure.index,
+            counter=exposure.first_counter,
+            unix_s=exposure.unix_s,
+            reads=exposure.reads,
+            reads_late=exposure.late,
+            reads_doubled=exposure.doubled,
+            reads_missing=exposure.missing,
+            reads_damaged=damaged,
+            **numbers,
+            valid=measured.valid,
+            reasons=measured.reasons,
+            mode=SHADOW if self._settings.shadow else state.mode,
+            offset_nm=state.offset_nm,
+            commanded=decision.commanded,
+            held=decision.held,
+            clipped=decision.clipped,
+            settling=state.settling,
+            outside=state.outside,
+            latency_ms=(time.monotonic() - arrived_s) * 1e3,
+            calibration=self.calibration.name,
+        )
+
+    def _measured(self, exposure: Exposure) -> Measurement:
+        if exposure.image_e.shape != self.calibration.window:
+            return Measurement(math.nan, math.nan, False, (WINDOW,))
+        return self.calibration.sensor.measurement(exposure.image_e, exposure.reads)
+
+    def _judged(self, exposure: Exposure, measured: Measurement, overtaken: bool) -> Measurement:
+        """With the reasons that the image does not show."""
+        age_s = exposure.unix_s - self.calibration.made_unix_s  # NaN is never too old
+        against = {
+            LATE: overtaken,
+            STALE: age_s > self._settings.stale_after_s,
+            INCOMPLETE: exposure.reads < self._settings.least_reads * exposure.expected,
+        }
+        reasons = (*measured.reasons, *(reason for reason, holds in against.items() if holds))
+        return measured._replace(valid=not reasons, reasons=reasons)
+
+    def _decided(self, measured: Measurement) -> Decision:
+        if self._settings.shadow:
+            return Decision(self._state, False)
+        decision = decide(
+            self._state, measured.defocus_nm if measured.valid else None, self._settings.controller
+        )
+        self._state = decision.state
+        return decision

@@ -1,0 +1,81 @@
+"""The offset of the focus, where the telescope finds it: one small file, overwritten in place.
+
+Its size never changes, so that a full disk does not keep the loop from commanding, and it outlives both
+sides: the last good command stands in it whatever happens to the loop.
+
+Layout, little-endian: magic ``IRLOSCMD``, number of the command from 1 (uint64), offset [nm RMS] (float64),
+counter of the first read of the exposure behind it (int64), CRC-32 of these (uint32).
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from irlos_pipe.conventions.errors import InputDataError
+
+MAGIC = b"IRLOSCMD"
+BODY = struct.Struct("<8sQdq")
+CRC = struct.Struct("<I")
+ATTEMPTS = 100
+
+
+@dataclass(frozen=True)
+class Command:
+    """What the telescope is to apply: `number` from 1, `offset_nm`, `counter` of the exposure behind it."""
+
+    number: int
+    offset_nm: float
+    counter: int
+
+
+class Mailbox:
+    """The file with the last command.
+
+    Parameters
+    ----------
+    path : Path
+        Made if it does not exist.
+
+    Raises
+    ------
+    InputDataError
+        If there is another file.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        if os.fstat(self._descriptor).st_size == 0:
+            self._write(BODY.pack(MAGIC, 0, 0.0, 0))
+        if not os.pread(self._descriptor, len(MAGIC), 0).startswith(MAGIC):
+            self.close()
+            raise InputDataError(
+                f"{path}: not the command of a focus loop; remove it or choose another output"
+            )
+
+    def write(self, command: Command) -> None:
+        """Replace the command."""
+        self._write(BODY.pack(MAGIC, command.number, command.offset_nm, command.counter))
+
+    def read(self) -> Command | None:
+        """Return the last command; None before the first, or if the file is damaged."""
+        for _ in range(ATTEMPTS):  # a reader may come while the file is being written
+            content = os.pread(self._descriptor, BODY.size + CRC.size, 0)
+            body = content[: BODY.size]
+            if len(content) == BODY.size + CRC.size and CRC.unpack_from(content, BODY.size)[0] == zlib.crc32(
+                body
+            ):
+                _, number, offset_nm, counter = BODY.unpack(body)
+                return Command(number, offset_nm, counter) if number else None
+        return None
+
+    def close(self) -> None:
+        """Close the file."""
+        os.close(self._descriptor)
+
+    def _write(self, body: bytes) -> None:
+        os.pwrite(self._descriptor, body + CRC.pack(zlib.crc32(body)), 0)

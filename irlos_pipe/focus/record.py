@@ -1,0 +1,128 @@
+"""What the loop leaves behind of every exposure."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from irlos_pipe.control.controller import ControllerState
+from irlos_pipe.files.json import jsonable
+
+SCHEMA, SCHEMA_VERSION = "irlos-focus", 1
+SHADOW = "shadow"
+
+# Reasons of the program, beside those of `Focus`.
+WINDOW, LATE, STALE, INCOMPLETE = "window", "late", "stale_calibration", "incomplete"
+
+
+@dataclass(frozen=True)
+class Record:
+    """One exposure.
+
+    Attributes
+    ----------
+    sequence : int
+        Number of the record from 1, over all starts of the loop.
+    exposure, counter : int
+        Number of the exposure, and counter of its first read.
+    unix_s : float
+        Time of the first read.
+    reads, reads_late, reads_doubled, reads_missing, reads_damaged : int
+        In the exposure, and since the exposure before.
+    defocus_nm, sigma_nm, tip_nm, tilt_nm, flux_e, background_e, chi2_nu : float
+        See `Measurement`.
+    valid : bool
+    reasons : tuple of str
+        Why it is not valid.
+    mode : str
+        ``bootstrap``, ``tracking`` or ``shadow``.
+    offset_nm : float
+        Offset commanded after this exposure [nm RMS].
+    commanded : bool
+        Whether this exposure changed it; if not, it is held.
+    held : str
+        Why a valid measurement was not used: ``settling`` or ``outside``.
+    clipped : bool
+    settling, outside : int
+        See `ControllerState`.
+    latency_ms : float
+        From the arrival of the last read to this record.
+    calibration : str
+    """
+
+    sequence: int
+    exposure: int
+    counter: int
+    unix_s: float
+    reads: int
+    reads_late: int
+    reads_doubled: int
+    reads_missing: int
+    reads_damaged: int
+    defocus_nm: float
+    sigma_nm: float
+    tip_nm: float
+    tilt_nm: float
+    flux_e: float
+    background_e: float
+    chi2_nu: float
+    valid: bool
+    reasons: tuple[str, ...]
+    mode: str
+    offset_nm: float
+    commanded: bool
+    held: str
+    clipped: bool
+    settling: int
+    outside: int
+    latency_ms: float
+    calibration: str
+
+    def line(self) -> str:
+        """Return the record as one line of JSON."""
+        head = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION}
+        return _line(head | asdict(self))
+
+    @property
+    def state(self) -> ControllerState:
+        """What the controller remembers after this exposure."""
+        mode = "bootstrap" if self.mode == SHADOW else self.mode
+        return ControllerState(self.offset_nm, mode, self.settling, self.outside)
+
+
+def event_line(sequence: int, unix_s: float, event: str) -> str:
+    """Return something that happened between exposures as one line of JSON.
+
+    Parameters
+    ----------
+    sequence : int
+        Of the last record.
+    unix_s : float
+    event : str
+        What happened, in one line.
+    """
+    head = {"schema": SCHEMA, "schema_version": SCHEMA_VERSION}
+    return _line(head | {"after": sequence, "unix_s": unix_s, "event": event})
+
+
+def record_of(line: str) -> Record | None:
+    """Return the record in a line; None for an event.
+
+    Raises
+    ------
+    ValueError
+        If the `line` is neither.
+    """
+    content: Any = json.loads(line)
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise ValueError("not a record of a focus loop")
+    if "event" in content:
+        return None
+    values = {one.name: content[one.name] for one in fields(Record)}
+    values |= {name: float("nan") for name, value in values.items() if value is None}
+    return Record(**values | {"reasons": tuple(values["reasons"])})
+
+
+def _line(content: dict[str, Any]) -> str:
+    return json.dumps(jsonable(content), allow_nan=False, separators=(",", ":")) + "\n"
