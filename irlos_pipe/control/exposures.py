@@ -41,6 +41,7 @@ class Exposure:
     index : int
         Number of the exposure: counter over the counts of an exposure.
     image_e : ndarray, (rows, columns), float64
+        Empty where the reads have different windows.
     reads, expected : int
         Reads in it, and those of a complete one.
     first_counter : int
@@ -117,11 +118,10 @@ class Accumulator:
             return []
         index, first = self._index(self._first), self._first
         images = [self._open[counter].image_e for counter in sorted(self._open)]
-        total = np.asarray(np.sum(images, axis=0, dtype=np.float64))
         skipped = 0 if self.last_index is None or self._tally.restarted else index - self.last_index - 1
         exposure = Exposure(
             index=index,
-            image_e=total,
+            image_e=_total(images),
             reads=len(images),
             expected=self.reads,
             first_counter=first.counter,
@@ -154,3 +154,9 @@ class Accumulator:
         self._tally.late += len(self._open)
         self._tally.restarted, self._open = True, {}
         return False
+
+
+def _total(images: list[np.ndarray]) -> np.ndarray:
+    if len({image.shape for image in images}) > 1:
+        return np.zeros((0, 0))
+    return np.asarray(np.sum(images, axis=0, dtype=np.float64))

@@ -89,12 +89,12 @@ class RingWriter(_Ring):
             )
         super().__init__(path, window, slots, os.open(path, os.O_RDWR))
 
-    def write(self, read: Read) -> None:
-        """Write one frame, `read`, over the oldest."""
+    def write(self, read: Read, *, damaged: bool = False) -> None:
+        """Write one frame, `read`, over the oldest; a `damaged` one, for trials, has a wrong checksum."""
         number = self.written + 1
         at, pixels = self._at(number), np.ascontiguousarray(read.image_e, "<f4").tobytes()
         NUMBER.pack_into(self._map, at, 0)
-        crc = _crc(read.counter, read.unix_s, pixels)
+        crc = _crc(read.counter, read.unix_s, pixels) ^ damaged
         BODY.pack_into(self._map, at + NUMBER.size, read.counter, read.unix_s, crc)
         self._map[at + NUMBER.size + BODY.size : at + self._stride] = pixels
         NUMBER.pack_into(self._map, at, number)

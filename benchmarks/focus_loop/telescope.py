@@ -1,0 +1,137 @@
+"""A simulated telescope for the focus loop: reads with sky, NCPAs and noise, and a focus that follows the loop.
+
+The light comes from the simulator, which shares no optics with the model of the loop. Some seconds of sky are
+tabulated over the defocus and drawn from in random order, so that an hour takes minutes.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from irlos_pipe.control.disturbance import Drift, SodiumLayer
+from irlos_pipe.control.exposures import Read
+from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
+from irlos_pipe.simulate.atmosphere import Sky
+from irlos_pipe.simulate.readout import electrons
+from irlos_pipe.simulate.recordings.scenes import base_scene
+from irlos_pipe.simulate.recordings.spec import load_spec
+from irlos_pipe.simulate.scene import Sampling, Scene
+
+REACH_NM, NODES = 1100.0, 44  # of the tables: beyond the largest defocus of a bootstrap
+SKY_READS, BURST_READS = 24, 8  # tabulated
+DRIFT_STEPS = 10  # per exposure
+START_UNIX_S = 1_707_620_000.0
+FIRST_COUNTER = 400_000
+LAYER = SodiumLayer(1.95, 23.0, 89.4e3)
+SKY_STREAM, NOISE_STREAM, DRIFT_STREAM = range(3)
+
+
+@dataclass(frozen=True)
+class Night:
+    """What the telescope does.
+
+    Attributes
+    ----------
+    spec, section : str
+        Specification of a simulation and the recording in it that the frames are like.
+    mag_j : float
+    exposures, reads : int
+        Exposures of a second, and reads of each.
+    delay : int
+        Whole exposures from the end of one to the offset that follows from it.
+    start_nm : float
+        Defocus before the loop is closed.
+    burst_arcsec : float
+        Seeing of a burst.
+    faults : dict of str to list of (first, last)
+        Exposures with each fault, see `faults`.
+    """
+
+    spec: str = "on_sky"
+    section: str = "ramp"
+    mag_j: float = 12.0
+    exposures: int = 120
+    reads: int = 4
+    delay: int = 1
+    start_nm: float = 700.0
+    seed: int = 1
+    burst_arcsec: float = 1.3
+    faults: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
+
+    def has(self, fault: str, exposure: int) -> bool:
+        """Return whether an `exposure` has a `fault`."""
+        return any(first <= exposure <= last for first, last in self.faults.get(fault, []))
+
+    @property
+    def drift(self) -> Drift:
+        """Of the defocus, from the sodium layer."""
+        return LAYER.drift(8.0)
+
+
+class Exposed(NamedTuple):
+    """One exposure: its `reads`, and the truth, the defocus of `drift_nm` and of the whole `residual_nm`."""
+
+    reads: list[Read]
+    drift_nm: float
+    residual_nm: float
+
+
+class Telescope:
+    """Exposes one after the other.
+
+    Parameters
+    ----------
+    night : Night
+    """
+
+    def __init__(self, night: Night):
+        self.night = night
+        scene = _scene(night)
+        self._calm = frame_table(scene, REACH_NM, NODES)
+        self._scene, self._burst = scene, None
+        if night.faults.get("burst"):
+            stormy = replace(scene, frames=BURST_READS, sky=Sky(night.burst_arcsec))
+            self._burst = frame_table(stormy, REACH_NM, NODES)
+        rng = np.random.default_rng([night.seed, DRIFT_STREAM])
+        steps_nm = night.drift.draw_nm(rng, night.exposures * DRIFT_STEPS, 1 / DRIFT_STEPS)
+        self._drift_nm = night.start_nm + steps_nm.reshape(night.exposures, DRIFT_STEPS)
+        self.queue_nm = deque([0.0] * (night.delay + 1), maxlen=night.delay + 1)
+
+    def expose(self, index: int) -> Exposed:
+        """Expose number `index`, with the offset that has arrived by now."""
+        night, drift_nm = self.night, float(self._drift_nm[index].mean())
+        residual_nm = drift_nm - self.queue_nm[0]
+        rng = np.random.default_rng([night.seed, NOISE_STREAM, index])
+        table = self._burst if self._burst is not None and night.has("burst", index) else self._calm
+        flux = 0.0 if night.has("lost", index) else 1.0
+        reads = [self._read(index, one, table, flux, residual_nm, rng) for one in range(night.reads)]
+        return Exposed(reads, drift_nm, residual_nm)
+
+    def _read(self, index: int, one: int, table: FrameTable, flux: float, residual_nm: float, rng) -> Read:
+        frame = int(rng.integers(table.series_e.shape[1]))
+        bounded = np.clip([residual_nm], -REACH_NM, REACH_NM)
+        mean_e = flux * np.maximum(table.images_e(frame, bounded), 0.0)
+        image_e = electrons(self._scene, mean_e, rng)[0]
+        number = index * self.night.reads + one
+        clock_s = 3600.0 if self.night.has("clock", index) else 0.0
+        return Read(FIRST_COUNTER + number, START_UNIX_S + clock_s + number / self.night.reads, image_e)
+
+
+def _scene(night: Night) -> Scene:
+    """Reads of the recording of the specification, of another star."""
+    spec = load_spec(night.spec, [], None)
+    scene = base_scene(spec, night.section, spec.recordings[night.section])
+    return replace(
+        scene,
+        seed=(night.seed, SKY_STREAM),
+        frames=SKY_READS,
+        exposure_s=1 / night.reads,
+        frame_rate_hz=float(night.reads),
+        mag_j=night.mag_j,
+        introduced_nm=0.0,
+        sampling=Sampling(points_per_band=2, step_s=0.05),
+    )

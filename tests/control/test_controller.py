@@ -1,0 +1,105 @@
+"""The controller of the focus loop. Truth: the difference equation written out, and linear theory."""
+
+import numpy as np
+import pytest
+
+from irlos_pipe.control.controller import BOOTSTRAP, TRACKING, ControllerSettings, ControllerState, decide
+from irlos_pipe.control.disturbance import Drift
+from irlos_pipe.control.linear_theory import Integrator
+
+SETTINGS = ControllerSettings(gain=0.4, leak=0.0, delay=1, limit_nm=800.0, jump_nm=300.0)
+TRACKED = ControllerState(50.0, TRACKING)
+
+
+def closed(disturbance_nm, settings=SETTINGS, noise_nm=0.0, seed=0, state=ControllerState()):
+    """Residuals and states of a loop on a given disturbance, `delay` exposures late."""
+    rng, queue = np.random.default_rng(seed), [state.offset_nm] * (settings.delay + 1)
+    residuals, states = [], []
+    for value in disturbance_nm:
+        residual = value - queue.pop(0)
+        state = decide(state, residual + noise_nm * rng.standard_normal(), settings).state
+        queue.append(state.offset_nm)
+        residuals.append(residual)
+        states.append(state)
+    return np.array(residuals), states
+
+
+@pytest.mark.parametrize("start_nm", [900.0, -900.0, 150.0, 20.0])
+@pytest.mark.parametrize("delay", [0, 1, 2])
+def test_a_constant_defocus_is_found_and_taken_off_in_limited_jumps(start_nm, delay):
+    settings = ControllerSettings(gain=0.4, delay=delay, jump_nm=300.0)
+    residuals, states = closed(np.full(60, start_nm), settings)
+    assert abs(residuals[-1]) < 0.1
+    assert states[-1].mode == TRACKING
+    offsets = np.array([0.0, *(one.offset_nm for one in states)])
+    assert np.abs(np.diff(offsets)).max() <= 300.0
+
+
+def test_within_its_range_it_is_the_integrator_of_linear_theory():
+    drift, gain = Drift(2.0, 5.0), 0.4
+    rng = np.random.default_rng(1)
+    squares = []
+    for seed in range(40):
+        steps = drift.draw_nm(rng, 4000, 0.1).reshape(400, 10)
+        residuals, _ = closed(steps.mean(1), noise_nm=6.0, seed=seed, state=ControllerState(0.0, TRACKING))
+        squares.append(np.mean(residuals[30:] ** 2))
+    found = np.sqrt(np.mean(squares) + drift.wander_within_nm2(1.0))
+    assert found == pytest.approx(Integrator(gain, 1.0, 1).residual_nm(drift, 6.0), rel=0.03)
+
+
+def test_without_a_valid_measurement_the_offset_is_held_whatever_the_mode():
+    for state in (TRACKED, ControllerState(-300.0, BOOTSTRAP), ControllerState(10.0, BOOTSTRAP, settling=1)):
+        decision = decide(state, None, ControllerSettings(leak=0.1))
+        assert decision.state.offset_nm == state.offset_nm
+        assert not decision.commanded
+
+
+def test_a_leak_forgets_the_offset():
+    settings = ControllerSettings(gain=0.4, leak=0.1)
+    assert decide(TRACKED, 0.0, settings).state.offset_nm == pytest.approx(45.0)
+
+
+def test_the_offset_is_clipped_and_does_not_wind_up():
+    near = ControllerState(790.0, TRACKING)
+    decision = decide(near, 100.0, SETTINGS)
+    assert (decision.state.offset_nm, decision.clipped, decision.commanded) == (800.0, True, True)
+    for _ in range(50):
+        decision = decide(decision.state, 100.0, SETTINGS)
+    back = decide(decision.state, -50.0, SETTINGS)
+    assert back.state.offset_nm == pytest.approx(780.0)
+    assert not back.clipped
+
+
+def test_a_jump_is_waited_for():
+    first = decide(ControllerState(), 600.0, SETTINGS)
+    assert (first.state.offset_nm, first.state.settling) == (300.0, 1)
+    second = decide(first.state, 600.0, SETTINGS)
+    assert (second.state.offset_nm, second.held, second.commanded) == (300.0, "settling", False)
+    assert decide(second.state, 300.0, SETTINGS).state.offset_nm == 600.0
+
+
+def test_one_measurement_far_outside_is_not_believed_and_three_start_the_loop_again():
+    state = TRACKED
+    for _ in range(2):
+        decision = decide(state, 500.0, SETTINGS)
+        assert (decision.held, decision.state.offset_nm, decision.state.mode) == ("outside", 50.0, TRACKING)
+        state = decision.state
+    assert decide(state, 10.0, SETTINGS).state.outside == 0
+    state = decide(state, 500.0, SETTINGS).state
+    assert (state.mode, state.offset_nm) == (BOOTSTRAP, 50.0)
+    assert decide(state, 500.0, SETTINGS).state.offset_nm == 350.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"gain": 1.0, "delay": 1}, "stable between 0 and 1.000"),
+        ({"gain": 0.7, "delay": 2}, "0.618"),
+        ({"gain": 0.0}, "stable"),
+        ({"leak": 1.0}, "leak"),
+        ({"capture_nm": 300.0}, "capture"),
+    ],
+)
+def test_settings_that_make_no_stable_loop_are_refused(settings, words):
+    with pytest.raises(ValueError, match=words):
+        ControllerSettings(**settings)

@@ -1,0 +1,93 @@
+"""Reads become exposures. Truth: sums written out; whatever the order, an exposure has the same bits."""
+
+import numpy as np
+
+from irlos_pipe.control.exposures import Accumulator, Read
+
+READS = 4
+
+
+def read(counter: int, value: float | None = None) -> Read:
+    return Read(counter, 100.0 + counter, np.full((2, 3), counter if value is None else value))
+
+
+def fed(counters, accumulator: Accumulator | None = None):
+    accumulator = accumulator or Accumulator(READS)
+    return [exposure for counter in counters for exposure in accumulator.add(read(counter))]
+
+
+def test_reads_add_up_to_exposures():
+    first, second = fed(range(8))
+    np.testing.assert_array_equal(first.image_e, np.full((2, 3), 0.0 + 1 + 2 + 3))
+    assert (first.index, first.reads, first.first_counter, first.unix_s) == (0, 4, 0, 100.0)
+    assert (second.index, second.image_e[0, 0], second.missing, second.late) == (1, 4 + 5 + 6 + 7, 0, 0)
+
+
+def test_the_order_of_arrival_does_not_change_a_bit():
+    rng = np.random.default_rng(0)
+    reads = [Read(counter, 0.0, rng.normal(size=(2, 3)) * 10.0**counter) for counter in range(READS)]
+    sums = []
+    for order in ([0, 1, 2, 3], [3, 1, 0, 2], [2, 3, 1, 0]):
+        accumulator = Accumulator(READS)
+        (exposure,) = [one for index in order for one in accumulator.add(reads[index])]
+        sums.append(exposure.image_e)
+    np.testing.assert_array_equal(sums[0], sums[1])
+    np.testing.assert_array_equal(sums[0], sums[2])
+
+
+def test_a_read_that_comes_twice_counts_once():
+    (exposure,) = fed([0, 1, 1, 2, 0, 3])
+    assert (exposure.image_e[0, 0], exposure.reads, exposure.doubled) == (6.0, 4, 2)
+
+
+def test_a_missing_read_leaves_an_exposure_that_says_so():
+    first, second = fed([0, 2, 3, 4, 5, 6, 7])
+    assert (first.reads, first.missing, first.image_e[0, 0]) == (3, 1, 5.0)
+    assert (second.reads, second.missing) == (4, 0)
+
+
+def test_a_late_read_is_counted_and_left_out():
+    first, second = fed([0, 2, 3, 4, 1, 5, 6, 7])
+    assert (first.reads, second.late, second.image_e[0, 0]) == (3, 1, 22.0)
+
+
+def test_lost_exposures_are_counted():
+    _, second = fed([0, 1, 2, 3, 12, 13, 14, 15])
+    assert (second.index, second.missing) == (3, 8)
+
+
+def test_steps_of_the_counter_may_be_larger():
+    (exposure,) = fed([400, 600, 800, 1000][:2], Accumulator(2, 200))
+    assert (exposure.index, exposure.missing) == (1, 0)
+
+
+def test_after_a_restart_what_is_done_is_not_done_again():
+    exposures = fed(range(12), Accumulator(READS, last_index=1))
+    assert [one.index for one in exposures] == [2]
+    assert exposures[0].late == 8
+
+
+def test_a_recorder_that_counts_anew_is_followed_after_a_few_exposures():
+    accumulator = Accumulator(READS)
+    fed(range(4000, 4008), accumulator)
+    exposures = fed(range(40), accumulator)
+    assert exposures[0].restarted
+    assert exposures[0].index <= 4
+    assert not any(one.restarted for one in exposures[1:])
+    assert [one.index for one in exposures] == list(range(exposures[0].index, 10))
+
+
+def test_what_is_open_can_be_closed():
+    accumulator = Accumulator(READS)
+    fed([0, 1], accumulator)
+    (exposure,) = accumulator.flush()
+    assert (exposure.reads, exposure.missing) == (2, 2)
+    assert accumulator.flush() == []
+    assert fed([2, 3], accumulator) == []  # too late
+
+
+def test_reads_with_different_windows_make_no_image():
+    accumulator = Accumulator(2)
+    accumulator.add(read(0))
+    (exposure,) = accumulator.add(Read(1, 0.0, np.zeros((5, 5))))
+    assert exposure.image_e.shape == (0, 0)

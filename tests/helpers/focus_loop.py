@@ -1,0 +1,69 @@
+"""A calibration made in memory, images for it, and a telescope that follows the loop's command."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from helpers import optics_cases as cases
+
+from irlos_pipe.control.exposures import Read
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.focus.sensor import Focus, Limits
+from irlos_pipe.focus.calibration import Calibration
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.frames.recording import Acquisition, Detector
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.optics.psf import PsfModel
+
+WINDOW = (32, 32)
+SETTINGS = cases.settings(WINDOW, ((1625.0, 1.0),), {6: -170.0}).for_single_frames()
+NOISE = NoiseModel(1.0, 1.0)
+FLUX_E = 2e5
+MADE_UNIX_S = 1_700_000_000.0
+
+
+@cache
+def model() -> ImageModel:
+    return ImageModel(PsfModel(SETTINGS, (2, 3, 4)))
+
+
+@cache
+def calibration(name: str = "first", instrument: str = "irlos") -> Calibration:
+    sensor = Focus(model(), np.ones(WINDOW, bool), NOISE, Limits())
+    detector = Detector(1.0, 1.0)
+    acquisition = Acquisition("psf", detector, ((1625.0, 1.0),), {6: -170.0}, 9.7)
+    return Calibration(sensor, name, load_instrument("irlos"), instrument, acquisition, MADE_UNIX_S)
+
+
+def image_e(defocus_nm: float, seed: int, reads: int = 1, flux_e: float = FLUX_E) -> np.ndarray:
+    """One read with its noise."""
+    x = torch.tensor([[5.0, -5.0, defocus_nm]], dtype=torch.float64)
+    mean_e = model().psf.images(x)[0].double().clamp_min(0).numpy() * flux_e / reads
+    rng = np.random.default_rng([seed, 7])
+    return (rng.poisson(mean_e) + rng.normal(0, 1, WINDOW)).astype(np.float32)
+
+
+def read(counter: int, defocus_nm: float, **changes) -> Read:
+    image = changes.pop("image_e", None)
+    image = image_e(defocus_nm, counter, **changes) if image is None else image
+    return Read(counter, MADE_UNIX_S + counter, image)
+
+
+@dataclass(frozen=True)
+class Ready:
+    """A request whose calibration is there already."""
+
+    run: Path
+    found: Calibration
+
+    def load(self) -> Calibration:
+        return self.found
+
+
+def nan_read(counter: int) -> Read:
+    return read(counter, 0.0, image_e=np.full(WINDOW, math.nan, np.float32))
