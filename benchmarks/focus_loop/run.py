@@ -87,6 +87,7 @@ class Trial:
                 waiting.pop(exposure)(self)
             self._note_memory()
             report(reached)
+            _require_alive(self.loop, self.folder / "loop.log")
             if self.telescope.poll() is not None and self._reached() < self.night.exposures:
                 _require_alive(self.telescope, self.folder / "telescope.log")
             time.sleep(LOOK_S)

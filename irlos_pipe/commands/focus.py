@@ -77,11 +77,11 @@ TOKEN = "IRLOS_FOCUS_TOKEN"
     help="Largest change at once while the loop is being closed.",
 )
 @click.option(
-    "--max-chi2",
+    "--max-misfit",
     type=click.FloatRange(min=0, min_open=True),
-    default=4.0,
+    default=0.3,
     show_default=True,
-    help="Largest chi-square per degree of freedom of a valid measurement.",
+    help="Part of the light that the model may leave unexplained, beyond noise.",
 )
 @click.option(
     "--stale-after",
@@ -121,7 +121,7 @@ def focus(
     delay: int,
     limit_nm: float,
     jump_nm: float,
-    max_chi2: float,
+    max_misfit: float,
     stale_after: float | None,
     shadow: bool,
     socket: Path | None,
@@ -160,7 +160,7 @@ def focus(
     )
     service = Service(
         output,
-        _request(run, acquisition, ring, max_chi2),
+        _request(run, acquisition, ring, max_misfit),
         settings,
         _opener(ring, folder, replay, input_name, speed),
         every_exposure_counts=replay is not None,
@@ -185,13 +185,13 @@ def _settings(gain, leak, delay, limit_nm, jump_nm, reads, counter_step, shadow,
     return LoopSettings(controller, reads, counter_step, shadow, stale_after_s)
 
 
-def _request(run: Path, acquisition: Path | None, ring: Path | None, max_chi2: float) -> CalibrationRequest:
+def _request(run: Path, acquisition: Path | None, ring: Path | None, max_misfit: float) -> CalibrationRequest:
     from irlos_pipe.estimate.focus.sensor import Limits
     from irlos_pipe.focus.calibration import CalibrationRequest
     from irlos_pipe.focus.ring import window_of
 
     return CalibrationRequest(
-        run, acquisition, None if ring is None else window_of(ring), Limits(chi2_nu=max_chi2)
+        run, acquisition, None if ring is None else window_of(ring), Limits(misfit=max_misfit)
     )
 
 

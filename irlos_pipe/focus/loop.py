@@ -12,7 +12,7 @@ from irlos_pipe.estimate.focus.sensor import Measurement
 from irlos_pipe.focus.calibration import Calibration
 from irlos_pipe.focus.record import INCOMPLETE, LATE, SHADOW, STALE, WINDOW, Record
 
-NUMBERS = ("defocus_nm", "sigma_nm", "tip_nm", "tilt_nm", "flux_e", "background_e", "chi2_nu")
+NUMBERS = ("defocus_nm", "sigma_nm", "tip_nm", "tilt_nm", "flux_e", "background_e", "chi2_nu", "misfit")
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ class Record:
         Time of the first read.
     reads, reads_late, reads_doubled, reads_missing, reads_damaged : int
         In the exposure, and since the exposure before.
-    defocus_nm, sigma_nm, tip_nm, tilt_nm, flux_e, background_e, chi2_nu : float
+    defocus_nm, sigma_nm, tip_nm, tilt_nm, flux_e, background_e, chi2_nu, misfit : float
         See `Measurement`.
     valid : bool
     reasons : tuple of str
@@ -67,6 +67,7 @@ class Record:
     flux_e: float
     background_e: float
     chi2_nu: float
+    misfit: float
     valid: bool
     reasons: tuple[str, ...]
     mode: str

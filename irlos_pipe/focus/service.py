@@ -26,7 +26,7 @@ LOG = logging.getLogger(__name__)
 COMMAND = "command"
 POLL_S = 0.25  # between looks at everything that is no frame
 CLOCK_STEP_S = 0.5
-OWN = ("focus.jsonl",)
+OWN = ("focus.jsonl", COMMAND)
 
 
 @dataclass(frozen=True)
@@ -84,12 +84,11 @@ class Service:
             publisher = None if self.socket is None else stack.enter_context(closing(Publisher(self.socket)))
             running = _Running(self, calibration, journal, mailbox, page, publisher, report)
             running.begin()
-            while not stopped():
-                arrivals = source.poll(POLL_S)
-                if arrivals is None:
-                    break
-                running.take(arrivals)
-            running.finish()
+            try:
+                while not stopped() and (arrivals := source.poll(POLL_S)) is not None:
+                    running.take(arrivals)
+            finally:  # interrupted, too
+                running.finish()
             return running.records
 
 

@@ -133,7 +133,7 @@ def spoilt(**changes) -> np.ndarray:
         ("lost_star", drawn([0.0, 0.0, 50.0], 0.0)[0]),
         ("range", drawn([600.0, 0.0, 50.0])[0]),
         ("range", drawn([0.0, 0.0, 1200.0])[0]),
-        ("chi2", spoilt(add=np.where(np.arange(40) == 20, 400.0, 0.0))),
+        ("chi2", spoilt(add=np.where(np.arange(40) == 20, 1500.0, 0.0))),
     ],
     ids=["NaN", "no star", "star aside", "too much defocus", "a bright column"],
 )

@@ -39,7 +39,9 @@ def test_a_loop_that_is_started_again_goes_on_to_the_bit():
     again = loop(last=record_of(first[-1].line()))
     rest = [again.record(exposure(index, 30.0), 0.0) for index in range(3, 6)]
     keys = ("sequence", "defocus_nm", "offset_nm", "mode", "commanded")
-    assert [[getattr(r, k) for k in keys] for r in first + rest] == [[getattr(r, k) for k in keys] for r in straight]
+    assert [[getattr(r, k) for k in keys] for r in first + rest] == [
+        [getattr(r, k) for k in keys] for r in straight
+    ]
 
 
 def test_a_record_survives_the_line_it_is_written_as():

@@ -37,6 +37,8 @@ class Found(NamedTuple):
     objective : float
         Minus the quasi-likelihood, up to a constant of the image.
     chi2_nu : float
+    misfit : float
+        Light that the model does not explain, beyond noise: RMS over the pixels, over that of the star.
     iterations : int
     converged : bool
     """
@@ -45,6 +47,7 @@ class Found(NamedTuple):
     covariance: np.ndarray
     objective: float
     chi2_nu: float
+    misfit: float
     iterations: int
     converged: bool
 
@@ -87,13 +90,14 @@ class PhotonFit:
             chi2_nu = self._chi2_nu()
             step, gain = _scoring(gradient, fisher)
             if gain < CHI2_TOLERANCE * max(1.0, chi2_nu):
-                return Found(self._bounded(x + step), _inverse(fisher), value, chi2_nu, iteration, True)
+                end = self._bounded(x + step)
+                return Found(end, _inverse(fisher), value, chi2_nu, self._misfit(x, noise), iteration, True)
             rise = CHI2_TOLERANCE * max(1.0, chi2_nu)  # of rounding: images are of single precision
             trial, lower = self._descend(image_e, x, step, value + rise, noise)
             if trial is None:
                 break
             x, value = trial, lower
-        return Found(x, _inverse(fisher), value, chi2_nu, iteration, False)
+        return Found(x, _inverse(fisher), value, chi2_nu, self._misfit(x, noise), iteration, False)
 
     def _descend(self, image_e, x, step, highest, noise) -> tuple[np.ndarray | None, float]:
         """The point after a step, halved until the objective is not above `highest`, and the objective."""
@@ -141,6 +145,14 @@ class PhotonFit:
     def _chi2_nu(self) -> float:
         np.multiply(self._residual, self._residual, out=self._scratch)
         return float(self._scratch @ self._weight) / self._freedom
+
+    def _misfit(self, x: np.ndarray, noise: Noise) -> float:
+        positive = np.maximum(self._model, 0.0, out=self._scratch)
+        expected = noise.factor * (positive @ self._good) + noise.floor_e2 * self._good.sum()
+        residual = self._residual * self._good
+        star = self._images.image * self._good
+        light = x[3] ** 2 * float(star @ star)
+        return float(np.sqrt(max(residual @ residual - expected, 0.0) / max(light, 1e-300)))
 
 
 def _minus_quasi_likelihood(

@@ -35,8 +35,10 @@ class Limits:
 
     Attributes
     ----------
-    chi2_nu : float
-        Largest χ² per degree of freedom.
+    chi2_nu, misfit : float
+        Largest χ² per degree of freedom, and part of the light that the model may leave unexplained; a solution
+        that exceeds both is wrong. The light of speckles, significant on a bright star, is a tenth; that of a
+        wrong minimum more than a half.
     signal_to_noise : float
         Least flux over its error: a fit of noise alone, free to move over the scan, reaches 5.
     sigma_nm : float
@@ -47,7 +49,8 @@ class Limits:
         Electrons of the brightest good pixel of one read.
     """
 
-    chi2_nu: float = 4.0
+    chi2_nu: float = 2.0
+    misfit: float = 0.3
     signal_to_noise: float = 8.0
     sigma_nm: float = 100.0
     evidence: float = 10.0
@@ -67,7 +70,8 @@ class Measurement(NamedTuple):
     tip_nm, tilt_nm : float
     flux_e, background_e : float
         Through the clear pupil, and per pixel.
-    chi2_nu : float
+    chi2_nu, misfit : float
+        See `Found`.
     iterations : int
     """
 
@@ -80,6 +84,7 @@ class Measurement(NamedTuple):
     flux_e: float = math.nan
     background_e: float = math.nan
     chi2_nu: float = math.nan
+    misfit: float = math.nan
     iterations: int = 0
 
 
@@ -184,7 +189,7 @@ class Focus:
         others = candidates[1 : 1 + RIVALS]
         if candidates[0].energy_e2 < self.limits.signal_to_noise**2 * noise.floor_e2:
             return []
-        if not first.converged or first.chi2_nu > self.limits.chi2_nu:
+        if not first.converged or self._is_wrong(first):
             return others
         light_e = first.x[3] * self._images.image
         squares = float(light_e @ light_e)
@@ -202,24 +207,17 @@ class Focus:
             NOT_CONVERGED: not found.converged,
             LOST_STAR: not x[3] > limits.signal_to_noise * flux_sigma_e,
             RANGE: bool(((x[:3] <= low) | (x[:3] >= high)).any()),
-            CHI2: not found.chi2_nu <= limits.chi2_nu,
+            CHI2: self._is_wrong(found),
             TWIN: rival < limits.evidence,
             UNCERTAIN: not sigma_nm <= limits.sigma_nm,
         }
         reasons = tuple(reason for reason, holds in against.items() if holds)
         tip, tilt, focus, flux, background = x.tolist()
-        return Measurement(
-            focus,
-            sigma_nm,
-            not reasons,
-            reasons,
-            tip,
-            tilt,
-            flux,
-            background,
-            found.chi2_nu,
-            found.iterations,
-        )
+        fit = found.chi2_nu, found.misfit, found.iterations
+        return Measurement(focus, sigma_nm, not reasons, reasons, tip, tilt, flux, background, *fit)
+
+    def _is_wrong(self, found: Found) -> bool:
+        return not (found.chi2_nu <= self.limits.chi2_nu or found.misfit <= self.limits.misfit)
 
 
 def _sigma_nm(found: Found) -> float:

@@ -1,0 +1,122 @@
+"""An hour of the loop at accelerated speed with everything that can happen to it, compared with truth and theory."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+
+from benchmarks.focus_loop.run import Outcome, Trial
+from benchmarks.focus_loop.telescope import Night
+
+HOUR = 3600
+START_NM = 850.0
+SETTLED = 60  # exposures after the start, and after a fault, that do not count as undisturbed
+# First and last exposure of what goes wrong with the light and the frames.
+FAULTS = {
+    "burst": [(400, 430)],
+    "lost": [(600, 620)],
+    "late": [(800, 805)],
+    "doubled": [(850, 855)],
+    "swapped": [(900, 905)],
+    "damaged": [(950, 955)],
+    "missing": [(1000, 1003)],
+    "nan": [(1050, 1052)],
+    "clock": [(2100, 2110)],
+}
+KILL_LOOP, KILL_TELESCOPE, FULL, FREE, EXCHANGE = 1200, 1500, 1800, 1860, 2400
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happens: its name, and the last exposure that it lasts."""
+
+    name: str
+    first: int
+    last: int
+
+
+EVENTS = [
+    *(Event(name, first, last) for name, spans in FAULTS.items() for first, last in spans),
+    Event("kill -9 of the loop", KILL_LOOP, KILL_LOOP),
+    Event("kill -9 of the telescope", KILL_TELESCOPE, KILL_TELESCOPE),
+    Event("full disk", FULL, FREE),
+    Event("calibration replaced", EXCHANGE, EXCHANGE),
+]
+
+
+@click.command()
+@click.argument("calibration", type=click.Path(path_type=Path, exists=True))
+@click.argument("other", type=click.Path(path_type=Path, exists=True))
+@click.option("--output", type=click.Path(path_type=Path), required=True, help="A new folder.")
+@click.option("--mag-j", type=float, default=12.0, show_default=True)
+@click.option("--exposures", type=int, default=HOUR, show_default=True, help="Fewer leave later faults out.")
+def main(calibration: Path, other: Path, output: Path, mag_j: float, exposures: int) -> None:
+    """Run the hour with the run folder CALIBRATION, which is replaced by OTHER."""
+    trial = Trial(output, calibration, night_of(mag_j, exposures), actions_of(other))
+    trial.run()
+    summary = summary_of(trial.outcome())
+    (output / "summary.json").write_text(json.dumps(summary, indent=1))
+    click.echo(json.dumps(summary, indent=1))
+
+
+def night_of(mag_j: float, exposures: int) -> Night:
+    """The hour of a star."""
+    return Night(mag_j=mag_j, exposures=exposures, start_nm=START_NM, faults=FAULTS)
+
+
+def actions_of(other: Path) -> dict:
+    """What happens to processes, disk and calibration."""
+    return {
+        KILL_LOOP: Trial.kill_loop,
+        KILL_TELESCOPE: Trial.kill_telescope,
+        FULL: Trial.fill_disk,
+        FREE: Trial.free_disk,
+        EXCHANGE: lambda trial: trial.replace_calibration(other),
+    }
+
+
+def summary_of(outcome: Outcome) -> dict:
+    """Numbers of docs/focus.md."""
+    exposures = outcome.night.exposures
+    valid = [one for one in outcome.records if one["valid"]]
+    latency = [one["latency_ms"] for one in outcome.records]
+    quarter = max(1, len(outcome.memory_mib) // 4)
+    return {
+        "mag_j": outcome.night.mag_j,
+        "exposures": exposures,
+        "records": len(outcome.records),
+        "closed_after": outcome.closed_at,
+        "residual_nm": _undisturbed_nm(outcome),
+        "predicted_nm": outcome.predicted_nm(),
+        "sigma_nm": float(np.median([one["sigma_nm"] for one in valid])),
+        "valid": len(valid) / len(outcome.records),
+        "latency_ms": np.percentile(latency, [50, 99]).tolist(),
+        "wrongly_commanded": outcome.wrongly_commanded(),
+        "exposures_without_record": sorted(outcome.lost()),
+        "sequence_is_whole": outcome.sequence_is_whole(),
+        "memory_mib": [float(np.median(part)) for part in (outcome.memory_mib[:quarter], outcome.memory_mib[-quarter:])],
+        "recovery": {one.name: _recovery(outcome, one) for one in EVENTS if one.last < exposures - SETTLED},
+        "events": outcome.events,
+    }
+
+
+def _undisturbed_nm(outcome: Outcome) -> float:
+    """RMS residual of all exposures but those of the start, of faults and shortly after."""
+    quiet = set(range(SETTLED, outcome.night.exposures))
+    for event in EVENTS:
+        quiet -= set(range(event.first, event.last + SETTLED))
+    squares = [outcome.truth[i]["residual_nm"] ** 2 for i in sorted(quiet)]
+    return float(np.sqrt(np.mean(squares) + outcome.night.drift.wander_within_nm2(1.0)))
+
+
+def _recovery(outcome: Outcome, event: Event) -> dict:
+    during = [abs(outcome.truth[i]["residual_nm"]) for i in range(event.first, event.last + 10)]
+    return {"largest_nm": max(during), "exposures": outcome.recovery(event.last)}
+
+
+if __name__ == "__main__":
+    main()
