@@ -1,1 +1,1 @@
-"""The focus loop as processes: a simulated telescope, the faults of a night, and how well both are survived."""
+"""The focus loop as processes: a simulated telescope, the faults of a night, and how both are survived."""

@@ -1,4 +1,4 @@
-"""An hour of the loop at accelerated speed with everything that can happen to it, compared with truth and theory."""
+"""An accelerated hour of the loop with everything that can happen to it, beside truth and theory."""
 
 from __future__ import annotations
 
@@ -84,7 +84,8 @@ def summary_of(outcome: Outcome) -> dict:
     exposures = outcome.night.exposures
     valid = [one for one in outcome.records if one["valid"]]
     latency = [one["latency_ms"] for one in outcome.records]
-    quarter = max(1, len(outcome.memory_mib) // 4)
+    memory = outcome.memory_mib
+    quarter = max(1, len(memory) // 4)
     return {
         "mag_j": outcome.night.mag_j,
         "exposures": exposures,
@@ -98,7 +99,7 @@ def summary_of(outcome: Outcome) -> dict:
         "wrongly_commanded": outcome.wrongly_commanded(),
         "exposures_without_record": sorted(outcome.lost()),
         "sequence_is_whole": outcome.sequence_is_whole(),
-        "memory_mib": [float(np.median(part)) for part in (outcome.memory_mib[:quarter], outcome.memory_mib[-quarter:])],
+        "memory_mib": [float(np.median(part)) for part in (memory[:quarter], memory[-quarter:])],
         "recovery": {one.name: _recovery(outcome, one) for one in EVENTS if one.last < exposures - SETTLED},
         "events": outcome.events,
     }

@@ -35,7 +35,7 @@ def main(night: Path, ring: Path, command: Path, truth: Path, speed: float) -> N
     """Run the NIGHT, a JSON file."""
     with threadpool_limits(1):
         telescope = Telescope(Night(**json.loads(night.read_text())))
-        first = sum(1 for _ in open(truth)) if truth.exists() else 0
+        first = len(truth.read_text().splitlines()) if truth.exists() else 0
         Feed(telescope, RingWriter(ring, (64, 64), SLOTS), Mailbox(command), truth, speed).run(first)
 
 

@@ -96,7 +96,7 @@ class Trial:
         self.loop.wait(timeout=30)
 
     def _reached(self) -> int:
-        return sum(1 for _ in open(self.truth)) if self.truth.exists() else 0
+        return self.truth.read_bytes().count(b"\n") if self.truth.exists() else 0
 
     def _note_memory(self) -> None:
         try:
@@ -138,8 +138,8 @@ class Trial:
 
     def outcome(self) -> Outcome:
         """Compare record and truth."""
-        lines = [json.loads(line) for line in open(self.output / "focus.jsonl")]
-        truth = [json.loads(line) for line in open(self.truth)]
+        lines = _lines(self.output / "focus.jsonl")
+        truth = _lines(self.truth)
         records = [line for line in lines if "sequence" in line]
         events = [line["event"] for line in lines if "event" in line]
         return Outcome(self.night, records, events, {one["exposure"]: one for one in truth}, self.peak_mib)
@@ -196,6 +196,10 @@ class Outcome:
     def sequence_is_whole(self) -> bool:
         """Whether every number of a record is there once."""
         return [one["sequence"] for one in self.records] == list(range(1, len(self.records) + 1))
+
+
+def _lines(path: Path) -> list[dict]:
+    return [json.loads(line) for line in path.read_text().splitlines()]
 
 
 def _process(arguments: list, log: Path) -> subprocess.Popen:

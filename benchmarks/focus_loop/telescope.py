@@ -1,4 +1,4 @@
-"""A simulated telescope for the focus loop: reads with sky, NCPAs and noise, and a focus that follows the loop.
+"""A simulated telescope for the focus loop: reads with sky, NCPAs and noise, and a focus that follows it.
 
 The light comes from the simulator, which shares no optics with the model of the loop. Some seconds of sky are
 tabulated over the defocus and drawn from in random order, so that an hour takes minutes.

@@ -8,10 +8,11 @@ from irlos_pipe.control.disturbance import Drift
 from irlos_pipe.control.linear_theory import Integrator
 
 SETTINGS = ControllerSettings(gain=0.4, leak=0.0, delay=1, limit_nm=800.0, jump_nm=300.0)
+AT_REST = ControllerState()
 TRACKED = ControllerState(50.0, TRACKING)
 
 
-def closed(disturbance_nm, settings=SETTINGS, noise_nm=0.0, seed=0, state=ControllerState()):
+def closed(disturbance_nm, settings=SETTINGS, noise_nm=0.0, seed=0, state=AT_REST):
     """Residuals and states of a loop on a given disturbance, `delay` exposures late."""
     rng, queue = np.random.default_rng(seed), [state.offset_nm] * (settings.delay + 1)
     residuals, states = [], []

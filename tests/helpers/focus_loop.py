@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from helpers import optics_cases as cases
 
+from helpers import optics_cases as cases
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.focus.sensor import Focus, Limits

@@ -36,9 +36,9 @@ class Limits:
     Attributes
     ----------
     chi2_nu, misfit : float
-        Largest χ² per degree of freedom, and part of the light that the model may leave unexplained; a solution
-        that exceeds both is wrong. The light of speckles, significant on a bright star, is a tenth; that of a
-        wrong minimum more than a half.
+        Largest χ² per degree of freedom, and part of the light that the model may leave unexplained; a
+        solution that exceeds both is wrong. The light of speckles, significant on a bright star, is a tenth;
+        that of a wrong minimum more than a half.
     signal_to_noise : float
         Least flux over its error: a fit of noise alone, free to move over the scan, reaches 5.
     sigma_nm : float

@@ -1,0 +1,89 @@
+"""`irlos focus` as a user calls it. Truth: the stage `lift`, which measures the same frames on its own."""
+
+import json
+import shutil
+
+import pytest
+from conftest import invoke
+
+from irlos_pipe.commands.focus import TOKEN
+from irlos_pipe.focus.ring import RingWriter
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The samples reduced, every frame by itself."""
+    folder = tmp_path_factory.mktemp("reduced") / "run"
+    options = ["--set", "lift.singly=true", "--set", "lift.compare=false", "--jobs", "1", "-q"]
+    result = invoke("run", "defocus_ramp", "--samples", "--output", str(folder), *options)
+    assert result.exit_code in (0, 4), result.stderr
+    return folder
+
+
+def failure(*arguments: object) -> tuple[int, str]:
+    result = invoke("focus", *map(str, arguments))
+    lines = result.stderr.splitlines()
+    assert len(lines) == 1 and lines[0].startswith("irlos: error: "), result.stderr
+    return result.exit_code, lines[0]
+
+
+def records(folder) -> list[dict]:
+    content = [json.loads(line) for line in (folder / "focus.jsonl").read_text().splitlines()]
+    return [one for one in content if "sequence" in one]
+
+
+@pytest.mark.slow
+def test_a_replay_gives_what_lift_gives_to_the_last_bit(run, tmp_path):
+    result = invoke("focus", str(run), "--replay", str(run), "--output", str(tmp_path / "again"))
+    assert result.exit_code == 0
+    points = json.loads((run / "results.json").read_text())["stages"]["lift"]["points"]
+    found = records(tmp_path / "again")
+    assert f"{len(points)} records" in result.stdout
+    for mine, theirs in zip(found, points, strict=True):
+        assert (mine["defocus_nm"], mine["sigma_nm"]) == (theirs["defocus_nm"], theirs["sigma_photon_nm"])
+        assert (mine["tip_nm"], mine["tilt_nm"]) == (theirs["zernike_nm"]["2"], theirs["zernike_nm"]["3"])
+        assert mine["valid"] and not mine["commanded"]
+    assert abs(found[0]["defocus_nm"] - points[0]["introduced_nm"]) < 10.0
+
+
+@pytest.mark.slow
+def test_what_cannot_be_is_said_in_one_line_with_its_exit_code(run, tmp_path):
+    out = ("--output", tmp_path / "loop")
+    text = tmp_path / "text"
+    text.write_text("no frames at all")
+    code, line = failure(run, "--ring", text, *out)
+    assert code == 3 and f"{text}: not a ring of frames" in line
+    RingWriter(tmp_path / "ring", (20, 24)).close()
+    code, line = failure(run, "--ring", tmp_path / "ring", *out)
+    assert code == 3 and "20x24 px" in line and "64x64 px" in line
+    assert failure(run, "--folder", tmp_path / "none", *out)[0] == 3
+    assert failure(run, "--replay", run, "--input", "calibratoin", *out)[0] == 3
+    assert failure(tmp_path, "--replay", run, *out)[0] == 3
+    assert "stable between 0 and 1.000" in failure(run, "--replay", run, "--gain", 1.5, *out)[1]
+    assert (
+        "needs a token"
+        in failure(run, "--replay", run, "--page-port", 0, "--page-address", "0.0.0.0", *out)[1]
+    )
+
+
+@pytest.mark.slow
+def test_a_run_without_the_frames_of_a_loop_asks_for_their_description(run, tmp_path):
+    only = tmp_path / "calibration"
+    shutil.copytree(run, only)
+    text = (only / "recipe.resolved.yaml").read_text().replace("input: ramp", "input: other")
+    (only / "recipe.resolved.yaml").write_text(text)
+    code, line = failure(only, "--replay", run, "--output", tmp_path / "loop")
+    assert code == 2 and "--acquisition FILE" in line
+
+
+@pytest.mark.parametrize("sources", [[], ["--ring", "a", "--folder", "b"]])
+def test_one_source_is_asked_for(sources, tmp_path):
+    result = invoke("focus", "run", "--output", str(tmp_path / "loop"), *sources)
+    assert result.exit_code == 2
+    assert "give one of --ring, --folder and --replay" in result.stderr
+
+
+def test_the_help_teaches_by_examples_and_names_the_token():
+    text = invoke("focus", "--help").stdout
+    assert "irlos focus calibration --replay calibration" in text
+    assert TOKEN in text

@@ -1,0 +1,215 @@
+"""The program around the loop. Truth: the reads that were given to it, and the loop by itself."""
+
+import json
+import sqlite3
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import focus_loop as made
+
+from irlos_pipe.control.controller import ControllerSettings
+from irlos_pipe.control.exposures import Accumulator
+from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, InputDataError, Locked
+from irlos_pipe.focus.exchange import CalibrationWatch, require_exchangeable
+from irlos_pipe.focus.loop import FocusLoop, LoopSettings
+from irlos_pipe.focus.mailbox import Mailbox
+from irlos_pipe.focus.service import Service
+from irlos_pipe.focus.source import Fault
+
+SETTINGS = LoopSettings(ControllerSettings(gain=0.5, delay=0), reads=2)
+
+
+@dataclass
+class Listed:
+    """A source of what was arranged, poll after poll."""
+
+    arrivals: list
+    window: tuple[int, int] = made.WINDOW
+    closed: list = field(default_factory=list)
+
+    def poll(self, timeout_s):
+        return self.arrivals.pop(0) if self.arrivals else None
+
+    def close(self):
+        self.closed.append(True)
+
+
+def service(output: Path, arrivals: list, found=None, **changes) -> Service:
+    source = Listed(arrivals, changes.pop("window", made.WINDOW))
+    request = made.Ready(output / "none", found or made.calibration())
+    return Service(output, request, SETTINGS, lambda *_: source, **changes)
+
+
+def reads(first: int, last: int, defocus_nm: float = 30.0) -> list[list]:
+    """Two reads per exposure, one poll each."""
+    return [[made.read(counter, defocus_nm, reads=2)] for counter in range(first, last)]
+
+
+def lines(output: Path) -> tuple[list[dict], list[str]]:
+    content = [json.loads(line) for line in (output / "focus.jsonl").read_text().splitlines()]
+    return [one for one in content if "sequence" in one], [one["event"] for one in content if "event" in one]
+
+
+def test_every_exposure_has_a_record_and_the_command_is_that_of_the_last(tmp_path):
+    told = []
+    assert service(tmp_path, reads(0, 8)).run(told.append) == 4
+    records, events = lines(tmp_path)
+    assert [one["exposure"] for one in records] == [0, 1, 2, 3]
+    assert events == ["started, calibration first", "stopped"] == told
+    command = Mailbox(tmp_path / "command").read()
+    assert (command.number, command.offset_nm, command.counter) == (4, records[-1]["offset_nm"], 6)
+
+
+def test_records_are_those_of_the_loop_by_itself(tmp_path):
+    service(tmp_path, reads(0, 8)).run(lambda _: None)
+    loop, accumulator = FocusLoop(made.calibration(), SETTINGS), Accumulator(2)
+    exposures = [one for (read,) in reads(0, 8) for one in accumulator.add(read)]
+    alone = [json.loads(loop.record(one, 0.0).line()) for one in exposures]
+    for mine, theirs in zip(lines(tmp_path)[0], alone, strict=True):
+        assert mine | {"latency_ms": 0} == theirs | {"latency_ms": 0}
+
+
+def test_started_again_it_goes_on_and_does_nothing_twice(tmp_path):
+    service(tmp_path, reads(0, 5)).run(lambda _: None)  # the third exposure is cut short
+    service(tmp_path, reads(0, 12)).run(lambda _: None)
+    records, events = lines(tmp_path)
+    assert [one["exposure"] for one in records] == [0, 1, 2, 3, 4, 5]
+    assert [one["sequence"] for one in records] == [1, 2, 3, 4, 5, 6]
+    assert records[2]["reads_missing"] == 1
+    assert "started again after record 3, calibration first" in events
+
+
+def test_of_exposures_that_come_together_only_the_last_commands(tmp_path):
+    at_once = [read for (read,) in reads(0, 8)]
+    service(tmp_path, [at_once]).run(lambda _: None)
+    records, _ = lines(tmp_path)
+    assert [one["reasons"] for one in records] == [["late"]] * 3 + [[]]
+    assert [one["commanded"] for one in records] == [False, False, False, True]
+
+
+def test_in_a_replay_every_exposure_counts(tmp_path):
+    at_once = [read for (read,) in reads(0, 8)]
+    service(tmp_path, [at_once], every_exposure_counts=True).run(lambda _: None)
+    assert all(one["valid"] for one in lines(tmp_path)[0])
+
+
+def test_what_is_damaged_is_named_and_the_offset_held(tmp_path):
+    arrivals = [
+        *reads(0, 4),
+        [Fault("frame 5 is damaged")],
+        [made.nan_read(5)],
+        [made.nan_read(6)],
+        *reads(7, 10),
+    ]
+    service(tmp_path, arrivals).run(lambda _: None)
+    records, events = lines(tmp_path)
+    assert "frame 5 is damaged" in events
+    assert records[2]["reads_damaged"] == 1
+    assert records[2]["reasons"] == ["not_finite"]
+    offsets = [one["offset_nm"] for one in records]
+    assert offsets[1] == offsets[2] == offsets[3]  # the fourth holds a read that is no number, too
+    assert offsets[4] != offsets[3]
+
+
+def test_frames_of_another_window_are_recorded_as_such(tmp_path):
+    odd = [[made.read(counter, 0.0, image_e=np.ones((8, 8)))] for counter in (2, 3)]
+    service(tmp_path, [*reads(0, 2), *odd]).run(lambda _: None)
+    assert lines(tmp_path)[0][1]["reasons"] == ["window"]
+
+
+def test_a_source_of_another_window_is_refused_at_the_start(tmp_path):
+    with pytest.raises(InputDataError, match=r"20x24 px.*32x32"):
+        service(tmp_path, [], window=(20, 24)).run(lambda _: None)
+
+
+def test_two_loops_on_one_output_are_refused(tmp_path):
+    class Second(Listed):
+        def poll(self, timeout_s):
+            with pytest.raises(Locked) as caught:
+                service(tmp_path, []).run(lambda _: None)
+            assert caught.value.exit_code == ExitCode.LOCKED
+            return
+
+    first = service(tmp_path, [])
+    Service(tmp_path, first.calibration, SETTINGS, lambda *_: Second([])).run(lambda _: None)
+
+
+def test_a_folder_with_other_files_is_refused(tmp_path):
+    (tmp_path / "thesis.tex").write_text("text")
+    with pytest.raises(ConfigurationError, match=r"thesis\.tex"):
+        service(tmp_path, []).run(lambda _: None)
+
+
+def test_an_interrupted_loop_records_what_it_has(tmp_path):
+    class Interrupted(Listed):
+        def poll(self, timeout_s):
+            if not self.arrivals:
+                raise KeyboardInterrupt
+            return super().poll(timeout_s)
+
+    request = made.Ready(tmp_path, made.calibration())
+    with pytest.raises(KeyboardInterrupt):
+        Service(tmp_path, request, SETTINGS, lambda *_: Interrupted(reads(0, 4))).run(lambda _: None)
+    assert len(lines(tmp_path)[0]) == 2
+    with sqlite3.connect(tmp_path / "focus.sqlite") as connection:
+        assert connection.execute("SELECT count(*) FROM records").fetchone() == (2,)
+
+
+# -- calibrations exchanged -------------------------------------------------------------------------
+
+
+@dataclass
+class Changing:
+    """A run folder whose calibration is whatever `found` says."""
+
+    run: Path
+    found: object
+
+    def load(self):
+        if isinstance(self.found, Exception):
+            raise self.found
+        return self.found
+
+
+def exchanged(tmp_path, found):
+    """News of a watch whose run is made again."""
+    results = tmp_path / "results.json"
+    results.write_text("{}")
+    request = Changing(tmp_path, found)
+    watch = CalibrationWatch(request, made.calibration())
+    assert watch.news() is None
+    results.rename(tmp_path / "old.json")
+    results.write_text("{} ")
+    watch._looked_s = -1e9
+    assert watch.news() is None
+    watch._worker.join()
+    return watch, watch.news()
+
+
+def test_a_calibration_that_is_made_again_is_taken(tmp_path):
+    new = made.calibration("second")
+    watch, news = exchanged(tmp_path, new)
+    assert news.calibration is new is watch.current
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (InputDataError("no calibration here"), "no calibration here"),
+        (RuntimeError("something unforeseen"), "something unforeseen"),
+        (made.calibration("foreign", "nirc2_narrow"), "instrument nirc2_narrow.*runs on irlos"),
+    ],
+    ids=["broken", "unforeseen", "another instrument"],
+)
+def test_one_that_cannot_be_used_leaves_the_loop_with_what_it_has(tmp_path, found, words):
+    watch, news = exchanged(tmp_path, found)
+    assert news.calibration is None
+    assert watch.current.name == "first"
+    with pytest.raises(AssertionError, match=words):
+        raise AssertionError(news.problem)
+
+
+def test_the_same_calibration_is_exchangeable():
+    require_exchangeable(made.calibration(), made.calibration("second"))

@@ -1,0 +1,81 @@
+"""Recordings that appear in a folder. Truth: the counts that were written."""
+
+import os
+import time
+
+import numpy as np
+import pytest
+from helpers import sparta_files as sparta
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.focus.source import Fault
+from irlos_pipe.focus.watched import WatchedFolder
+from irlos_pipe.frames.recording import Detector
+from irlos_pipe.instrument.instrument import load_instrument
+
+INSTRUMENT, DETECTOR = load_instrument("irlos"), Detector(0.5, 1.0)
+DARK = np.full((32, 32), 50.0)
+
+
+def watched(tmp_path, **options) -> WatchedFolder:
+    return WatchedFolder(tmp_path, INSTRUMENT, DETECTOR, **options)
+
+
+def write(folder, first: int, frames: int = 3) -> np.ndarray:
+    adu = sparta.counts(sparta.star(), frames, seed=first)
+    path = sparta.write_recorder(folder, adu, maps={"DARK": DARK}, counter=np.arange(first, first + frames))
+    _age(path)
+    return adu
+
+
+def _age(path) -> None:
+    """As if it had been written a while ago."""
+    os.utime(path, (time.time() - 10,) * 2)
+
+
+def arrivals(source: WatchedFolder, polls: int = 3) -> list:
+    return [one for _ in range(polls) for one in source.poll(0.0)]
+
+
+def test_frames_of_new_recordings_come_in_order_and_in_electrons(tmp_path):
+    write(tmp_path / "before", 0)
+    source = watched(tmp_path)
+    adu = write(tmp_path / "scan_1", 10)
+    write(tmp_path / "scan_2", 20)
+    found = arrivals(source)
+    assert [one.counter for one in found] == [10, 11, 12, 20, 21, 22]
+    np.testing.assert_allclose(found[1].image_e, (adu[1] - 50.0) * 0.5, rtol=1e-5, atol=1e-3)
+    assert arrivals(source) == []
+
+
+def test_what_is_there_already_is_read_when_asked_for(tmp_path):
+    write(tmp_path / "before", 0)
+    assert len(arrivals(watched(tmp_path, from_start=True))) == 3
+
+
+def test_a_file_that_is_still_being_written_is_waited_for(tmp_path):
+    source = watched(tmp_path)
+    write(tmp_path / "scan", 0)
+    path = tmp_path / "scan" / "scan.fits"
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])  # its time is now
+    assert arrivals(source) == []
+    path.write_bytes(whole)
+    _age(path)
+    assert len(arrivals(source)) == 3
+
+
+def test_a_damaged_file_is_named_and_the_next_one_read(tmp_path):
+    source = watched(tmp_path)
+    (tmp_path / "broken.fits").write_bytes(b"SIMPLE  =                    T" + b"x" * 3000)
+    _age(tmp_path / "broken.fits")
+    write(tmp_path / "scan", 5)
+    fault, *rest = arrivals(source)
+    assert isinstance(fault, Fault)
+    assert "broken.fits" in fault.text and "\n" not in fault.text
+    assert [one.counter for one in rest] == [5, 6, 7]
+
+
+def test_a_folder_that_does_not_exist_is_refused(tmp_path):
+    with pytest.raises(InputDataError, match="no such folder"):
+        watched(tmp_path / "none")
