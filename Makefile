@@ -41,7 +41,7 @@ where = if test -f $(1); then $(2) || test $$? -eq 4; fi
 
 .DEFAULT_GOAL := help
 .PHONY: help env env-test demo test test-quick lint bench fuzz faults misled clean full calibrate dip-global ramp
-.PHONY: sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
+.PHONY: focus-demo sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -74,6 +74,9 @@ lint: env-test ## check formatting, style and types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+focus-demo: env-test ## close the focus loop on a simulated telescope for two minutes (ARGS="--speed 0 --no-browser")
+	$(BIN)/python -m benchmarks.focus_loop.demo --output $(RUNS)/focus-demo $(ARGS)
 
 bench: env-test ## time the estimators against other implementations
 	$(BIN)/python -m benchmarks $(ARGS)

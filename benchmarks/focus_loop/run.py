@@ -95,6 +95,16 @@ class Trial:
         self.loop.send_signal(signal.SIGTERM)
         self.loop.wait(timeout=30)
 
+    def page_url(self) -> str:
+        """Return where the page of the loop is, once it says so; empty before."""
+        log = self.folder / "loop.log"
+        told = (
+            [line for line in log.read_text().splitlines() if line.startswith("page: ")]
+            if log.exists()
+            else []
+        )
+        return told[-1].removeprefix("page: ") if told else ""
+
     def _reached(self) -> int:
         return self.truth.read_bytes().count(b"\n") if self.truth.exists() else 0
 

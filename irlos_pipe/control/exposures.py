@@ -6,11 +6,14 @@ that come late, twice or out of order neither spoil an exposure nor stop the loo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
-RESTARTED_AFTER = 3  # exposures' worth of late reads in a row mean that the recorder counts anew
+# Exposures' worth of late reads in a row that mean that the recorder counts anew: of reads that were taken after
+# the last exposure, and of any, should the clock have been set back as well.
+RESTARTED_AFTER, RESTARTED_ANYWAY_AFTER = 3, 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,19 +87,23 @@ class Accumulator:
         Of the counter from one read to the next.
     last_index : int or None
         The last exposure that is done: reads of it and of earlier ones are late.
+    last_unix_s : float
+        Time of its first read; NaN if not known.
     """
 
     reads: int
     step: int = 1
     last_index: int | None = None
+    last_unix_s: float = math.nan
     _open: dict[int, Read] = field(default_factory=dict)
     _tally: _Tally = field(default_factory=_Tally)
+    _new_in_a_row: int = 0
     _late_in_a_row: int = 0
 
     def add(self, read: Read) -> list[Exposure]:
         """Take a `read`; return the exposures that it completes, in order."""
         index = self._index(read)
-        if self._is_late(index):
+        if self._is_late(index, read):
             return []
         done = []
         if self._open and index != self._index(self._first):
@@ -131,7 +138,8 @@ class Accumulator:
             missing=skipped * self.reads + self.reads - len(images),
             restarted=self._tally.restarted,
         )
-        self.last_index, self._open, self._tally = index, {}, _Tally()
+        self.last_index, self.last_unix_s = index, first.unix_s
+        self._open, self._tally = {}, _Tally()
         return [exposure]
 
     @property
@@ -141,16 +149,18 @@ class Accumulator:
     def _index(self, read: Read) -> int:
         return read.counter // (self.reads * self.step)
 
-    def _is_late(self, index: int) -> bool:
+    def _is_late(self, index: int, read: Read) -> bool:
         """Whether the exposure is done; many late reads in a row are those of a recorder started again."""
         if self.last_index is None or index > self.last_index:
-            self._late_in_a_row = 0
+            self._late_in_a_row = self._new_in_a_row = 0
             return False
         self._late_in_a_row += 1
+        self._new_in_a_row += not read.unix_s <= self.last_unix_s
         self._tally.late += 1
-        if self._late_in_a_row <= RESTARTED_AFTER * self.reads:
+        new, all_late = self._new_in_a_row, self._late_in_a_row
+        if new <= RESTARTED_AFTER * self.reads and all_late <= RESTARTED_ANYWAY_AFTER * self.reads:
             return True
-        self._late_in_a_row, self.last_index = 0, None
+        self._late_in_a_row, self._new_in_a_row, self.last_index = 0, 0, None
         self._tally.late += len(self._open)
         self._tally.restarted, self._open = True, {}
         return False

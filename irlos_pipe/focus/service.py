@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
@@ -110,8 +111,8 @@ class _Running:
     def __post_init__(self) -> None:
         settings, last = self.service.settings, self.journal.last
         self.loop = FocusLoop(self.calibration, settings, last)
-        done = None if last is None else last.exposure
-        self.accumulator = Accumulator(settings.reads, settings.counter_step, done)
+        done = (None, math.nan) if last is None else (last.exposure, last.unix_s)
+        self.accumulator = Accumulator(settings.reads, settings.counter_step, *done)
         self.watch = CalibrationWatch(self.service.calibration, self.calibration)
         self.heard_s, self.full = time.monotonic(), False
 

@@ -70,11 +70,18 @@ def test_after_a_restart_what_is_done_is_not_done_again():
 def test_a_recorder_that_counts_anew_is_followed_after_a_few_exposures():
     accumulator = Accumulator(READS)
     fed(range(4000, 4008), accumulator)
-    exposures = fed(range(40), accumulator)
+    later = [Read(counter, 9000.0 + counter, np.zeros((2, 3))) for counter in range(40)]
+    exposures = [one for read in later for one in accumulator.add(read)]
     assert exposures[0].restarted
     assert exposures[0].index <= 4
     assert not any(one.restarted for one in exposures[1:])
     assert [one.index for one in exposures] == list(range(exposures[0].index, 10))
+
+
+def test_old_reads_that_come_once_more_are_no_new_count():
+    accumulator = Accumulator(READS, last_index=99, last_unix_s=read(396).unix_s)
+    exposures = fed(range(404), accumulator)
+    assert [(one.index, one.late, one.restarted) for one in exposures] == [(100, 400, False)]
 
 
 def test_what_is_open_can_be_closed():
