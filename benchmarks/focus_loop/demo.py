@@ -18,7 +18,7 @@ SETTLED = 20  # exposures after the loop has closed that do not count
 
 @click.command()
 @click.option(
-    "--output", type=click.Path(path_type=Path), required=True, help="A folder; a calibration is kept."
+    "--output", type=click.Path(path_type=Path), required=True, help="A folder, which keeps a calibration."
 )
 @click.option("--exposures", type=int, default=120, show_default=True, help="Of a second.")
 @click.option("--speed", type=float, default=1.0, show_default=True, help="Times real time; 0 does not wait.")
@@ -75,7 +75,7 @@ def lines_of(outcome: Outcome) -> list[str]:
     ]
     if last > first:
         lines.append(
-            f"residual {outcome.residual_nm(first, last):.1f} nm RMS of defocus over {last - first} exposures; "
+            f"residual {outcome.residual_nm(first, last):.1f} nm RMS over {last - first} exposures; "
             f"linear theory expects {outcome.predicted_nm():.1f} nm"
         )
     return lines

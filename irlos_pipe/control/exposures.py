@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-# Exposures' worth of late reads in a row that mean that the recorder counts anew: of reads that were taken after
-# the last exposure, and of any, should the clock have been set back as well.
+# Exposures' worth of late reads in a row that mean that the recorder counts anew: of reads that were taken
+# after the last exposure, and of any, should the clock have been set back as well.
 RESTARTED_AFTER, RESTARTED_ANYWAY_AFTER = 3, 1000
 
 
