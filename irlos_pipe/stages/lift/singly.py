@@ -60,7 +60,7 @@ def focus_sensor(
 
 
 def fit_singly(ctx: StageContext[Config], ramp: Ramp, *, calibrated: bool, halo: str) -> RampFit:
-    """Estimate every frame of a `ramp` by itself; `calibrated` and `halo` as in `fit_frames`."""
+    """Estimate every frame of a `ramp` by itself; `ctx`, `calibrated` and `halo` as in `fit_frames`."""
     model = light_path(ctx, ramp.recordings[0], calibrated=calibrated, halo=halo)
     focus = focus_sensor(model, ramp.data.good.numpy(), ramp.data.noise)
     with ctx.progress(total=len(ramp.names), desc="lift") as bar:
