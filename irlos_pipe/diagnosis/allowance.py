@@ -6,11 +6,11 @@ measured, as χ²/ν and as fine structure that only the flat explains, and ente
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
-import torch
 
 from irlos_pipe.conventions.units import resolution_px
 from irlos_pipe.diagnosis.checks.fine_structure import flat_rms
@@ -19,7 +19,8 @@ from irlos_pipe.diagnosis.cube import Errors, Stacks
 from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.forward import Task
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.estimate.open_fit import Opened, open_basis
+from irlos_pipe.diagnosis.opening import Opening
+from irlos_pipe.effects import Effect
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 KNOWN = 1.2  # χ²/ν up to which photons still set the errors
@@ -37,11 +38,14 @@ class AllowingTask(Task):
         Error of the flat, the least that a model left: a wrong one makes fine structure of its own.
     misfit : float
         χ²/ν for which the variances allow.
+    beyond_nm : mapping
+        Modes beyond the closed basis that the light paths have; Noll index to nm RMS.
     """
 
     kind: str
     flat_rms: float = np.inf
     misfit: float = np.inf
+    beyond_nm: Mapping[int, float] = field(default_factory=dict)
 
     def with_errors(self, fitted: Fitted) -> tuple[Self, Optimum]:
         """The search that allows for what a model misses, and the model fitted again under it."""
@@ -70,33 +74,21 @@ class AllowingTask(Task):
         One fit of all modes finds it; from there on it is known, which keeps every further fit as quick as
         before. Several recordings keep the modes that they have.
         """
-        fitted = current.fitted
-        opened = _opened_fit(fitted)
-        if opened is None:
-            return self, current
-        nolls, values, closed = (
-            opened.problem.layout.nolls,
-            opened.solution.values,
-            fitted.problem.layout.modes,
-        )
-        beyond = slice(closed.stop, len(nolls))
-        tail_nm = dict(zip(nolls[beyond], values[0, beyond].tolist(), strict=True))
-        views = [view.with_known(tail_nm) for view in self.fitter.views]
-        x = torch.cat([values[:, closed], values[:, len(nolls) :]], dim=1)
-        task = replace(self, fitter=self.fitter.of(self.cube.training, views))
-        start = replace(fitted, solution=replace(fitted.solution, values=x), views=views)
-        return task.with_errors(task.fitter.at(start))
+        opening = self.opening(current.fitted, current.fitted.continued())
+        return (self, current) if opening is None else self.closed(opening)
 
+    def opening(self, near: Fitted, effects: Sequence[Effect]) -> Opening | None:
+        """A fit of all visible modes beside some effects, see `Opening.of`."""
+        unknown = {noll: -nm for noll, nm in self.beyond_nm.items()}
+        views = [view.with_known(unknown) for view in self.fitter.views]
+        return Opening.of(self.fitter.of(self.cube.training, views), effects, near, self.beyond_nm)
 
-def _opened_fit(fitted: Fitted) -> Opened | None:
-    """A fit of all visible modes; None of several recordings, or where it cannot be made."""
-    if len(fitted.views) > 1:
-        return None
-    try:
-        opened = open_basis(fitted.problem.parts[0], fitted.solution)
-    except (ValueError, np.linalg.LinAlgError):
-        return None
-    return opened if opened and bool(opened.solution.values.isfinite().all()) else None
+    def closed(self, opening: Opening) -> tuple[Self, Optimum]:
+        """The search, and its model, with the modes beyond the closed basis as a fit of all has them."""
+        known = opening.with_known_modes()
+        fitter = self.fitter.of(self.cube.training, known.views)
+        task = replace(self, fitter=fitter, beyond_nm=opening.beyond_nm)
+        return task.with_errors(task.fitter.at(known))
 
 
 def errors_of(stack: Stacks, fitted: Fitted, settings: PsfSettings, most_flat: float = np.inf) -> Errors:

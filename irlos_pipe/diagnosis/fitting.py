@@ -116,15 +116,21 @@ class Fitted:
     def continued(self) -> list[Effect]:
         """The effects with the same freedom, to start from where they are now."""
         pieces = self.problem.effects.pieces(self.effect_values)
-        return [_begun_at(effect, piece) for effect, piece in zip(self.effects, pieces, strict=True)]
+        return [begun_at(effect, piece) for effect, piece in zip(self.effects, pieces, strict=True)]
 
     def restarted(self) -> list[Effect]:
         """The effects with the same freedom, to start from where nothing is known of them."""
-        return [_begun_at(effect, [p.start for p in _free(effect)]) for effect in self.effects]
+        return [begun_at(effect, [p.start for p in _free(effect)]) for effect in self.effects]
 
 
-def _begun_at(effect: Effect, values: Sequence[float] | np.ndarray) -> Effect:
-    """With the same freedom."""
+def begun_at(effect: Effect, values: Sequence[float] | np.ndarray) -> Effect:
+    """The same effect with the same freedom, from other values of its free parameters.
+
+    Parameters
+    ----------
+    effect : Effect
+    values : ndarray, (free parameters,)
+    """
     if not effect.parameters:
         return effect
     free = [parameter.name for parameter in effect.parameters]
@@ -172,6 +178,12 @@ class Fitter:
         """Fit `effects` from a fit `near` by, in float32 to a loose tolerance: enough to rank candidates."""
         problem = self._problem(effects, self._quick, ROUGHLY)
         return self._solved(problem, self._start(problem, near), EXPLORING)
+
+    def begun(self, effects: Sequence[Effect], near: Fitted) -> Fitted:
+        """`effects` beside modes, flux and background of a fit `near` by, nothing fitted yet."""
+        problem = self._problem(effects, self.views)
+        x = self._start(problem, near)
+        return Fitted(problem, replace(near.solution, values=x), float(problem.chi2(x)), self.views)
 
     def finished(self, fitted: Fitted) -> Fitted:
         """What was explored, continued until it converges or falls no further, if patience allows."""

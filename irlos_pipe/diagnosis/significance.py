@@ -38,7 +38,9 @@ def significance_of(
     axes = (vectors / values.sqrt())[:, measured]  # the shapes along them are orthonormal
     if not stack.photon_limited:
         axes = axes[:, -max(1, int(MOST_OF_FRAMES * stack.independent)) :]
-    along, covariance = axes.mT @ projection, stack.covariance_of(optimum.project(shapes @ axes))
+    left = optimum.project(shapes @ axes)
+    held = optimum.norm2(shapes @ axes) - left.mT @ left  # what priors, not the data, keep parameters from
+    along, covariance = axes.mT @ projection, stack.covariance_of(left) + held
     inflation = float(covariance.diagonal().mean())
     if stack.photon_limited:
         return 1.0, gaussian_sigma(float(along @ along), len(along), np.inf, trials)
@@ -56,8 +58,9 @@ def gaussian_sigma(hotelling: float, directions: int, frames: float, trials: int
         # Beyond the range of logsf: its leading terms.
         tail = tail if np.isfinite(tail) else -hotelling / 2 + (directions / 2 - 1) * np.log(hotelling / 2)
     else:
-        freedom = max(frames - directions, 1.0)
-        tail = _log_tail_of_f(hotelling * freedom / (directions * (frames - 1)), directions, freedom)
+        freedom = max(frames - directions, 1.0)  # slow changes leave fewer frames than directions
+        scale = directions * (freedom + directions - 1)
+        tail = _log_tail_of_f(hotelling * freedom / scale, directions, freedom)
     return float(max(-special.ndtri_exp(min(tail + np.log(trials), np.log(0.5))), 0.0))
 
 

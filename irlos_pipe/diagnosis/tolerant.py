@@ -14,28 +14,29 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import torch
 
-from irlos_pipe.diagnosis.acceptance import PREFERRED, Accepted, Search, accepted
+from irlos_pipe.diagnosis.acceptance import PREFERRED, Accepted, Search, accepted, threshold
 from irlos_pipe.diagnosis.allowance import KNOWN, AllowingTask
 from irlos_pipe.diagnosis.effect_sizes import parameter_covariance
 from irlos_pipe.diagnosis.elimination import needed
-from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.fitting import Fitted, begun_at
 from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, share_at_its_place
 from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.refit import FAR, PER_PARAMETER, Refit, quick_refits, wider_forms
 from irlos_pipe.diagnosis.search.scores import Family, Score, score_family
 from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.starts import other_sides, other_wavefronts
+from irlos_pipe.diagnosis.without import nulls_of, without_linearly
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect
 from irlos_pipe.effects.effect_set import labels_of
-from irlos_pipe.optics.zernike import noll_to_nm
 
-STARTS, START_NM = 2, 60.0  # further wavefronts to begin with: RMS of the first radial order, falling
 RIVALS = 0.3  # of the fall of χ² by a name, that another must promise to be compared
 PROPOSALS = 4  # fitted per name
-OPENINGS = 3  # of the wavefront, while further names are found or χ²/ν falls
+OPENINGS = 4  # of the wavefront, while further names are found or χ²/ν falls
 SETTLED = 0.8  # of χ²/ν before
 MOST = 0.5  # of χ², that a name must explain which leaves much where it acts, while more is wrong
+LOOKED_AT = 2  # effects, each fitted beside all modes
 HARDLY_SEEN = 2.0  # significance of a score from which it is fitted where the model misfits
 
 
@@ -45,8 +46,8 @@ class TolerantTask(AllowingTask):
     def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
         """Begin again where a plain search left much: facts first, then names.
 
-        The wavefront is opened after the facts, as many modes imitate whatever is small and bright, and again
-        after further names, as long as that changes what is left. Names are given last.
+        The wavefront is opened after the facts, as many modes imitate whatever is small and bright. Names are
+        given last.
 
         Parameters
         ----------
@@ -59,15 +60,8 @@ class TolerantTask(AllowingTask):
         task = self.allowing(search.final.fitted)
         task, current = task.with_errors(task._base(told, search))
         task, current = task._named(current, MOST)
-        for number in range(OPENINGS):
-            before = task.misfit, len(current.fitted.effects)
-            task, current = task.opened(current)
-            if number == 0 and task.misfit > FAR:
-                task, current = task._started_elsewhere(current)
-            task, current = task._named(current)
-            same = len(current.fitted.effects) == before[1]
-            if task.misfit < KNOWN or (same and task.misfit > SETTLED * before[0]):
-                break
+        task, current = task._settled(current)
+        task, current = task.with_errors(task._turned(current.fitted))
         full = added(current.fitted, told)
         task, current = task.with_errors(task._without_needless(current, told))
         dropped = [name for name in full if name not in added(current.fitted, told) and name in CATALOGUE]
@@ -107,41 +101,80 @@ class TolerantTask(AllowingTask):
         first = [self.fitter.explored([*some, *everyday(self.conditions, some)], near) for some in sets]
         self.report(len(first))
         best = min(first, key=lambda one: one.chi2 + self._price(one))
-        return best if np.isfinite(best.chi2) else near
+        return self._turned(best) if np.isfinite(best.chi2) else near
+
+    def _turned(self, fitted: Fitted) -> Fitted:
+        """The best of a fit and others in which what has a distance and a direction begins elsewhere.
+
+        A stop that began on the wrong side of the pupil comes to rest at its centre, where the image has a
+        kink, or stays there: to first order opposite sides look alike.
+        """
+        found = [fitted]
+        for label in fitted.problem.effects.labels:
+            for values in other_sides(fitted, label):
+                effects = dict(zip(fitted.problem.effects.labels, fitted.continued(), strict=True))
+                effects[label] = begun_at(effects[label], values)
+                found.append(self.fitter.explored([*effects.values()], fitted))
+                self.report(1)
+        return min(found, key=lambda one: one.chi2)
 
     def _started_elsewhere(self, current: Optimum) -> tuple[TolerantTask, Optimum]:
         """The search and its model from the most plausible of several starts: this may be a false minimum."""
-        effects, starts = current.fitted.continued(), self._starts(current.fitted)
+        effects, starts = current.fitted.continued(), other_wavefronts(current.fitted)
         found = [current.fitted, *(self.fitter.explored(effects, one) for one in starts)]
         self.report(len(starts))
         best = self.fitter.most_plausible([one for one in found if np.isfinite(one.chi2)])
         return (self, current) if best is current.fitted else self.opened(self.with_errors(best)[1])
 
+    def _settled(self, current: Optimum) -> tuple[TolerantTask, Optimum]:
+        """The search and its model with the wavefront open, until neither names nor χ²/ν change any more."""
+        task = self
+        for number in range(OPENINGS):
+            misfit, known = task.misfit, len(current.fitted.effects)
+            opening = task.opening(current.fitted, current.fitted.continued())
+            if opening is None:
+                return task._named(current)
+            task, current = task.closed(task._named_beside_all_modes(opening))
+            if number == 0 and task.misfit > FAR:
+                task, current = task._started_elsewhere(current)
+            if len(current.fitted.effects) == known and task.misfit > SETTLED * misfit:
+                break
+        return task, current
+
+    def _named_beside_all_modes(self, opening: Opening) -> Opening:
+        """All modes beside further effects that they imitate, but would rather not."""
+        for _ in range(self.options.most_names):
+            further = self._behind(opening)
+            if further is None:
+                break
+            opening = further
+        return opening
+
+    def _behind(self, opening: Opening) -> Opening | None:
+        """All modes beside the further effect with which χ² and priors fall most; None if none is seen."""
+        found, _ = self._scores(opening.optimum(self.cube.training))
+        seen = [one for one in found if one.testable and one.significance > self.options.sure]
+        best, most = None, 0.0
+        for score in sorted(seen, key=lambda one: -one.gain / one.inflation)[:LOOKED_AT]:
+            one = self.opening(opening.fitted, [*opening.fitted.continued(), score.start()])
+            self.report(1)
+            if one is None:
+                continue
+            least = threshold(len(score.usable), score.trials) * score.inflation
+            fall = opening.chi2 - one.chi2
+            if fall > max(least, most):
+                best, most = one, fall
+        return best
+
     def _price(self, fitted: Fitted) -> float:
         """What the parameters of a model have to earn of χ²."""
         return PER_PARAMETER * self.cube.training.parts[0].alike_px * fitted.problem.size
 
-    def _starts(self, near: Fitted) -> list[Fitted]:
-        """`near` with other wavefronts: none, and some at random, less in every radial order."""
-        generator = torch.Generator().manual_seed(STARTS)
-        nolls, modes = near.problem.layout.nolls, near.problem.layout.modes
-        falling = [START_NM * min(1.0, 2.0 / noll_to_nm(noll)[0]) ** 1.5 for noll in nolls]
-        size = torch.tensor(falling, dtype=torch.float64)
-        size[:2] = 0.0
-        pointing = near.x[0, modes] * (size == 0)
-        found = []
-        for number in range(STARTS):
-            drawn = torch.randn(len(nolls), generator=generator, dtype=torch.float64) * size
-            x = near.x.clone()
-            x[0, modes] = pointing + (drawn if number else 0.0)
-            found.append(replace(near, solution=replace(near.solution, values=x)))
-        return found
-
     def _without_needless(self, current: Optimum, told: Sequence[Effect]) -> Fitted:
         """The model without those effects, unless told, that are not significant beside the others."""
         fitted = current.fitted
-        labels = added(fitted, told)
-        nulls = {label: _nulls(fitted, label) for label in labels}
+        every = {label: nulls_of(fitted, label) for label in added(fitted, told)}
+        nulls = {label: own for label, own in every.items() if own}  # the others are always something
         zero = np.zeros(fitted.problem.size)
         for own in nulls.values():
             zero[[*own]] = [*own.values()]
@@ -156,7 +189,7 @@ class TolerantTask(AllowingTask):
             lambda rise, count: gaussian_sigma(max(rise, 0.0), count, frames),
             self.options.sure,
         )
-        dropped = set(labels) - set(kept)
+        dropped = set(nulls) - set(kept)
         pairs = zip(fitted.problem.effects.labels, fitted.continued(), strict=True)
         return self.fitter.explored([effect for label, effect in pairs if label not in dropped], fitted)
 
@@ -260,38 +293,3 @@ def added(fitted: Fitted, told: Sequence[Effect]) -> list[str]:
     """Labels of the effects of a model beyond those that it was told."""
     known = {*labels_of(told)}
     return [label for label in fitted.problem.effects.labels if label not in known]
-
-
-def _nulls(fitted: Fitted, label: str) -> dict[int, float]:
-    """Values without effect of those parameters that have one, by column."""
-    pairs = zip(fitted.columns_of(label), fitted.effect(label).parameters, strict=True)
-    return {column: parameter.null for column, parameter in pairs if parameter.null is not None}
-
-
-def without_linearly(fitted: Fitted, label: str) -> Fitted:
-    """A model with one effect at nothing, the others at the optimum of a linear model if that is better.
-
-    Parameters
-    ----------
-    fitted : Fitted
-    label : str
-        Of the effect.
-    """
-    nulls, x = _nulls(fitted, label), fitted.x.clone()
-    own = [*nulls]
-    covariance, moved = fitted.solution.covariance[0], x.clone()
-    excess = x[0, own] - torch.tensor([*nulls.values()], dtype=x.dtype)
-    moved[0] -= covariance[:, own] @ torch.linalg.pinv(covariance[own][:, own], hermitian=True) @ excess
-    x[0, own] -= excess
-    moved = moved.clamp(fitted.problem.lower, fitted.problem.upper)
-    values = min(x, moved, key=lambda one: _chi2_at(fitted, one))
-    return replace(fitted, solution=replace(fitted.solution, values=values))
-
-
-def _chi2_at(fitted: Fitted, x: torch.Tensor) -> float:
-    """χ² there; infinite where nothing can be computed."""
-    try:
-        chi2 = float(fitted.problem.chi2(x))
-    except ValueError:
-        return float("inf")
-    return chi2 if np.isfinite(chi2) else float("inf")

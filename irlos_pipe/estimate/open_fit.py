@@ -6,6 +6,7 @@ therefore fitted first, and all modes from there, with a prior whose law is fitt
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,7 +90,13 @@ class OpenFit(CheapGradientProblem, ImageFit):
         return value, gradient + precision * offset, hessian + torch.diag_embed(precision)
 
 
-def open_basis(closed: ImageFit, solution: Solution, *, max_iterations: int = 60) -> Opened | None:
+def open_basis(
+    closed: ImageFit,
+    solution: Solution,
+    *,
+    beyond_nm: Mapping[int, float] | None = None,
+    max_iterations: int = 60,
+) -> Opened | None:
     """Fit all modes that the window shows, from the solution of a closed basis.
 
     Parameters
@@ -98,6 +105,8 @@ def open_basis(closed: ImageFit, solution: Solution, *, max_iterations: int = 60
         The mean image by modes from Noll 2 on.
     solution : Solution
         Its solution.
+    beyond_nm : mapping, optional
+        Where the modes beyond begin, Noll index to nm RMS; by default at nothing.
     max_iterations : int
         Of each of the two fits, before and after that of the law.
 
@@ -114,7 +123,7 @@ def open_basis(closed: ImageFit, solution: Solution, *, max_iterations: int = 60
     model = ImageModel(wider, closed.model.effects.effects)
     law = TailLaw(psf.nolls[-1] + 1)
     problem = _wider(closed, model).with_law(law).with_tolerance(ROUGHLY * len(nolls))
-    start = _widened(solution.values, closed.layout, problem.layout)
+    start = _widened(solution.values, closed.layout, problem.layout, beyond_nm or {})
     rough = solve(problem, start, max_iterations=max_iterations)
     if rough.status[0] == INVALID:
         return None
@@ -143,9 +152,10 @@ def _wider(closed: ImageFit, model: ImageModel) -> OpenFit:
     return OpenFit(model, layout, closed.images, closed.root_weight.double() ** -2, loss=closed.loss)
 
 
-def _widened(values: torch.Tensor, old: Layout, new: Layout) -> torch.Tensor:
-    """Parameters in another layout; modes that the old one lacks are 0."""
+def _widened(values: torch.Tensor, old: Layout, new: Layout, beyond_nm: Mapping[int, float]) -> torch.Tensor:
+    """Parameters in another layout; modes that the old one lacks are as stated, or 0."""
     x = torch.zeros(len(values), new.size, dtype=torch.float64)
+    x[:, : len(new.nolls)] = torch.tensor([beyond_nm.get(noll, 0.0) for noll in new.nolls])
     x[:, : len(old.nolls)] = values[:, old.modes]
     x[:, len(new.nolls) :] = values[:, len(old.nolls) :]
     return x

@@ -15,7 +15,8 @@ from irlos_pipe.diagnosis.allowance import errors_of
 from irlos_pipe.diagnosis.conclude import _adjusted
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.tolerant import added, everyday, without_linearly
+from irlos_pipe.diagnosis.tolerant import added, everyday
+from irlos_pipe.diagnosis.without import without_linearly
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 
 STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)

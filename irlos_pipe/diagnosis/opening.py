@@ -1,0 +1,98 @@
+"""All modes that the window shows, fitted at once beside the effects of a model.
+
+Many modes imitate whatever is small and bright. Their prior, whose law is fitted, says how much of it they
+may: an effect that they would rather not imitate lowers χ² and prior together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from irlos_pipe.diagnosis.cube import Stacks
+from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.joint_fit import JointFit
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.effects import Effect
+from irlos_pipe.estimate.open_fit import open_basis
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A fit of all visible modes of one recording.
+
+    Attributes
+    ----------
+    fitted : Fitted
+        All modes free, those beyond the closed basis with the law that was fitted.
+    closed : Fitted
+        The problem of the closed basis, without the others, from which it began.
+    """
+
+    fitted: Fitted
+    closed: Fitted
+
+    @classmethod
+    def of(
+        cls, fitter: Fitter, effects: Sequence[Effect], near: Fitted, beyond_nm: Mapping[int, float]
+    ) -> Opening | None:
+        """Fit all modes beside some effects; None of several recordings, or where it cannot be made.
+
+        Parameters
+        ----------
+        fitter : Fitter
+            Whose light paths have none of the modes beyond the closed basis.
+        effects : sequence of Effect
+        near : Fitted
+            Where the closed basis begins.
+        beyond_nm : mapping
+            Where the modes beyond begin; Noll index to nm RMS.
+        """
+        if len(fitter.views) > 1:
+            return None
+        closed = fitter.begun(effects, near)
+        try:
+            opened = open_basis(closed.problem.parts[0], closed.solution, beyond_nm=beyond_nm)
+        except (ValueError, np.linalg.LinAlgError):
+            return None
+        if opened is None or not bool(opened.solution.values.isfinite().all()):
+            return None
+        problem = JointFit([opened.problem])
+        chi2 = float(problem.chi2(opened.solution.values))
+        return cls(Fitted(problem, opened.solution, chi2, fitter.views), closed)
+
+    @property
+    def beyond_nm(self) -> dict[int, float]:
+        """The modes beyond the closed basis; Noll index to nm RMS."""
+        nolls = self.fitted.problem.layout.nolls
+        first = len(self.closed.problem.layout.nolls)
+        return dict(zip(nolls[first:], self.fitted.x[0, first : len(nolls)].tolist(), strict=True))
+
+    @property
+    def chi2(self) -> float:
+        """χ² with what the priors add."""
+        return self.fitted.chi2 + self.fitted.penalty
+
+    def optimum(self, stack: Stacks) -> Optimum:
+        """The residual, for score tests beside all modes.
+
+        Parameters
+        ----------
+        stack : Stacks
+        """
+        return Optimum(stack, self.fitted)
+
+    def with_known_modes(self) -> Fitted:
+        """The closed basis where this fit has it, the modes beyond it known."""
+        views = [view.with_known(self.beyond_nm) for view in self.fitted.views]
+        x, first, modes = (
+            self.fitted.x,
+            len(self.closed.problem.layout.nolls),
+            self.fitted.problem.layout.modes,
+        )
+        values = torch.cat([x[:, :first], x[:, modes.stop :]], dim=1)
+        solution = replace(self.closed.solution, values=values)
+        return replace(self.closed, solution=solution, views=views)

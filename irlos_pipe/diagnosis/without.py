@@ -1,0 +1,52 @@
+"""A model without one of its effects: where the others would go, by a linear model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from irlos_pipe.diagnosis.fitting import Fitted
+
+
+def nulls_of(fitted: Fitted, label: str) -> dict[int, float]:
+    """Values without effect of those parameters that have one, by column.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    label : str
+        Of the effect.
+    """
+    pairs = zip(fitted.columns_of(label), fitted.effect(label).parameters, strict=True)
+    return {column: parameter.null for column, parameter in pairs if parameter.null is not None}
+
+
+def without_linearly(fitted: Fitted, label: str) -> Fitted:
+    """A model with one effect at nothing, the others at the optimum of a linear model if that is better.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    label : str
+        Of the effect.
+    """
+    nulls, x = nulls_of(fitted, label), fitted.x.clone()
+    own = [*nulls]
+    covariance, moved = fitted.solution.covariance[0], x.clone()
+    excess = x[0, own] - torch.tensor([*nulls.values()], dtype=x.dtype)
+    moved[0] -= covariance[:, own] @ torch.linalg.pinv(covariance[own][:, own], hermitian=True) @ excess
+    x[0, own] -= excess
+    moved = moved.clamp(fitted.problem.lower, fitted.problem.upper)
+    values = min(x, moved, key=lambda one: _chi2_at(fitted, one))
+    return replace(fitted, solution=replace(fitted.solution, values=values))
+
+
+def _chi2_at(fitted: Fitted, x: torch.Tensor) -> float:
+    """χ² there; infinite where nothing can be computed."""
+    try:
+        chi2 = float(fitted.problem.chi2(x))
+    except ValueError:
+        return float("inf")
+    return chi2 if np.isfinite(chi2) else float("inf")

@@ -1,0 +1,136 @@
+"""All visible modes beside effects, and other starts, on frames drawn from the model itself (same code).
+
+Truth: what was put into the frames, and images of the same model with the modes known instead of free.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from helpers.diagnose_frames import CASE, CONDITIONS, FLUX_E, NOLLS, TRUE_NM, cube, fitted, image, model
+
+from irlos_pipe.diagnosis.acceptance import threshold
+from irlos_pipe.diagnosis.fitting import Fitter, begun_at
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.opening import Opening
+from irlos_pipe.diagnosis.search.scores import Family, score_family
+from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.starts import other_sides
+from irlos_pipe.diagnosis.view import View
+from irlos_pipe.effects import CATALOGUE, FixedEffect
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.open_fit import last_noll_of, visible_order
+from irlos_pipe.optics.psf import PsfModel
+
+TAIL_NM, ALL = 6.0, tuple(range(2, last_noll_of(visible_order(CASE)) + 1))
+COMPANION = CATALOGUE["companion"].under(CONDITIONS)
+PLACE = (0.01, 85.0, -70.0)  # of the star's light, and mas
+STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
+
+
+def with_tail(effects=()) -> np.ndarray:
+    """Mean image with modes beyond the fitted ones, and effects at their values."""
+    drawn = np.random.default_rng(3).standard_normal(len(ALL)) * TAIL_NM
+    modes = [TRUE_NM.get(noll, 0.0) if noll in NOLLS else nm for noll, nm in zip(ALL, drawn, strict=True)]
+    whole = ImageModel(PsfModel(CASE, ALL, dtype=torch.float64), list(effects))
+    vector = torch.tensor([modes], dtype=torch.float64)
+    flux, none = torch.tensor([10 * FLUX_E], dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
+    return whole.predict(vector, flux, none, torch.zeros(0, dtype=torch.float64))[0].numpy()
+
+
+def opened(mean_e: np.ndarray):
+    """Training frames, their fitter, and all modes fitted."""
+    training = cube(mean_e).training
+    fitter = Fitter([View(model(), CONDITIONS)], training)
+    opening = Opening.of(fitter, [], fitted(training), {})
+    assert opening is not None
+    return training, fitter, opening
+
+
+@pytest.fixture(scope="module")
+def beside_a_companion():
+    return opened(with_tail([FixedEffect(COMPANION, PLACE)]))
+
+
+@pytest.fixture(scope="module")
+def alone():
+    return opened(with_tail())
+
+
+def second_image(training, opening):
+    return score_family(opening.optimum(training), Family((COMPANION,)))
+
+
+def test_modes_imitate_a_companion_but_would_rather_not(beside_a_companion):
+    training, fitter, opening = beside_a_companion
+    score = second_image(training, opening)
+    further = Opening.of(fitter, [score.start()], opening.fitted, opening.beyond_nm)
+    assert further is not None
+    ratio, x_mas, y_mas = further.fitted.values_of("companion")[:3]
+    assert score.significance > 5
+    assert opening.chi2 - further.chi2 > threshold(3, score.trials)
+    assert (x_mas, y_mas) == pytest.approx(PLACE[1:], abs=4.0)
+    assert ratio == pytest.approx(PLACE[0], rel=0.15)
+
+
+def test_beside_all_modes_no_companion_is_seen_where_there_is_none(alone):
+    training, _, opening = alone
+    assert second_image(training, opening).significance < 5
+
+
+def test_beside_the_closed_basis_alone_the_tail_would_pass_for_a_companion(alone):
+    """The reason for which all modes are fitted."""
+    training, _, opening = alone
+    closed = Fitter([View(model(), CONDITIONS)], training).finished(opening.closed)
+    assert score_family(Optimum(training, closed), Family((COMPANION,))).significance > 5
+
+
+def test_modes_found_once_are_where_the_next_fit_begins_and_ends(alone):
+    _, fitter, opening = alone
+    again = Opening.of(fitter, [], opening.fitted, opening.beyond_nm)
+    assert again is not None
+    assert again.chi2 == pytest.approx(opening.chi2, abs=5.0)
+    change = [again.beyond_nm[noll] - nm for noll, nm in opening.beyond_nm.items()]
+    assert np.abs(change).max() < 0.5
+
+
+def test_known_modes_have_the_image_of_free_ones(alone):
+    training, fitter, opening = alone
+    known = opening.with_known_modes()
+    same = fitter.of(training, known.views).at(known).image_e
+    assert (same - opening.fitted.image_e).abs().max() < 2e-4 * same.max()
+
+
+def test_a_stop_that_came_to_rest_begins_on_the_other_sides():
+    distance_m, direction_rad = 0.06, 0.9
+    training = cube(image(effect=STOP, values=(distance_m, direction_rad, 0.0))).training
+    fitter = Fitter([View(model(), CONDITIONS)], training)
+    centred = begun_at(STOP, np.array([0.0, direction_rad + np.pi, 0.0]))
+    resting = fitter.begun([centred], fitted(training))
+    sides = other_sides(resting, STOP.name)
+    turned = [fitter.explored([begun_at(STOP, one)], resting) for one in sides]
+    best = min(turned, key=lambda one: one.chi2)
+    assert len(sides) == 2
+    assert best.chi2 < resting.chi2 - 25
+    assert best.values_of(STOP.name)[0] == pytest.approx(distance_m, abs=0.01)
+    assert np.cos(best.values_of(STOP.name)[1] - direction_rad) > 0.9
+
+
+def test_what_has_a_distance_begins_on_the_opposite_side_and_what_has_none_nowhere():
+    training = cube(image(effect=STOP, values=(0.06, 0.9, 0.0))).training
+    scale = CATALOGUE["plate_scale"].under(CONDITIONS)
+    full = fitted(training, [FixedEffect(STOP, (0.06, 0.9, 0.0), ("distance_m", "direction_rad")), scale])
+    (other,) = other_sides(full, STOP.name)
+    values = full.values_of(STOP.name)
+    assert other == pytest.approx([values[0], values[1] + np.pi])
+    assert other_sides(full, scale.name) == []
+
+
+@pytest.mark.parametrize("frames", [1.0, 1.5, 3.0])
+def test_fewer_independent_frames_than_directions_are_no_error_and_little_evidence(frames):
+    """One frame may say anything of three directions: T² must be enormous to mean something."""
+    found = [gaussian_sigma(value, 3, frames) for value in (1.0, 100.0, 1e6)]
+    assert np.isfinite(found).all()
+    assert found == sorted(found)
+    assert found[1] < 3 < gaussian_sigma(100.0, 3, np.inf)
