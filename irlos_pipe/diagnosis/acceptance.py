@@ -77,6 +77,8 @@ class Search:
         Effects that mean nothing for this cube.
     adjusted : list of str
         Effects of the final model that make it fit better and are not sure enough to be named.
+    nearest : Accepted or None
+        The name that comes nearest, where none was found after all.
     """
 
     null: Optimum
@@ -86,6 +88,7 @@ class Search:
     scores: list[Score]
     meaningless: list[str]
     adjusted: Sequence[str] = ()
+    nearest: Accepted | None = None
 
 
 def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool) -> Accepted | None:

@@ -22,7 +22,7 @@ from irlos_pipe.diagnosis.effect_sizes import (
     within_reach,
 )
 from irlos_pipe.diagnosis.fitting import Fitted
-from irlos_pipe.diagnosis.grade import judged
+from irlos_pipe.diagnosis.grade import judged, share_at_its_place
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, gap_between
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
@@ -79,7 +79,7 @@ def conclude(
         verdict=UNKNOWN if why else EFFECT if known else NONE,
         grade=judgement.grade if why or judgement.left or not known else COMPLETE,
         steps=known,
-        nearest=steps[0] if why and steps else None,
+        nearest=(steps[0] if steps else _nearest(cube, search)) if why else None,
         unexplained=bool(why) or judgement.left or fine.significance > options.sure,
         why_unknown=why,
         adjusted=_adjusted(search) if not why else [],
@@ -189,6 +189,16 @@ def _steps(cube: Cube, search: Search, shares: Sequence[float]) -> list[Step]:
     covariance = parameter_covariance(search.final.stack, fitted)
     rows = zip(search.accepted, labels_in(fitted, search.accepted), shares, strict=True)
     return [replace(_step(cube, one, label, fitted, covariance), share=share) for one, label, share in rows]
+
+
+def _nearest(cube: Cube, search: Search) -> Step | None:
+    """What came nearest where nothing was named, as the model had it in which it was found."""
+    if search.nearest is None:
+        return None
+    refit = search.nearest.refit
+    covariance = parameter_covariance(refit.optimum.stack, refit.fitted)
+    step = _step(cube, search.nearest, refit.label, refit.fitted, covariance)
+    return replace(step, share=share_at_its_place(refit, refit.optimum))
 
 
 def _step(cube: Cube, accepted: Accepted, label: str, fitted: Fitted, covariance: np.ndarray) -> Step:

@@ -71,7 +71,8 @@ class TolerantTask(AllowingTask):
             current = Optimum(task.cube.training, finished)
         found, meaningless = task._scores(current)
         others = set(added(current.fitted, told)) - {one.refit.label for one in named}
-        return Search(search.null, current, search.drift, named, found, meaningless, sorted(others))
+        nearest = None if named else next(iter(search.accepted), None)
+        return Search(search.null, current, search.drift, named, found, meaningless, sorted(others), nearest)
 
     def _moving(self, search: Search) -> list[Effect]:
         """The drift, if it is significant."""

@@ -8,13 +8,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.diagnose_frames import CONDITIONS, cube, fitted, image
+from helpers.diagnose_frames import CONDITIONS, NOLLS, cube, fitted, image
 
-from irlos_pipe.diagnosis.acceptance import labels_in
+from irlos_pipe.diagnosis.acceptance import Options, accepted, labels_in
 from irlos_pipe.diagnosis.allowance import errors_of
-from irlos_pipe.diagnosis.conclude import _adjusted
+from irlos_pipe.diagnosis.conclude import _adjusted, _nearest
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.refit import Refit
+from irlos_pipe.diagnosis.search.scores import Family, score_family
 from irlos_pipe.diagnosis.tolerant import added, everyday
 from irlos_pipe.diagnosis.without import without_linearly
 from irlos_pipe.effects import CATALOGUE, FixedEffect
@@ -86,3 +88,16 @@ def test_what_was_adjusted_is_handed_on_by_its_label_if_there_are_two_of_a_kind(
     assert one.label == "companion_2"
     assert one.public["flux_ratio"] == pytest.approx(0.02, abs=5 * one.sigma["flux_ratio"])
     assert one.public["pa_deg"] == pytest.approx(np.rad2deg(np.arctan2(40, 150)))
+
+
+def test_where_nothing_is_named_the_nearest_is_said_with_its_size():
+    data = cube(image(effect=COMPANION, values=(0.02, 150.0, 40.0)))
+    origin = Optimum(data.training, fitted(data.training))
+    score = score_family(origin, Family((COMPANION,)))
+    refit = Refit(score, origin, fitted(data.training, [score.start()]))
+    options = Options(NOLLS[-1], held_out=0.25, most_names=4, sure=5.0)
+    step = _nearest(data, SimpleNamespace(nearest=accepted([refit], data, options)))
+    assert step.effect.name == "companion"
+    assert step.public["flux_ratio"] == pytest.approx(0.02, abs=5 * step.sigma["flux_ratio"])
+    assert step.share > 0.9
+    assert _nearest(data, SimpleNamespace(nearest=None)) is None
