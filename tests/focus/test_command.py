@@ -1,12 +1,20 @@
 """`irlos focus` as a user calls it. Truth: the stage `lift`, which measures the same frames on its own."""
 
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
 from conftest import invoke
 
 from irlos_pipe.commands.focus import TOKEN
+from irlos_pipe.control.exposures import Read
+from irlos_pipe.focus.mailbox import Mailbox
+from irlos_pipe.focus.replay import Replay
 from irlos_pipe.focus.ring import RingWriter
 
 
@@ -87,3 +95,52 @@ def test_the_help_teaches_by_examples_and_names_the_token():
     text = invoke("focus", "--help").stdout
     assert "irlos focus calibration --replay calibration" in text
     assert TOKEN in text
+
+
+# -- as processes -----------------------------------------------------------------------------------
+
+
+def started(run, ring, output) -> subprocess.Popen:
+    program = [sys.executable, "-m", "irlos_pipe", "focus", run, "--ring", ring, "--output", output, "-q"]
+    return subprocess.Popen([*map(str, program), "--reads", "2"], env={**os.environ, "OMP_NUM_THREADS": "1"})
+
+
+def waited_for(output, count: int) -> list[dict]:
+    until = time.monotonic() + 120
+    while time.monotonic() < until:
+        if (output / "focus.jsonl").exists() and len(found := records(output)) >= count:
+            return found
+        time.sleep(0.05)
+    raise AssertionError(f"no {count} records")
+
+
+@pytest.mark.slow
+def test_killed_at_any_moment_the_loop_goes_on_where_it_was_and_nothing_is_lost(run, tmp_path):
+    source = Replay(run, "ramp")
+    frames = [read.image_e for _ in range(40) for read in source.poll(0.0)]
+    ring, output = tmp_path / "ring", tmp_path / "loop"
+
+    def write(first: int, last: int) -> None:
+        writer = RingWriter(ring, (64, 64))  # a new writer every time, as after a kill of the other side
+        for counter in range(first, last):
+            writer.write(Read(counter, 1.7e9 + counter, frames[counter]))
+        writer.close()
+
+    write(0, 9)
+    loop = started(run, ring, output)
+    before = waited_for(output, 4)
+    loop.kill()
+    loop.wait()
+    held = Mailbox(output / "command").read()
+    assert (held.number, held.offset_nm) == (4, before[-1]["offset_nm"])
+    write(9, 21)
+    loop = started(run, ring, output)
+    waited_for(output, 10)
+    loop.send_signal(signal.SIGTERM)
+    assert loop.wait(timeout=30) == 130
+    found = records(output)
+    assert found[:4] == before
+    assert [one["sequence"] for one in found] == [*range(1, 12)]
+    assert [one["exposure"] for one in found] == [*range(11)]  # the last one was cut short
+    assert [one["reads"] for one in found] == [2] * 10 + [1]
+    assert not any(one["reads_missing"] for one in found[:10])

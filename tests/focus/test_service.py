@@ -12,6 +12,7 @@ from helpers import focus_loop as made
 from irlos_pipe.control.controller import ControllerSettings
 from irlos_pipe.control.exposures import Accumulator
 from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, InputDataError, Locked
+from irlos_pipe.focus import service as service_module
 from irlos_pipe.focus.exchange import CalibrationWatch, require_exchangeable
 from irlos_pipe.focus.loop import FocusLoop, LoopSettings
 from irlos_pipe.focus.mailbox import Mailbox
@@ -155,6 +156,15 @@ def test_an_interrupted_loop_records_what_it_has(tmp_path):
     assert len(lines(tmp_path)[0]) == 2
     with sqlite3.connect(tmp_path / "focus.sqlite") as connection:
         assert connection.execute("SELECT count(*) FROM records").fetchone() == (2,)
+
+
+def test_a_clock_that_is_set_is_noted_and_changes_nothing_else(tmp_path, monkeypatch):
+    real, steps = service_module.time.time, iter([0.0, 0.0, 0.0] + [3600.0] * 100)
+    monkeypatch.setattr(service_module.time, "time", lambda: real() + next(steps))
+    service(tmp_path, reads(0, 8)).run(lambda _: None)
+    records, events = lines(tmp_path)
+    assert sum("the clock was set by +3600.0 s" in event for event in events) == 1
+    assert all(one["valid"] for one in records)
 
 
 # -- calibrations exchanged -------------------------------------------------------------------------
