@@ -34,7 +34,7 @@ POLL_S = 0.0002
 def main(night: Path, ring: Path, command: Path, truth: Path, speed: float) -> None:
     """Run the NIGHT, a JSON file."""
     with threadpool_limits(1):
-        telescope = Telescope(Night(**json.loads(night.read_text())))
+        telescope = Telescope(Night(**json.loads(night.read_text())), night.parent)
         first = len(truth.read_text().splitlines()) if truth.exists() else 0
         Feed(telescope, RingWriter(ring, (64, 64), SLOTS), Mailbox(command), truth, speed).run(first)
 

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from irlos_pipe.control.disturbance import Drift, SodiumLayer
 from irlos_pipe.control.exposures import Read
+from irlos_pipe.files.atomic import atomic_file
 from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.readout import electrons
@@ -86,16 +88,18 @@ class Telescope:
     Parameters
     ----------
     night : Night
+    folder : Path
+        Keeps the tables, for the next start.
     """
 
-    def __init__(self, night: Night):
+    def __init__(self, night: Night, folder: Path):
         self.night = night
         scene = _scene(night)
-        self._calm = frame_table(scene, REACH_NM, NODES)
+        self._calm = _table(scene, folder / "calm.npz")
         self._scene, self._burst = scene, None
         if night.faults.get("burst"):
             stormy = replace(scene, frames=BURST_READS, sky=Sky(night.burst_arcsec))
-            self._burst = frame_table(stormy, REACH_NM, NODES)
+            self._burst = _table(stormy, folder / "burst.npz")
         rng = np.random.default_rng([night.seed, DRIFT_STREAM])
         steps_nm = night.drift.draw_nm(rng, night.exposures * DRIFT_STEPS, 1 / DRIFT_STEPS)
         self._drift_nm = night.start_nm + steps_nm.reshape(night.exposures, DRIFT_STEPS)
@@ -119,6 +123,16 @@ class Telescope:
         number = index * self.night.reads + one
         clock_s = 3600.0 if self.night.has("clock", index) else 0.0
         return Read(FIRST_COUNTER + number, START_UNIX_S + clock_s + number / self.night.reads, image_e)
+
+
+def _table(scene: Scene, kept: Path) -> FrameTable:
+    """Reads of a scene at any defocus; they take a while to simulate."""
+    if not kept.exists():
+        table = frame_table(scene, REACH_NM, NODES)
+        with atomic_file(kept) as stream:
+            np.savez(stream, series_e=table.series_e, sky_focus_nm=table.sky_focus_nm)
+    with np.load(kept) as found:
+        return FrameTable(REACH_NM, found["series_e"], found["sky_focus_nm"])
 
 
 def _scene(night: Night) -> Scene:
