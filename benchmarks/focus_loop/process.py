@@ -21,7 +21,7 @@ from irlos_pipe.focus.mailbox import Mailbox
 from irlos_pipe.focus.ring import RingWriter
 
 SLOTS = 256
-PATIENCE_S = 1.0  # for an answer
+PATIENCE_S, PATIENCE_FIRST_S = 1.0, 120.0  # for an answer, and for the loop to start
 POLL_S = 0.0002
 
 
@@ -79,7 +79,8 @@ class Feed:
 
     def _listen(self, exposed: Exposed, due: float | None) -> None:
         """Wait for the answer, or for the next exposure to begin, and note the command."""
-        until = due or time.monotonic() + PATIENCE_S
+        patience_s = PATIENCE_FIRST_S if self._mailbox.read() is None else PATIENCE_S
+        until = due or time.monotonic() + patience_s
         least = exposed.reads[0].counter
         while time.monotonic() < until:
             command = self._mailbox.read()
