@@ -83,7 +83,7 @@ def summary_of(outcome: Outcome) -> dict:
     """Numbers of docs/focus.md."""
     exposures = outcome.night.exposures
     valid = [one for one in outcome.records if one["valid"]]
-    latency = [one["latency_ms"] for one in outcome.records]
+    latency = [one["latency_ms"] for one in outcome.records if "late" not in one["reasons"]]
     memory = outcome.memory_mib
     quarter = max(1, len(memory) // 4)
     return {
@@ -107,7 +107,7 @@ def summary_of(outcome: Outcome) -> dict:
 
 def _undisturbed_nm(outcome: Outcome) -> float:
     """RMS residual of all exposures but those of the start, of faults and shortly after."""
-    quiet = set(range(SETTLED, outcome.night.exposures))
+    quiet = set(range(outcome.closed_at + SETTLED, outcome.night.exposures))
     for event in EVENTS:
         quiet -= set(range(event.first, event.last + SETTLED))
     squares = [outcome.truth[i]["residual_nm"] ** 2 for i in sorted(quiet)]
