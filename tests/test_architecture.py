@@ -56,6 +56,7 @@ MAY_IMPORT = {
     "api": {
         "conventions", "frames", "instrument", "readers", "product", "stages", "recipe", "pipeline", "report",
     },
+    "esorex": {"conventions", "pipeline", "recipe"},
     "__main__": {"commands"},
 }  # fmt: skip
 # Science knows no files, no HDF5, no YAML and no command line: this is all it may use.

@@ -64,6 +64,18 @@ CONFIG = click.option(
     metavar="ADDRESS",
     help="Address of the scheduler of the cluster, for example tls://10.0.0.1:8786.",
 )
+@click.option(
+    "--acknowledge",
+    is_flag=True,
+    help="What is wrong now is known: show it on the pages, but do not report it again.",
+)
+@click.option(
+    "--limit",
+    "limit_min",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="MIN",
+    help="Longest time for one reduction [min]; it is stopped then, the others go on (default: 60).",
+)
 @click.option("-v", "--verbose", count=True, help="Print what is done; -vv prints all messages.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done (or the plan) as JSON.")
 def night(
@@ -77,6 +89,8 @@ def night(
     device: str,
     engine: str,
     scheduler: str | None,
+    acknowledge: bool,
+    limit_min: float | None,
     verbose: int,
     as_json: bool,
 ) -> None:
@@ -96,6 +110,7 @@ def night(
       irlos night /data/irlos --output /data/reduced --since 2024-01-01 --dry-run
       irlos night 2024-02-10 --output reduced --recipe ramp=full_reduction -v
       irlos night /data/irlos --output /data/reduced --engine dask --scheduler tls://10.0.0.1:8786
+      irlos night /data/irlos --output /data/reduced --acknowledge
 
     \b
     TREE will hold:
@@ -103,6 +118,7 @@ def night(
       <date>/<group>/<recipe>/   the run of each: report.html, results.json, products (irlos show)
       trend.sqlite               the numbers of all nights (irlos trend TREE)
       night.log                  messages of all runs into this folder
+      acknowledged.txt           problems that are known (--acknowledge)
     """
     from irlos_pipe.night.run import Request, plan_night, run_night
     from irlos_pipe.night.settings import load_settings
@@ -111,7 +127,10 @@ def night(
 
     resources = resources_of(device, jobs, quiet=True)
     runner = _runner(engine, scheduler, resources.jobs)
-    request = Request(folders, output, load_settings(config, recipes), _date(since), resources.device)
+    settings = load_settings(config, recipes)
+    if limit_min is not None:
+        settings = settings.model_copy(update={"limit_min": limit_min})
+    request = Request(folders, output, settings, _date(since), resources.device, acknowledge)
     if dry_run:
         with _nothing_to_do_is_silent(verbose, as_json):
             click.echo(plan_text(*plan_night(request), as_json))
@@ -136,34 +155,62 @@ def night(
 )
 @CONFIG
 @click.option("--until", type=DATE, metavar="DATE", help="Last night to be looked at, YYYY-MM-DD.")
+@click.option("--all", "everything", is_flag=True, help="Print every mode and verdict, too.")
 @click.option("--json", "as_json", is_flag=True, help="Print all points, bands and alarms as JSON.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print all points with their bands as CSV.")
+@click.option(
+    "--dashboard",
+    type=FOLDER,
+    metavar="FILE",
+    help="Write a dashboard for Grafana that reads TREE/trend.sqlite to FILE, a .json.",
+)
 @click.option("--plot", type=FOLDER, metavar="FILE", help="Draw a plot to FILE, a .svg, .png or .pdf.")
 def trend(
-    tree: Path, names: tuple[str, ...], config: Path | None, until: object, as_json: bool, plot: Path | None
+    tree: Path,
+    names: tuple[str, ...],
+    config: Path | None,
+    until: object,
+    everything: bool,
+    as_json: bool,
+    as_csv: bool,
+    dashboard: Path | None,
+    plot: Path | None,
 ) -> None:
     """Show how NCPAs, defocus bias, seeing and the verdicts of diagnose changed from night to night.
 
-    Every number is compared with the band of the nights before it; a number of the last night
-    outside its band is reported and makes the exit code 4. The stability of the NCPAs is shown by
-    their structure function: the RMS change of the wavefront against the time between two
-    calibrations.
+    Every number is compared with the band of the nights before it and with the limits of the
+    configuration, and all modes together with the wavefront of these nights; what is not as
+    expected in the last night is reported and makes the exit code 4. The stability of the NCPAs is
+    shown by their structure function: the RMS change of the wavefront against the time between two
+    calibrations, and how long a calibration is valid.
 
     \b
     Examples:
       irlos trend /data/irlos/reduced
       irlos trend /data/irlos/reduced --of noll_4_nm --of noll_6_nm --plot focus.png
       irlos trend /data/irlos/reduced --json > trend.json
+      irlos trend /data/irlos/reduced --csv > trend.csv
+      irlos trend /data/irlos/reduced --dashboard irlos.json
     """
+    from irlos_pipe.night.dashboard import write_dashboard
     from irlos_pipe.night.settings import load_settings
-    from irlos_pipe.night.terminal import alarms_line, trend_json, trend_text
     from irlos_pipe.night.trend import read_trend
+    from irlos_pipe.night.trend_text import alarms_line, trend_csv, trend_json, trend_text
+
+    if as_json and as_csv:
+        raise click.UsageError("--json and --csv exclude each other")
 
     found = read_trend(tree, load_settings(config).band, names, _date(until))
     if plot is not None:
         from irlos_pipe.night.trend_plots import save_plot
 
         save_plot(found, plot)
-    click.echo(trend_json(found) if as_json else trend_text(found))
+    if dashboard is not None:
+        write_dashboard(tree, dashboard)
+    if as_csv:
+        click.echo(trend_csv(found), nl=False)
+    else:
+        click.echo(trend_json(found) if as_json else trend_text(found, everything or bool(names)))
     if alarms_line(found):
         report_error(alarms_line(found))
         sys.exit(ExitCode.QUALITY)

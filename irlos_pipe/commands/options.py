@@ -65,6 +65,12 @@ def recipe_options(command: Command) -> Command:
             help="Take the simulated sample recordings of the package for inputs that are not given.",
         ),
         click.option(
+            "--sof",
+            type=FOLDER,
+            metavar="FILE",
+            help="Set of frames: a text file with PATH TAG in every line, beside or instead of --input.",
+        ),
+        click.option(
             "--input",
             "inputs",
             metavar="NAME=PATH",
@@ -80,6 +86,15 @@ def recipe_options(command: Command) -> Command:
     ):
         command = decorate(command)
     return command
+
+
+def inputs_of(inputs: tuple[str, ...], sof: Path | None, recipe: Path) -> tuple[str, ...]:
+    """Return the `inputs` of a `recipe` with those of a set of frames, if there is one."""
+    if sof is None:
+        return inputs
+    from irlos_pipe.recipe.sof import inputs_from, read_sof
+
+    return (*inputs, *inputs_from(read_sof(sof), recipe))
 
 
 def resources_of(device: str, jobs: int | None, quiet: bool) -> Resources:

@@ -88,33 +88,58 @@ def report(folder: Path, figures: bool, formats: tuple[str, ...]) -> None:
 
 
 @click.command()
-@click.argument("product", metavar="PRODUCT.h5", type=FOLDER)
+@click.argument("product", metavar="PRODUCT.h5|DIR", type=FOLDER)
 @click.option(
     "--array",
     "arrays",
     metavar="NAME",
     multiple=True,
-    required=True,
     shell_complete=completion.completed(completion.arrays),
     help="Array to copy; irlos show PRODUCT.h5 lists the names. May be repeated.",
 )
-@click.option("--output", type=FOLDER, required=True, metavar="FILE", help="File to write, .fits or .csv.")
+@click.option(
+    "--aot",
+    "recording",
+    metavar="RECORDING",
+    help="Write this recording of 01_ingest.h5 as an AOT file instead, with a side-car beside it.",
+)
+@click.option(
+    "--output", type=FOLDER, required=True, metavar="FILE", help="File to write: .fits, .csv or .sqlite."
+)
 @click.option("--force", is_flag=True, help="Replace FILE if it exists.")
-def export(product: Path, arrays: tuple[str, ...], output: Path, force: bool) -> None:
-    """Copy arrays out of PRODUCT.h5 into a FITS or CSV file.
+def export(product: Path, arrays: tuple[str, ...], recording: str | None, output: Path, force: bool) -> None:
+    """Copy arrays out of PRODUCT.h5 into a FITS or CSV file, or tables of the run in DIR.
 
     A FITS file holds arrays of any shape, one extension each, with the unit in BUNIT and errors in
-    extensions of their own. A CSV file holds columns of equal length, or one matrix.
+    extensions of their own. A CSV file holds columns of equal length, or one matrix. Both have a
+    header with the origin of the numbers. Of a run, all checks and numbers are written as .csv or
+    .sqlite.
 
     \b
     Examples:
       irlos export demo/03_calibrate.h5 --array zernike_nm --output ncpa.csv
       irlos export demo/01_ingest.h5 --array recordings/calibration/calibration-sky/mean_e --output mean.fits
+      irlos export demo/01_ingest.h5 --aot calibration-sky --output aot.fits
+      irlos export demo --output demo.sqlite
     """
-    from irlos_pipe.product.export import export_arrays
     from irlos_pipe.product.storage import read_product
 
-    export_arrays(read_product(product), arrays, output, replace=force)
+    if product.is_dir():
+        from irlos_pipe.product.run_table import write_run_table
+
+        if arrays or recording:
+            raise click.UsageError(f"{product} is a folder: give a product, or leave --array and --aot out")
+        write_run_table(product, output, replace=force)
+    elif bool(arrays) == bool(recording):
+        raise click.UsageError("give either --array NAME or --aot RECORDING")
+    elif recording:
+        from irlos_pipe.product.aot import write_aot
+
+        write_aot(read_product(product), recording, output, replace=force)
+    else:
+        from irlos_pipe.product.export import export_arrays
+
+        export_arrays(read_product(product), arrays, output, replace=force)
     click.echo(output)
 
 

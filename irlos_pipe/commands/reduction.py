@@ -11,7 +11,7 @@ import click
 
 from irlos_pipe.commands import completion
 from irlos_pipe.commands.exits import EXIT_CODES, report_error, terminated_like_interrupted
-from irlos_pipe.commands.options import FOLDER, recipe_options, resources_of, setting_options
+from irlos_pipe.commands.options import FOLDER, inputs_of, recipe_options, resources_of, setting_options
 from irlos_pipe.conventions.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -89,6 +89,7 @@ def run(
     quiet: bool,
     as_json: bool,
     inputs: tuple[str, ...],
+    sof: Path | None,
     settings: tuple[str, ...],
     seed: int | None,
     samples: bool,
@@ -103,6 +104,7 @@ def run(
     Examples:
       irlos run full_reduction --input calibration=CUBE --input ramp=RAMP --output full
       irlos run ncpa_calibration --input calibration=2023-07-14 --output night
+      irlos run full_reduction --sof night.sof --output full
       irlos run ncpa_calibration --input calibration=2023-07-14 --output night --from correct --dry-run
       irlos run mine/recipe.yaml --input cube=A --input cube=B --output joint
       irlos run ncpa_calibration --samples --output try --set calibrate.method=dip_avg
@@ -121,7 +123,7 @@ def run(
     from irlos_pipe.pipeline.terminal import plan_text
     from irlos_pipe.recipe import load_recipe
 
-    checked = load_recipe(recipe, settings, inputs, seed, samples=samples)
+    checked = load_recipe(recipe, settings, inputs_of(inputs, sof, recipe), seed, samples=samples)
     selection = Selection(first, last, force)
     if dry_run:
         click.echo(plan_text(plan_run(checked, output, selection)[1], as_json))
@@ -179,7 +181,12 @@ def demo(
 @click.command()
 @recipe_options
 def validate(
-    recipe: Path, inputs: tuple[str, ...], settings: tuple[str, ...], seed: int | None, samples: bool
+    recipe: Path,
+    inputs: tuple[str, ...],
+    sof: Path | None,
+    settings: tuple[str, ...],
+    seed: int | None,
+    samples: bool,
 ) -> None:
     """Check RECIPE, its options and its inputs without running anything.
 
@@ -193,7 +200,8 @@ def validate(
     """
     from irlos_pipe.recipe import load_recipe
 
-    checked = load_recipe(recipe, settings, inputs, seed, samples=samples, complete=False)
+    given = inputs_of(inputs, sof, recipe)
+    checked = load_recipe(recipe, settings, given, seed, samples=samples, complete=False)
     _exit_if_wrong(checked)
     open_inputs = [name for name, paths in checked.inputs.items() if not paths]
     rest = f"; to be given: {', '.join(open_inputs)}" if open_inputs else ""

@@ -23,7 +23,7 @@ from irlos_pipe.night.grouping import Group
 from irlos_pipe.night.measurements import Measurements
 
 NAME = "trend.sqlite"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS recordings (
     file TEXT PRIMARY KEY,      -- absolute path of the data file
@@ -53,7 +53,21 @@ CREATE TABLE IF NOT EXISTS numbers (
     PRIMARY KEY (run, name)
 );
 CREATE INDEX IF NOT EXISTS numbers_by_name ON numbers (name);
+CREATE TABLE IF NOT EXISTS checks (
+    run TEXT NOT NULL REFERENCES runs(run) ON DELETE CASCADE,
+    stage TEXT NOT NULL,
+    name TEXT NOT NULL,
+    value REAL,                 -- NULL where it is not a number: the check failed
+    unit TEXT NOT NULL,
+    low REAL,
+    high REAL,
+    passed INTEGER NOT NULL,
+    message TEXT NOT NULL
+);
+CREATE INDEX IF NOT EXISTS checks_by_run ON checks (run);
 """
+# Version 1 had no checks: without their key, all runs are read again from the products.
+FORGET_KEYS = "UPDATE runs SET key = ''"
 # A row that a run can have; others were made by somebody else, and are left out.
 SOUND = "date(night) = night AND run LIKE '%/%/%' AND coalesce(start_unix_s, 0) BETWEEN 0 AND 4102444800"
 DESCRIPTION = TypeAdapter(Description)
@@ -148,7 +162,7 @@ class Database:
             Status, numbers and verdict.
         """
         first = group.first
-        for table in ("numbers", "runs"):
+        for table in ("checks", "numbers", "runs"):
             self._connection.execute(f"DELETE FROM {table} WHERE run = ?", (run,))
         self._connection.execute(
             "INSERT INTO runs VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
@@ -170,6 +184,11 @@ class Database:
         )
         rows = [(run, name, value, sigma) for name, (value, sigma) in measured.numbers.items()]
         self._connection.executemany("INSERT INTO numbers VALUES (?, ?, ?, ?)", rows)
+        checks = [
+            (run, stage, one.name, one.value, one.unit, one.low, one.high, one.passed, one.message)
+            for stage, one in measured.checks
+        ]
+        self._connection.executemany("INSERT INTO checks VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", checks)
 
     def failed_calibrations(self, recipes: Iterable[str]) -> dict[str, str]:
         """Return why calibrations failed their quality check, by ``<night>/<group>``.
@@ -295,6 +314,7 @@ def _require_schema(connection: sqlite3.Connection, path: Path) -> None:
         raise IrlosError(f"{path}: written by a newer irlos_pipe (schema {version}); use that version")
     if version < SCHEMA_VERSION:
         connection.executescript(SCHEMA)
+        connection.execute(FORGET_KEYS)
         connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
 

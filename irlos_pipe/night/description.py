@@ -34,6 +34,8 @@ class Description:
         Rows and columns [px].
     full_pupil : bool
         False for the images of a 2x2 mode.
+    content : str
+        Checksum of the frames, the same for a copy.
     """
 
     path: Path
@@ -50,6 +52,19 @@ class Description:
     exposure_s: float | None = None
     derotator_angle_deg: float = 0.0
     full_pupil: bool = True
+    content: str = ""
+
+    def same_frames(self, other: Description) -> bool:
+        """Whether `other` holds the same frames, taken at the same time as far as that is known."""
+        if not self.content or (self.content, self.mode) != (other.content, other.mode):
+            return False
+        known = self.start_unix_s is not None and other.start_unix_s is not None
+        return not known or abs((self.start_unix_s or 0.0) - (other.start_unix_s or 0.0)) < 1.0
+
+    def same_description(self, other: Description) -> bool:
+        """Whether `other` is said to be the same."""
+        names = ("role", "configuration", "spectrum", "target", "exposure_s", "derotator_angle_deg")
+        return all(getattr(self, name) == getattr(other, name) for name in names)
 
 
 def night_of(unix_s: float) -> str:

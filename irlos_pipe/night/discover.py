@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import re
 from collections import Counter
@@ -16,6 +17,7 @@ import numpy as np
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.conventions.text import printable
 from irlos_pipe.files.json import canonical_json
+from irlos_pipe.files.time_limit import TookTooLong, time_limit
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.night.database import Database
 from irlos_pipe.night.description import Description, common_depth, night_of
@@ -25,6 +27,7 @@ from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.stages.ingest.sources import Source, read_sources
 
 DATED = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?!\d)")
+DESCRIPTION_VERSION = 2  # of what a description holds; those of an earlier one are read anew
 UNPRINTABLE = "{!r}: the name holds characters that cannot be shown; rename it"
 # Warnings of the readers are reported when the recording is reduced.
 SILENT = logging.Logger("describe", logging.CRITICAL + 1)
@@ -40,15 +43,28 @@ class Unusable:
 
 
 @dataclass(frozen=True)
+class Copy:
+    """A recording whose frames are those of another one, and which that is."""
+
+    recording: Description
+    of: Description
+
+
+@dataclass(frozen=True)
 class Discovered:
-    """The recordings found, and what cannot be used."""
+    """The recordings found, copies of them, and what cannot be used."""
 
     recordings: list[Description] = field(default_factory=list)
     unusable: list[Unusable] = field(default_factory=list)
+    copies: list[Copy] = field(default_factory=list)
 
 
 def discover(
-    folders: Sequence[Path], keys: AcquisitionKeys, instrument: Instrument, database: Database
+    folders: Sequence[Path],
+    keys: AcquisitionKeys,
+    instrument: Instrument,
+    database: Database,
+    limit_s: float = 0.0,
 ) -> Discovered:
     """Describe every recording under the folders; one that cannot be read does not stop the others.
 
@@ -62,6 +78,8 @@ def discover(
         Values of the keys that no side-car has.
     database : Database
         Descriptions of earlier runs; new ones are added.
+    limit_s : float
+        Longest time for reading one recording [s]; no limit if 0.
 
     Raises
     ------
@@ -77,13 +95,31 @@ def discover(
             problems.append((file, UNPRINTABLE.format(str(file))))
             continue
         try:
-            recordings.append(_describe(file, file.parent in single, keys, instrument, database))
-        except InputDataError as error:
+            with time_limit(limit_s, f"{file}: reading it"):
+                recordings.append(_describe(file, file.parent in single, keys, instrument, database))
+        except (InputDataError, TookTooLong) as error:
             problems.append((file, str(error)))
         except Exception as error:  # a damaged file must not keep the others from being read
             problems.append((file, f"{file}: unexpected {type(error).__name__}: {error}"))
     unusable = [Unusable(path, _night_of_unusable(path, recordings), problem) for path, problem in problems]
-    return Discovered(recordings, unusable)
+    return Discovered(*_without_copies(recordings, unusable))
+
+
+def _without_copies(
+    found: Sequence[Description], unusable: list[Unusable]
+) -> tuple[list[Description], list[Unusable], list[Copy]]:
+    """Each recording once: a copy would count twice, in a ramp or as a second night's calibration."""
+    firsts: dict[str, list[Description]] = {}
+    copies: list[Copy] = []
+    for one in found:
+        others = firsts.setdefault(one.content, [])
+        first = next((other for other in others if one.same_frames(other)), None)
+        if first is None:
+            others.append(one)
+        else:
+            copies.append(Copy(one, first))
+    left_out = {id(copy.recording) for copy in copies}
+    return [one for one in found if id(one) not in left_out], unusable, copies
 
 
 def date_in_path(path: Path) -> str:
@@ -152,7 +188,14 @@ def _described(file: Path, source: Source, single: bool) -> Description:
         exposure_s=acquisition.exposure_s,
         derotator_angle_deg=acquisition.derotator_angle_deg,
         full_pupil=raw.subaperture is None,
+        content=_checksum(raw.adu),
     )
+
+
+def _checksum(adu: np.ndarray) -> str:
+    """Of shape and values: the same whatever file the frames lie in."""
+    head = f"{adu.shape} {adu.dtype.kind}{adu.dtype.itemsize}"
+    return hashlib.sha256(head.encode() + np.ascontiguousarray(adu).tobytes()).hexdigest()
 
 
 def _night_of_file(path: Path) -> str:
@@ -168,7 +211,7 @@ def _night_of_unusable(path: Path, recordings: Sequence[Description]) -> str:
 
 def _stamp(file: Path, keys: AcquisitionKeys, single: bool) -> str:
     """Everything that the description depends on: settings, and sizes and times of the files."""
-    parts: list[Any] = [single, keys]
+    parts: list[Any] = [DESCRIPTION_VERSION, single, keys]
     for path in files_of(file):
         status = path.stat()
         parts += [path, status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]

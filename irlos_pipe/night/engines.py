@@ -26,7 +26,7 @@ from irlos_pipe.pipeline.runlog import RUN
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-KILLED = "its process was killed, perhaps because memory ran out; run again with fewer --jobs"
+KILLED = "its process was killed: memory ran out (try fewer --jobs), or it hung beyond its --limit"
 CONNECT_S = 30
 WORKERS_S = 600  # a batch system may need this long to start the first
 IN_FLIGHT = 2000  # tasks known to the scheduler at a time, which bounds its memory

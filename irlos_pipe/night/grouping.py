@@ -54,11 +54,12 @@ class Group:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A recording that is not reduced; `alarming` when somebody should know."""
+    """A recording that is not reduced; `alarming` when somebody should know, `copy` of another one."""
 
     recording: Description
     reason: str
     alarming: bool = False
+    copy: bool = False
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,8 @@ def group_recordings(
     """
     found = list(found)
     own = {one.path for one in found}
-    known = [*found, *(one for one in others if one.path not in own)]
+    further = [one for one in others if one.path not in own]
+    known = [*found, *(one for one in further if not any(one.same_frames(mine) for mine in found))]
     cubes = [one for one in known if one.role == "ncpa_calibration" and one.full_pupil]
     nights = _split(found, lambda one: one.night)
     grouping = Grouping()

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.night.settings import Kind
-from irlos_pipe.product.product import Product
+from irlos_pipe.product.product import Check, Product
 from irlos_pipe.product.results import RunResults, read_run_results
 from irlos_pipe.product.runfolder import existing_run
 from irlos_pipe.product.storage import read_product
@@ -38,6 +38,8 @@ class Measurements:
         Versions of the software and of the stages.
     key : str
         Key of the last product: a checksum of everything that it depends on.
+    checks : list of (str, Check)
+        All QC checks with their stage.
     """
 
     status: str
@@ -47,6 +49,7 @@ class Measurements:
     effects: list[str]
     model: str
     key: str
+    checks: list[tuple[str, Check]] = field(default_factory=list)
 
 
 def read_measurements(folder: Path, kind: Kind) -> Measurements:
@@ -82,6 +85,7 @@ def read_measurements(folder: Path, kind: Kind) -> Measurements:
         [step.effect for step in diagnosis.steps],
         model,
         key,
+        [(one.stage, check) for one in products for check in one.checks],
     )
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Protocol
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
+from irlos_pipe.files.time_limit import TookTooLong, time_limit
 from irlos_pipe.night.published_run import PublishedRun
 from irlos_pipe.night.tasks import Task
 from irlos_pipe.pipeline import Resources, Selection, Step, plan_run, run_recipe
@@ -98,7 +100,10 @@ def reduce_group(task: Task, last: str | None = None, before: Reduced | None = N
         return before
     start = time.perf_counter()
     try:
-        reduced = _reduce(task, last)
+        with time_limit(task.limit_s, "the reduction", kill=parent_process() is not None):
+            reduced = _reduce(task, last)
+    except TookTooLong as error:
+        reduced = failure(task, str(error))
     except Exception as error:
         reduced = failure(task, _message(error))
     spent = before.seconds if before is not None else 0.0

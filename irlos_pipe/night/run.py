@@ -11,9 +11,10 @@ from pathlib import Path
 from irlos_pipe.conventions.errors import InputDataError, IrlosError, NothingToDo
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.night.acknowledged import read_acknowledged
 from irlos_pipe.night.database import NAME, Database, copied, opened
 from irlos_pipe.night.description import Description, night_of
-from irlos_pipe.night.discover import date_in_path, discover
+from irlos_pipe.night.discover import Copy, date_in_path, discover
 from irlos_pipe.night.grouping import Grouping, LeftOut, group_recordings
 from irlos_pipe.night.measurements import read_measurements
 from irlos_pipe.night.page import begin_page, is_finished, write_page
@@ -44,6 +45,8 @@ class Request:
         The folder of all results.
     since : str
         First night to look at, ISO date; all if empty.
+    acknowledge : bool
+        What is wrong is known from now on, and not reported again.
     """
 
     folders: Sequence[Path]
@@ -51,6 +54,7 @@ class Request:
     settings: NightSettings
     since: str = ""
     device: str = "cpu"
+    acknowledge: bool = False
 
 
 def run_night(request: Request, runner: Runner) -> RunState:
@@ -74,7 +78,7 @@ def run_night(request: Request, runner: Runner) -> RunState:
     """
     _require_usable(request)
     with owned_folder(request.tree), written_to(request.tree / LOG_NAME):
-        state = RunState()
+        state = RunState(acknowledged=read_acknowledged(request.tree))
         with _errors_on_pages(request, state):
             with opened(request.tree) as database:
                 _find(request, state, database)
@@ -115,7 +119,10 @@ def _require_usable(request: Request) -> None:
 def _find(request: Request, state: RunState, database: Database) -> None:
     """Find the recordings, and give every night its jobs."""
     settings = request.settings
-    found = discover(request.folders, settings.acquisition, load_instrument(settings.instrument), database)
+    instrument = load_instrument(settings.instrument)
+    found = discover(
+        request.folders, settings.acquisition, instrument, database, limit_s=60 * settings.limit_min
+    )
     recordings = [one for one in found.recordings if one.night >= request.since]
     for recording in recordings:
         state.night(recording.night).recordings.append(recording)
@@ -123,9 +130,21 @@ def _find(request: Request, state: RunState, database: Database) -> None:
         if unusable.night >= request.since:
             RUN.info("left out: %s", unusable.problem)
             state.night(unusable.night).unusable.append(unusable)
+    for copy in found.copies:
+        if copy.recording.night >= request.since:
+            left = _left_out(copy)
+            RUN.info("%s: %s", copy.recording.path, left.reason)
+            state.night(copy.recording.night).left_out.append(left)
     _assign(request, state, _grouped(request, recordings, database))
-    if not any(night.jobs or night.failures for night in state.nights.values()):
+    if not any(night.jobs or night.failures or night.known for night in state.nights.values()):
         raise NothingToDo(_nothing_text(request, state))
+
+
+def _left_out(copy: Copy) -> LeftOut:
+    if copy.recording.same_description(copy.of):
+        return LeftOut(copy.recording, f"a copy of {copy.of.path}", copy=True)
+    reason = f"the same frames as in {copy.of.path}, but another side-car; remove one"
+    return LeftOut(copy.recording, reason, alarming=True, copy=True)
 
 
 def _assign(request: Request, state: RunState, grouping: Grouping) -> None:
@@ -166,7 +185,7 @@ def _choose_calibrations(request: Request, state: RunState) -> None:
     ramps = [one for one in grouping.groups if one.kind == "ramp"]
     for night in state.nights.values():
         night.jobs = [job for job in night.jobs if job.group.kind != "ramp"]
-        night.left_out = [left for left in night.left_out if left.recording.role != RAMP]
+        night.left_out = [one for one in night.left_out if one.copy or one.recording.role != RAMP]
     left_out = [one for one in grouping.left_out if one.recording.role == RAMP]
     _assign(request, state, Grouping(ramps, left_out))
     for group in ramps:
@@ -238,6 +257,9 @@ def _write_pages(request: Request, state: RunState) -> None:
         trend = make_trend(database.points(), database.verdicts(), request.settings.band)
     for date, night in state.nights.items():
         night.alarms = [alarm_text(*alarm) for alarm in trend.alarms(date)]
+    if request.acknowledge:
+        state.acknowledge(request.tree)
+    for date, night in state.nights.items():
         if night.changed or not is_finished(request.tree, date):
             write_page(request.tree, night, trend.until(date))
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import suggestion
@@ -25,17 +26,54 @@ RECIPES: dict[Kind, list[str]] = {
     "psf": [],
 }
 
+Limits = tuple[float | None, float | None]
+# Names of the numbers that `measurements` takes from a run, beside those of the modes.
+OTHER_NUMBERS = (
+    "ncpa_nm", "seeing_arcsec", "ao_residual_nm", "jitter_mas", "chi2_nu", "defocus_bias_nm", "ramp_slope",
+    "ramp_error_nm", "gap_before", "gap_after", "gap_floor",
+)  # fmt: skip
+NUMBER = re.compile("|".join([r"noll_[1-9]\d*_nm", *OTHER_NUMBERS]))
+
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class BandSettings(_Section):
-    """When a number counts as out of its band; see `trend_statistics.bands`."""
+    """When a number counts as out of its band; see `bands.band_of`."""
 
     false_alarm: float = Field(default=1e-4, gt=0, lt=0.5, description="false-alarm probability per number")
     nights: int = Field(default=60, ge=3, le=10000, description="number of latest earlier nights used")
-    least_nights: int = Field(default=5, ge=3, le=1000, description="fewest earlier nights that give a band")
+    least_nights: int = Field(
+        default=5,
+        ge=3,
+        le=1000,
+        description="fewest earlier nights that give a band to a number without error",
+    )
+    least_nights_with_errors: int = Field(
+        default=3,
+        ge=2,
+        le=1000,
+        description="fewest earlier nights that give a band to a number with an error",
+    )
+    limits: dict[str, tuple[float | None, float | None]] = Field(
+        default={}, description="number: [low, high], null for no limit; alarms also where the sky decides"
+    )
+    valid_change_nm: float = Field(
+        default=20.0, gt=0, description="RMS change of the NCPAs until which a calibration is valid [nm]"
+    )
+
+    @field_validator("limits")
+    @classmethod
+    def _in_order(cls, limits: dict[str, Limits]) -> dict[str, Limits]:
+        for name, (low, high) in limits.items():
+            if not NUMBER.fullmatch(name):
+                raise ValueError(f"'{name}' is no number of a trend{suggestion(name, OTHER_NUMBERS)}")
+            if low is None and high is None:
+                raise ValueError(f"'{name}': both limits are null; leave it out")
+            if low is not None and high is not None and low >= high:
+                raise ValueError(f"'{name}': the lower limit {low:g} is not below the upper one {high:g}")
+        return limits
 
 
 class NightSettings(_Section):
@@ -54,6 +92,9 @@ class NightSettings(_Section):
     )
     calibration_nights: int = Field(
         default=7, ge=0, le=400, description="a ramp may use a calibration up to this many nights away"
+    )
+    limit_min: float = Field(
+        default=60.0, gt=0, description="longest time for one reduction [min]; it is stopped then"
     )
     band: BandSettings = Field(default=BandSettings())
 

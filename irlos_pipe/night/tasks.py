@@ -31,6 +31,8 @@ class Task:
         ``cpu`` or ``cuda``.
     threads : int
         Threads of the process that works on it; results do not depend on it.
+    limit_s : float
+        Longest time that it may take [s]; no limit if 0.
     """
 
     name: str
@@ -40,6 +42,7 @@ class Task:
     inputs: tuple[str, ...] = ()
     device: str = "cpu"
     threads: int = 1
+    limit_s: float = 0.0
 
     def load(self) -> Recipe:
         """Return the validated recipe.
@@ -89,7 +92,15 @@ def jobs_of(groups: Iterable[Group], settings: NightSettings, tree: Path, device
 def _tasks(group: Group, settings: NightSettings, tree: Path, device: str) -> Iterator[Task]:
     for recipe in settings.recipes_of(group.kind):
         name = f"{group.night}/{group.name}/{recipe.stem}"
-        yield Task(name, tree / name, recipe, _settings(recipe, settings), _inputs(recipe, group), device)
+        yield Task(
+            name,
+            tree / name,
+            recipe,
+            _settings(recipe, settings),
+            _inputs(recipe, group),
+            device,
+            limit_s=60 * settings.limit_min,
+        )
 
 
 def calibrates(recipe: Path) -> bool:

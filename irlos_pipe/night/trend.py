@@ -2,23 +2,70 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from irlos_pipe.conventions.errors import ConfigurationError, NothingToDo
 from irlos_pipe.conventions.text import suggestion
+from irlos_pipe.night.bands import (
+    Band,
+    History,
+    WavefrontTest,
+    band_of,
+    excess_scatter,
+    histories,
+    wavefront_test,
+)
 from irlos_pipe.night.database import Point, Verdict, existing
 from irlos_pipe.night.settings import BandSettings
-from irlos_pipe.night.trend_statistics import Band, Structure, bands, structure_function
+from irlos_pipe.night.stability import Structure, Validity, structure_function, with_confidence
 
 TIP_TILT = ("noll_2_nm", "noll_3_nm")  # the position of the star, not the instrument
 # Numbers that depend on the sky are followed but do not alarm.
 OF_THE_SKY = ("seeing_arcsec", "ao_residual_nm", "jitter_mas", "ncpa_nm", "ramp_error_nm", *TIP_TILT)
+NEVER_NEGATIVE = (
+    "seeing_arcsec", "ao_residual_nm", "jitter_mas", "ncpa_nm", "ramp_error_nm", "chi2_nu", "gap_before",
+    "gap_after", "gap_floor",
+)  # fmt: skip
+WAVEFRONT = "wavefront_nm"  # all modes of a run against the nights before
+
+
+class Expected(Protocol):
+    """What a number is held against."""
+
+    def holds(self, value: float) -> bool:
+        """Whether a value is as expected."""
+
+    def text(self, value: float) -> str:
+        """Return what is said of a value that is not."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The range that the configuration gives a number; None for no limit."""
+
+    low: float | None
+    high: float | None
+
+    def holds(self, value: float) -> bool:
+        """Whether a value lies within."""
+        return not (
+            (self.low is not None and value < self.low) or (self.high is not None and value > self.high)
+        )
+
+    def text(self, value: float) -> str:
+        """Return what is said of a `value` outside."""
+        low = "" if self.low is None else f"{self.low:g} "
+        return f"{value:.4g} outside the limits {low}to {'' if self.high is None else format(self.high, 'g')}"
+
+
+Alarm = tuple[Point, Expected]
+Key = tuple[str, str, str]  # name, recipe, configuration
 
 
 @dataclass(frozen=True)
@@ -29,6 +76,8 @@ class Series:
     ----------
     bands : tuple of Band or None
         Band of every point, from the nights before it; None where these are too few.
+    limits : Limits or None
+        Of the configuration.
     """
 
     name: str
@@ -36,14 +85,17 @@ class Series:
     configuration: str
     points: tuple[Point, ...]
     bands: tuple[Band | None, ...]
+    limits: Limits | None = None
 
     @property
-    def alarms(self) -> list[tuple[Point, Band]]:
-        """The points out of their bands, with these; none for a number that depends on the sky."""
-        if self.name in OF_THE_SKY:
-            return []
-        pairs = zip(self.points, self.bands, strict=True)
-        return [(point, band) for point, band in pairs if band and not band.holds(point.value)]
+    def alarms(self) -> list[Alarm]:
+        """The points out of their limits or bands; a number that depends on the sky has only limits."""
+        found: list[Alarm] = []
+        for point, band in zip(self.points, self.bands, strict=True):
+            expected: tuple[Expected | None, ...] = (self.limits, None if self.name in OF_THE_SKY else band)
+            wrong = next((one for one in expected if one and not one.holds(point.value)), None)
+            found += [(point, wrong)] if wrong else []
+        return found
 
     def until(self, night: str) -> Series | None:
         """Return the series as it was after a night; None when it had no point."""
@@ -52,22 +104,47 @@ class Series:
 
 
 @dataclass(frozen=True)
+class Wavefront:
+    """The modes of a run, Noll 4 and up, together: a point with the RMS change, and the test of it."""
+
+    point: Point
+    test: WavefrontTest
+
+
+@dataclass(frozen=True)
 class Trend:
-    """All series, the structure function of the NCPAs by recipe and configuration, and the verdicts."""
+    """What the nights of a tree show.
+
+    Attributes
+    ----------
+    structures : dict
+        Structure function of the NCPAs by recipe and configuration; `validities` say how long they hold.
+    wavefronts : tuple of Wavefront
+        Every calibration with enough nights before it, in order of time.
+    """
 
     series: tuple[Series, ...]
     structures: dict[tuple[str, str], Structure]
     verdicts: tuple[Verdict, ...]
+    wavefronts: tuple[Wavefront, ...] = ()
+    validities: Mapping[tuple[str, str], Validity] = field(default_factory=dict)
+    rule: BandSettings = field(default_factory=BandSettings)
 
-    def alarms(self, night: str = "") -> list[tuple[Point, Band]]:
-        """Return the points out of their bands, of one night or of all (empty date)."""
-        found = [alarm for series in self.series for alarm in series.alarms]
+    def alarms(self, night: str = "") -> list[Alarm]:
+        """Return what is not as expected, of one night or of all (empty date); whole wavefronts first."""
+        whole: list[Alarm] = [(one.point, one.test) for one in self.wavefronts if not one.test.holds(0.0)]
+        found = whole + [alarm for series in self.series for alarm in series.alarms]
         return [alarm for alarm in found if not night or alarm[0].night == night]
 
     def until(self, night: str) -> Trend:
         """Return the trend as it was after a night."""
         series = tuple(filter(None, (one.until(night) for one in self.series)))
-        return Trend(series, _structures(series), tuple(one for one in self.verdicts if one.night <= night))
+        return _assembled(
+            series,
+            tuple(one for one in self.verdicts if one.night <= night),
+            tuple(one for one in self.wavefronts if one.point.night <= night),
+            self.rule,
+        )
 
     @property
     def last_night(self) -> str:
@@ -106,7 +183,8 @@ def read_trend(tree: Path, rule: BandSettings, names: Sequence[str] = (), until:
             raise ConfigurationError(f"--of {name}: no such number{suggestion(name, known)}")
     if not names:
         return trend
-    return replace(trend, series=tuple(one for one in trend.series if one.name in names), verdicts=())
+    chosen = tuple(one for one in trend.series if one.name in names)
+    return replace(trend, series=chosen, verdicts=(), wavefronts=())
 
 
 def make_trend(points: Sequence[Point], verdicts: Sequence[Verdict], rule: BandSettings) -> Trend:
@@ -119,40 +197,105 @@ def make_trend(points: Sequence[Point], verdicts: Sequence[Verdict], rule: BandS
     rule : BandSettings
         When a number counts as out of its band.
     """
-    parts = groupby(sorted(points, key=_owner), _owner)
-    series = tuple(_series(tuple(members), rule) for _, members in parts)
-    return Trend(series, _structures(series), tuple(verdicts))
+    parts = [tuple(members) for _, members in groupby(sorted(points, key=_owner), _owner)]
+    before = {_key(members[0]): _histories(members, rule) for members in parts}
+    excess = _excesses(before)
+    series = tuple(_series(members, before[_key(members[0])], excess, rule) for members in parts)
+    return _assembled(series, tuple(verdicts), _wavefronts(series, rule), rule)
 
 
-def alarm_text(point: Point, band: Band) -> str:
-    """Return one line on a `point` that left its `band`."""
-    return (
-        f"{point.run}: {point.name} = {point.value:.4g} outside {band.low:.4g} to {band.high:.4g} "
-        f"({band.nights} earlier nights)"
+def alarm_text(point: Point, expected: Expected) -> str:
+    """Return one line on a `point` that is not as `expected`."""
+    return f"{point.run}: {point.name} = {expected.text(point.value)}"
+
+
+def _assembled(
+    series: tuple[Series, ...],
+    verdicts: tuple[Verdict, ...],
+    wavefronts: tuple[Wavefront, ...],
+    rule: BandSettings,
+) -> Trend:
+    found = dict(_stabilities(series, rule))
+    structures = {who: structure for who, (structure, _) in found.items()}
+    validities = {who: validity for who, (_, validity) in found.items()}
+    return Trend(series, structures, verdicts, wavefronts, validities, rule)
+
+
+def _histories(members: Sequence[Point], rule: BandSettings) -> dict[str, History]:
+    columns = zip(*((one.night, one.value, one.sigma) for one in members), strict=True)
+    nights, values, sigmas = (list(column) for column in columns)
+    return histories(nights, values, sigmas, rule.nights)
+
+
+def _excesses(before: Mapping[Key, Mapping[str, History]]) -> dict[tuple[str, str, str], float]:
+    """By how much the modes scatter beyond their errors, by recipe, configuration and night."""
+    modes: dict[tuple[str, str, str], list[History]] = {}
+    for (name, recipe, configuration), by_night in before.items():
+        if _of_wavefront(name):
+            for night, history in by_night.items():
+                modes.setdefault((recipe, configuration, night), []).append(history)
+    return {
+        who: excess_scatter([one for one in found if len(one.medians) == len(found[0].medians)])
+        for who, found in modes.items()
+    }
+
+
+def _series(
+    members: tuple[Point, ...],
+    before: Mapping[str, History],
+    excess: Mapping[tuple[str, str, str], float],
+    rule: BandSettings,
+) -> Series:
+    name, recipe, configuration = _key(members[0])
+    lowest = 0.0 if name in NEVER_NEGATIVE else -np.inf
+    found = tuple(
+        band_of(
+            before[one.night],
+            one.sigma,
+            rule,
+            excess.get((recipe, configuration, one.night)) if _of_wavefront(name) else None,
+            lowest,
+        )
+        for one in members
     )
+    limits = Limits(*rule.limits[name]) if name in rule.limits else None
+    return Series(name, recipe, configuration, members, found, limits)
 
 
-def _series(members: tuple[Point, ...], rule: BandSettings) -> Series:
-    found = bands(
-        [one.night for one in members], [one.value for one in members], [one.sigma for one in members], rule
-    )
-    first = members[0]
-    return Series(first.name, first.recipe, first.configuration, members, tuple(found))
+def _wavefronts(series: Sequence[Series], rule: BandSettings) -> tuple[Wavefront, ...]:
+    """Every calibration with the bands of its modes, in order of time."""
+    runs: dict[str, list[tuple[Point, Band]]] = {}
+    for one in series:
+        if _of_wavefront(one.name):
+            for point, band in zip(one.points, one.bands, strict=True):
+                if band and point.sigma is not None:
+                    runs.setdefault(point.run, []).append((point, band))
+    found = [_wavefront(members, rule) for members in runs.values() if len(members) > 1]
+    return tuple(sorted(found, key=lambda one: (one.point.unix_s, one.point.run)))
 
 
-def _structures(series: Sequence[Series]) -> dict[tuple[str, str], Structure]:
-    owners = dict.fromkeys((one.recipe, one.configuration) for one in series if _noll(one.name))
-    return {who: found for who in owners if (found := _structure(series, *who)) is not None}
+def _wavefront(members: Sequence[tuple[Point, Band]], rule: BandSettings) -> Wavefront:
+    test = wavefront_test([point.value for point, _ in members], [band for _, band in members], rule)
+    return Wavefront(replace(members[0][0], name=WAVEFRONT, value=test.change_nm, sigma=None), test)
 
 
-def _structure(series: Sequence[Series], recipe: str, configuration: str) -> Structure | None:
+def _stabilities(
+    series: Sequence[Series], rule: BandSettings
+) -> Iterator[tuple[tuple[str, str], tuple[Structure, Validity]]]:
+    for who in dict.fromkeys((one.recipe, one.configuration) for one in series if _noll(one.name)):
+        found = _stability(series, *who, rule)
+        if found is not None:
+            yield who, found
+
+
+def _stability(
+    series: Sequence[Series], recipe: str, configuration: str, rule: BandSettings
+) -> tuple[Structure, Validity] | None:
     """Structure function of the modes that all runs of a recipe have, without tip and tilt."""
     modes = {
         one.name: {point.run: point for point in one.points}
         for one in series
-        if (one.recipe, one.configuration) == (recipe, configuration)
-        and _noll(one.name)
-        and one.name not in TIP_TILT
+        if (one.recipe, one.configuration) == (recipe, configuration) and _of_wavefront(one.name)
     }
     if not modes:
         return None
@@ -161,9 +304,19 @@ def _structure(series: Sequence[Series], recipe: str, configuration: str) -> Str
     rows.sort(key=lambda row: row[0].unix_s)
     if len(rows) < 2:
         return None
+    times = np.array([row[0].unix_s for row in rows])
     value = np.array([[one.value for one in row] for row in rows])
     sigma = np.array([[one.sigma or 0.0 for one in row] for row in rows])
-    return structure_function(np.array([row[0].unix_s for row in rows]), value, sigma)
+    found = structure_function(times, value, sigma)
+    return with_confidence(found, times, value, sigma, rule.valid_change_nm) if len(found.pairs) else None
+
+
+def _key(one: Point) -> Key:
+    return one.name, one.recipe, one.configuration
+
+
+def _of_wavefront(name: str) -> bool:
+    return _noll(name) and name not in TIP_TILT
 
 
 def _owner(one: Point) -> tuple[Any, ...]:

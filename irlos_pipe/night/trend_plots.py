@@ -15,14 +15,16 @@ from matplotlib.figure import Figure, SubFigure
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.atomic import atomic_file
+from irlos_pipe.night.stability import DAY_S, Structure
 from irlos_pipe.night.trend import Series, Trend
-from irlos_pipe.night.trend_statistics import DAY_S, Structure
 from irlos_pipe.report.drawing import BLUE, CYCLE, ORANGE, SKY, STYLE, svg
 
 WIDTH_IN, PANEL_IN, STRUCTURE_IN = 5.6, 0.95, 3.2
 UNITS = ("nm", "arcsec", "mas")
 SPELLING = {"noll": "Noll", "ncpa": "NCPAs", "ao": "AO"}
 MAX_PANELS = 16
+WIDEST_BAND = 3.0  # shown whole, in ranges of the values
+LAGS_DAYS = {1 / 24: "1 hour", 1: "1 day", 7: "1 week", 30: "1 month", 182: "6 months", 730: "2 years"}
 FORMATS = (".svg", ".png", ".pdf")
 
 
@@ -88,21 +90,39 @@ def _panel(axes: Axes, series: Series) -> None:
     errors = np.array([one.sigma or 0.0 for one in series.points])
     known = np.array([band is not None for band in series.bands])
     if known.any():
-        centre = np.array([band.centre for band in series.bands if band])
-        half = np.array([band.half_width for band in series.bands if band])
-        axes.fill_between(times[known], centre - half, centre + half, color=SKY, alpha=0.3, linewidth=0)
-    axes.errorbar(times, values, errors, fmt=".-", color=BLUE, markersize=4, linewidth=0.7, elinewidth=0.7)
+        low, high = np.array([(band.low, band.high) for band in series.bands if band]).T
+        axes.fill_between(times[known], low, high, color=SKY, alpha=0.3, linewidth=0)
+    axes.errorbar(times, values, errors, fmt=".", color=BLUE, markersize=4, elinewidth=0.7)
+    _line(axes, series)
+    for limit in (series.limits.low, series.limits.high) if series.limits else ():
+        if limit is not None:
+            axes.axhline(limit, color=ORANGE, linewidth=0.8, linestyle="--")
     out = {point.run for point, _ in series.alarms}
     marked = [index for index, one in enumerate(series.points) if one.run in out]
     axes.plot(times[marked], values[marked], "o", color=ORANGE, markersize=8, fillstyle="none")
-    _limit(axes, values, errors)
+    _limit(axes, series, values, errors)
     axes.locator_params(axis="y", nbins=4)
 
 
-def _limit(axes: Axes, values: np.ndarray, errors: np.ndarray) -> None:
-    """Scale the axis to the values: over few nights the band is far wider."""
+def _line(axes: Axes, series: Series) -> None:
+    """Join the medians of the nights: a line between points of one night would look like an error."""
+    nights: dict[str, list[tuple[float, float]]] = {}
+    for one in series.points:
+        nights.setdefault(one.night, []).append((one.unix_s, one.value))
+    medians = np.array([np.median(members, axis=0) for members in nights.values()])
+    axes.plot(
+        np.array([_moment(moment) for moment in medians[:, 0]]), medians[:, 1], color=BLUE, linewidth=0.7
+    )
+
+
+def _limit(axes: Axes, series: Series, values: np.ndarray, errors: np.ndarray) -> None:
+    """Scale the axis to values and band; over few nights a band may be too wide to be shown whole."""
     low, high = float(np.min(values - errors)), float(np.max(values + errors))
-    room = 0.15 * (high - low) or 0.05 * abs(high) or 1.0
+    span = high - low or 0.1 * abs(high) or 1.0
+    ends = [end for band in series.bands if band for end in (band.low, band.high)]
+    ends = [end for end in ends if low - WIDEST_BAND * span < end < high + WIDEST_BAND * span]
+    low, high = min([low, *ends]), max([high, *ends])
+    room = 0.1 * (high - low) or span
     axes.set_ylim(low - room, high + room)
 
 
@@ -111,15 +131,28 @@ def draw_structures(figure: Figure | SubFigure, trend: Trend) -> None:
     axes = figure.subplots()
     for colour, ((recipe, _), structure) in zip(CYCLE * 9, trend.structures.items(), strict=False):
         _structure(axes, recipe, structure, colour)
-    axes.set(xscale="log", xlabel="lag [days]", ylabel="RMS change [nm]")
+    axes.set(xscale="log", xlabel="time between two calibrations", ylabel="RMS change [nm]")
     axes.set_ylim(bottom=0)
+    _label_lags(axes, [one.lag_s / DAY_S for one in trend.structures.values()])
     if trend.structures:
         axes.legend()
+
+
+def _label_lags(axes: Axes, lags_days: Sequence[np.ndarray]) -> None:
+    """Ticks at times that people know, as far as the lags reach."""
+    if not lags_days:
+        return
+    low, high = (float(end(np.concatenate(lags_days))) for end in (np.min, np.max))
+    axes.set_xlim(max(low, 1e-4) / 1.5, max(high, 1e-4) * 1.5)
+    ticks = {days: text for days, text in LAGS_DAYS.items() if low / 1.5 <= days <= high * 1.5}
+    axes.set_xticks(list(ticks or {low: ""}), list(ticks.values()) or [f"{low:.2g} days"])
+    axes.minorticks_off()
 
 
 def _structure(axes: Axes, recipe: str, structure: Structure, colour: str) -> None:
     days, plain = np.maximum(structure.lag_s / DAY_S, 1e-4), recipe.replace("$", r"\$")
     axes.plot(days, structure.change_nm, "o-", color=colour, label=f"{plain}: NCPAs, noise subtracted")
+    axes.fill_between(days, structure.low_nm, structure.high_nm, color=colour, alpha=0.2, linewidth=0)
     axes.plot(days, np.sqrt(structure.noise_nm2), "--", color=colour, label="noise alone")
 
 

@@ -1,9 +1,13 @@
 """`irlos night` on stand-in stages: what is reduced, what is reported, and what survives errors."""
 
+import contextlib
 import json
 import os
+import shutil
 import sqlite3
 import sys
+import time
+from dataclasses import replace
 
 import pytest
 from conftest import invoke
@@ -343,3 +347,76 @@ def test_stages_run_one_by_one_leave_the_same_as_one_task(bench):
     by_stages = json.loads((bench.run_folder() / "results.json").read_text())
     assert COUNTS["ingest"] == COUNTS["calibrate"] == COUNTS["lift"] == 1
     assert list(by_stages["stages"]) == ["ingest", "calibrate", "lift"]
+
+
+# -- what is known, what is a copy, what hangs --------------------------------------------------
+
+
+def test_what_is_acknowledged_once_is_shown_and_not_reported_again_until_it_changes(bench):
+    bench.record(MORNING)
+    torn = bench.record("2024-02-11T03:30:00", "torn") / "torn.fits"
+    torn.write_bytes(torn.read_bytes()[:3000])
+    doubtful = bench.record("2024-02-11T04:00:00", "large", numbers={"4": 500.0})
+    request = bench.request()
+    assert bench.run().exit_code == 5
+    in_order = lambda work, tasks: map(work, tasks)  # noqa: E731
+    state = run_night(replace(request, acknowledge=True), in_order)
+    assert state.exit_code == 0 and "torn.fits" in (bench.tree / "acknowledged.txt").read_text()
+    state = bench.run()
+    assert state.exit_code == 0 and not any(night.failures for night in state.nights.values())
+    assert "torn.fits" in state.nights["2024-02-11"].known[0]
+    assert "a QC limit failed" in state.nights["2024-02-10"].known[0]
+    assert "acknowledged earlier" in bench.page("2024-02-11") and ">ok<" in bench.page("2024-02-11")
+    (doubtful / "calibrate.crash").touch()
+    (doubtful / "numbers.json").write_text('{"4": 600.0}')
+    assert bench.run().exit_code == 5
+
+
+def test_a_line_that_is_deleted_is_reported_again(bench):
+    (bench.record(MORNING) / "ingest.bad").touch()
+    run_night(replace(bench.request(), acknowledge=True), lambda work, tasks: map(work, tasks))
+    assert bench.run().exit_code == 0
+    (bench.tree / "acknowledged.txt").write_text("# nothing\n")
+    assert bench.run().exit_code == 3
+
+
+def test_a_copy_of_a_recording_is_left_out_and_named(bench):
+    folder = bench.record(MORNING)
+    shutil.copytree(folder, bench.night("2024-02-11") / "again")
+    state = bench.run()
+    night = state.nights["2024-02-10"]
+    assert state.exit_code == 0 and len(night.reduced) == 1
+    assert "a copy of" in night.left_out[0].reason and "a copy of" in bench.page()
+
+
+def test_the_same_frames_with_another_side_car_are_a_failure(bench):
+    bench.record(MORNING)
+    bench.record(MORNING, "other", target="HD 2")
+    state = bench.run()
+    assert state.exit_code == 5 and "but another side-car" in state.nights["2024-02-10"].failures[0]
+
+
+def test_the_same_frames_at_another_time_are_another_recording(bench):
+    bench.record(MORNING)
+    bench.record("2024-02-11T05:00:00", "later")
+    assert len(bench.run().nights["2024-02-10"].reduced) == 2
+
+
+def test_a_reduction_that_hangs_is_stopped_and_the_others_go_on(bench, monkeypatch):
+    bench.record(MORNING, "hanging")
+    bench.record("2024-02-11T04:00:00", "good")
+    work = sys.modules["irlos_pipe.stages.calibrate.stage"].run
+
+    def hang_or_work(ctx):
+        if "hanging" in str(next(iter(ctx.inputs.values()))[0]):
+            with contextlib.suppress(Exception):  # as code that goes on after any error
+                time.sleep(60)
+        return work(ctx)
+
+    monkeypatch.setattr(sys.modules["irlos_pipe.stages.calibrate.stage"], "run", hang_or_work)
+    request = bench.request()
+    request = replace(request, settings=request.settings.model_copy(update={"limit_min": 0.02}))
+    state = run_night(request, lambda work, tasks: map(work, tasks))
+    night = state.nights["2024-02-10"]
+    assert state.exit_code == 5 and "took longer than 0.02 min and was stopped" in night.failures[0]
+    assert night.reduced["2024-02-10/040000_good/cube"].status == "ok"

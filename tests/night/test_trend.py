@@ -1,53 +1,23 @@
 """The numbers of all nights in the database, and `irlos trend`; truth is what was put in."""
 
+import csv
+import io
 import json
 import sqlite3
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import invoke
+from helpers.stored_nights import DAY_S, measured, night, put
 
 from irlos_pipe.night.database import NAME, opened
-from irlos_pipe.night.description import Description
-from irlos_pipe.night.grouping import Group
-from irlos_pipe.night.measurements import Measurements
 from irlos_pipe.night.page_sections import main_series, numbers_of_night
 from irlos_pipe.night.settings import BandSettings
 from irlos_pipe.night.state import Night
 from irlos_pipe.night.trend import make_trend, read_trend
 
-DAY_S = 86400.0
-FIRST_S = 1707620400.0  # 2024-02-11 03:00 UTC, night of 2024-02-10
 JUMP_NM = 40.0
-
-
-def night(day: int) -> str:
-    return (datetime(2024, 2, 10, tzinfo=UTC) + timedelta(days=day)).date().isoformat()
-
-
-def measured(key: str = "k", verdict: str | None = None, **numbers: float) -> Measurements:
-    given = {name: (value, 0.5) for name, value in numbers.items()}
-    return Measurements("ok", given, [], verdict, [], "irlos_pipe 1", key)
-
-
-def put(tree: Path, day: int, content: Measurements, start: bool = True, recipe: str = "cube") -> str:
-    """Store the run of a night."""
-    description = Description(
-        Path("/data/cube"),
-        "cube",
-        "ncpa_calibration",
-        night(day),
-        FIRST_S + day * DAY_S if start else None,
-        configuration="lens",
-        target="HD 1",
-    )
-    group = Group("calibration", night(day), "030000_cube", {"cube": (description,)})
-    run = f"{night(day)}/030000_cube/{recipe}"
-    with opened(tree) as database:
-        database.store_run(run, group, recipe, content)
-    return run
 
 
 @pytest.fixture
@@ -84,7 +54,10 @@ def test_numbers_come_in_order_of_time_with_modes_in_order_of_their_index(tree):
 
 def test_a_coefficient_out_of_its_band_alarms_and_the_seeing_does_not(tree):
     alarms = read_trend(tree, BandSettings()).alarms()
-    assert [(point.night, point.name) for point, _ in alarms] == [(night(19), "noll_4_nm")]
+    assert [(point.night, point.name) for point, _ in alarms] == [
+        (night(19), "wavefront_nm"),
+        (night(19), "noll_4_nm"),
+    ]
 
 
 def test_the_trend_until_a_night_equals_the_trend_made_on_that_night(tree):
@@ -141,14 +114,32 @@ def test_the_longest_of_several_series_is_shown_and_then_the_most_precise(tmp_pa
 # -- the command -------------------------------------------------------------------------------
 
 
-def test_the_table_shows_values_bands_stability_and_alarms(tree):
+def test_the_table_shows_what_alarms_the_stability_and_counts_the_rest(tree):
     result = invoke("trend", str(tree))
     assert result.exit_code == 4
-    row = next(line.split() for line in result.stdout.splitlines() if line.startswith("noll_4_nm"))
-    assert row[1:3] == ["cube", night(19)] and row[-1] == "ALARM"
+    rows = {line.split()[0]: line.split() for line in result.stdout.splitlines() if line}
+    assert rows["noll_4_nm"][-1] == "ALARM" and "noll_11_nm" not in rows
+    assert rows["cube,"][1:4] == ["last", "night", night(19)]
+    assert "2 of 3 modes are as expected" in result.stdout and "all modes: 39." in result.stdout
     assert "lag [days]" in result.stdout and "verdict" in result.stdout
-    line = "irlos: error: 1 number out of band: 2024-02-29/030000_cube/cube: noll_4_nm = "
+    line = "irlos: error: 2 numbers out of band: 2024-02-29/030000_cube/cube: wavefront_nm = "
     assert result.stderr.startswith(line)
+    assert "noll_11_nm" in invoke("trend", str(tree), "--all").stdout
+
+
+def test_many_modes_fit_a_terminal(tmp_path):
+    rng = np.random.default_rng(1)
+    for day in range(12):
+        modes = {f"noll_{noll}_nm": rng.normal(0, 0.5) for noll in range(2, 31)}
+        put(tmp_path, day, measured(verdict="none", ncpa_nm=50.0, seeing_arcsec=0.6, **modes))
+    lines = invoke("trend", str(tmp_path)).stdout.splitlines()
+    assert len(lines) <= 24 and max(map(len, lines)) <= 80
+
+
+def test_csv_holds_every_point(tree):
+    rows = list(csv.DictReader(io.StringIO(invoke("trend", str(tree), "--csv").stdout)))
+    assert len(rows) == 20 * 4
+    assert [(row["night"], row["name"]) for row in rows if row["alarm"] == "1"] == [(night(19), "noll_4_nm")]
 
 
 def test_a_night_within_its_bands_is_exit_code_0_and_silent_on_stderr(tree):
@@ -164,7 +155,7 @@ def test_json_holds_every_point_with_its_band(tree):
     assert (
         len(content["verdicts"]) == 20
         and content["stability"][0]["pairs"][0] == 19
-        and len(content["alarms"]) == 1
+        and len(content["alarms"]) == 2
     )
 
 

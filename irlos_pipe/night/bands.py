@@ -1,0 +1,259 @@
+"""The band in which a number is expected from the nights before, and the test of a whole wavefront."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import scipy
+
+from irlos_pipe.night.settings import BandSettings
+
+GAUSSIAN_MAD = 1.4826  # standard deviation of Gaussian values over their median absolute deviation (MAD)
+MAD_EFFICIENCY = 0.37  # of the MAD as an estimator of the standard deviation, relative to the sample's own
+MEDIAN_VARIANCE = np.pi / 2  # variance of the median of Gaussian values over that of their mean
+# Nights that the errors of a number count for: alone, and where many modes show how good their errors are.
+ERROR_NIGHTS, POOLED_ERROR_NIGHTS = 5.0, 10.0
+FURTHEST_SIGMA = 37.0  # beyond this the probability is below the smallest number
+
+
+@dataclass(frozen=True)
+class Band:
+    """The range in which a number is expected, from `nights` earlier nights.
+
+    Attributes
+    ----------
+    centre, half_width : float
+        Its middle and half its width.
+    lowest : float
+        What the number cannot be below.
+    freedom : float
+        Degrees of freedom of Student's t, of which `half_width` is a quantile.
+    """
+
+    centre: float
+    half_width: float
+    nights: int
+    lowest: float = -np.inf
+    freedom: float = np.inf
+
+    @property
+    def low(self) -> float:
+        """Lower end."""
+        return max(self.centre - self.half_width, self.lowest)
+
+    @property
+    def high(self) -> float:
+        """Upper end."""
+        return self.centre + self.half_width
+
+    def holds(self, value: float) -> bool:
+        """Whether a value lies within the band."""
+        return self.low <= value <= self.high
+
+    def text(self, value: float) -> str:
+        """Return what is said of a `value` outside."""
+        return f"{value:.4g} outside {self.low:.4g} to {self.high:.4g} ({self.nights} earlier nights)"
+
+
+@dataclass(frozen=True)
+class History:
+    """A number before some night: one value per earlier night.
+
+    Attributes
+    ----------
+    medians, errors : ndarray, (nights,)
+        Medians over the night of values and of their standard errors; NaN where there is no error.
+    """
+
+    medians: np.ndarray
+    errors: np.ndarray
+
+    @property
+    def centre(self) -> float:
+        """Median over the nights."""
+        return float(np.median(self.medians))
+
+    @property
+    def error(self) -> float:
+        """Typical standard error; NaN where fewer than half of the nights have one."""
+        known = np.isfinite(self.errors)
+        return float(np.median(self.errors[known])) if 2 * known.sum() > len(known) else np.nan
+
+
+def histories(
+    nights: Sequence[str], values: Sequence[float], sigmas: Sequence[float | None], most: int
+) -> dict[str, History]:
+    """Return what is known of a number before each of the nights.
+
+    Parameters
+    ----------
+    nights : sequence of str
+        ISO dates in ascending order.
+    values, sigmas : sequence of float, sequence of float or None
+        The numbers and their standard errors.
+    most : int
+        How many of the latest earlier nights count.
+    """
+    by_night: dict[str, list[tuple[float, float]]] = {}
+    for night, value, sigma in zip(nights, values, sigmas, strict=True):
+        by_night.setdefault(night, []).append((value, np.nan if sigma is None else sigma))
+    table = np.array([np.median(np.array(one), axis=0) for one in by_night.values()]).reshape(-1, 2)
+    return {night: History(*table[max(0, index - most) : index].T) for index, night in enumerate(by_night)}
+
+
+def excess_scatter(modes: Sequence[History]) -> float:
+    """Return by how much many modes scatter from night to night beyond their errors, at least 1.
+
+    The mean square over the modes of (value − median)/error is taken for every night, and the median over
+    the nights of that: one bad night does not count. Deviations from the median of n nights are smaller by
+    √(1 − 1/n).
+
+    Parameters
+    ----------
+    modes : sequence of History
+        Of the same nights.
+    """
+    known = [one for one in modes if np.all(np.isfinite(one.errors)) and np.all(one.errors > 0)]
+    if not known or len(known[0].medians) < 2:
+        return 1.0
+    scores = np.array([(one.medians - one.centre) / one.error for one in known])
+    count = scores.shape[1]
+    return float(max(1.0, np.sqrt(np.median(np.mean(scores**2, axis=0)) * count / (count - 1))))
+
+
+def band_of(
+    history: History,
+    sigma: float | None,
+    rule: BandSettings,
+    excess: float | None = None,
+    lowest: float = -np.inf,
+) -> Band | None:
+    """Return the band of a value, or None where too few nights are known.
+
+    Centre c and scatter s are median and scaled median absolute deviation (MAD) of one value per night, so
+    that one bad night hardly moves them; from n nights s has ν = 0.37 (n − 1) degrees of freedom. Where the
+    values have errors ε, the scatter is not all that is known: s² is the mean of s² and (kε)² with the
+    weights ν and ν₀, and has ν + ν₀ degrees of freedom. ν₀ is 10 where k, the scatter over the errors, is
+    measured on many modes, and 5 with k = 1 otherwise. The half width is that of a prediction interval,
+    ``t(1 − p/2; ν + ν₀) √(s² (1 + π/2n) + max(σ² − ε², 0))`` with the value's own error σ.
+
+    Parameters
+    ----------
+    history : History
+        The number before the night.
+    sigma : float or None
+        Standard error of the value.
+    rule : BandSettings
+        Probability p of a false alarm, and how many nights it takes.
+    excess : float, optional
+        k, see `excess_scatter`.
+    lowest : float
+        What the number cannot be below.
+    """
+    count, error = len(history.medians), history.error
+    if count < (rule.least_nights_with_errors if np.isfinite(error) else rule.least_nights):
+        return None
+    scatter = GAUSSIAN_MAD * float(np.median(np.abs(history.medians - history.centre)))
+    own, told = MAD_EFFICIENCY * (count - 1), 0.0
+    if np.isfinite(error):
+        told = ERROR_NIGHTS if excess is None else POOLED_ERROR_NIGHTS
+        expected = error * (excess or 1.0)
+        scatter = np.sqrt((own * scatter**2 + told * expected**2) / (own + told))
+    beyond = (sigma or 0.0) ** 2 - (error**2 if np.isfinite(error) else 0.0)
+    width = np.sqrt(scatter**2 * (1 + MEDIAN_VARIANCE / count) + max(beyond, 0.0))
+    half = _quantile(rule.false_alarm, own + told) * float(width)
+    return Band(history.centre, half, count, lowest, own + told)
+
+
+@cache
+def _quantile(false_alarm: float, freedom: float) -> float:
+    """Half width of the band in standard deviations."""
+    return -float(scipy.special.stdtrit(freedom, false_alarm / 2))
+
+
+def bands(
+    nights: Sequence[str], values: Sequence[float], sigmas: Sequence[float | None], rule: BandSettings
+) -> list[Band | None]:
+    """Return the band of every value of one number, from the nights before its own; see `band_of`.
+
+    Parameters
+    ----------
+    nights : sequence of str
+        ISO dates in ascending order.
+    values, sigmas : sequence of float, sequence of float or None
+        The numbers and their standard errors.
+    rule : BandSettings
+        Probability of a false alarm and number of nights.
+
+    Returns
+    -------
+    list of Band or None
+        None for values with too few nights before them.
+    """
+    before = histories(nights, values, sigmas, rule.nights)
+    return [band_of(before[night], sigma, rule) for night, sigma in zip(nights, sigmas, strict=True)]
+
+
+@dataclass(frozen=True)
+class WavefrontTest:
+    """All modes of a run against the nights before it.
+
+    Attributes
+    ----------
+    change_nm : float
+        RMS of the differences from the medians [nm].
+    chi2 : float
+        Sum of the squares of the differences in standard deviations.
+    limit : float
+        What chi2 exceeds with the probability of a false alarm.
+    """
+
+    change_nm: float
+    chi2: float
+    limit: float
+    modes: int
+    nights: int
+
+    def holds(self, value: float) -> bool:
+        """Whether the wavefront is that of the nights before; its one `value` is not asked for."""
+        return self.chi2 <= self.limit
+
+    def text(self, value: float) -> str:
+        """Return what is said of a wavefront that has changed by `value`."""
+        return (
+            f"{value:.3g} nm RMS from the median of {self.nights} nights, "
+            f"χ² {self.chi2:.3g} of {self.modes} (limit {self.limit:.3g})"
+        )
+
+
+def wavefront_test(values: Sequence[float], found: Sequence[Band], rule: BandSettings) -> WavefrontTest:
+    """Test all modes of a run together.
+
+    A change that no single mode shows is seen in the sum of squares: every difference is taken to the
+    Gaussian deviation of the same probability, so that the sum follows χ² also where the scatter is known
+    from few nights.
+
+    Parameters
+    ----------
+    values : sequence of float
+        The modes [nm].
+    found : sequence of Band
+        Their bands.
+    rule : BandSettings
+        Probability of a false alarm.
+    """
+    differences = np.array([value - band.centre for value, band in zip(values, found, strict=True)])
+    unit = np.array([band.half_width / _quantile(rule.false_alarm, band.freedom) for band in found])
+    freedom = np.array([band.freedom for band in found])
+    tail = scipy.special.stdtr(freedom, -np.abs(differences) / np.maximum(unit, np.finfo(float).tiny))
+    scores = np.minimum(-scipy.special.ndtri(tail), FURTHEST_SIGMA)
+    return WavefrontTest(
+        float(np.sqrt(np.sum(differences**2))),
+        float(np.sum(scores**2)),
+        float(scipy.special.chdtri(len(found), rule.false_alarm)),
+        len(found),
+        min(band.nights for band in found),
+    )

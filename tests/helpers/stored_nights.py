@@ -1,0 +1,44 @@
+"""Numbers of nights put into a trend database, without a reduction."""
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from irlos_pipe.night.database import opened
+from irlos_pipe.night.description import Description
+from irlos_pipe.night.grouping import Group
+from irlos_pipe.night.measurements import Measurements
+
+DAY_S = 86400.0
+FIRST_S = 1707620400.0  # 2024-02-11 03:00 UTC, night of 2024-02-10
+
+
+def night(day: int) -> str:
+    return (datetime(2024, 2, 10, tzinfo=UTC) + timedelta(days=day)).date().isoformat()
+
+
+def measured(key: str = "k", verdict: str | None = None, **numbers: float) -> Measurements:
+    given = {name: (value, 0.5) for name, value in numbers.items()}
+    return Measurements("ok", given, [], verdict, [], "irlos_pipe 1", key)
+
+
+def put(tree: Path, day: int, content: Measurements, start: bool = True, recipe: str = "cube") -> str:
+    """Store the run of a night."""
+    description = Description(
+        Path("/data/cube"),
+        "cube",
+        "ncpa_calibration",
+        night(day),
+        FIRST_S + day * DAY_S if start else None,
+        configuration="lens",
+        target="HD 1",
+    )
+    group = Group("calibration", night(day), "030000_cube", {"cube": (description,)})
+    run = f"{night(day)}/030000_cube/{recipe}"
+    with opened(tree) as database:
+        database.store_run(run, group, recipe, content)
+    return run
+
+
+def dates(count: int) -> list[str]:
+    """So many ISO dates in ascending order."""
+    return [f"2024-{1 + i // 28:02d}-{1 + i % 28:02d}" for i in range(count)]
