@@ -13,6 +13,7 @@ LAG_EDGES_S = np.concatenate([[0.0, 3600.0], DAY_S * (2.0 ** np.arange(13) - 0.5
 CONFIDENCE = 0.95
 DRAWS = 200
 MOST_POINTS = 100  # of the nights that are drawn; more would make the interval no narrower, but take long
+LEAST_NM2 = 1e-6  # change of calibrations that are the same
 MIN_DRAWN_MODES, MAX_DRAWN_MODES = 1, 40
 
 
@@ -142,7 +143,7 @@ class Validity:
 
 def fitted_drift(found: Structure) -> Drift:
     """Fit the model of a drift to a structure function, with weights by the number of pairs."""
-    weight = np.sqrt(found.pairs) / np.maximum(found.change_nm2 + found.noise_nm2, np.finfo(float).tiny)
+    weight = np.sqrt(found.pairs) / np.maximum(found.change_nm2 + found.noise_nm2, LEAST_NM2)
     design = np.stack([np.ones(len(found.lag_s)), found.lag_s / DAY_S], axis=1) * weight[:, None]
     white, rate = _not_negative(design, np.maximum(found.change_nm2, 0.0) * weight)
     return Drift(white, rate)
