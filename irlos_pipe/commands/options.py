@@ -89,7 +89,17 @@ def recipe_options(command: Command) -> Command:
 
 
 def inputs_of(inputs: tuple[str, ...], sof: Path | None, recipe: Path) -> tuple[str, ...]:
-    """Return the `inputs` of a `recipe` with those of a set of frames, if there is one."""
+    """Return the inputs of a recipe, those of a set of frames behind the others.
+
+    Parameters
+    ----------
+    inputs : tuple of str
+        ``NAME=PATH``.
+    sof : Path or None
+        The set of frames, if there is one.
+    recipe : Path
+        Path or name.
+    """
     if sof is None:
         return inputs
     from irlos_pipe.recipe.sof import inputs_from, read_sof
