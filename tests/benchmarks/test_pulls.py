@@ -45,4 +45,4 @@ def test_the_table_stands_between_its_marks(tmp_path, monkeypatch):
     page.write_text("before\n<!-- pulls -->\nold\n<!-- /pulls -->\nafter\n")
     monkeypatch.setattr(tables, "PAGE", page)
     tables.write_page("new")
-    assert page.read_text() == "before\n<!-- pulls -->\nnew\n\n<!-- /pulls -->\nafter\n"
+    assert page.read_text() == "before\n<!-- pulls -->\n\nnew\n\n<!-- /pulls -->\nafter\n"
