@@ -14,6 +14,7 @@ tr(Σ²) is the mean of ``(R d_i · R d_j)²`` over pairs (Bai & Saranadasa 1996
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,50 +35,106 @@ class NominalChi2:
     sigma: float
 
 
+@dataclass(frozen=True)
+class Part:
+    """A mean image among those that are fitted together.
+
+    Attributes
+    ----------
+    frames : Frames
+        Of fewer than `LEAST_FRAMES` the noise model takes the place of the scatter.
+    jacobian : tensor, (its parameters, pixels)
+        Derivatives of the model image [e- per unit of the parameter].
+    columns : sequence of int, (its parameters,)
+        Where they stand among the parameters of all parts.
+    """
+
+    frames: Frames
+    jacobian: torch.Tensor
+    columns: Sequence[int]
+
+
 def nominal_chi2(frames: Frames, jacobian: torch.Tensor, precision: torch.Tensor) -> NominalChi2:
     """Return the χ²/ν that the mean of `frames` would have about a model that lacks nothing.
 
     Parameters
     ----------
-    frames : Frames
-        Of fewer than `LEAST_FRAMES` the noise model takes the place of the scatter.
-    jacobian : tensor, (parameters, pixels)
-        Derivatives of the model image [e- per unit of the parameter].
+    frames, jacobian
+        See `Part`.
     precision : tensor, (parameters,)
         Of the prior, 0 where there is none.
     """
-    variance = mean_variance_e2(frames).flatten()
-    usable = frames.good.flatten() & torch.isfinite(variance)
-    root = torch.where(usable, variance**-0.5, 0.0)
-    columns = (jacobian.double().cpu() * root).mT
-    gain = torch.linalg.pinv(columns.mT @ columns + torch.diag(precision.double()), hermitian=True)
-    used = int((root > 0).sum())
+    return nominal_chi2_of([Part(frames, jacobian, range(len(precision)))], precision)
+
+
+def nominal_chi2_of(parts: Sequence[Part], precision: torch.Tensor) -> NominalChi2:
+    """Return the χ²/ν of mean images fitted together about a model that lacks nothing.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+    precision : tensor, (parameters of all,)
+        Of the prior, 0 where there is none.
+    """
+    whitened = [_Whitened.of(part) for part in parts]
+    data = torch.zeros(len(precision), len(precision), dtype=torch.float64)
+    for one in whitened:
+        data[one.place[:, None], one.place] += one.columns.mT @ one.columns
+    gain = torch.linalg.pinv(data + torch.diag(precision.double()), hermitian=True)
+    used = sum(one.used for one in whitened)
     freedom = max(used - len(precision), 1)
-    followed = gain @ (columns.mT @ columns)
+    followed = gain @ data
     white = used - 2 * float(torch.trace(followed)) + float((followed * followed.mT).sum())
-    if len(frames.images_e) < LEAST_FRAMES:
-        return NominalChi2(white / freedom, float(np.sqrt(2 * white)) / freedom)
-    shared = float((frames.noise.shared_e2 * root**2).sum()) * white / used
-    expected, deviation = _of_scatter(_left(frames, root, columns, gain))
-    return NominalChi2((expected + shared) / freedom, deviation / freedom)
+    expected, variance = 0.0, 0.0
+    for part, one in zip(parts, whitened, strict=True):
+        share = white * one.used / used
+        if len(part.frames.images_e) < LEAST_FRAMES:
+            expected, variance = expected + share, variance + 2 * share
+            continue
+        own, deviation = _of_scatter(one.products(part.frames, gain, data))
+        shared = float((part.frames.noise.shared_e2 * one.root**2).sum()) * share / one.used
+        expected, variance = expected + own + shared, variance + deviation**2
+    return NominalChi2(expected / freedom, float(np.sqrt(variance)) / freedom)
 
 
-def _left(frames: Frames, root: torch.Tensor, columns: torch.Tensor, gain: torch.Tensor) -> torch.Tensor:
-    """Whitened deviations of the frames from their mean without what parameters follow, (frames, pixels)."""
-    images, mean = frames.images_e.flatten(1), frames.mean_e.flatten()
-    runs = torch.arange(len(images)).tensor_split(min(len(images), LONGEST))
-    left = torch.empty(len(runs), len(root), dtype=torch.float64)
-    for block in blocks(len(runs)):
-        some = torch.stack([images[run].mean(0, dtype=torch.float64) for run in runs[block]])
-        whitened = torch.where(root > 0, (some - mean) * root, 0.0)
-        left[block] = whitened - (whitened @ columns) @ gain @ columns.mT
-    return left
+@dataclass(frozen=True)
+class _Whitened:
+    """Derivatives of a mean image in units of its noise: (pixels, its parameters), and where these stand."""
+
+    root: torch.Tensor
+    columns: torch.Tensor
+    place: torch.Tensor
+
+    @classmethod
+    def of(cls, part: Part) -> _Whitened:
+        variance = mean_variance_e2(part.frames).flatten()
+        usable = part.frames.good.flatten() & torch.isfinite(variance)
+        root = torch.where(usable, variance**-0.5, 0.0)
+        return cls(root, (part.jacobian.double().cpu() * root).mT, torch.tensor(list(part.columns)))
+
+    @property
+    def used(self) -> int:
+        return int((self.root > 0).sum())
+
+    def products(self, frames: Frames, gain: torch.Tensor, data: torch.Tensor) -> torch.Tensor:
+        """Products of what deviations of the frames leave in all images, (frames, frames).
+
+        Whitened deviations d less what the parameters of all images follow: ``R d · R d'``.
+        """
+        images, mean = frames.images_e.flatten(1), frames.mean_e.flatten()
+        runs = torch.arange(len(images)).tensor_split(min(len(images), LONGEST))
+        whitened = torch.empty(len(runs), len(self.root), dtype=torch.float64)
+        for block in blocks(len(runs)):
+            some = torch.stack([images[run].mean(0, dtype=torch.float64) for run in runs[block]])
+            whitened[block] = torch.where(self.root > 0, (some - mean) * self.root, 0.0)
+        felt = whitened @ self.columns
+        moved = felt @ gain[self.place]
+        return whitened @ whitened.mT - 2 * moved[:, self.place] @ felt.mT + moved @ data @ moved.mT
 
 
-def _of_scatter(left: torch.Tensor) -> tuple[float, float]:
-    """Expected χ² of the mean, and its standard deviation."""
-    count = len(left)
-    products = left @ left.mT
+def _of_scatter(products: torch.Tensor) -> tuple[float, float]:
+    """Expected χ² of the mean of frames with these products, and its standard deviation."""
+    count = len(products)
     squares = products.diagonal()
     time = _autocorrelation_time(products)
     expected = time * float(squares.sum()) / (count * (count - 1))

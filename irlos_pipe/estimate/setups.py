@@ -23,6 +23,7 @@ from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e
 from irlos_pipe.estimate.effect_modes import whole_wavefront
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
 from irlos_pipe.estimate.methods import MEAN_IMAGE, start_at_centroids
+from irlos_pipe.estimate.nominal_chi2 import NominalChi2, Part, nominal_chi2_of
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.frames.blocks import blocks
 from irlos_pipe.numerics.levenberg_marquardt import solve
@@ -152,7 +153,8 @@ def calibrate_setups(
     Returns
     -------
     Calibration
-        Of the first set-up, with the standard errors of the effects; χ²/ν is that of all together.
+        Of the first set-up, with the standard errors of the effects; χ²/ν, its nominal value and the misfit
+        by which errors grow are those of all together.
     """
     began = time.perf_counter()
     first = setups[0]
@@ -167,7 +169,9 @@ def calibrate_setups(
     solution = solve(problem, problem.whole(starts), max_iterations=options.max_iterations)
     x = solution.values
     chi2 = [float(p.reduced_chi2(problem.part_of(x, n))[0]) * p.freedom for n, p in enumerate(problem.parts)]
-    covariance, frames_nm = _errors(setups, problem, x, solution.covariance[0])
+    chi2_nu, nominal = sum(chi2) / problem.freedom, _nominal(setups, problem, x)
+    scatter, frames_nm = _errors(setups, problem, x, solution.covariance[0])
+    covariance = max(1.0, chi2_nu / nominal.value) * scatter
     own = problem.part_of(x, 0)
     layout, effects = parts[0].layout, parts[0].model.effects
     added, read = whole_wavefront(parts[0], own[0])
@@ -190,7 +194,8 @@ def calibrate_setups(
         frame_status=solution.status,
         iterations=solution.iterations.numpy(),
         model_image_e=parts[0].predict(own)[0].reshape(first.settings.window).cpu().numpy(),
-        chi2_nu=sum(chi2) / problem.freedom,
+        chi2_nu=chi2_nu,
+        nominal=nominal,
         tail=None,
         seconds=time.perf_counter() - began,
     )
@@ -205,6 +210,19 @@ def _part(setup: Setup, options: CalibrationOptions, device: str) -> ImageFit:
     variance = masked_variance(mean_variance_e2(setup.frames), setup.frames.good)
     data = (one[None, None].flatten(-2).to(psf.device) for one in (setup.frames.mean_e, variance))
     return ImageFit(model, layout, *data)
+
+
+def _nominal(setups: Sequence[Setup], problem: SetupsFit, x: torch.Tensor) -> NominalChi2:
+    """χ²/ν of all mean images together about a model that lacks nothing."""
+    parts = [
+        Part(
+            setup.frames,
+            part.predict_and_jacobian(problem.part_of(x, number))[1][0],
+            problem.columns[number],
+        )
+        for number, (setup, part) in enumerate(zip(setups, problem.parts, strict=True))
+    ]
+    return nominal_chi2_of(parts, problem.prior_precision)
 
 
 def _errors(

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
-from irlos_pipe.estimate.nominal_chi2 import nominal_chi2
+from irlos_pipe.estimate.nominal_chi2 import Part, nominal_chi2, nominal_chi2_of
 from irlos_pipe.frames.noise import NoiseModel
 
 SIDE, COUNT, PARAMETERS = 16, 40, 12
@@ -80,3 +80,33 @@ def test_ten_frames_of_shared_noise_have_the_chi2_that_they_tell():
         assert chi2_nu < 0.9
         pulls.append((chi2_nu - nominal.value) / nominal.sigma)
     assert np.abs(pulls).max() < 5
+
+
+def test_images_fitted_together_have_the_chi2_that_their_frames_tell():
+    """Two cubes share half of their parameters: a deviation of one leaves its mark in the other too."""
+    rng = np.random.default_rng(7)
+    columns = [range(PARAMETERS), [*range(PARAMETERS // 2), *range(PARAMETERS, PARAMETERS * 3 // 2)]]
+    jacobians = [rng.normal(size=(PARAMETERS, PIXELS)) for _ in columns]
+    shared = [
+        10 * rng.normal(size=(4, PIXELS)) + 12 * rng.normal(size=(4, PARAMETERS)) @ j for j in jacobians
+    ]
+    size = PARAMETERS * 3 // 2
+    found, told = [], []
+    for _ in range(60):
+        cubes = [_cube(rng, one) for one in shared]
+        parts = [
+            Part(frames, torch.as_tensor(jacobian), own)
+            for frames, jacobian, own in zip(cubes, jacobians, columns, strict=True)
+        ]
+        told.append(nominal_chi2_of(parts, torch.zeros(size)).value)
+        rows, data = [], []
+        for part in parts:
+            root = mean_variance_e2(part.frames).flatten() ** -0.5
+            wide = torch.zeros(PIXELS, size, dtype=torch.float64)
+            wide[:, list(part.columns)] = (part.jacobian * root).mT
+            rows.append(wide)
+            data.append((part.frames.mean_e.flatten() - SKY) * root)
+        wide, given = torch.cat(rows), torch.cat(data)
+        left = given - wide @ torch.linalg.lstsq(wide, given[:, None]).solution[:, 0]
+        found.append(float(left.square().sum()) / (2 * PIXELS - size))
+    assert np.mean(told) == pytest.approx(np.mean(found), abs=4 * np.std(found) / np.sqrt(60))
