@@ -51,17 +51,17 @@ HIDDEN: dict[str, Change] = {
     "vibration 15 mas": {"vibration": {"sigma_mas": 15.0, "angle_deg": 30.0}},
     "low wind": {"low_wind_effect": {"piston_nm": [90.0, -60.0, 40.0, -70.0]}},
 }
-# Right recordings: changes of the usual one.
+# Right recordings: changes of the usual one. None is so bright that its sharpest image would saturate.
 RIGHTS: dict[str, Change] = {
     "as usual": {},
     "faint": {"mag_j": 11.5},
-    "bright": {"mag_j": 6.8},
+    "bright": {"mag_j": 7.1},
     "poor seeing": {"seeing_arcsec": 1.2},
     "good seeing": {"seeing_arcsec": 0.35},
     "few frames": {"frames": 10},
     "many frames": {"frames": 120},
     "odd window": {"window": (43, 56)},
-    "long exposures": {"exposure_s": 0.3},
+    "long exposures": {"exposure_s": 0.3, "mag_j": 9.0},
     "residual along the wind": {"shape": "servo_lag"},
 }
 # What no cube can tell of itself, and the words by which a result says so before its numbers.
@@ -71,6 +71,8 @@ INHERENT = {
     "diversity of Noll 5": "size and mode of the diversity",
     "turned by 180°": "turned by 180°",
     "transposed": "transposed",
+    "flipped left to right": "mirrored",
+    "flipped up and down": "mirrored",
     "wavelength and scale 10 % off": "same factor",
 }
 
@@ -124,7 +126,7 @@ RAMP_INHERENT = {
 RAMP_RIGHTS: dict[str, Change] = {
     "ramp": {},
     "faint ramp": {"mag_j": 11.0},
-    "bright ramp": {"mag_j": 7.5},
+    "bright ramp": {"mag_j": 8.75},
     "ramp in poor seeing": {"seeing_arcsec": 1.2},
     "ramp in good seeing": {"seeing_arcsec": 0.35},
     "two frames per offset": {"frames": 2},
@@ -215,4 +217,7 @@ RIGHT_NIGHTS: dict[str, tuple[Sequence[Taken], Taken | None]] = {
     "night of cubes only": ((GOOD, Taken(LATE)), None),
 }
 # What no cube of a night can tell of itself, and its words.
-NIGHT_INHERENT = {"diversity of wrong sign in the cube": "sign of the even modes"}
+NIGHT_INHERENT = {
+    "diversity of wrong sign in the cube": "sign of the even modes",
+    "nearest cube flipped": "mirrored",
+}

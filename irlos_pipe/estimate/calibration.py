@@ -30,6 +30,7 @@ from irlos_pipe.estimate.methods import (
 )
 from irlos_pipe.estimate.nominal_chi2 import NominalChi2, nominal_chi2
 from irlos_pipe.estimate.open_fit import Opened, open_basis
+from irlos_pipe.estimate.orientation import Mirrored, mirrored
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.estimate.starts import START_HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
@@ -87,6 +88,8 @@ class Calibration:
         Law of the modes beyond it; None where there are none.
     effects_sigma : dict
         Standard errors of tables of modes among the `effects`, where a fit of several set-ups gives them.
+    mirrored : Mirrored or None
+        How much of a mirrored pupil the mean image shows, where that was looked at.
     """
 
     options: CalibrationOptions
@@ -112,6 +115,7 @@ class Calibration:
     tail: TailLaw | None
     seconds: float
     effects_sigma: dict[str, dict] = field(default_factory=dict)
+    mirrored: Mirrored | None = None
 
     @property
     def sigma_nm(self) -> np.ndarray:
@@ -307,6 +311,7 @@ def _result(
         twin,
         tail,
         seconds,
+        mirrored=mirrored(frames, problem, found.values) if METHODS[options.method].effects else None,
     )
 
 

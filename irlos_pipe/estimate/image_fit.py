@@ -81,6 +81,10 @@ class ImageFit(Problem):
             root = torch.where(good, root[good].median(), 0.0)
         return root.to(self.images.dtype).expand(self.images.shape[0], -1, self.images.shape[2])
 
+    def with_model(self, model: ImageModel) -> Self:
+        """Return the same images with another `model` of the same parameters."""
+        return self._with(model=model)
+
     def with_loss(self, loss: Loss) -> Self:
         """Return the same images and weights with another loss, whitened or not as the present one."""
         return self._with(loss=loss, reweighted=not loss.quadratic)

@@ -95,8 +95,9 @@ def believed(
     if slope.contradicted and slope.error < MAX_SLOPE_ERROR * slope.measured:
         if found[GAIN].source == PROFILE:
             new, origin = replace(new, e_per_adu=found[GAIN].measured), origin | {GAIN: FRAMES}
-        elif slope.source == PROFILE and slope.measured > 1:
-            new, origin = replace(new, excess_noise_factor=slope.measured), origin | {EXCESS: FRAMES}
+        elif slope.source == PROFILE and slope.measured > 1 - NOTABLE:
+            measured = max(1.0, slope.measured)  # no detector is quieter than the photons
+            new, origin = replace(new, excess_noise_factor=measured), origin | {EXCESS: FRAMES}
     if found[READ_NOISE].source == PROFILE and found[READ_NOISE].contradicted:
         in_electrons = found[READ_NOISE].measured * new.e_per_adu / detector.e_per_adu
         new, origin = replace(new, read_noise_e=in_electrons), origin | {READ_NOISE: FRAMES}

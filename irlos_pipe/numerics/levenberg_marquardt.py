@@ -4,7 +4,7 @@ The solver knows no physics. A problem gives the objective, its gradient and its
 Gauss–Newton Hessian for a batch of parameter vectors, in units where the objective is half
 a χ². "Converged" means that the step still available would lower χ² by a negligible amount g
 (`CHI2_TOLERANCE`, in units of χ²/ν where the model misfits); as g = δᵀHδ, no parameter would
-move by more than √g of its standard error, 3 %.
+move by more than √g of its standard error, 3 %. Where the iterations are used up, 10 % will do.
 
 Where a model misfits, the curvature that Gauss–Newton neglects is not small, and convergence becomes linear.
 What the gradients of successive iterations show of it is added to the Hessian of the steps (Dennis, Gay &
@@ -26,6 +26,7 @@ MEMBERS_AT_ONCE = 256  # whose matrices are solved: some ten copies of each are 
 GOOD_STEP, POOR_STEP = 0.75, 0.25  # parts of the predicted fall that lower, or raise, the damping
 MIN_CURVATURE = 1e-3  # curvature along a parameter over the largest of those in the same unit
 TRIALS = 12  # of a step, with ten times the damping each
+SLOW = 10.0  # times the negligible fall: where iterations are used up, a tenth of a standard error will do
 SPENT = 12  # steps of a problem with cheap gradients after which its Hessian is renewed
 
 
@@ -60,6 +61,7 @@ def solve(
         finished = state.iterate(active)
         if report is not None:
             report(finished)
+    state.close_slow()
     return state.solution()
 
 
@@ -82,6 +84,7 @@ class _State:
         self.neglected, self.moved = np.zeros_like(self.hessian), np.zeros_like(self.gradient)
         self.reweighted = problem.reweighted
         self.cheap_gradient = problem.cheap_gradient if isinstance(problem, CheapGradientProblem) else None
+        self.gain = np.full(batch, np.inf)  # the predicted fall of χ² when it was last judged
         self.age = np.zeros(batch, dtype=np.int64)  # steps since the Hessian was that of the place
         self.ahead: tuple[np.ndarray, ...] | None = None
 
@@ -143,11 +146,19 @@ class _State:
         value = self.value[which]
         negligible = self.problem.negligible(torch.from_numpy(value)).numpy()
         small = gain < np.maximum(negligible, ROUNDING * value)
+        self.gain[which] = gain
         aged = self.age[which] > 0
         self.age[which[small & aged]] = SPENT
         if (small & ~aged).any():
             self._finish(which[small & ~aged])
         return which[~small]
+
+    def close_slow(self) -> None:
+        """Members that have used up their iterations and hardly fall: along a ridge, no end comes soon."""
+        which = self.active()
+        if len(which):
+            negligible = self.problem.negligible(torch.from_numpy(self.value[which])).numpy()
+            self.status[which[self.gain[which] < SLOW * negligible]] = CONVERGED
 
     def _finish(self, which: np.ndarray) -> None:
         """Close members, with the step that was found negligible: it costs nothing.

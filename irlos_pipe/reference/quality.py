@@ -30,6 +30,10 @@ CHECKS = {
         "kurtosis of the frames along what they differ by most: small where two stars or pointings are mixed",
         "",
     ),
+    "calibrate.orientation": (
+        "how much of the mirrored pupil the mean image shows: 0 as told, 1 if the images are mirrored",
+        "",
+    ),
     "calibrate.twin solution": (
         "whether the sign of the even modes is known: 1 if the twin, which has it reversed, is excluded",
         "",
@@ -47,6 +51,7 @@ CHECKS = {
         "",
     ),
     "correct.predicted Strehl": ("predicted Strehl against the best that the AO residual leaves", ""),
+    "diagnose.frames of one kind": ("as that of `calibrate`", ""),
     "diagnose.everything explained": ("whether the verdict leaves nothing significant unexplained", ""),
     "derotator.chi2 of the split": (
         "how well a part before and a part behind the derotator explain the estimates",

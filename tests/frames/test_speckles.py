@@ -112,6 +112,14 @@ def test_what_is_told_stands_and_what_is_only_assumed_gives_way():
     assert all(one.contradicted for one in constants(detector, told, noise))
 
 
+@pytest.mark.parametrize(("measured", "excess"), [(1.6, 1.6), (0.98, 1.0), (0.8, 1.25)])
+def test_an_excess_noise_of_the_profile_gives_way_to_frames_where_the_gain_is_told(measured, excess):
+    """No detector is quieter than the photons; a slope far below 1 contradicts the gain that was told."""
+    detector = Detector(e_per_adu=0.5, read_noise_e=1.0, excess_noise_factor=1.25)
+    noise = MeasuredNoise(1.0, 0.1, measured, 0.01)
+    assert believed(detector, {GAIN: SIDECAR, EXCESS: PROFILE}, noise)[0].excess_noise_factor == excess
+
+
 def test_a_value_of_the_profile_that_the_frames_do_not_contradict_stays():
     detector = Detector(e_per_adu=4.0, read_noise_e=1.0)
     assert believed(detector, {}, MeasuredNoise(1.02, 0.1, 1.01, 0.01)) == (detector, {})

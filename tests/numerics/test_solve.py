@@ -113,6 +113,26 @@ def test_running_out_of_iterations_is_reported():
     assert solve(Decays(curves()), start(5), max_iterations=1).status == [MAX_ITERATIONS] * 5
 
 
+def test_where_iterations_are_used_up_a_tenth_of_a_standard_error_will_do():
+    """Parabolas at 0.05 and 0.5 standard errors from their minimum, with one iteration."""
+
+    class Valley(Problem):
+        lower, upper = torch.full((1,), -1e9), torch.full((1,), 1e9)
+        same_unit = slice(0, 1)
+
+        def negligible(self, value):
+            return torch.full_like(value, 1e-3)
+
+        def objective(self, x, which):
+            return 0.5 * x[:, 0] ** 2
+
+        def normal_equations(self, x, which):
+            return self.objective(x, which), x.clone(), torch.ones(len(x), 1, 1, dtype=x.dtype)
+
+    start = torch.tensor([[0.05], [0.5]], dtype=torch.float64)
+    assert solve(Valley(), start, max_iterations=1).status == [CONVERGED, MAX_ITERATIONS]
+
+
 def test_the_start_is_not_changed_in_place():
     first = start(5)
     kept = first.clone()

@@ -7,6 +7,7 @@ from helpers import made_run
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.estimate.nominal_chi2 import NominalChi2
+from irlos_pipe.estimate.orientation import Mirrored
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.stages.calibrate.input import require_calibration
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of
@@ -21,12 +22,23 @@ GOOD = {
     "errors_from": "frames",
     "frames_nm": [None] * 200,
     "twin": TwinCheck(7.5, 100.0, 330.0, 310.0, 60.0),
+    "mirrored": Mirrored(0.05, 0.1),
 }
 
 
 def _failed(limits: Limits | None = None, **changes) -> dict[str, str]:
     result = SimpleNamespace(**GOOD | changes)
     return {one.name: one.message for one in checks_of(limits or Limits(), result) if not one.passed}
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.1, 0.2])
+def test_images_that_show_the_mirrored_pupil_fail(sigma):
+    assert "mirrored" in _failed(mirrored=Mirrored(1.0, sigma))["orientation"]
+    assert _failed(mirrored=Mirrored(3 * sigma, sigma)) == {} or sigma < 0.1
+
+
+def test_a_pupil_that_is_mirrored_or_not_within_the_errors_is_not_judged():
+    assert _failed(mirrored=Mirrored(1.0, 0.3)) == {} == _failed(mirrored=None)
 
 
 def test_a_right_cube_passes():

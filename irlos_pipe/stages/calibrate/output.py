@@ -17,7 +17,7 @@ from irlos_pipe.stages.base import StageOutput
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of
 from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate, Tail, Twin
 from irlos_pipe.stages.model.effects import effect_arrays
-from irlos_pipe.stages.model.untested import CUBES_IN_SHORT, untested_by_cubes
+from irlos_pipe.stages.model.untested import CUBES_IN_SHORT, FAINT_VANES, untested_by_cubes
 
 COVARIANCE = {
     "frames": "from the scatter over frames and the misfit",
@@ -55,11 +55,16 @@ def joint_output(
         seeing_arcsec=seeing_arcsec,
         wavelength_nm=acquisition.wavelength_nm,
         twin=None if twin is None else Twin(**asdict(twin), preferred=twin.preferred),
-        untested=untested_by_cubes(acquisition.diversity),
+        untested=untested_by_cubes(acquisition.diversity, not_told(result)),
         compare=[Estimate(**estimate_keys(other)) for other in others],
     )
     arrays = arrays_of(result) | effect_arrays(result.effect_values)
     return StageOutput(arrays, results, checks_of(limits, result), summary=_summary(result, others))
+
+
+def not_told(result: Calibration) -> str:
+    """Return why a `result` does not tell whether the images are mirrored; empty where it does."""
+    return "" if result.mirrored is not None and result.mirrored.tells else FAINT_VANES
 
 
 def reported(nolls: Sequence[int]) -> slice:

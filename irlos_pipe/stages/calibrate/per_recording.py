@@ -24,6 +24,7 @@ from irlos_pipe.stages.calibrate.output import (
     counts,
     effect_lines,
     estimate_keys,
+    not_told,
     reported,
     wfe_nm,
 )
@@ -83,10 +84,11 @@ def each_output(limits: Limits, cubes: Sequence[Cube], failures: Sequence[str]) 
     for cube in cubes:
         own = arrays_of(cube.result) | effect_arrays(cube.result.effect_values)
         arrays |= {f"{ROOT}/{cube.name}/{name}": quantity for name, quantity in own.items()}
+    why = [not_told(cube.result) for cube in cubes]
     results = CalibrateResults(
         **mean.results(),
         cubes=[_row(cube) for cube in cubes],
-        untested=untested_by_cubes(cubes[0].acquisition.diversity),
+        untested=untested_by_cubes(cubes[0].acquisition.diversity, next(filter(None, why), "")),
     )
     checks = [check for cube in cubes for check in checks_of(limits, cube.result, f"{cube.name}: ")]
     return StageOutput(arrays, results, checks, summary=_summary(mean, cubes), failures=failures)

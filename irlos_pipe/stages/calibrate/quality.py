@@ -6,6 +6,7 @@ import math
 
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.nominal_chi2 import LEAST_FRAMES
+from irlos_pipe.estimate.orientation import Mirrored
 from irlos_pipe.product.product import Check
 from irlos_pipe.stages.calibrate.config import Limits
 
@@ -22,11 +23,13 @@ def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Che
     if math.isfinite(result.noise_ratio):
         checks.append(_noise(result))
     if math.isfinite(result.kurtosis):
-        checks.append(_kinds(result))
+        checks.append(kinds_check(result.kurtosis))
     if result.errors_from == "few_frames":
         checks.append(_frames(limits, result))
     if result.twin is not None:
         checks.append(_twin(result))
+    if result.mirrored is not None and result.mirrored.tells:
+        checks.append(_orientation(result.mirrored))
     return [
         Check(f"{prefix}{one.name}", one.value, one.unit, one.low, one.high, one.message) for one in checks
     ]
@@ -69,11 +72,17 @@ def _noise(result: Calibration) -> Check:
     return Check("noise as told", ratio, "", LOWEST_NOISE_RATIO, None, message)
 
 
-def _kinds(result: Calibration) -> Check:
-    """Frames of two stars, pointings or wavefronts, whose scatter would excuse any misfit."""
-    why = ": they are of two kinds, as of two stars" if result.kurtosis < LOWEST_KURTOSIS else ""
-    message = f"the frames have a kurtosis of {result.kurtosis:.2f} where they differ most{why}"
-    return Check("frames of one kind", result.kurtosis, "", LOWEST_KURTOSIS, None, message)
+def kinds_check(kurtosis: float) -> Check:
+    """Return the check for frames of two stars, pointings or wavefronts, whose scatter excuses any misfit.
+
+    Parameters
+    ----------
+    kurtosis : float
+        Of the frames, see `estimate.frame_kinds`.
+    """
+    why = ": they are of two kinds, as of two stars" if kurtosis < LOWEST_KURTOSIS else ""
+    message = f"the frames have a kurtosis of {kurtosis:.2f} where they differ most{why}"
+    return Check("frames of one kind", kurtosis, "", LOWEST_KURTOSIS, None, message)
 
 
 def _window(limits: Limits, result: Calibration) -> Check:
@@ -87,6 +96,16 @@ def _frames(limits: Limits, result: Calibration) -> Check:
     why = ": too few to average the AO residual" if count < limits.min_frames else ""
     message = f"{count} frames, which scatter by more than noise{why}"
     return Check("frames", float(count), "", float(limits.min_frames), None, message)
+
+
+def _orientation(found: Mirrored) -> Check:
+    """The pupil as told against the mirrored one."""
+    why = ": the images are mirrored, or the pupil of the profile is" if found.seen else ""
+    message = (
+        f"the image shows {found.amplitude:.2f} ± {found.sigma:.2f} of the mirrored pupil; 0 is the pupil as "
+        f"told, 1 the mirrored one{why}"
+    )
+    return Check("orientation", found.amplitude, "", None, found.limit, message)
 
 
 def _twin(result: Calibration) -> Check:

@@ -38,7 +38,7 @@ from irlos_pipe.stages.diagnose.results import (
     WhereRow,
 )
 from irlos_pipe.stages.model.section import ModelConfig
-from irlos_pipe.stages.model.untested import untested_by_cubes
+from irlos_pipe.stages.model.untested import LOOKED_AT_ELSEWHERE, untested_by_cubes
 
 MODEL_FILE = "model.yaml"
 
@@ -58,7 +58,7 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
         for name, one in result.advice.items()
     }
     return DiagnoseResults(
-        untested=untested_by_cubes(diversity_nm),
+        untested=untested_by_cubes(diversity_nm, LOOKED_AT_ELSEWHERE),
         verdict=result.verdict,
         grade=result.grade,
         sentence=sentence(result),

@@ -16,6 +16,7 @@ from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.frame_kinds import kurtosis_of_frames
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.diagnose.config import Config
@@ -50,10 +51,14 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     return StageOutput(
         diagnose_arrays(result),
         results,
-        checks_of(results),
+        checks_of(results, [_kurtosis(alike) for alike in groups]),
         files={MODEL_FILE: model},
         summary=summary_lines(result),
     )
+
+
+def _kurtosis(alike: Alike) -> float:
+    return kurtosis_of_frames(pooled_frames(alike.recordings, np.ones(alike.first.window, bool)))
 
 
 def _diagnose(ctx: StageContext[Config], groups: list[Alike]) -> Diagnosis:

@@ -74,7 +74,7 @@ class Config(StageConfig):
         30.0, gt=0, description="QC limit on estimated minus introduced defocus, with NCPAs [nm RMS]"
     )
     max_chi2_ratio: float = Field(
-        2.0, gt=1, description="QC limit on the median chi-square of the frames over its nominal value"
+        1.75, gt=1, description="QC limit on the median chi-square of the frames over its nominal value"
     )
     unknown_nominal_chi2_nu: float = Field(
         3.0, gt=0, description="nominal chi-square of a frame where no offset has two frames"

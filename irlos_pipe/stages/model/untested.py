@@ -11,6 +11,9 @@ BY_CUBES = (
     "wavelength and pixel scale wrong by the same factor",
     "a wrong flat or dark that is smooth",
 )
+MIRRORED = "images mirrored left to right or up and down: {why}"
+FAINT_VANES = "the vanes are too faint in them"
+LOOKED_AT_ELSEWHERE = "`calibrate` looks for it"
 BY_RAMP = (
     "the zero point of the focus stage against the defocus among the NCPAs",
     "sign and orientation of diversity and offsets together: the slope tests one against the other",
@@ -22,13 +25,16 @@ CUBES_IN_SHORT = (
 )
 
 
-def untested_by_cubes(diversity_nm: Mapping[int, float]) -> list[str]:
+def untested_by_cubes(diversity_nm: Mapping[int, float], mirrored: str = "") -> list[str]:
     """Return what cubes cannot tell, one line each.
 
     Parameters
     ----------
     diversity_nm : mapping of int to float
         With which they were taken, Noll: nm RMS.
+    mirrored : str
+        Why it is not known whether images are mirrored; empty where it is.
     """
     told = ", ".join(f"Noll {noll} {nm:+g} nm" for noll, nm in sorted(diversity_nm.items())) or "none"
-    return [line.format(diversity=told) for line in BY_CUBES]
+    more = [MIRRORED.format(why=mirrored)] if mirrored else []
+    return [*(line.format(diversity=told) for line in BY_CUBES), *more]

@@ -1,0 +1,56 @@
+"""Mirrored images are told by the vanes.
+
+Truth: frames drawn from the model (same code, on purpose: the question is what the vanes tell), mirrored by
+exchanging rows or columns; the scatter of the amplitude over draws of the noise.
+"""
+
+import numpy as np
+import pytest
+import torch
+from helpers import optics_cases as cases
+
+from irlos_pipe.estimate.calibration import calibrate
+from irlos_pipe.estimate.calibration_options import CalibrationOptions
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.orientation import Mirrored
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.optics.psf import PsfModel
+
+NOLLS = tuple(range(2, 16))
+CHANGES = {
+    "as told": lambda images: images,
+    "turned by 180°": lambda images: images.flip(1, 2),
+    "left to right": lambda images: images.flip(2),
+    "up and down": lambda images: images.flip(1),
+}
+
+
+def found(change: str, flux: float = 3e6, seed: int = 5) -> Mirrored:
+    true = cases.vector(cases.ncpa_nm(4, highest_noll=15, total_nm=100.0), NOLLS)
+    image = PsfModel(cases.settings(), NOLLS).images(true)[0].double().numpy() * flux
+    images = torch.as_tensor(np.ascontiguousarray(CHANGES[change](cases.draw_frames(image, 24, seed=seed))))
+    frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
+    options = CalibrationOptions(highest_noll=15, prior=cases.PRIOR)
+    result = calibrate(frames, cases.settings(), options).mirrored
+    assert result is not None
+    return result
+
+
+@pytest.mark.parametrize(("change", "amplitude"), [*zip(CHANGES, (0.0, 0.0, 1.0, 1.0), strict=True)])
+def test_a_mirrored_image_shows_the_mirrored_pupil(change, amplitude):
+    """Turned by 180° the vanes of UT4 stay where they are: that is what no image tells."""
+    result = found(change)
+    assert result.tells and abs(result.amplitude - amplitude) < 5 * result.sigma + 0.1
+    assert result.seen == (amplitude == 1.0)
+
+
+def test_a_faint_star_tells_nothing():
+    result = found("left to right", flux=2e3)
+    assert not result.tells and not result.seen
+
+
+@pytest.mark.slow
+def test_the_quoted_error_is_the_scatter_over_draws():
+    some = [found("as told", flux=1e5, seed=seed) for seed in range(12)]
+    pulls = [one.amplitude / one.sigma for one in some]
+    assert 0.5 < np.std(pulls) < 1.7 and abs(np.mean(pulls)) < 1.0
