@@ -10,6 +10,7 @@ import time
 
 import pytest
 from conftest import invoke
+from helpers.paths import SAMPLES
 
 from irlos_pipe.commands.focus import TOKEN
 from irlos_pipe.control.exposures import Read
@@ -72,6 +73,17 @@ def test_what_cannot_be_is_said_in_one_line_with_its_exit_code(run, tmp_path):
         "needs a token"
         in failure(run, "--replay", run, "--page-port", 0, "--page-address", "0.0.0.0", *out)[1]
     )
+
+
+@pytest.mark.slow
+def test_frames_may_be_described_by_a_side_car(run, tmp_path):
+    described = SAMPLES / "ramp" / "offset_00" / "acquisition.yaml"
+    options = ["--acquisition", str(described), "--output", str(tmp_path / "loop"), "-q"]
+    assert invoke("focus", str(run), "--replay", str(run), *options).exit_code == 0
+    points = json.loads((run / "results.json").read_text())["stages"]["lift"]["points"]
+    for mine, theirs in zip(records(tmp_path / "loop"), points, strict=True):
+        assert mine["defocus_nm"] == pytest.approx(theirs["defocus_nm"], abs=1.0)
+    assert "no such file" in failure(run, "--replay", run, "--acquisition", "none.yaml", *options[2:4])[1]
 
 
 @pytest.mark.slow
