@@ -10,7 +10,7 @@ import numpy as np
 from irlos_pipe.conventions.modes import DEFOCUS, HIGHEST_REPORTED_NOLL
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.optics_error import optics_sigma_nm
-from irlos_pipe.estimate.ramp_quality import FrameErrors, excess_scatter_nm, nominal_frame_chi2
+from irlos_pipe.estimate.ramp_quality import FrameErrors, instant_error_nm, nominal_frame_chi2
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.paper.common.broad_band import COARSE
 from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
@@ -100,7 +100,7 @@ def _of_ramp(cube: ObservedCube, calibration: Calibration) -> dict:
         offsets_nm,
         fit.result.solution.values.shape[1],
     )
-    instant_nm = excess_scatter_nm(offsets_nm, fit.defocus_nm, photon_nm)
+    instant_nm = instant_error_nm(offsets_nm, fit.defocus_nm, photon_nm)
     errors = FrameErrors(instant_nm, float(fit.result.chi2_nu.nanmedian()), nominal)
     optics_nm = optics_sigma_nm(
         fit.model, fit.result, data.good, data.noise, calibration.nolls, calibration.covariance_nm2

@@ -23,15 +23,15 @@ class FrameErrors:
 
     Attributes
     ----------
-    ao_defocus_nm : float
-        Standard deviation of the estimates beyond photon noise: the defocus of the AO residual.
+    instant_nm : float
+        By which errors differ from frame to frame beyond photon noise, see `instant_error_nm`.
     chi2_nu : float
         Median of the frames.
     nominal_chi2_nu : float
         What it would be about a right model; NaN where no offset has two frames.
     """
 
-    ao_defocus_nm: float
+    instant_nm: float
     chi2_nu: float
     nominal_chi2_nu: float
 
@@ -51,7 +51,7 @@ class FrameErrors:
         calibration_nm : float or ndarray, (frames,)
             By the errors of the NCPAs, which all frames share, see `optics_error`.
         """
-        return np.sqrt((self.growth * photon_nm) ** 2 + self.ao_defocus_nm**2 + calibration_nm**2)
+        return np.sqrt((self.growth * photon_nm) ** 2 + self.instant_nm**2 + calibration_nm**2)
 
 
 def excess_scatter_nm(introduced_nm: np.ndarray, estimated_nm: np.ndarray, photon_nm: np.ndarray) -> float:
@@ -73,6 +73,25 @@ def excess_scatter_nm(introduced_nm: np.ndarray, estimated_nm: np.ndarray, photo
         residual = estimated - np.polyval(np.polyfit(introduced, estimated, 1), introduced)
         freedom, square = max(len(estimated) - 2, 1), float(np.sum(residual**2))
     return float(np.sqrt(max(0.0, square / freedom - float(np.median(photon_nm[good] ** 2)))))
+
+
+def instant_error_nm(introduced_nm: np.ndarray, estimated_nm: np.ndarray, photon_nm: np.ndarray) -> float:
+    """Return by how much errors of single frames differ beyond photon noise [nm RMS].
+
+    Standard deviation of estimated minus introduced defocus: the AO residual's own defocus, and what a
+    residual of another strength than the calibrated one makes of the defocus while it lasts. The scatter at
+    one offset knows only what changes faster than the focus stage moves.
+
+    Parameters
+    ----------
+    introduced_nm, estimated_nm, photon_nm : ndarray, (frames,)
+        Failed estimates are NaN; `photon_nm` are errors by photon noise.
+    """
+    good = np.isfinite(estimated_nm) & np.isfinite(photon_nm)
+    error = (estimated_nm - introduced_nm)[good]
+    if len(error) < 2:
+        return 0.0
+    return float(np.sqrt(max(0.0, error.var(ddof=1) - float(np.median(photon_nm[good] ** 2)))))
 
 
 def nominal_frame_chi2(

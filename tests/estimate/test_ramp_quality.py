@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from irlos_pipe.estimate.ramp_quality import FrameErrors, excess_scatter_nm, nominal_frame_chi2
+from irlos_pipe.estimate.ramp_quality import (
+    FrameErrors,
+    excess_scatter_nm,
+    instant_error_nm,
+    nominal_frame_chi2,
+)
 from irlos_pipe.frames.noise import NoiseModel
 
 OFFSETS = np.repeat(np.arange(-300.0, 301.0, 100.0), 40)
@@ -30,8 +35,18 @@ def test_one_frame_per_offset_is_judged_by_the_scatter_about_the_line():
     assert found == pytest.approx(4.0, rel=0.25)
 
 
+def test_errors_that_last_for_an_offset_are_errors_of_frames_all_the_same():
+    rng = np.random.default_rng(5)
+    lasting = np.repeat(rng.normal(0, 6.0, 400), 3)
+    offsets = np.repeat(np.linspace(-300, 300, 400), 3)
+    estimated = offsets + lasting + rng.normal(0, 2.5, 1200) + 20
+    photon = np.full(1200, 1.5)
+    assert instant_error_nm(offsets, estimated, photon) == pytest.approx(np.sqrt(36 + 4), rel=0.1)
+    assert excess_scatter_nm(offsets, estimated, photon) == pytest.approx(2.0, rel=0.15)
+
+
 def test_errors_add_noise_grown_by_the_misfit_residual_and_calibration():
-    errors = FrameErrors(ao_defocus_nm=4.0, chi2_nu=8.0, nominal_chi2_nu=2.0)
+    errors = FrameErrors(instant_nm=4.0, chi2_nu=8.0, nominal_chi2_nu=2.0)
     assert errors.sigma_nm(np.array([1.5]), 12.0)[0] == pytest.approx(np.sqrt(3**2 + 4**2 + 12**2))
     assert FrameErrors(0.0, 0.5, 1.0).growth == FrameErrors(0.0, 5.0, float("nan")).growth == 1.0
 

@@ -21,8 +21,8 @@ class Point(ResultsPart):
         Estimate with its standard error; NaN where the fit is invalid.
     sigma_photon_nm, sigma_instant_nm, sigma_optics_nm : float
         The parts of `sigma_nm`: by photon and read-out noise, which grows by the misfit of the model; of the
-        instant, by the AO residual's own defocus in the exposure, which differs from frame to frame; of the
-        optics, by the covariance of the NCPAs, which all frames share.
+        instant, by which errors differ from frame to frame, above all by the AO residual's own defocus in
+        the exposure; of the optics, by the covariance of the NCPAs, which all frames share.
     zernike_nm : dict of int to float
         All estimated modes.
     """

@@ -10,7 +10,12 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.estimate.optics_error import optics_sigma_nm
 from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise
 from irlos_pipe.estimate.ramp_fit import RampFit
-from irlos_pipe.estimate.ramp_quality import FrameErrors, excess_scatter_nm, nominal_frame_chi2
+from irlos_pipe.estimate.ramp_quality import (
+    FrameErrors,
+    excess_scatter_nm,
+    instant_error_nm,
+    nominal_frame_chi2,
+)
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext, StageOutput
@@ -59,8 +64,8 @@ def _frame_errors(ramp: Ramp, fit: RampFit) -> FrameErrors:
         data.introduced_nm,
         result.solution.values.shape[1],
     )
-    scatter_nm = excess_scatter_nm(data.introduced_nm, fit.defocus_nm, result.mode(4)[1].numpy())
-    return FrameErrors(scatter_nm, float(result.chi2_nu.nanmedian()), nominal)
+    instant_nm = instant_error_nm(data.introduced_nm, fit.defocus_nm, result.mode(4)[1].numpy())
+    return FrameErrors(instant_nm, float(result.chi2_nu.nanmedian()), nominal)
 
 
 def _wavefront_nm(ctx: StageContext[Config]) -> float:
@@ -134,7 +139,9 @@ def _results(
         effects_sigma=focus.sigma,
         effects_fitted_jointly=fit.shared is not None,
         compare={name: _line(other) for name, other in others.items()},
-        ao_defocus_nm=errors.ao_defocus_nm,
+        ao_defocus_nm=excess_scatter_nm(
+            ramp.data.introduced_nm, fit.defocus_nm, fit.result.mode(4)[1].numpy()
+        ),
         chi2_nu=errors.chi2_nu,
         nominal_chi2_nu=errors.nominal_chi2_nu,
         untested=list(BY_RAMP),
@@ -156,7 +163,7 @@ def _points(
             sigma_nm=float(sigma_nm[i]),
             sigma_photon_nm=photon[i],
             sigma_optics_nm=float(optics_nm[i]),
-            sigma_instant_nm=errors.ao_defocus_nm,
+            sigma_instant_nm=errors.instant_nm,
             converged=fit.result.solution.status[i] == "converged",
             status=fit.result.solution.status[i],
             chi2_nu=float(fit.result.chi2_nu[i]),
