@@ -12,7 +12,8 @@ from irlos_pipe.night.reduce import UNCHANGED, Reduced
 from irlos_pipe.night.state import Night
 from irlos_pipe.night.tasks import Job
 from irlos_pipe.night.trend import Series, Trend
-from irlos_pipe.night.trend_plots import series_drawing, structure_drawing
+from irlos_pipe.night.trend_plots import label, series_drawing, structure_drawing
+from irlos_pipe.night.trend_text import validity_number, validity_text
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.content import Figure, KeyNumber, Section, Stack, Table, Text
 from irlos_pipe.report.text import MISSING, duration, number, plural, with_error
@@ -37,16 +38,17 @@ DRAWN_OTHERS = (
     "gap_after",
 )
 MODES_CAPTION = (
-    "Coefficients with errors; shaded: the band that the nights before allow; circled: outside "
-    "it. Modes that left their band are shown beside Noll 4 to 11."
+    "Coefficients with errors; shaded: the band that the nights before allow; dashed: limits of the "
+    "configuration; circled: outside. Modes that left their band are shown beside Noll 4 to 11."
 )
 OTHERS_CAPTION = (
-    "Other numbers in the same way; those that depend on the sky do not alarm. Runs that failed their "
-    "quality check are in none of these."
+    "Other numbers in the same way; those that depend on the sky alarm only on limits. Runs that failed "
+    "their quality check are in none of these."
 )
 STRUCTURE_CAPTION = (
     "RMS change of the wavefront in Noll 4 and up between two calibrations, against the "
-    "time between them: flat where the NCPAs are stable, 0 where noise explains the change."
+    "time between them, with its 95 % interval: flat where the NCPAs are stable, 0 where noise explains "
+    "the change."
 )
 NEEDS_A_LOOK = "needs a look"
 MAX_VERDICT_ROWS, MAX_VERDICTS = 30, 4  # rows of the table, and numbers at the top
@@ -68,7 +70,14 @@ def numbers_of_night(night: Night, trend: Trend) -> list[KeyNumber]:
     found = [KeyNumber(*one) for one in _measured(night.date, trend)]
     gaps = _gaps(trend)
     verdicts = [one for one in trend.verdicts if one.night == night.date]
-    return found + [_verdict_number(one, gaps) for one in verdicts[-MAX_VERDICTS:]]
+    return found + _valid_for(trend) + [_verdict_number(one, gaps) for one in verdicts[-MAX_VERDICTS:]]
+
+
+def _valid_for(trend: Trend) -> list[KeyNumber]:
+    """How long a calibration is valid, of the longest series."""
+    series = main_series(trend, "ncpa_nm")
+    validity = trend.validities.get((series.recipe, series.configuration)) if series else None
+    return [] if validity is None else [KeyNumber("Calibration valid for", *validity_number(validity))]
 
 
 def _verdict_number(verdict: Verdict, gaps: dict[tuple[str, str], float]) -> KeyNumber:
@@ -159,11 +168,15 @@ def verdicts_section(trend: Trend, date: str) -> Section | None:
     columns = ("night", "group", "target", "verdict", "effects", "gap before", "gap after", "floor")
     lead = "Gap: Σ|measured − predicted| / Σ measured of frames that no fit has seen; the latest come first."
     marks = ["bad" if one.verdict == "unknown" else "" for one in reversed(latest)]
-    return Section("verdicts", "What the model lacks", lead, [Table(columns, rows, marks=marks)])
+    title = plural(len(rows), "verdict")
+    table = Table(columns, rows, title, marks=marks, folded=len(rows) > FEW_ROWS)
+    return Section("verdicts", "What the model lacks", lead, [table])
 
 
 def trend_section(trend: Trend) -> Section | None:
-    """Return plots of numbers against time, and of the stability of the NCPAs."""
+    """Return plots of numbers against time, and of the stability of the NCPAs; of one night its numbers."""
+    if len({point.night for one in trend.series for point in one.points}) == 1:
+        return Section("trend", "Trend", "One night so far: numbers without a trend.", [_numbers(trend)])
     modes, others = drawn(trend, DRAWN_MODES), drawn(trend, DRAWN_OTHERS)
     blocks: list[Figure | Table | Text | Stack] = []
     beside: list[Figure] = []
@@ -173,9 +186,19 @@ def trend_section(trend: Trend) -> Section | None:
         beside.append(Figure(series_drawing("others", others), "Ramp, sky and model", OTHERS_CAPTION))
     if trend.structures:
         drawing = structure_drawing("structure", trend)
-        beside.append(Figure(drawing, "Stability of the NCPAs", STRUCTURE_CAPTION))
+        said = " ".join(map(validity_text, trend.validities.values()))
+        beside.append(Figure(drawing, "Stability of the NCPAs", f"{said} {STRUCTURE_CAPTION}"))
     blocks.extend([Stack(beside)] if beside else [])
     return Section("trend", "Trend", "", blocks) if blocks else None
+
+
+def _numbers(trend: Trend) -> Table:
+    rows = [
+        (label(one.name), one.recipe, with_error(last.value, last.sigma, ".4g"), last.run.split("/")[1])
+        for one in trend.series
+        for last in one.points[-1:]
+    ]
+    return Table(("number", "recipe", "value", "group"), rows, plural(len(rows), "number"), folded=True)
 
 
 def drawn(trend: Trend, names: tuple[str, ...]) -> list[Series]:

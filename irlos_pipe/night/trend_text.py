@@ -65,6 +65,16 @@ def validity_text(validity: Validity) -> str:
     )
 
 
+def validity_number(validity: Validity) -> tuple[str, str]:
+    """Return how long a calibration is valid in days, and what that means."""
+    limit = f"within {validity.change_nm:g} nm RMS"
+    if validity.days == 0:
+        return "0 days", f"changes by more than {validity.change_nm:g} nm RMS at once"
+    if validity.days > validity.seen_days or validity.high_days == float("inf"):
+        return f"≥ {min(validity.low_days, validity.seen_days):.3g} days", f"{limit}; no drift seen"
+    return f"{validity.days:.3g} days", f"{limit}; 95 %: {validity.low_days:.3g} to {validity.high_days:.3g}"
+
+
 def trend_json(trend: Trend) -> str:
     """Return all points, bands, verdicts and alarms as JSON."""
     return json_text(

@@ -13,7 +13,7 @@ from conftest import invoke
 from helpers.stored_nights import DAY_S, measured, night, put
 
 from irlos_pipe.night.database import NAME, opened
-from irlos_pipe.night.page_sections import main_series, numbers_of_night
+from irlos_pipe.night.page_sections import main_series, numbers_of_night, trend_section
 from irlos_pipe.night.settings import BandSettings
 from irlos_pipe.night.state import Night
 from irlos_pipe.night.trend import make_trend, read_trend
@@ -210,3 +210,16 @@ def test_a_dollar_in_a_name_is_no_formula(tree):
         connection.execute("UPDATE runs SET configuration = 'diversity $x_{$'")
     result = invoke("trend", str(tree), "--plot", str(tree / "focus.svg"))
     assert (tree / "focus.svg").is_file() and "unexpected" not in result.stderr
+
+
+def test_the_page_of_one_night_lists_numbers_and_that_of_many_says_how_long_a_calibration_is_valid(tree):
+    rule, last = BandSettings(), night(18)
+    first = trend_section(read_trend(tree, rule, until=night(0)))
+    assert [block.kind for block in first.blocks] == ["table"] and len(first.blocks[0].rows) == 4
+    put(tree, 18, measured(noll_4_nm=40.0, noll_2_nm=20.0, noll_11_nm=110.0, ncpa_nm=50.0))
+    tile = next(
+        one
+        for one in numbers_of_night(Night(last), read_trend(tree, rule, until=last))
+        if one.label == "Calibration valid for"
+    )
+    assert tile.value.endswith(" days") and "20 nm RMS" in tile.note
