@@ -65,7 +65,7 @@ class Feed:
         night, reads = self._telescope.night, list(exposed.reads)
         late, self._held_back = self._held_back, []
         if night.has("late", index):
-            self._held_back = [reads.pop(1)]
+            self._held_back = [reads.pop()]
         if night.has("missing", index):
             reads.pop(0)
         if night.has("swapped", index):
