@@ -38,11 +38,13 @@ LARGEST_SIDE = 4096
 class _Ring:
     """The mapped file."""
 
-    def __init__(self, path: Path, window: tuple[int, int], slots: int, descriptor: int):
+    def __init__(self, path: Path, window: tuple[int, int], slots: int, *, writes: bool):
         self.path, self.window, self.slots = path, window, slots
         self._bytes = 4 * window[0] * window[1]
         self._stride = NUMBER.size + BODY.size + self._bytes
-        self._map = mmap.mmap(descriptor, HEAD_BYTES + slots * self._stride)
+        descriptor = os.open(path, os.O_RDWR if writes else os.O_RDONLY)
+        access = mmap.ACCESS_WRITE if writes else mmap.ACCESS_READ
+        self._map = mmap.mmap(descriptor, HEAD_BYTES + slots * self._stride, access=access)
         os.close(descriptor)
 
     @property
@@ -87,7 +89,7 @@ class RingWriter(_Ring):
                 f"{path}: a ring of {found[2]} frames of {found[0]}x{found[1]} px, not of {slots} of "
                 f"{window[0]}x{window[1]}; remove it or choose another file"
             )
-        super().__init__(path, window, slots, os.open(path, os.O_RDWR))
+        super().__init__(path, window, slots, writes=True)
 
     def write(self, read: Read, *, damaged: bool = False) -> None:
         """Write one frame, `read`, over the oldest; a `damaged` one, for trials, has a wrong checksum."""
@@ -116,7 +118,7 @@ class RingSource(_Ring):
 
     def __init__(self, path: Path):
         rows, columns, slots = _shape(path)
-        super().__init__(path, (rows, columns), slots, os.open(path, os.O_RDWR))
+        super().__init__(path, (rows, columns), slots, writes=False)
         self._next = max(1, self.written - slots + 2)
 
     def poll(self, timeout_s: float) -> Sequence[Read | Fault]:

@@ -49,18 +49,29 @@ class WatchedFolder:
         self._root, self._instrument, self._detector = root, instrument, detector
         self._seen: dict[Path, tuple[int, int]] = {}
         self._read = set() if from_start else set(self._files())
+        self._away = False
 
     def poll(self, timeout_s: float) -> Sequence[Read | Fault]:
         """See `Source.poll`."""
         until = time.monotonic() + timeout_s
         while True:
-            complete = self._complete()
+            try:
+                complete = self._complete()
+            except OSError as error:
+                return self._gone(error, until)
+            self._away = False
             if complete or time.monotonic() >= until:
                 return [read for path in complete for read in self._reads(path)]
             time.sleep(POLL_S)
 
     def close(self) -> None:
         """See `Source.close`."""
+
+    def _gone(self, error: OSError, until: float) -> list[Fault]:
+        """A folder that cannot be read, an unmounted disk say: named once, and waited for."""
+        first, self._away = not self._away, True
+        time.sleep(max(0.0, until - time.monotonic()))
+        return [Fault(f"{self._root}: cannot be read: {error.strerror}")] if first else []
 
     def _files(self) -> list[Path]:
         """FITS files with frames, by name: in the order in which recorders number them."""

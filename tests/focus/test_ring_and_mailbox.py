@@ -60,6 +60,12 @@ def test_a_damaged_frame_is_named_and_the_next_one_read(path):
     assert "frame 2 is damaged" in fault.text
 
 
+def test_a_reader_cannot_change_the_frames(path):
+    RingWriter(path, (3, 4), 8)
+    with pytest.raises(TypeError):
+        RingSource(path)._map[0:1] = b"x"
+
+
 @pytest.mark.parametrize("content", [b"", b"IRLOSRNG", b"SIMPLE  = T" * 40, b"IRLOSRNG" + b"\xff" * 200])
 def test_another_file_is_refused(path, content):
     path.write_bytes(content)

@@ -79,3 +79,15 @@ def test_a_damaged_file_is_named_and_the_next_one_read(tmp_path):
 def test_a_folder_that_does_not_exist_is_refused(tmp_path):
     with pytest.raises(InputDataError, match="no such folder"):
         watched(tmp_path / "none")
+
+
+def test_a_folder_that_goes_away_is_named_once_and_waited_for(tmp_path):
+    root = tmp_path / "disk"
+    root.mkdir()
+    source = watched(root)
+    root.rename(tmp_path / "elsewhere")
+    (fault,) = arrivals(source)
+    assert "cannot be read: No such file" in fault.text
+    (tmp_path / "elsewhere").rename(root)
+    write(root / "scan", 5)
+    assert len(arrivals(source)) == 3
