@@ -39,7 +39,7 @@ from irlos_pipe.simulate.recordings.spec import load_spec
 
 CASES = all_cases()
 # The suite's instrument moves its focus in a slow beam, and its petals are those of `low_wind_effect`.
-ELSEWHERE = {"high_aperture", "segment_piston"}
+ELSEWHERE = {"correlated_noise", "high_aperture", "segment_piston"}
 SMALL_MDB = {"companion": {"flux_ratio": 0.001}}
 
 
