@@ -18,7 +18,6 @@ from irlos_pipe.diagnosis.effect_sizes import (
     detectable,
     determined,
     parameter_covariance,
-    public_sigma,
     within_reach,
 )
 from irlos_pipe.diagnosis.fitting import Fitted
@@ -34,7 +33,10 @@ from irlos_pipe.diagnosis.verdict import COMPLETE, EFFECT, NONE, UNKNOWN, Adjust
 from irlos_pipe.diagnosis.view import Screened
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.public_errors import public_sigma
 from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
+
+HALF_CLEAR = 0.5  # of the amplitude where the pupil is clear
 
 
 def conclude(
@@ -271,9 +273,15 @@ def _pictures(judges: Sequence[HeldOutEvaluation], null: Optimum, final: Optimum
         before_e=before,
         after_e=after,
         leading=leading.reshape(shape).numpy(),
-        added_opd_nm=opds[1] - opds[0],
+        added_opd_nm=np.where(_clear(models[1]), opds[1] - opds[0], np.nan),
         added_amplitude=_amplitude(models[1], values[1]) - _amplitude(models[0], values[0]),
     )
+
+
+def _clear(model: ImageModel) -> np.ndarray:
+    """Where the pupil as told is clear, (n, n)."""
+    grid = model.psf.grids.pupil
+    return grid.amplitude > HALF_CLEAR * grid.light
 
 
 def _amplitude(model: ImageModel, values: torch.Tensor) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,13 +10,12 @@ import numpy as np
 from irlos_pipe.diagnosis.cube import Stacks
 from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.search.scores import Score
-from irlos_pipe.effects import Effect, Parameter
+from irlos_pipe.effects import Parameter
+from irlos_pipe.effects.public_errors import public_difference
 
-STEP = 1e-3  # of a standard error, in derivatives of public values
 FAR = 1e3  # standard errors, in place of a prior that there is none of
 UNDETERMINED = 0.5  # of the prior's variance that is left, from which the data determine nothing
 NOTHING = 1e-9
-Describe = Callable[[np.ndarray], dict[str, Any]]
 
 
 def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
@@ -32,21 +31,6 @@ def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
     scatter = stack.covariance_of(gain.mT).numpy()
     ratio = np.sqrt(np.maximum(np.diag(fisher) / np.maximum(np.diag(scatter), 1e-300), 1.0))
     return scatter * np.outer(ratio, ratio)
-
-
-def public_sigma(
-    base: Effect, values: np.ndarray, covariance: np.ndarray, *, shown: bool = False
-) -> dict[str, Any]:
-    """Standard errors of the public values of effect `base` at `values`, to first order in `covariance`.
-
-    Those of what a reader is told of it if `shown`, see `Effect.shown`.
-    """
-    steps, describe = np.sqrt(np.diag(covariance)) * STEP, base.shown if shown else base.describe
-    slopes = [
-        _difference(base, values + one, values - one, describe)
-        for one in np.diag(np.where(steps > 0, steps, 1e-9))
-    ]
-    return _combined(slopes, covariance, 2 * np.where(steps > 0, steps, 1e-9))
 
 
 def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.ndarray:
@@ -76,7 +60,7 @@ def detectable(score: Score, gain: float) -> dict[str, Any]:
     sizes = np.where(np.isfinite(score.smallest), score.smallest, 0.0) * np.sqrt(gain)
     effect, absent = score.candidate, score.candidate.describe(null)
     alone = np.diag(sizes) if not _is_table(absent) else [sizes]
-    changes = [_difference(effect, null + one, null) for one in alone]
+    changes = [public_difference(effect, null + one, null) for one in alone]
     largest = {key: max((one[key] for one in changes), key=_size) for key in absent}
     roles = {key: effect.role_of(key) for key in absent}
     components = [key for key, role in roles.items() if role == "component"]
@@ -117,31 +101,3 @@ def _flat(value: Any) -> list[float]:
 
 def _size(value: Any) -> float:
     return float(np.max(np.abs(_flat(value))))
-
-
-def _map(function: Callable, *values: Any) -> Any:
-    """Apply a function of numbers to public values of the same shape."""
-    first = values[0]
-    if isinstance(first, Mapping):
-        return {key: _map(function, *(value[key] for value in values)) for key in first}
-    if isinstance(first, Sequence):
-        return [_map(function, *group) for group in zip(*values, strict=True)]
-    return function(*values)
-
-
-def _difference(
-    effect: Effect, one: np.ndarray, other: np.ndarray, describe: Describe | None = None
-) -> dict[str, Any]:
-    """Difference of public values that are close to each other; angles may lie on both sides of 0 or 180°."""
-    public = describe or effect.describe
-    change = _map(lambda a, b: float(a - b), public(one), public(other))
-    angles = [key for key in change if effect.role_of(key) == "direction"]
-    return change | {key: (change[key] + 90.0) % 180.0 - 90.0 for key in angles}
-
-
-def _combined(differences: Sequence[dict], covariance: np.ndarray, widths: np.ndarray) -> dict[str, Any]:
-    def error(*along: float) -> float:
-        slope = np.array(along) / widths
-        return float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
-
-    return _map(error, *differences)

@@ -15,13 +15,14 @@ from typing import Any, Literal
 import numpy as np
 
 from irlos_pipe.diagnosis.cube import Cube
-from irlos_pipe.diagnosis.effect_sizes import determined, parameter_covariance, public_sigma
+from irlos_pipe.diagnosis.effect_sizes import determined, parameter_covariance
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, preference
 from irlos_pipe.diagnosis.moments import Moments
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.effects import Effect, FixedEffect
+from irlos_pipe.effects.public_errors import public_sigma
 
 SEEN = 5.0  # significance from which a moment by itself shows an effect
 MEASURED = 1e-9  # of a correlation matrix, below which an eigenvalue is rounding

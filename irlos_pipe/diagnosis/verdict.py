@@ -165,7 +165,9 @@ class Adjusted:
 
 @dataclass(frozen=True)
 class Pictures:
-    """Mean held-out image and its predictions [e-], all (rows, columns); added OPD (n, n) [nm].
+    """Mean held-out image and its predictions [e-], all (rows, columns).
+
+    The added OPD, (n, n) [nm], is NaN where the pupil is dark.
 
     Attributes
     ----------

@@ -17,6 +17,7 @@ from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.calibration_errors import ErrorsFrom, errors_of
 from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
+from irlos_pipe.estimate.effect_errors import effect_errors
 from irlos_pipe.estimate.effect_modes import drifts, measured_drift
 from irlos_pipe.estimate.frame_kinds import kurtosis_of_frames
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
@@ -37,6 +38,7 @@ from irlos_pipe.estimate.starts import START_HIGHEST_NOLL, better, is_plausible,
 from irlos_pipe.estimate.tail_law import TailLaw
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.numerics.solution import Solution
+from irlos_pipe.optics.image_quality import Curve, power_spectrum
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings
 
@@ -87,7 +89,9 @@ class Calibration:
     tail : TailLaw or None
         Law of the modes beyond it; None where there are none.
     effects_sigma : dict
-        Standard errors of tables of modes among the `effects`, where a fit of several set-ups gives them.
+        Standard errors of the public parameters of the effects, see `effect_errors`.
+    left : Curve or None
+        Power spectrum of the residual over its standard error, see `image_quality.power_spectrum`.
     mirrored : Mirrored or None
         How much of a mirrored pupil the mean image shows, where that was looked at.
     """
@@ -115,6 +119,7 @@ class Calibration:
     tail: TailLaw | None
     seconds: float
     effects_sigma: dict[str, dict] = field(default_factory=dict)
+    left: Curve | None = None
     mirrored: Mirrored | None = None
 
     @property
@@ -289,12 +294,14 @@ def _result(
     chi2_nu = float((pull**2).sum() / (len(pull) - layout.size))
     nominal = _nominal(frames, problem, found.values)
     effect_values = found.values[0, layout.effect_values]
+    misfit = chi2_nu / nominal.value
+    left = torch.where(frames.good, (mean - model_image) / sigma, torch.nan).numpy()
     return Calibration(
         options,
         layout.nolls,
         found.zernike_nm,
         found.values[0, layout.modes].numpy(),
-        *errors_of(frames, problem, solution, found.frames_nm, chi2_nu / nominal.value),
+        *errors_of(frames, problem, solution, found.frames_nm, misfit),
         effects.describe(effect_values),
         effects.split(effect_values),
         found.frames_nm,
@@ -311,7 +318,9 @@ def _result(
         twin,
         tail,
         seconds,
-        mirrored=mirrored(frames, problem, found.values) if METHODS[options.method].effects else None,
+        effect_errors(frames, problem, solution, misfit),
+        power_spectrum(left, problem.model.psf.settings.resolution_px),
+        mirrored(frames, problem, found.values) if METHODS[options.method].effects else None,
     )
 
 

@@ -11,6 +11,7 @@ import torch
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.optics.grids import Optics
+from irlos_pipe.optics.image_quality import Curve, encircled_energy, transfer_cut
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 
@@ -27,6 +28,8 @@ class Prediction:
     strehl_before, strehl_after : float
         Peak over that of the aberration-free image, at the mean wavelength of the spectrum.
     radius_mas, profile_before, profile_after : ndarray, (radii,)
+    resolution_px : float
+        λ/D at the mean wavelength.
     """
 
     before: np.ndarray
@@ -37,6 +40,31 @@ class Prediction:
     radius_mas: np.ndarray
     profile_before: np.ndarray
     profile_after: np.ndarray
+    resolution_px: float
+
+    def encircled(self, image: np.ndarray) -> Curve:
+        """Return the part of the light within circles about the optical axis, over the radius [px]."""
+        rows, columns = image.shape
+        return encircled_energy(image, ((rows - 1) / 2, (columns - 1) / 2))
+
+    def transfer(self, image: np.ndarray, axis: int) -> Curve:
+        """Return a cut through the OTF of an `image`, see `image_quality.transfer_cut`."""
+        return transfer_cut(image, self.resolution_px, axis)
+
+
+def seen_and_left_nm(
+    nolls: Sequence[int], fitted_modes_nm: np.ndarray, zernike_nm: np.ndarray, gain: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the modes before and after a correction, tip and tilt of the whole wavefront taken out.
+
+    Parameters
+    ----------
+    nolls, fitted_modes_nm, zernike_nm, gain
+        See `predict_correction`.
+    """
+    motion = np.isin(nolls, TIP_TILT)
+    now_nm = np.where(motion, fitted_modes_nm - zernike_nm, fitted_modes_nm)
+    return now_nm, np.where(motion, now_nm, fitted_modes_nm - gain * zernike_nm)
 
 
 def predict_correction(
@@ -62,10 +90,8 @@ def predict_correction(
         ``make_optics(model)`` gives what AO residual, jitter and other effects make of the light path.
     """
     model = PsfModel(replace(settings, known=KnownWavefront()), nolls)
-    motion = np.isin(nolls, TIP_TILT)
-    now_nm = np.where(motion, fitted_modes_nm - zernike_nm, fitted_modes_nm)
-    left_nm = np.where(motion, now_nm, fitted_modes_nm - gain * zernike_nm)
-    wavefronts = torch.as_tensor(np.stack([now_nm, left_nm]))
+    both_nm = seen_and_left_nm(nolls, fitted_modes_nm, zernike_nm, gain)
+    wavefronts = torch.as_tensor(np.stack(both_nm))
     images = model.images(wavefronts, make_optics(model)).double().numpy()
     perfect = model.images(torch.zeros(1, len(nolls)))[0].double().numpy()
     (rows, columns), peak = settings.window, perfect.max()
@@ -80,4 +106,5 @@ def predict_correction(
         radius_mas=rings[0][0] * settings.pixel_scale_mas,
         profile_before=rings[0][1],
         profile_after=rings[1][1],
+        resolution_px=settings.resolution_px,
     )

@@ -10,22 +10,20 @@ from __future__ import annotations
 import time
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 
-from irlos_pipe.effects import Effect, EffectSet
+from irlos_pipe.effects import Effect
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.effects.zernike_table import ZernikeTable
 from irlos_pipe.estimate.calibration import Calibration, calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean, mean_variance_e2
+from irlos_pipe.estimate.effect_errors import public_errors, responses
 from irlos_pipe.estimate.effect_modes import whole_wavefront
 from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
 from irlos_pipe.estimate.methods import MEAN_IMAGE, start_at_centroids
 from irlos_pipe.estimate.nominal_chi2 import NominalChi2, Part, nominal_chi2_of
 from irlos_pipe.estimate.parameters import Layout
-from irlos_pipe.frames.blocks import blocks
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.problem import CHI2_TOLERANCE, Problem
 from irlos_pipe.optics.psf_settings import PsfSettings
@@ -178,7 +176,7 @@ def calibrate_setups(
     values = own[0, layout.effect_values]
     columns = torch.tensor(problem.columns[0])
     mine = covariance[columns[:, None], columns]
-    sigma = torch.diagonal(mine).clamp_min(0).sqrt()[layout.effect_values]
+    of_effects = mine[layout.effect_values, layout.effect_values]
     total = own[0, layout.modes] + added
     return replace(
         alone,
@@ -188,7 +186,7 @@ def calibrate_setups(
         covariance_nm2=(read @ mine @ read.mT).numpy(),
         errors_from="frames",
         effects=effects.describe(values),
-        effects_sigma=_tables(effects, sigma),
+        effects_sigma=public_errors(effects, values, of_effects.numpy()),
         effect_values=effects.split(values),
         frames_nm=(total + frames_nm[:, columns] @ read.mT).numpy(),
         frame_status=solution.status,
@@ -241,26 +239,7 @@ def _errors(
         _, jacobian = part.predict_and_jacobian(problem.part_of(x, number))
         weight = part.root_weight[0].double().mean(0) ** 2
         gain = covariance[:, problem.columns[number]] @ (jacobian[0].double() * weight).cpu()
-        series = _responses(setup.frames, gain)
+        series = responses(setup.frames, gain)
         total += torch.as_tensor(covariance_of_mean(series.numpy()))
         changes.append(series)
     return total, changes[0]
-
-
-def _responses(frames: Frames, gain: torch.Tensor) -> torch.Tensor:
-    """What `gain` (parameters, pixels) makes of every frame less the mean, (frames, parameters)."""
-    images, mean, flux = frames.images_e.flatten(1), frames.mean_e.flatten(), frames.flux_e[:, None]
-    series = torch.empty(len(images), len(gain), dtype=torch.float64)
-    for block in blocks(len(images)):
-        series[block] = (images[block] * (flux.mean() / flux[block]) - mean) @ gain.mT
-    return series
-
-
-def _tables(effects: EffectSet, sigma: torch.Tensor) -> dict[str, dict[str, Any]]:
-    """Standard errors of free tables of modes, whose public values are the parameters themselves."""
-    trios = zip(effects.labels, effects.effects, effects.pieces(sigma), strict=True)
-    return {
-        label: effect.describe(piece)
-        for label, effect, piece in trios
-        if isinstance(effect, ZernikeTable) and len(piece)
-    }

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
-from irlos_pipe.conventions.units import NM
+from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.optics.fourier_matrices import pupil_samples_for
 
 MARGIN_MAS, HALO_MARGIN_MAS = 200.0, 500.0
@@ -92,6 +92,11 @@ class PsfSettings:
         """Mean wavelength of the photons [nm]."""
         total = sum(weight for _, weight in self.spectrum)
         return sum(wavelength_nm * weight for wavelength_nm, weight in self.spectrum) / total
+
+    @property
+    def resolution_px(self) -> float:
+        """λ/D at the mean wavelength [px]."""
+        return resolution_px(self.mean_nm * NM, self.geometry.diameter_m, self.pixel_scale_mas)
 
     @property
     def span_nm(self) -> float:

@@ -28,6 +28,12 @@ def opd_maps_nm(nolls: Sequence[int], zernike_nm: np.ndarray, lit: np.ndarray) -
     return np.where(lit, np.tensordot(zernike_nm, zernike_basis(nolls, *_disc(len(lit))), 1), np.nan)
 
 
+def rms_and_pv(map_nm: np.ndarray) -> tuple[float, float]:
+    """Return the RMS about the mean and the peak to valley of a map, NaN where there is no light."""
+    lit = map_nm[np.isfinite(map_nm)]
+    return (float(lit.std()), float(np.ptp(lit))) if lit.size else (float("nan"), float("nan"))
+
+
 def modes_at(nolls: Sequence[int], lit: np.ndarray) -> np.ndarray:
     """Return the Zernike polynomials `nolls` at the samples `lit` across the diameter, (modes, samples)."""
     x, y = _disc(len(lit))

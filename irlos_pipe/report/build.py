@@ -20,6 +20,7 @@ from irlos_pipe.report.section_calibrate import calibrate_section
 from irlos_pipe.report.section_correct import correct_section
 from irlos_pipe.report.section_derotator import derotator_section
 from irlos_pipe.report.section_diagnose import diagnose_section
+from irlos_pipe.report.section_diagnose_verdict import verdict_mark
 from irlos_pipe.report.section_ingest import ingest_section
 from irlos_pipe.report.section_lift import lift_section
 from irlos_pipe.report.section_modes import modes_section
@@ -28,6 +29,7 @@ from irlos_pipe.report.section_prior import prior_section
 from irlos_pipe.report.section_quality import quality_section
 from irlos_pipe.report.section_sensitivity import sensitivity_section
 from irlos_pipe.stages import EXPERIMENTS
+from irlos_pipe.stages.diagnose.results import DiagnoseResults
 
 # Results first, in the order in which they build on one another; what went in comes behind.
 SECTIONS: dict[str, Callable[[RunData], Section]] = {
@@ -93,6 +95,8 @@ def _render(run: RunData) -> str:
         targets=_targets(run),
         observed=_observed(run),
         finished=finished(run),
+        verdict=run.results(DiagnoseResults),
+        verdict_mark=verdict_mark(run.results(DiagnoseResults)),
         key_numbers=key_numbers(run),
         warnings=warnings(run),
         untested=_untested(run),

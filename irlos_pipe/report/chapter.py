@@ -9,7 +9,7 @@ from typing import Any
 
 from irlos_pipe.product.results import Provenance, provenance_of
 from irlos_pipe.report.build import stage_sections
-from irlos_pipe.report.content import Block, Figure, Section, Stack, Table
+from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Views
 from irlos_pipe.report.drawing import renamed
 from irlos_pipe.report.run_data import RunData, read_run
 from irlos_pipe.report.section_origin import finished, warnings
@@ -98,6 +98,11 @@ def _own(section: Section, name: str) -> Section:
 def _own_block(block: Block, name: str) -> Block:
     if isinstance(block, Stack):
         return Stack([_own_block(inner, name) for inner in block.blocks])
+    if isinstance(block, Views):
+        choices = {
+            one: [_own_block(inner, name) for inner in blocks] for one, blocks in block.choices.items()
+        }
+        return replace(block, name=f"{name}-{block.name}", choices=choices)
     return replace(block, svg=renamed(block.svg, name)) if isinstance(block, Figure) else block
 
 

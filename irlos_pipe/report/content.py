@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 from markupsafe import Markup
 
-Width = Literal["third", "half", "full"]
+Width = Literal["third", "half", "two-thirds", "full"]
+MOST_CHOICES = 4
 
 
 @dataclass(frozen=True)
@@ -18,8 +19,8 @@ class Figure:
     Attributes
     ----------
     width : Width
-        Room it takes on a wide screen: a third or half of the page, or all of it. A telephone shows
-        one after the other; ``full`` can be pushed sideways there.
+        Room it takes on a wide screen: a third, half or two thirds of the page, or all of it. A telephone
+        shows one after the other; ``full`` can be pushed sideways there.
     """
 
     kind: ClassVar[str] = "figure"
@@ -39,6 +40,8 @@ class Table:
         Per row ``good``, ``bad`` or nothing; may be empty.
     folded : bool
         Shown by its title only until opened.
+    prose : bool
+        Whether cells hold sentences, which are broken into lines.
     """
 
     kind: ClassVar[str] = "table"
@@ -48,6 +51,7 @@ class Table:
     caption: str = ""
     marks: Sequence[str] = ()
     folded: bool = False
+    prose: bool = False
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,31 @@ class Stack:
     blocks: Sequence[Block]
 
 
-Block = Figure | Table | Text | Stack
+@dataclass(frozen=True)
+class Views:
+    """The same content in several ways, of which a page shows the one that the reader chooses.
+
+    Attributes
+    ----------
+    name : str
+        Unique in the page.
+    choices : mapping of str to sequence of blocks
+        By what the reader clicks; the first is shown at the beginning.
+    width : Width
+        Room that all blocks of a choice take together.
+    """
+
+    kind: ClassVar[str] = "views"
+    name: str
+    choices: Mapping[str, Sequence[Block]]
+    width: Width = "full"
+
+    def __post_init__(self) -> None:
+        if len(self.choices) > MOST_CHOICES:
+            raise ValueError(f"{len(self.choices)} choices; report.css has rules for {MOST_CHOICES}")
+
+
+Block = Figure | Table | Text | Stack | Views
 
 
 @dataclass(frozen=True)

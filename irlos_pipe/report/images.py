@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -13,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import AsinhNorm, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.ticker import EngFormatter, ScalarFormatter
 
 from irlos_pipe.report.drawing import INK, svg
 
@@ -27,6 +28,8 @@ SIGMA_LIMIT = 5.0
 DECADES = 4.0
 # The asinh scale turns linear below this part of the peak.
 LINEAR_PART = 3e-3
+MANY_DIGITS = 1e4  # from which numbers are written as 12k
+TICK_ROOM = 0.07  # part of a colour bar, that a label needs
 
 
 class Ring(NamedTuple):
@@ -49,9 +52,17 @@ def log_scale(*images: np.ndarray) -> Normalize:
     return LogNorm(high * 10**-DECADES, high, clip=True)
 
 
-def symmetric_scale(limit: float) -> Normalize:
-    """Linear scale about zero."""
-    return Normalize(-limit, limit)
+def linear_scale(*images: np.ndarray) -> Normalize:
+    """One linear scale for several images."""
+    low, high = _range(*images)
+    return Normalize(min(low, 0.0), high)
+
+
+def symmetric_scale(limit: float, linear_width: float | None = None) -> Normalize:
+    """Scale about zero: linear, or asinh, which is linear within `linear_width` and logarithmic beyond."""
+    if linear_width is None:
+        return Normalize(-limit, limit)
+    return AsinhNorm(linear_width, -limit, limit)
 
 
 def image_panel(
@@ -102,11 +113,47 @@ def image_panel(
         if ring:
             axes.add_patch(Circle((ring.x, ring.y), ring.diameter / 2, fill=False, color=INK, linestyle="--"))
         figure.colorbar(shown, cax=bar, label=unit)
-        if isinstance(bar.yaxis.get_major_formatter(), ScalarFormatter):
-            bar.ticklabel_format(scilimits=(-2, 3))  # numbers short enough to leave the unit its place
-            bar.yaxis.get_offset_text().set_fontsize("x-small")
+        label_bar(bar, scale)
 
     return svg(name, PANEL_IN, draw)
+
+
+def label_bar(bar: Axes, scale: Normalize) -> None:
+    """Give a colour `bar` numbers that are short enough to leave the unit its place and do not overlap."""
+    bar.minorticks_off()
+    if isinstance(scale, AsinhNorm):
+        ticks = asinh_ticks(scale)
+        bar.set_yticks(ticks, [_short(tick) for tick in ticks])
+    elif isinstance(bar.yaxis.get_major_formatter(), ScalarFormatter):
+        largest = max(abs(scale.vmin or 0.0), abs(scale.vmax or 0.0))
+        short: Any = EngFormatter(sep="") if largest >= MANY_DIGITS else _short_number
+        bar.yaxis.set_major_formatter(short)
+
+
+def asinh_ticks(scale: AsinhNorm) -> list[float]:
+    """Return zero, powers of ten, and three times these within an asinh scale, as far as labels have room."""
+    low, high, width = scale.vmin or 0.0, scale.vmax or 1.0, scale.linear_width
+    last = math.floor(math.log10(max(abs(low), abs(high))))
+    powers = [sign * 10.0**power for power in range(last, last - 9, -1) for sign in (1, -1)]
+    ticks = [0.0]
+    for tick in [*powers, *(3 * power for power in powers)]:
+        places = [abs(float(scale(tick)) - float(scale(other))) for other in ticks]
+        if low <= tick <= high and abs(tick) > width / 10 and min(places) > TICK_ROOM:
+            ticks.append(tick)
+    return sorted(ticks)
+
+
+def _short_number(value: float, _: int | None = None) -> str:
+    return f"{value:.6g}".replace("-", "−")
+
+
+def _short(value: float) -> str:
+    """A tick of an asinh scale, written out where that is short."""
+    if value == 0 or 1e-2 <= abs(value) < MANY_DIGITS:
+        return _short_number(value)
+    power = math.floor(math.log10(abs(value)) + 1e-9)
+    factor = round(abs(value) / 10**power)
+    return f"{'−' if value < 0 else ''}{'' if factor == 1 else f'{factor}·'}$10^{{{power}}}$"
 
 
 def panel_axes(figure: Figure) -> tuple[Axes, Axes]:
@@ -122,14 +169,17 @@ def panel_axes(figure: Figure) -> tuple[Axes, Axes]:
     return image, bar
 
 
-def thumbnail(image: np.ndarray) -> Markup:
-    """Return a small picture without axes as an ``img`` element."""
+def thumbnail(image: np.ndarray, name: str = "") -> Markup:
+    """Return a small picture of the mean frame of the recording `name` as an ``img`` element."""
     data = io.BytesIO()
     pixels = BRIGHTNESS(brightness_scale(image)(np.ma.masked_invalid(image)), bytes=True)
     unsigned: dict[str, Any] = {"Software": None}
     matplotlib.image.imsave(data, pixels, format="png", origin="lower", metadata=unsigned)
     content = base64.b64encode(data.getvalue()).decode()
-    return Markup('<img class="thumbnail" alt="mean frame" src="data:image/png;base64,{}">').format(content)
+    alternative = f"mean frame of {name}" if name else "mean frame"
+    return Markup('<img class="thumbnail" alt="{}" src="data:image/png;base64,{}">').format(
+        alternative, content
+    )
 
 
 def _range(*images: np.ndarray) -> tuple[float, float]:

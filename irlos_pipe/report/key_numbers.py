@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 from irlos_pipe.report.content import KeyNumber
 from irlos_pipe.report.run_data import RunData
+from irlos_pipe.report.section_diagnose_verdict import verdict_numbers
 from irlos_pipe.report.section_quality import quality_text
-from irlos_pipe.report.section_sensitivity import curve_label, limit_text
-from irlos_pipe.report.text import MISSING, number, with_error
+from irlos_pipe.report.section_sensitivity import curve_label, limit_text, noise_text
+from irlos_pipe.report.text import MISSING, is_known, number, rounded_by_error, with_error
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.correct.results import CorrectResults
 from irlos_pipe.stages.diagnose.results import DiagnoseResults
@@ -25,16 +27,7 @@ def key_numbers(run: RunData) -> list[KeyNumber]:
 
 
 def _diagnosis(run: RunData) -> Iterator[KeyNumber]:
-    results = run.results(DiagnoseResults)
-    gap = results.gap
-    if results.grade:
-        numbers = [number(value, ".3f") for value in (gap.before, gap.after, gap.floor)]
-        yield KeyNumber(
-            "Diagnosis",
-            f"{results.verdict}, {results.grade}",
-            "gap {} → {}, noise alone {}".format(*numbers),
-            "good" if results.grade in ("none", "complete") and not results.unexplained else "bad",
-        )
+    yield from verdict_numbers(run.results(DiagnoseResults))
 
 
 def _calibration(run: RunData) -> Iterator[KeyNumber]:
@@ -45,7 +38,9 @@ def _calibration(run: RunData) -> Iterator[KeyNumber]:
     yield KeyNumber(
         "NCPAs", with_error(results.wfe_nm, sigma_nm, ".1f", "nm"), f"RMS, {modes}, {results.method}"
     )
-    yield KeyNumber("Calibration fit", number(results.chi2_nu, ".2f"), "χ²/ν of the mean image")
+    nominal = with_error(results.nominal_chi2_nu, results.nominal_chi2_nu_sigma, ".2f")
+    expected = f"; {nominal} if nothing is missing" if nominal != MISSING else ""
+    yield KeyNumber("Calibration fit", number(results.chi2_nu, ".2f"), f"χ²/ν of the mean image{expected}")
 
 
 def _ramp(run: RunData) -> Iterator[KeyNumber]:
@@ -57,9 +52,14 @@ def _ramp(run: RunData) -> Iterator[KeyNumber]:
 
 
 def _limit(run: RunData) -> Iterator[KeyNumber]:
-    for curve in run.results(SensitivityResults).curves[:1]:
+    results = run.results(SensitivityResults)
+    for curve in results.curves[:1]:
         limit = f"{limit_text(curve)} mag" if math.isfinite(curve.limit_mag) else "not reached"
-        yield KeyNumber("Limiting magnitude", limit, f"J, {curve_label(curve)}")
+        yield KeyNumber(
+            "Limiting magnitude",
+            limit,
+            "; ".join(filter(None, [f"J, {curve_label(curve)}", noise_text(results.noise)])),
+        )
 
 
 def _strehl(run: RunData) -> Iterator[KeyNumber]:
@@ -70,12 +70,21 @@ def _strehl(run: RunData) -> Iterator[KeyNumber]:
 
 def _sky(run: RunData) -> Iterator[KeyNumber]:
     results = run.results(CalibrateResults)
-    total, in_band = (results.effect_number("seeing_halo", key) for key in ("wfe_nm", "in_band_wfe_nm"))
+    in_band = results.effect_number("seeing_halo", "in_band_wfe_nm")
     inside = f"estimated; {number(in_band, '.0f', 'nm')} within the band"
-    jitter_mas = results.effect_number("tip_tilt_jitter", "sigma_mas")
     yield KeyNumber("Seeing", number(results.seeing_arcsec, ".2f", "arcsec"), "taken for the calibration")
-    yield KeyNumber("AO residual", number(total, ".0f", "nm RMS"), inside)
-    yield KeyNumber("Image motion", number(jitter_mas, ".1f", "mas RMS"), "estimated, per axis")
+    yield KeyNumber("AO residual", _estimated(results, "seeing_halo", "wfe_nm", ".0f", "nm RMS"), inside)
+    motion = _estimated(results, "tip_tilt_jitter", "sigma_mas", ".1f", "mas RMS")
+    yield KeyNumber("Image motion", motion, "estimated, per axis")
+
+
+def _estimated(results: CalibrateResults, effect: str, parameter: str, pattern: str, unit: str) -> str:
+    """A parameter of an effect that was estimated, with its error where there is one."""
+    value = results.effect_number(effect, parameter)
+    sigma: Any = results.effects_sigma.get(effect, {}).get(parameter)
+    if is_known(value) and isinstance(sigma, float) and is_known(sigma):
+        return f"{rounded_by_error(value, sigma)} {unit}"
+    return number(value, pattern, unit)
 
 
 def _quality(run: RunData) -> Iterator[KeyNumber]:

@@ -9,20 +9,24 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.effects.public_values import rows_of
-from irlos_pipe.report.content import Block, Figure, Section, Stack, Table
+from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Views
 from irlos_pipe.report.drawing import BLUE, CYCLE, GREEN, INK, ORANGE, svg
-from irlos_pipe.report.images import SIGMA_LIMIT, SIGNED, brightness_scale, image_panel, symmetric_scale
+from irlos_pipe.report.effect_words import parameter_rows
+from irlos_pipe.report.image_views import image_views, residual_views
+from irlos_pipe.report.images import PANEL_IN, SIGNED, panel_axes, symmetric_scale
+from irlos_pipe.report.quality_plots import Look, power_figures
 from irlos_pipe.report.radial import star_profile
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.text import mode_label, number, plural, with_error
+from irlos_pipe.report.text import MISSING, is_known, mode_label, number, plural, with_error
 from irlos_pipe.report.wavefront_plots import wavefront_map
 from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate
+from irlos_pipe.stages.correct.results import CorrectResults, MapRow
 
 STAGE = "calibrate"
-BRIGHTNESS_UNIT = "e⁻ (asinh scale)"
 MODES_IN_TIME = 5
-MAP_PERCENTILE = 99  # the very edge of the pupil would swallow the scale
+MAP_PERCENTILE = 97  # the very edge of the pupil would swallow the scale
+LEFT = {"": Look("residual", BLUE)}
+EFFECTS = "Standard errors, from the scatter of the frames where there are enough, grown by the misfit."
 METHOD_COLUMNS = (
     "method",
     "NCPA [nm RMS]",
@@ -43,8 +47,11 @@ def calibrate_section(run: RunData) -> Section:
     results = run.results(CalibrateResults)
     blocks: list[Block] = [
         *_images(run, results),
+        *_maps(run),
+        *_profile(run),
+        *power_figures(run, STAGE, "cal-power", LEFT),
+        *_correlations(run),
         *_bars(results),
-        Stack([*_profile(run), *_maps(run)]),
         *_in_time(run),
         Stack([*_effects(results), *_cubes(results), *_methods(results)]),
     ]
@@ -60,39 +67,35 @@ def _lead(run: RunData, results: CalibrateResults) -> str:
     )
 
 
-def _images(run: RunData, results: CalibrateResults) -> list[Figure]:
+def _images(run: RunData, results: CalibrateResults) -> list[Views]:
     measured, model = run.array(STAGE, "mean_image_e"), run.array(STAGE, "model_image_e")
     if measured is None or model is None:
         return []
-    scale, mas = brightness_scale(measured, model), run.pixel_scale_mas(STAGE)
-    pictures = [
-        image_panel("cal-measured", measured, scale, mas, BRIGHTNESS_UNIT, good=_good_pixels(run)),
-        image_panel("cal-model", model, scale, mas, BRIGHTNESS_UNIT),
-    ]
-    return [
-        Figure(pictures[0], "Measured", "Mean of the used frames; crosses: masked pixels.", "third"),
-        Figure(pictures[1], "Model", "Same scale.", "third"),
-        *_residual(run, results, measured - model),
-    ]
-
-
-def _residual(run: RunData, results: CalibrateResults, residual_e: np.ndarray) -> list[Figure]:
+    mas, good = run.pixel_scale_mas(STAGE), _good_pixels(run)
+    images = {
+        "Measured": (measured, "Mean of the used frames; crosses: masked pixels."),
+        "Model": (model, "Same scale."),
+    }
     sigma_e = run.error_of(STAGE, "mean_image_e")
-    if sigma_e is None:
-        return []
-    image, scale = _in_sigma(residual_e, sigma_e, _good_pixels(run)), symmetric_scale(SIGMA_LIMIT)
-    panel = image_panel("cal-residual", image, scale, run.pixel_scale_mas(STAGE), "σ", SIGNED)
-    return [Figure(panel, "Residual", f"Measured − model; χ²/ν {_chi2(results)}.", "third")]
+    if sigma_e is not None and good is not None:
+        sigma_e = np.where(good, sigma_e, np.nan)
+    residual = {"Residual": (measured - model, _caption(results))}
+    peak_e = float(np.nanmax(model, initial=0.0))
+    return [
+        image_views("cal-images", images, mas, good, "two-thirds"),
+        residual_views("cal-residual", residual, sigma_e, peak_e, mas, "third"),
+    ]
+
+
+def _caption(results: CalibrateResults) -> str:
+    nominal = number(results.nominal_chi2_nu, ".2f")
+    told = "" if nominal == MISSING else f", where a complete model gives {nominal} with as many parameters"
+    return f"Measured − model; χ²/ν {_chi2(results)}{told}."
 
 
 def _good_pixels(run: RunData) -> np.ndarray | None:
     masks = [recording.good for recording in run.recordings_of(STAGE)]
     return np.all(masks, axis=0) if masks and len({mask.shape for mask in masks}) == 1 else None
-
-
-def _in_sigma(residual: np.ndarray, sigma: np.ndarray, good: np.ndarray | None) -> np.ndarray:
-    usable = (sigma > 0) & (True if good is None else good)
-    return np.divide(residual, sigma, out=np.full(residual.shape, np.nan), where=usable)
 
 
 def _chi2(results: Estimate) -> str:
@@ -114,7 +117,7 @@ def _profile(run: RunData) -> list[Figure]:
     if good is not None:
         images = {key: (np.where(good, one[0], np.nan), *one[1:]) for key, one in images.items()}
     plot = star_profile("cal-profile", images, model, mas)
-    return [Figure(plot, "Radial profile", "About the star's centroid.", "full")]
+    return [Figure(plot, "Radial profile", "About the star's centroid.", "third")]
 
 
 def _bars(results: CalibrateResults) -> list[Figure]:
@@ -139,19 +142,48 @@ def _maps(run: RunData) -> list[Figure]:
     if len(maps) < len(stored):
         return []
     limit = max(float(np.nanpercentile(np.abs(opd), MAP_PERCENTILE)) for opd in maps.values()) or 1.0
+    correct = run.results(CorrectResults)
+    rows = {"before": correct.wavefront_before, "after": correct.wavefront_after}
     captions = {
-        "before": "Estimated wavefront without tip and tilt.",
-        "after": "Estimated modes beyond those that are corrected; same scale.",
+        "before": "Estimated wavefront without tip and tilt",
+        "after": "Estimated modes beyond those that are corrected, same scale",
     }
     return [
         Figure(
             wavefront_map(f"wavefront-{when}", opd, limit),
-            f"Wavefront {when} correction",
-            captions[when],
+            f"{when.capitalize()} correction: {_sizes(rows[when])}",
+            f"{captions[when]}; the scale leaves out the rim. {orientation(run)}",
             "third",
         )
         for when, opd in maps.items()
     ]
+
+
+def _sizes(row: MapRow) -> str:
+    return f"{number(row.rms_nm, '.0f', 'nm RMS')}, {number(row.pv_nm, '.0f', 'nm PV')}"
+
+
+def orientation(run: RunData) -> str:
+    """Return how a map of the pupil lies: as the images, with the angles that were told."""
+    recordings = run.recordings_of(STAGE)
+    angles = {f"{one.acquisition.derotator_angle_deg:g}°" for one in recordings}
+    told = [f"derotator {', '.join(sorted(angles))}"] if angles else []
+    parallactic = {one.acquisition.parallactic_angle_deg for one in recordings}
+    told += [f"parallactic angle {number(one, '.1f')}°" for one in parallactic if is_known(one)][:1]
+    return f"x and y as in the images, +x right and +y up{'; ' if told else ''}{', '.join(told)}."
+
+
+def _correlations(run: RunData) -> list[Figure]:
+    correlation, nolls = run.array(STAGE, "correlation"), run.array(STAGE, "noll")
+    if correlation is None or nolls is None or len(correlation) < 2:
+        return []
+    frames = run.results(CalibrateResults).frames
+    chance = f" {plural(frames, 'frame')} give ±{frames**-0.5:.2f} by chance." if frames > 1 else ""
+    caption = f"Of the errors of the reported modes: dark pairs are hardly told apart.{chance}"
+    drawing = correlation_map(
+        "cal-correlation", [int(noll) for noll in nolls[: len(correlation)]], correlation
+    )
+    return [Figure(drawing, "Correlations of the modes", caption, "third")]
 
 
 def _in_time(run: RunData) -> list[Figure]:
@@ -167,11 +199,12 @@ def _in_time(run: RunData) -> list[Figure]:
 
 def _effects(results: CalibrateResults) -> list[Table]:
     rows = [
-        ("" if place else effect, name, number(value, ".4g"))
+        ("" if place else effect, *row)
         for effect, values in results.effects.items()
-        for place, (name, value) in enumerate(rows_of(values))
+        for place, row in enumerate(parameter_rows(values, results.effects_sigma.get(effect)))
     ]
-    return [Table(("effect", "parameter", "value"), rows, "Estimated with the NCPAs")] if rows else []
+    columns = ("effect", "parameter", "value", "unit")
+    return [Table(columns, rows, "Estimated with the NCPAs", EFFECTS)] if rows else []
 
 
 def _cubes(results: CalibrateResults) -> list[Table]:
@@ -240,6 +273,8 @@ def coefficient_bars(
         axes.set(yticks=rows, yticklabels=[mode_label(noll) for noll in nolls], ylim=(len(nolls) - 0.4, -0.6))
         axes.set_xlabel("coefficient [nm RMS]")
         axes.grid(axis="y", visible=False)
+        if others_nm:
+            figure.legend(loc="outside lower center", ncols=3)
 
     return svg(name, (WIDTH_IN, 0.7 + BAR_IN * len(nolls)), draw)
 
@@ -248,8 +283,30 @@ def _draw_others(axes: Axes, rows: np.ndarray, others_nm: Mapping[str, np.ndarra
     for place, (name, values_nm) in enumerate(others_nm.items()):
         colour, marker = CYCLE[1 + place % (len(CYCLE) - 1)], MARKERS[place % len(MARKERS)]
         axes.plot(values_nm, rows, marker, color=colour, markersize=3.5, label=name)
-    if others_nm:
-        axes.legend(loc="lower right")
+
+
+def correlation_map(name: str, nolls: Sequence[int], correlation: np.ndarray) -> Markup:
+    """Draw a matrix of correlations.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page.
+    nolls : sequence of int
+        Of the modes, (modes,).
+    correlation : ndarray, (modes, modes)
+    """
+    scale, edges = symmetric_scale(1.0), (nolls[0] - 0.5, nolls[-1] + 0.5)
+
+    def draw(figure: Canvas) -> None:
+        axes, bar = panel_axes(figure)
+        shown = axes.imshow(
+            correlation, norm=scale, cmap=SIGNED, interpolation="none", extent=(*edges, *edges[::-1])
+        )
+        axes.set(xlabel="Noll", ylabel="Noll")
+        figure.colorbar(shown, cax=bar, label="correlation", ticks=(-1, -0.5, 0, 0.5, 1))
+
+    return svg(name, PANEL_IN, draw)
 
 
 def coefficients_in_time(

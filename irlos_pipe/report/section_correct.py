@@ -8,6 +8,7 @@ from irlos_pipe.product.results import provenance_of
 from irlos_pipe.report.content import Figure, Section, Table, Text
 from irlos_pipe.report.drawing import BLUE, ORANGE
 from irlos_pipe.report.images import PANEL_IN, image_panel, log_scale
+from irlos_pipe.report.quality_plots import PREDICTED, energy_figures, otf_figures
 from irlos_pipe.report.radial import profile_plot
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, mode_name, number
@@ -17,12 +18,25 @@ STAGE = "correct"
 ROWS_PER_TABLE = 10
 OFFSET_COLUMNS = ("Noll", "mode", "offset [nm]", "1σ [nm]")
 IMAGES = {"before": "Before", "after": "After"}
+BUDGET_COLUMNS = ("part of the model", "RMS [nm]", "Strehl with nothing else", "Strehl without it")
+BUDGET = (
+    "Predicted with the effects as estimated, without diversity: brightest pixel over that of the image "
+    "without aberrations. Small parts multiply; larger ones interfere, and the product is not that of all."
+)
+ENERGY = "Part of all light within a circle about the optical axis, predicted without diversity."
 
 
 def correct_section(run: RunData) -> Section:
     """Build the section."""
     results = run.results(CorrectResults)
-    blocks = [*_images(run), *_profile(run), *_offsets(run, results.sign)]
+    blocks = [
+        *_images(run),
+        *_profile(run),
+        *otf_figures(run, STAGE, "correct-otf", PREDICTED),
+        *energy_figures(run, STAGE, "correct-energy", PREDICTED, ENERGY, results.resolution_mas),
+        *_budget(results),
+        *_offsets(run, results.sign),
+    ]
     return Section(STAGE, "Correction", _lead(run, results), blocks)
 
 
@@ -69,6 +83,20 @@ def _profile(run: RunData) -> list[Figure]:
             "third",
         )
     ]
+
+
+def _budget(results: CorrectResults) -> list[Table]:
+    """What every part of the model takes of the Strehl ratio."""
+    rows = [
+        (
+            one.name,
+            number(one.wfe_nm, ".1f"),
+            number(one.alone, ".3f"),
+            number(one.without, ".3f") if place else MISSING,
+        )
+        for place, one in enumerate(results.strehl_budget)
+    ]
+    return [Table(BUDGET_COLUMNS, rows, "Strehl budget before correction", BUDGET)] if rows else []
 
 
 def _offsets(run: RunData, sign: str) -> list[Table | Text]:

@@ -1,139 +1,90 @@
-"""Section on what the model lacked: images before and after, gap, names, what is left, limits."""
+"""Section on what the model lacked: verdict, names, images before and after, what is left, limits."""
 
 from __future__ import annotations
 
-import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.effects.public_values import rows_of
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Text
-from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, svg
-from irlos_pipe.report.images import (
-    PANEL_IN,
-    SIGNED,
-    brightness_scale,
-    image_panel,
-    panel_axes,
-    symmetric_scale,
-)
-from irlos_pipe.report.radial import star_profile
+from irlos_pipe.report.drawing import BLUE, FAINT, ORANGE, svg
+from irlos_pipe.report.effect_words import sizes
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.section_diagnose_names import ranking_figures, separation_tables, step_tables
-from irlos_pipe.report.section_diagnose_rest import grade_texts, rest_blocks
+from irlos_pipe.report.section_diagnose_images import curve_figures, picture_blocks, pupil_figures
+from irlos_pipe.report.section_diagnose_names import (
+    candidate_tables,
+    ranking_figures,
+    separation_tables,
+    step_tables,
+)
+from irlos_pipe.report.section_diagnose_ramp import ramp_figures
+from irlos_pipe.report.section_diagnose_rest import rest_blocks
 from irlos_pipe.report.section_diagnose_sharing import sharing_tables
-from irlos_pipe.report.text import is_known, number, with_error
+from irlos_pipe.report.section_diagnose_verdict import tried_tables, verdict_table
+from irlos_pipe.report.text import is_known, number, plural, with_error
 from irlos_pipe.stages.diagnose.results import DiagnoseResults, GapRow
 
 STAGE = "diagnose"
-BRIGHTNESS_UNIT = "e⁻ (asinh scale)"
 FINE = (
-    "Finer than the telescope can make: {ratio} times what noise leaves there ({sigma} σ). More comes from "
-    "the pixels: flat, offsets, response."
+    "Structure finer than λ/D, which no light through the pupil can make: {ratio} times what noise leaves "
+    "there ({sigma} σ). More comes from the pixels: flat, offsets, response."
 )
-GAP_IN = (3.7, 2.85)
-MAP_PERCENTILE = 99.5
-PERCENTILE = 99.5  # of the residual before, for the common scale of the residuals
-HELD_OUT = "Mean of the held-out frames; of all frames where pixels were held out."
+OF_FRAMES = "Σ|measured − predicted| / Σ measured of data that no fit has seen{shrink}."
+OF_RAMP = (
+    "Σ|measured − predicted| / Σ measured of frames that no fit has seen. Noise alone is estimated from the "
+    "scatter of all frames of an offset, image motion included, which is refitted: it is an upper limit."
+)
+GAP_IN = (3.9, 1.9)
+LIMITS = "Effects that were not seen: above these sizes they would have been."
 
 
 def diagnose_section(run: RunData) -> Section:
     """Build the section."""
     results = run.results(DiagnoseResults)
+    ramp, gap = ramp_figures(run), gap_figures(results)
+    first: list[Block] = [*verdict_table(results), *step_tables(results), *candidate_tables(results)]
     blocks: list[Block] = [
-        *_images(run),
-        *_leading(run),
-        *_pupil(run),
-        *_gap(results.gap),
-        *_stacked(*_profile(run), *ranking_figures(results)),
-        *grade_texts(results),
-        *step_tables(results),
+        *([*ramp, Stack([*first, *gap])] if ramp else first),
+        *picture_blocks(run),
+        *rest_blocks(run, results),
+        *pupil_figures(run, results),
+        *([] if ramp else gap),
+        *ranking_figures(results),
+        *curve_figures(run),
         *sharing_tables(results),
         *separation_tables(results),
-        *_stacked(*rest_blocks(run, results)),
+        *tried_tables(results),
         *_modes(results),
         *_limits(results),
     ]
-    return Section(STAGE, "What the model lacks", results.sentence, blocks)
+    return Section(STAGE, f"What the {'ramp' if ramp else 'model'} lacks", _lead(results), blocks)
 
 
-def _stacked(*blocks: Figure | Table | Text) -> list[Stack]:
-    return [Stack(blocks)] if blocks else []
-
-
-# -- images ------------------------------------------------------------------------------------
-
-
-def _images(run: RunData) -> list[Figure]:
-    """Measured, predicted and residual, before above after, each kind on one scale."""
-    measured, before, after = (run.array(STAGE, name) for name in ("measured_e", "before_e", "after_e"))
-    if measured is None or before is None or after is None:
-        return []
-    mas, bright = run.pixel_scale_mas(STAGE), brightness_scale(measured, before, after)
-    signed = symmetric_scale(_limit(measured - before))
-    figures = []
-    for when, model in (("before", before), ("after", after)):
-        panels = {
-            "Measured": image_panel(f"dia-measured-{when}", measured, bright, mas, BRIGHTNESS_UNIT),
-            f"Predicted {when}": image_panel(f"dia-model-{when}", model, bright, mas, BRIGHTNESS_UNIT),
-            f"Residual {when}": image_panel(f"dia-left-{when}", measured - model, signed, mas, "e⁻", SIGNED),
-        }
-        figures += [Figure(panel, title, HELD_OUT, "third") for title, panel in panels.items()]
-    return figures
-
-
-def _limit(residual: np.ndarray) -> float:
-    return float(np.nanpercentile(np.abs(residual), PERCENTILE)) or 1.0
-
-
-def _leading(run: RunData) -> list[Figure]:
-    mode = run.array(STAGE, "leading_mode")
-    if mode is None:
-        return []
-    scale = symmetric_scale(_limit(mode))
-    panel = image_panel("dia-leading", mode, scale, run.pixel_scale_mas(STAGE), "σ", SIGNED)
-    return [Figure(panel, "What varies most", "Leading mode of the residual over the frames.", "third")]
-
-
-def _pupil(run: RunData) -> list[Figure]:
-    maps = {
-        "dia-opd": ("added_opd_nm", "nm", "Wavefront added"),
-        "dia-amplitude": ("added_amplitude", "of the clear pupil", "Amplitude added"),
-    }
-    found = []
-    for name, (array, unit, title) in maps.items():
-        added = run.array(STAGE, array)
-        if added is not None and np.any(np.abs(added) > 1e-9):
-            found.append(Figure(pupil_map(name, added, unit), title, "In the plane of the pupil.", "third"))
-    return found
-
-
-def _profile(run: RunData) -> list[Figure]:
-    measured, before, after = (run.array(STAGE, name) for name in ("measured_e", "before_e", "after_e"))
-    sigma = run.error_of(STAGE, "measured_e")
-    if measured is None or before is None or after is None:
-        return []
-    images = {
-        "measured": (measured, INK, "o"),
-        "|residual| before": (np.abs(measured - before), ORANGE, "-"),
-        "|residual| after": (np.abs(measured - after), BLUE, "-"),
-        "1σ noise": (measured * np.nan if sigma is None else sigma, GREEN, "--"),
-    }
-    plot = star_profile("dia-profile", images, after, run.pixel_scale_mas(STAGE))
-    return [Figure(plot, "Radial profile", f"About the star's centroid. {HELD_OUT}", "full")]
+def _lead(results: DiagnoseResults) -> str:
+    frames = results.frames
+    if results.held_out == "pixels":
+        return (
+            f"{plural(frames.training, 'frame')} fitted, some of their pixels held out to judge the models."
+        )
+    if frames.training:
+        return f"{plural(frames.training, 'frame')} fitted, {frames.held_out} held out to judge the models."
+    return ""
 
 
 # -- numbers -----------------------------------------------------------------------------------
 
 
-def _gap(gap: GapRow) -> list[Figure]:
+def gap_figures(results: DiagnoseResults) -> list[Figure]:
+    """Return the gap before and after beside that of noise alone, if it is known."""
+    gap = results.gap
     if not is_known(gap.before):
         return []
-    shrink = number(gap.shrink, ".2f")
-    caption = (
-        f"Σ|measured − predicted| / Σ measured of frames or pixels that no fit has seen; shrink {shrink}."
+    shrink = (
+        f"; {number(gap.shrink, '.0%')} of what noise does not explain is closed"
+        if is_known(gap.shrink)
+        else ""
     )
-    return [Figure(gap_bars("dia-gap", gap), "Gap", caption, "third")]
+    caption = OF_FRAMES.format(shrink=shrink) if results.grade else OF_RAMP
+    return [Figure(gap_bars("dia-gap", gap), "Gap to unseen data", caption, "third")]
 
 
 def _modes(results: DiagnoseResults) -> list[Table]:
@@ -149,15 +100,16 @@ def _modes(results: DiagnoseResults) -> list[Table]:
     return [Table(columns, rows, "NCPAs with the old and with the new model", folded=True)]
 
 
-def _limits(results: DiagnoseResults) -> list[Table | Text]:
-    rows = [
-        (name, ", ".join(f"{key} {number(value, '.2g')}" for key, value in rows_of(public)))
-        for name, public in results.mdb.items()
-    ]
-    table = Table(("effect", "smallest size that would have been seen"), rows, "Not seen", folded=True)
+def _limits(results: DiagnoseResults) -> list[Table | Text | Stack]:
+    rows = [(name, sizes(public)) for name, public in results.mdb.items()]
+    table = Table(
+        ("effect", "smallest size that would have been seen"), rows, "Not seen", LIMITS, folded=True
+    )
     hidden = [(name, *_second(results, name)) for name in results.untestable]
     columns = ("effect", "second recording that shows it", "smallest size seen then")
-    untestable = Table(columns, hidden, "Untestable with these free parameters")
+    untestable = Table(
+        columns, hidden, "Not to be seen in these data: the free parameters imitate it", folded=True
+    )
     texts = [Text(f"Noise: {results.noise.text}.")] if results.noise else []
     if results.fine_structure:
         ratio = number(results.fine_structure.ratio, ".2f")
@@ -171,47 +123,23 @@ def _second(results: DiagnoseResults, name: str) -> tuple[str, str]:
     advice = results.second_recording.get(name)
     if advice is None:
         return "none of those tried", "–"
-    sizes = ", ".join(f"{key} {number(value, '.2g')}" for key, value in rows_of(advice.smallest))
-    return advice.recording, sizes
+    return advice.recording, sizes(advice.smallest)
 
 
 # -- drawings ----------------------------------------------------------------------------------
 
 
 def gap_bars(name: str, gap: GapRow) -> Markup:
-    """Draw the `gap` before and after against its floor; `name` is unique in the page."""
+    """Draw the `gap` before and after above that of noise alone; `name` is unique in the page."""
+    rows = {"before": (gap.before, ORANGE), "after": (gap.after, BLUE), "noise alone": (gap.floor, FAINT)}
 
     def draw(figure: Canvas) -> None:
         axes = figure.subplots()
-        axes.bar(["before", "after"], [gap.before, gap.after], 0.6, color=[ORANGE, BLUE])
-        axes.axhline(gap.floor, color=INK, linestyle="--", linewidth=0.9, label="noise alone")
-        axes.set(ylabel="gap, part of the light", ylim=(0, None))
-        axes.grid(axis="x", visible=False)
-        axes.legend()
+        values = [value for value, _ in rows.values()]
+        bars = axes.barh(list(rows), values, 0.7, color=[colour for _, colour in rows.values()])
+        axes.bar_label(bars, [number(100 * value, ".2f", "%") for value in values], padding=3, fontsize=8)
+        axes.set(xlabel="gap, part of the light", ylim=(2.5, -0.5))
+        axes.margins(x=0.2)
+        axes.grid(axis="y", visible=False)
 
     return svg(name, GAP_IN, draw)
-
-
-def pupil_map(name: str, values: np.ndarray, unit: str) -> Markup:
-    """Draw a map of the pupil about zero.
-
-    Parameters
-    ----------
-    name : str
-        Unique in the page.
-    values : ndarray, (samples, samples)
-    unit : str
-        Label of the colour bar.
-    """
-    shown = np.where(values == 0, np.nan, values)
-    limit = float(np.nanpercentile(np.abs(shown), MAP_PERCENTILE))
-
-    def draw(figure: Canvas) -> None:
-        axes, bar = panel_axes(figure)
-        image = axes.imshow(
-            shown, norm=symmetric_scale(limit), cmap=SIGNED, origin="lower", interpolation="none"
-        )
-        axes.set(xticks=[], yticks=[])
-        figure.colorbar(image, cax=bar, label=unit)
-
-    return svg(name, PANEL_IN, draw)

@@ -48,7 +48,7 @@ def ingest_section(run: RunData) -> Section:
 
 
 def _picture(recording: Overview) -> Markup:
-    return thumbnail(np.where(recording.good, recording.mean_e, np.nan))
+    return thumbnail(np.where(recording.good, recording.mean_e, np.nan), recording.name)
 
 
 def _row(row: RecordingRow, pictures: dict[tuple[str, str], Markup]) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ def finished(run: RunData) -> str:
 
 
 def warnings(run: RunData) -> list[str]:
-    """Return what the stages warned of, and the exposures that failed."""
+    """Return what the stages warned of, each once, and the exposures that failed."""
     found = []
     for stage, product in run.products.items():
         found += [
@@ -37,7 +37,7 @@ def warnings(run: RunData) -> list[str]:
             if line.startswith(("WARNING ", "ERROR ", "CRITICAL "))
         ]
         found += [f"{stage}: lost: {failure}" for failure in provenance_of(product).failures]
-    return found
+    return list(dict.fromkeys(found))
 
 
 def _latest(run: RunData) -> Provenance:

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.report.content import Block, Figure, Section
-from irlos_pipe.report.drawing import BLUE, INK, MANY, ORANGE, svg
+from irlos_pipe.report.drawing import BLUE, FAINT, INK, MANY, ORANGE, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number
 from irlos_pipe.stages.prior.results import PriorResults
@@ -27,8 +27,9 @@ def prior_section(run: RunData) -> Section:
             Figure(
                 _ratio_plot(ratio, introduced, _law(results)),
                 "Axis ratio against introduced defocus",
-                "The elongation sees the introduced defocus and that of the NCPAs together, "
-                "so frames may stand beside the law.",
+                "The law is that of a star without NCPAs, over the range in which it is used (shaded). The "
+                "elongation sees the NCPAs as well: their defocus moves the points sideways, their "
+                "astigmatism changes the slope. The prior is where a fit starts, not what it finds.",
             )
         )
     if prior is not None and introduced is not None:
@@ -67,7 +68,8 @@ def _ratio_plot(
         axes = figure.subplots()
         _frames(axes, introduced, ratio)
         if law is not None:
-            axes.plot(*law, color=ORANGE, label="law, over its range")
+            axes.axvspan(law[0].min(), law[0].max(), color=FAINT, alpha=0.35, linewidth=0)
+            axes.plot(*law, color=ORANGE, label="law without NCPAs")
         axes.set(xlabel="introduced defocus [nm RMS]", ylabel="axis ratio σ₁/σ₂")
         axes.legend()
 

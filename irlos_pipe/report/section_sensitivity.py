@@ -14,7 +14,7 @@ from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table
 from irlos_pipe.report.drawing import CYCLE, INK, log_y, svg
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.text import MISSING, number
+from irlos_pipe.report.text import MISSING, number, plural
 from irlos_pipe.stages.sensitivity.results import CriterionRow, CurveRow, NoiseRow, SensitivityResults
 
 STAGE = "sensitivity"
@@ -29,7 +29,7 @@ COLUMNS = (
     "modes",
     "limit [J mag]",
     "limit of the bound, one read without sky [J mag]",
-    "error at the bright end [nm]",
+    "median |error| of the brightest [nm]",
 )
 NOISE_COLUMNS = ("", "dimmed frames", "one read without sky")
 
@@ -69,7 +69,20 @@ def _noise_table(noise: NoiseRow) -> Table:
 
 def _lead(rows: Sequence[CurveRow]) -> str:
     trials = [row.trials for row in rows if row.trials is not None]
-    return f"Frames dimmed to fainter stars, {max(trials)} estimates per magnitude." if trials else ""
+    if not trials:
+        return ""
+    return (
+        f"Frames dimmed to fainter stars, {max(trials)} estimates per magnitude. Errors are those of single "
+        "frames against the introduced defocus."
+    )
+
+
+def noise_text(noise: NoiseRow) -> str:
+    """Return in a few words what the dimmed frames are noisy by; nothing where that is not known."""
+    if noise.reads is None:
+        return ""
+    sky = number(noise.sky_e, ".2g", "e⁻/px of sky")
+    return f"{sky}, {plural(noise.reads, 'read')} of {number(noise.read_noise_e, '.2g', 'e⁻')}"
 
 
 def curve_label(row: CurveRow) -> str:

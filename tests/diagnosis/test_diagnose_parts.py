@@ -29,7 +29,7 @@ from irlos_pipe.diagnosis.checks.drift import measure_drift
 from irlos_pipe.diagnosis.checks.motion import motion_ratio
 from irlos_pipe.diagnosis.checks.noise import judge_noise
 from irlos_pipe.diagnosis.checks.pixels import outstanding_pixels, screened_step
-from irlos_pipe.diagnosis.effect_sizes import detectable, determined, public_sigma
+from irlos_pipe.diagnosis.effect_sizes import detectable, determined
 from irlos_pipe.diagnosis.fitting import most_plausible
 from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, noise_floor, preference
 from irlos_pipe.diagnosis.search.companion_search import brightest_copies
@@ -42,6 +42,7 @@ from irlos_pipe.effects.companion import Companion
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.effects.motion import Vibration
+from irlos_pipe.effects.public_errors import public_sigma
 from irlos_pipe.effects.public_values import measured
 from irlos_pipe.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
 from irlos_pipe.effects.wavefront import HighOrderNcpa, PhaseBump

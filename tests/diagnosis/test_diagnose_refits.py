@@ -18,7 +18,7 @@ from scipy import stats
 from irlos_pipe.diagnosis.acceptance import by_plausibility
 from irlos_pipe.diagnosis.checks.noise import judge_all
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
-from irlos_pipe.diagnosis.effect_sizes import determined, public_sigma
+from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
 from irlos_pipe.diagnosis.null_model import Optimum
@@ -30,6 +30,7 @@ from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.colour import PlateScale
 from irlos_pipe.effects.detector import BackgroundGradient
+from irlos_pipe.effects.public_errors import public_sigma
 from irlos_pipe.numerics.parallel import workers
 
 

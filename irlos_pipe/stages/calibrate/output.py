@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
-from irlos_pipe.effects.public_values import rows_of
+from irlos_pipe.effects.public_values import measured, rows_of
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.frames.recording import Acquisition
+from irlos_pipe.optics.image_quality import correlations
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageOutput
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of
@@ -128,13 +129,25 @@ def counts(status: Sequence[str]) -> dict[str, int]:
 
 def arrays_of(result: Calibration) -> dict[str, Quantity]:
     """Return the arrays of one estimate."""
-    return {
+    own = reported(result.nolls)
+    left = (
+        {}
+        if result.left is None
+        else {
+            "left_frequency": Quantity(result.left.at, "D/λ", "spatial frequency of the residual"),
+            "left_power": Quantity(result.left.value, "", "power of the residual over its standard error"),
+        }
+    )
+    return left | {
         "noll": Quantity(np.array(result.nolls), "", "Noll index of every estimated mode"),
         "zernike_nm": Quantity(
             result.zernike_nm, "nm", "static wavefront without the diversity", result.sigma_nm
         ),
         "modes_nm": Quantity(result.fitted_modes_nm, "nm", "modes without the part of effects in the pupil"),
         "covariance_nm2": Quantity(result.covariance_nm2, "nm2", COVARIANCE[result.errors_from]),
+        "correlation": Quantity(
+            correlations(result.covariance_nm2[own, own]), "", "correlation of the reported modes"
+        ),
         "frames_nm": Quantity(result.frames_nm, "nm", "coefficients of every frame (frame, mode)"),
         "frame_status": Quantity(np.array(result.frame_status, dtype=object), "", "outcome of every fit"),
         "iterations": Quantity(result.iterations, "", "of every fit"),
@@ -143,10 +156,11 @@ def arrays_of(result: Calibration) -> dict[str, Quantity]:
     }
 
 
-def effect_lines(effects: dict[str, dict]) -> list[str]:
-    """Return one line per effect."""
+def effect_lines(effects: dict[str, dict], sigma: Mapping[str, dict] = {}) -> list[str]:
+    """Return one line per effect, with the errors `sigma` where there are any."""
     return [
-        f"  {name:22s}" + ", ".join(f"{key} {value:.3g}" for key, value in rows_of(values))
+        f"  {name:22s}"
+        + ", ".join(f"{key} {value:.3g}" for key, value in rows_of(measured(values, sigma.get(name, {}))))
         for name, values in effects.items()
     ]
 
@@ -162,7 +176,7 @@ def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
         f"nominal {result.nominal.value:.2f})",
         *(few if result.errors_from != "frames" else []),
         *_tail_lines(result),
-        *effect_lines(result.effects),
+        *effect_lines(result.effects, result.effects_sigma),
         *(
             f"  beside: {wfe_nm(other.nolls, other.zernike_nm):.1f} nm RMS ({other.options.method}, "
             f"{other.seconds:.1f} s, χ²/ν {other.chi2_nu:.2f})"

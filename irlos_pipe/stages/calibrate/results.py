@@ -96,7 +96,7 @@ class CalibrateResults(Estimate, StageResults):
     effects : dict of str to dict
         Estimated effects with the values of their parameters.
     effects_sigma : dict of str to dict
-        Standard errors of tables of modes among them, where several set-ups were calibrated together.
+        Their standard errors, see `estimate.effect_errors`; empty for the mean over `cubes`.
     seeing_arcsec : float
         Seeing taken for the calibration.
     wavelength_nm : float

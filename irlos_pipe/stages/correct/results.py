@@ -5,14 +5,44 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-from irlos_pipe.product.results import ByNoll, Number, StageResults
+from irlos_pipe.product.results import ByNoll, Number, ResultsPart, StageResults
+
+
+class StrehlRow(ResultsPart):
+    """What one part of the model does to the Strehl ratio, see `estimate.strehl_budget.StrehlPart`."""
+
+    name: str = ""
+    wfe_nm: Number = math.nan
+    alone: Number = math.nan
+    without: Number = math.nan
+
+
+class MapRow(ResultsPart):
+    """RMS about the mean, and peak to valley, of a map of the wavefront over the clear pupil [nm]."""
+
+    rms_nm: Number = math.nan
+    pv_nm: Number = math.nan
 
 
 class CorrectResults(StageResults):
-    """Offsets to add to the reference [nm RMS], and the Strehl ratio predicted without and with them."""
+    """Offsets to add to the reference [nm RMS], and the Strehl ratio predicted without and with them.
+
+    Attributes
+    ----------
+    strehl_budget : list of StrehlRow
+        Of the image before the correction, the whole model first.
+    wavefront_before, wavefront_after : MapRow
+        Of the maps without tip and tilt.
+    resolution_mas : float
+        λ/D at the mean wavelength.
+    """
 
     stage: ClassVar[str] = "correct"
     offset_nm: ByNoll = {}
     sign: str = ""
     strehl_before: Number = math.nan
     strehl_after: Number = math.nan
+    strehl_budget: list[StrehlRow] = []
+    wavefront_before: MapRow = MapRow()
+    wavefront_after: MapRow = MapRow()
+    resolution_mas: Number = math.nan

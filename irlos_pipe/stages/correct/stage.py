@@ -9,7 +9,7 @@ from irlos_pipe.stages.correct.results import CorrectResults as Results
 __all__ = ["Config", "Results", "run"]
 
 NAME = "correct"
-VERSION = 4
+VERSION = 5
 NEEDS = ("ingest", "calibrate")
 READS = ("ingest", "calibrate")
 

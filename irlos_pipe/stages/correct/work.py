@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.effects import SeeingHalo, fixed_optics
-from irlos_pipe.estimate.correction import Prediction, predict_correction
+from irlos_pipe.estimate.correction import Prediction, predict_correction, seen_and_left_nm
+from irlos_pipe.estimate.strehl_budget import StrehlPart, strehl_budget
 from irlos_pipe.frames.recording import PROFILE, Recording
-from irlos_pipe.optics.wavefront import clear_pupil, opd_maps_nm
+from irlos_pipe.optics.wavefront import clear_pupil, opd_maps_nm, rms_and_pv
 from irlos_pipe.product.header import Card
 from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.product.results import results_of
@@ -18,7 +20,7 @@ from irlos_pipe.product.table import Column, Table
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.correct.config import Config
-from irlos_pipe.stages.correct.results import CorrectResults
+from irlos_pipe.stages.correct.results import CorrectResults, MapRow, StrehlRow
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.effects import calibrated_effects
 from irlos_pipe.stages.model.recording_settings import psf_settings, seeing_arcsec
@@ -38,11 +40,13 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     zernike, sigma = np.array(arrays["zernike_nm"].value, float), np.array(arrays["zernike_nm"].error, float)
     offsets = _offsets(nolls, -ctx.config.gain * zernike, sigma)
     recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
-    prediction = _predict(ctx, recording, nolls, zernike)
+    prediction, budget = _predict(ctx, recording, nolls, zernike)
     table = _table(ctx, offsets, prediction)
+    maps = _maps(ctx, nolls, zernike)
+    scale_mas = recording.acquisition.pixel_scale_mas or math.nan
     return StageOutput(
-        _arrays(ctx, nolls, zernike, offsets, prediction),
-        _results(offsets, prediction),
+        maps | _arrays(offsets, prediction) | quality_arrays(prediction, scale_mas),
+        _results(offsets, prediction, budget, maps, scale_mas),
         _checks(ctx, recording, prediction),
         files={"correction.csv": table, "correction.fits": table},
         summary=[
@@ -104,31 +108,68 @@ def _checks(ctx: StageContext[Config], recording: Recording, prediction: Predict
 
 def _predict(
     ctx: StageContext[Config], recording: Recording, nolls: list[int], zernike_nm: np.ndarray
-) -> Prediction:
+) -> tuple[Prediction, list[StrehlPart]]:
+    """Images before and after the correction, and what every part of the model takes of the Strehl ratio."""
     product = ctx.products["calibrate"]
     seeing = seeing_arcsec(ctx.instrument, recording.acquisition)
     effects = calibrated_effects(product, ctx.instrument, ctx.model, recording, seeing, same_star=True)
-    return predict_correction(
-        psf_settings(ctx.instrument, ctx.model, recording),
+    settings = psf_settings(ctx.instrument, ctx.model, recording)
+    fitted_nm = np.array(product.arrays["modes_nm"].value, float)
+    gain = np.where(np.array(nolls) <= HIGHEST_REPORTED_NOLL, ctx.config.gain, 0.0)
+    prediction = predict_correction(
+        settings,
         nolls,
-        np.array(product.arrays["modes_nm"].value, float),
+        fitted_nm,
         zernike_nm,
-        np.where(np.array(nolls) <= HIGHEST_REPORTED_NOLL, ctx.config.gain, 0.0),
+        gain,
         lambda model: fixed_optics(list(effects.values()), model.grids),
     )
+    now_nm, _ = seen_and_left_nm(nolls, fitted_nm, zernike_nm, gain)
+    return prediction, strehl_budget(settings, nolls, _parts(nolls, now_nm), effects)
 
 
-def _arrays(
-    ctx: StageContext[Config],
-    nolls: list[int],
-    zernike_nm: np.ndarray,
-    offsets: Offsets,
-    prediction: Prediction,
-) -> dict[str, Quantity]:
+def _parts(nolls: list[int], modes_nm: np.ndarray) -> dict[str, np.ndarray]:
+    """The modes that are corrected, and those beyond, where there are any."""
+    first = np.array(nolls) <= HIGHEST_REPORTED_NOLL
+    parts = {f"Noll 4–{HIGHEST_REPORTED_NOLL}": np.where(first, modes_nm, 0.0)}
+    beyond = {f"Noll {HIGHEST_REPORTED_NOLL + 1}–{nolls[-1]}": np.where(first, 0.0, modes_nm)}
+    return parts | ({} if first.all() else beyond)
+
+
+def _maps(ctx: StageContext[Config], nolls: list[int], zernike_nm: np.ndarray) -> dict[str, Quantity]:
+    """Maps of the wavefront before and after the correction, without tip and tilt."""
     seen = np.where(np.isin(nolls, TIP_TILT), 0.0, zernike_nm)
-    left = np.where(np.isin(nolls, offsets[0]), (1 - ctx.config.gain) * seen, seen)
+    left = np.where(np.isin(nolls, REPORTED_NOLLS), (1 - ctx.config.gain) * seen, seen)
     lit = clear_pupil(ctx.instrument.pupil, MAP_SAMPLES)
     before_nm, after_nm = (opd_maps_nm(nolls, modes_nm, lit) for modes_nm in (seen, left))
+    return {
+        "wavefront_before_nm": Quantity(before_nm, "nm", "estimated wavefront without tip and tilt"),
+        "wavefront_after_nm": Quantity(after_nm, "nm", "what the offsets leave of it"),
+    }
+
+
+def quality_arrays(prediction: Prediction, pixel_scale_mas: float) -> dict[str, Quantity]:
+    """Return encircled energy and cuts through the OTF of the predicted images.
+
+    Parameters
+    ----------
+    prediction : Prediction
+    pixel_scale_mas : float
+    """
+    arrays = {}
+    for name in ("before", "after", "perfect"):
+        image = getattr(prediction, name)
+        energy = prediction.encircled(image)
+        arrays["encircled_radius_mas"] = Quantity(energy.at * pixel_scale_mas, "mas", "radius of the circles")
+        arrays[f"encircled_{name}"] = Quantity(energy.value, "", "part of the light within a circle")
+        for axis, letter in ((1, "x"), (0, "y")):
+            cut = prediction.transfer(image, axis)
+            arrays[f"otf_{letter}_frequency"] = Quantity(cut.at, "D/λ", f"spatial frequency along {letter}")
+            arrays[f"otf_{letter}_{name}"] = Quantity(cut.value, "", f"modulus of the OTF along {letter}")
+    return arrays
+
+
+def _arrays(offsets: Offsets, prediction: Prediction) -> dict[str, Quantity]:
     arrays = {
         name: Quantity(getattr(prediction, name), "", f"unit-flux image, {text}")
         for name, text in (
@@ -143,15 +184,31 @@ def _arrays(
         "radius_mas": Quantity(prediction.radius_mas, "mas", "radius of the rings"),
         "profile_before": Quantity(prediction.profile_before, "", "mean of each ring, unit-flux image"),
         "profile_after": Quantity(prediction.profile_after, "", "mean of each ring, unit-flux image"),
-        "wavefront_before_nm": Quantity(before_nm, "nm", "estimated wavefront without tip and tilt"),
-        "wavefront_after_nm": Quantity(after_nm, "nm", "what the offsets leave of it"),
     }
 
 
-def _results(offsets: Offsets, prediction: Prediction) -> CorrectResults:
+def _map_row(map_nm: np.ndarray) -> MapRow:
+    rms_nm, pv_nm = rms_and_pv(map_nm)
+    return MapRow(rms_nm=rms_nm, pv_nm=pv_nm)
+
+
+def _results(
+    offsets: Offsets,
+    prediction: Prediction,
+    budget: Sequence[StrehlPart],
+    maps: dict[str, Quantity],
+    pixel_scale_mas: float,
+) -> CorrectResults:
     return CorrectResults(
         offset_nm=dict(zip(offsets[0].tolist(), offsets[1].tolist(), strict=True)),
         sign=SIGN,
         strehl_before=prediction.strehl_before,
         strehl_after=prediction.strehl_after,
+        strehl_budget=[
+            StrehlRow(name=one.name, wfe_nm=one.wfe_nm, alone=one.alone, without=one.without)
+            for one in budget
+        ],
+        wavefront_before=_map_row(maps["wavefront_before_nm"].value),
+        wavefront_after=_map_row(maps["wavefront_after_nm"].value),
+        resolution_mas=prediction.resolution_px * pixel_scale_mas,
     )

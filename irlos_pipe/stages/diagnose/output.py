@@ -16,6 +16,7 @@ from irlos_pipe.diagnosis.sentence import sentence
 from irlos_pipe.diagnosis.sharing import Sharing, Together
 from irlos_pipe.diagnosis.verdict import Diagnosis, Step
 from irlos_pipe.effects import CATALOGUE, FixedEffect
+from irlos_pipe.optics.wavefront import rms_and_pv
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.diagnose.results import (
     AdjustedRow,
@@ -26,6 +27,7 @@ from irlos_pipe.stages.diagnose.results import (
     FineStructureRow,
     FrameCounts,
     GapRow,
+    MapRow,
     ModesChange,
     NoiseRow,
     OwnValueRow,
@@ -89,6 +91,9 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
         drift_significance=result.drift_significance,
         frames=FrameCounts(training=result.frames[0], held_out=result.frames[1]),
         held_out=result.held_out,
+        added_wavefront=MapRow(
+            **dict(zip(("rms_nm", "pv_nm"), rms_and_pv(result.pictures.added_opd_nm), strict=True))
+        ),
         zernike_nm=ModesChange(before=modes[0], after=modes[1]),
         sigma_nm=_by_noll(result, result.modes_sigma_nm),
         seconds=round(result.seconds, 3),

@@ -235,6 +235,13 @@ class WhereRow(ResultsPart):
     extent_mas: Number = math.nan
 
 
+class MapRow(ResultsPart):
+    """RMS about the mean, and peak to valley, of a map over the clear pupil [nm]."""
+
+    rms_nm: Number = math.nan
+    pv_nm: Number = math.nan
+
+
 class RestRow(ResultsPart):
     """What the model still misses, see `diagnosis.rest.Rest`."""
 
@@ -282,6 +289,8 @@ class DiagnoseResults(StageResults):
         ``frames`` or ``pixels``: what no fit has seen.
     motion_ratio, drift_significance : float
         Image motion over its expectation; drift in σ.
+    added_wavefront : MapRow
+        Of the wavefront that what was found adds.
     zernike_nm : ModesChange
         Total static wavefront [nm RMS]; `sigma_nm` its standard errors.
     defocus_error_nm : Change
@@ -314,6 +323,7 @@ class DiagnoseResults(StageResults):
     drift_significance: Number = math.nan
     frames: FrameCounts = FrameCounts()
     held_out: str = "frames"
+    added_wavefront: MapRow = MapRow()
     zernike_nm: ModesChange = ModesChange()
     sigma_nm: ByNoll = {}
     defocus_error_nm: Change = Change()

@@ -30,9 +30,10 @@ from irlos_pipe.stages.diagnose.output import (
     summary_lines,
 )
 from irlos_pipe.stages.diagnose.quality import checks_of
+from irlos_pipe.stages.diagnose.quality_curves import quality_arrays
 from irlos_pipe.stages.diagnose.ramp import run_on_ramp
 from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects
-from irlos_pipe.stages.model.recording_settings import pooled_images
+from irlos_pipe.stages.model.recording_settings import pooled_images, psf_settings
 
 EXPECTED_FITS = 11  # of one cube, for the progress bar
 APART = {"auto": None, "together": False, "apart": True}
@@ -45,11 +46,11 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         return replace(output, files={MODEL_FILE: model_yaml(ctx.model, entries)})
     apart = APART[ctx.config.recordings]
     groups = by_setting(ctx.products["ingest"], ctx.config.input, apart=apart)
-    result = _diagnose(ctx, groups)
+    result, settings = _diagnose(ctx, groups), psf_settings(ctx.instrument, ctx.model, groups[0].first)
     model = model_yaml(ctx.model, model_entries(result))
     results = diagnose_results(result, groups[0].first.acquisition.diversity)
     return StageOutput(
-        diagnose_arrays(result),
+        diagnose_arrays(result) | quality_arrays(result.pictures, settings),
         results,
         checks_of(results, [_kurtosis(alike) for alike in groups]),
         files={MODEL_FILE: model},
