@@ -54,6 +54,7 @@ def test_image_motion_lowers_the_peak_as_its_gaussian_does_the_otf():
     assert math.isnan(found.wfe_nm)
 
 
+@pytest.mark.slow
 def test_the_strehl_ratio_is_that_of_hcipys_images():
     imager, modes = reference(512), {n: nm for n, nm in ncpa_nm(5, 15, 90.0).items() if n in NOLLS}
     images = [imager.image(opd, WAVELENGTH_NM, WINDOW, SCALE_MAS) for opd in (imager.opd_nm(modes), 0.0)]

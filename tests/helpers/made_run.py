@@ -227,7 +227,14 @@ def correct() -> Product:
         "wavefront_before_nm": Quantity(wavefront, "nm"),
         "wavefront_after_nm": Quantity(wavefront / 4, "nm"),
     }
-    results = {"strehl_before": 0.631, "strehl_after": 0.742, "sign": "offset = -NCPA"}
+    results = {
+        "strehl_before": 0.631,
+        "strehl_after": 0.742,
+        "sign": "offset = -NCPA",
+        "strehl_budget": [{"name": "all together", "wfe_nm": 100.0, "alone": 0.631, "without": 1.0}],
+        "wavefront_before": {"rms_nm": 103.2, "pv_nm": 733.0},
+        "resolution_mas": 41.2,
+    }
     return Product("correct", arrays, results, config={"input": "calibration"})
 
 

@@ -42,7 +42,8 @@ def test_a_wider_pixel_multiplies_the_otf_by_its_sinc():
 
 
 def test_the_encircled_energy_of_an_airy_pattern_is_rayleighs():
-    found = encircled_energy(airy((2.25, 1.5)), (CENTRE + 2.25, CENTRE + 1.5))
+    inner = slice(156, -156)  # what lies farther out changes nothing
+    found = encircled_energy(airy((2.25, 1.5))[inner, inner], (CENTRE - 156 + 2.25, CENTRE - 156 + 1.5))
     v = np.pi * found.at / RESOLUTION_PX
     np.testing.assert_allclose(found.value, 1 - j0(v) ** 2 - j1(v) ** 2, atol=0.006)
     assert np.interp(1.22 * RESOLUTION_PX, *found) == pytest.approx(0.838, abs=0.004)

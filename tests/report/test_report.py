@@ -15,8 +15,11 @@ from helpers import made_run
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.product import storage
 from irlos_pipe.product.product import Check, Product, Quantity
+from irlos_pipe.report import build
 from irlos_pipe.report.build import write_report
 from irlos_pipe.report.section_ingest import MOST_THUMBNAILS
+
+TEMPLATES = Path(build.__file__).parent / "templates"
 
 
 class Page(HTMLParser):
@@ -111,6 +114,31 @@ def test_the_page_loads_nothing(full):
     assert full.loaded
     assert all(address.startswith("data:") for address in full.loaded)
     assert not re.search(r"<script|<link|@import", full.text)
+
+
+@pytest.mark.slow
+def test_a_browser_is_told_to_run_and_load_nothing(full):
+    (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]*)"', full.text)
+    rules = dict(rule.split(" ", 1) for rule in policy.split("; "))
+    assert rules["default-src"] == "'none'"  # scripts, frames, fonts, connections
+    assert rules["img-src"] == "data:"
+    assert "script-src" not in rules
+    assert not re.search(r"\son\w+=|javascript:", full.text)
+
+
+def test_every_page_says_so():
+    for name in ("report.html.j2", "collection.html.j2", "night.html.j2"):
+        assert "blocks.head()" in (TEMPLATES / name).read_text()
+
+
+@pytest.mark.slow
+def test_one_way_of_showing_a_picture_is_chosen_at_first(full):
+    groups = re.findall(r'<div class="views.*?(?=<div class="view blocks">)', full.text, re.DOTALL)
+    assert groups
+    for group in groups:
+        inputs = re.findall(r"<input [^>]*>", group)
+        assert [" checked" in one for one in inputs] == [True] + [False] * (len(inputs) - 1)
+        assert re.findall(r'id="([^"]*)"', " ".join(inputs)) == re.findall(r'<label for="([^"]*)"', group)
 
 
 @pytest.mark.slow
@@ -244,6 +272,54 @@ def test_a_run_that_stopped_says_why(tmp_path):
 def test_a_notice_stands_before_the_results(tmp_path):
     text = report(tmp_path, [], notice="simulated sample: 'cube'").text
     assert text.index("simulated sample: &#39;cube&#39;") < text.index("<main>")
+
+
+def test_what_a_diagnosis_says_of_files_cannot_change_the_page(tmp_path):
+    hostile = '"><img src=x onerror=alert(1)>'
+    results = {"verdict": "unknown", "grade": "unknown", "sentence": hostile, "why_unknown": hostile}
+    step = {"effect": hostile, "phrase": hostile, "shown": {hostile: 1.0}}
+    made = [Product("diagnose", {}, results | {"nearest": step, "untestable": [hostile]})]
+    text = report(tmp_path, made).text
+    assert "<img" not in text
+    assert text.count("&lt;img src=x") >= 5
+
+
+def test_the_page_of_a_diagnosis_opens_with_its_verdict(tmp_path):
+    results = {
+        "verdict": "effect",
+        "grade": "complete",
+        "sentence": "Missing in the model: a second source.",
+        "gap": {"before": 0.12, "after": 0.0215, "floor": 0.0045, "shrink": 0.85},
+        "chi2_nu": {"before": 12.3, "after": 1.02},
+        "frames": {"training": 45, "held_out": 15},
+        "steps": [
+            {
+                "effect": "companion",
+                "phrase": "a second source of 4.00 ± 0.02 %",
+                "shown": {"flux_ratio": 0.04, "sep_mas": 150.0},
+                "shown_sigma": {"flux_ratio": 0.0002, "sep_mas": 0.5},
+                "held_out_z": 12.3,
+                "ranking": [
+                    {"name": "companion", "gain": 900.0, "explained": 0.99},
+                    {"name": "vibration", "gain": 700.0, "explained": 0.53, "held_out_z": 7.7},
+                ],
+            }
+        ],
+    }
+    text = report(tmp_path, [Product("diagnose", {}, results)]).text
+    head = text[: text.index("<main>")]
+    for shown in (
+        '<p class="verdict good">Missing in the model',
+        "named, complete",
+        "4.000 ± 0.020 %",
+        "separation 150.00 ± 0.50 mas",
+        "0.1200 → 0.0215",
+        "noise alone 0.0045",
+        "12.30 → 1.02",
+        "z 12.3",
+        "loses by Δχ² 200; explains 53.0%, not 99.0%; unseen data against it: z 7.7",
+    ):
+        assert shown in head, shown
 
 
 def test_names_from_files_cannot_change_the_page(tmp_path):

@@ -5,12 +5,15 @@ from __future__ import annotations
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.colors import AsinhNorm
 
 from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.optics.zernike import zernike
 from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.report.content import Views
 from irlos_pipe.report.drawing import BLUE, CYCLE, INK, log_y, svg
-from irlos_pipe.report.images import brightness_scale, image_panel, log_scale, thumbnail
+from irlos_pipe.report.effect_words import parameter_rows, worded
+from irlos_pipe.report.images import asinh_ticks, brightness_scale, image_panel, log_scale, thumbnail
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_lift import RampPoints, image_strip, ramp_plot, residual_limit
 from irlos_pipe.report.section_prior import prior_section
@@ -75,6 +78,29 @@ def test_one_is_no_plural():
 @pytest.mark.parametrize(("limit", "expected"), [(16.0, "≥ 16.0"), (15.2, "15.2"), (None, MISSING)])
 def test_a_limit_at_the_end_of_the_grid_is_a_lower_limit(limit, expected):
     assert limit_text(CurveRow(limit_mag=limit, mag_j=[12.0, 16.0])) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("sep_mas", ("separation", "mas")),
+        ("flux_ratio", ("flux ratio", "%")),
+        ("zernike_nm 5", ("Noll 5", "nm")),
+        ("mas_per_um", ("size", "mas/µm")),
+        ("zernike_nm_per_um 4", ("Noll 4", "nm/µm")),
+        ("piston_nm_from_mean 2", ("piston 2 − mean", "nm")),
+        ("nm", ("size", "nm")),
+        ("slope", ("slope", "")),
+    ],
+)
+def test_a_parameter_has_its_unit_in_a_column_of_its_own(name, expected):
+    assert worded(name) == expected
+
+
+def test_parts_of_one_are_in_per_cent_and_pixels_say_row_and_column():
+    assert parameter_rows({"fraction": 0.004}, {"fraction": 0.0002}) == [("fraction", "0.400 ± 0.020", "%")]
+    assert parameter_rows({"pixels": [[47, 15]]}) == [("pixel", "row 47, column 15", "")]
+    assert parameter_rows({"nm": None}) == [("size", MISSING, "nm")]
 
 
 # -- modes -------------------------------------------------------------------------------------
@@ -192,6 +218,21 @@ def test_images_without_light_can_be_drawn(image):
     for scale in (brightness_scale(image), log_scale(image)):
         assert image_panel("a", image, scale, None, "e-").startswith("<svg")
     assert "data:image/png" in thumbnail(image)
+
+
+@pytest.mark.parametrize("limit", [5.0, 40.0, 700.0, 2e5])
+@pytest.mark.parametrize("low", [0.0, -1.0])
+def test_numbers_beside_an_asinh_scale_have_room(limit, low):
+    scale = AsinhNorm(1.0 if low else 3e-3 * limit, low * limit, limit)
+    places = np.asarray(scale(np.array(asinh_ticks(scale))))
+    assert len(places) >= 3
+    assert np.diff(places).min() > 0.07
+    assert places.min() >= 0 and places.max() <= 1
+
+
+def test_more_ways_to_show_a_picture_than_the_page_has_rules_for_are_refused():
+    with pytest.raises(ValueError, match="5 choices"):
+        Views("a", {str(number): [] for number in range(5)})
 
 
 def test_axes_are_in_mas_where_the_pixel_scale_is_known():

@@ -156,11 +156,12 @@ def arrays_of(result: Calibration) -> dict[str, Quantity]:
     }
 
 
-def effect_lines(effects: dict[str, dict], sigma: Mapping[str, dict] = {}) -> list[str]:
+def effect_lines(effects: dict[str, dict], sigma: dict[str, dict] | None = None) -> list[str]:
     """Return one line per effect, with the errors `sigma` where there are any."""
+    errors = sigma or {}
     return [
         f"  {name:22s}"
-        + ", ".join(f"{key} {value:.3g}" for key, value in rows_of(measured(values, sigma.get(name, {}))))
+        + ", ".join(f"{key} {value:.3g}" for key, value in rows_of(measured(values, errors.get(name, {}))))
         for name, values in effects.items()
     ]
 

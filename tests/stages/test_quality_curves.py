@@ -1,0 +1,41 @@
+"""Curves of a diagnosis, from pictures whose residual is drawn noise; truth: what was drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.made_run import star
+from helpers.optics_cases import settings
+
+from irlos_pipe.diagnosis.verdict import Pictures
+from irlos_pipe.stages.diagnose.quality_curves import quality_arrays
+
+
+def pictures() -> Pictures:
+    after, sigma = star(3.0), np.full(star().shape, 2.0)
+    measured = after + sigma * np.random.default_rng(2).standard_normal(after.shape)
+    sigma[4, 5], measured[4, 5] = np.inf, 1e9  # a bad pixel
+    nothing = np.zeros((2, 2))
+    return Pictures(measured, sigma, 0.9 * after, after, nothing, nothing, nothing)
+
+
+@pytest.fixture(scope="module")
+def arrays():
+    made = pictures()
+    return {name: one.value for name, one in quality_arrays(made, settings(made.after_e.shape)).items()}
+
+
+def test_what_a_right_model_leaves_is_white_and_what_a_wrong_one_leaves_is_not(arrays):
+    assert arrays["left_power_after"].mean() == pytest.approx(1.0, abs=0.25)
+    assert arrays["left_power_before"][0] > 10
+
+
+def test_a_bad_pixel_is_no_part_of_any_curve(arrays):
+    np.testing.assert_allclose(arrays["encircled_measured"], arrays["encircled_after"], atol=0.02)
+    np.testing.assert_allclose(arrays["otf_x_measured"], arrays["otf_x_after"], atol=0.02)
+
+
+def test_light_and_modulus_are_parts_of_one(arrays):
+    for name in ("measured", "before", "after"):
+        assert arrays[f"otf_y_{name}"][0] == pytest.approx(1.0)
+        assert 0.9 < arrays[f"encircled_{name}"][-1] <= 1.01
