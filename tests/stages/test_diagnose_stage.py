@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import yaml
@@ -13,6 +15,7 @@ from irlos_pipe.product.product import Product
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_diagnose import diagnose_section
 from irlos_pipe.stages.diagnose.output import diagnose_arrays, diagnose_results, model_yaml, recipe_entry
+from irlos_pipe.stages.diagnose.quality_curves import quality_arrays
 from irlos_pipe.stages.diagnose.work import pooled_frames
 from irlos_pipe.stages.model.effect_entry import EffectEntry
 from irlos_pipe.stages.model.section import ModelConfig
@@ -73,17 +76,31 @@ def test_the_companion_found_is_one_that_the_recipe_can_place():
 def section_of(kind: str):
     diagnosis = diagnosis_of(kind)
     results = diagnose_results(diagnosis, {6: -170.0}).as_json()
-    product = Product("diagnose", diagnose_arrays(diagnosis), results, config={"input": "cube"})
+    arrays = diagnose_arrays(diagnosis) | quality_arrays(diagnosis.pictures, CONDITIONS.settings)
+    product = Product("diagnose", arrays, results, config={"input": "cube"})
     return diagnose_section(RunData({}, "", "ok", "", "", {"diagnose": product}, []))
+
+
+def every(blocks):
+    """All blocks, those of stacks and views too."""
+    for block in blocks:
+        yield block
+        yield from every(getattr(block, "blocks", ()))
+        yield from every(one for some in getattr(block, "choices", {}).values() for one in some)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["plain", "companion", "spot"])
 def test_the_section_begins_with_the_verdict_in_words_and_shows_both_models(kind):
-    section = section_of(kind)
-    titles = [getattr(block, "title", "") for block in section.blocks]
-    assert section.lead == diagnose_results(diagnosis_of(kind), {6: -170.0}).sentence
-    assert {"Measured", "Predicted before", "Predicted after", "Residual before", "Gap"} <= set(titles)
+    section, results = section_of(kind), diagnose_results(diagnosis_of(kind), {6: -170.0})
+    first = dict(section.blocks[0].rows)
+    assert first["grade"].startswith(results.grade)
+    found = [f"{one.phrase} ({one.significance:.0f} σ)" for one in results.steps]
+    assert [text for question, text in first.items() if question == "missing"] == found
+    titles = {getattr(block, "title", "") for block in every(section.blocks)}
+    both = {f"{what} {when}" for what in ("Predicted", "Residual") for when in ("before", "after")}
+    assert {"Measured", "Gap to unseen data", "OTF cuts", "Encircled energy"} <= titles
+    assert (both if results.steps else {"Predicted", "Residual"}) <= titles
 
 
 @pytest.mark.slow
@@ -92,14 +109,11 @@ def test_residuals_before_and_after_are_drawn_on_one_scale():
     pictures = diagnosis_of("companion").pictures
     before, after = (np.abs(pictures.measured_e - one).max() for one in (pictures.before_e, pictures.after_e))
     assert before > 5 * after
-    blocks = {
-        block.title: str(block.svg) for block in section_of("companion").blocks if hasattr(block, "svg")
-    }
-    ticks = [
-        [line for line in blocks[f"Residual {when}"].splitlines() if "<text" in line][-8:]
-        for when in ("before", "after")
-    ]
-    assert [t.split(">")[1] for t in ticks[0]] == [t.split(">")[1] for t in ticks[1]]
+    (views,) = (one for one in section_of("companion").blocks if getattr(one, "name", "") == "dia-left")
+    assert [*views.choices] == ["σ log", "σ linear", "% log", "% linear"]
+    for figures in views.choices.values():
+        texts = [re.findall(r"<text[^>]*>([^<]*)", str(one.svg)) for one in figures]
+        assert texts[0] == texts[1]
 
 
 def test_a_recording_without_frames_is_refused_with_its_name():
