@@ -59,7 +59,15 @@ def linear_scale(*images: np.ndarray) -> Normalize:
 
 
 def symmetric_scale(limit: float, linear_width: float | None = None) -> Normalize:
-    """Scale about zero: linear, or asinh, which is linear within `linear_width` and logarithmic beyond."""
+    """Return a scale about zero, linear or asinh.
+
+    Parameters
+    ----------
+    limit : float
+        Of either end.
+    linear_width : float, optional
+        Within which an asinh scale is linear; it is logarithmic beyond.
+    """
     if linear_width is None:
         return Normalize(-limit, limit)
     return AsinhNorm(linear_width, -limit, limit)
@@ -119,7 +127,14 @@ def image_panel(
 
 
 def label_bar(bar: Axes, scale: Normalize) -> None:
-    """Give a colour `bar` numbers that are short enough to leave the unit its place and do not overlap."""
+    """Give a colour bar numbers that are short enough to leave the unit its place and do not overlap.
+
+    Parameters
+    ----------
+    bar : Axes
+    scale : Normalize
+        Of its image.
+    """
     bar.minorticks_off()
     if isinstance(scale, AsinhNorm):
         ticks = asinh_ticks(scale)
@@ -170,7 +185,14 @@ def panel_axes(figure: Figure) -> tuple[Axes, Axes]:
 
 
 def thumbnail(image: np.ndarray, name: str = "") -> Markup:
-    """Return a small picture of the mean frame of the recording `name` as an ``img`` element."""
+    """Return a small picture of the mean frame of a recording as an ``img`` element.
+
+    Parameters
+    ----------
+    image : ndarray, (rows, columns)
+    name : str
+        Of the recording.
+    """
     data = io.BytesIO()
     pixels = BRIGHTNESS(brightness_scale(image)(np.ma.masked_invalid(image)), bytes=True)
     unsigned: dict[str, Any] = {"Software": None}

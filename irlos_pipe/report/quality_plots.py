@@ -48,7 +48,16 @@ DIAGNOSED = {
 
 
 def otf_figures(run: RunData, stage: str, name: str, looks: Mapping[str, Look]) -> list[Figure]:
-    """Return the cuts through the OTF, if the product of `stage` has them; `name` is unique in the page."""
+    """Return the cuts through the OTF, if the product of a stage has them.
+
+    Parameters
+    ----------
+    run : RunData
+    stage, name : str
+        `name` is unique in the page.
+    looks : mapping of str to Look
+        By the end of the names of the arrays.
+    """
     curves = [
         (run.array(stage, f"otf_{letter}_frequency"), run.array(stage, f"otf_{letter}_{key}"), style, look)
         for key, look in looks.items()
@@ -115,7 +124,16 @@ def energy_figures(
 
 
 def power_figures(run: RunData, stage: str, name: str, looks: Mapping[str, Look]) -> list[Figure]:
-    """Return the power spectrum of the residual; keys of `looks` end the names of the arrays."""
+    """Return the power spectrum of the residual, if the product of a stage has it.
+
+    Parameters
+    ----------
+    run : RunData
+    stage, name : str
+        `name` is unique in the page.
+    looks : mapping of str to Look
+        By the end of the names of the arrays.
+    """
     at = run.array(stage, "left_frequency")
     found = {key: run.array(stage, f"left_power{key}") for key in looks}
     curves = {key: values for key, values in found.items() if values is not None}
@@ -131,7 +149,16 @@ def power_figures(run: RunData, stage: str, name: str, looks: Mapping[str, Look]
 
 
 def power_plot(name: str, at: np.ndarray, curves: Mapping[Look, np.ndarray]) -> Markup:
-    """Draw power spectra over the frequency `at` [D/λ]; `name` is unique in the page."""
+    """Draw power spectra.
+
+    Parameters
+    ----------
+    name : str
+        Unique in the page.
+    at : ndarray, (points,)
+        Frequency [D/λ].
+    curves : mapping of Look to ndarray, (points,)
+    """
 
     def draw(figure: Canvas) -> None:
         axes: Axes = figure.subplots()
