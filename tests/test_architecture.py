@@ -30,7 +30,7 @@ MAY_IMPORT = {
         "estimate", "diagnosis", "product",
     },
     "recipe": {"conventions", "files", "instrument", "stages"},
-    "reference": {"conventions", "effects", "files", "product", "readers", "recipe", "stages"},
+    "reference": {"conventions", "effects", "files", "instrument", "product", "readers", "recipe", "stages"},
     "report": {
         "conventions", "files", "frames", "instrument", "numerics", "optics", "effects", "estimate",
         "product", "stages",

@@ -32,10 +32,12 @@ def recipes(name: str | None) -> None:
 
 @click.command()
 @click.argument("name", required=False, shell_complete=completion.completed(completion.explained))
-def explain(name: str | None) -> None:
-    """Explain a stage, a key of a recipe or a side-car, an effect, a check, or a number of results.json.
+@click.option("--schema", is_flag=True, help="Print the JSON Schema of results.json.")
+def explain(name: str | None, schema: bool) -> None:
+    """Explain a stage, key, effect, check, array of a product, number of results.json, or term.
 
     NAME is the whole name, or the last part of it. Without it, stages, effects and checks are listed.
+    Keys are those of recipes, side-cars and instrument profiles.
 
     \b
     Examples:
@@ -44,7 +46,14 @@ def explain(name: str | None) -> None:
       irlos explain seeing_halo
       irlos explain 'twin solution'
       irlos explain chi2_nu
+      irlos explain gap
+      irlos explain --schema > results.schema.json
     """
+    if schema:
+        from irlos_pipe.reference.schema import FILE
+
+        click.echo(FILE.read_text(encoding="utf-8"), nl=False)
+        return
     from irlos_pipe.reference.lookup import explain as explanation
     from irlos_pipe.reference.lookup import overview
 

@@ -32,6 +32,9 @@ class Effect:
     ----------------
     name : str
         As recipes and results have it.
+    formula : str
+        What it does: to the field of the pupil P exp(2πi Φ/λ), to the OTF as a factor T(b) at the baseline b,
+        to an image I(a) or a signal s.
     plane : str
         Plane of the light path on which it acts.
     order : int
@@ -83,6 +86,7 @@ class Effect:
     """
 
     name: str
+    formula: str = ""
     plane: Plane
     order: int = 0
     public: tuple[Public, ...] = ()

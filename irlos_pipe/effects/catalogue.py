@@ -74,6 +74,10 @@ A recipe lists effects in `model.effects`: by name to estimate them, with their 
 (`tip_tilt_jitter: {sigma_mas: 8}`), or with their values and `fit: true` to start there. Values in brackets
 may be left out. Effects marked with * can be listed several times; results name the second `companion_2`.
 
+Formulas: P(u) and Φ(u) are amplitude and OPD in the pupil, u in metres; an effect of the plane otf
+multiplies the OTF at the baseline b by T(b); I(a) is the image, a an angle; s is the signal of a pixel. Z_k is
+Noll k.
+
 | effect | plane | values: unit, limits | most easily mistaken for |
 |---|---|---|---|
 """
@@ -85,7 +89,14 @@ def catalogue_page() -> str:
     kinds = CATALOGUE.values()
     rows = [f"| {_title(kind)} | {kind.plane} | {_values(kind)} | {kind.look_alike} |" for kind in kinds]
     sections = [
-        "\n\n".join([f"## {kind.name}", _summary(kind), _filled(f"Reference: {kind.reference}.")])
+        "\n\n".join(
+            [
+                f"## {kind.name}",
+                _summary(kind),
+                f"```text\n{kind.formula}\n```",
+                _filled(f"Reference: {kind.reference}."),
+            ]
+        )
         for kind in kinds
     ]
     return HEAD + "\n".join(rows) + "\n\n" + "\n\n".join(sections) + "\n"
@@ -98,6 +109,7 @@ def effect_text(kind: type[Effect]) -> str:
     return "\n".join(
         [
             *_summary(kind).replace("`", "").splitlines(),
+            f"formula: {kind.formula}",
             *(f"value {text}" for text in values),
             *options,
             f"plane: {kind.plane}",

@@ -77,6 +77,7 @@ class ChromaticNcpa(_Table):
     """
 
     name, table = "chromatic_ncpa", "zernike_nm_per_um"
+    formula = "Φ(λ) = Φ + (λ − λ_ref) Σ c_k Z_k, λ_ref = reference_nm"
     aberration = True
     public = (Public(table, "Noll index: nm RMS per µm", "zernike", -2000.0, 2000.0),)
     options = (
@@ -125,6 +126,7 @@ class FilterNcpa(_Table):
     """
 
     name, table = "filter_ncpa", "zernike_nm"
+    formula = "Φ → Φ + Σ c_k Z_k in recordings through the filter or lens"
     aberration = True
     repeatable = True
     public = (Public(table, "Noll index: nm RMS", "zernike", -2000.0, 2000.0),)
@@ -146,6 +148,11 @@ class FilterNcpa(_Table):
         """See `Effect.under`: by default of the filter and the lens of the recording together."""
         elements = (of,) if of else conditions.elements
         return cls(nolls or FILTER_NOLLS, elements, conditions.ncpa_law)
+
+    @property
+    def of(self) -> str:
+        """The filter or source of diversity that it belongs to; empty where these are several."""
+        return next(iter(self.elements)) if len(self.elements) == 1 else ""
 
     def with_focus(self) -> FilterNcpa:
         """Return the same with Noll 4, which recordings of known focus show; chosen modes stay."""

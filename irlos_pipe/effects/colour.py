@@ -40,6 +40,10 @@ class AtmosphericDispersion(OtfEffect):
     """
 
     name = "atmospheric_dispersion"
+    formula = (
+        "T(b) = exp(−2πi b·s(λ) / λ), s ∝ 1/λ² + 0.00835 µm² / λ⁴; mas_per_um = |ds/dλ| at the mean "
+        "wavelength"
+    )
     belongs_to = "moment"
     mild = True
     instrumental = False
@@ -117,6 +121,7 @@ class Spectrum(SamplingEffect):
     """
 
     name = "spectrum"
+    formula = "λ → wavelength_nm + width (λ − λ_mean); weight × (1 + slope (λ − λ_mean))"
     instrumental = False  # belongs to the filter
     fact = True
     public = (
@@ -200,6 +205,7 @@ class PlateScale(SamplingEffect):
     """
 
     name = "plate_scale"
+    formula = "pixel scale × (1 + fraction)"
     fact = True
     public = (number("fraction", "of the assumed scale", -0.05, 0.05),)
     look_alike = "spectrum in a narrow band; two stars of known distance distinguish them"

@@ -33,6 +33,7 @@ class Companion(OtfEffect):
     """
 
     name = "companion"
+    formula = "T(b) = (1 + f exp(−2πi b·s / λ)) / (1 + f), f = flux_ratio, s at sep_mas, pa_deg"
     belongs_to = "star"
     instrumental = False
     public = (

@@ -25,6 +25,7 @@ class InterpixelCrosstalk(DetectorEffect):
     """
 
     name = "interpixel_crosstalk"
+    formula = "s → (1 − f) s + ¼ f · (sum of the four neighbours), f = fraction"
     mild = True
     order = 0
     public = (number("fraction", "shared with the four neighbours together", 0.0, 0.8),)
@@ -54,6 +55,7 @@ class DetectorNonlinearity(DetectorEffect):
     """
 
     name = "detector_nonlinearity"
+    formula = "s → s (1 − f s / s_peak), f = fraction_at_peak"
     mild = True
     order = 1
     public = (number("fraction_at_peak", "lost at the brightest pixel of the mean image", -0.4, 0.4),)
@@ -82,6 +84,10 @@ class BackgroundGradient(DetectorEffect):
     """
 
     name = "background_gradient"
+    formula = (
+        "s → s + e_per_pixel · (x cos angle_deg + y sin angle_deg), x and y in pixels from the middle of "
+        "the window"
+    )
     belongs_to = "moment"
     mild = True
     order = 2
@@ -123,6 +129,7 @@ class CorrelatedNoise(DetectorEffect):
     """
 
     name = "correlated_noise"
+    formula = "s → s + n, the same along a row or column, ⟨n⟩ = 0, ⟨n²⟩ = e_rms²"
     belongs_to = "moment"
     order = 4
     instrumental = False
@@ -172,6 +179,7 @@ class BadPixels(DetectorEffect):
     """
 
     name = "bad_pixels"
+    formula = "s_p → s_p + offset_p for every pixel p listed"
     order = 3
     public = (Public("pixels", "[row, column]", "pixels"),)
     in_image = False

@@ -24,6 +24,7 @@ class NcpaDrift(ZernikeTable, TimeEffect):
     """
 
     name, table = "ncpa_drift", "zernike_nm"
+    formula = "Φ(t) = Φ + (t − ½) Σ c_k Z_k, t from 0 at the first frame to 1 at the last"
     instrumental = False
     belongs_to = "moment"
     public = (Public(table, "Noll index: nm RMS from the first frame to the last", "zernike", -1e4, 1e4),)

@@ -29,6 +29,7 @@ class FocusStageHysteresis(RampEffect):
     """
 
     name = "focus_stage_hysteresis"
+    formula = "introduced = commanded ± nm, + where reached upwards, − where reached downwards"
     public = (number("nm", "nm RMS, half the width of the loop", -1000.0, 1000.0),)
     sentence = "a focus stage hysteresis of {nm:+.0f} nm"
     separated_by = "every offset reached from both sides"
@@ -58,6 +59,7 @@ class FocusStageOffset(RampEffect):
     """
 
     name = "focus_stage_offset"
+    formula = "introduced = commanded + nm, where above_nm < commanded < below_nm"
     repeatable = True  # of different parts of a ramp
     public = (number("nm", "nm RMS", -2000.0, 2000.0),)
     options = (number("above_nm", "nm RMS"), number("below_nm", "nm RMS"))
@@ -101,6 +103,7 @@ class FocusStageScale(RampEffect):
     """
 
     name = "focus_stage_scale"
+    formula = "introduced = commanded · (1 + fraction)"
     public = (number("fraction", "more than commanded", -0.9, 10.0),)
     sentence = "a focus stage scale of {fraction:+.1%}"
     separated_by = "larger offsets on both sides; a known lens"

@@ -35,6 +35,10 @@ class Ghost(OtfEffect):
     """
 
     name = "ghost"
+    formula = (
+        "I(a) → (I(a) + f I_g(a − s)) / (1 + f), f = flux_ratio; I_g: the star with defocus_nm more, "
+        "blurred by blur_mas"
+    )
     widens = Companion.name
     public = (
         number("flux_ratio", "ghost over star", 0.0, 1.0),

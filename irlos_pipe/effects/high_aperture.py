@@ -27,6 +27,9 @@ class HighAperture(LensEffect):
     """
 
     name = "high_aperture"
+    formula = (
+        "shape of defocus: √(1 − sine² ρ²) in place of ρ², ρ: radius over that of the pupil; same Noll 4"
+    )
     public = (number("sine", "NA / n where the focus moves", 0.0, HIGHEST_SINE),)
     sentence = "a focus moved in a beam of NA / n = {sine:.2f}"
     look_alike = "focus_stage_scale in the estimates of a ramp; its images far from focus distinguish them"

@@ -26,6 +26,7 @@ class LowWindEffect(PupilSteps):
     """
 
     name = "low_wind_effect"
+    formula = "Φ → Φ + Σ_p [piston_p + tip_p Z₂ + tilt_p Z₃] on petal p"
     belongs_to = "moment"
     kinds, part_name, sigma_nm = KINDS, "petals", 300.0
     public = per_part(KINDS, "nm, petals anticlockwise from +45°")

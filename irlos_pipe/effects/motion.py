@@ -43,6 +43,7 @@ class TipTiltJitter(OtfEffect):
     """
 
     name = "tip_tilt_jitter"
+    formula = "T(b) = exp(−2π² σ² |b|² / λ²), σ = sigma_mas"
     belongs_to = "moment"
     mild = True
     usual = True
@@ -88,6 +89,10 @@ class Vibration(OtfEffect):
     """
 
     name = "vibration"
+    formula = (
+        "T(b) = J₀(2√2 π σ b∥ / λ), or exp(−2π² σ² b∥² / λ²) with shape gaussian; b∥: baseline along "
+        "angle_deg"
+    )
     belongs_to = "moment"
     public = (number("sigma_mas", "mas RMS", 0.0, LARGEST_MAS), direction("angle_deg"))
     options = (Public("shape", "course of the motion", "word", choices=SHAPES),)

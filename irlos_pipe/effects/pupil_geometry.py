@@ -35,6 +35,7 @@ class PupilSizes(RedrawnPupil):
     """
 
     name = "pupil_geometry"
+    formula = "P(u) drawn with the hole obscuration_m wide and vanes of mean width vane_width_m"
     fact = True
     public = (
         number("obscuration_m", "m, diameter, not its change", 0.0, 50.0, required=False),

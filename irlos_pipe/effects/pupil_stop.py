@@ -37,6 +37,9 @@ class PupilMisregistration(RedrawnPupil):
     """
 
     name = "pupil_misregistration"
+    formula = (
+        "P(u) → P(u; vanes turned by rotation_deg) · S(u − (dx_m, dy_m)); S: stop with outline and hole of P"
+    )
     fact = True
     public = (
         number("dx_m", "m", -1.0, 1.0, role="component"),
@@ -107,6 +110,7 @@ class AmplitudeAberration(ZernikeTable, PupilEffect):
     """
 
     name, table = "amplitude_aberration", "zernike"
+    formula = "P(u) → P(u) · (1 + Σ c_k Z_k(u))"
     mild = True
     public = (Public(table, "Noll index: relative amplitude", "zernike", -1.0, 1.0),)
     options = (Public("nolls", "Noll indices to estimate", "nolls"),)

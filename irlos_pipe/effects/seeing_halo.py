@@ -58,6 +58,10 @@ class SeeingHalo(OtfEffect):
     """
 
     name = "seeing_halo"
+    formula = (
+        "T(b) = exp(−½ (2π/λ)² D(b)); D: structure function of the residual OPD, its in-band variance "
+        "and shape fitted"
+    )
     belongs_to = "moment"
     usual = True
     public = (

@@ -26,6 +26,7 @@ class SegmentPiston(PupilSteps):
     """
 
     name = "segment_piston"
+    formula = "Φ → Φ + piston_p on segment p"
     kinds, part_name, sigma_nm = KINDS, "segments", 150.0
     public = per_part(KINDS, "nm, one per segment")
     look_alike = "high_order_ncpa, of which every mode takes a part of the steps; low_wind_effect"

@@ -60,6 +60,7 @@ class DiversityError(OpdMap):
     """
 
     name = "diversity_error"
+    formula = "Φ → Φ + nm · Σ d_k Z_k / |d|; d: the diversity as told, Noll k"
     mild = True
     public = (number("nm", "nm RMS, more than introduced", -500.0, 500.0),)
     sentence = "{nm:.0f} nm more diversity"
@@ -122,6 +123,7 @@ class HighOrderNcpa(ZernikeTable, OpdMap):
     """
 
     name, table = "high_order_ncpa", "zernike_nm"
+    formula = "Φ → Φ + Σ c_k Z_k, k beyond the modes of the model"
     aberration = True
     public = (Public(table, "Noll index: nm RMS", "zernike", -1000.0, 1000.0),)
     options = (Public("nolls", "Noll indices to estimate", "nolls"),)
@@ -157,6 +159,7 @@ class PhaseBump(OpdMap):
     """
 
     name = "phase_bump"
+    formula = "Φ → Φ + nm · exp(−½ |u − (x_m, y_m)|² / width_m²)"
     repeatable = True
     aberration = True
     public = (

@@ -5,7 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Kind = Literal["stage", "key of a recipe", "key of a side-car", "effect", "check", "number"]
+Kind = Literal[
+    "stage",
+    "key of a recipe",
+    "key of a side-car",
+    "key of a profile",
+    "fact of a profile",
+    "effect",
+    "check",
+    "number",
+    "array of a product",
+    "term",
+]
 
 
 @dataclass(frozen=True)
@@ -31,4 +42,6 @@ class Entry:
 
     def is_called(self, name: str) -> bool:
         """Return whether `name` is the whole name, or a last part of it."""
-        return f".{self.name}".endswith(f".{name}")
+        if self.kind == "term":
+            return self.name.lower() == name.lower()
+        return f".{self.name}".replace("/", ".").endswith(f".{name}".replace("/", "."))

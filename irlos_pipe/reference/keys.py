@@ -7,6 +7,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from irlos_pipe.instrument.facts import FACTS
+from irlos_pipe.instrument.profile import Profile
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.recipe.checks import RecipeHead
 from irlos_pipe.reference.entry import Entry, Kind
@@ -31,6 +33,15 @@ def key_entries() -> Iterator[Entry]:
     for stage in LIGHT_PATH:
         yield from _entries(STAGES[stage].Config, (stage,), "key of a recipe")
     yield from _entries(AcquisitionKeys, ("acquisition",), "key of a side-car")
+    yield from _entries(Profile, ("profile",), "key of a profile")
+
+
+def fact_entries() -> Iterator[Entry]:
+    """Yield the facts that a profile may state."""
+    for name, rule in FACTS.items():
+        limits = f"value: {rule.kind}, ≥ {rule.low:g}, ≤ {rule.high:g}"
+        lines = [rule.text, f"unit: {rule.unit}", limits, *(["required"] if rule.required else [])]
+        yield Entry("fact of a profile", f"profile.facts.{name}", "\n".join(lines))
 
 
 def _entries(model: type[BaseModel], above: tuple[str, ...], kind: Kind) -> Iterator[Entry]:

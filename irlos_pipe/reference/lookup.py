@@ -9,15 +9,17 @@ from itertools import groupby
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.text import aligned, suggestion
 from irlos_pipe.effects.catalogue import CATALOGUE, effect_text
+from irlos_pipe.reference.arrays import array_entries
 from irlos_pipe.reference.entry import Entry
-from irlos_pipe.reference.keys import key_entries
+from irlos_pipe.reference.keys import fact_entries, key_entries
 from irlos_pipe.reference.numbers import number_entries
 from irlos_pipe.reference.quality import check_entries
+from irlos_pipe.reference.terms import term_entries
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 
 
 def explain(name: str) -> str:
-    """Return what a stage, key, effect, check or number called `name` means.
+    """Return what a stage, key, effect, check, number, array or term called `name` means.
 
     Raises
     ------
@@ -43,7 +45,16 @@ def all_entries() -> list[Entry]:
     """Return everything that can be explained."""
     stages = [Entry("stage", name, inspect.getdoc(STAGES[name]) or "") for name in LIGHT_PATH]
     effects = [Entry("effect", name, effect_text(kind)) for name, kind in CATALOGUE.items()]
-    return [*stages, *effects, *check_entries(), *key_entries(), *number_entries()]
+    return [
+        *stages,
+        *effects,
+        *check_entries(),
+        *key_entries(),
+        *fact_entries(),
+        *number_entries(),
+        *array_entries(),
+        *term_entries(),
+    ]
 
 
 def _shown(entry: Entry, entries: Sequence[Entry]) -> str:
@@ -51,7 +62,7 @@ def _shown(entry: Entry, entries: Sequence[Entry]) -> str:
     first, *rest = entry.text.splitlines()
     text = "\n".join([f"{entry.name} ({entry.kind})", f"  {first}", *(f"  {line}".rstrip() for line in rest)])
     inner = [one for one in entries if one.name.startswith(f"{entry.name}.")]
-    kinds = ("key of a recipe", "key of a side-car", "check", "number")
+    kinds = ("key of a recipe", "key of a side-car", "check", "number", "array of a product")
     groups = [[one for one in inner if one.kind == kind] for kind in kinds]
     return "\n\n".join([text, *(_table(group) for group in groups if group)])
 

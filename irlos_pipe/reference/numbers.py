@@ -34,19 +34,19 @@ def number_entries() -> Iterator[Entry]:
 
 
 def _entries(model: type[ResultsPart], above: tuple[str, ...]) -> Iterator[Entry]:
-    told = _told(model)
+    told = told_of(model)
     for key, field in model.model_fields.items():
         unit = UNITS.get(key.rpartition("_")[2], "")
         lines = [field.description or told.get(key, key.replace("_", " "))]
         lines += [f"unit: {unit}"] if unit else []
         name = (*above, key)
         yield Entry("number", ".".join(name), "\n".join([*lines, "in results.json under stages"]))
-        for inner in _models_in(field.annotation):
+        for inner in models_in(field.annotation):
             if len(above) < 4:
                 yield from _entries(inner, name)
 
 
-def _told(model: type[ResultsPart]) -> dict[str, str]:
+def told_of(model: type[ResultsPart]) -> dict[str, str]:
     """What the docstrings of a model and its bases say of the attributes."""
     found: dict[str, str] = {}
     for kind in reversed(model.__mro__):
@@ -57,8 +57,8 @@ def _told(model: type[ResultsPart]) -> dict[str, str]:
     return found
 
 
-def _models_in(annotation: Any) -> Iterator[type[ResultsPart]]:
+def models_in(annotation: Any) -> Iterator[type[ResultsPart]]:
     if isinstance(annotation, type) and issubclass(annotation, ResultsPart):
         yield annotation
     for part in get_args(annotation):
-        yield from _models_in(part)
+        yield from models_in(part)

@@ -18,5 +18,5 @@ def test_the_page_lists_what_the_classes_declare():
 def test_every_effect_says_what_it_is_mistaken_for_and_where_it_is_described():
     for kind in CATALOGUE.values():
         assert kind.look_alike, kind.name
-        assert kind.reference, kind.name
+        assert kind.reference and kind.formula, kind.name
         assert all(public.unit or public.lower > -1e9 for public in kind.public), kind.name

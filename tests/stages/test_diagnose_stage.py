@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 import yaml
 from helpers.diagnose_cases import CASE, CONDITIONS, cube, diagnosis_of, with_companion
+from helpers.result_schema import section_problems
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.product.product import Product
+from irlos_pipe.reference.arrays import listed
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_diagnose import diagnose_section
 from irlos_pipe.stages.diagnose.output import diagnose_arrays, diagnose_results, model_yaml, recipe_entry
@@ -142,3 +145,18 @@ def test_bad_pixels_of_the_model_and_those_found_make_one_list():
         "seeing_halo",
         {"bad_pixels": {"pixels": [[1, 2], [3, 4]]}},
     ]
+
+
+@pytest.mark.parametrize(("elements", "of"), [(["J"], {"of": "J"}), (["J", "lens"], {})])
+def test_the_wavefront_of_a_filter_becomes_an_entry_that_a_recipe_takes(elements, of):
+    kind = CATALOGUE["filter_ncpa"]((5, 6), elements)
+    entry = recipe_entry(FixedEffect(kind, np.array([10.0, -20.0])))
+    assert entry == {"filter_ncpa": {"zernike_nm": {5: 10.0, 6: -20.0}, **of, "fit": True}}
+    assert EffectEntry.of(entry).fit
+
+
+def test_results_and_arrays_are_those_of_the_reference(results):
+    assert section_problems("diagnose", results) == []
+    assert section_problems("diagnose", results | {"surprise": 1}) != []
+    arrays = diagnose_arrays(diagnosis_of("companion"))
+    assert [name for name in arrays if listed("diagnose", name) is None] == []

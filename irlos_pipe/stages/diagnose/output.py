@@ -248,7 +248,8 @@ def recipe_entry(effect: FixedEffect) -> dict[str, Any]:
     """Return an effect as an entry of the section: values to start from, fitted where that helps."""
     kind, public = CATALOGUE[effect.name], effect.base.describe(effect.values)
     values = {p.name: _plain(public[p.name]) for p in kind.public if p.name in public}
-    options = {o.name: getattr(effect.base, o.name) for o in kind.options if o.kind == "word"}
+    words = {o.name: getattr(effect.base, o.name) for o in kind.options if o.kind == "word"}
+    options = {name: word for name, word in words.items() if word}
     return {effect.name: values | options | ({"fit": True} if kind.found_by == "score" else {})}
 
 

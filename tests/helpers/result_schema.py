@@ -1,0 +1,36 @@
+"""Results against the shipped JSON Schema, which here forbids every key that it does not name."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from typing import Any
+
+from irlos_pipe.reference.schema import FILE
+
+
+def schema_problems(content: dict[str, Any]) -> list[str]:
+    """Return where a results.json does not keep to the schema."""
+    return [f"{error.json_path}: {error.message}" for error in _validator().iter_errors(content)]
+
+
+def section_problems(stage: str, section: dict[str, Any]) -> list[str]:
+    """Return the same of the section of one stage."""
+    head = {"schema": "irlos-results", "schema_version": 1, "recipe": "test", "status": "ok"}
+    return schema_problems(head | {"stages": {stage: section}})
+
+
+@cache
+def _validator() -> Any:
+    import jsonschema
+
+    return jsonschema.Draft202012Validator(_without_unknown_keys(json.loads(FILE.read_text())))
+
+
+def _without_unknown_keys(schema: Any) -> Any:
+    if isinstance(schema, list):
+        return [_without_unknown_keys(one) for one in schema]
+    if not isinstance(schema, dict):
+        return schema
+    strict = {key: _without_unknown_keys(value) for key, value in schema.items()}
+    return {"additionalProperties": False} | strict if "properties" in schema else strict

@@ -1,0 +1,92 @@
+"""Schema of results.json and list of arrays against small runs of every stage of the light path."""
+
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+from helpers import sparta_files
+from helpers.result_schema import schema_problems
+
+from irlos_pipe.pipeline import run_recipe
+from irlos_pipe.product.storage import read_product
+from irlos_pipe.recipe import load_recipe
+from irlos_pipe.reference.arrays import ARRAYS, listed
+from irlos_pipe.reference.schema import FILE, schema_text
+from irlos_pipe.stages import LIGHT_PATH
+
+pytestmark = pytest.mark.slow
+
+RAMP = """\
+recipe: ramp
+inputs: {calibration: data/cube_0, ramp: data/ramp}
+stages: [ingest, prior, calibrate, lift, sensitivity, correct]
+model: {pupil_samples: 48}
+calibrate: {method: long_exposure, highest_noll: 6, max_iterations: 3, compare: [dip_avg]}
+lift: {start: zero, max_iterations: 3}
+sensitivity: {faintest_mag_j: 9.5, realisations: 2, modes: [[2, 3, 4]], calibrated: [true]}
+"""
+CUBES = """\
+recipe: cubes
+inputs: {cube: [data/cube_0, data/cube_1]}
+stages: [ingest, calibrate, derotator, modes]
+model: {pupil_samples: 48}
+calibrate: {input: cube, each: true, method: dip_avg, highest_noll: 8, max_iterations: 3}
+modes: {numbers: [4, 6]}
+"""
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory) -> list[Path]:
+    """Folders of runs that together hold every stage but `diagnose`."""
+    folder = tmp_path_factory.mktemp("small")
+    for number, angle in enumerate((0.0, 90.0)):
+        adu = sparta_files.counts(sparta_files.star(16, 16), 8, seed=number)
+        keys = {"derotator_angle_deg": angle}
+        sparta_files.write_recorder(folder / "data" / f"cube_{number}", adu, keys=keys)
+    for number, offset in enumerate((-60.0, 0.0, 60.0)):
+        adu = sparta_files.counts(sparta_files.star(16, 16), frames=1, seed=number)
+        keys = {"role": "defocus_ramp", "introduced_defocus_nm": offset}
+        sparta_files.write_recorder(folder / "data" / "ramp" / f"offset_{number}", adu, keys=keys)
+    for name, text in {"ramp": RAMP, "cubes": CUBES}.items():
+        (folder / f"{name}.yaml").write_text(text)
+        run_recipe(load_recipe(folder / f"{name}.yaml"), folder / name)
+    return [folder / "ramp", folder / "cubes"]
+
+
+def test_the_shipped_schema_is_that_of_the_models():
+    assert FILE.read_text(encoding="utf-8") == schema_text(), "python -m irlos_pipe.reference.schema"
+    jsonschema.Draft202012Validator.check_schema(json.loads(schema_text()))
+
+
+def test_the_results_of_every_stage_keep_to_the_schema(runs):
+    found = [json.loads((run / "results.json").read_text()) for run in runs]
+    assert {stage for one in found for stage in one["stages"]} == {*LIGHT_PATH} - {"diagnose"}
+    assert [problem for one in found for problem in schema_problems(one)] == []
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "path"),
+    [
+        ("wfe_nm", "12", "$.stages.calibrate.wfe_nm"),
+        ("zernike_nm", {"4": "x"}, "$.stages.calibrate.zernike_nm['4']"),
+        ("frames", 3.5, "$.stages.calibrate.frames"),
+    ],
+)
+def test_the_schema_sees_a_wrong_value_where_it_stands(runs, key, value, path):
+    content = json.loads((runs[0] / "results.json").read_text())
+    content["stages"]["calibrate"][key] = value
+    (error,) = jsonschema.Draft202012Validator(json.loads(FILE.read_text())).iter_errors(content)
+    assert error.json_path.replace('["4"]', "['4']") in (path, path.replace("['4']", ".4"))
+
+
+def test_every_array_of_every_product_is_listed_with_its_unit(runs):
+    products = [read_product(path) for run in runs for path in sorted(run.glob("*.h5"))]
+    for product in products:
+        for name, array in product.arrays.items():
+            known = listed(product.stage, name)
+            assert known is not None, f"{product.stage}.{name}: say in reference/arrays.py what it is"
+            unit, shape, _ = ARRAYS[known]
+            if "<array>" not in known:
+                assert unit == f"{array.unit} ±".strip() if array.error is not None else unit == array.unit
+                assert len(list(filter(None, shape.split(",")))) == array.value.ndim, known
