@@ -75,8 +75,8 @@ A recipe lists effects in `model.effects`: by name to estimate them, with their 
 may be left out. Effects marked with * can be listed several times; results name the second `companion_2`.
 
 Formulas: P(u) and Φ(u) are amplitude and OPD in the pupil, u in metres; an effect of the plane otf
-multiplies the OTF at the baseline b by T(b); I(a) is the image, a an angle; s is the signal of a pixel. Z_k is
-Noll k.
+multiplies the OTF at the baseline b by T(b); I(a) is the image, a an angle; s is the signal of a pixel, and
+Z_k is Noll k.
 
 | effect | plane | values: unit, limits | most easily mistaken for |
 |---|---|---|---|
