@@ -40,7 +40,7 @@ BEADS = $(MEASURED)/microscopy_pyotf/psf_wl520nm_z300nm_x130nm_na0.85_n1.0.tif
 where = if test -f $(1); then $(2) || test $$? -eq 4; fi
 
 .DEFAULT_GOAL := help
-.PHONY: help env env-test demo test test-quick lint bench fuzz faults misled clean full calibrate dip-global ramp
+.PHONY: help env env-test demo docs test test-quick lint bench fuzz faults misled clean full calibrate dip-global ramp
 .PHONY: focus-demo sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
 
 help: ## list the targets
@@ -61,6 +61,10 @@ $(VENV)/.env-test: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP_INSTALL) --editable '.[dev]'
 	@touch $@ $(VENV)/.env-run
 
+$(VENV)/.env-docs: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP_INSTALL) --editable '.[docs]'
+	@touch $@
+
 demo: env ## reduce data_samples/ completely and compare the result with the truth
 	$(BIN)/irlos demo --output $(DEMO) $(ARGS)
 
@@ -77,6 +81,10 @@ lint: env-test ## check formatting, style and types
 
 focus-demo: env-test ## close the focus loop on a simulated telescope for two minutes (ARGS="--speed 0 --no-browser")
 	$(BIN)/python -m benchmarks.focus_loop.demo --output $(RUNS)/focus-demo $(ARGS)
+
+docs: $(VENV)/.env-docs ## build the documentation site in docs/_build/html; warnings are errors
+	$(BIN)/python -m sphinx -q -W --keep-going docs docs/_build/html
+	@echo "docs/_build/html/index.html"
 
 bench: env-test ## time the estimators against other implementations
 	$(BIN)/python -m benchmarks $(ARGS)
@@ -133,6 +141,6 @@ measured: env ## run recipes/measured/ on the measured recordings that are there
 	@$(call where,$(BEADS),$(BIN)/irlos run recipes/measured/beads.yaml --input ramp=$(RUNS)/measured/beads-data/beads.fits --output $(RUNS)/measured/beads $(ARGS))
 
 clean: ## remove the files that building and testing left (not the environment, not runs/)
-	rm -rf build dist demo .pytest_cache .ruff_cache .mypy_cache
+	rm -rf build dist demo docs/_build docs/reference .pytest_cache .ruff_cache .mypy_cache
 	find irlos_pipe tests -name __pycache__ -type d -prune -exec rm -rf {} +
 	find . -maxdepth 1 -name '*.egg-info' -type d -exec rm -rf {} +

@@ -121,7 +121,7 @@ def array_entries() -> Iterator[Entry]:
 
 
 def listed(stage: str, name: str) -> str | None:
-    """Return the name under which the array `name` of a product is listed, or None if it is not."""
+    """Return the name under which the array `name` of the product of `stage` is listed, or None."""
     whole = f"{stage}.{name}"
     patterns = (".+".join(map(re.escape, ANY_OF.split(known))) for known in ARRAYS)
     matches = zip(ARRAYS, patterns, strict=True)

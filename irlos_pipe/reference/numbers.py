@@ -47,7 +47,7 @@ def _entries(model: type[ResultsPart], above: tuple[str, ...]) -> Iterator[Entry
 
 
 def told_of(model: type[ResultsPart]) -> dict[str, str]:
-    """What the docstrings of a model and its bases say of the attributes."""
+    """Return what the docstrings of a `model` and its bases say of the attributes, by name."""
     found: dict[str, str] = {}
     for kind in reversed(model.__mro__):
         text = inspect.cleandoc(vars(kind).get("__doc__") or "")
@@ -58,6 +58,7 @@ def told_of(model: type[ResultsPart]) -> dict[str, str]:
 
 
 def models_in(annotation: Any) -> Iterator[type[ResultsPart]]:
+    """Yield the models that a field with this `annotation` may hold."""
     if isinstance(annotation, type) and issubclass(annotation, ResultsPart):
         yield annotation
     for part in get_args(annotation):

@@ -1,0 +1,53 @@
+"""The documentation site; `make docs` builds it with warnings as errors."""
+
+from pathlib import Path
+
+import click
+
+import irlos_pipe
+from irlos_pipe.commands.main import cli
+from irlos_pipe.reference.pages import pages
+
+HERE = Path(__file__).parent
+
+project = "irlos_pipe"
+author = "The irlos_pipe developers"
+version = release = irlos_pipe.__version__
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+myst_heading_anchors = 3
+nb_execution_mode = "off"  # a test executes the tutorial; the site shows the outcome that is stored in it
+exclude_patterns = ["_build", "images/*.py"]
+html_theme = "furo"
+html_title = f"irlos_pipe {version}"
+html_show_sphinx = False
+autodoc_typehints = "none"  # the docstrings state types, shapes and units
+autodoc_member_order = "bysource"
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+# Files of the tree beside the site are linked as they lie, for readers on a code host.
+suppress_warnings = ["myst.xref_missing"]
+
+
+def commands_page() -> str:
+    """Return the help of every command."""
+    parts = ["# Commands\n\nEvery command shows this text with `--help`.\n"]
+    for name, command in cli.commands.items():
+        with click.Context(command, info_name=f"irlos {name}", max_content_width=96) as context:
+            parts.append(f"## irlos {name}\n\n```text\n{command.get_help(context)}\n```\n")
+    return "\n".join(parts)
+
+
+def write_reference(_app: object) -> None:
+    """Write the pages that are made from the package."""
+    folder = HERE / "reference"
+    folder.mkdir(exist_ok=True)
+    for name, text in (pages() | {"commands": commands_page()}).items():
+        path = folder / f"{name}.md"
+        if not path.is_file() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+def setup(app: object) -> None:
+    """Connect what has to be written before the site is read."""
+    app.connect("builder-inited", write_reference)  # type: ignore[attr-defined]
