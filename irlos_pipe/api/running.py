@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -71,9 +71,14 @@ class Run(Mapping[str, Product]):
         """Say what was run, and what came out of it."""
         failed = [check.name for check in self.checks if not check.passed]
         quality = f"{len(self.checks) - len(failed)} of {len(self.checks)} checks passed"
-        rows = [(f"  {stage}", "; ".join(product.summary[:1])) for stage, product in self.items()]
+        rows = [(f"  {stage}", _headline(product.summary)) for stage, product in self.items()]
         head = f"Run {self.path}: recipe {self.results.recipe}, {self.results.status}, {quality}"
         return "\n".join([head, aligned(rows), *(f"  failed: {name}" for name in failed)])
+
+
+def _headline(summary: Sequence[str]) -> str:
+    """The first line that is not one of detail."""
+    return next((line for line in summary if not line.startswith("  ")), "")
 
 
 def run(

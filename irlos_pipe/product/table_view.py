@@ -63,5 +63,6 @@ def _add(table: QTable, name: str, quantity: Quantity) -> None:
     for label, values in ((name, quantity.value), (f"{name}_error", quantity.error)):
         if values is not None:
             column = np.atleast_1d(values)
-            table[label] = column if unit is None else WithUnit(column, unit)
+            plain = unit is None or (column.dtype.kind in "iu" and not quantity.unit)  # as an index
+            table[label] = column if plain else WithUnit(column, unit)
             table[label].info.description = quantity.description

@@ -63,6 +63,7 @@ def test_a_table_has_units_errors_and_descriptions():
     table = product().table()
     assert table.colnames == ["noll", "zernike_nm", "zernike_nm_error", "status", "used"]
     assert table["zernike_nm"][1].to_value("um") == pytest.approx(-2e-3)
+    assert table["noll"].dtype == int and list(table["noll"]) == [2, 3, 4, 5]
     assert table["zernike_nm_error"].unit == "nm" and table["noll"].info.description == "Noll index"
     assert product().table("zernike_nm", "noll").colnames[0] == "zernike_nm"
 
