@@ -4,7 +4,7 @@ import re
 import shlex
 import tomllib
 from collections.abc import Iterator
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 import click
 import pytest
@@ -43,7 +43,7 @@ def commands(text: str, program: str) -> Iterator[list[str]]:
     lines = [line for block in SHELL.findall(text) for line in block.splitlines()]
     for line in [*lines, *INDENTED.findall(text), *INLINE.findall(FENCE.sub("", text))]:
         if line.startswith(f"{program} "):
-            yield shlex.split(line, comments=True)[1:]
+            yield list(takewhile(lambda word: word != ">", shlex.split(line, comments=True)[1:]))
 
 
 def is_sketch(arguments: list[str]) -> bool:
