@@ -7,7 +7,7 @@ only the pupil tells. About the fit with the pupil as told, the mean image is
 
 where I_mirrored has the same wavefront behind the mirrored pupil: a is 0 for the pupil as told, and 1 for the
 mirrored one. It is estimated by weighted least squares, without what the fitted parameters would follow; its
-error is the scatter of the same estimate over the frames.
+error is the scatter of the same estimate over the frames, their autocorrelation included.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import torch
 from irlos_pipe.conventions.placement import Placement
 from irlos_pipe.conventions.pupil_drawing import placed
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.cube import Frames, mean_variance_e2
+from irlos_pipe.estimate.cube import Frames, autocorrelation_time, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.frames.blocks import sample_frames
 from irlos_pipe.optics.psf import PsfModel
@@ -81,8 +81,8 @@ def mirrored(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Mirrore
     some = frames.images_e[torch.as_tensor(sample_frames(len(frames.images_e)))].flatten(1).double()
     amplitudes = (torch.where(root > 0, (some - image[0].cpu()) * root, 0.0) @ along / length).numpy()
     whole = torch.where(root > 0, (frames.mean_e.flatten() - image[0].cpu()) * root, 0.0)
-    sigma = float(amplitudes.std(ddof=1) / np.sqrt(len(frames.images_e)))
-    return Mirrored(float(whole @ along / length), sigma)
+    independent = len(amplitudes) / float(autocorrelation_time(amplitudes[:, None])[0])
+    return Mirrored(float(whole @ along / length), float(amplitudes.std(ddof=1) / np.sqrt(independent)))
 
 
 def _mirrored_problem(problem: ImageFit) -> ImageFit:

@@ -20,7 +20,7 @@ BY_RAMP = (
     "wavelength and pixel scale wrong by the same factor",
 )
 CUBES_IN_SHORT = (
-    "  not tested      sign, size and mode of the diversity; images transposed or turned by 180°; wavelength "
+    "Not tested      sign, size and mode of the diversity; images transposed or turned by 180°; wavelength "
     "and scale by one factor"
 )
 
