@@ -24,6 +24,7 @@ POINT_COLUMNS = (
     "name", "recipe", "configuration", "night", "run", "unix_s", "value", "sigma", "low", "high", "alarm",
 )  # fmt: skip
 MOST_VERDICTS = 3
+FAR = 2.0  # times the longest lag between calibrations: a drift is not drawn out further
 
 
 def trend_text(trend: Trend, everything: bool = False) -> str:
@@ -56,13 +57,10 @@ def validity_text(validity: Validity) -> str:
     limit = f"{validity.change_nm:g} nm RMS"
     if validity.days == 0:
         return f"From one calibration to the next the NCPAs change by more than {limit}."
-    at_least = min(validity.low_days, validity.seen_days)
-    if validity.days > validity.seen_days or validity.high_days == float("inf"):
-        return f"The NCPAs stay within {limit} for at least {at_least:.3g} days: no drift beyond is seen."
-    return (
-        f"The NCPAs stay within {limit} for {validity.days:.3g} days "
-        f"(95 %: {validity.low_days:.3g} to {validity.high_days:.3g})."
-    )
+    if _is_far(validity):
+        at_least = min(validity.low_days, validity.seen_days)
+        return f"The NCPAs stay within {limit} for at least {at_least:.3g} days: no drift to that is seen."
+    return f"The NCPAs stay within {limit} for {validity.days:.3g} days ({_interval(validity)})."
 
 
 def validity_number(validity: Validity) -> tuple[str, str]:
@@ -70,9 +68,19 @@ def validity_number(validity: Validity) -> tuple[str, str]:
     limit = f"within {validity.change_nm:g} nm RMS"
     if validity.days == 0:
         return "0 days", f"changes by more than {validity.change_nm:g} nm RMS at once"
-    if validity.days > validity.seen_days or validity.high_days == float("inf"):
-        return f"≥ {min(validity.low_days, validity.seen_days):.3g} days", f"{limit}; no drift seen"
-    return f"{validity.days:.3g} days", f"{limit}; 95 %: {validity.low_days:.3g} to {validity.high_days:.3g}"
+    if _is_far(validity):
+        return f"≥ {min(validity.low_days, validity.seen_days):.3g} days", f"{limit}; no drift to that seen"
+    return f"{validity.days:.3g} days", f"{limit}; {_interval(validity)}"
+
+
+def _is_far(validity: Validity) -> bool:
+    """Whether the time is far beyond what the calibrations cover."""
+    return validity.days > FAR * validity.seen_days
+
+
+def _interval(validity: Validity) -> str:
+    known = validity.high_days < float("inf")
+    return f"95 %: {validity.low_days:.3g} {f'to {validity.high_days:.3g}' if known else 'or more'}"
 
 
 def trend_json(trend: Trend) -> str:

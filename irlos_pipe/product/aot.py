@@ -152,8 +152,25 @@ def _sidecar(product: Product, prefix: str) -> dict[str, Any]:
             "zernike": {int(noll): nm for noll, nm in told["diversity"].items()},
         },
         "introduced_defocus_nm": float(defocus[0]) if np.ptp(defocus) == 0 else defocus.tolist(),
-        "detector": {name: value for name, value in told["detector"].items() if value is not None},
+        "detector": _detector_keys(told["detector"], told["exposure_s"]),
     }
+
+
+def _detector_keys(detector: dict[str, Any], exposure_s: float | None) -> dict[str, float]:
+    """The constants of one read, of which a frame is the sum; all light of the background as dark current."""
+    reads = detector.get("reads", 1)
+    keys = {
+        "e_per_adu": detector["e_per_adu"],
+        "read_noise_e": detector["read_noise_e"] / reads**0.5,
+        "excess_noise_factor": detector["excess_noise_factor"],
+    }
+    if detector["saturation_adu"] is not None:
+        keys["saturation_adu"] = detector["saturation_adu"] / reads
+    if reads > 1:
+        keys["coadds"] = reads
+    if exposure_s and detector.get("background_e"):
+        keys["dark_e_per_s"] = detector["background_e"] / exposure_s
+    return keys
 
 
 def _aotpy() -> Any:

@@ -110,4 +110,5 @@ def test_how_long_a_calibration_is_valid_is_one_sentence():
     )
     assert "at least 30 days" in validity_text(Validity(20.0, inf, 400.0, inf, 30.0))
     assert "at least 9 days" in validity_text(Validity(20.0, 300.0, 9.0, inf, 30.0))
+    assert "for 4 days (95 %: 1.5 or more)" in validity_text(Validity(20.0, 4.0, 1.5, inf, 30.0))
     assert "From one calibration to the next" in validity_text(Validity(20.0, 0.0, 0.0, 3.0, 30.0))
