@@ -14,11 +14,22 @@ from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Parameter, Plane
 from irlos_pipe.effects.labels import labels_of
-from irlos_pipe.numerics.forward_mode import along_all, pushed_each
+from irlos_pipe.numerics.forward_mode import along_all
 from irlos_pipe.optics.grids import Change, Grids, Optics, OtfGrid, Sampling, Tangents
 
 PLANES: tuple[Plane, ...] = get_args(Plane)
 Acting = tuple[Effect, slice]  # and its part of the parameter vector
+
+# Steps of central differences, which err by their square and by rounding over them: of a parameter, and of
+# the sampling, relative. Forward mode would load for seconds and be ten times slower through the AO residual.
+SMALL, DIFFERENCE = 1e-6, 1e-4
+
+
+def _slope(above: torch.Tensor | None, below: torch.Tensor | None, step: float) -> torch.Tensor | None:
+    """Central difference; None of what does not change."""
+    if above is None or below is None or torch.equal(above, below):
+        return None
+    return (above - below) / (2 * step)
 
 
 class EffectSet:
@@ -105,20 +116,21 @@ class EffectSet:
 
     def _resampled(self, values: torch.Tensor, index: int) -> list[Change]:
         """Derivatives for star and copies with respect to the parameter `index`, one of the sampling."""
-        sampling, direction = self._sampling(values), torch.zeros_like(values)
-        direction[index] = 1
-        rates = zip(sampling, pushed_each(self._sampling, values, direction), strict=True)
-        change = Sampling(*(torch.zeros_like(one) if rate is None else rate for one, rate in rates))
+        sampling, move = self._sampling(values), torch.zeros_like(values)
+        move[index] = SMALL * max(1.0, abs(float(values[index])))
+        ends = zip(sampling, self._sampling(values + move), self._sampling(values - move), strict=True)
+        change = Sampling(*((above - below + 0 * one) / (2 * move[index]) for one, above, below in ends))
 
-        def light(along: torch.Tensor) -> list[torch.Tensor | None]:
+        def light(along: float) -> list[torch.Tensor | None]:
             pairs = zip(sampling, change, strict=True)
             star = self._optics(values, Sampling(*(one + along * rate for one, rate in pairs)))
             return [factor for path in (star, *star.copies) for factor in (path.pupil, path.transfer)]
 
         if not (change.wavelengths_m.any() or change.weights.any()):
             return [(None, None, change) for _ in range(1 + len(self._copies))]
-        zero = torch.zeros((), dtype=torch.float64)
-        factors = pushed_each(light, zero, torch.ones_like(zero))
+        largest = max(float((rate / one).abs().max()) for one, rate in zip(sampling, change, strict=True))
+        step = DIFFERENCE / largest
+        factors = [_slope(*ends, step) for ends in zip(light(step), light(-step), strict=True)]
         return [
             (pupil, transfer, change) for pupil, transfer in zip(factors[0::2], factors[1::2], strict=True)
         ]

@@ -6,14 +6,13 @@ PyTorch keeps one level of dual numbers per process, not per thread: threads tak
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TypeAlias
 
 from irlos_pipe.conventions.late import LateModule, torch
 
 forward_ad = LateModule("torch.autograd.forward_ad")
 Function: TypeAlias = "Callable[[torch.Tensor], torch.Tensor]"
-Functions: TypeAlias = "Callable[[torch.Tensor], Sequence[torch.Tensor | None]]"
 
 _turn = threading.RLock()
 
@@ -23,16 +22,6 @@ def pushed(function: Function, values: torch.Tensor, direction: torch.Tensor) ->
     with _turn, forward_ad.dual_level():
         dual = forward_ad.unpack_dual(function(forward_ad.make_dual(values.clone(), direction.to(values))))
         return torch.zeros_like(dual.primal) if dual.tangent is None else dual.tangent.clone()
-
-
-def pushed_each(
-    functions: Functions, values: torch.Tensor, direction: torch.Tensor
-) -> list[torch.Tensor | None]:
-    """Return those of several results of `functions`; None of one that does not depend on its argument."""
-    with _turn, forward_ad.dual_level():
-        results = functions(forward_ad.make_dual(values.clone(), direction.to(values)))
-        tangents = [None if one is None else forward_ad.unpack_dual(one).tangent for one in results]
-        return [None if one is None else one.clone() for one in tangents]
 
 
 def pushed_all(function: Function, values: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:

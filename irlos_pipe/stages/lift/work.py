@@ -40,7 +40,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     focus = _focus_stage(ctx, ramp, fit)
     ramp = replace(ramp, data=replace(ramp.data, introduced_nm=focus.introduced_nm))
     summary = _summarise(ramp, fit)
-    others = _comparison(ctx, ramp) if ctx.config.compare else {}
+    others = _comparison(ctx, ramp, fit) if ctx.config.compare else {}
     errors = _frame_errors(ramp, fit)
     optics_nm = _optics_nm(ctx, ramp, fit)
     sigma_nm = errors.sigma_nm(fit.result.mode(4)[1].numpy(), optics_nm)
@@ -98,13 +98,15 @@ def _focus_stage(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> FocusSt
         raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
 
 
-def _comparison(ctx: StageContext[Config], ramp: Ramp) -> dict[str, RampSummary]:
-    """Estimate the same ramp without NCPAs and without the AO residual."""
+def _comparison(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> dict[str, RampSummary]:
+    """Estimate the same ramp without NCPAs and without the AO residual, all else as the `fit` has it."""
     config, found = ctx.config, {}
     if config.calibrated:
-        found[WITHOUT_NCPAS] = fit_frames(ctx, ramp, calibrated=False, halo=config.halo)
+        found[WITHOUT_NCPAS] = fit_frames(ctx, ramp, calibrated=False, halo=config.halo, after=fit)
     if config.halo != "off" and ctx.model.effects:
-        found["without AO residual"] = fit_frames(ctx, ramp, calibrated=config.calibrated, halo="off")
+        found["without AO residual"] = fit_frames(
+            ctx, ramp, calibrated=config.calibrated, halo="off", after=fit
+        )
     return {name: _summarise(ramp, fit) for name, fit in found.items()}
 
 
