@@ -70,7 +70,7 @@ def verdict_table(results: DiagnoseResults) -> list[Table]:
         ("grade", f"{results.grade}: {GRADES[results.grade]}" if results.grade in GRADES else ""),
         *(("missing", f"{step.phrase} ({number(step.significance, '.0f', 'σ')})") for step in results.steps),
         *((("nearest, not named", results.nearest.phrase),) if results.nearest else ()),
-        ("why it is not named", results.why_unknown if results.nearest else ""),
+        ("why it is not named" if results.nearest else "why", results.why_unknown),
         ("error of the ramp", _ramp_error(results)),
         ("data that no fit has seen", _held_out(results)),
         *(("runner-up", _lost(step)) for step in _shown(results)[:1]),

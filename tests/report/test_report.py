@@ -282,6 +282,7 @@ def test_what_a_diagnosis_says_of_files_cannot_change_the_page(tmp_path):
     text = report(tmp_path, made).text
     assert "<img" not in text
     assert text.count("&lt;img src=x") >= 5
+    assert "why it is not named" in text
 
 
 def test_the_page_of_a_diagnosis_opens_with_its_verdict(tmp_path):
