@@ -53,12 +53,12 @@ class Quantity:
 
     @property
     def astropy_unit(self) -> UnitBase | None:
-        """The unit as Astropy has it; None for words and flags."""
+        """The unit as Astropy has it, or as a name where it has none (D/λ); None for words and flags."""
         from astropy import units
 
         if np.asarray(self.value).dtype.kind not in "iufc":
             return None
-        return units.Unit(SPELLINGS.get(self.unit, self.unit))
+        return units.Unit(SPELLINGS.get(self.unit, self.unit), parse_strict="silent")
 
     @property
     def described(self) -> tuple[str, str, str]:

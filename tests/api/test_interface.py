@@ -12,6 +12,8 @@ from helpers.paths import PACKAGE, REPOSITORY
 import irlos_pipe
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.product.product import Product, Quantity
+from irlos_pipe.product.quantity import SPELLINGS
+from irlos_pipe.reference.arrays import ARRAYS
 
 SAMPLE = REPOSITORY / "data_samples" / "ramp" / "offset_00"
 
@@ -86,6 +88,14 @@ def test_an_array_is_handed_on_as_data_with_uncertainty_and_unit():
     assert data.unit == "nm" and data.uncertainty.array.tolist() == [1, 4, 9, 16]
     assert product()["image_e"].nddata().unit == "electron" and product()["used"].nddata().unit is None
     assert data.meta["description"] == "wavefront"
+
+
+@pytest.mark.parametrize("unit", sorted({unit.removesuffix("±").strip() for unit, _, _ in ARRAYS.values()}))
+def test_every_unit_of_a_product_stands_in_a_table(unit):
+    quantity = Quantity(np.ones(2), unit, "")
+    table = Product("calibrate", {"numbers": quantity}, {}).table()
+    shown = SPELLINGS.get(unit, unit)
+    assert table["numbers"].unit.to_string() == shown and quantity.nddata().unit.to_string() == shown
 
 
 def test_a_product_shows_its_summary_and_its_arrays_and_no_numbers():
