@@ -30,6 +30,7 @@ from irlos_pipe.diagnosis.starts import other_sides, other_wavefronts
 from irlos_pipe.diagnosis.without import nulls_of, without_linearly
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect
 from irlos_pipe.effects.effect_set import labels_of
+from irlos_pipe.effects.labels import label_after
 
 RIVALS = 0.3  # of the fall of χ² by a name, that another must promise to be compared
 PROPOSALS = 4  # fitted per name
@@ -228,8 +229,9 @@ class TolerantTask(AllowingTask):
         One that another effect explains as well, and more plausibly, gives it its place. What is unusual
         comes first, then what explains most. `dropped` are names that were not significant beside these.
         """
-        task, named = self, []
-        for label in added(current.fitted, told):
+        task, named, waiting = self, [], added(current.fitted, told)
+        while waiting:
+            label, *waiting = waiting
             present = task._against_without(current, label)
             if not np.isfinite(present.origin.fitted.chi2) or not task._explains_its_own(present):
                 continue
@@ -240,6 +242,7 @@ class TolerantTask(AllowingTask):
             named.append(one)
             if one.refit is not present:
                 task, current = task.with_errors(one.refit.fitted)
+                waiting = [label_after(other, label) for other in waiting]
         return task, current, sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
 
     def _rivals(self, refit: Refit, dropped: Sequence[str]) -> list[Refit]:

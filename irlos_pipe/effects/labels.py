@@ -27,3 +27,15 @@ def labels_of(effects: Sequence[Effect]) -> list[str]:
 def label_of(name: str, before: int) -> str:
     """Label of an effect with this `name` of which there are some `before` it."""
     return f"{name}_{before + 1}" if before else name
+
+
+def label_after(label: str, gone: str) -> str:
+    """Label of an effect when the one labelled `gone` has left the model: later ones of its kind move up."""
+    (name, number), (other, place) = _parts(label), _parts(gone)
+    return label_of(name, number - 1) if name == other and number > place else label
+
+
+def _parts(label: str) -> tuple[str, int]:
+    """The name in a label, and how many of its kind come before."""
+    name, _, number = label.rpartition("_")
+    return (name, int(number) - 1) if name and number.isdecimal() else (label, 0)

@@ -101,7 +101,9 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
     values["pupil_rotation_deg"] = _pupil_rotation(values, sources, instrument, where)
     for key, value in _of_the_sky(values, instrument, where).items():
         values[key], sources[key] = value, sources.get(key, PROFILE)
-    values["exposure_s"] = _exposure_s(values, sources)
+    exposure_s = _exposure_s(values, sources)
+    if exposure_s is not None:  # an archive may have lost it; the frames then tell their noise
+        values["exposure_s"] = exposure_s
     reads = reads_of(values, sources, where)
     defocus = _per_frame(values["introduced_defocus_nm"], raw, sources["introduced_defocus_nm"])
     warnings = _warnings(raw, values, sources)

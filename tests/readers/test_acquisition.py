@@ -105,6 +105,14 @@ def test_the_recipe_alone_can_say_everything(tmp_path):
     assert resolve(recording(tmp_path), keys, IRLOS).acquisition.diversity == {6: -170.0}
 
 
+def test_an_exposure_that_nobody_knows_stays_unknown(tmp_path):
+    """As in archives of other instruments, whose profiles have no usual exposure."""
+    pharo = load_instrument("pharo")
+    assert "exposure_s" not in pharo.defaults
+    write_sidecar(tmp_path / "acquisition.yaml", "exposure_s")
+    assert resolve(recording(tmp_path), NOTHING, pharo).acquisition.exposure_s is None
+
+
 def test_a_ramp_must_say_its_defocus(tmp_path):
     write_sidecar(tmp_path / "acquisition.yaml", "introduced_defocus_nm", role="defocus_ramp")
     with pytest.raises(InputDataError, match="key 'introduced_defocus_nm' missing"):
