@@ -30,7 +30,12 @@ def label_of(name: str, before: int) -> str:
 
 
 def label_after(label: str, gone: str) -> str:
-    """Label of an effect when the one labelled `gone` has left the model: later ones of its kind move up."""
+    """Label of an effect when the one labelled `gone` has left the model: later ones of its kind move up.
+
+    Parameters
+    ----------
+    label, gone : str
+    """
     (name, number), (other, place) = _parts(label), _parts(gone)
     return label_of(name, number - 1) if name == other and number > place else label
 
