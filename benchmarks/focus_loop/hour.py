@@ -13,7 +13,6 @@ from benchmarks.focus_loop.run import Outcome, Trial
 from benchmarks.focus_loop.telescope import Night
 
 HOUR = 3600
-START_NM = 850.0
 SETTLED = 60  # exposures after the start, and after a fault, that do not count as undisturbed
 # First and last exposure of what goes wrong with the light and the frames.
 FAULTS = {
@@ -54,19 +53,18 @@ EVENTS = [
 @click.option("--output", type=click.Path(path_type=Path), required=True, help="A new folder.")
 @click.option("--mag-j", type=float, default=12.0, show_default=True)
 @click.option("--reads", type=int, default=4, show_default=True, help="Of an exposure of a second.")
+@click.option("--start-nm", type=float, default=850.0, show_default=True, help="Defocus at the beginning.")
 @click.option("--exposures", type=int, default=HOUR, show_default=True, help="Fewer leave later faults out.")
-def main(calibration: Path, other: Path, output: Path, mag_j: float, reads: int, exposures: int) -> None:
+def main(
+    calibration: Path, other: Path, output: Path, mag_j: float, reads: int, start_nm: float, exposures: int
+) -> None:
     """Run the hour with the run folder CALIBRATION, which is replaced by OTHER."""
-    trial = Trial(output, calibration, night_of(mag_j, reads, exposures), actions_of(other))
+    night = Night(mag_j=mag_j, reads=reads, exposures=exposures, start_nm=start_nm, faults=FAULTS)
+    trial = Trial(output, calibration, night, actions_of(other))
     trial.run()
     summary = summary_of(trial.outcome())
     (output / "summary.json").write_text(json.dumps(summary, indent=1))
     click.echo(json.dumps(summary, indent=1))
-
-
-def night_of(mag_j: float, reads: int, exposures: int) -> Night:
-    """The hour of a star."""
-    return Night(mag_j=mag_j, reads=reads, exposures=exposures, start_nm=START_NM, faults=FAULTS)
 
 
 def actions_of(other: Path) -> dict:
