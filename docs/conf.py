@@ -21,6 +21,7 @@ exclude_patterns = ["_build", "images/*.py"]
 html_theme = "furo"
 html_title = f"irlos_pipe {version}"
 html_show_sphinx = False
+smartquotes = False  # options begin with two hyphens
 autodoc_typehints = "none"  # the docstrings state types, shapes and units
 autodoc_member_order = "bysource"
 napoleon_google_docstring = False

@@ -6,8 +6,7 @@ import io
 import warnings
 from collections.abc import Iterable, Sequence
 
-from astropy.io import fits
-
+from irlos_pipe.files.late import fits
 from irlos_pipe.product.header import Card, Value
 
 CARD_LETTERS = 80

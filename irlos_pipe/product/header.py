@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any
 
-from astropy.time import Time
-
 from irlos_pipe.product.observed import Recorded
 from irlos_pipe.product.product import Check
 from irlos_pipe.product.results import Provenance
@@ -106,6 +104,8 @@ def _observed(recordings: Sequence[Recorded]) -> Iterator[Card]:
 
 
 def _mjd(moment: str) -> float:
+    from astropy.time import Time
+
     try:
         return round(float(Time(moment, scale="utc").mjd), 8)
     except ValueError:

@@ -56,3 +56,13 @@ def test_every_command_either_computes_or_starts_at_once():
 def test_a_command_that_computes_nothing_loads_nothing_large(loaded, name):
     """``run`` stands for ``run --dry-run``. A library once loaded stays: the first command to fail is it."""
     assert loaded[name] == []
+
+
+def test_what_reads_no_recording_does_not_load_astropy_either():
+    code = (
+        "import sys; from click.testing import CliRunner; from irlos_pipe.commands.main import cli\n"
+        "for call in (['validate', 'full_reduction'], ['explain', 'gap'], ['status', 'nowhere']):\n"
+        "    CliRunner().invoke(cli, call)\n"
+        "sys.exit('astropy' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY).returncode == 0
