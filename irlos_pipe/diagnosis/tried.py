@@ -12,7 +12,7 @@ from irlos_pipe.effects import CATALOGUE
 
 ELSEWHERE = {
     "frames": "sought in the estimates of single frames, and not significant there",
-    "noise": "belongs to the noise of the frames, which no diagnosis looks for patterns",
+    "noise": "belongs to the noise of the frames, in which no diagnosis looks for patterns",
     "pixels": "sought pixel by pixel, and not found",
     "ramp": "acts on the introduced defocus: only a ramp shows it",
 }
