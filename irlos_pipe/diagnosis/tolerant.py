@@ -38,6 +38,7 @@ OPENINGS = 4  # of the wavefront, while further names are found or χ²/ν falls
 SETTLED = 0.8  # of χ²/ν before
 MOST = 0.5  # of χ², that a name must explain which leaves much where it acts, while more is wrong
 LOOKED_AT = 2  # effects, each fitted beside all modes
+SCALES = ("plate_scale", "spectrum")  # of the image: effects that act nearly alike
 HARDLY_SEEN = 2.0  # significance of a score from which it is fitted where the model misfits
 
 
@@ -63,9 +64,10 @@ class TolerantTask(AllowingTask):
         task, current = task._named(current, MOST)
         task, current = task._settled(current)
         task, current = task.with_errors(task._turned(current.fitted))
-        full = added(current.fitted, told)
+        full = [*added(current.fitted, told), *SCALES]
         task, current = task.with_errors(task._without_needless(current, told))
-        dropped = [name for name in full if name not in added(current.fitted, told) and name in CATALOGUE]
+        present = labels_of(current.fitted.effects)
+        dropped = [name for name in dict.fromkeys(full) if name not in present and name in CATALOGUE]
         task, current, named = task._confirmed(current, told, dropped)
         finished = task.fitter.finished(current.fitted)
         if np.isfinite(finished.chi2):
@@ -276,6 +278,9 @@ class TolerantTask(AllowingTask):
 def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
     """Facts of the instrument and mild effects, their values free.
 
+    Of the two that scale the image one is free, the pixels unless the model has the wavelength: together they
+    drift far from what is true, a little here and a little there. The other is a rival in the end.
+
     Parameters
     ----------
     conditions : Conditions
@@ -283,8 +288,10 @@ def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
         What a model has already.
     """
     model, found = {effect.name for effect in present}, []
+    pixels, wavelength = SCALES
+    held = pixels if wavelength in model else wavelength
     for name, kind in CATALOGUE.items():
-        if not (kind.fact or kind.mild) or name in model:
+        if not (kind.fact or kind.mild) or name in model or name == held:
             continue
         try:
             found.append(kind.under(conditions))

@@ -17,7 +17,7 @@ from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Family, score_family
-from irlos_pipe.diagnosis.tolerant import added, everyday
+from irlos_pipe.diagnosis.tolerant import SCALES, added, everyday
 from irlos_pipe.diagnosis.without import without_linearly
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 
@@ -66,6 +66,12 @@ def test_what_a_model_was_told_is_not_added_to_it(off_centre):
     _, full = off_centre
     assert added(full, [STOP]) == [SCALE.name]
     assert not {STOP.name, SCALE.name} & {effect.name for effect in everyday(CONDITIONS, [STOP, SCALE])}
+
+
+def test_of_two_effects_that_scale_the_image_one_is_free():
+    colour = CATALOGUE["spectrum"].under(CONDITIONS)
+    assert [one.name for one in everyday(CONDITIONS, []) if one.name in SCALES] == ["plate_scale"]
+    assert not {"plate_scale", "spectrum"} & {one.name for one in everyday(CONDITIONS, [colour])}
 
 
 def test_of_one_kind_the_labels_keep_their_order_when_others_have_gone():
