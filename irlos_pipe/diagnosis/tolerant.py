@@ -167,8 +167,25 @@ class TolerantTask(AllowingTask):
             least = threshold(len(score.usable), score.trials) * score.inflation
             fall = opening.chi2 - one.chi2
             if fall > max(least, most):
-                best, most = one, fall
+                best, most = self._in_wider_form(one, score, least), fall
         return best
+
+    def _in_wider_form(self, opening: Opening, score: Score, least: float) -> Opening:
+        """All modes beside what was found or its wider form: two copies would imitate one out of focus."""
+        labels = opening.fitted.problem.effects.labels
+        found = [one for one in labels if opening.fitted.effect(one).name == score.name][-1]
+        others = [
+            one for label, one in zip(labels, opening.fitted.continued(), strict=True) if label != found
+        ]
+        for kind in CATALOGUE.values():
+            if kind.widens != score.name:
+                continue
+            wider = kind.under(self.conditions).widened(opening.fitted.values_of(found))
+            one = self.opening(opening.fitted, [*others, wider])
+            self.report(1)
+            if one is not None and opening.chi2 - one.chi2 > least:
+                return one
+        return opening
 
     def _price(self, fitted: Fitted) -> float:
         """What the parameters of a model have to earn of χ²."""
@@ -235,10 +252,12 @@ class TolerantTask(AllowingTask):
         while waiting:
             label, *waiting = waiting
             present = task._against_without(current, label)
-            if not np.isfinite(present.origin.fitted.chi2) or not task._explains_its_own(present):
+            if not np.isfinite(present.origin.fitted.chi2):
                 continue
-            rivals = [one for one in task._rivals(present, dropped) if task._explains_its_own(one)]
-            one = task._wanted(sorted([present, *rivals], key=lambda one: -one.merit))
+            right = task._explains_its_own(present)
+            rivals = task._rivals(present, dropped) if right else task._wider(present)
+            plausible = [one for one in (present, *rivals) if task._explains_its_own(one)]
+            one = task._wanted(sorted(plausible, key=lambda one: -one.merit))
             if one is None:
                 continue
             named.append(one)
@@ -256,8 +275,11 @@ class TolerantTask(AllowingTask):
             found = [one for one in self._scores(refit.origin)[0] if one.name != refit.name]
         near = [one for one in found if one.testable and one.gain > RIVALS * refit.gain]
         likely = sorted(near, key=lambda one: -one.gain)[:PROPOSALS]
-        wider = [one for one in wider_forms(self.fitter, refit) if np.isfinite(one.fitted.chi2)]
-        return [*wider, *quick_refits(self.fitter, refit.origin, likely)]
+        return [*self._wider(refit), *quick_refits(self.fitter, refit.origin, likely)]
+
+    def _wider(self, refit: Refit) -> list[Refit]:
+        """Fits of wider forms of the same effect, as far as they can be made."""
+        return [one for one in wider_forms(self.fitter, refit) if np.isfinite(one.fitted.chi2)]
 
     def _against_without(self, current: Optimum, label: str) -> Refit:
         """The model against itself without one effect."""
