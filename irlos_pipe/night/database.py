@@ -314,8 +314,9 @@ def _require_schema(connection: sqlite3.Connection, path: Path) -> None:
         raise IrlosError(f"{path}: written by a newer irlos_pipe (schema {version}); use that version")
     if version < SCHEMA_VERSION:
         connection.executescript(SCHEMA)
-        connection.execute(FORGET_KEYS)
-        connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+        with connection:  # else a copy would wait for the end of this transaction for ever
+            connection.execute(FORGET_KEYS)
+            connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
 
 def _description(content: Any) -> Description | None:
