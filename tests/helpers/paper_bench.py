@@ -12,6 +12,7 @@ from click.testing import Result
 from conftest import invoke
 from pydantic import Field
 
+import irlos_pipe.report.figures  # noqa: F401 - before a stand-in takes the place of what it imports
 from helpers import fake_stages
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.product.product import Check, Quantity
