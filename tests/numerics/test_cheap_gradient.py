@@ -32,7 +32,7 @@ def star() -> PsfModel:
     )
 
 
-@pytest.mark.parametrize("name", list(STRONG))
+@pytest.mark.parametrize("name", sorted(STRONG.keys() - {"correlated_noise"}))
 @pytest.mark.slow
 def test_the_cheap_gradient_is_that_of_the_normal_equations(name):
     effect, values = made(name)

@@ -93,7 +93,7 @@ def every(blocks):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["plain", "companion", "spot"])
+@pytest.mark.parametrize("kind", ["plain", "companion"])
 def test_the_section_begins_with_the_verdict_in_words_and_shows_both_models(kind):
     section, results = section_of(kind), diagnose_results(diagnosis_of(kind), {6: -170.0})
     first = dict(section.blocks[0].rows)
