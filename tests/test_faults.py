@@ -105,6 +105,11 @@ def test_a_clock_that_jumps_during_a_run_changes_only_the_reported_times(harness
     assert content(tree) == harness.content and harness.after_rerun(tree) == []
 
 
+def test_a_checkout_that_changes_between_two_runs_is_no_difference(harness, tree, monkeypatch):
+    monkeypatch.setattr(provenance, "_git_revision", lambda _: "git.another")
+    assert runs.run(harness.bench, tree).code == harness.end.code and content(tree) == harness.content
+
+
 def test_inputs_dated_in_the_future_or_long_ago_are_up_to_date_on_the_second_run(harness, tree):
     files = [path for path in harness.bench.archive.rglob("*") if path.is_file()]
     before = {path: path.stat().st_mtime_ns for path in files}

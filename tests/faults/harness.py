@@ -7,6 +7,7 @@ from pathlib import Path
 
 from faults.runs import End, Patches, make_night, no_file_above, rewritten, run, signalled
 from faults.tree import broken, content, leftovers
+from irlos_pipe.pipeline.provenance import software_versions
 
 INTERRUPTED = 130
 BESIDE_A_WRITER = {0, 3, 5, 64}
@@ -19,6 +20,7 @@ class Harness:
     def __init__(self, folder: Path, patches: object = Patches):
         self.folder = folder
         self.bench = make_night(folder / "night", patches)
+        software_versions()  # once for all runs: a checkout that is edited meanwhile has another revision
         whole = folder / "undisturbed"
         start = time.perf_counter()
         self.end = run(self.bench, whole)
