@@ -15,7 +15,8 @@ from typing import Any
 
 import click
 
-from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, IrlosError
+from irlos_pipe.commands.debugging import debug_if_asked
+from irlos_pipe.conventions.errors import ConfigurationError, ExitCode, IrlosError, UnexpectedError
 from irlos_pipe.conventions.text import printable
 
 NO_OUTPUT = {errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG}
@@ -52,6 +53,8 @@ class IrlosGroup(click.Group):
             return super().invoke(ctx)
         except IrlosError as error:
             report_error(_lines(error))
+            if isinstance(error, UnexpectedError):
+                debug_if_asked(ctx, error)
             ctx.exit(error.exit_code)
         except KeyboardInterrupt:
             report_error("interrupted; finished products are kept, run the same command to continue")
@@ -69,6 +72,7 @@ class IrlosGroup(click.Group):
             report_error(
                 f"unexpected {type(error).__name__}: {error}; the traceback is in {_saved_traceback()}"
             )
+            debug_if_asked(ctx, error)
             ctx.exit(ExitCode.UNEXPECTED)
 
 

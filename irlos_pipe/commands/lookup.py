@@ -32,8 +32,14 @@ def recipes(name: str | None) -> None:
 
 @click.command()
 @click.argument("name", required=False, shell_complete=completion.completed(completion.explained))
-@click.option("--schema", is_flag=True, help="Print the JSON Schema of results.json.")
-def explain(name: str | None, schema: bool) -> None:
+@click.option(
+    "--schema",
+    type=click.Choice(["results", "commands"]),
+    is_flag=False,
+    flag_value="results",
+    help="Print the JSON Schema of results.json, or of what commands print with --json.",
+)
+def explain(name: str | None, schema: str | None) -> None:
     """Explain a stage, key, effect, check, array of a product, number of results.json, or term.
 
     NAME is the whole name, or the last part of it. Without it, stages, effects and checks are listed.
@@ -48,11 +54,12 @@ def explain(name: str | None, schema: bool) -> None:
       irlos explain chi2_nu
       irlos explain gap
       irlos explain --schema > results.schema.json
+      irlos explain --schema commands > commands.schema.json
     """
     if schema:
-        from irlos_pipe.reference.schema import FILE
+        from irlos_pipe.reference.schema_files import FILES
 
-        click.echo(FILE.read_text(encoding="utf-8"), nl=False)
+        click.echo(FILES[schema].read_text(encoding="utf-8"), nl=False)
         return
     from irlos_pipe.reference.lookup import explain as explanation
     from irlos_pipe.reference.lookup import overview

@@ -5,11 +5,12 @@ from __future__ import annotations
 import click
 
 import irlos_pipe
+from irlos_pipe.commands.debugging import pdb_option
 from irlos_pipe.commands.exits import EXIT_CODES, IrlosGroup
 from irlos_pipe.commands.focus import focus
 from irlos_pipe.commands.lookup import explain, recipes, sidecar
 from irlos_pipe.commands.night import night, trend
-from irlos_pipe.commands.products import export, report, score, show, status
+from irlos_pipe.commands.products import compare, export, report, score, show, status
 from irlos_pipe.commands.reduction import demo, run, validate
 from irlos_pipe.commands.simulated import paper, simulate
 
@@ -32,7 +33,9 @@ def cli() -> None:
 
 
 for command in (
-    run, demo, validate, recipes, explain, sidecar, status, show, report, export, score, simulate, paper,
-    night, trend, focus,
+    run, demo, validate, recipes, explain, sidecar, status, show, compare, report, export, score, simulate,
+    paper, night, trend, focus,
 ):  # fmt: skip
+    command.params.append(pdb_option(hidden=True))
     cli.add_command(command)
+cli.params.append(pdb_option(hidden=False))

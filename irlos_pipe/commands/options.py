@@ -31,6 +31,9 @@ class _NamedPath(click.Path):
 
 
 FOLDER = _NamedPath(path_type=Path, readable=False)
+JSON = click.option(
+    "--json", "as_json", is_flag=True, help="Print JSON, for scripts (irlos explain --schema commands)."
+)
 
 
 def setting_options(command: Command) -> Command:

@@ -1,4 +1,4 @@
-"""Commands on a finished run: status, show, report, export, score."""
+"""Commands on finished runs: status, show, compare, report, export, score."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from irlos_pipe.commands import completion
-from irlos_pipe.commands.options import FOLDER
+from irlos_pipe.commands.options import FOLDER, JSON
 from irlos_pipe.conventions.errors import InputDataError
 
 
@@ -27,32 +27,75 @@ def readable(path: Path) -> Iterator[None]:
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=FOLDER)
-def status(folder: Path) -> None:
+@JSON
+def status(folder: Path, as_json: bool) -> None:
     """Show for each product of the run in DIR whether it is up to date, and if not, why.
 
+    Of a folder with numbered versions (irlos run --numbered) it lists the versions.
+
     \b
-    Example:
+    Examples:
       irlos status demo
+      irlos status demo --json
     """
-    from irlos_pipe.commands.text import status_text
+    from irlos_pipe.commands.standing import run_status
+    from irlos_pipe.commands.text import status_text, versions_text
+    from irlos_pipe.product.versions import version_folders, versions_in
 
     with readable(folder):
-        click.echo(status_text(folder))
+        if version_folders(folder):
+            versions = versions_in(folder)
+            click.echo(versions.text() if as_json else versions_text(versions))
+        else:
+            found = run_status(folder)
+            click.echo(found.text() if as_json else status_text(found))
 
 
 @click.command()
 @click.argument("product", metavar="PRODUCT.h5", type=FOLDER)
-def show(product: Path) -> None:
+@JSON
+def show(product: Path, as_json: bool) -> None:
     """Show what PRODUCT.h5 contains: arrays with units, results, configuration, QC, provenance, log.
 
+    The values of arrays are not shown: irlos export copies them.
+
     \b
-    Example:
+    Examples:
       irlos show demo/03_calibrate.h5
+      irlos show demo/03_calibrate.h5 --json
     """
     from irlos_pipe.commands.text import product_text
+    from irlos_pipe.product.shown import shown_product
 
     with readable(product):
-        click.echo(product_text(product))
+        found = shown_product(product)
+        click.echo(found.text() if as_json else product_text(found))
+
+
+@click.command()
+@click.argument("first", metavar="FIRST", type=FOLDER)
+@click.argument("second", metavar="SECOND", type=FOLDER)
+@click.option("--all", "everything", is_flag=True, help="Print all numbers that differ.")
+@JSON
+def compare(first: Path, second: Path, everything: bool, as_json: bool) -> None:
+    """Compare two runs: settings, input files, software, all numbers, and which checks passed.
+
+    FIRST and SECOND are folders of runs. A difference is the second less the first, in units and in
+    σ, both errors in quadrature; the most significant ones are printed. Of one recording that was
+    reduced twice the errors are not independent, and differences should be well below 1 σ.
+
+    \b
+    Examples:
+      irlos compare reduced/001 reduced/latest
+      irlos compare monday tuesday --all
+      irlos compare monday tuesday --json > comparison.json
+    """
+    from irlos_pipe.commands.compared_text import comparison_text
+    from irlos_pipe.product.comparison import compare_runs
+
+    with readable(first), readable(second):
+        found = compare_runs(first, second)
+        click.echo(found.text() if as_json else comparison_text(found, everything))
 
 
 @click.command()
@@ -152,15 +195,19 @@ def export(product: Path, arrays: tuple[str, ...], recording: str | None, output
     metavar="PATH",
     help="Truth of the recordings: a JSON file, or a folder of them.",
 )
-def score(folder: Path, truth: Path) -> None:
+@JSON
+def score(folder: Path, truth: Path, as_json: bool) -> None:
     """Compare the results of the run in DIR with the truth of simulated data.
 
     The table lists the errors of every calibration method and of the ramp.
 
     \b
-    Example:
+    Examples:
       irlos score sim/run --truth sim/truth
+      irlos score sim/run --truth sim/truth --json
     """
     from irlos_pipe.report.score import score_run
+    from irlos_pipe.report.score_text import score_text
 
-    click.echo(score_run(folder, truth))
+    found = score_run(folder, truth)
+    click.echo(found.text() if as_json else score_text(found))

@@ -11,11 +11,12 @@ import click
 
 from irlos_pipe.commands import completion
 from irlos_pipe.commands.exits import EXIT_CODES, report_error, terminated_like_interrupted
-from irlos_pipe.commands.options import FOLDER, inputs_of, recipe_options, resources_of, setting_options
-from irlos_pipe.conventions.errors import ExitCode
+from irlos_pipe.commands.options import FOLDER, JSON, inputs_of, recipe_options, resources_of, setting_options
+from irlos_pipe.conventions.errors import ExitCode, IrlosError
 
 if TYPE_CHECKING:
     from irlos_pipe.pipeline import Outcome, Selection
+    from irlos_pipe.product.printed import Validation
     from irlos_pipe.recipe import Recipe
 
 Command = TypeVar("Command", bound=Callable)
@@ -71,6 +72,11 @@ def _working_options(command: Command) -> Command:
     help="Last stage to run; later stages are left alone.",
 )
 @FORCE
+@click.option(
+    "--numbered",
+    is_flag=True,
+    help="Keep every version: DIR/001, DIR/002, ...; DIR/latest links to the newest complete one.",
+)
 @click.option("--dry-run", is_flag=True, help="Print what would be done and why; change nothing.")
 @_working_options
 @click.option(
@@ -82,6 +88,7 @@ def run(
     first: str | None,
     last: str | None,
     force: bool,
+    numbered: bool,
     dry_run: bool,
     jobs: int | None,
     device: str,
@@ -99,6 +106,8 @@ def run(
     RECIPE is the path of a recipe, or the name of one that comes with the package (irlos recipes).
     A second run into the same folder skips the products that are up to date, and states why others
     are made again: a setting, an input file, the instrument profile or the software has changed.
+    With --numbered no product is ever replaced: where one would be, the run begins a new version
+    (irlos status DIR lists them, irlos compare shows how two differ).
 
     \b
     Examples:
@@ -106,6 +115,7 @@ def run(
       irlos run ncpa_calibration --input calibration=2023-07-14 --output night
       irlos run full_reduction --sof night.sof --output full
       irlos run ncpa_calibration --input calibration=2023-07-14 --output night --from correct --dry-run
+      irlos run ncpa_calibration --input calibration=2023-07-14 --output reduced --numbered
       irlos run mine/recipe.yaml --input cube=A --input cube=B --output joint
       irlos run ncpa_calibration --samples --output try --set calibrate.method=dip_avg
       irlos run defocus_ramp --samples --output ramp --set model=diagnosis/model.yaml
@@ -120,16 +130,18 @@ def run(
       recipe.resolved.yaml  the recipe with every default; can be run again
     """
     from irlos_pipe.pipeline import Selection, plan_run
+    from irlos_pipe.pipeline.numbered import version_for
     from irlos_pipe.pipeline.terminal import plan_text
     from irlos_pipe.recipe import load_recipe
 
     checked = load_recipe(recipe, settings, inputs_of(inputs, sof, recipe), seed, samples=samples)
     selection = Selection(first, last, force)
     if dry_run:
-        click.echo(plan_text(plan_run(checked, output, selection)[1], as_json))
-        _exit_if_wrong(checked)
+        folder = version_for(checked, output, selection) if numbered else output
+        click.echo(plan_text(plan_run(checked, folder, selection)[1], as_json))
+        _exit_if_any(_problems(checked))
         return
-    outcome = _outcome(checked, output, selection, device, jobs, verbose, quiet)
+    outcome = _outcome(checked, output, selection, device, jobs, verbose, quiet, numbered=numbered)
     _print(outcome, as_json, quiet)
     _finish(outcome)
 
@@ -169,17 +181,19 @@ def demo(
     from irlos_pipe.pipeline import Selection
     from irlos_pipe.recipe import load_recipe
     from irlos_pipe.report.score import score_run
+    from irlos_pipe.report.score_text import score_text
 
     checked = load_recipe("full_reduction", settings, seed=seed, samples=True)
     outcome = _outcome(checked, output, Selection(force=force), device, jobs, verbose, quiet)
     _print(outcome, False, quiet)
     if not quiet:
-        click.echo(f"\n{score_run(output, shipped_folder(SAMPLES) / 'truth')}")
+        click.echo(f"\n{score_text(score_run(output, shipped_folder(SAMPLES) / 'truth'))}")
     _finish(outcome)
 
 
-@click.command()
+@click.command(epilog=EXIT_CODES)
 @recipe_options
+@JSON
 def validate(
     recipe: Path,
     inputs: tuple[str, ...],
@@ -187,6 +201,7 @@ def validate(
     settings: tuple[str, ...],
     seed: int | None,
     samples: bool,
+    as_json: bool,
 ) -> None:
     """Check RECIPE, its options and its inputs without running anything.
 
@@ -197,15 +212,39 @@ def validate(
     Examples:
       irlos validate full_reduction
       irlos validate ncpa_calibration --input calibration=2023-07-14
+      irlos validate mine/recipe.yaml --json
     """
+    from irlos_pipe.product.printed import Validation
     from irlos_pipe.recipe import load_recipe
 
-    given = inputs_of(inputs, sof, recipe)
-    checked = load_recipe(recipe, settings, given, seed, samples=samples, complete=False)
-    _exit_if_wrong(checked)
-    open_inputs = [name for name, paths in checked.inputs.items() if not paths]
-    rest = f"; to be given: {', '.join(open_inputs)}" if open_inputs else ""
-    click.echo(f"{recipe}: recipe '{checked.name}' is valid: {', '.join(checked.stages)}{rest}")
+    try:
+        given = inputs_of(inputs, sof, recipe)
+        checked = load_recipe(recipe, settings, given, seed, samples=samples, complete=False)
+        problems = _problems(checked)
+    except IrlosError as error:
+        if as_json:
+            click.echo(Validation(recipe=str(recipe), problems=str(error).splitlines()).text())
+        raise
+    if as_json:
+        click.echo(_validation(recipe, checked, problems).text())
+    _exit_if_any(problems)
+    if not as_json:
+        open_inputs = [name for name, paths in checked.inputs.items() if not paths]
+        rest = f"; to be given: {', '.join(open_inputs)}" if open_inputs else ""
+        click.echo(f"{recipe}: recipe '{checked.name}' is valid: {', '.join(checked.stages)}{rest}")
+
+
+def _validation(recipe: Path, checked: Recipe, problems: list[str]) -> Validation:
+    from irlos_pipe.product.printed import Validation
+
+    return Validation(
+        recipe=str(recipe),
+        valid=not problems,
+        name=checked.name,
+        stages=list(checked.stages),
+        inputs={name: [str(path) for path in paths] for name, paths in checked.inputs.items()},
+        problems=problems,
+    )
 
 
 def _outcome(
@@ -216,24 +255,32 @@ def _outcome(
     jobs: int | None,
     verbose: int,
     quiet: bool,
+    *,
+    numbered: bool = False,
 ) -> Outcome:
     """Run a recipe with messages and progress bars as asked for."""
     from irlos_pipe.pipeline import run_recipe
+    from irlos_pipe.pipeline.numbered import run_numbered
     from irlos_pipe.pipeline.terminal import messages
 
     if verbose and quiet:
         raise click.UsageError("-v and -q exclude each other")
     with terminated_like_interrupted(), messages(-1 if quiet else verbose):
-        return run_recipe(recipe, output, selection, resources_of(device, jobs, quiet))
+        reduce = run_numbered if numbered else run_recipe
+        return reduce(recipe, output, selection, resources_of(device, jobs, quiet))
 
 
-def _exit_if_wrong(recipe: Recipe) -> None:
-    """Report all that is wrong with the recordings of a recipe, if anything is, and exit."""
+def _problems(recipe: Recipe) -> list[str]:
+    """All that is wrong with the recordings of a recipe."""
     if not any(recipe.inputs.values()):
-        return
+        return []
     from irlos_pipe.pipeline.problems import input_problems
 
-    problems = input_problems(recipe)
+    return input_problems(recipe)
+
+
+def _exit_if_any(problems: list[str]) -> None:
+    """Report what is wrong, if anything is, and exit."""
     for line in problems:
         report_error(line)
     if problems:

@@ -23,6 +23,10 @@ class IrlosError(Exception):
     exit_code = ExitCode.UNEXPECTED
 
 
+class UnexpectedError(IrlosError):
+    """A fault of the software, whose cause is what was raised."""
+
+
 class ConfigurationError(IrlosError):
     """A recipe, an option or a value that cannot be used."""
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
-from irlos_pipe.conventions.errors import InputDataError, IrlosError
+from irlos_pipe.conventions.errors import InputDataError, IrlosError, UnexpectedError
 from irlos_pipe.files.atomic import write_if_changed
 from irlos_pipe.files.json import json_text
 from irlos_pipe.pipeline.execution import Job
@@ -195,7 +195,7 @@ def _clear_error(error: Exception, log: Path) -> IrlosError:
         return IrlosError(f"{error.filename or log.parent}: the disk is full; free some space and run again")
     if isinstance(error, OSError) and error.filename:
         return InputDataError(f"{error.filename}: {error.strerror}")
-    return IrlosError(f"unexpected {_first_line(error)}; the traceback is in {log}")
+    return UnexpectedError(f"unexpected {_first_line(error)}; the traceback is in {log}")
 
 
 def _first_line(error: BaseException) -> str:

@@ -21,6 +21,7 @@ from irlos_pipe.files.yaml import load_yaml
 LOCK_NAME = ".lock"
 PARTIAL = ".partial"
 EARLIER = "earlier"
+LATEST = "latest"  # link to a version, see `product.versions`
 OF_A_RUN = ("recipe.resolved.yaml",)
 OF_THE_SYSTEM = "lost+found"
 
@@ -141,10 +142,11 @@ def existing_run(folder: Path) -> RunFolder:
     """
     run = RunFolder(Path(folder))
     if not run.recipe.is_file():
-        raise InputDataError(
-            f"{folder}: not the folder of a run (no {run.recipe.name}); "
-            "make one with: irlos run RECIPE.yaml --output DIR"
+        held = (run.path / LATEST / run.recipe.name).is_file()
+        advice = (
+            f"give a version, {run.path / LATEST}" if held else "make one with: irlos run RECIPE --output DIR"
         )
+        raise InputDataError(f"{folder}: not the folder of a run (no {run.recipe.name}); {advice}")
     return run
 
 

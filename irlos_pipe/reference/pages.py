@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 from irlos_pipe.conventions.errors import ExitCode
 from irlos_pipe.files.shipped import RECIPES, SIMULATIONS, shipped_folder, shipped_names
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.reference.entry import Entry
 from irlos_pipe.reference.lookup import all_entries
-from irlos_pipe.reference.schema import schema_text
+from irlos_pipe.reference.schema_files import COMMANDS, RESULTS
 from irlos_pipe.reference.terms import GLOSSARY
 from irlos_pipe.stages import LIGHT_PATH
 
@@ -37,7 +38,8 @@ def pages() -> dict[str, str]:
         "checks": _by_section("Quality checks", _of(entries, "check"), _CHECKS),
         "products": _by_section("Products and their arrays", _of(entries, "array of a product"), _PRODUCTS),
         "results": _by_section("results.json", _of(entries, "number"), _RESULTS),
-        "schema": f"# JSON Schema of results.json\n\n{_SCHEMA}\n\n```json\n{schema_text()}```\n",
+        "schema": _schema("results.json", _SCHEMA, RESULTS),
+        "schema_commands": _schema("what commands print", _SCHEMA_COMMANDS, COMMANDS),
         "exit_codes": _exit_codes(),
         "glossary": GLOSSARY.read_text(encoding="utf-8"),
     }
@@ -67,6 +69,16 @@ _RESULTS = (
 _SCHEMA = (
     "Also in the package, as `irlos_pipe/reference/results.schema.json`, and by `irlos explain --schema`."
 )
+_SCHEMA_COMMANDS = (
+    "`irlos status`, `show`, `validate`, `score` and `compare` print JSON with `--json`: one object, whose "
+    "key `schema` says what it is. The exit code is the same as without. Numbers that are not known are "
+    "null, and no key is left out. Also in the package, as `irlos_pipe/reference/commands.schema.json`, and "
+    "by `irlos explain --schema commands`."
+)
+
+
+def _schema(what: str, lead: str, file: Path) -> str:
+    return f"# JSON Schema of {what}\n\n{lead}\n\n```json\n{file.read_text(encoding='utf-8')}```\n"
 
 
 def _of(entries: Iterable[Entry], *kinds: str) -> list[Entry]:

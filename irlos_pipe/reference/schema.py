@@ -1,20 +1,23 @@
-"""The JSON Schema of results.json, from the models of the stages' results."""
+"""The JSON Schemas of results.json and of what commands print, from the models that these are made of."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
+from irlos_pipe.product.compared import Comparison
+from irlos_pipe.product.printed import Printed, RunStatus, ShownProduct, Validation, Versions
 from irlos_pipe.product.results import ResultsPart, RunResults
+from irlos_pipe.product.scored import Score
 from irlos_pipe.reference.numbers import models_in, told_of
+from irlos_pipe.reference.schema_files import COMMANDS, RESULTS
 from irlos_pipe.stages import LIGHT_PATH, STAGES
 
-FILE = Path(__file__).with_name("results.schema.json")
+PRINTED: tuple[type[Printed], ...] = (RunStatus, Versions, ShownProduct, Validation, Score, Comparison)
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -43,18 +46,41 @@ def results_schema() -> dict[str, Any]:
     return {"$schema": DIALECT} | schema | {"title": "results.json of irlos_pipe"}
 
 
-def schema_text() -> str:
-    """Return the schema as it lies beside this module, for programs that do not speak Python."""
-    return json.dumps(results_schema(), indent=1, ensure_ascii=False) + "\n"
+def commands_schema() -> dict[str, Any]:
+    """Return the schema of what status, show, validate, score and compare print with ``--json``.
+
+    The key ``schema`` of a text says which of them it is; no key is ever left out.
+    """
+    known: dict[str, Any] = {}
+    for model in PRINTED:
+        name = _name_of(model)
+        section = _schema_of(model, f"{name}.", required=True)
+        known |= {f"{name}.{part}": told for part, told in section.pop("$defs", {}).items()}
+        known[name] = section
+    choices = [{"$ref": f"#/$defs/{_name_of(model)}"} for model in PRINTED]
+    head = {"$schema": DIALECT, "title": "what commands of irlos_pipe print with --json"}
+    return head | {"oneOf": choices, "$defs": known}
 
 
-def _schema_of(model: type[ResultsPart], prefix: str = "") -> dict[str, Any]:
+def text_of(schema: dict[str, Any]) -> str:
+    """Return a `schema` as it lies beside this module, for programs that do not speak Python."""
+    return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
+
+
+def _name_of(model: type[Printed]) -> str:
+    """The value of the key ``schema``."""
+    return str(model.model_fields["format"].default)
+
+
+def _schema_of(model: type[ResultsPart], prefix: str = "", *, required: bool = False) -> dict[str, Any]:
     """The schema of a model; names of its parts begin with a prefix, as stages have parts of one name."""
     template = f"#/$defs/{prefix}{{model}}"
     schema = model.model_json_schema(ref_template=template, schema_generator=_WithNull)
     described = {one.__name__: told_of(one) for one in (model, *_parts(model))}
     for title, section in {schema["title"]: schema, **schema.get("$defs", {})}.items():
         section.pop("description", None)
+        if required:
+            section["required"] = list(section.get("properties", {}))
         for key, field in section.get("properties", {}).items():
             field.pop("default", None)
             field.pop("title", None)
@@ -71,4 +97,5 @@ def _parts(model: type[ResultsPart]) -> Iterator[type[ResultsPart]]:
 
 
 if __name__ == "__main__":
-    FILE.write_text(schema_text(), encoding="utf-8")
+    RESULTS.write_text(text_of(results_schema()), encoding="utf-8")
+    COMMANDS.write_text(text_of(commands_schema()), encoding="utf-8")

@@ -12,17 +12,16 @@ import numpy as np
 from pydantic import ValidationError
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.conventions.modes import DEFOCUS, REPORTED_NOLLS, REPORTED_TEXT, TIP_TILT
-from irlos_pipe.conventions.text import aligned, and_more
+from irlos_pipe.conventions.modes import DEFOCUS, REPORTED_NOLLS, TIP_TILT
+from irlos_pipe.conventions.text import and_more
 from irlos_pipe.product.product import Product
 from irlos_pipe.product.results import ByNoll, ResultsPart, results_of
 from irlos_pipe.product.runfolder import existing_run
+from irlos_pipe.product.scored import CalibrationScore, MethodScore, RampScore, Score
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate
 from irlos_pipe.stages.ingest.results import IngestResults, RecordingRow
 from irlos_pipe.stages.lift.results import LiftResults, Point
-
-Table = list[tuple[str, ...]]
 
 
 class Truth(ResultsPart):
@@ -49,7 +48,7 @@ class Truth(ResultsPart):
 Truths = Mapping[str, Truth]
 
 
-def score_run(run_folder: Path, truth: Path) -> str:
+def score_run(run_folder: Path, truth: Path) -> Score:
     """Compare the calibration and the ramp of a run with the truth.
 
     Parameters
@@ -62,8 +61,7 @@ def score_run(run_folder: Path, truth: Path) -> str:
 
     Returns
     -------
-    str
-        A short table.
+    Score
 
     Raises
     ------
@@ -71,10 +69,10 @@ def score_run(run_folder: Path, truth: Path) -> str:
         When the run has nothing to compare, or the truth cannot be read or belongs to other recordings.
     """
     run, truths = _read_scored(run_folder), _read_truths(Path(truth))
-    tables = _calibration_table(run, truths), _ramp_table(run, truths)
-    if not any(tables):
+    calibration, ramp = _calibration_score(run, truths), _ramp_score(run, truths)
+    if calibration is None and ramp is None:
         raise InputDataError(f"{truth}: {_why_not(run, truths)}")
-    return "\n\n".join(aligned(table, numbers=True) for table in tables if table)
+    return Score(run=str(run_folder), calibration=calibration, ramp=ramp)
 
 
 def _why_not(run: _Scored, truths: Truths) -> str:
@@ -127,49 +125,52 @@ def _recordings_of(product: Product | None, rows: Sequence[RecordingRow]) -> lis
 # -- calibration -------------------------------------------------------------------------------
 
 
-def _calibration_table(run: _Scored, truths: Truths) -> Table:
-    """One row per method; empty without truth for every recording that was fitted."""
+def _calibration_score(run: _Scored, truths: Truths) -> CalibrationScore | None:
+    """One row per method; None without truth for every recording that was fitted."""
     rows, results = run.calibrated, run.calibration
     found = [truth.mean_zernike_nm if (truth := _truth_of(row.name, truths)) else None for row in rows]
     each_nm = [_vector(mean_nm) for mean_nm in found if mean_nm is not None]
     if results is None or not rows or len(each_nm) < len(rows):
-        return []
+        return None
     weights = [row.frames_used for row in rows]
     true_nm = np.average(each_nm, axis=0, weights=weights)
-    names = ", ".join(row.name for row in rows)
     statics = [truth.ncpa_nm for row in rows if (truth := _truth_of(row.name, truths)) and truth.ncpa_nm]
     known = len(statics) == len(rows)
     static_nm = np.average([_vector(one) for one in statics], axis=0, weights=weights) if known else None
-    against = ("against the static modes", "its pulls") if known else ()
-    return [
-        (f"calibration ({names})", f"error, {REPORTED_TEXT}", "defocus", "time", *against),
-        *(_method_row(one, true_nm, static_nm) for one in (results, *results.compare)),
-    ]
+    return CalibrationScore(
+        recordings=[row.name for row in rows],
+        static_known=known,
+        methods=[_method_score(one, true_nm, static_nm) for one in (results, *results.compare)],
+    )
 
 
-def _method_row(estimate: Estimate, true_nm: np.ndarray, static_nm: np.ndarray | None) -> tuple[str, ...]:
+def _method_score(estimate: Estimate, true_nm: np.ndarray, static_nm: np.ndarray | None) -> MethodScore:
     """Errors against the mean wavefront fitted by the reported modes, and against the static modes.
 
     A fit of more modes returns the coefficients that were put in; the mean wavefront fitted by the reported
     ones alone has a part of the higher ones in some of them.
     """
     error_nm = _vector(estimate.zernike_nm) - true_nm
-    cells = (
-        estimate.method,
-        f"{np.linalg.norm(error_nm):.1f} nm RMS",
-        f"{error_nm[REPORTED_NOLLS.index(DEFOCUS)]:+.1f} nm",
-        f"{estimate.seconds:.1f} s",
+    static_error_nm, pull_rms = _against_static(estimate, static_nm)
+    return MethodScore(
+        method=estimate.method,
+        error_nm=float(np.linalg.norm(error_nm)),
+        defocus_error_nm=float(error_nm[REPORTED_NOLLS.index(DEFOCUS)]),
+        seconds=estimate.seconds,
+        static_error_nm=static_error_nm,
+        pull_rms=pull_rms,
     )
-    return cells if static_nm is None else (*cells, *_static_cells(estimate, static_nm))
 
 
-def _static_cells(estimate: Estimate, static_nm: np.ndarray) -> tuple[str, str]:
-    """RMS error without tip and tilt, and its RMS over the quoted errors."""
+def _against_static(estimate: Estimate, static_nm: np.ndarray | None) -> tuple[float, float]:
+    """RMS error without tip and tilt, and its RMS over the quoted errors; NaN where the truth has none."""
+    if static_nm is None:
+        return math.nan, math.nan
     optics = np.array([noll not in TIP_TILT for noll in REPORTED_NOLLS])
     error_nm, sigma_nm = _vector(estimate.zernike_nm) - static_nm, _vector(estimate.sigma_nm)
     with np.errstate(divide="ignore", invalid="ignore"):
         pull = _rms((error_nm / sigma_nm)[optics & (sigma_nm > 0)])
-    return f"{np.linalg.norm(error_nm[optics]):.1f} nm RMS", f"{pull:.2f}"
+    return float(np.linalg.norm(error_nm[optics])), pull
 
 
 def _vector(zernike_nm: Mapping[int, float]) -> np.ndarray:
@@ -180,23 +181,21 @@ def _vector(zernike_nm: Mapping[int, float]) -> np.ndarray:
 # -- ramp --------------------------------------------------------------------------------------
 
 
-def _ramp_table(run: _Scored, truths: Truths) -> Table:
-    """Errors of the ramp against the introduced and against the present defocus; empty without truth."""
+def _ramp_score(run: _Scored, truths: Truths) -> RampScore | None:
+    """Errors of the ramp against the introduced and against the present defocus; None without truth."""
     points = run.ramp.points if run.ramp else []
     known = [(point, truth) for point in points if (truth := _truth_of(point.name, truths))]
     if not known:
-        return []
+        return None
     estimated, introduced, present = np.array([_defocus_nm(*one) for one in known]).T
     names = np.array([point.name for point, _ in known])
-    rows = [
-        ("frames against the introduced defocus", _rms(estimated - introduced)),
-        ("frames against the true mean defocus", _rms(estimated - present)),
-        ("means of recordings against the true mean defocus", _rms(_means(estimated - present, names))),
-    ]
-    return [
-        (f"ramp ({len(set(names))} recordings, {len(known)} frames)", "error"),
-        *((name, f"{rms:.1f} nm RMS") for name, rms in rows if math.isfinite(rms)),
-    ]
+    return RampScore(
+        recordings=len(set(names)),
+        frames=len(known),
+        against_introduced_nm=_rms(estimated - introduced),
+        against_true_nm=_rms(estimated - present),
+        means_against_true_nm=_rms(_means(estimated - present, names)),
+    )
 
 
 def _defocus_nm(point: Point, truth: Truth) -> tuple[float, float, float]:

@@ -20,6 +20,7 @@ QUICK = {
     "sidecar": ["sidecar", SAMPLE, "--output", "-"],
     "status": ["status", "RUN"],
     "show": ["show", "RUN/01_ingest.h5"],
+    "compare": ["compare", "RUN", "RUN"],
     "export": ["export", "RUN/01_ingest.h5", "--list"],
     "trend": ["trend", "RUN"],
 }

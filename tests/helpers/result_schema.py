@@ -6,7 +6,7 @@ import json
 from functools import cache
 from typing import Any
 
-from irlos_pipe.reference.schema import FILE
+from irlos_pipe.reference.schema_files import RESULTS
 
 
 def schema_problems(content: dict[str, Any]) -> list[str]:
@@ -24,13 +24,14 @@ def section_problems(stage: str, section: dict[str, Any]) -> list[str]:
 def _validator() -> Any:
     import jsonschema
 
-    return jsonschema.Draft202012Validator(_without_unknown_keys(json.loads(FILE.read_text())))
+    return jsonschema.Draft202012Validator(without_unknown_keys(json.loads(RESULTS.read_text())))
 
 
-def _without_unknown_keys(schema: Any) -> Any:
+def without_unknown_keys(schema: Any) -> Any:
+    """Return a schema that forbids keys that it does not name."""
     if isinstance(schema, list):
-        return [_without_unknown_keys(one) for one in schema]
+        return [without_unknown_keys(one) for one in schema]
     if not isinstance(schema, dict):
         return schema
-    strict = {key: _without_unknown_keys(value) for key, value in schema.items()}
+    strict = {key: without_unknown_keys(value) for key, value in schema.items()}
     return {"additionalProperties": False} | strict if "properties" in schema else strict

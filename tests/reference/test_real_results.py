@@ -12,7 +12,8 @@ from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.recipe import load_recipe
 from irlos_pipe.reference.arrays import ARRAYS, listed
-from irlos_pipe.reference.schema import FILE, schema_text
+from irlos_pipe.reference.schema import commands_schema, results_schema, text_of
+from irlos_pipe.reference.schema_files import COMMANDS, RESULTS
 from irlos_pipe.stages import LIGHT_PATH
 
 pytestmark = pytest.mark.slow
@@ -54,9 +55,10 @@ def runs(tmp_path_factory) -> list[Path]:
     return [folder / "ramp", folder / "cubes"]
 
 
-def test_the_shipped_schema_is_that_of_the_models():
-    assert FILE.read_text(encoding="utf-8") == schema_text(), "python -m irlos_pipe.reference.schema"
-    jsonschema.Draft202012Validator.check_schema(json.loads(schema_text()))
+def test_the_shipped_schemas_are_those_of_the_models():
+    for file, schema in ((RESULTS, results_schema()), (COMMANDS, commands_schema())):
+        assert file.read_text(encoding="utf-8") == text_of(schema), "python -m irlos_pipe.reference.schema"
+        jsonschema.Draft202012Validator.check_schema(schema)
 
 
 def test_the_results_of_every_stage_keep_to_the_schema(runs):
@@ -76,7 +78,7 @@ def test_the_results_of_every_stage_keep_to_the_schema(runs):
 def test_the_schema_sees_a_wrong_value_where_it_stands(runs, key, value, path):
     content = json.loads((runs[0] / "results.json").read_text())
     content["stages"]["calibrate"][key] = value
-    (error,) = jsonschema.Draft202012Validator(json.loads(FILE.read_text())).iter_errors(content)
+    (error,) = jsonschema.Draft202012Validator(json.loads(RESULTS.read_text())).iter_errors(content)
     assert error.json_path.replace('["4"]', "['4']") in (path, path.replace("['4']", ".4"))
 
 

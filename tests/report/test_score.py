@@ -13,6 +13,7 @@ from helpers import made_run
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.report.score import score_run
+from irlos_pipe.report.score_text import score_text
 
 
 def write_truth(folder: Path, **truths: dict[str, Any]) -> Path:
@@ -25,7 +26,7 @@ def write_truth(folder: Path, **truths: dict[str, Any]) -> Path:
 def scored(tmp_path: Path, *stages: str, **truths: dict[str, Any]) -> str:
     """Score of a made-up run; the names of the truths are those of their files."""
     folder = made_run.write_run(tmp_path / "run", made_run.products("ingest", *stages))
-    return score_run(folder, write_truth(tmp_path / "truth", **truths))
+    return score_text(score_run(folder, write_truth(tmp_path / "truth", **truths)))
 
 
 def row(text: str, first: str) -> list[str]:
@@ -82,7 +83,7 @@ def test_recordings_fitted_together_are_compared_with_their_mean_by_frames(tmp_p
     ingest.results["inputs"] = [made_run.row("a", "calibration", 30), made_run.row("b", "calibration", 10)]
     folder = made_run.write_run(tmp_path / "run", [ingest, made_run.calibrate()])
     truth = write_truth(tmp_path / "truth", a=shifted(z4=8.0), b=shifted(z4=0.0))
-    assert row(score_run(folder, truth), "long_exposure")[1:3] == ["6.0 nm RMS", "+6.0 nm"]
+    assert row(score_text(score_run(folder, truth)), "long_exposure")[1:3] == ["6.0 nm RMS", "+6.0 nm"]
 
 
 def test_the_ramp_is_compared_with_what_was_introduced(tmp_path):
@@ -104,7 +105,7 @@ def test_means_of_recordings_lose_what_differs_from_frame_to_frame(tmp_path):
         made_run.point("offset_00", -100.0, -100.0 + error) for error in (2.0 + 5.0, 2.0 - 5.0)
     ]
     folder = made_run.write_run(tmp_path / "run", [made_run.ingest(), lift])
-    text = score_run(folder, write_truth(tmp_path / "truth", **RAMP))
+    text = score_text(score_run(folder, write_truth(tmp_path / "truth", **RAMP)))
     assert row(text, "means of recordings")[-1] == "2.0 nm RMS"
     assert row(text, "frames against the introduced")[-1] == "5.4 nm RMS"  # sqrt((49 + 9) / 2)
 
@@ -113,7 +114,7 @@ def test_frames_without_estimate_are_left_out(tmp_path):
     lift = made_run.lift()
     lift.results["points"][0]["defocus_nm"] = None
     folder = made_run.write_run(tmp_path / "run", [made_run.ingest(), lift])
-    text = score_run(folder, write_truth(tmp_path / "truth", **RAMP))
+    text = score_text(score_run(folder, write_truth(tmp_path / "truth", **RAMP)))
     assert row(text, "frames against the introduced")[-1] == "1.0 nm RMS"
 
 
@@ -136,7 +137,7 @@ def test_the_full_name_goes_before_a_similar_one(tmp_path):
 def test_a_single_file_will_do(tmp_path):
     folder = made_run.write_run(tmp_path / "run", made_run.products("ingest", "calibrate", "lift"))
     truth = write_truth(tmp_path, sky=shifted()) / "sky.json"
-    text = score_run(folder, truth)
+    text = score_text(score_run(folder, truth))
     assert "calibration (sky)" in text
     assert "ramp" not in text
 
@@ -194,7 +195,7 @@ def test_a_value_that_is_not_known_is_not_taken_for_zero(tmp_path):
     calibrate = made_run.calibrate()
     calibrate = replace(calibrate, results=calibrate.results | {"zernike_nm": made_run.NCPA_NM | {"4": None}})
     folder = made_run.write_run(tmp_path / "run", [made_run.ingest(), calibrate])
-    text = score_run(folder, write_truth(tmp_path / "truth", sky=shifted()))
+    text = score_text(score_run(folder, write_truth(tmp_path / "truth", sky=shifted())))
     assert "nan nm RMS" in row(text, "long_exposure")
 
 

@@ -1,0 +1,141 @@
+"""Versions of a reduction side by side: what is there is not changed, the link leads to what is whole."""
+
+import os
+
+import pytest
+from conftest import Bench, invoke, products
+from filelock import FileLock
+
+from irlos_pipe.conventions.errors import IrlosError
+from irlos_pipe.product.versions import link_latest, version_folders
+
+
+def numbered(bench: Bench, *options: str) -> int:
+    return bench.run("--numbered", *options).exit_code
+
+
+def there(bench: Bench) -> list[str]:
+    return [path.name for path in version_folders(bench.output)]
+
+
+def content(bench: Bench, version: str) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in (bench.output / version).glob("*.h5")}
+
+
+def test_the_first_version_is_a_run_like_any_other_and_the_latest(bench):
+    assert numbered(bench) == 0
+    assert there(bench) == ["001"] and os.readlink(bench.output / "latest") == "001"
+    assert len(products(bench.output / "latest")) == 3
+
+
+def test_the_same_reduction_again_is_up_to_date(bench):
+    numbered(bench)
+    before = content(bench, "001")
+    assert numbered(bench) == 0 and there(bench) == ["001"] and content(bench, "001") == before
+
+
+@pytest.mark.parametrize("option", [("--set", "calibrate.method=dip_global"), ("--force",)])
+def test_a_reduction_that_would_replace_products_begins_a_version(bench, option):
+    numbered(bench)
+    before = content(bench, "001")
+    assert numbered(bench, *option) == 0
+    assert there(bench) == ["001", "002"] and os.readlink(bench.output / "latest") == "002"
+    assert content(bench, "001") == before
+
+
+def test_data_that_changed_begin_a_version_too(bench):
+    numbered(bench)
+    (bench.data / "c.dat").write_bytes(b"1")
+    numbered(bench)
+    assert there(bench) == ["001", "002"]
+
+
+def test_a_version_that_stopped_is_continued_and_the_link_stays_until_it_is_whole(bench):
+    numbered(bench)
+    bench.make("calibrate.crash")
+    changed = ("--set", "ingest.scale=2")
+    assert numbered(bench, *changed) == 1
+    assert there(bench) == ["001", "002"] and os.readlink(bench.output / "latest") == "001"
+    (bench.data / "calibrate.crash").unlink()
+    # what made it crash was an input file, so that ingest differs: a version that stopped early is kept
+    assert numbered(bench, *changed) == 0
+    assert there(bench)[-1] == os.readlink(bench.output / "latest")
+
+
+def test_stages_that_were_left_out_are_added_to_the_same_version(bench):
+    numbered(bench, "--to", "calibrate")
+    assert not (bench.output / "latest").exists()
+    assert numbered(bench) == 0
+    assert there(bench) == ["001"] and os.readlink(bench.output / "latest") == "001"
+
+
+def test_a_plan_names_what_would_be_done_and_makes_nothing(bench):
+    assert numbered(bench, "--dry-run") == 0 and not bench.output.exists()
+    numbered(bench)
+    result = bench.run("--numbered", "--dry-run", "--set", "calibrate.method=dip_global")
+    assert result.stdout.count("no product yet") == 3 and there(bench) == ["001"]
+
+
+def test_a_mistake_leaves_no_folder(bench):
+    assert numbered(bench, "--from", "lift") == 2 and not bench.output.exists()
+
+
+@pytest.mark.parametrize("make", ["file", "run"])
+def test_a_folder_of_something_else_is_refused(bench, make):
+    if make == "run":
+        bench.run()
+    else:
+        bench.output.mkdir()
+        (bench.output / "mine.txt").touch()
+    result = bench.run("--numbered")
+    assert result.exit_code == 2 and "holds other files" in result.stderr
+
+
+def test_a_folder_of_versions_is_no_run_and_the_message_says_where_one_is(bench):
+    numbered(bench)
+    assert "holds other files (001 (and" not in bench.run().stdout
+    result = invoke("report", str(bench.output))
+    assert result.exit_code == 3 and f"{bench.output / 'latest'}" in result.stderr
+
+
+def test_latest_that_is_no_link_is_refused_and_left_alone(bench):
+    numbered(bench)
+    (bench.output / "latest").unlink()
+    (bench.output / "latest").mkdir()
+    result = bench.run("--numbered", "--force")
+    assert result.exit_code == 2 and "latest: is no link" in result.stderr
+    with pytest.raises(IrlosError, match="cannot be linked"):
+        link_latest(bench.output, bench.output / "001")
+    assert {path.name for path in bench.output.iterdir()} == {".lock", "001", "latest"}
+
+
+def test_a_number_that_is_a_link_is_not_followed(bench, tmp_path):
+    numbered(bench)
+    (tmp_path / "elsewhere").mkdir()
+    (bench.output / "002").symlink_to(tmp_path / "elsewhere")
+    assert there(bench) == ["001"]
+
+
+def test_two_runs_do_not_share_a_number(bench):
+    numbered(bench)
+    with FileLock(bench.output / ".lock"):
+        assert numbered(bench, "--force") == 75
+    assert there(bench) == ["001"]
+
+
+def test_status_lists_the_versions_and_what_was_changed(bench):
+    numbered(bench)
+    numbered(bench, "--set", "calibrate.method=dip_global", "--set", "ingest.scale=2")
+    head, *lines = invoke("status", str(bench.output)).stdout.splitlines()
+    assert head.split()[:3] == ["version", "recipe", "status"]
+    assert [line.split()[0] for line in lines] == ["001", "002"]
+    assert "latest" not in lines[0] and "latest" in lines[1]
+    assert lines[1].endswith("ingest.scale, calibrate.method") or lines[1].endswith(
+        "calibrate.method, ingest.scale"
+    )
+
+
+def test_versions_are_in_the_order_of_their_numbers(tmp_path):
+    for name in ("1000", "999", "001", "12", "x"):
+        (tmp_path / name).mkdir()
+    assert [path.name for path in version_folders(tmp_path)] == ["001", "999", "1000"]
