@@ -1,6 +1,7 @@
 # docker build -t irlos .
 # docker run --rm -v "$PWD:/work" irlos demo
-FROM python:3.12-slim
+ARG PYTHON=3.12
+FROM python:${PYTHON}-slim
 # Another index gives another build of PyTorch: --build-arg TORCH_INDEX=URL, see the Makefile.
 ARG TORCH_INDEX=
 COPY . /source

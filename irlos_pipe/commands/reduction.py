@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn, TypeVar
 
@@ -131,6 +131,7 @@ def run(
     """
     from irlos_pipe.pipeline import Selection, plan_run
     from irlos_pipe.pipeline.numbered import version_for
+    from irlos_pipe.pipeline.plan import Action
     from irlos_pipe.pipeline.terminal import plan_text
     from irlos_pipe.recipe import load_recipe
 
@@ -138,8 +139,9 @@ def run(
     selection = Selection(first, last, force)
     if dry_run:
         folder = version_for(checked, output, selection) if numbered else output
-        click.echo(plan_text(plan_run(checked, folder, selection)[1], as_json))
-        _exit_if_any(_problems(checked))
+        steps = plan_run(checked, folder, selection)[1]
+        click.echo(plan_text(steps, as_json))
+        _exit_if_any(_problems(checked, [step.name for step in steps if step.action is Action.RUN]))
         return
     outcome = _outcome(checked, output, selection, device, jobs, verbose, quiet, numbered=numbered)
     _print(outcome, as_json, quiet)
@@ -270,13 +272,13 @@ def _outcome(
         return reduce(recipe, output, selection, resources_of(device, jobs, quiet))
 
 
-def _problems(recipe: Recipe) -> list[str]:
-    """All that is wrong with the recordings of a recipe."""
+def _problems(recipe: Recipe, stages: Collection[str] | None = None) -> list[str]:
+    """All that is wrong with the recordings that stages of a recipe, by default all, would read."""
     if not any(recipe.inputs.values()):
         return []
     from irlos_pipe.pipeline.problems import input_problems
 
-    return input_problems(recipe)
+    return input_problems(recipe, stages)
 
 
 def _exit_if_any(problems: list[str]) -> None:

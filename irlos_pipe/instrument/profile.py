@@ -16,7 +16,7 @@ from irlos_pipe.instrument.status import Status
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def _iso_date(value: Any) -> Any:

@@ -36,7 +36,7 @@ NUMBER = re.compile("|".join([r"noll_[1-9]\d*_nm", *OTHER_NUMBERS]))
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class BandSettings(_Section):

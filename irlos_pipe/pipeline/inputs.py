@@ -14,8 +14,10 @@ from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.files.atomic import write_if_changed
 from irlos_pipe.files.json import json_text
 from irlos_pipe.files.regular import open_regular, read_regular
+from irlos_pipe.product.standing import listing_stamp
 
 CACHE_NAME = ".input_checksums.json"
+LISTS = "lists"  # key of the lists of files among the absolute paths of the cache
 
 
 @dataclass(frozen=True)
@@ -29,12 +31,16 @@ class InputFile:
         what was given, such as a side-car, count from its parent folder.
     stamp : tuple of int
         Size, times and place on the disk when the checksum was taken.
+    root, listed : Path, str
+        What was given as input, and the stamp of all that decided which of its files are read.
     """
 
     label: str
     path: Path
     sha256: str
     stamp: tuple[int, ...] = field(default=(), compare=False)
+    root: Path = field(default=Path(), compare=False)
+    listed: str = field(default="", compare=False)
 
 
 def input_files(
@@ -45,7 +51,8 @@ def input_files(
     """List the files of all inputs with their checksums, ordered by label.
 
     Checksums of files whose size, times and place did not change come from the cache
-    in `cache_folder`, which is not written here (see `remember`).
+    in `cache_folder`, which is not written here (see `remember`), and so does the list of the files that
+    are read of an input while nothing in it or beside it was touched: to tell, every file has to be opened.
 
     Parameters
     ----------
@@ -64,23 +71,28 @@ def input_files(
         When a folder cannot be read, or a name cannot be shown.
     """
     cache = _read_cache(cache_folder)
-    found: dict[str, Path] = {}
+    found: dict[str, tuple[Path, Path, str]] = {}
     for name, roots in inputs.items():
-        own: dict[str, Path] = {}
+        own: dict[str, tuple[Path, Path, str]] = {}
         for index, root in enumerate(roots):
             prefix = name if len(roots) == 1 else f"{name}[{index}]"
-            own |= {f"{prefix}/{_label(path, root)}": path for path in (files_of or _all_files)(root)}
+            listed, paths = _listed(root, cache, files_of or _all_files)
+            own |= {f"{prefix}/{_label(path, root)}": (path, root, listed) for path in paths}
         if not own:
             raise NothingToDo(
                 f"input '{name}': no recordings under {', '.join(map(str, roots))}; nothing to process"
             )
         found |= own
-    return [_input_file(label, path, cache) for label, path in sorted(found.items())]
+    return [_input_file(label, *one, cache) for label, one in sorted(found.items())]
 
 
 def remember(files: list[InputFile], cache_folder: Path) -> None:
-    """Write the checksums of `files` to the cache in `cache_folder`."""
-    entries = {str(file.path): [*file.stamp, file.sha256] for file in files}
+    """Write the checksums of `files`, and which of an input they are, to the cache in `cache_folder`."""
+    entries: dict[str, Any] = {str(file.path): [*file.stamp, file.sha256] for file in files}
+    lists: dict[str, list[str]] = {}
+    for file in files:
+        lists.setdefault(str(file.root), [file.listed]).append(str(file.path))
+    entries[LISTS] = {root: entry for root, entry in lists.items() if entry[0]}
     write_if_changed(cache_folder / CACHE_NAME, json_text(entries).encode())
 
 
@@ -121,13 +133,28 @@ def _read_cache(folder: Path) -> dict[str, Any]:
     return entries if isinstance(entries, dict) else {}
 
 
-def _input_file(label: str, path: Path, cache: Mapping[str, Any]) -> InputFile:
+def _listed(
+    root: Path, cache: Mapping[str, Any], files_of: Callable[[Path], list[Path]]
+) -> tuple[str, list[Path]]:
+    """The files that are read of an input, and the stamp under which they may be remembered."""
+    stamp = listing_stamp(root)
+    entry = cache.get(LISTS, {}).get(str(root)) if isinstance(cache.get(LISTS), dict) else None
+    match entry:
+        case [str(earlier), *names] if (
+            stamp and earlier == stamp and all(isinstance(one, str) for one in names)
+        ):
+            return stamp, [Path(one) for one in names]
+    return stamp, files_of(root)
+
+
+def _input_file(label: str, path: Path, root: Path, listed: str, cache: Mapping[str, Any]) -> InputFile:
     """A file with its checksum; one that cannot be read fails when it is, and does not stop the others."""
     stamp = _stamp(path)
     try:
-        return InputFile(label, path, _remembered(cache.get(str(path)), stamp) or _checksum(path), stamp)
+        checksum = _remembered(cache.get(str(path)), stamp) or _checksum(path)
     except OSError as error:
-        return InputFile(label, path, f"cannot be read: {error.strerror}", stamp)
+        checksum = f"cannot be read: {error.strerror}"
+    return InputFile(label, path, checksum, stamp, root, listed)
 
 
 def _remembered(entry: Any, stamp: tuple[int, ...]) -> str:

@@ -30,7 +30,9 @@ EffectValues = dict[str, Any]
 class ResultsPart(BaseModel):
     """Base of everything that stands in results.json; keys of a newer version are ignored."""
 
-    model_config: ClassVar[ConfigDict] = ConfigDict(extra="ignore", frozen=True, populate_by_name=True)
+    model_config: ClassVar[ConfigDict] = ConfigDict(
+        defer_build=True, extra="ignore", frozen=True, populate_by_name=True
+    )
 
     def as_json(self) -> dict[str, Any]:
         """Return the keys that were set, in the types of JSON."""

@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,12 @@ def inputs_stamp(inputs: Iterable[Path]) -> str:
         return _digest(line for root in sorted(inputs) for line in _around(root))
     except (OSError, _CannotTell):
         return ""
+
+
+def listing_stamp(root: Path) -> str:
+    """Return the stamp of all that decides which files are read of an input; empty where it cannot tell."""
+    inputs = inputs_stamp([root])
+    return _digest([_package_stamp(), inputs]) if inputs else ""
 
 
 def remember_standing(run: RunFolder, inputs: str) -> None:
@@ -66,13 +73,19 @@ def _stamp(run: RunFolder) -> dict[str, str]:
         inputs = inputs_stamp(paths)
         own = (entry for entry in _entries(run.path) if entry.name not in REWRITTEN)
         parts: dict[str, Any] = {
-            "package": _digest(_below(package)),
+            "package": _package_stamp(),
             "run": _digest(_line(entry) for entry in own if not entry.is_dir()),
             "inputs": inputs,
         }
     except (OSError, IrlosError, KeyError, AttributeError, TypeError, _CannotTell):
         return {}
     return parts if inputs else {}
+
+
+@cache
+def _package_stamp() -> str:
+    """Stamp of every file of the package."""
+    return _digest(_below(Path(irlos_pipe.__file__).parent))
 
 
 def _digest(lines: Iterable[str]) -> str:

@@ -19,7 +19,9 @@ Role = Literal["ncpa_calibration", "defocus_ramp", "derotator", "psf", "dark"]
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, coerce_numbers_to_str=True)
+    model_config = ConfigDict(
+        defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False, coerce_numbers_to_str=True
+    )
 
     @model_validator(mode="before")
     @classmethod

@@ -34,7 +34,7 @@ def _none_as_empty(value: Any) -> Any:
 class RecipeHead(BaseModel):
     """The keys of a recipe that are not sections of a stage."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(defer_build=True, extra="forbid")
 
     recipe: str = Field(min_length=1, description="name of the recipe")
     title: str = Field("", description="one line for people")

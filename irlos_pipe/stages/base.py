@@ -24,7 +24,7 @@ KEY_PARTS = frozenset({"model", "instrument", "seed", "inputs"})
 class StageConfig(BaseModel):
     """Base of every stage's section of a recipe: unknown keys are errors, values do not change."""
 
-    model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", frozen=True)
+    model_config: ClassVar[ConfigDict] = ConfigDict(defer_build=True, extra="forbid", frozen=True)
 
 
 ConfigT = TypeVar("ConfigT", bound=StageConfig)

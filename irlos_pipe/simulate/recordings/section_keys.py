@@ -20,7 +20,7 @@ BandName = Literal["narrow_h", "j", "h", "j_h"]
 class Section(BaseModel):
     """Base of all sections: unknown keys and values that are not finite are refused."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
     def over(self, below: Section | None) -> Section:
         """Return `below` with the keys that were given here replaced."""

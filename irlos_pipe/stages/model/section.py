@@ -20,7 +20,7 @@ class ModelConfig(BaseModel):
     of parts of a ramp are listed one by one; results name the second ``companion_2``.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True)
 
     effects: tuple[Annotated[Any, Field()], ...] = Field(
         ("seeing_halo", "tip_tilt_jitter"),
