@@ -13,7 +13,8 @@ import torch
 
 from irlos_pipe.effects import Conditions, Effect
 from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.lenslets import light_path
+from irlos_pipe.optics.light_path import LightPath
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Exposures:
 
     def view(self, nolls: Sequence[int], device: str) -> View:
         """Its model of the modes `nolls` on `device`, in float64: a mean is more precise than float32."""
-        psf = PsfModel(self.conditions.settings, nolls, device=device, dtype=torch.float64)
+        psf = light_path(self.conditions.settings, nolls, device=device, dtype=torch.float64)
         return View(psf, self.conditions, self.moment)
 
 
@@ -67,26 +68,26 @@ class Exposures:
 class View:
     """The light path of one recording, with the settings of its conditions, at one moment."""
 
-    psf: PsfModel
+    psf: LightPath
     conditions: Conditions
     moment: int = 0
 
     def quick(self) -> View:
         """This light path in float32, which is precise enough for most of a fit."""
         psf = self.psf
-        return replace(self, psf=PsfModel(psf.settings, psf.nolls, device=psf.device, dtype=torch.float32))
+        return replace(self, psf=light_path(psf.settings, psf.nolls, device=psf.device, dtype=torch.float32))
 
     def with_known(self, modes_nm: Mapping[int, float]) -> View:
         """This light path with further modes of a known wavefront: Noll index to nm RMS."""
         psf, known = self.psf, self.psf.settings.known
         ncpa_nm = {noll: known.ncpa_nm.get(noll, 0.0) + nm for noll, nm in modes_nm.items()}
         settings = replace(psf.settings, known=replace(known, ncpa_nm={**known.ncpa_nm, **ncpa_nm}))
-        return replace(self, psf=PsfModel(settings, psf.nolls, device=psf.device, dtype=psf.dtype))
+        return replace(self, psf=light_path(settings, psf.nolls, device=psf.device, dtype=psf.dtype))
 
     def under(self, conditions: Conditions) -> View:
         """A recording of the same modes under other `conditions`."""
         psf = self.psf
-        moved = PsfModel(conditions.settings, psf.nolls, device=psf.device, dtype=psf.dtype)
+        moved = light_path(conditions.settings, psf.nolls, device=psf.device, dtype=psf.dtype)
         return replace(self, psf=moved, conditions=conditions)
 
     def seen(self, effects: Sequence[Effect], views: Sequence[View]) -> list[Effect]:

@@ -39,7 +39,7 @@ from irlos_pipe.estimate.tail_law import TailLaw
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
-from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 MISFIT, MISFIT_ROUNDS = 1.3, 3  # χ²/ν from which few frames are weighed by it; how often at most
@@ -190,7 +190,7 @@ class _Task:
     """What is to be fitted, whatever the effects in the model."""
 
     frames: Frames
-    psf: PsfModel
+    psf: LightPath
     options: CalibrationOptions
     start_nm: np.ndarray | None
     report: Report | None

@@ -20,7 +20,8 @@ from irlos_pipe.estimate.twin import TwinCheck, check_twin
 from irlos_pipe.frames.blocks import blocks
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import INVALID, Solution
-from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.lenslets import light_path
+from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 ROUGH_ITERATIONS = 6  # of the few frames whose median all others start from
@@ -57,9 +58,9 @@ class Scheme(ABC):
         """Return the number of fits."""
         return 1
 
-    def psf_model(self, settings: PsfSettings, nolls: Sequence[int], device: str) -> PsfModel:
+    def psf_model(self, settings: PsfSettings, nolls: Sequence[int], device: str) -> LightPath:
         """PSF model for `settings` with the modes `nolls` on a `device`, as precise as the images need."""
-        return PsfModel(settings.for_single_frames(), nolls, device=device)
+        return light_path(settings.for_single_frames(), nolls, device=device)
 
     def start(self, frames: Frames, problem: ImageFit) -> torch.Tensor:
         """Return the start of the `problem` of these `frames` when nothing is known, (batch, parameters)."""
@@ -87,9 +88,9 @@ class MeanImage(Scheme):
         """See `Scheme.data`."""
         return frames.mean_e[None, None], mean_variance_e2(frames)[None, None]
 
-    def psf_model(self, settings: PsfSettings, nolls: Sequence[int], device: str) -> PsfModel:
+    def psf_model(self, settings: PsfSettings, nolls: Sequence[int], device: str) -> LightPath:
         """See `Scheme.psf_model`."""
-        return PsfModel(settings, nolls, device=device, dtype=torch.float64)
+        return light_path(settings, nolls, device=device, dtype=torch.float64)
 
     def twin(self, problem: ImageFit, solution: Solution, law: NcpaLaw | None) -> TwinCheck | None:
         """See `Scheme.twin`."""

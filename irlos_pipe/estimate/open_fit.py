@@ -20,7 +20,7 @@ from irlos_pipe.estimate.tail_law import TailLaw, fit_tail_law
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.problem import CheapGradientProblem
 from irlos_pipe.numerics.solution import INVALID, Solution
-from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 MOST_ORDERS = 20  # Noll 231: the budget of time
@@ -119,7 +119,7 @@ def open_basis(
     nolls = range(2, last_noll_of(visible_order(psf.settings)) + 1)
     if len(nolls) <= len(psf.nolls):
         return None
-    wider = PsfModel(psf.settings, nolls, device=psf.device, dtype=psf.dtype, rough_derivatives=True)
+    wider = light_path(psf.settings, nolls, device=psf.device, dtype=psf.dtype, rough_derivatives=True)
     model = ImageModel(wider, closed.model.effects.effects)
     law = TailLaw(psf.nolls[-1] + 1)
     problem = _wider(closed, model).with_law(law).with_tolerance(ROUGHLY * len(nolls))

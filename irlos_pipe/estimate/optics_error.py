@@ -17,7 +17,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.lift import LiftResult
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
-from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.lenslets import light_path
 
 MOST_OFFSETS = 5  # at which it is computed; between them it is interpolated
 
@@ -52,7 +52,7 @@ def optics_sigma_nm(
     order = usable[np.argsort(defocus_nm[usable], kind="stable")]
     chosen = order[np.unique(np.linspace(0, len(order) - 1, MOST_OFFSETS).round().astype(int))]
     general, own = model.general, tuple(sorted({*nolls, *result.nolls}))
-    wide = ImageModel(PsfModel(general.psf.settings, own), general.effects.effects)
+    wide = ImageModel(light_path(general.psf.settings, own), general.effects.effects)
     known = [own.index(noll) for noll in nolls]
     slopes = [defocus_slopes(wide, result, int(frame), good, noise)[known] for frame in chosen]
     sigma_nm = [float(np.sqrt(slope @ covariance_nm2 @ slope)) for slope in slopes]

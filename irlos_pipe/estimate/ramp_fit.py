@@ -20,7 +20,6 @@ from irlos_pipe.estimate.starts import scan_start_nm, start_tilts_nm
 from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.light_path import LightPath
-from irlos_pipe.optics.psf import PsfModel
 
 OUTLIER_CHI2 = 2.0  # a fit this much worse than the median of the ramp gets a second try
 SHARED_FRAMES = 24  # of a ramp that determine what all frames share: more take long and add little
@@ -95,7 +94,7 @@ def start_from_defocus(model: LightPath, data: RampData, defocus_nm: np.ndarray)
 
 
 def fit_ramp(
-    model: PsfModel,
+    model: LightPath,
     data: RampData,
     start_nm: torch.Tensor,
     options: LiftOptions,
@@ -108,7 +107,7 @@ def fit_ramp(
 
     Parameters
     ----------
-    model : PsfModel
+    model : LightPath
     data : RampData
     start_nm : tensor, (frames, modes)
     options : LiftOptions
@@ -132,7 +131,7 @@ def fit_ramp(
     return RampFit(result, complete, held.describe(NOTHING), shared, start_nm)
 
 
-def _fit_effects(model: PsfModel, data: RampData, start_nm: torch.Tensor, effects: EffectSet) -> SharedFit:
+def _fit_effects(model: LightPath, data: RampData, start_nm: torch.Tensor, effects: EffectSet) -> SharedFit:
     layout = Layout(model.nolls)
     variance = data.noise.variance_e2(smooth(data.images_e))
     problem = image_problem(ImageModel(model, effects), layout, data.images_e, variance, data.good)

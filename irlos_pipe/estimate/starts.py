@@ -42,6 +42,7 @@ def start_tilts_nm(images_e: torch.Tensor, settings: PsfSettings) -> torch.Tenso
     images_e : tensor, (frames, rows, columns)
     settings : PsfSettings
     """
+    images_e = one_star(images_e, settings)
     bright = (images_e - 0.2 * images_e.amax((1, 2), keepdim=True)).clamp_min(0)
     total = bright.sum((1, 2)).clamp_min(1e-30)
     rows, columns = images_e.shape[1:]
@@ -49,6 +50,14 @@ def start_tilts_nm(images_e: torch.Tensor, settings: PsfSettings) -> torch.Tenso
     x = (bright.sum(1) @ (torch.arange(columns, dtype=bright.dtype) - (columns - 1) / 2)) / total
     angles_mas = torch.stack([x, y], dim=1).double() * settings.pixel_scale_mas
     return tilt_nm(angles_mas, settings.geometry.diameter_m)
+
+
+def one_star(images_e: torch.Tensor, settings: PsfSettings) -> torch.Tensor:
+    """Return the sum of the images of the lenslets, (frames, rows, columns); without any, `images_e`."""
+    if settings.lenslets == 1:
+        return images_e
+    rows, columns = settings.lenslet_window
+    return images_e.unflatten(2, (-1, columns)).unflatten(1, (-1, rows)).sum((1, 3))
 
 
 def scan_start_nm(

@@ -42,7 +42,7 @@ def tabulated(model: ImageModel, start_nm: torch.Tensor) -> ImageModel:
     """
     if model.general is not model or model.effects.parameters or model.effects.at("time"):
         return model
-    if not is_family(model.psf.nolls):
+    if not is_family(model.psf.nolls) or model.psf.settings.lenslets > 1:
         return model
     reach = _reach(model.psf.nolls, start_nm)
     return TabulatedModel(model, reach) if can_tabulate(model.psf, model.optics, reach) else model

@@ -112,7 +112,7 @@ def clean(
     level = saturation_level(valid, detector)
     good = ~_bad_in_counts(valid, raw.calibration.bad, detector, level, thresholds.stuck_ratio)
     reasons = also(reasons, saturated_frames(raw.adu, good, level, limits.saturated_px), SATURATED)
-    background = find_background(valid, raw.calibration, good)
+    background = find_background(valid, raw.calibration, good, raw.lenslets)
     good &= ~(background.bad | _hot(raw.calibration.dark_adu, detector, thresholds))
     images = _finite(to_electrons(raw.adu, background.adu, background.flat, detector.e_per_adu))
     search = PixelSearch(sampling_px, detector, thresholds)
@@ -160,7 +160,9 @@ def _dark_variance_e2(
     return dark_variance_e2(images_e, good, at_most_e2)
 
 
-def find_background(valid_adu: np.ndarray, maps: CalibrationMaps, good: np.ndarray) -> Background:
+def find_background(
+    valid_adu: np.ndarray, maps: CalibrationMaps, good: np.ndarray, lenslets: int = 1
+) -> Background:
     """Add up dark and sky, or estimate a pedestal where there is neither.
 
     Parameters
@@ -171,6 +173,8 @@ def find_background(valid_adu: np.ndarray, maps: CalibrationMaps, good: np.ndarr
         Dark, sky and flat, as far as there are any.
     good : ndarray of bool, (rows, columns)
         Pixels from which a pedestal is estimated.
+    lenslets : int
+        See `RawFrames`.
     """
     window = valid_adu.shape[1:]
     flat, bad = relative_flat(maps.flat, window)
@@ -181,8 +185,18 @@ def find_background(valid_adu: np.ndarray, maps: CalibrationMaps, good: np.ndarr
     mean = mean_frame(valid_adu)
     if len(valid_adu) < MIN_FRAMES_FOR_NOISE:  # the darkest pixels would be those of the strongest noise
         mean = median_filter(mean, size=5, mode="nearest")
-    level, error = estimate_pedestal(np.where(good & ~bad, mean, np.nan))
+    level, error = estimate_pedestal(_of_one_star(np.where(good & ~bad, mean, np.nan), lenslets))
     return Background(np.full(window, level), flat, bad, level, error)
+
+
+def _of_one_star(image: np.ndarray, lenslets: int) -> np.ndarray:
+    """The mean of the images of the lenslets: that of a single star; NaN where all of them are."""
+    if lenslets == 1:
+        return image
+    rows, columns = (size // lenslets for size in image.shape)
+    apart = image.reshape(lenslets, rows, lenslets, columns)
+    number = np.isfinite(apart).sum(axis=(0, 2))
+    return np.where(number > 0, np.nansum(apart, axis=(0, 2)) / np.maximum(number, 1), np.nan)
 
 
 def _bad_in_counts(

@@ -43,11 +43,14 @@ class RawFrames:
     frame_counter : ndarray of int, (frames,)
         Counter of the recorder.
     calibration : CalibrationMaps
+    lenslets : int
+        Per side of the pupil; with 2 the window is that of four images side by side.
     """
 
     adu: np.ndarray
     frame_counter: np.ndarray
     calibration: CalibrationMaps = CalibrationMaps()
+    lenslets: int = 1
 
     @property
     def frames(self) -> int:

@@ -67,8 +67,8 @@ class Acquisition:
         Introduced diversity, Noll index to nm RMS.
     mode : str
         Read-out mode string of the sensor; empty if the layout has none.
-    subaperture : int or None
-        Number of the lenslet, from 1, lower left to upper right; None for the full pupil.
+    lenslets : int
+        Per side of the pupil: 1 for the full pupil; with 2 a frame is four images side by side.
     parallactic_angle_deg, altitude_deg : float or None
         Angles of the telescope.
     zenith_angle_deg : float or None
@@ -107,7 +107,7 @@ class Acquisition:
     filter: str = ""
     pupil_rotation_deg: float = 0.0
     mode: str = ""
-    subaperture: int | None = None
+    lenslets: int = 1
     sources: dict[str, str] = field(default_factory=dict)
 
     @property

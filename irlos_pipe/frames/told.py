@@ -132,7 +132,7 @@ def _noise(recording: Recording, noise: MeasuredNoise) -> Iterator[Told]:
 
 def _cutoff(recording: Recording, facility: Facility) -> Iterator[Told]:
     acquisition = recording.acquisition
-    if acquisition.subaperture is not None:
+    if acquisition.lenslets > 1:
         return
     shortest_m = min(wavelength for wavelength, weight in acquisition.spectrum if weight > 0) * NM
     expected = cutoff_per_px(shortest_m, facility.pupil.diameter_m, acquisition.pixel_scale_mas)

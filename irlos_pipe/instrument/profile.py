@@ -78,6 +78,7 @@ class Profile(_Section):
     defaults: dict[str, str | Ratio] = Field({}, description="side-car key: fact that stands in for it")
     seeing_scales: dict[str, SeeingScaleEntry] = Field({}, description="monitor: its relation to SPARTA")
     modes: dict[str, ModeEntry] = Field({}, description="mode string of the header: properties")
+    lenslets: dict[str, Any] = Field({}, description="side-car keys that hold in modes with lenslets")
 
     zenith: ZenithSection | None = Field(None, description="direction of the zenith in the image")
     pupil: PupilSection | None = Field(None, description="drawing of the pupil, beyond its facts")

@@ -175,7 +175,7 @@ def _described(file: Path, source: Source, single: bool) -> Description:
     optics = (raw.mode, scale, acquisition.diversity_source, diversity)
     return Description(
         path=file.parent if raw.layout == recorder.LAYOUT and single else file,
-        name=raw.name if raw.subaperture is None else file.stem,
+        name=raw.name,
         role=acquisition.role,
         night=_night_of_file(file) if start is None else night_of(start),
         start_unix_s=start,
@@ -187,7 +187,7 @@ def _described(file: Path, source: Source, single: bool) -> Description:
         target=acquisition.target,
         exposure_s=acquisition.exposure_s,
         derotator_angle_deg=acquisition.derotator_angle_deg,
-        full_pupil=raw.subaperture is None,
+        full_pupil=raw.lenslets == 1,
         content=_checksum(raw.adu),
     )
 

@@ -95,6 +95,12 @@ class PsfModel:
         other.focal_plane = self._focal_plane(other.settings)
         return other
 
+    def with_amplitude(self, amplitude: np.ndarray) -> PsfModel:
+        """Return the same light path with another `amplitude` of the pupil, (n, n), as it is."""
+        other = copy(self)
+        other.amplitude = other._map(amplitude)
+        return other
+
     @property
     def limits_nm(self) -> torch.Tensor:
         """See `LightPath.limits_nm`: there are none."""

@@ -70,6 +70,9 @@ class PsfSettings:
     focus_sine : float
         NA / n of the beam in which the focus moves; above 0, Noll 4 stands for the shape of
         `optics.defocus` everywhere.
+    lenslets : int
+        Per side of the pupil: 1, or 2 where the window is that of the images of four quarters, see
+        `optics.lenslets`.
     """
 
     geometry: PupilGeometry
@@ -81,6 +84,18 @@ class PsfSettings:
     margin_mas: float = MARGIN_MAS
     halo_margin_mas: float = HALO_MARGIN_MAS
     focus_sine: float = 0.0
+    lenslets: int = 1
+
+    @property
+    def lenslet_window(self) -> tuple[int, int]:
+        """Rows and columns of the image of one lenslet; the window without any."""
+        rows, columns = self.window
+        return rows // self.lenslets, columns // self.lenslets
+
+    @property
+    def aperture_m(self) -> float:
+        """Width of the part of the pupil that makes an image [m]."""
+        return self.geometry.diameter_m / self.lenslets
 
     @property
     def shortest_m(self) -> float:
@@ -95,8 +110,8 @@ class PsfSettings:
 
     @property
     def resolution_px(self) -> float:
-        """λ/D at the mean wavelength [px]."""
-        return resolution_px(self.mean_nm * NM, self.geometry.diameter_m, self.pixel_scale_mas)
+        """λ/D at the mean wavelength, D being that of a lenslet if there are several [px]."""
+        return resolution_px(self.mean_nm * NM, self.aperture_m, self.pixel_scale_mas)
 
     @property
     def span_nm(self) -> float:
@@ -108,7 +123,7 @@ class PsfSettings:
     def breadth(self) -> float:
         """How much larger λ/D is than in the images that the margins were tuned on, at least 1."""
         longest_m = max(wavelength_nm for wavelength_nm, _ in self.spectrum) * NM
-        return max(1.0, longest_m / self.geometry.diameter_m / TUNED_RAD)
+        return max(1.0, longest_m / self.aperture_m / TUNED_RAD)
 
     def for_broad_images(self) -> PsfSettings:
         """Return the settings with the usual margins, wider where λ/D is: light rings that much farther."""
@@ -128,11 +143,15 @@ class PsfSettings:
         defocus by less than 0.03 nm at 0.5″. For a mean image this is not enough: χ²/ν of the mean of 60
         noise-limited frames was 1.14 instead of 0.99.
         """
-        window_px, diameter_m = max(self.window), self.geometry.diameter_m
-        needed = pupil_samples_for(window_px, self.pixel_scale_mas, self.shortest_m, diameter_m)
         return replace(
             self,
             margin_mas=min(self.margin_mas, FRAME_MARGIN_MAS * self.breadth),
             halo_margin_mas=min(self.halo_margin_mas, FRAME_HALO_MARGIN_MAS * self.breadth),
-            pupil_samples=min(self.pupil_samples, max(FRAME_PUPIL_SAMPLES, needed)),
+            pupil_samples=min(self.pupil_samples, max(FRAME_PUPIL_SAMPLES, self.needed_samples)),
         )
+
+    @property
+    def needed_samples(self) -> int:
+        """Fewest samples across the pupil for the width of the window."""
+        window_px, diameter_m = max(self.lenslet_window), self.geometry.diameter_m
+        return pupil_samples_for(window_px, self.pixel_scale_mas, self.shortest_m, diameter_m)

@@ -273,7 +273,7 @@ def _acquisition(
         dispersion_corrected=values["dispersion_corrected"],
         filter=values["filter"],
         mode=raw.mode,
-        subaperture=raw.subaperture,
+        lenslets=raw.lenslets,
         sources=sources,
         **optional,
     )

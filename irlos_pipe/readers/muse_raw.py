@@ -15,6 +15,7 @@ from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.instrument.instrument import Instrument, Mode
 from irlos_pipe.readers.fitsfile import hdu_label, header_number, image_array, require_one, stem
 from irlos_pipe.readers.raw_file import RawRecording
+from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
 from irlos_pipe.readers.times import require_times, unix_seconds
 
 LAYOUT = "muse_raw"
@@ -47,7 +48,7 @@ def files_of(path: Path) -> list[Path]:
 
 
 def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawRecording]:
-    """See `irlos_pipe.readers.find.Reader.read`: one recording in full-pupil modes, four in 2x2 modes.
+    """See `irlos_pipe.readers.find.Reader.read`: in 2x2 modes the four images side by side, without borders.
 
     Raises
     ------
@@ -66,23 +67,22 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
         layout=LAYOUT,
         adu=adu,
         frame_counter=np.arange(len(adu)),
-        header=_from_mode(mode) | _from_header(header) | _from_atmosphere(hdus),
+        header=_from_mode(mode, instrument) | _from_header(header) | _from_atmosphere(hdus),
         mode=mode.name,
         start_unix_s=_start(hdus, header, path),
     )
     if mode.lenslets == 1:
         return [whole]
-    return [
-        replace(whole, name=f"{whole.name}-q{number}", adu=images, subaperture=number)
-        for number, images in enumerate(split_quadrants(adu, where), start=1)
-    ]
+    return [replace(whole, adu=without_borders(adu, where), lenslets=mode.lenslets)]
 
 
 def _mode(header: fits.Header, instrument: Instrument, path: Path) -> Mode:
-    name = str(header.get(MODE_KEY, "")).strip()
+    told = read_sidecar(sidecar_path(path))
+    name = str(header.get(MODE_KEY, "")).strip() or told.mode or ""
     if not name:
         raise InputDataError(
-            f"{path}: HDU 0: header key {MODE_KEY} is missing, so the read-out mode is not known"
+            f"{path}: HDU 0: header key {MODE_KEY} is missing, so the read-out mode is not known; "
+            "add mode to the side-car"
         )
     day = str(header.get("DATE-OBS", ""))[:10]
     modes = (instrument.on(day) if _unix(day) is not None else instrument).modes
@@ -91,7 +91,17 @@ def _mode(header: fits.Header, instrument: Instrument, path: Path) -> Mode:
             f"{path}: HDU 0: {MODE_KEY} = '{name}' is no mode of {instrument.name}"
             f"{suggestion(name, modes)} (a new mode goes into the instrument profile)"
         )
+    if modes[name].lenslets > 1 and _unix(day) is None and not _says_what_changed(told):
+        raise InputDataError(
+            f"{path}: HDU 0: DATE-OBS is missing, and with it the pixel scale and the gain of {name}, which "
+            "have changed; add pixel_scale_mas and detector.e_per_adu to the side-car"
+        )
     return modes[name]
+
+
+def _says_what_changed(told: AcquisitionKeys) -> bool:
+    """Whether a side-car states what of the 2x2 modes depends on the date."""
+    return {"pixel_scale_mas", "detector.e_per_adu"} <= told.flat().keys()
 
 
 def _unix(stamp: str) -> float | None:
@@ -104,8 +114,10 @@ def _unix(stamp: str) -> float | None:
         return None
 
 
-def _from_mode(mode: Mode) -> dict[str, Any]:
-    return {
+def _from_mode(mode: Mode, instrument: Instrument) -> dict[str, Any]:
+    """What the mode implies: more in 2x2 modes, which have no lens for a diversity."""
+    implied = {} if mode.lenslets == 1 else instrument.profile.lenslets
+    return AcquisitionKeys.model_validate(implied).flat() | {
         "pixel_scale_mas": mode.pixel_scale_mas,
         "frame_rate_hz": mode.frame_rate_hz,
         "exposure_s": 1 / mode.frame_rate_hz,
@@ -145,8 +157,8 @@ def _start(hdus: fits.HDUList, header: fits.Header, path: Path) -> float:
     return float(times[0])
 
 
-def split_quadrants(cube: np.ndarray, where: str) -> list[np.ndarray]:
-    """Split frames into the images of the four lenslets, without the border of zeros around each.
+def without_borders(cube: np.ndarray, where: str) -> np.ndarray:
+    """Return the images of the four lenslets side by side, without the border of zeros around each.
 
     Parameters
     ----------
@@ -157,8 +169,7 @@ def split_quadrants(cube: np.ndarray, where: str) -> list[np.ndarray]:
 
     Returns
     -------
-    list of ndarray, (frames, rows / 2 - 2, columns / 2 - 2)
-        Lower left, lower right, upper left, upper right (row index is y, upwards).
+    ndarray, (frames, rows - 4, columns - 4)
 
     Raises
     ------
@@ -171,14 +182,12 @@ def split_quadrants(cube: np.ndarray, where: str) -> list[np.ndarray]:
             f"{where}: a window of {rows}x{columns} px has no four equal quadrants, "
             "which the 2x2 mode of the header asks for"
         )
-    quadrants = [
-        cube[:, y : y + rows // 2, x : x + columns // 2] for y in (0, rows // 2) for x in (0, columns // 2)
-    ]
-    for number, quadrant in enumerate(quadrants, start=1):
-        border = np.ones(quadrant.shape[1:], dtype=bool)
-        border[1:-1, 1:-1] = False
-        if np.any(quadrant[:, border] != 0):
+    apart = cube.reshape(len(cube), 2, rows // 2, 2, columns // 2)
+    border = np.ones((rows // 2, columns // 2), dtype=bool)
+    border[1:-1, 1:-1] = False
+    for number, (y, x) in enumerate(np.ndindex(2, 2), start=1):
+        if np.any(apart[:, y, :, x][:, border] != 0):
             raise InputDataError(
                 f"{where}: quadrant {number} lacks the one-pixel border of zeros of a 2x2 mode"
             )
-    return [np.ascontiguousarray(quadrant[:, 1:-1, 1:-1]) for quadrant in quadrants]
+    return np.ascontiguousarray(apart[:, :, 1:-1, :, 1:-1]).reshape(len(cube), rows - 4, columns - 4)

@@ -30,8 +30,6 @@ class RawRecording(RawFrames):
         Side-car keys (``detector.`` ones dotted) that the file itself knows.
     mode : str
         Read-out mode string, empty where the layout has none.
-    subaperture : int or None
-        Number of the lenslet, from 1, row by row from the lowest; None in full-pupil modes.
     start_unix_s : float
         Begin of the recording, NaN if not known [s since 1970].
     notes : tuple of str
@@ -46,7 +44,6 @@ class RawRecording(RawFrames):
     unix_s: np.ndarray | None = None
     header: Mapping[str, Any] = field(default_factory=dict)
     mode: str = ""
-    subaperture: int | None = None
     start_unix_s: float = float("nan")
     notes: tuple[str, ...] = ()
     cards: Mapping[str, Any] = field(default_factory=dict)

@@ -114,6 +114,9 @@ class AcquisitionKeys(_Section):
         None, ge=1000, le=50000, description="of the star, with the curve"
     )
     j_minus_h: float | None = Field(None, ge=-5, le=20, description="colour of the star, instead of it")
+    mode: str | None = Field(
+        None, min_length=1, description="read-out mode of a MUSE raw file whose header lacks it"
+    )
     detector: DetectorKeys | None = Field(None, description="detector constants")
 
     @model_validator(mode="after")

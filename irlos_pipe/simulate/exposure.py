@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from irlos_pipe.simulate.camera import Camera
 from irlos_pipe.simulate.effects.base import MotionEffect, SkyEffect
+from irlos_pipe.simulate.lenslets import camera_of
 from irlos_pipe.simulate.motion_blur import STILL, MotionBlur
 from irlos_pipe.simulate.pupil import pupil_of, steps_nm
 from irlos_pipe.simulate.scene import Scene
@@ -115,7 +115,7 @@ class _LightPath:
         self._motion, self._motion_rng = scene.acting(MotionEffect), scene.rng("effects")
         wandering_mas = scene.motion.rms_mas if scene.motion else 0.0
         blurring_mas = float(np.sqrt(sum(effect.sigma_mas**2 for effect in self._motion)))
-        self._camera = Camera(scene, self._pupil, float(np.hypot(wandering_mas, blurring_mas)))
+        self._camera = camera_of(scene, self._pupil, float(np.hypot(wandering_mas, blurring_mas)))
         steps = steps_nm(scene, self._pupil, self._pupil.u_m[None, :], self._pupil.u_m[:, None])
         self._steps_nm: np.ndarray | float = 0.0 if steps is None else steps
         self._resting_images: np.ndarray | None = None

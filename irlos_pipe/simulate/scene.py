@@ -12,6 +12,7 @@ import numpy as np
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned
+from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
@@ -21,6 +22,7 @@ from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
 
 STATIC_PUPIL_SAMPLES, MOVING_PUPIL_SAMPLES = 256, 128
+LENSLET_SAMPLING = 2  # times the fewest samples, for windows as wide as those of lenslets
 Plane = TypeVar("Plane", bound=SimulatedEffect)
 RANDOM_STREAMS = ("sky", "motion", "effects", "focus_stage")
 
@@ -61,7 +63,14 @@ class Scene:
     mag_j, throughput : float
         The star, and the part of the facility's photons that the bands pass.
     window : (int, int)
-        Rows and columns [px].
+        Rows and columns [px]; with lenslets, of their four images side by side.
+    lenslets : int
+        Per side of the pupil: 1, or 2.
+    lenslet_tilts_mas : tuple of (float, float)
+        By which the image of each lenslet is displaced, (x, y): lower left, lower right, upper left, upper
+        right.
+    lenslet_flux : tuple of float
+        By how much the light of each lenslet differs from its share, relative.
     ncpa_nm : mapping of int to float
         Static aberrations, Noll: nm RMS.
     rotating_nm : mapping of int to float
@@ -94,6 +103,9 @@ class Scene:
     throughput: float = 1.0
     frame_rate_hz: float = 10.0
     window: tuple[int, int] = (64, 64)
+    lenslets: int = 1
+    lenslet_tilts_mas: tuple[tuple[float, float], ...] = ((0.0, 0.0),) * 4
+    lenslet_flux: tuple[float, ...] = (0.0,) * 4
     pixel_scale_mas: float = 9.7
     ncpa_nm: Mapping[int, float] = field(default_factory=dict)
     rotating_nm: Mapping[int, float] = field(default_factory=dict)
@@ -156,7 +168,17 @@ class Scene:
     @property
     def pupil_samples(self) -> int:
         """Return the samples across the pupil."""
-        return self.sampling.pupil_samples or (MOVING_PUPIL_SAMPLES if self.moves else STATIC_PUPIL_SAMPLES)
+        usual = MOVING_PUPIL_SAMPLES if self.moves else STATIC_PUPIL_SAMPLES
+        return self.sampling.pupil_samples or (
+            usual if self.lenslets == 1 else max(usual, LENSLET_SAMPLING * self.needed_samples)
+        )
+
+    @property
+    def needed_samples(self) -> int:
+        """Fewest samples across the pupil for which no image repeats itself in its window."""
+        shortest_m = min(nm for nm, _ in self.spectrum()) * NM
+        element_px = resolution_px(shortest_m, self.geometry.diameter_m, self.pixel_scale_mas)
+        return math.ceil(max(self.window) // self.lenslets / element_px)
 
     @property
     def subexposures(self) -> int:

@@ -6,8 +6,10 @@ from helpers.sparta_files import FULL_PUPIL, TWO_BY_TWO, quadrants, write_muse
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.readers.acquisition import resolve
 from irlos_pipe.readers.find import read_recordings
-from irlos_pipe.readers.muse_raw import split_quadrants
+from irlos_pipe.readers.muse_raw import without_borders
+from irlos_pipe.readers.sidecar import AcquisitionKeys
 
 IRLOS = load_instrument("irlos")
 
@@ -87,19 +89,58 @@ def test_values_of_before_the_upgrade_hold_for_files_of_that_time(tmp_path):
     assert old.header["pixel_scale_mas"] == 60
 
 
-def test_a_2x2_mode_gives_four_recordings_without_their_borders(tmp_path):
+def test_the_images_of_a_2x2_mode_lie_side_by_side_without_their_borders(tmp_path):
     images = [numbered(3, 6, 8, offset) for offset in (0, 10000, 20000, 30000)]
-    found = read_recordings(write_muse(tmp_path / "m.fits", quadrants(images), TWO_BY_TWO), IRLOS)
-    assert [raw.name for raw in found] == ["m-q1", "m-q2", "m-q3", "m-q4"]
-    assert [raw.subaperture for raw in found] == [1, 2, 3, 4]
-    assert all(np.array_equal(raw.adu, image) for raw, image in zip(found, images, strict=True))
+    (raw,) = read_recordings(write_muse(tmp_path / "m.fits", quadrants(images), TWO_BY_TWO), IRLOS)
+    assert (raw.name, raw.lenslets) == ("m", 2)
+    assert np.array_equal(raw.adu[:, :6, :8], images[0]) and np.array_equal(raw.adu[:, :6, 8:], images[1])
+    assert np.array_equal(raw.adu[:, 6:, :8], images[2]) and np.array_equal(raw.adu[:, 6:, 8:], images[3])
+
+
+@pytest.mark.parametrize(
+    ("day", "mode", "scale_mas", "e_per_adu"),
+    [
+        ("2023-01-01T00:00:00", "20x20_SmallScale_500Hz_HighGain", 78, 9.8 / 68),
+        ("2023-01-01T00:00:00", "20x20_LargeScale_200Hz_LowGain", 314, 9.8),
+        ("2021-03-19T00:00:00", "20x20_SmallScale_500Hz_HighGain", 60, 3.0),
+        ("2019-01-01T00:00:00", "20x20_LargeScale_500Hz_HighGain", 242, 3.0),
+    ],
+)
+def test_scale_and_gain_are_those_of_mode_and_day(tmp_path, day, mode, scale_mas, e_per_adu):
+    path = write_muse(tmp_path / "m.fits", quadrants([numbered(1, 6, 6)] * 4), mode, {"DATE-OBS": day})
+    (raw,) = read_recordings(path, IRLOS)
+    assert raw.header["pixel_scale_mas"] == scale_mas
+    assert raw.header["detector.e_per_adu"] == pytest.approx(e_per_adu)
+
+
+def test_a_2x2_file_without_a_day_needs_a_side_car_that_states_scale_and_gain(tmp_path):
+    path = write_muse(tmp_path / "m.fits", quadrants([numbered(1, 6, 6)] * 4), TWO_BY_TWO, {"DATE-OBS": ""})
+    with pytest.raises(InputDataError, match=r"DATE-OBS is missing.*pixel_scale_mas and detector\.e_per_adu"):
+        read_recordings(path, IRLOS)
+    (tmp_path / "m.yaml").write_text("pixel_scale_mas: 60\ndetector: {e_per_adu: 3}\n")
+    assert read_recordings(path, IRLOS)[0].lenslets == 2
+
+
+def test_a_side_car_names_the_mode_that_the_header_lacks(tmp_path):
+    path = write_muse(tmp_path / "m.fits", quadrants([numbered(1, 6, 6)] * 4), None)
+    (tmp_path / "m.yaml").write_text(f"mode: {TWO_BY_TWO}\n")
+    assert read_recordings(path, IRLOS)[0].mode == TWO_BY_TWO
+
+
+def test_a_2x2_file_needs_no_side_car(tmp_path):
+    (raw,) = read_recordings(
+        write_muse(tmp_path / "m.fits", quadrants([numbered(1, 6, 6)] * 4), TWO_BY_TWO), IRLOS
+    )
+    acquisition = resolve(raw, AcquisitionKeys(), IRLOS).acquisition
+    assert (acquisition.role, acquisition.diversity, acquisition.lenslets) == ("psf", {}, 2)
+    assert 1215 < acquisition.wavelength_nm < 1625
 
 
 def test_a_2x2_cube_without_borders_is_refused():
     with pytest.raises(InputDataError, match="quadrant 1 lacks the one-pixel border of zeros"):
-        split_quadrants(numbered(2, 16, 16), "m.fits")
+        without_borders(numbered(2, 16, 16), "m.fits")
 
 
 def test_an_odd_window_has_no_quadrants():
     with pytest.raises(InputDataError, match="15x16 px has no four equal quadrants"):
-        split_quadrants(numbered(2, 15, 16), "m.fits")
+        without_borders(numbered(2, 15, 16), "m.fits")

@@ -308,15 +308,17 @@ def test_a_dark_recording_serves_the_others_of_its_input(tmp_path):
     assert only_recording(output).dark_variance_e2 <= 4 / 50 * 0.25 * 1.2
 
 
-def test_the_lenslets_of_a_2x2_mode_become_recordings(tmp_path):
+def test_the_images_of_a_2x2_mode_become_one_recording(tmp_path):
     cubes = [
         (frames_e(star(18, 18, flux_e=2e5, seed=seed), 8) / 0.5 + 200).astype(np.float32) for seed in range(4)
     ]
     write_muse(tmp_path / "m.fits", quadrants(cubes), TWO_BY_TWO)
     write_sidecar(tmp_path / "m.yaml", pixel_scale_mas=78.0)
-    recordings = recordings_from_product(product_of(run(tmp_path / "m.fits")))
-    assert [recording.acquisition.subaperture for recording in recordings] == [1, 2, 3, 4]
-    assert all(recording.window == (18, 18) and recording.used.all() for recording in recordings)
+    (recording,) = recordings_from_product(product_of(run(tmp_path / "m.fits")))
+    assert recording.acquisition.lenslets == 2
+    assert recording.window == (36, 36) and recording.used.all()
+    flux_e = recording.mean_e.reshape(2, 18, 2, 18).sum(axis=(1, 3))
+    assert flux_e == pytest.approx(np.full((2, 2), 2e5), rel=0.05)
 
 
 def test_the_recipe_may_differ_per_input(tmp_path):

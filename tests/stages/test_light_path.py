@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.units import MAS
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.structure_function import ResidualBand
@@ -42,6 +43,10 @@ def test_a_window_wider_than_the_sampled_pupil_supports_is_an_error_of_the_recip
         psf_settings(IRLOS, ModelConfig(pupil_samples=48), recording(window=400))
 
 
-def test_the_image_of_one_lenslet_is_refused():
-    with pytest.raises(InputDataError, match="image 2 of a 2x2 mode"):
-        psf_settings(IRLOS, ModelConfig(), recording(subaperture=2, mode="20x20_SmallScale_500Hz_HighGain"))
+def test_the_wide_images_of_lenslets_are_sampled_finely_enough():
+    images = recording(window=36, lenslets=2)
+    wide = replace(images, acquisition=replace(images.acquisition, pixel_scale_mas=314.0))
+    settings = psf_settings(IRLOS, ModelConfig(), wide)
+    assert settings.lenslets == 2 and settings.lenslet_window == (18, 18)
+    field_m = 18 * 314 * MAS * 8  # times λ/D is the number of resolution elements
+    assert settings.pupil_samples > field_m / 1600e-9

@@ -110,13 +110,22 @@ class MuseRaw(Layout):
         """See `Layout.write`."""
         path = folder / f"{self.file_stem()}.fits"
         fits.PrimaryHDU(header=self._muse_header()).writeto(path)
-        _append_streamed(path, self._cube_header(), (_as_signed(frame) for frame in frames_adu))
+        framed = (self._with_borders(frame) for frame in frames_adu)
+        _append_streamed(path, self._cube_header(), (_as_signed(frame) for frame in framed))
         table = self._atmosphere_table()
         fits.append(path, table.data, table.header)
-        _write_yaml(folder / f"{self.file_stem()}.yaml", side_car(self._planned))
+        if self._planned.side_car:
+            _write_yaml(folder / f"{self.file_stem()}.yaml", side_car(self._planned))
+
+    def _with_borders(self, frame: np.ndarray) -> np.ndarray:
+        """The frame, in 2x2 modes with a border of zeros around each of its four images."""
+        if self._scene.lenslets == 1:
+            return frame
+        halves = [np.hsplit(half, 2) for half in np.vsplit(frame, 2)]
+        return np.block([[np.pad(image, 1) for image in half] for half in halves])
 
     def _cube_header(self) -> fits.Header:
-        rows, columns = self._scene.window
+        rows, columns = self._with_borders(np.zeros(self._scene.window)).shape
         cards = [
             ("XTENSION", "IMAGE"),
             ("BITPIX", 16 if self._scene.reads == 1 else 32),

@@ -30,6 +30,8 @@ class Planned:
         Effects that the side-car does not state, those of the focus stage included.
     layout, mode : str
         Of the files; mode string of a MUSE file.
+    side_car : bool
+        Whether one is written; a MUSE file may do without.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Planned:
     hidden: Mapping[str, Mapping[str, Any]]
     layout: str
     mode: str
+    side_car: bool = True
 
     @property
     def size_bytes(self) -> int:

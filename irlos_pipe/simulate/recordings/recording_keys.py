@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility
@@ -21,6 +22,7 @@ from irlos_pipe.simulate.recordings.section_keys import (
     Degrees,
     DetectorKeys,
     DiversityKeys,
+    LensletKeys,
     MotionKeys,
     Nanometres,
     PupilKeys,
@@ -45,7 +47,19 @@ Defocus = Annotated[
 ]
 Role = Literal["ncpa_calibration", "defocus_ramp", "derotator", "psf"]
 Side = Annotated[int, Field(ge=8, le=512)]
-FullPupilMode = Literal["64x64_FullPupil_200Hz_HighGain", "64x64_FullPupil_500Hz_HighGain"]
+Mode = Literal[
+    "64x64_FullPupil_200Hz_HighGain",
+    "64x64_FullPupil_500Hz_HighGain",
+    "20x20_SmallScale_500Hz_HighGain",
+    "20x20_SmallScale_200Hz_HighGain",
+    "20x20_SmallScale_500Hz_LowGain",
+    "20x20_SmallScale_200Hz_LowGain",
+    "20x20_LargeScale_500Hz_HighGain",
+    "20x20_LargeScale_200Hz_HighGain",
+    "20x20_LargeScale_500Hz_LowGain",
+    "20x20_LargeScale_200Hz_LowGain",
+]
+LENSLET_WINDOW = (36, 36)  # of four images of 18 px
 
 
 class Shared(Section):
@@ -67,7 +81,7 @@ class RecordingKeys(Shared):
 
     role: Role = Field(description="what the recording is for")
     layout: Literal["recorder", "muse_raw"] = Field("recorder", description="of the files")
-    mode: FullPupilMode = Field("64x64_FullPupil_200Hz_HighGain", description="mode string of a MUSE file")
+    mode: Mode = Field("64x64_FullPupil_200Hz_HighGain", description="mode string of a MUSE file")
     target: str = Field("SIMULATED", min_length=1, max_length=60, description="name of the star")
     mag_j: float = Field(ge=-5, le=25, description="J magnitude of the star")
     throughput: float | None = Field(None, gt=0, le=10, description="part of the J+H photons in the bands")
@@ -78,8 +92,15 @@ class RecordingKeys(Shared):
     sky_e_per_s: float | Literal["profile"] = Field(
         0.0, description="light of the sky in every pixel; profile: by the instrument's surface brightness"
     )
-    window: tuple[Side, Side] = Field((64, 64), description="[rows, columns]")
-    pixel_scale_mas: float | None = Field(None, gt=1, le=200, description="of the instrument, if left out")
+    window: tuple[Side, Side] = Field(
+        (64, 64), description="[rows, columns]; in 2x2 modes of the four images without borders, [36, 36]"
+    )
+    lenslet_images: LensletKeys | None = Field(None, description="errors of the lenslets of a 2x2 mode")
+    start: str | None = Field(
+        None, pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d$", description="UTC of the first frame, ISO"
+    )
+    side_car: bool = Field(True, description="whether a side-car is written")
+    pixel_scale_mas: float | None = Field(None, gt=1, le=500, description="of the instrument, if left out")
     pupil_rotation_deg: Degrees = Field(0.0, description="of the profile's pupil on the detector")
     derotator_angle_deg: Degrees = Field(0.0, description="angle of the derotator")
     introduced_nm: Defocus = Field(0.0, description="defocus, nm RMS; or per frame")
@@ -92,6 +113,20 @@ class RecordingKeys(Shared):
     def _mapping(cls, value: Any) -> Any:
         if not isinstance(value, dict):
             raise ValueError("should be a section of 'key: value' lines")
+        if str(value.get("mode", "")).startswith("20x20_"):
+            return {"window": LENSLET_WINDOW, "layout": "muse_raw"} | value
+        return value
+
+    @property
+    def lenslets(self) -> int:
+        """Lenslets per side of the pupil."""
+        return 2 if self.mode.startswith("20x20_") else 1
+
+    @field_validator("start")
+    @classmethod
+    def _a_date(cls, value: str | None) -> str | None:
+        if value is not None:
+            datetime.fromisoformat(value)  # its message says what is wrong
         return value
 
     @model_validator(mode="after")
@@ -141,6 +176,12 @@ class RecordingKeys(Shared):
     def _layout_problem(self) -> str:
         if self.layout == "muse_raw" and (self.offsets_nm or self.angles_deg):
             return "layout: muse_raw holds one cube; use layout: recorder for a series"
+        if self.lenslets > 1 and self.layout != "muse_raw":
+            return f"mode {self.mode} is one of MUSE raw files; use layout: muse_raw"
+        if self.lenslets > 1 and any(size % 2 for size in self.window):
+            return f"window {list(self.window)} has no four equal images; give even numbers"
+        if self.lenslets == 1 and self.lenslet_images:
+            return f"lenslet_images: mode {self.mode} has no lenslets"
         return ""
 
     def _sky_problem(self) -> str:

@@ -14,7 +14,6 @@ from irlos_pipe.conventions.bands import NARROW_H, H, J
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
-from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.effects.base import FocusStageEffect
@@ -28,6 +27,7 @@ from irlos_pipe.simulate.recordings.section_keys import (
     AberrationKeys,
     BandKeys,
     DetectorKeys,
+    LensletKeys,
     MotionKeys,
     PupilKeys,
     SkyKeys,
@@ -41,6 +41,7 @@ BANDS = {
     "h": (Band.of(H),),
     "j_h": (Band.of(J, 0.5), Band.of(H, 0.5)),
 }
+PRESENT = "2024-02-11"  # day of recordings whose start is not given
 THROUGHPUT = {"narrow_h": 0.14, "j": 0.5, "h": 0.5, "j_h": 1.0}  # of the photons in J+H
 
 
@@ -67,6 +68,9 @@ def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
         throughput=_throughput(keys),
         frame_rate_hz=keys.frame_rate_hz or 1 / keys.exposure_s,
         window=keys.window,
+        lenslets=keys.lenslets,
+        lenslet_tilts_mas=(keys.lenslet_images or LensletKeys()).tilts_mas,
+        lenslet_flux=(keys.lenslet_images or LensletKeys()).flux,
         pixel_scale_mas=_pixel_scale_mas(spec, name, keys),
         pupil_rotation_deg=keys.pupil_rotation_deg,
         ncpa_nm=_aberrations(keys.ncpa, spec, "ncpa"),
@@ -87,9 +91,7 @@ def base_scene(spec: Spec, name: str, keys: RecordingKeys) -> Scene:
 
 def _require_unfolded(scene: Scene) -> None:
     """Refuse a window in which the image of a sampled pupil would repeat itself."""
-    shortest_m = min(nm for nm, _ in scene.spectrum()) * NM
-    element_px = resolution_px(shortest_m, scene.geometry.diameter_m, scene.pixel_scale_mas)
-    needed = math.ceil(max(scene.window) / element_px)
+    needed = scene.needed_samples
     if needed > scene.pupil_samples:
         raise ConfigurationError(
             f"recordings.{scene.name}: a window of {max(scene.window)} px of {scene.pixel_scale_mas:g} mas "
@@ -142,12 +144,24 @@ def _bands(bands: str | list[BandKeys]) -> tuple[Band, ...]:
 
 
 def _pixel_scale_mas(spec: Spec, name: str, keys: RecordingKeys) -> float:
-    scale = keys.pixel_scale_mas or spec.instrument.defaults.get("pixel_scale_mas")
+    scale = keys.pixel_scale_mas or _mode_scale_mas(spec, name, keys)
     if scale is None:
         raise ConfigurationError(
             f"recordings.{name}: the profile {spec.instrument.name} has no default pixel_scale_mas; give one"
         )
     return scale
+
+
+def _mode_scale_mas(spec: Spec, name: str, keys: RecordingKeys) -> float | None:
+    """The profile's usual scale; with lenslets, that of the mode on the day of the recording."""
+    if keys.lenslets == 1:
+        return spec.instrument.defaults.get("pixel_scale_mas")
+    modes = spec.instrument.on(keys.start[:10] if keys.start else PRESENT).modes
+    if keys.mode not in modes:
+        raise ConfigurationError(
+            f"recordings.{name}: mode: the profile {spec.instrument.name} has no '{keys.mode}'"
+        )
+    return modes[keys.mode].pixel_scale_mas
 
 
 def _throughput(keys: RecordingKeys) -> float:
@@ -186,7 +200,7 @@ def _sky_e_per_s(spec: Spec, name: str, keys: RecordingKeys) -> float:
         )
     spectrum = [(band.centre_nm, band.share) for band in _bands(keys.bands)]
     photons_per_s_m0 = facility.photons_per_s_m15 * 10 ** (0.4 * 15) * _throughput(keys)
-    return facility.sky_photons_per_s(spectrum, photons_per_s_m0, scale_mas)
+    return facility.sky_photons_per_s(spectrum, photons_per_s_m0, scale_mas) / keys.lenslets**2
 
 
 def _sky(keys: SkyKeys | None) -> Sky | None:

@@ -79,6 +79,28 @@ class DiversityKeys(Section):
     zernike: Zernikes = Field({6: -170.0}, description="Noll index: nm RMS")
 
 
+FourNumbers = tuple[float, float, float, float]
+
+
+class LensletKeys(Section):
+    """Errors of the four lenslets: lower left, lower right, upper left, upper right."""
+
+    x_mas: FourNumbers = Field((0.0,) * 4, description="displacement of their images along x")
+    y_mas: FourNumbers = Field((0.0,) * 4, description="the same along y")
+    flux: FourNumbers = Field((0.0,) * 4, description="light beyond their share, relative")
+
+    @model_validator(mode="after")
+    def _small(self) -> LensletKeys:
+        if max(map(abs, (*self.x_mas, *self.y_mas))) > 1000 or max(map(abs, self.flux)) > 0.9:
+            raise ValueError("displacements are at most 1000 mas, and changes of the light at most 0.9")
+        return self
+
+    @property
+    def tilts_mas(self) -> tuple[tuple[float, float], ...]:
+        """Displacements (x, y) of the images."""
+        return tuple(zip(self.x_mas, self.y_mas, strict=True))
+
+
 class SkyKeys(Section):
     """AO residual; its size follows the seeing unless wfe_nm is given."""
 

@@ -51,10 +51,19 @@ def _section(spec: Spec, slot: int, name: str, keys: RecordingKeys) -> Iterator[
             seed=(spec.seed, number(member.name)),
             introduced_nm=member.reached_nm,
             derotator_angle_deg=member.angle_deg,
-            start_unix_s=FIRST_START_UNIX_S + slot * SLOT_S + after_s,
+            start_unix_s=_first_start_unix_s(keys, slot) + after_s,
             first_counter=FIRST_COUNTER + after_s * LOOP_HZ % COUNTER_WRAP,
         )
-        yield Planned(member.name, own, member.commanded_nm, hidden, keys.layout, keys.mode)
+        yield Planned(
+            member.name, own, member.commanded_nm, hidden, keys.layout, keys.mode, side_car=keys.side_car
+        )
+
+
+def _first_start_unix_s(keys: RecordingKeys, slot: int) -> int:
+    """Start of the first recording of a section, as told or by its place in the spec."""
+    if keys.start is None:
+        return FIRST_START_UNIX_S + slot * SLOT_S
+    return int(np.datetime64(keys.start, "s").astype(int))
 
 
 def _members(name: str, keys: RecordingKeys, hidden: Mapping, rng: np.random.Generator) -> list[_Member]:

@@ -219,6 +219,7 @@ def _screened_e(recording: Recording, cleaned: Cleaned, raw: RawRecording) -> np
 
 def _acquisition(product: Product, prefix: str) -> Acquisition:
     content = json.loads(str(product.arrays[f"{prefix}/acquisition"].value))
+    content.pop("subaperture", None)  # of earlier versions
     return Acquisition(
         **content
         | {

@@ -157,9 +157,8 @@ def sampling_px(acquisition: Acquisition, instrument: Instrument) -> float:
 
     D is that of a lenslet in 2x2 modes.
     """
-    lenslets = 1 if acquisition.subaperture is None else 2
     shortest_nm = min(wavelength for wavelength, weight in acquisition.spectrum if weight > 0)
-    diameter_m = instrument.pupil.diameter_m / lenslets
+    diameter_m = instrument.pupil.diameter_m / acquisition.lenslets
     return resolution_px(shortest_nm * NM, diameter_m, acquisition.pixel_scale_mas)
 
 

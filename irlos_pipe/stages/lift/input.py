@@ -14,7 +14,8 @@ from irlos_pipe.effects.chromatic import FilterNcpa
 from irlos_pipe.estimate.ramp_fit import RampData, ramp_effects, start_from_defocus
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.recording import Acquisition, Recording
-from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.lenslets import light_path
+from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.calibrate.results import CalibrateResults
@@ -100,7 +101,7 @@ def calibrated_ncpa_nm(ctx: StageContext) -> dict[int, float]:
     return {int(n): float(v) for n, v in zip(arrays["noll"].value, arrays["modes_nm"].value, strict=True)}
 
 
-def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: dict[int, float]) -> PsfModel:
+def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: dict[int, float]) -> LightPath:
     """Return the PSF model of a ramp.
 
     Parameters
@@ -113,7 +114,7 @@ def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: d
         NCPAs in the known wavefront (Noll: nm RMS).
     """
     settings = psf_settings(ctx.instrument, ctx.model, ramp.recordings[0], ncpa_nm=ncpa_nm)
-    return PsfModel(settings.for_single_frames(), nolls, device=ctx.device)
+    return light_path(settings.for_single_frames(), nolls, device=ctx.device)
 
 
 def effects_for_lift(
@@ -169,14 +170,14 @@ def _calibrated_at_nm(ctx: StageContext) -> float | None:
 
 
 def ramp_start(
-    ctx: StageContext, model: PsfModel, ramp: Ramp, ncpa_nm: dict[int, float], start: str
+    ctx: StageContext, model: LightPath, ramp: Ramp, ncpa_nm: dict[int, float], start: str
 ) -> torch.Tensor:
     """Return the start of every frame, (frames, modes) [nm].
 
     Parameters
     ----------
     ctx : StageContext
-    model : PsfModel
+    model : LightPath
     ramp : Ramp
     ncpa_nm : dict of int to float
         NCPAs in the known wavefront, taken off the elongation prior.

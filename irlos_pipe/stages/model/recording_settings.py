@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -22,7 +23,9 @@ from irlos_pipe.product.product import Product
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.section import ModelConfig
 
-SETUP_KEYS = {key: key for key in ("pixel_scale_mas", "spectrum", "diversity", "pupil_rotation_deg")}
+SETUP_KEYS = {
+    key: key for key in ("pixel_scale_mas", "spectrum", "diversity", "pupil_rotation_deg", "lenslets")
+}
 
 
 def psf_settings(
@@ -46,16 +49,8 @@ def psf_settings(
     ------
     ConfigurationError
         If the pupil is sampled too coarsely for the window.
-    InputDataError
-        If the image is that of one lenslet: the model is that of the full pupil.
     """
     acquisition = recording.acquisition
-    if acquisition.subaperture:
-        raise InputDataError(
-            f"{recording.name}: image {acquisition.subaperture} of a 2x2 mode ({acquisition.mode}); "
-            "calibration and LIFT need full-pupil recordings"
-        )
-    _require_samples(instrument, model, recording)
     settings = PsfSettings(
         turned(instrument.pupil, acquisition.pupil_rotation_deg),
         recording.window,
@@ -63,7 +58,12 @@ def psf_settings(
         acquisition.spectrum,
         KnownWavefront(acquisition.diversity, introduced_nm or {}, ncpa_nm or {}),
         model.pupil_samples,
+        lenslets=acquisition.lenslets,
     ).for_broad_images()
+    if acquisition.lenslets > 1:
+        settings = replace(settings, pupil_samples=max(settings.pupil_samples, settings.needed_samples))
+    else:
+        _require_samples(instrument, model, recording)
     return _through_lenses(settings, model, instrument.facility.numerical_aperture)
 
 

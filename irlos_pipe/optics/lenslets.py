@@ -1,0 +1,188 @@
+"""The light path through an array of 2x2 lenslets: four images of the star, each of a quarter of the pupil.
+
+The wavefront is common: Zernike polynomials are those of the whole pupil, so tip and tilt move all images
+alike, and defocus moves them away from one another. Every lenslet has its own field stop, the window of its
+image; light beyond it is lost, not seen by the neighbour. The four windows lie side by side, lower left,
+lower right, upper left, upper right, so an image of the array is (2 rows, 2 columns). Which image belongs to
+which quarter of the pupil is a convention of the instrument: here the lower left to the lower left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import replace
+from functools import lru_cache
+from itertools import product
+from typing import Any
+
+import numpy as np
+import torch
+
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
+from irlos_pipe.optics.grids import Grids, Optics, Tangents
+from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, LightPath, Pullback
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.optics.pupil import band_limited_parts
+
+DARK = 1e-12  # of the largest amplitude: what effects make of less light is not looked at
+
+
+class LensletArray:
+    """A `LightPath` through four lenslets: a `PsfModel` each, of the same grids, with a part of the pupil.
+
+    Parameters
+    ----------
+    settings : PsfSettings
+        Of the whole pupil; the window is that of the four images side by side.
+    nolls : sequence of int
+    **options
+        Of `PsfModel`.
+
+    Raises
+    ------
+    ValueError
+        If the window cannot be halved.
+    """
+
+    def __init__(self, settings: PsfSettings, nolls: Sequence[int], **options: Any):
+        rows, columns = settings.window
+        if rows % 2 or columns % 2:
+            raise ValueError(f"a window of {rows}x{columns} px has no four equal quarters")
+        own = replace(settings, window=settings.lenslet_window, lenslets=1)
+        self.whole = PsfModel(own, nolls, **options)
+        self.settings, self.nolls = settings, self.whole.nolls
+        self.device, self.dtype = self.whole.device, self.whole.dtype
+        grid = self.whole.pupil_grid
+        self._amplitudes = np.where(grid.lit, _quarters(settings.geometry, grid.samples), 0) * grid.light
+        self.paths = [self.whole.with_amplitude(one) for one in self._amplitudes]
+
+    @property
+    def grids(self) -> Grids:
+        """See `LightPath.grids`: the pupil is the whole one."""
+        return self.whole.grids
+
+    @property
+    def limits_nm(self) -> torch.Tensor:
+        """See `LightPath.limits_nm`."""
+        return self.whole.limits_nm
+
+    def in_window(self, window: tuple[int, int], margin_mas: float, halo_margin_mas: float) -> LensletArray:
+        """See `LightPath.in_window`."""
+        other, margins = copy(self), (margin_mas, halo_margin_mas)
+        other.settings = replace(
+            self.settings, window=window, margin_mas=margin_mas, halo_margin_mas=halo_margin_mas
+        )
+        other.whole = self.whole.in_window(other.settings.lenslet_window, *margins)
+        other.paths = [other.whole.with_amplitude(one) for one in self._amplitudes]
+        return other
+
+    def images(self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
+        """See `LightPath.images`."""
+        pairs = zip(self.paths, self._each(optics), strict=True)
+        return side_by_side([path.images(modes_nm, own) for path, own in pairs])
+
+    def images_and_jacobian(
+        self,
+        modes_nm: torch.Tensor,
+        optics: Optics = AS_BUILT,
+        tangents: Tangents = NO_TANGENTS,
+        *,
+        modal: bool = True,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `LightPath.images_and_jacobian`."""
+        parts = [
+            path.images_and_jacobian(modes_nm, own, self._tangents(tangents, lenslet), modal=modal)
+            for lenslet, (path, own) in enumerate(zip(self.paths, self._each(optics), strict=True))
+        ]
+        images, jacobians = zip(*parts, strict=True)
+        return side_by_side(images), side_by_side(jacobians)
+
+    def images_and_pullback(
+        self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT
+    ) -> tuple[torch.Tensor, Pullback]:
+        """See `LightPath.images_and_pullback`."""
+        pairs = zip(self.paths, self._each(optics), strict=True)
+        images, backs = zip(*(path.images_and_pullback(modes_nm, own) for path, own in pairs), strict=True)
+
+        def pullback(factors: torch.Tensor) -> torch.Tensor:
+            own = zip(backs, apart(factors), strict=True)
+            return sum(back(part.contiguous()) for back, part in own)
+
+        return side_by_side(images), pullback
+
+    # -- what of the light path each lenslet sees ----------------------------------------------
+
+    def _each(self, optics: Optics) -> list[Optics]:
+        return [self._own(optics, lenslet) for lenslet in range(len(self.paths))]
+
+    def _own(self, optics: Optics, lenslet: int) -> Optics:
+        """What effects make of the light path of one lenslet."""
+        return Optics(
+            None if optics.pupil is None else self._through(optics.pupil, lenslet),
+            None if optics.transfer is None else _of(optics.transfer, lenslet),
+            optics.sampling,
+            tuple(self._own(one, lenslet) for one in optics.copies),
+        )
+
+    def _tangents(self, tangents: Tangents, lenslet: int) -> Tangents:
+        """Their derivatives for one lenslet."""
+
+        def pupil(one: torch.Tensor | None) -> torch.Tensor | None:
+            return None if one is None else self._through(one, lenslet)
+
+        def transfer(one: torch.Tensor | None) -> torch.Tensor | None:
+            return None if one is None else _of(one, lenslet)
+
+        return Tangents(
+            [self._through(one, lenslet) for one in tangents.pupil],
+            [_of(one, lenslet) for one in tangents.transfer],
+            [(place, self._through(one, lenslet)) for place, one in tangents.pupil_too],
+            [(pupil(one), transfer(other), change) for one, other, change in tangents.sampling],
+            tuple(self._tangents(one, lenslet) for one in tangents.copies),
+        )
+
+    def _through(self, pupil: torch.Tensor, lenslet: int) -> torch.Tensor:
+        """The part of a disturbed `pupil`, (wavelengths, n, n), before a lenslet.
+
+        What effects do to light is a factor on the amplitude, the same in the part as in the whole.
+        """
+        whole = torch.as_tensor(self.whole.pupil_grid.amplitude)
+        seen = whole.abs() > DARK * whole.abs().max()
+        factor = torch.where(seen, pupil / torch.where(seen, whole, 1.0), 0.0)
+        return factor * torch.as_tensor(self._amplitudes[lenslet])
+
+
+@lru_cache(maxsize=8)
+def _quarters(geometry: PupilGeometry, samples: int) -> np.ndarray:
+    """Amplitudes of the quarters of a pupil, (4, n, n), on the grid of `band_limited_pupil`."""
+
+    def shares(x_m: np.ndarray, y_m: np.ndarray, step_m: float) -> Iterator[tuple[int, slice, np.ndarray]]:
+        middle = x_m.shape[1] // 2
+        for number, (up, columns) in enumerate(product((0, 1), (slice(middle), slice(middle, None)))):
+            yield number, columns, (y_m > 0) == up
+
+    return band_limited_parts(geometry, samples, 4, shares)
+
+
+def side_by_side(parts: Sequence[torch.Tensor]) -> torch.Tensor:
+    """Return the four images, (..., rows, columns), in one, (..., 2 rows, 2 columns)."""
+    return torch.cat([torch.cat(list(half), dim=-1) for half in (parts[:2], parts[2:])], dim=-2)
+
+
+def apart(images: torch.Tensor) -> list[torch.Tensor]:
+    """Return the four images, (..., rows, columns), of those side by side, (..., 2 rows, 2 columns)."""
+    rows, columns = (size // 2 for size in images.shape[-2:])
+    return [images[..., y : y + rows, x : x + columns] for y in (0, rows) for x in (0, columns)]
+
+
+def light_path(settings: PsfSettings, nolls: Sequence[int], **options: Any) -> LightPath:
+    """Return the light path that `settings` ask for, with the modes `nolls` and `options` of `PsfModel`."""
+    kind = PsfModel if settings.lenslets == 1 else LensletArray
+    return kind(settings, nolls, **options)
+
+
+def _of(transfer: torch.Tensor, lenslet: int) -> torch.Tensor:
+    """The OTF factor of a lenslet, where effects differ between them."""
+    return transfer if transfer.ndim == 3 else transfer[lenslet]

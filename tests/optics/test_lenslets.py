@@ -1,0 +1,138 @@
+"""Images through 2x2 lenslets. Truth: the Fourier integral written out, and finite differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
+from irlos_pipe.effects import CATALOGUE, EffectSet, FixedEffect
+from irlos_pipe.effects.motion import TipTiltJitter
+from irlos_pipe.effects.wavefront import HighOrderNcpa
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.optics.lenslets import LensletArray, apart, light_path
+from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
+from irlos_pipe.simulate.aperture import passed
+
+UT4 = load_instrument("irlos").pupil
+MAS_RAD = np.pi / 180 / 3600e3
+SPECTRUM = ((1250.0, 0.4), (1650.0, 0.6))
+NOLLS = (2, 3, 4, 5, 6, 7)
+MODES_NM = (40.0, -25.0, 90.0, 30.0, -50.0, 35.0)
+SIGNS = ((-1, -1), (-1, 1), (1, -1), (1, 1))  # of y and x: lower left, lower right, upper left, upper right
+
+
+def settings(scale_mas: float = 78.0, size: int = 18, geometry: PupilGeometry = UT4) -> PsfSettings:
+    window, known = (2 * size, 2 * size), KnownWavefront()
+    wide = PsfSettings(geometry, window, scale_mas, SPECTRUM, known, lenslets=2)
+    return replace(wide, pupil_samples=max(128, wide.needed_samples)).for_broad_images()
+
+
+def wavefront_nm(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Noll 2 to 7 written out; x and y in radii."""
+    r2 = x**2 + y**2
+    modes = (
+        2 * x,
+        2 * y,
+        np.sqrt(3) * (2 * r2 - 1),
+        2 * np.sqrt(6) * x * y,
+        np.sqrt(6) * (x**2 - y**2),
+        np.sqrt(8) * (3 * r2 - 2) * y,
+    )
+    return sum(nm * mode for nm, mode in zip(MODES_NM, modes, strict=True))
+
+
+def integral(scale_mas: float, size: int, nodes: int) -> np.ndarray:
+    """|∫ P exp(2πiΦ/λ) exp(−2πi a·u/λ) du|² over every quarter, integrated over pixels by Gauss's rule."""
+    u = (np.arange(500) - 249.5) * 8.1 / 500
+    x, y = np.meshgrid(u, u)
+    clear = passed(UT4, u[None, :], u[:, None]) * 1.0
+    opd_nm = wavefront_nm(x / 4, y / 4)
+    inner, weights = np.polynomial.legendre.leggauss(nodes)
+    angle = ((np.arange(size) - (size - 1) / 2)[:, None] + inner / 2).ravel() * scale_mas * MAS_RAD
+    images = []
+    for side_y, side_x in SIGNS:
+        image = np.zeros((size, size))
+        for wavelength_nm, share in SPECTRUM:
+            wave = np.exp(-2j * np.pi * np.outer(angle, u) / (wavelength_nm * 1e-9))
+            field = clear * (x * side_x > 0) * (y * side_y > 0) * np.exp(2j * np.pi * opd_nm / wavelength_nm)
+            fine = np.abs(wave @ field @ wave.T) ** 2 / (wavelength_nm * 1e-9) ** 2
+            boxes = fine.reshape(size, nodes, size, nodes)
+            image += share * np.einsum("yjxi,j,i->yx", boxes, weights / 2, weights / 2)
+        images.append(image * (u[1] - u[0]) ** 2 * (scale_mas * MAS_RAD) ** 2 / clear.sum())
+    return np.block([images[:2], images[2:]])
+
+
+@pytest.mark.parametrize(("scale_mas", "size", "nodes"), [(78.0, 10, 6), (314.0, 6, 16)])
+def test_images_are_the_fourier_integral_over_each_quarter(scale_mas, size, nodes):
+    model = LensletArray(settings(scale_mas, size), NOLLS, dtype=torch.float64)
+    image = model.images(torch.tensor([MODES_NM], dtype=torch.float64))[0].numpy()
+    expected = integral(scale_mas, size, nodes)
+    assert np.abs(image - expected).max() < 2e-4 * expected.max()
+    assert image.sum() == pytest.approx(expected.sum(), rel=3e-4)
+
+
+def test_a_clear_quarter_disc_moves_its_image_by_its_mean_slope():
+    """Centroid of a quarter disc: 4R/3π along both axes; a_4 = 100 nm has a slope of 4√3 a x/R²."""
+    disc = PupilGeometry(8.0)
+    model = LensletArray(settings(40.0, 50, disc), (4,), dtype=torch.float64)
+    images = model.images(torch.tensor([[-100.0], [100.0]], dtype=torch.float64))
+    before, after = ([_centroid(one) for one in apart(image)] for image in images)
+    step_mas = 40.0 * (np.array(after) - np.array(before)) / 2
+    expected_mas = 4 * np.sqrt(3) * 100e-9 * (4 * 4.0 / (3 * np.pi)) / 4.0**2 / MAS_RAD
+    assert step_mas == pytest.approx(np.array(SIGNS) * expected_mas, rel=0.02)
+
+
+def _centroid(image: torch.Tensor) -> tuple[float, float]:
+    pixels = torch.arange(len(image), dtype=image.dtype)
+    return float(image.sum(1) @ pixels / image.sum()), float(image.sum(0) @ pixels / image.sum())
+
+
+def test_derivatives_are_finite_differences_with_effects_in_all_planes():
+    psf = LensletArray(settings(size=12), NOLLS, dtype=torch.float64)
+    effects = EffectSet([TipTiltJitter(), HighOrderNcpa((12,)), CATALOGUE["plate_scale"](78.0)], psf.grids)
+    values = torch.tensor([25.0, 90.0, 0.02], dtype=torch.float64)
+    assert [one.name.startswith("frac") for one in effects.parameters] == [False, False, True]
+    modes = torch.tensor([MODES_NM], dtype=torch.float64)
+    image, jacobian = psf.images_and_jacobian(modes, effects(values), effects.tangents(values))
+    assert torch.allclose(image, psf.images(modes, effects(values)))
+    order = [*range(len(NOLLS)), *(len(NOLLS) + i for i in range(len(values)))]
+    for column, index in enumerate(order):
+        step = torch.zeros(len(NOLLS) + len(values), dtype=torch.float64)
+        step[index] = 1e-4 if index < len(NOLLS) else 1e-4 * max(1e-2, float(values[index - len(NOLLS)]))
+        ends = [
+            psf.images(modes + sign * step[: len(NOLLS)], effects(values + sign * step[len(NOLLS) :]))
+            for sign in (1, -1)
+        ]
+        slope = (ends[0] - ends[1])[0] / (2 * step[index])
+        assert (jacobian[0, column] - slope).abs().max() < 1e-5 * slope.abs().max()
+
+
+def test_the_pullback_is_the_transpose_of_the_jacobian():
+    psf = LensletArray(settings(size=10), NOLLS, dtype=torch.float64)
+    modes = torch.tensor([MODES_NM, MODES_NM[::-1]], dtype=torch.float64)
+    _, jacobian = psf.images_and_jacobian(modes)
+    images, pullback = psf.images_and_pullback(modes)
+    factors = torch.randn(images.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    assert torch.allclose(pullback(factors), (jacobian * factors[:, None]).sum((2, 3)), rtol=1e-9)
+
+
+def test_a_wavefront_by_an_effect_is_that_by_the_modes():
+    psf = LensletArray(settings(size=10), (4,), dtype=torch.float64)
+    nothing = torch.zeros(1, 1, dtype=torch.float64)
+    effect = EffectSet([FixedEffect(HighOrderNcpa((4,)), [80.0])], psf.grids)
+    by_effect = psf.images(nothing, effect(torch.zeros(0, dtype=torch.float64)))
+    by_mode = psf.images(nothing + 80.0)
+    assert (by_effect - by_mode).abs().max() < 1e-9 * by_mode.max()
+
+
+def test_settings_choose_the_light_path():
+    assert isinstance(light_path(settings(size=6), NOLLS), LensletArray)
+    assert isinstance(light_path(replace(settings(size=6), lenslets=1), NOLLS), PsfModel)
+
+
+def test_an_odd_window_has_no_lenslets():
+    with pytest.raises(ValueError, match="15x12 px has no four equal quarters"):
+        LensletArray(replace(settings(), window=(15, 12)), NOLLS)
