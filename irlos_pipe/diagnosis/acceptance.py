@@ -241,7 +241,7 @@ def no_longer_needed(
     accepted : sequence of Accepted
         The last one is not in question.
     """
-    effects = dict(zip(current.fitted.problem.effects.labels, current.fitted.continued(), strict=True))
+    effects = current.fitted.continued_by_label()
     for one, own in list(zip(accepted, labels_in(current.fitted, accepted), strict=True))[:-1]:
         kept = [effect for label, effect in effects.items() if label != own]
         price = PER_PARAMETER * one.refit.parameters * one.refit.score.inflation

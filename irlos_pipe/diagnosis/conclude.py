@@ -31,7 +31,7 @@ from irlos_pipe.diagnosis.second_recording import Advice, SecondRecordings
 from irlos_pipe.diagnosis.tried import tried
 from irlos_pipe.diagnosis.verdict import COMPLETE, EFFECT, NONE, UNKNOWN, Adjusted, Diagnosis, Pictures, Step
 from irlos_pipe.diagnosis.view import Screened
-from irlos_pipe.effects import CATALOGUE, FixedEffect
+from irlos_pipe.effects import FixedEffect, wider_kinds
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.public_errors import public_sigma
 from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
@@ -136,8 +136,7 @@ def _smallest(score: Score) -> dict:
 
 def _with_wider_forms(smallest: dict[str, dict]) -> dict[str, dict]:
     """`smallest` detectable sizes, and those of wider forms of the same effects, which act alike at best."""
-    kinds = [kind for kind in CATALOGUE.values() if kind.widens in smallest]
-    return smallest | {kind.name: smallest[kind.widens] for kind in kinds}
+    return smallest | {kind.name: smallest[name] for name in smallest for kind in wider_kinds(name)}
 
 
 def _elsewhere(search: Search, options: Options) -> dict[str, dict]:

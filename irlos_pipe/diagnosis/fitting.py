@@ -115,8 +115,13 @@ class Fitted:
 
     def continued(self) -> list[Effect]:
         """The effects with the same freedom, to start from where they are now."""
-        pieces = self.problem.effects.pieces(self.effect_values)
-        return [begun_at(effect, piece) for effect, piece in zip(self.effects, pieces, strict=True)]
+        return [*self.continued_by_label().values()]
+
+    def continued_by_label(self) -> dict[str, Effect]:
+        """The same by label, to leave one out or to put another in its place."""
+        effects = self.problem.effects
+        rows = zip(effects.labels, self.effects, effects.pieces(self.effect_values), strict=True)
+        return {label: begun_at(effect, piece) for label, effect, piece in rows}
 
     def restarted(self) -> list[Effect]:
         """The effects with the same freedom, to start from where nothing is known of them."""

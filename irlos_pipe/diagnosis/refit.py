@@ -12,7 +12,7 @@ from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma
-from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect
+from irlos_pipe.effects import Effect, FixedEffect, wider_kinds
 from irlos_pipe.effects.labels import label_of
 from irlos_pipe.numerics.parallel import ordered_map
 
@@ -267,8 +267,7 @@ def _with_wider_forms(found: Sequence[Refit]) -> list[tuple[Refit, type[Effect]]
 
 def _wider_kinds(one: Refit) -> list[tuple[Refit, type[Effect]]]:
     """What was fitted with each of its wider forms; none of what acts in one moment alone."""
-    kinds = CATALOGUE.values() if one.base.acts_in is None else ()
-    return [(one, kind) for kind in kinds if kind.widens == one.name]
+    return [(one, kind) for kind in wider_kinds(one.name)] if one.base.acts_in is None else []
 
 
 def wider_forms(fitter: Fitter, one: Refit) -> list[Refit]:
@@ -286,10 +285,10 @@ def _widened(fitter: Fitter, pair: tuple[Refit, type[Effect]]) -> Refit:
     """A wider form of what was fitted, from where it is: a second image may be out of focus."""
     one, kind = pair
     effect = kind.under(fitter.views[0].conditions).widened(one.values)
-    labels = one.fitted.problem.effects.labels
-    others = [o for o, label in zip(one.fitted.continued(), labels, strict=True) if label != one.label]
+    others = one.fitted.continued_by_label()
+    del others[one.label]
     score = replace(one.score, candidate=effect, sizes=effect.values, besides=(), elsewhere=())
-    return Refit(score, one.origin, fitter.explored([*others, effect], one.fitted))
+    return Refit(score, one.origin, fitter.explored([*others.values(), effect], one.fitted))
 
 
 def proposals(scores: Sequence[Score]) -> list[Score]:

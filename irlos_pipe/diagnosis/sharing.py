@@ -137,21 +137,19 @@ def sharing(
     sure : float
         Significance from which values differ.
     """
-    everything = list(zip(fitted.problem.effects.labels, fitted.continued(), strict=True))
-    others = [effect for label, effect in everything if label not in labels]
-    chosen = [effect for label, effect in everything if label in labels]
+    others = fitted.continued_by_label()
+    chosen = [others.pop(label) for label in [*others] if label in labels]
     own = [_own_of(number, chosen) for number in moments.by_number]
-    apart = fitter.finished(fitter.explored([*others, *own], fitted))
-    together = fitter.finished(fitter.explored([*others, _one_for_all(chosen[0])], fitted))
+    apart = fitter.finished(fitter.explored([*others.values(), *own], fitted))
+    together = fitter.finished(fitter.explored([*others.values(), _one_for_all(chosen[0])], fitted))
     return _judged(labels, chosen[0].name, together, apart, cube, moments, sure)
 
 
 def parted(comparison: Sharing, fitted: Fitted, label: str) -> list[Effect]:
     """Effects of a model with a value of its own for each moment that shows the effect `label`."""
-    everything = list(zip(fitted.problem.effects.labels, fitted.continued(), strict=True))
-    others = [effect for name, effect in everything if name != label]
-    one = [effect for name, effect in everything if name == label]
-    return [*others, *(_own_of(value.number, one) for value in comparison.seen)]
+    others = fitted.continued_by_label()
+    one = others.pop(label)
+    return [*others.values(), *(_own_of(value.number, [one]) for value in comparison.seen)]
 
 
 def _one_for_all(effect: Effect) -> FixedEffect:

@@ -28,7 +28,7 @@ from irlos_pipe.diagnosis.search.scores import Family, Score, score_family
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.starts import other_sides, other_wavefronts
 from irlos_pipe.diagnosis.without import nulls_of, without_linearly
-from irlos_pipe.effects import CATALOGUE, Conditions, Effect
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect, wider_kinds
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.labels import label_after
 
@@ -116,7 +116,7 @@ class TolerantTask(AllowingTask):
         found = [fitted]
         for label in fitted.problem.effects.labels:
             for values in other_sides(fitted, label):
-                effects = dict(zip(fitted.problem.effects.labels, fitted.continued(), strict=True))
+                effects = fitted.continued_by_label()
                 effects[label] = begun_at(effects[label], values)
                 found.append(self.fitter.explored([*effects.values()], fitted))
                 self.report(1)
@@ -172,16 +172,12 @@ class TolerantTask(AllowingTask):
 
     def _in_wider_form(self, opening: Opening, score: Score, least: float) -> Opening:
         """All modes beside what was found or its wider form: two copies would imitate one out of focus."""
-        labels = opening.fitted.problem.effects.labels
-        found = [one for one in labels if opening.fitted.effect(one).name == score.name][-1]
-        others = [
-            one for label, one in zip(labels, opening.fitted.continued(), strict=True) if label != found
-        ]
-        for kind in CATALOGUE.values():
-            if kind.widens != score.name:
-                continue
+        others = opening.fitted.continued_by_label()
+        found = [label for label, effect in others.items() if effect.name == score.name][-1]
+        del others[found]
+        for kind in wider_kinds(score.name):
             wider = kind.under(self.conditions).widened(opening.fitted.values_of(found))
-            one = self.opening(opening.fitted, [*others, wider])
+            one = self.opening(opening.fitted, [*others.values(), wider])
             self.report(1)
             if one is not None and opening.chi2 - one.chi2 > least:
                 return one
@@ -211,8 +207,8 @@ class TolerantTask(AllowingTask):
             self.options.sure,
         )
         dropped = set(nulls) - set(kept)
-        pairs = zip(fitted.problem.effects.labels, fitted.continued(), strict=True)
-        return self.fitter.explored([effect for label, effect in pairs if label not in dropped], fitted)
+        effects = fitted.continued_by_label()
+        return self.fitter.explored([effects[label] for label in effects if label not in dropped], fitted)
 
     def _further(self, current: Optimum, found: list[Score], least: float) -> Accepted | None:
         """The next name: significant, plausible, and wanted by the held-out frames."""
@@ -285,7 +281,7 @@ class TolerantTask(AllowingTask):
         """The model against itself without one effect."""
         fitted = current.fitted
         near = without_linearly(fitted, label)
-        effects = dict(zip(fitted.problem.effects.labels, near.continued(), strict=True))
+        effects = near.continued_by_label()
         name = effects.pop(label).name
         origin = Optimum(current.stack, self.fitter.explored(list(effects.values()), near))
         kind = CATALOGUE[name]

@@ -65,6 +65,12 @@ CATALOGUE: dict[str, type[Effect]] = {
     )
 }
 
+
+def wider_kinds(name: str) -> list[type[Effect]]:
+    """Return the kinds of effect that are a wider form of the one called `name`."""
+    return [kind for kind in CATALOGUE.values() if kind.widens == name]
+
+
 HEAD = """# Effects
 
 The names, units and limits that recipes, models, simulation specifications, products and reports use. This
