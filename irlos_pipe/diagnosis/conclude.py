@@ -159,8 +159,12 @@ def _advice(hidden: Sequence[Score], seconds: SecondRecordings) -> dict[str, Adv
 def _with_separation(step: Step, search: Search, seconds: SecondRecordings) -> Step:
     """`step` with the second recordings that distinguish its alternatives from it best."""
     named = zip(labels_in(search.final.fitted, search.accepted), search.accepted, strict=True)
-    pairs = [(one.refit, rival) for label, one in named if label == step.label for rival in one.rivals]
-    advised = [seconds.separating(refit, rival) for refit, rival in pairs]
+    advised = [
+        pair
+        for label, one in named
+        if label == step.label
+        for pair in seconds.separating(one.refit, one.rivals)
+    ]
     alternatives = [
         replace(other, second_recording=recording, likeness_then=cosine)
         for other, (recording, cosine) in zip(step.alternatives, advised, strict=True)

@@ -26,8 +26,7 @@ def parameter_covariance(stack: Stacks, fitted: Fitted) -> np.ndarray:
     fisher = fitted.solution.covariance[0].numpy()
     if stack.photon_limited:
         return fisher
-    jacobian = fitted.problem.predict_and_jacobian(fitted.x)[1]
-    gain = fitted.solution.covariance[0] @ (jacobian * stack.root)
+    gain = fitted.solution.covariance[0] @ (fitted.linearised[1] * stack.root)
     scatter = stack.covariance_of(gain.mT).numpy()
     ratio = np.sqrt(np.maximum(np.diag(fisher) / np.maximum(np.diag(scatter), 1e-300), 1.0))
     return scatter * np.outer(ratio, ratio)

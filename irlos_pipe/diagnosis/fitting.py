@@ -78,10 +78,15 @@ class Fitted:
         """Problem and parameters (1, its parameters) of every recording by itself."""
         return [(part, self.problem.part(self.x, number)) for number, part in enumerate(self.problem.parts)]
 
-    @property
+    @cached_property
     def image_e(self) -> torch.Tensor:
         """Predicted mean images, (pixels,)."""
-        return self.problem.predict(self.x)
+        return self.linearised[0] if "linearised" in vars(self) else self.problem.predict(self.x)
+
+    @cached_property
+    def linearised(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Mean images (pixels,) and derivatives (parameters, pixels), which many ask for."""
+        return self.problem.predict_and_jacobian(self.x)
 
     @property
     def penalty(self) -> float:

@@ -50,7 +50,7 @@ class HeldOutEvaluation:
 
     def __init__(self, stack: Stacks, fitted: Fitted):
         self.stack, self.pixels = stack, fitted.problem.pixels
-        self.image, columns = fitted.problem.predict_and_jacobian(fitted.x)
+        self.image, columns = fitted.linearised
         own = columns[fitted.problem.own if stack.own_refitted else []].mT
         root = stack.root[:, None]
         self.basis, triangle = torch.linalg.qr(own * root)

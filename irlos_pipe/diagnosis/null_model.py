@@ -59,7 +59,7 @@ class Optimum(NullModel):
     def __init__(self, stack: Stacks, fitted: Fitted):
         self.fitted = fitted
         problem, x, root = fitted.problem, fitted.x, stack.root
-        image, columns = problem.predict_and_jacobian(x)
+        image, columns = fitted.linearised
         residual = (stack.mean_e - image) * root
         self.stack = stack.against(residual, len(columns))
         precision = problem.prior_precision[0].sqrt()

@@ -7,7 +7,9 @@ beyond the fitted parameters, and of the likeness of two names, says whether it 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,7 @@ import torch
 
 from irlos_pipe.conventions.bands import H, J
 from irlos_pipe.diagnosis.ambiguity import likeness
-from irlos_pipe.diagnosis.cube import Stack
+from irlos_pipe.diagnosis.cube import Stack, Stacks
 from irlos_pipe.diagnosis.effect_sizes import detectable, within_reach
 from irlos_pipe.diagnosis.fitting import Fitted, Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
@@ -23,6 +25,7 @@ from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Score, whitened_shapes
 from irlos_pipe.effects import Conditions
 from irlos_pipe.estimate.score_test import ABSORBED, MEANINGLESS
+from irlos_pipe.numerics.parallel import ordered_map
 
 OUT_OF_FOCUS_NM = 200.0
 BANDS = {"J": J, "H": H}
@@ -63,7 +66,8 @@ class SecondRecordings:
         self.views = {
             recording: first.under(conditions) for recording, conditions in variants(first.conditions)
         }
-        self.beside = {recording: self._beside(optimum.fitted, recording) for recording in self.views}
+        beside = ordered_map(partial(self._beside, optimum.fitted), self.views)
+        self.beside = dict(zip(self.views, beside, strict=True))
 
     def showing(self, score: Score, gain: float) -> Advice | None:
         """The recording with which an untestable effect is seen best; None if none shows it.
@@ -86,11 +90,22 @@ class SecondRecordings:
         recording, best = max(useful, key=lambda pair: pair[1].observability)
         return Advice(recording, best.observability, detectable(best, gain))
 
-    def separating(self, one: Refit, other: Refit) -> tuple[str, float]:
-        """The recording with which fits `one` and `other` are least alike, and how much they still are."""
-        found = {recording: self._likeness(recording, one, other) for recording in self.views}
-        recording = min(found, key=lambda key: found[key])
-        return recording, found[recording]
+    def separating(self, one: Refit, others: Sequence[Refit]) -> list[tuple[str, float]]:
+        """For each of the `others` the recording with which it is least like `one`, and how much it still is.
+
+        Parameters
+        ----------
+        one : Refit
+        others : sequence of Refit
+            From the same origin.
+        """
+        if not others:
+            return []
+        rows = ordered_map(partial(self._likenesses, one, others), self.views)
+        return [
+            min(zip(self.views, row, strict=True), key=lambda pair: pair[1])
+            for row in zip(*rows, strict=True)
+        ]
 
     def _score(self, score: Score, optimum: Optimum) -> Score:
         shapes = whitened_shapes(optimum, [score.candidate])[0]
@@ -99,18 +114,24 @@ class SecondRecordings:
         smallest = torch.where(seen > ABSORBED, left**-0.5, torch.inf).numpy()
         return replace(score, observability=float(seen.max()), smallest=smallest)
 
-    def _likeness(self, recording: str, one: Refit, other: Refit) -> float:
-        models = (one.fitted, other.fitted, one.origin.fitted)
-        first, second, before = (self._beside(fitted, recording) for fitted in models)
-        return likeness(first.fitted, second.fitted, before)
+    def _likenesses(self, one: Refit, others: Sequence[Refit], recording: str) -> list[float]:
+        """Likeness of a fit and others with one recording more."""
+        before = self._beside(one.origin.fitted, recording)
+        first, *rest = (self._model(fit.fitted, recording)[0] for fit in (one, *others))
+        return [likeness(first, other, before) for other in rest]
 
     def _beside(self, fitted: Fitted, recording: str) -> Optimum:
         """A model with one recording more, which shows what it predicts."""
+        model, stacks = self._model(fitted, recording)
+        return Optimum(stacks, model)
+
+    def _model(self, fitted: Fitted, recording: str) -> tuple[Fitted, Stacks]:
+        """The same without its derivatives, and what the recordings show."""
         first, view = self.present.parts[0], self.views[recording]
         pair = Fitter([fitted.views[0], view], replace(self.present, parts=(first, first))).at(fitted)
         image_e = pair.image_e[pair.problem.pixels[1]]
         stacks = replace(self.present, parts=(*self.present.parts, _expected(first, image_e)))
-        return Optimum(stacks, Fitter([*fitted.views, view], stacks).at(fitted))
+        return Fitter([*fitted.views, view], stacks).at(fitted), stacks
 
 
 def _expected(like: Stack, image_e: torch.Tensor) -> Stack:

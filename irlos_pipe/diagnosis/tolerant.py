@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from irlos_pipe.diagnosis.without import nulls_of, without_linearly
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, wider_kinds
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.labels import label_after
+from irlos_pipe.numerics.parallel import ordered_map
 
 RIVALS = 0.3  # of the fall of χ² by a name, that another must promise to be compared
 PROPOSALS = 4  # fitted per name
@@ -102,7 +104,8 @@ class TolerantTask(AllowingTask):
         near = search.final.fitted
         plain = near.continued()
         sets = [told, plain] if len(plain) > len(told) else [told]
-        first = [self.fitter.explored([*some, *everyday(self.conditions, some)], near) for some in sets]
+        whole = [[*some, *everyday(self.conditions, some)] for some in sets]
+        first = ordered_map(lambda effects: self.fitter.explored(effects, near), whole)
         self.report(len(first))
         best = min(first, key=lambda one: one.chi2 + self._price(one))
         return self._turned(best) if np.isfinite(best.chi2) else near
@@ -113,14 +116,15 @@ class TolerantTask(AllowingTask):
         A stop that began on the wrong side of the pupil comes to rest at its centre, where the image has a
         kink, or stays there: to first order opposite sides look alike.
         """
-        found = [fitted]
-        for label in fitted.problem.effects.labels:
-            for values in other_sides(fitted, label):
-                effects = fitted.continued_by_label()
-                effects[label] = begun_at(effects[label], values)
-                found.append(self.fitter.explored([*effects.values()], fitted))
-                self.report(1)
-        return min(found, key=lambda one: one.chi2)
+        effects = fitted.continued_by_label()
+        others = [
+            [*(effects | {label: begun_at(effects[label], values)}).values()]
+            for label in effects
+            for values in other_sides(fitted, label)
+        ]
+        found = ordered_map(lambda turned: self.fitter.explored(turned, fitted), others)
+        self.report(len(found))
+        return min([fitted, *found], key=lambda one: one.chi2)
 
     def _started_elsewhere(self, current: Optimum) -> tuple[TolerantTask, Optimum]:
         """The search and its model from the most plausible of several starts: this may be a false minimum."""
@@ -158,17 +162,20 @@ class TolerantTask(AllowingTask):
         """All modes beside the further effect with which χ² and priors fall most; None if none is seen."""
         found, _ = self._scores(opening.optimum(self.cube.training))
         seen = [one for one in found if one.testable and one.significance > self.options.sure]
+        likely = sorted(seen, key=lambda one: -one.gain / one.inflation)[:LOOKED_AT]
+        with_one = ordered_map(partial(self._beside_all_modes, opening), likely)
+        self.report(len(likely))
         best, most = None, 0.0
-        for score in sorted(seen, key=lambda one: -one.gain / one.inflation)[:LOOKED_AT]:
-            one = self.opening(opening.fitted, [*opening.fitted.continued(), score.start()])
-            self.report(1)
-            if one is None:
-                continue
+        for one, score in zip(with_one, likely, strict=True):
             least = threshold(len(score.usable), score.trials) * score.inflation
-            fall = opening.chi2 - one.chi2
-            if fall > max(least, most):
-                best, most = self._in_wider_form(one, score, least), fall
-        return best
+            fall = 0.0 if one is None else opening.chi2 - one.chi2
+            if one is not None and fall > max(least, most):
+                best, most = (one, score, least), fall
+        return best and self._in_wider_form(*best)
+
+    def _beside_all_modes(self, opening: Opening, score: Score) -> Opening | None:
+        """All modes beside one effect more."""
+        return self.opening(opening.fitted, [*opening.fitted.continued(), score.start()])
 
     def _in_wider_form(self, opening: Opening, score: Score, least: float) -> Opening:
         """All modes beside what was found or its wider form: two copies would imitate one out of focus."""

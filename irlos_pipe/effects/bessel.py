@@ -25,16 +25,17 @@ def _differentiable() -> type[torch.autograd.Function]:
 
         @staticmethod
         def jvp(ctx, change):
-            return change * _slope(*ctx.saved_tensors)
+            return change * slope_of_j0_of_twice_root(*ctx.saved_tensors)
 
         @staticmethod
         def backward(ctx, change):
-            return change * _slope(*ctx.saved_tensors)
+            return change * slope_of_j0_of_twice_root(*ctx.saved_tensors)
 
     return J0OfTwiceRoot
 
 
-def _slope(w: torch.Tensor) -> torch.Tensor:
+def slope_of_j0_of_twice_root(w: torch.Tensor) -> torch.Tensor:
+    """Derivative of `j0_of_twice_root`, ``-J1(2√w)/√w``, for w ≥ 0."""
     root = torch.sqrt(w)
     safe = torch.where(root > 1e-8, root, 1.0)
     return torch.where(root > 1e-8, -torch.special.bessel_j1(2 * safe) / safe, -1.0)

@@ -134,9 +134,8 @@ def derivatives(
     own = model.effects.held(x[0, layout.effect_values]).effects if sampling else frozen
     whole = ImageModel(model.psf, [*own, candidate])
     null = torch.tensor(candidate.null_values, dtype=torch.float64)
-    modal = candidate.plane not in ("pupil", "otf")  # with nothing else there is nothing to propagate
     at = x[:, layout.modes], x[:, -2], x[:, -1], null
-    columns = whole.predict_and_jacobian(*at, modal=modal)[1][0].cpu().double().flatten(1)
+    columns = whole.predict_and_jacobian(*at, modal=False)[1][0].cpu().double().flatten(1)
     return columns[len(columns) - 2 - len(null) : -2]
 
 

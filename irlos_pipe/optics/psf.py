@@ -240,7 +240,10 @@ class PsfModel:
         columns += [one[None] for one in by_transfer]
         if tangents.sampling:
             columns.append(self._resampled(colour, opd, path))
-        return colour.image(intensity), columns[0] if len(columns) == 1 else torch.cat(columns)
+        image = colour.image(intensity)
+        if not columns:
+            return image, image.new_empty(0, *image.shape)
+        return image, columns[0] if len(columns) == 1 else torch.cat(columns)
 
     def _resampled(self, colour: Colour, opd: torch.Tensor, path: _Path) -> torch.Tensor:
         """Derivatives of weighted images by the parameters of the sampling; see `resampled`."""

@@ -155,7 +155,7 @@ def scores(optimum: Optimum, families: Sequence[Family]) -> list[Score]:
 
     Of families of one name, for different moments, the best stands.
     """
-    found = [score_family(optimum, family) for family in families]
+    found = ordered_map(partial(score_family, optimum), families)
     names = dict.fromkeys(one.name for one in found)
     best = [_best_placed([one for one in found if one.name == name]) for name in names]
     return sorted(best, key=lambda one: -one.significance)
