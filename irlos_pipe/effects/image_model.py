@@ -221,5 +221,5 @@ class ImageModel:
 
 def _mean(per_time: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
     """Weighted mean over the times of each image, from (images · times, ...) to (images, ...)."""
-    parts = per_time.reshape(-1, len(weights), *per_time.shape[1:])
+    parts = per_time.unflatten(0, (-1, len(weights)))
     return torch.tensordot(weights.to(parts), parts.movedim(1, 0), 1)
