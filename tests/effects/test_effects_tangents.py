@@ -226,6 +226,16 @@ def test_every_effect_shows_in_the_derivative_at_its_null_values(name):
         assert (slopes.abs().amax((1, 2, 3)) > 0).all()
 
 
+@pytest.mark.parametrize("name", ["interpixel_crosstalk", "plate_scale", "vibration", "phase_bump"])
+def test_beside_a_drift_derivatives_need_none_of_the_modes(name):
+    (drift,), values = searched("ncpa_drift"), made(name)[1]
+    drifting = FixedEffect(drift.base, np.full(len(drift.base.parameters), 20.0))
+    whole = ImageModel(psf(), [drifting, made(name)[0]])
+    at = WAVEFRONTS, FLUX, BACKGROUND, values
+    every, alone = (whole.predict_and_jacobian(*at, modal=modal)[1] for modal in (True, False))
+    assert torch.equal(alone, every[:, len(NOLLS) :])
+
+
 def test_a_drift_shows_in_single_frames_only():
     (effect,) = searched("ncpa_drift")
     none = torch.zeros(len(effect.parameters)).double()
