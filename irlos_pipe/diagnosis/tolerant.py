@@ -16,35 +16,30 @@ from functools import partial
 
 import numpy as np
 
-from irlos_pipe.diagnosis.acceptance import PREFERRED, Accepted, Search, accepted, threshold
-from irlos_pipe.diagnosis.allowance import KNOWN, AllowingTask
+from irlos_pipe.diagnosis.acceptance import Search, threshold
 from irlos_pipe.diagnosis.effect_sizes import parameter_covariance
 from irlos_pipe.diagnosis.elimination import needed
 from irlos_pipe.diagnosis.fitting import Fitted, begun_at
-from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, share_at_its_place
+from irlos_pipe.diagnosis.naming import NamingTask, added
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opening import Opening
-from irlos_pipe.diagnosis.refit import FAR, PER_PARAMETER, Refit, quick_refits, wider_forms
-from irlos_pipe.diagnosis.search.scores import Family, Score, score_family
+from irlos_pipe.diagnosis.refit import FAR, PER_PARAMETER
+from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.starts import other_sides, other_wavefronts
-from irlos_pipe.diagnosis.without import nulls_of, without_linearly
+from irlos_pipe.diagnosis.without import nulls_of
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, wider_kinds
 from irlos_pipe.effects.effect_set import labels_of
-from irlos_pipe.effects.labels import label_after
 from irlos_pipe.numerics.parallel import ordered_map
 
-RIVALS = 0.3  # of the fall of χ² by a name, that another must promise to be compared
-PROPOSALS = 4  # fitted per name
 OPENINGS = 4  # of the wavefront, while further names are found or χ²/ν falls
 SETTLED = 0.8  # of χ²/ν before
 MOST = 0.5  # of χ², that a name must explain which leaves much where it acts, while more is wrong
 LOOKED_AT = 2  # effects, each fitted beside all modes
 SCALES = ("plate_scale", "spectrum")  # of the image: effects that act nearly alike
-HARDLY_SEEN = 2.0  # significance of a score from which it is fitted where the model misfits
 
 
-class TolerantTask(AllowingTask):
+class TolerantTask(NamingTask):
     """A search with the facts of the instrument free, beside what the model has."""
 
     def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
@@ -70,7 +65,7 @@ class TolerantTask(AllowingTask):
         task, current = task.with_errors(task._without_needless(current, told))
         present = labels_of(current.fitted.effects)
         dropped = [name for name in dict.fromkeys(full) if name not in present and name in CATALOGUE]
-        task, current, named = task._confirmed(current, told, dropped)
+        task, current, named = task.confirmed(current, told, dropped)
         finished = task.fitter.finished(current.fitted)
         if np.isfinite(finished.chi2):
             current = Optimum(task.cube.training, finished)
@@ -91,7 +86,7 @@ class TolerantTask(AllowingTask):
         """
         task = self
         for _ in range(self.options.most_names):
-            chosen = task._further(current, task._scores(current)[0], least)
+            chosen = task.further(current, task._scores(current)[0], least)
             if chosen is None:
                 break
             task, current = task.with_errors(chosen.refit.fitted)
@@ -217,88 +212,6 @@ class TolerantTask(AllowingTask):
         effects = fitted.continued_by_label()
         return self.fitter.explored([effects[label] for label in effects if label not in dropped], fitted)
 
-    def _further(self, current: Optimum, found: list[Score], least: float) -> Accepted | None:
-        """The next name: significant, plausible, and wanted by the held-out frames."""
-        places = [other for score in found if score.candidate.copies_star for other in score.elsewhere]
-        least_seen = HARDLY_SEEN if self.misfit > KNOWN else self.options.sure
-        seen = [one for one in (*found, *places) if one.significance > least_seen]
-        ranked = quick_refits(
-            self.fitter, current, sorted(seen, key=lambda one: -one.significance)[:PROPOSALS]
-        )
-        self.report(len(ranked))
-        ranked = [one for one in ranked if not one.implausible]
-        right = self._wanted([one for one in ranked if self._explains_its_own(one)])
-        return right or self._wanted([one for one in ranked if one.gain > least * one.origin.fitted.chi2])
-
-    def _wanted(self, ranked: Sequence[Refit]) -> Accepted | None:
-        """The first of the ranked names if it is significant and held-out data clearly prefer it.
-
-        Beside errors of a model they must prefer it clearly on sky, too: chance companions in what is left
-        are significant and mean nothing there.
-        """
-        one = accepted(ranked, self.cube, self.options)
-        return one if one is not None and one.preference > PREFERRED else None
-
-    def _explains_its_own(self, refit: Refit) -> bool:
-        """Whether a name leaves little where it acts; one that leaves much stands in for something else."""
-        return share_at_its_place(refit, refit.optimum) > AT_ITS_PLACE[self.kind]
-
-    def _confirmed(
-        self, current: Optimum, told: Sequence[Effect], dropped: Sequence[str]
-    ) -> tuple[TolerantTask, Optimum, list[Accepted]]:
-        """Names for the effects of a model that explain their own and that it needs, also for held-out data.
-
-        One that another effect explains as well, and more plausibly, gives it its place. What is unusual
-        comes first, then what explains most. `dropped` are names that were not significant beside these.
-        """
-        task, named, waiting = self, [], added(current.fitted, told)
-        while waiting:
-            label, *waiting = waiting
-            present = task._against_without(current, label)
-            if not np.isfinite(present.origin.fitted.chi2):
-                continue
-            right = task._explains_its_own(present)
-            rivals = task._rivals(present, dropped) if right else task._wider(present)
-            plausible = [one for one in (present, *rivals) if task._explains_its_own(one)]
-            one = task._wanted(sorted(plausible, key=lambda one: -one.merit))
-            if one is None:
-                continue
-            named.append(one)
-            if one.refit is not present:
-                task, current = task.with_errors(one.refit.fitted)
-                waiting = [label_after(other, label) for other in waiting]
-        return task, current, sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
-
-    def _rivals(self, refit: Refit, dropped: Sequence[str]) -> list[Refit]:
-        """Fits of what may explain the same: of the dropped, and where it is unusual of all effects."""
-        if refit.base.ordinary(refit.values):
-            kinds = [CATALOGUE[name] for name in dropped if name != refit.name]
-            found = [score_family(refit.origin, Family(one.variants(self.conditions))) for one in kinds]
-        else:
-            found = [one for one in self._scores(refit.origin)[0] if one.name != refit.name]
-        near = [one for one in found if one.testable and one.gain > RIVALS * refit.gain]
-        likely = sorted(near, key=lambda one: -one.gain)[:PROPOSALS]
-        return [*self._wider(refit), *quick_refits(self.fitter, refit.origin, likely)]
-
-    def _wider(self, refit: Refit) -> list[Refit]:
-        """Fits of wider forms of the same effect, as far as they can be made."""
-        return [one for one in wider_forms(self.fitter, refit) if np.isfinite(one.fitted.chi2)]
-
-    def _against_without(self, current: Optimum, label: str) -> Refit:
-        """The model against itself without one effect."""
-        fitted = current.fitted
-        near = without_linearly(fitted, label)
-        effects = near.continued_by_label()
-        name = effects.pop(label).name
-        origin = Optimum(current.stack, self.fitter.explored(list(effects.values()), near))
-        kind = CATALOGUE[name]
-        variants = (
-            kind.variants(self.conditions) if kind.found_by == "score" else (fitted.effect(label).base,)
-        )
-        where = fitted.effect(label).acts_in
-        family = Family(tuple(one.only_in(where) for one in variants), placements=(where,))
-        return Refit(score_family(origin, family), origin, fitted, label)
-
 
 def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
     """Facts of the instrument and mild effects, their values free.
@@ -323,9 +236,3 @@ def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
         except ValueError:
             continue  # it means nothing for this instrument
     return found
-
-
-def added(fitted: Fitted, told: Sequence[Effect]) -> list[str]:
-    """Labels of the effects of a model beyond those that it was told."""
-    known = {*labels_of(told)}
-    return [label for label in fitted.problem.effects.labels if label not in known]

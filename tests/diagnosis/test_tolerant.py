@@ -14,10 +14,11 @@ from irlos_pipe.diagnosis.acceptance import Options, accepted, labels_in
 from irlos_pipe.diagnosis.allowance import errors_of
 from irlos_pipe.diagnosis.conclude import _adjusted, _nearest
 from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.naming import added
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Family, score_family
-from irlos_pipe.diagnosis.tolerant import SCALES, added, everyday
+from irlos_pipe.diagnosis.tolerant import SCALES, everyday
 from irlos_pipe.diagnosis.without import without_linearly
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 
