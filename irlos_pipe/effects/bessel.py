@@ -12,8 +12,6 @@ def _differentiable() -> type[torch.autograd.Function]:
     """``J0(2√w)``, analytic in w, with ``d/dw = -J1(2√w)/√w``, which is -1 at 0."""
 
     class J0OfTwiceRoot(torch.autograd.Function):
-        generate_vmap_rule = True
-
         @staticmethod
         def forward(w):
             return torch.special.bessel_j0(2 * torch.sqrt(w))
@@ -21,21 +19,15 @@ def _differentiable() -> type[torch.autograd.Function]:
         @staticmethod
         def setup_context(ctx, inputs, output):
             ctx.save_for_backward(*inputs)
-            ctx.save_for_forward(*inputs)
-
-        @staticmethod
-        def jvp(ctx, change):
-            return change * slope_of_j0_of_twice_root(*ctx.saved_tensors)
 
         @staticmethod
         def backward(ctx, change):
-            return change * slope_of_j0_of_twice_root(*ctx.saved_tensors)
+            return change * _slope(*ctx.saved_tensors)
 
     return J0OfTwiceRoot
 
 
-def slope_of_j0_of_twice_root(w: torch.Tensor) -> torch.Tensor:
-    """Derivative of `j0_of_twice_root`, ``-J1(2√w)/√w``, for w ≥ 0."""
+def _slope(w: torch.Tensor) -> torch.Tensor:
     root = torch.sqrt(w)
     safe = torch.where(root > 1e-8, root, 1.0)
     return torch.where(root > 1e-8, -torch.special.bessel_j1(2 * safe) / safe, -1.0)

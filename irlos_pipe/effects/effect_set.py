@@ -14,14 +14,14 @@ from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Parameter, Plane
 from irlos_pipe.effects.labels import labels_of
-from irlos_pipe.numerics.forward_mode import along_all
+from irlos_pipe.numerics.directional import along_all
 from irlos_pipe.optics.grids import Change, Grids, Optics, OtfGrid, Sampling, Tangents
 
 PLANES: tuple[Plane, ...] = get_args(Plane)
 Acting = tuple[Effect, slice]  # and its part of the parameter vector
 
 # Steps of central differences, which err by their square and by rounding over them: of a parameter, and of
-# the sampling, relative. Forward mode would load for seconds and be ten times slower through the AO residual.
+# the sampling, relative: quicker than automatic differentiation through the AO residual.
 SMALL, DIFFERENCE = 1e-6, 1e-4
 
 

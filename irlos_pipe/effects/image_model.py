@@ -4,7 +4,7 @@ This is where the light path ends and estimation begins: a fit, a bound or a sea
 a function of Zernike modes, effect parameters, flux and background, and their derivatives, whatever the
 plane in which an effect acts. Parameters in the pupil, of the OTF, of colours and pixel scale are
 differentiated by the chain rule in their plane, those that change the wavefront's course in time by
-forward-mode differentiation of the whole path.
+automatic differentiation of the whole path.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import torch
 
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.effect_set import EffectSet
-from irlos_pipe.numerics.forward_mode import along, pushed_all
+from irlos_pipe.numerics.directional import Directional, pushed_all
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.light_path import NO_TANGENTS, LightPath
 
@@ -207,15 +207,15 @@ class ImageModel:
         def images(v: torch.Tensor) -> torch.Tensor:
             return alone._unit(modes_nm, effects(v), v, when)
 
-        with torch.enable_grad():  # in this thread: the transforms do not follow into others
-            return along(images, values[piece], index - piece.start).detach()
+        return Directional(images, values[piece]).by(index - piece.start)
 
     def _detected(self, image: torch.Tensor, columns: torch.Tensor, values: torch.Tensor, first: int | None):
         """Images and derivatives behind the detector; `first`: column of the first effect parameter."""
         columns = pushed_all(partial(self.effects.detect, values), image, columns)
         if first is not None:
+            change = Directional(lambda v: self.effects.detect(v, image), values)
             for index in self.effects.free_at("detector"):
-                columns[:, first + index] = along(lambda v: self.effects.detect(v, image), values, index)
+                columns[:, first + index] = change.by(index)
         return self.effects.detect(values, image), columns
 
 

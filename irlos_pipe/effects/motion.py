@@ -15,7 +15,7 @@ import numpy as np
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.units import MAS
 from irlos_pipe.effects.base import Effect, FixedEffect
-from irlos_pipe.effects.bessel import j0_of_twice_root, slope_of_j0_of_twice_root
+from irlos_pipe.effects.bessel import j0_of_twice_root
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public, direction, number
 from irlos_pipe.effects.planes import OtfEffect
 from irlos_pipe.optics.grids import OtfGrid
@@ -122,20 +122,6 @@ class Vibration(OtfEffect):
         w = damping(values[0], along**2, grid)
         own = torch.exp(-w) if self.shape == "gaussian" else j0_of_twice_root(w)
         return factor * own
-
-    def slopes(
-        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
-    ) -> list[torch.Tensor]:
-        """See `OtfEffect.slopes`."""
-        cosine, sine = torch.cos(values[1]), torch.sin(values[1])
-        along, across = grid.path_m(cosine, sine), grid.path_m(-sine, cosine)
-        w = damping(values[0], along**2, grid)
-        by_w = factor * (-torch.exp(-w) if self.shape == "gaussian" else slope_of_j0_of_twice_root(w))
-        by_value = (
-            lambda: damping(torch.ones_like(values[0]), along**2, grid),
-            lambda: damping(values[0], 2 * along * across, grid),
-        )
-        return [by_w * by_value[index]() for index in wanted]
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """RMS along the line [mas] and its direction."""

@@ -1,7 +1,7 @@
 """One base class of effects per plane of the light path.
 
 Each asks for one method, `apply`, which takes what arrives at the plane and returns it as the effect leaves
-it; derivatives come from forward-mode differentiation of it, unless an effect knows a quicker way.
+it; derivatives come from automatic differentiation of it, unless an effect knows a quicker way.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.effects.base import Effect
-from irlos_pipe.numerics.forward_mode import along, along_all
+from irlos_pipe.numerics.directional import Directional
 from irlos_pipe.optics.grids import OtfGrid, PupilGrid, Sampling
 from irlos_pipe.optics.psf_settings import PsfSettings
 
@@ -39,7 +39,8 @@ class PupilEffect(Effect):
         self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
         """See `Effect.slopes`: (wavelengths, n, n) each."""
-        return [along(lambda v: self.apply(v, field, grid), values, index) for index in wanted]
+        change = Directional(lambda v: self.apply(v, field, grid), values)
+        return [change.by(index) for index in wanted]
 
 
 class OtfEffect(Effect):
@@ -60,14 +61,10 @@ class OtfEffect(Effect):
 
     def slopes(
         self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
-    ) -> Sequence[torch.Tensor]:
+    ) -> list[torch.Tensor]:
         """See `Effect.slopes`: of the shape of `factor` each."""
-        chosen = torch.as_tensor(list(wanted))
-
-        def changed(some: torch.Tensor) -> torch.Tensor:
-            return self.apply(values.index_copy(0, chosen, some), factor, grid)
-
-        return along_all(changed, values[chosen]).unbind()
+        change = Directional(lambda v: self.apply(v, factor, grid), values)
+        return [change.by(index) for index in wanted]
 
 
 class CopyOfStar(OtfEffect):

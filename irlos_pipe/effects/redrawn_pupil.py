@@ -123,12 +123,6 @@ def _differentiable() -> type[torch.autograd.Function]:
             ctx.values = values.detach()
 
         @staticmethod
-        def jvp(ctx, along, *_):
-            rates = along.tolist()
-            slopes = _slopes(ctx.effect, ctx.grid, ctx.values, range(len(rates)))
-            return sum(rate * slope for rate, slope in zip(rates, slopes, strict=True))
-
-        @staticmethod
         def backward(ctx, upstream):
             slopes = _slopes(ctx.effect, ctx.grid, ctx.values, range(len(ctx.values)))
             return torch.stack([(upstream * slope).sum() for slope in slopes]), None, None

@@ -11,7 +11,7 @@ from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public, number
 from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.effects.zernike_table import ZernikeTable
-from irlos_pipe.numerics.forward_mode import along
+from irlos_pipe.numerics.directional import Directional
 from irlos_pipe.optics.grids import PupilGrid
 from irlos_pipe.optics.zernike import noll_to_nm
 
@@ -45,7 +45,8 @@ class OpdMap(PupilEffect):
     def _map_slopes(
         self, values: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
     ) -> Sequence[torch.Tensor]:
-        return [along(lambda v: self._map_nm(v, grid), values, index) for index in wanted]
+        change = Directional(lambda v: self._map_nm(v, grid), values)
+        return [change.by(index) for index in wanted]
 
 
 class DiversityError(OpdMap):

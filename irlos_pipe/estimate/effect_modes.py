@@ -14,7 +14,7 @@ import torch
 
 from irlos_pipe.effects import Effect, EffectSet, FixedEffect
 from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.numerics.forward_mode import pushed
+from irlos_pipe.numerics.directional import Directional
 from irlos_pipe.optics.grids import PupilGrid
 
 
@@ -41,8 +41,8 @@ def effects_in_modes_nm(
     def modes(v: torch.Tensor) -> torch.Tensor:
         return project @ effects.opd_nm(v).flatten()
 
-    directions = torch.eye(len(values), dtype=torch.float64)
-    slopes = [pushed(modes, values, direction) for direction in directions]
+    change = Directional(modes, values)
+    slopes = [change.by(index) for index in range(len(values))]
     return modes(values), torch.stack(slopes, dim=1) if slopes else torch.zeros(len(nolls), 0)
 
 

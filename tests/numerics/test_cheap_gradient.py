@@ -1,6 +1,6 @@
 """The gradient by reverse-mode differentiation.
 
-Truth: the gradient from forward-mode Jacobians, which `test_effects_tangents` holds against finite
+Truth: the gradient from Jacobians, which `test_effects_tangents` holds against finite
 differences.
 """
 

@@ -1,4 +1,4 @@
-"""Derivatives by dual numbers, alone and from several threads at once; truth: analysis."""
+"""Derivatives along directions, alone and from several threads at once; truth: analysis."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from irlos_pipe.numerics.forward_mode import along, along_all, pushed, pushed_all
+from irlos_pipe.numerics.directional import Directional, along_all, pushed_all
 
 VALUES = torch.tensor([0.3, -1.2, 2.0], dtype=torch.float64)
 FACTORS = torch.arange(1, 4, dtype=torch.float64)
@@ -29,28 +29,39 @@ def test_derivatives_of_a_complex_function_along_all_elements():
     assert along_all(waves, VALUES).numpy() == pytest.approx(slopes_of_waves(VALUES), rel=1e-12)
 
 
-def test_derivatives_along_one_element_along_a_direction_and_along_several():
+def test_derivatives_by_one_element_along_a_direction_and_along_several():
     direction = torch.tensor([1.0, 2.0, 0.0], dtype=torch.float64)
-    assert along(squares, VALUES, 1).tolist() == pytest.approx([0.0, -2.4, 0.0])
-    assert pushed(squares, VALUES, direction).tolist() == pytest.approx([0.6, -4.8, 0.0])
+    change = Directional(squares, VALUES)
+    assert change.by(1).tolist() == pytest.approx([0.0, -2.4, 0.0])
+    assert change.along(direction).tolist() == pytest.approx([0.6, -4.8, 0.0])
     columns = torch.stack([direction, 2 * direction], dim=1)
     assert pushed_all(squares, VALUES, columns)[:, 1].tolist() == pytest.approx([1.2, -9.6, 0.0])
 
 
-def test_results_that_do_not_depend_on_the_argument_have_no_derivative():
-    direction = torch.tensor([1.0, 2.0, 0.0], dtype=torch.float64)
-    assert pushed(squares, VALUES, direction).tolist() == pytest.approx([0.6, -4.8, 0.0])
-    assert pushed(lambda v: FACTORS, VALUES, direction).tolist() == [0.0, 0.0, 0.0]
+@pytest.mark.parametrize(
+    ("function", "slope"), [(squares, 0.6), (lambda v: 3 * v, 3.0), (lambda v: FACTORS, 0.0)]
+)
+def test_what_is_linear_or_constant_is_differentiated_as_well(function, slope):
+    assert Directional(function, VALUES).by(0).tolist() == pytest.approx([slope, 0.0, 0.0])
+
+
+def test_neither_the_argument_nor_the_callers_mode_changes():
+    values = VALUES.clone()
+    with torch.no_grad():
+        change = Directional(squares, values).by(0)
+        assert not torch.is_grad_enabled()
+    assert torch.equal(values, VALUES)
+    assert not (values.requires_grad or change.requires_grad)
 
 
 @pytest.mark.slow
 def test_threads_do_not_meet_in_their_derivatives():
-    """Without taking turns PyTorch refuses, or mixes their levels up."""
-
     def all_of_them(scale: float) -> torch.Tensor:
         values = scale * VALUES
         single = along_all(lambda v: (v**3).sum()[None], values[:1])
-        return torch.cat([along_all(squares, values).sum(1), along(squares, values, 0), single.flatten()])
+        return torch.cat(
+            [along_all(squares, values).sum(1), Directional(squares, values).by(0), single.flatten()]
+        )
 
     scales = np.linspace(0.5, 2.0, 200)
     with ThreadPoolExecutor(4) as pool:

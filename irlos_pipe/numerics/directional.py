@@ -1,0 +1,66 @@
+"""Derivatives along one direction, or along all, by differentiating backwards twice.
+
+The product Jᵀu is linear in u, and its derivative with respect to u, times a direction d, is Jd. Dual
+numbers give the same in one pass, but PyTorch keeps one level of them per process, so that threads take
+turns, and loads for seconds before the first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+from irlos_pipe.conventions.late import torch
+
+Function: TypeAlias = "Callable[[torch.Tensor], torch.Tensor]"
+
+
+class Directional:
+    """Derivatives of a real or complex function at one place, which is evaluated once for all directions.
+
+    Parameters
+    ----------
+    function : callable
+    values : tensor
+        Where; real.
+    """
+
+    def __init__(self, function: Function, values: torch.Tensor):
+        with torch.enable_grad():
+            at = values.detach().clone().requires_grad_()
+            self.result = function(at)
+            real = torch.view_as_real(self.result) if self.result.is_complex() else self.result
+            self.size, self.pulled = at.shape, None
+            if real.requires_grad:
+                self.factors = torch.zeros_like(real, requires_grad=True)
+                (self.pulled,) = torch.autograd.grad(real, at, self.factors, create_graph=True)
+
+    def along(self, direction: torch.Tensor) -> torch.Tensor:
+        """Return the derivative along a `direction` in the argument, of the shape of the function."""
+        if self.pulled is None or not self.pulled.requires_grad:
+            return torch.zeros_like(self.result).detach()
+        (change,) = torch.autograd.grad(
+            self.pulled, self.factors, direction.to(self.pulled), retain_graph=True, materialize_grads=True
+        )
+        return torch.view_as_complex(change.contiguous()) if self.result.is_complex() else change
+
+    def by(self, index: int) -> torch.Tensor:
+        """Return the derivative with respect to the element `index` of the argument, a vector."""
+        direction = torch.zeros(self.size, dtype=torch.float64)
+        direction[index] = 1
+        return self.along(direction)
+
+
+def pushed_all(function: Function, values: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
+    """Return the derivatives of `function` at `values` along several `directions`, the second axis of both.
+
+    The function gets its argument with that axis, and must make the same of every element along it.
+    """
+    repeated = values.unsqueeze(1).expand_as(directions).contiguous()
+    return Directional(function, repeated).along(directions)
+
+
+def along_all(function: Function, values: torch.Tensor) -> torch.Tensor:
+    """Return those of a real or complex `function` by all elements of `values`, elements first."""
+    change = Directional(function, values)
+    return torch.stack([change.by(index) for index in range(len(values))])
