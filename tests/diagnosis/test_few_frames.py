@@ -88,20 +88,18 @@ def diagnosis_of(kind: str, count: int, seed: int = 3) -> Diagnosis:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [1, 3])
-def test_nothing_is_missing_in_an_image_that_the_model_explains(count):
-    verdict = diagnosis_of("plain", count)
+def test_nothing_is_missing_in_images_that_the_model_explains():
+    verdict = diagnosis_of("plain", 3)
     assert verdict.verdict == "none"
-    assert (verdict.held_out, verdict.frames) == ("pixels", (count, 0))
+    assert (verdict.held_out, verdict.frames) == ("pixels", (3, 0))
     assert verdict.gap.after == pytest.approx(verdict.gap.floor, rel=0.2)
     assert "ncpa_drift" in verdict.untestable
     assert "pixels that no fit has seen" in sentence(verdict)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [1, 5])
-def test_a_companion_is_named_with_its_size_in_a_single_image(count):
-    verdict = diagnosis_of("companion", count)
+def test_a_companion_is_named_with_its_size_in_a_single_image():
+    verdict = diagnosis_of("companion", 1)
     assert [step.name for step in verdict.steps] == ["companion"]
     found = verdict.steps[0]
     truth = cases.COMPANION["flux_ratio"]
