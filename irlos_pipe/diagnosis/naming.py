@@ -34,7 +34,17 @@ class NamingTask(AllowingTask):
     """A search that gives names beside variances that allow for what its model misses."""
 
     def further(self, current: Optimum, found: list[Score], least: float) -> Accepted | None:
-        """The next name: significant, plausible, and wanted by the held-out frames."""
+        """The next name: significant, plausible, and wanted by the held-out frames.
+
+        Parameters
+        ----------
+        current : Optimum
+            The model without it.
+        found : list of Score
+            Of the effects there.
+        least : float
+            Part of χ² that a name must explain which leaves much where it acts.
+        """
         places = [other for score in found if score.candidate.copies_star for other in score.elsewhere]
         least_seen = HARDLY_SEEN if self.misfit > KNOWN else self.options.sure
         seen = [one for one in (*found, *places) if one.significance > least_seen]
@@ -65,7 +75,16 @@ class NamingTask(AllowingTask):
         """Names for the effects of a model that explain their own and that it needs, also for held-out data.
 
         One that another effect explains as well, and more plausibly, gives it its place. What is unusual
-        comes first, then what explains most. `dropped` are names that were not significant beside these.
+        comes first, then what explains most.
+
+        Parameters
+        ----------
+        current : Optimum
+            The model.
+        told : sequence of Effect
+            Its effects that need no name.
+        dropped : sequence of str
+            Names that were not significant beside these.
         """
         task, named, waiting = self, [], added(current.fitted, told)
         while waiting:
@@ -118,6 +137,12 @@ class NamingTask(AllowingTask):
 
 
 def added(fitted: Fitted, told: Sequence[Effect]) -> list[str]:
-    """Labels of the effects of a model beyond those that it was told."""
+    """Labels of the effects of a model beyond those that it was told.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    told : sequence of Effect
+    """
     known = {*labels_of(told)}
     return [label for label in fitted.problem.effects.labels if label not in known]
