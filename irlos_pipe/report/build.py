@@ -107,7 +107,7 @@ def _render(run: RunData) -> str:
 def _untested(run: RunData) -> list[str]:
     """Return what the data of all stages cannot tell, to be read before the numbers, everything once."""
     lines = (line for product in run.products.values() for line in results_of(StageResults, product).untested)
-    return list(dict.fromkeys(lines))
+    return list(dict.fromkeys(line.replace("`", "") for line in lines))
 
 
 def report_sections(run: RunData) -> list[Section]:

@@ -14,6 +14,7 @@ from irlos_pipe.report.drawing import BLUE, CYCLE, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.effect_words import parameter_rows
 from irlos_pipe.report.image_views import image_views, residual_views
 from irlos_pipe.report.images import PANEL_IN, SIGNED, panel_axes, symmetric_scale
+from irlos_pipe.report.misfit_plots import quantile_figures
 from irlos_pipe.report.quality_plots import Look, power_figures
 from irlos_pipe.report.radial import star_profile
 from irlos_pipe.report.run_data import RunData
@@ -50,6 +51,7 @@ def calibrate_section(run: RunData) -> Section:
         *_maps(run),
         *_profile(run),
         *power_figures(run, STAGE, "cal-power", LEFT),
+        *_quantiles(run),
         *_correlations(run),
         *_bars(results),
         *_in_time(run),
@@ -85,6 +87,16 @@ def _images(run: RunData, results: CalibrateResults) -> list[Views]:
         image_views("cal-images", images, mas, good, "two-thirds"),
         residual_views("cal-residual", residual, sigma_e, peak_e, mas, "third"),
     ]
+
+
+def _quantiles(run: RunData) -> list[Figure]:
+    measured, model = run.array(STAGE, "mean_image_e"), run.array(STAGE, "model_image_e")
+    sigma_e, good = run.error_of(STAGE, "mean_image_e"), _good_pixels(run)
+    if measured is None or model is None or sigma_e is None:
+        return []
+    counted = (sigma_e > 0) if good is None else good & (sigma_e > 0)
+    residual = np.divide(measured - model, sigma_e, out=np.full(measured.shape, np.nan), where=counted)
+    return quantile_figures("cal-quantiles", {LEFT[""]: residual})
 
 
 def _caption(results: CalibrateResults) -> str:

@@ -11,6 +11,7 @@ from irlos_pipe.report.content import Block, Figure, Width
 from irlos_pipe.report.drawing import BLUE, FAINT, GREEN, INK, ORANGE, svg
 from irlos_pipe.report.image_views import image_views, residual_views
 from irlos_pipe.report.images import PANEL_IN, SIGNED, image_panel, label_bar, panel_axes, symmetric_scale
+from irlos_pipe.report.misfit_plots import quantile_figures
 from irlos_pipe.report.quality_plots import DIAGNOSED, Look, energy_figures, otf_figures, power_figures
 from irlos_pipe.report.radial import star_profile
 from irlos_pipe.report.run_data import RunData
@@ -54,9 +55,23 @@ def curve_figures(run: RunData) -> list[Figure]:
     return [
         *_profile(run),
         *power_figures(run, STAGE, "dia-power", LEFT),
+        *_quantiles(run),
         *otf_figures(run, STAGE, "dia-otf", DIAGNOSED),
         *energy_figures(run, STAGE, "dia-energy", DIAGNOSED, "Part of the light in the window."),
     ]
+
+
+def _quantiles(run: RunData) -> list[Figure]:
+    measured, sigma = run.array(STAGE, "measured_e"), run.error_of(STAGE, "measured_e")
+    if measured is None or sigma is None:
+        return []
+    models = {look: run.array(STAGE, name.removeprefix("_") + "_e") for name, look in LEFT.items()}
+    residuals = {
+        look: np.divide(measured - model, sigma, out=np.full(measured.shape, np.nan), where=sigma > 0)
+        for look, model in models.items()
+        if model is not None
+    }
+    return quantile_figures("dia-quantiles", residuals)
 
 
 def _leading(run: RunData) -> list[Figure]:

@@ -114,6 +114,8 @@ def _name(label: str, step: StepRow) -> KeyNumber:
     head = f"{label}: {step.effect.replace('_', ' ')}"
     if not rows:
         return KeyNumber(head, step.phrase or step.effect)
+    if len(rows) > 1 and all(row.name == rows[0].name for row in rows):  # pixels
+        return KeyNumber(head, plural(len(rows), rows[0].name), "; ".join(row.value for row in rows))
     others = ", ".join(" ".join(filter(None, row)) for row in rows[1 : 1 + NUMBERS_IN_NOTE])
     value = " ".join(filter(None, (rows[0].value, rows[0].unit)))
     return KeyNumber(head, value, "; ".join(filter(None, [rows[0].name, others])))

@@ -14,6 +14,7 @@ from irlos_pipe.estimate.ramp import travel_direction
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Width
 from irlos_pipe.report.drawing import BLUE, INK, ORANGE, PURPLE, svg
 from irlos_pipe.report.images import BRIGHTNESS, SIGNED, brightness_scale, symmetric_scale
+from irlos_pipe.report.misfit_plots import chi2_figures
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number, plural, with_error
 from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point
@@ -52,6 +53,7 @@ def lift_section(run: RunData) -> Section:
     blocks: list[Block] = [
         *_ramp(results.points),
         tables,
+        *_chi2(run, results),
         *_strip(run),
     ]
     return Section(STAGE, "Defocus ramp (LIFT)", _lead(results), blocks)
@@ -76,6 +78,12 @@ def _ramp(frames: Sequence[Point]) -> list[Figure]:
     caption = f"{CAPTION}{lost}"
     direction = travel_direction(introduced).astype(int)
     return [Figure(ramp_plot(RampPoints(introduced, defocus, sigma, direction, converged)), "Ramp", caption)]
+
+
+def _chi2(run: RunData, results: LiftResults) -> list[Figure]:
+    chi2_nu = np.array([point.chi2_nu for point in results.points])
+    ratio = run.products[STAGE].config.get("max_chi2_ratio") or np.nan
+    return chi2_figures("ramp-chi2", chi2_nu, results.nominal_chi2_nu, ratio * results.nominal_chi2_nu)
 
 
 def _variants(results: LiftResults) -> Table:

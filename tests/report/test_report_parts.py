@@ -15,6 +15,7 @@ from irlos_pipe.report.drawing import BLUE, CYCLE, INK, log_y, svg
 from irlos_pipe.report.effect_words import parameter_rows, worded
 from irlos_pipe.report.images import asinh_ticks, brightness_scale, image_panel, log_scale, thumbnail
 from irlos_pipe.report.run_data import RunData
+from irlos_pipe.report.section_diagnose_verdict import verdict_numbers
 from irlos_pipe.report.section_lift import RampPoints, image_strip, ramp_plot, residual_limit
 from irlos_pipe.report.section_prior import prior_section
 from irlos_pipe.report.section_sensitivity import limit_text
@@ -27,6 +28,7 @@ from irlos_pipe.report.text import (
     rounded_by_error,
     with_error,
 )
+from irlos_pipe.stages.diagnose.results import DiagnoseResults, StepRow
 from irlos_pipe.stages.sensitivity.results import CurveRow
 
 NAN = float("nan")
@@ -283,3 +285,9 @@ def test_the_prior_of_ten_thousand_frames_takes_little_more_room_than_that_of_so
         return sum(len(block.svg) for block in prior_section(run).blocks)
 
     assert drawn(10_000) < 2 * drawn(300)
+
+
+def test_a_list_of_pixels_is_counted_in_its_tile():
+    step = StepRow(effect="bad_pixels", parameters={"pixels": [[24, 9], [25, 9], [32, 32]]})
+    (tile,) = [one for one in verdict_numbers(DiagnoseResults(steps=[step])) if "bad pixels" in one.label]
+    assert tile.value == "3 pixels" and tile.note.count("row") == 3
