@@ -23,6 +23,7 @@ from irlos_pipe.effects.drift import NcpaDrift
 from irlos_pipe.effects.focus_stage import FocusStageHysteresis, FocusStageOffset, FocusStageScale
 from irlos_pipe.effects.ghost import Ghost
 from irlos_pipe.effects.high_aperture import HighAperture
+from irlos_pipe.effects.lenslet_images import LensletImages
 from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.effects.motion import TipTiltJitter, Vibration
 from irlos_pipe.effects.pupil_geometry import PupilSizes
@@ -62,6 +63,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         FocusStageScale,
         FocusStageHysteresis,
         HighAperture,
+        LensletImages,
     )
 }
 

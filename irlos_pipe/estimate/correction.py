@@ -12,7 +12,8 @@ from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.image_quality import Curve, encircled_energy, transfer_cut
-from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.lenslets import light_path
+from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 
 
@@ -73,7 +74,7 @@ def predict_correction(
     fitted_modes_nm: np.ndarray,
     zernike_nm: np.ndarray,
     gain: np.ndarray,
-    make_optics: Callable[[PsfModel], Optics],
+    make_optics: Callable[[LightPath], Optics],
 ) -> Prediction:
     """Return images before and after a correction; tip and tilt are left out of both.
 
@@ -89,7 +90,7 @@ def predict_correction(
     make_optics : callable
         ``make_optics(model)`` gives what AO residual, jitter and other effects make of the light path.
     """
-    model = PsfModel(replace(settings, known=KnownWavefront()), nolls)
+    model = light_path(replace(settings, known=KnownWavefront()), nolls)
     both_nm = seen_and_left_nm(nolls, fitted_modes_nm, zernike_nm, gain)
     wavefronts = torch.as_tensor(np.stack(both_nm))
     images = model.images(wavefronts, make_optics(model)).double().numpy()

@@ -23,7 +23,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.cube import Frames, autocorrelation_time, mean_variance_e2
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.frames.blocks import sample_frames
-from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.lenslets import light_path
 
 LEAST_FRAMES = 4
 SIGNIFICANT = 4.0  # standard errors
@@ -89,5 +89,5 @@ def _mirrored_problem(problem: ImageFit) -> ImageFit:
     """The same problem with the mirrored pupil."""
     psf = problem.model.psf
     settings = replace(psf.settings, geometry=placed(psf.settings.geometry, MIRROR))
-    other = PsfModel(settings, psf.nolls, device=psf.device, dtype=torch.float64)
+    other = light_path(settings, psf.nolls, device=psf.device, dtype=torch.float64)
     return problem.with_model(ImageModel(other, problem.model.effects.effects))

@@ -99,6 +99,39 @@ def summarise(
     )
 
 
+def summarise_one_offset(introduced_nm: np.ndarray, estimated_nm: np.ndarray) -> RampSummary:
+    """Summarise frames of one defocus that nobody knows; what needs several offsets is NaN.
+
+    Parameters
+    ----------
+    introduced_nm, estimated_nm : ndarray, (frames,)
+        Failed estimates are NaN.
+
+    Raises
+    ------
+    ValueError
+        Without any estimate.
+    """
+    estimated = estimated_nm[np.isfinite(estimated_nm)]
+    if not len(estimated):
+        raise ValueError("no frame could be estimated")
+    mean, spread = float(estimated.mean()), np.diff(np.percentile(estimated, [15.87, 84.13])) / 2
+    return RampSummary(
+        slope=np.nan,
+        slope_sigma=np.nan,
+        offset_nm=mean - float(introduced_nm[0]),
+        rms_nm=np.nan,
+        residual_rms_nm=_rms(estimated - mean),
+        saw_tooth_nm=np.nan,
+        saw_tooth_sigma_nm=np.nan,
+        part_bias_nm=np.nan,
+        part_bias_sigma_nm=np.nan,
+        offsets_nm=introduced_nm[:1],
+        median_nm=np.array([np.median(estimated)]),
+        scatter_nm=spread,
+    )
+
+
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[tuple[float, float], float]:
     """Slope and offset, and the slope's standard error from the residuals."""
     slope, offset = np.polyfit(x, y, 1)

@@ -10,7 +10,8 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects import Effect, fixed_optics
-from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.lenslets import light_path
+from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 
 ALL = "all together"
@@ -57,7 +58,7 @@ def strehl_budget(
     effects : mapping of str to Effect
         With all parameters held.
     """
-    model = PsfModel(replace(settings, known=KnownWavefront()), nolls)
+    model = light_path(replace(settings, known=KnownWavefront()), nolls)
     nothing = np.zeros(len(nolls))
     peak = _peak(model, nothing, [])
 
@@ -74,7 +75,7 @@ def strehl_budget(
     return parts
 
 
-def _peak(model: PsfModel, modes_nm: np.ndarray, effects: Sequence[Effect]) -> float:
+def _peak(model: LightPath, modes_nm: np.ndarray, effects: Sequence[Effect]) -> float:
     """Brightest pixel of a unit-flux image."""
     optics = fixed_optics(list(effects), model.grids)
     return float(model.images(torch.as_tensor(modes_nm)[None], optics).max())

@@ -33,7 +33,7 @@ CREATE TABLE IF NOT EXISTS recordings (
 CREATE TABLE IF NOT EXISTS runs (
     run TEXT PRIMARY KEY,       -- <night>/<group>/<recipe>
     night TEXT NOT NULL,        -- date of the evening, ISO
-    kind TEXT NOT NULL,         -- calibration, ramp, derotator, psf
+    kind TEXT NOT NULL,         -- calibration, ramp, derotator, psf, two_by_two
     recipe TEXT NOT NULL,
     start_unix_s REAL,          -- start of the first recording
     configuration TEXT NOT NULL,

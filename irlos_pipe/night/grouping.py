@@ -19,7 +19,7 @@ NONE_PASSED = (
     "no calibration cube of its configuration within {0} nights passed its quality check; nearest: {1}"
 )
 MAX_NAME_BYTES = 100
-ONE_LENSLET = "images of a 2x2 mode; the model is that of the full pupil"
+OTHER_2X2 = "a 2x2 mode with role {0}; night reduces those of role psf"
 Inputs = Mapping[str, tuple[Description, ...]]
 Key = TypeVar("Key", bound=Hashable)
 
@@ -31,7 +31,7 @@ class Group:
     Attributes
     ----------
     kind : str
-        ``calibration``, ``ramp``, ``derotator`` or ``psf``.
+        ``calibration``, ``ramp``, ``derotator``, ``psf`` or ``two_by_two``.
     name : str
         Name of its folder, unique in the night; it stays when recordings are added later.
     inputs : dict of str to tuple of Description
@@ -116,7 +116,9 @@ def _group_night(
     failed: Mapping[str, str],
 ) -> None:
     """Group the recordings of one night; `cubes` are those of all nights."""
-    grouping.left_out.extend(LeftOut(one, ONE_LENSLET) for one in found if not one.full_pupil)
+    lenslets = [one for one in found if not one.full_pupil]
+    others = [one for one in lenslets if one.role not in ("psf", "dark")]
+    grouping.left_out.extend(LeftOut(one, OTHER_2X2.format(one.role)) for one in others)
     roles = _split((one for one in found if one.full_pupil), lambda one: one.role)
     gap_s = 60 * settings.series_gap_min
     groups = [_single("calibration", cube) for cube in roles["ncpa_calibration"]]
@@ -129,7 +131,9 @@ def _group_night(
             groups.append(replace(group, choice=why))
     groups += [_group("derotator", series, cube=series) for series in _series(roles["derotator"], gap_s)]
     groups += [_single("psf", one) for one in roles["psf"]]
-    grouping.groups.extend(_with_unique_names(_with_darks(group, roles["dark"]) for group in groups))
+    groups += [_single("two_by_two", one) for one in lenslets if one.role == "psf"]
+    darks = [one for one in found if one.role == "dark"]
+    grouping.groups.extend(_with_unique_names(_with_darks(group, darks) for group in groups))
 
 
 def _group(kind: Kind, members: Sequence[Description], **inputs: tuple[Description, ...]) -> Group:

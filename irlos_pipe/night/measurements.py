@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.night.settings import Kind
 from irlos_pipe.product.product import Check, Product
 from irlos_pipe.product.results import RunResults, read_run_results
@@ -94,6 +95,8 @@ def _numbers(results: RunResults, kind: Kind) -> Iterator[Number]:
         yield from _calibration(results.of(CalibrateResults))
     if kind == "ramp":
         yield from _ramp(results.of(LiftResults))
+    if kind == "two_by_two":
+        yield from _two_by_two(results.of(CalibrateResults))
     gap = results.of(DiagnoseResults).gap
     yield "gap_before", gap.before, math.nan
     yield "gap_after", gap.after, math.nan
@@ -104,10 +107,24 @@ def _calibration(results: CalibrateResults) -> Iterator[Number]:
     for noll, value_nm in results.zernike_nm.items():
         yield f"noll_{noll}_nm", value_nm, results.sigma_nm.get(noll, math.nan)
     yield "ncpa_nm", results.wfe_nm, results.wfe_sigma_nm
+    yield from _of_the_sky(results)
+    yield "chi2_nu", results.chi2_nu, math.nan
+
+
+def _of_the_sky(results: CalibrateResults) -> Iterator[Number]:
     yield "seeing_arcsec", results.seeing_arcsec, math.nan
     yield "ao_residual_nm", results.effect_number("seeing_halo", "wfe_nm"), math.nan
     yield "jitter_mas", results.effect_number("tip_tilt_jitter", "sigma_mas"), math.nan
-    yield "chi2_nu", results.chi2_nu, math.nan
+
+
+def _two_by_two(results: CalibrateResults) -> Iterator[Number]:
+    """The focus of the moment, which is no NCPA, and what the images say of the sky."""
+    yield (
+        "focus_2x2_nm",
+        results.zernike_nm.get(DEFOCUS, math.nan),
+        results.sigma_nm.get(DEFOCUS, math.nan),
+    )
+    yield from _of_the_sky(results)
 
 
 def _ramp(results: LiftResults) -> Iterator[Number]:

@@ -17,20 +17,21 @@ from irlos_pipe.files.shipped import named_file
 from irlos_pipe.files.validation import read_validated
 from irlos_pipe.readers.sidecar import AcquisitionKeys
 
-Kind = Literal["calibration", "ramp", "derotator", "psf"]
+Kind = Literal["calibration", "ramp", "derotator", "psf", "two_by_two"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 RECIPES: dict[Kind, list[str]] = {
     "calibration": ["ncpa_calibration", "diagnose"],
     "ramp": ["defocus_ramp"],
     "derotator": ["derotator"],
     "psf": [],
+    "two_by_two": ["two_by_two"],
 }
 
 Limits = tuple[float | None, float | None]
 # Names of the numbers that `measurements` takes from a run, beside those of the modes.
 OTHER_NUMBERS = (
     "ncpa_nm", "seeing_arcsec", "ao_residual_nm", "jitter_mas", "chi2_nu", "defocus_bias_nm", "ramp_slope",
-    "ramp_error_nm", "gap_before", "gap_after", "gap_floor",
+    "ramp_error_nm", "focus_2x2_nm", "gap_before", "gap_after", "gap_floor",
 )  # fmt: skip
 NUMBER = re.compile("|".join([r"noll_[1-9]\d*_nm", *OTHER_NUMBERS]))
 

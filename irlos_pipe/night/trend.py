@@ -27,7 +27,15 @@ from irlos_pipe.night.stability import Structure, Validity, structure_function, 
 
 TIP_TILT = ("noll_2_nm", "noll_3_nm")  # the position of the star, not the instrument
 # Numbers that depend on the sky are followed but do not alarm.
-OF_THE_SKY = ("seeing_arcsec", "ao_residual_nm", "jitter_mas", "ncpa_nm", "ramp_error_nm", *TIP_TILT)
+OF_THE_SKY = (
+    "seeing_arcsec",
+    "ao_residual_nm",
+    "jitter_mas",
+    "ncpa_nm",
+    "ramp_error_nm",
+    "focus_2x2_nm",
+    *TIP_TILT,
+)
 NEVER_NEGATIVE = (
     "seeing_arcsec", "ao_residual_nm", "jitter_mas", "ncpa_nm", "ramp_error_nm", "chi2_nu", "gap_before",
     "gap_after", "gap_floor",

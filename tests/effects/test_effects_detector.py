@@ -20,7 +20,7 @@ CONTRACT = {
     "segment_piston", "high_order_ncpa",
     "phase_bump", "ncpa_drift", "companion", "ghost", "interpixel_crosstalk", "detector_nonlinearity",
     "background_gradient", "bad_pixels", "focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale",
-    "high_aperture", "chromatic_ncpa", "filter_ncpa", "correlated_noise",
+    "high_aperture", "chromatic_ncpa", "filter_ncpa", "correlated_noise", "lenslet_images",
 }  # fmt: skip
 
 

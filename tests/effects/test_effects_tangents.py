@@ -202,8 +202,8 @@ def searched(name: str) -> list[Effect]:
     return kind.under(CONDITIONS, **kind.options_for(**STRONG[name])).candidates(WINDOW, 9.7)
 
 
-# High apertures mean something only where the profile states one: test_high_aperture.py looks at them there.
-ANYWHERE = set(IN_IMAGES) - {"high_aperture"}
+# High apertures and lenslets mean something only where there are any: other tests look at them there.
+ANYWHERE = set(IN_IMAGES) - {"high_aperture", "lenslet_images"}
 
 
 @pytest.mark.slow

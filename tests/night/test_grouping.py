@@ -131,9 +131,11 @@ def test_darks_are_added_to_every_recording_of_their_mode_and_window():
     assert not found.left_out
 
 
-def test_images_of_single_lenslets_are_left_out_without_alarm():
-    found = group_recordings([cube("c", full_pupil=False)], SETTINGS)
-    assert found.groups == [] and [one.alarming for one in found.left_out] == [False]
+def test_recordings_of_2x2_modes_are_groups_of_their_own_kind_and_calibrate_no_ramp():
+    four = recording("four", "psf", 3, full_pupil=False)
+    found = group_recordings([four, cube("c", full_pupil=False), offset("o", 5)], SETTINGS)
+    assert names(found) == [("two_by_two", ["four"])]
+    assert [(one.recording.name, one.alarming) for one in found.left_out] == [("c", False), ("o", True)]
 
 
 def test_groups_are_named_by_time_and_name_and_keep_the_name_when_they_grow():

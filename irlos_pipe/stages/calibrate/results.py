@@ -75,6 +75,36 @@ class Twin(ResultsPart):
     preferred: str = ""
 
 
+class Lenslets(ResultsPart):
+    """What the four images of a 2x2 mode determine, and what their centroids say.
+
+    Attributes
+    ----------
+    modes_tried, combinations : int
+        Modes from Noll 2 on, and how many combinations of them the images tell better than the prior.
+    information : list of float
+        Eigenvalues of the Fisher matrix in units of the prior, descending.
+    determined : list of int
+        Modes whose error is at most half of the prior's.
+    left : dict of int to float
+        Error of every mode over that of its prior.
+    bound_nm : dict of int to float
+        Cramér–Rao bound of the estimated modes: noise alone, no prior of the modes.
+    centroids_nm, centroids_sigma_nm : dict of int to float
+        Modes from the centroids of the images, as of a Shack–Hartmann sensor, and their errors by the
+        scatter of the frames.
+    """
+
+    modes_tried: int = 0
+    combinations: int = 0
+    information: list[Number] = []
+    determined: list[int] = []
+    left: ByNoll = {}
+    bound_nm: ByNoll = {}
+    centroids_nm: ByNoll = {}
+    centroids_sigma_nm: ByNoll = {}
+
+
 class AngleRow(ResultsPart):
     """A recording and its derotator angle."""
 
@@ -105,6 +135,8 @@ class CalibrateResults(Estimate, StageResults):
         None without a twin solution, and for the mean over cubes.
     compare : list of Estimate
         Estimates with other methods.
+    lenslets : Lenslets or None
+        Of recordings of a 2x2 mode.
     """
 
     stage: ClassVar[str] = "calibrate"
@@ -115,6 +147,7 @@ class CalibrateResults(Estimate, StageResults):
     twin: Twin | None = None
     compare: list[Estimate] = []
     cubes: list[CubeRow] = []
+    lenslets: Lenslets | None = None
 
     def effect_number(self, effect: str, parameter: str) -> float:
         """Return an estimated `parameter` of an `effect` as a number; NaN where there is none."""

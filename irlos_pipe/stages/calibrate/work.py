@@ -42,7 +42,12 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
     ]
     first = recordings[0].acquisition
     seeing = seeing_arcsec(ctx.instrument, first)
-    return joint_output(ctx.config, result, others, seeing, first)
+    output = joint_output(ctx.config, result, others, seeing, first)
+    if first.lenslets == 1:
+        return output
+    from irlos_pipe.stages.calibrate.lenslets import with_lenslets
+
+    return with_lenslets(ctx, output, result, cube_input(ctx, recordings, result.options))
 
 
 def _jointly(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:

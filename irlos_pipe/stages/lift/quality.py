@@ -64,9 +64,11 @@ def checks_of(
             config.max_residual_nm,
             f"{summary.residual_rms_nm:.1f} nm RMS about the straight line",
         ),
-        _slope(config, summary),
         _misfit(config, errors),
     ]
+    if not math.isfinite(summary.slope):  # one focus, and no ramp
+        return checks
+    checks.append(_slope(config, summary))
     if config.calibrated:
         checks.append(_error(config, summary))
     if config.calibrated and WITHOUT_NCPAS in others:

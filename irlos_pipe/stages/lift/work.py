@@ -8,7 +8,7 @@ import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.estimate.optics_error import optics_sigma_nm
-from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise
+from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise, summarise_one_offset
 from irlos_pipe.estimate.ramp_fit import RampFit
 from irlos_pipe.estimate.ramp_quality import (
     FrameErrors,
@@ -112,9 +112,17 @@ def _comparison(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> dict[str
 
 def _summarise(ramp: Ramp, fit: RampFit) -> RampSummary:
     try:
+        if _of_one_offset(ramp):
+            return summarise_one_offset(ramp.data.introduced_nm, fit.defocus_nm)
         return summarise(ramp.data.introduced_nm, fit.defocus_nm)
     except ValueError as problem:
         raise InputDataError(f"ramp of {len(ramp.recordings)} recordings: {problem}") from None
+
+
+def _of_one_offset(ramp: Ramp) -> bool:
+    """Whether these are images of a star at one focus, and no ramp."""
+    roles = {recording.acquisition.role for recording in ramp.recordings}
+    return roles == {"psf"} and np.ptp(ramp.data.introduced_nm) == 0
 
 
 # -- what is reported --------------------------------------------------------------------------
@@ -215,6 +223,11 @@ def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary, sigma_nm: np.ndarray
 def _lines(
     ctx: StageContext[Config], fit: RampFit, summary: RampSummary, others: dict[str, RampSummary]
 ) -> list[str]:
+    if not np.isfinite(summary.slope):
+        return [
+            f"Frames          defocus {summary.offset_nm:+.1f} nm on average beyond the known wavefront, "
+            f"scatter {summary.residual_rms_nm:.1f} nm RMS"
+        ]
     label = "with NCPAs" if ctx.config.calibrated else "without NCPAs"
     lines = [
         f"Ramp            slope {summary.slope:.4f} ± {summary.slope_sigma:.4f}, "

@@ -1,0 +1,81 @@
+"""LIFT on the four images of a 2x2 mode, and what they determine.
+
+Truth: wavefronts put into the model itself with Gaussian noise, so these tests share all assumptions of the
+model; `tests/simulate/test_simulate_lenslets.py` compares its images with those of the simulator.
+"""
+
+import numpy as np
+import pytest
+import torch
+
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.lenslet_images import SIGMA_MAS, LensletImages
+from irlos_pipe.estimate.centroids import gradient_matrix
+from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.identified import identified
+from irlos_pipe.estimate.lift import lift
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.optics.lenslets import LensletArray
+from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
+
+SETTINGS = PsfSettings(
+    load_instrument("irlos").pupil,
+    (24, 24),
+    78.0,
+    ((1250.0, 0.5), (1650.0, 0.5)),
+    KnownWavefront(),
+    64,
+    lenslets=2,
+).for_broad_images()
+NOISE, GOOD = NoiseModel(1.25, 4.0), torch.ones(24, 24, dtype=torch.bool)
+
+
+@pytest.fixture(scope="module")
+def model() -> ImageModel:
+    return ImageModel(LensletArray(SETTINGS, (2, 3, 4, 5, 6), dtype=torch.float64))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("defocus_nm", [-250.0, 80.0])
+def test_defocus_has_the_right_sign_and_the_scatter_of_the_cramer_rao_bound(model, defocus_nm):
+    frames, flux = 40, 3e4
+    truth = torch.tensor([[20.0, -30.0, defocus_nm, 25.0, -20.0]], dtype=torch.float64)
+    mean = model.predict(truth, torch.tensor([flux]).double(), torch.zeros(1).double())
+    noise = torch.randn(frames, 24, 24, dtype=torch.float64, generator=torch.Generator().manual_seed(4))
+    images = mean + noise * NOISE.variance_e2(mean).sqrt()
+    result = lift(model, images, GOOD, NOISE, torch.zeros(frames, 5, dtype=torch.float64))
+    bound = cramer_rao_nm(model, truth, torch.tensor([flux]), NOISE)[0]
+    errors = result.zernike_nm - truth
+    assert bool(result.solution.converged.all())
+    assert errors.mean(0).abs().numpy() == pytest.approx(
+        np.zeros(5), abs=4 * float(bound.max()) / frames**0.5
+    )
+    assert (errors.std(0) / bound).numpy() == pytest.approx(np.ones(5), abs=0.45)  # 40 frames: 11 %
+
+
+def test_what_displaced_images_leave_of_defocus_is_their_prior_over_the_gradient(model):
+    """A prior of σ on eight displacements is σ/|g| on the mode with displacements g per nm, beside the noise.
+
+    Of a faint star: the shape of bright images tells defocus from displacements.
+    """
+    flux, nothing = torch.tensor([3e4]).double(), torch.zeros(1, dtype=torch.float64)
+    image = model.predict(torch.zeros(1, 5, dtype=torch.float64), flux, nothing)
+    frames, loose, focus = Frames(image, GOOD, NOISE), np.full(5, 1e4), model.psf.nolls.index(4)
+    free = ImageModel(model.psf, [LensletImages()])
+    held_nm = identified(model, {}, torch.zeros(0).double(), frames, loose).bound_nm[focus]
+    found_nm = identified(free, {}, torch.zeros(12).double(), frames, loose).bound_nm[focus]
+    by_prior_nm = SIGMA_MAS / np.linalg.norm(gradient_matrix(SETTINGS.geometry)[:, focus])
+    assert found_nm == pytest.approx(np.hypot(held_nm, by_prior_nm), rel=0.05)
+
+
+def test_a_dark_image_determines_nothing_and_a_bright_one_everything(model):
+    nothing = torch.zeros(0, dtype=torch.float64)
+    dark = Frames(torch.full((1, 24, 24), 1e-9, dtype=torch.float64), GOOD, NOISE)
+    bright = Frames(torch.full((1, 24, 24), 1e6, dtype=torch.float64), GOOD, NOISE)
+    prior = np.full(5, 100.0)
+    assert identified(model, {4: 30.0}, nothing, dark, prior).combinations == 0
+    found = identified(model, {4: 30.0}, nothing, bright, prior)
+    assert found.combinations == 5 and found.determined() == (2, 3, 4, 5, 6)
+    assert np.all(found.left < 0.01)
