@@ -42,7 +42,8 @@ def test_the_undisturbed_run_names_the_damaged_file_and_reduces_the_rest(harness
 
 @pytest.mark.parametrize("part", [0.2, 0.5, 0.8])
 def test_after_a_kill_nothing_partial_is_seen_and_the_next_run_makes_the_same_bits(harness, tree, part):
-    end = harness.killed(tree, part * harness.seconds)
+    end = harness.killed(tree, part)
+    assert end.code in (-signal.SIGPROF, harness.end.code)  # where the first run needed more work
     assert after_harm(tree, end) == [] and harness.after_rerun(tree) == []
 
 

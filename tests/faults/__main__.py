@@ -106,7 +106,7 @@ def _suffered(harm: Harm) -> tuple[Harm, int, list[str]]:
 def _harmed(harness: Harness, tree: Path, harm: Harm) -> End:
     name, number, at = harm
     if name == KILL:
-        return harness.killed(tree, at * harness.seconds)
+        return harness.killed(tree, at)
     if name == SIGNAL:
         return harness.signalled(tree, at * harness.seconds, SIGNALS[number % len(SIGNALS)])
     return harness.filled(tree, round(SMALLEST_BYTES * (harness.largest / SMALLEST_BYTES) ** at))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from faults.runs import End, Patches, make_night, no_file_above, rewritten, run, signalled
+from faults.runs import End, Patches, end_at, make_night, no_file_above, rewritten, run, signalled
 from faults.tree import broken, content, leftovers
 from irlos_pipe.pipeline.provenance import software_versions
 
@@ -29,9 +29,9 @@ class Harness:
         self.largest = max(path.stat().st_size for path in whole.rglob("*") if path.is_file())
         print(f"undisturbed: exit {self.end.code}, {self.seconds:.2f} s, {len(self.content)} things compared")
 
-    def killed(self, tree: Path, after_s: float) -> End:
-        """Kill a run."""
-        return signalled(self.bench, tree, after_s)
+    def killed(self, tree: Path, part: float) -> End:
+        """Kill a run after a part of the work (0 to 1) of the undisturbed one."""
+        return run(self.bench, tree, end_at(part * self.end.cpu_s))
 
     def signalled(self, tree: Path, after_s: float, number: int) -> End:
         """Ask a run to end; one that is not yet at work ends at once."""

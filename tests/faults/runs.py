@@ -33,10 +33,21 @@ class Patches:
 
 @dataclass(frozen=True)
 class End:
-    """How a process ended: exit code (minus the signal that killed it), and what it wrote to stderr."""
+    """How a process ended.
+
+    Attributes
+    ----------
+    code : int
+        Exit code; minus the signal that killed it.
+    stderr : str
+        What it wrote there.
+    cpu_s : float
+        Processor time that it used [s].
+    """
 
     code: int
     stderr: str
+    cpu_s: float
 
 
 def make_night(folder: Path, patches: object = Patches) -> night_bench.NightBench:
@@ -61,7 +72,8 @@ class Running:
         """Wait for its end."""
         with open(self.stderr) as stream:
             stderr = stream.read()
-        return End(os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1]), stderr)
+        _, status, used = os.wait4(self.pid, 0)
+        return End(os.waitstatus_to_exitcode(status), stderr, used.ru_utime + used.ru_stime)
 
 
 def start(bench: night_bench.NightBench, tree: Path, harm: Callable[[], None] = lambda: None) -> Running:
@@ -82,7 +94,7 @@ def run(bench: night_bench.NightBench, tree: Path, harm: Callable[[], None] = la
     return start(bench, tree, harm).end()
 
 
-def signalled(bench: night_bench.NightBench, tree: Path, after_s: float, number: int = signal.SIGKILL) -> End:
+def signalled(bench: night_bench.NightBench, tree: Path, after_s: float, number: int) -> End:
     """Run ``irlos night`` and send it a signal after a while."""
     running = start(bench, tree)
     time.sleep(after_s)
@@ -108,6 +120,19 @@ def rewritten(bench: night_bench.NightBench) -> Iterator[None]:
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
         path.write_bytes(whole)
+
+
+def end_at(cpu_s: float) -> Callable[[], None]:
+    """Harm: the kernel ends the process, as by ``kill -9``, when it has used some processor time [s].
+
+    Unlike a moment of the wall clock, this is the same part of the work on an idle and on a busy machine.
+    """
+
+    def limit() -> None:
+        signal.signal(signal.SIGPROF, signal.SIG_DFL)  # nothing of the process runs after that signal
+        signal.setitimer(signal.ITIMER_PROF, max(cpu_s, 1e-6))
+
+    return limit
 
 
 def no_file_above(size: int) -> Callable[[], None]:
