@@ -18,6 +18,7 @@ from irlos_pipe.frames.raw import CalibrationMaps, RawFrames
 from irlos_pipe.frames.recording import Detector
 from irlos_pipe.frames.screening import (
     COSMIC,
+    ODD,
     SATURATED,
     Limits,
     also,
@@ -125,6 +126,7 @@ def clean(
     hits = clipped.outside(~good).and_those(hits)
     in_core = hit_in_core(hits, _mean(images, reasons), len(images), limits)
     reasons = also(reasons, in_core, COSMIC)
+    reasons = also(reasons, search.odd(images, good, reasons), ODD)
     noise = search.noise(images, good, reasons)
     return Cleaned(
         images_e=images,

@@ -13,11 +13,13 @@ from irlos_pipe.frames.bad_pixels import (
 )
 from irlos_pipe.frames.blocks import picked, sample_frames
 from irlos_pipe.frames.clipping import clipped_samples
-from irlos_pipe.frames.hits import NO_HITS, Hits, cosmic_hits, flickering_pixels, without_hits
+from irlos_pipe.frames.hits import NO_HITS, Hits, cosmic_hits, flickering_pixels, odd_frames, without_hits
 from irlos_pipe.frames.measured_noise import MeasuredNoise, measure_noise
 from irlos_pipe.frames.neighbour_prediction import MIN_SAMPLING_PX, is_well_sampled, neighbour_prediction
 from irlos_pipe.frames.noise import MIN_FRAMES_FOR_NOISE, NoiseModel
 from irlos_pipe.frames.recording import Detector
+
+LEAST_FRAMES = 3  # whose median a single one does not move
 
 
 class PixelSearch:
@@ -83,6 +85,13 @@ class PixelSearch:
         if not self._well_sampled or len(used) < 2:
             return good, images, NO_HITS
         return self._without(images, good, cosmic_hits(images, used, good, *self._settings), len(used))
+
+    def odd(self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray) -> np.ndarray:
+        """Return which frames have detail that no light makes, (frames,); see `hits` for the arguments."""
+        odd, used = np.zeros(len(images), dtype=bool), np.flatnonzero(reasons == "")
+        if self._well_sampled and len(used) >= LEAST_FRAMES:
+            odd[used] = odd_frames(images, used, good, *self._settings)
+        return odd
 
     def noise(self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray) -> MeasuredNoise:
         """Measure the noise; `images`, `good` and `reasons` are those of `bad_pixels`."""

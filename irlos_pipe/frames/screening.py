@@ -20,6 +20,7 @@ NO_STAR = "no star above the noise"
 AT_EDGE = "star at the edge of the window"
 FLUX = "flux outlier"
 COSMIC = "cosmic hit in the core"
+ODD = "detail finer than the optics make"
 REASON_TYPE = "<U40"
 MIN_FRAMES_FOR_FLUX = 5
 

@@ -256,6 +256,26 @@ def test_a_hit_in_the_core_costs_its_pixel_and_many_cost_the_frame(tmp_path):
     assert recording.reason[9] == "cosmic hit in the core"
 
 
+@pytest.mark.parametrize("damage", ["last value", "zeros", "noise"])
+def test_a_frame_with_a_row_that_no_light_makes_is_not_used(tmp_path, damage):
+    adu = counts(IMAGE, 8)
+    row, column = np.unravel_index(IMAGE.argmax(), IMAGE.shape)
+    rest = adu[5, row + 1, column - 6 :]
+    noise = np.random.default_rng(0).uniform(0, rest.max(), len(rest))
+    rest[:] = {"last value": rest[0], "zeros": 0, "noise": noise}[damage]
+    write_recorder(tmp_path / "rec", adu)
+    recording = only_recording(run(tmp_path))
+    assert np.flatnonzero(~recording.used).tolist() == [5]
+    assert recording.reason[5] in ("detail finer than the optics make", "cosmic hit in the core")
+
+
+def test_detail_that_all_frames_have_costs_none(tmp_path):
+    adu = counts(IMAGE, 8)
+    adu[:, 4] *= 1.2
+    write_recorder(tmp_path / "rec", adu, keys={"detector": {"e_per_adu": 0.5, "read_noise_e": 0.01}})
+    assert only_recording(run(tmp_path)).used.all()
+
+
 PROFILE_NOISE = {"detector": {"e_per_adu": 0.5}}
 
 
