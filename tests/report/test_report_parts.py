@@ -289,5 +289,6 @@ def test_the_prior_of_ten_thousand_frames_takes_little_more_room_than_that_of_so
 
 def test_a_list_of_pixels_is_counted_in_its_tile():
     step = StepRow(effect="bad_pixels", parameters={"pixels": [[24, 9], [25, 9], [32, 32]]})
-    (tile,) = [one for one in verdict_numbers(DiagnoseResults(steps=[step])) if "bad pixels" in one.label]
+    found = DiagnoseResults(verdict="effect", grade="partial", steps=[step])
+    (tile,) = [one for one in verdict_numbers(found) if "bad pixels" in one.label]
     assert tile.value == "3 pixels" and tile.note.count("row") == 3
