@@ -7,7 +7,10 @@ from collections.abc import Iterator
 from itertools import pairwise, takewhile
 
 import click
+import jinja2
 import pytest
+import yaml
+from conftest import invoke
 from helpers.paths import REPOSITORY
 
 import irlos_pipe
@@ -136,9 +139,20 @@ def test_the_version_stands_in_the_citation_and_in_the_changelog():
 
 def test_the_conda_recipe_has_the_version_and_the_requirements_of_the_package():
     text = (REPOSITORY / "packaging" / "meta.yaml").read_text()
+    recipe = yaml.safe_load(
+        jinja2.Environment(undefined=jinja2.StrictUndefined).from_string(text).render(PYTHON="python")
+    )
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
-    assert f'version = "{irlos_pipe.__version__}"' in text
-    run = re.findall(r"    - (\S+) (>=\S+)", text.partition("  run:\n")[2])
+    assert (recipe["package"]["name"], recipe["package"]["version"]) == (
+        project["name"],
+        irlos_pipe.__version__,
+    )
+    (entry,) = [f"{name} = {target}" for name, target in project["scripts"].items()]
+    assert recipe["build"]["entry_points"] == [entry]
+    for call in recipe["test"]["commands"]:
+        program, *arguments = call.split()
+        assert program != "irlos" or invoke(*arguments).exit_code == 0, call
+    run = [line.split() for line in recipe["requirements"]["run"]]
     other_names = {"pytorch": "torch", "astropy-base": "astropy", "matplotlib-base": "matplotlib"}
     assert [f"{other_names.get(name, name)}{limits}" for name, limits in run] == [
         f"python{project['requires-python']}",
