@@ -26,7 +26,8 @@ from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.pupil import band_limited_parts
 
-DARK = 1e-12  # of the largest amplitude: what effects make of less light is not looked at
+DARK, FAINT = 1e-12, 0.02  # of the largest amplitude
+BEYOND = 0.5  # by which the band-limited parts of a faint amplitude may ring over it
 
 
 class LensletArray:
@@ -56,6 +57,7 @@ class LensletArray:
         self.device, self.dtype = self.whole.device, self.whole.dtype
         grid = self.whole.pupil_grid
         self._amplitudes = np.where(grid.lit, _quarters(settings.geometry, grid.samples), 0) * grid.light
+        self._weights = _weights(grid.amplitude, self._amplitudes)
         self.paths = [self.whole.with_amplitude(one) for one in self._amplitudes]
 
     @property
@@ -144,14 +146,8 @@ class LensletArray:
         )
 
     def _through(self, pupil: torch.Tensor, lenslet: int) -> torch.Tensor:
-        """The part of a disturbed `pupil`, (wavelengths, n, n), before a lenslet.
-
-        What effects do to light is a factor on the amplitude, the same in the part as in the whole.
-        """
-        whole = torch.as_tensor(self.whole.pupil_grid.amplitude)
-        seen = whole.abs() > DARK * whole.abs().max()
-        factor = torch.where(seen, pupil / torch.where(seen, whole, 1.0), 0.0)
-        return factor * torch.as_tensor(self._amplitudes[lenslet])
+        """The part of a disturbed `pupil`, (wavelengths, n, n), before a lenslet."""
+        return pupil * torch.as_tensor(self._weights[lenslet])
 
 
 @lru_cache(maxsize=8)
@@ -164,6 +160,18 @@ def _quarters(geometry: PupilGeometry, samples: int) -> np.ndarray:
             yield number, columns, (y_m > 0) == up
 
     return band_limited_parts(geometry, samples, 4, shares)
+
+
+def _weights(whole: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """By what to multiply an amplitude to get its parts, (4, n, n).
+
+    They are ratios of amplitudes: what an effect does to the light of the pupil it does to that of a part.
+    Where there is hardly light, the ratio is held near 0 to 1.
+    """
+    seen = np.abs(whole) > DARK * np.abs(whole).max()
+    ratio = np.divide(parts, whole, out=np.zeros_like(parts), where=seen)
+    faint = np.abs(whole) < FAINT * np.abs(whole).max()
+    return np.where(faint, ratio.clip(-BEYOND, 1 + BEYOND), ratio)
 
 
 def side_by_side(parts: Sequence[torch.Tensor]) -> torch.Tensor:
