@@ -12,7 +12,7 @@ from irlos_pipe.estimate.setups import calibrate_setups
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.config import Config
-from irlos_pipe.stages.calibrate.input import cube_input, require_calibration
+from irlos_pipe.stages.calibrate.input import CubeInput, cube_input, require_calibration
 from irlos_pipe.stages.calibrate.output import joint_output, wfe_nm
 from irlos_pipe.stages.calibrate.per_recording import Cube, each_output
 from irlos_pipe.stages.calibrate.setups import by_setup, require_joint, setups_of
@@ -34,7 +34,9 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
         raise InputDataError(_no_frame(recordings[0]))
     if any(differences(used[0], other, SETUP_KEYS) for other in used[1:]):
         return _jointly(ctx, used)
-    result = _calibrate(ctx, recordings, ctx.config.options(ctx.instrument.facility.ncpa_law))
+    options = ctx.config.options(ctx.instrument.facility.ncpa_law)
+    cube = cube_input(ctx, recordings, options)
+    result = _calibrated(ctx, recordings[0].name, cube, options)
     others = [
         _calibrate(ctx, recordings, ctx.config.options(ctx.instrument.facility.ncpa_law, method))
         for method in ctx.config.compare
@@ -47,7 +49,7 @@ def _together(ctx: StageContext[Config], recordings: list[Recording]) -> StageOu
         return output
     from irlos_pipe.stages.calibrate.lenslets import with_lenslets
 
-    return with_lenslets(ctx, output, result, cube_input(ctx, recordings, result.options))
+    return with_lenslets(ctx, output, result, cube)
 
 
 def _jointly(ctx: StageContext[Config], recordings: list[Recording]) -> StageOutput:
@@ -87,7 +89,13 @@ def _calibrate(
     ctx: StageContext[Config], recordings: list[Recording], options: CalibrationOptions
 ) -> Calibration:
     """One method on all frames of the recordings."""
-    first, cube = recordings[0], cube_input(ctx, recordings, options)
+    return _calibrated(ctx, recordings[0].name, cube_input(ctx, recordings, options), options)
+
+
+def _calibrated(
+    ctx: StageContext[Config], name: str, cube: CubeInput, options: CalibrationOptions
+) -> Calibration:
+    """One method on a cube that begins with the recording `name`."""
     total = scheme_of(options).fits(cube.frames)
     with ctx.progress(total=total, desc=f"calibrate {options.method}") as bar:
         result = calibrate(
@@ -95,7 +103,7 @@ def _calibrate(
         )
     ctx.log.info(
         "%s, %s: %.1f nm RMS, chi2/nu %.2f, %.1f s",
-        first.name,
+        name,
         options.method,
         wfe_nm(result.nolls, result.zernike_nm),
         result.chi2_nu,

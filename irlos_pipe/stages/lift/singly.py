@@ -34,9 +34,18 @@ def light_path(
         Its acquisition and window; its frames do not matter.
     calibrated, halo
         See `fit_frames`.
+
+    Raises
+    ------
+    ConfigurationError
+        For a recording of a 2x2 mode, whose images are not tabulated.
     """
     ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
     settings = psf_settings(ctx.instrument, ctx.model, recording, ncpa_nm=ncpa_nm)
+    if settings.lenslets > 1:
+        raise ConfigurationError(
+            f"{recording.name}: frames of 2x2 modes cannot be measured singly; set lift.singly=false"
+        )
     psf = PsfModel(settings.for_single_frames(), NOLLS)
     kernel = ctx.config.object_sigma_mas
     effects = effects_for_lift(ctx, recording, halo, kernel, calibrated=calibrated)
