@@ -40,7 +40,7 @@ BEADS = $(MEASURED)/microscopy_pyotf/psf_wl520nm_z300nm_x130nm_na0.85_n1.0.tif
 where = if test -f $(1); then $(2) || test $$? -eq 4; fi
 
 .DEFAULT_GOAL := help
-.PHONY: help env env-test demo docs test test-quick lint bench fuzz faults misled clean full calibrate dip-global ramp
+.PHONY: help env env-test demo docs test test-quick test-long lint bench fuzz faults misled clean full calibrate dip-global ramp
 .PHONY: focus-demo sensitivity paper paper-quick paper-tables simulate night diagnose-suite measured
 
 help: ## list the targets
@@ -68,11 +68,14 @@ $(VENV)/.env-docs: pyproject.toml constraints.txt | $(BIN)/python
 demo: env ## reduce data_samples/ completely and compare the result with the truth
 	$(BIN)/irlos demo --output $(DEMO) $(ARGS)
 
-test: env-test ## run all tests, one process per processor
+test: env-test ## run the tests, one process per processor; all but those of test-long
 	$(PYTEST) $(ARGS)
 
 test-quick: env-test ## run the tests that are not marked slow, in about a minute
 	$(PYTEST) -m "not slow" $(ARGS)
+
+test-long: env-test ## run the tests that take more than half a minute each
+	$(PYTEST) -m long $(ARGS)
 
 lint: env-test ## check formatting, style and types
 	$(BIN)/ruff format --check .

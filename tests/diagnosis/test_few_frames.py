@@ -109,6 +109,7 @@ def test_a_companion_is_named_with_its_size_in_a_single_image():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_what_the_catalogue_lacks_is_unknown_in_a_single_image():
     verdict = diagnosis_of("spot", 1)
     assert verdict.verdict == "unknown"

@@ -159,6 +159,7 @@ def of_two_stars() -> Diagnosis:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_ghost_common_to_two_stars_and_a_companion_of_one_have_their_names(of_two_stars):
     steps = {step.name: step for step in of_two_stars.steps}
     assert set(steps) == {"ghost", "companion"}
@@ -170,6 +171,7 @@ def test_a_ghost_common_to_two_stars_and_a_companion_of_one_have_their_names(of_
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_sentence_says_what_they_share(of_two_stars):
     findings = {one.labels[0]: one.finding for one in of_two_stars.together.sharing}
     assert findings == {"ghost": "common", "companion": "differs"}
