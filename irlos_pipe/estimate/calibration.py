@@ -229,7 +229,7 @@ class _Task:
     def _solve(self, problem: ImageFit, start: torch.Tensor, report: Report | None = None) -> Solution:
         limit = self.options.max_iterations
         if self.options.optimiser == "lbfgs":
-            return solve_lbfgs(problem, start, max_iterations=5 * limit)
+            return solve_lbfgs(problem, start, max_iterations=3 * limit)
         return scheme_of(self.options).solve(problem, start, limit, report)
 
 

@@ -126,7 +126,7 @@ class CalibrationOptions:
     optimiser: OptimiserName = "lm"
     highest_noll: HighestNoll | None = None
     prior: NcpaPrior | None = None
-    max_iterations: int = 60
+    max_iterations: int = 100
     law: NcpaLaw | None = None
 
     @property
