@@ -38,8 +38,8 @@ from irlos_pipe.simulate.recordings.sidecar import side_car
 from irlos_pipe.simulate.recordings.spec import load_spec
 
 CASES = all_cases()
-# The suite's instrument moves its focus in a slow beam, and its petals are those of `low_wind_effect`.
-ELSEWHERE = {"correlated_noise", "high_aperture", "segment_piston"}
+# The suite moves its focus in a slow beam, has no lenslets, and petals are those of `low_wind_effect`.
+ELSEWHERE = {"lenslet_images", "correlated_noise", "high_aperture", "segment_piston"}
 SMALL_MDB = {"companion": {"flux_ratio": 0.001}}
 
 

@@ -6,9 +6,7 @@ conversion to NumPy; scalars, the source of a copy, and indices of what is on th
 """
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 from itertools import chain
-from unittest.mock import patch
 
 import torch
 from torch.overrides import TorchFunctionMode
@@ -17,7 +15,6 @@ from torch.utils.weak import WeakIdKeyDictionary
 DEVICE = "cuda"
 TO_NUMPY = (torch.Tensor.numpy, torch.Tensor.__array__)
 ITEMS = (torch.Tensor.__getitem__, torch.Tensor.__setitem__)
-JVP, VMAP = torch.func.jvp, torch.func.vmap  # they replace tensors by others without telling
 INTO_FIRST = (*ITEMS, torch.Tensor.copy_)
 
 
@@ -31,27 +28,6 @@ class StandInDevice(TorchFunctionMode):
     def __init__(self):
         super().__init__()
         self.there, self.operations = WeakIdKeyDictionary(), 0
-        self.patches = ExitStack()
-
-    def __enter__(self):
-        self.patches.enter_context(patch.object(torch.func, "jvp", self._jvp))
-        self.patches.enter_context(patch.object(torch.func, "vmap", self._vmap))
-        return super().__enter__()
-
-    def __exit__(self, *error):
-        self.patches.close()
-        return super().__exit__(*error)
-
-    def _jvp(self, function, primals, tangents):
-        followed = _Followed(function, primals, self.there)
-        return followed.marked(JVP(followed, primals, tangents))
-
-    def _vmap(self, function, **axes):
-        def mapped(*given):
-            followed = _Followed(function, given, self.there)
-            return followed.marked(VMAP(followed, **axes)(*given))
-
-        return mapped
 
     def __torch_function__(self, function, types, args=(), kwargs=None):
         kwargs = kwargs or {}
@@ -59,6 +35,8 @@ class StandInDevice(TorchFunctionMode):
             return torch.device(DEVICE if args[0] in self.there else "cpu")
         if function in TO_NUMPY and args[0] in self.there:
             raise TypeError(f"can't convert a tensor on {DEVICE} to numpy; use Tensor.cpu() first")
+        if function is torch.autograd.grad:
+            return self._gradients(*args, **kwargs)
         target = self._target(function, args, kwargs)
         if target is None and self._mixes(function, args, kwargs):
             raise MixedDevicesError(f"{function.__name__} of tensors on {DEVICE} and on the CPU")
@@ -70,6 +48,12 @@ class StandInDevice(TorchFunctionMode):
             self.operations += 1
             _remember(self.there, tensors(result))
         return result
+
+    def _gradients(self, outputs, inputs, **options):
+        """Derivatives are where the inputs are, wherever the outputs are."""
+        found = torch.autograd.grad(outputs, inputs, **options)
+        _remember(self.there, [one for one, own in zip(found, inputs, strict=True) if own in self.there])
+        return found
 
     def _target(self, function, args, kwargs) -> str | None:
         """Device that a call names."""
@@ -99,25 +83,6 @@ class StandInDevice(TorchFunctionMode):
         """Whether what is computed from these is on the device."""
         sources = args[:1] if function in INTO_FIRST else (args, kwargs)
         return any(tensor in self.there for tensor in tensors(sources))
-
-
-class _Followed:
-    """A function called with stand-ins of the tensors that were given."""
-
-    def __init__(self, function, given, there):
-        self.function, self.given, self.there, self.stays = function, given, there, False
-
-    def __call__(self, *inside):
-        pairs = zip(inside, self.given, strict=True)
-        _remember(self.there, [one for one, own in pairs if own in self.there])
-        result = self.function(*inside)
-        self.stays = result in self.there
-        return result
-
-    def marked(self, results):
-        if self.stays:
-            _remember(self.there, tensors(results))
-        return results
 
 
 def _remember(there, found) -> None:

@@ -15,6 +15,7 @@ from irlos_pipe.recipe import load_recipe
 
 COMPANION = {"flux_ratio": 0.04, "sep_mas": 150.0, "pa_deg": 300.0}
 RECIPES = sorted((paths.RECIPES).glob("*.yaml"))
+SAMPLED = [path for path in RECIPES if "samples" in yaml.safe_load(path.read_text())]
 
 
 def error_lines(bench, text: str = RECIPE, **changes) -> list[str]:
@@ -244,13 +245,19 @@ def test_a_recipe_of_the_project_is_named_like_its_file_and_has_a_title(path):
     assert content["recipe"] == path.stem and content["title"]
 
 
-@pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", SAMPLED, ids=lambda path: path.stem)
 def test_a_recipe_of_the_project_takes_samples_only_if_asked_to(path):
     with pytest.raises(ConfigurationError, match=r"is not given; add --input .*, or --samples"):
         load_recipe(path)
     recipe = load_recipe(path.stem, samples=True)
     assert recipe.path == path and recipe.samples == tuple(recipe.inputs)
     assert "simulated sample" in recipe.notice
+
+
+def test_a_recipe_without_samples_asks_for_its_input_alone():
+    for samples in (False, True):
+        with pytest.raises(ConfigurationError, match=r"'cube' is not given; add --input cube=PATH$"):
+            load_recipe("two_by_two", samples=samples)
 
 
 def test_an_input_that_is_given_is_not_replaced_by_a_sample(tmp_path):
