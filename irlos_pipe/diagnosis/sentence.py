@@ -84,10 +84,11 @@ def _advised(diagnosis: Diagnosis) -> str:
     by_recording: dict[str, list[str]] = {}
     for name, advice in diagnosis.advice.items():
         by_recording.setdefault(advice.recording, []).append(name)
-    return "".join(
-        f" Untestable here: {', '.join(names)}; a second recording {recording} would show it."
+    shown = [
+        f"{', '.join(names)} (a second recording {recording} would show it)"
         for recording, names in by_recording.items()
-    )
+    ]
+    return f" Untestable here: {'; '.join(shown)}." if shown else ""
 
 
 def _others(steps: Sequence[Step]) -> str:
