@@ -6,23 +6,14 @@ import numpy as np
 import pytest
 import torch
 from helpers.effect_cases import CONDITIONS
+from helpers.lenslet_cases import lenslet_settings
 
 from irlos_pipe.conventions.units import tilt_nm
 from irlos_pipe.effects import CATALOGUE, EffectSet
 from irlos_pipe.effects.lenslet_images import LensletImages
-from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.lenslets import LensletArray, apart
-from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 
-SETTINGS = PsfSettings(
-    load_instrument("irlos").pupil,
-    (20, 20),
-    78.0,
-    ((1250.0, 0.5), (1650.0, 0.5)),
-    KnownWavefront(),
-    64,
-    lenslets=2,
-).for_broad_images()
+SETTINGS = lenslet_settings(20)
 VALUES = {"x_mas": [20.0, 0.0, -5.0, 0.0], "y_mas": [0.0, -15.0, 5.0, 0.0], "flux": [0.0, 0.0, 0.2, -0.1]}
 WAVEFRONT = torch.tensor([[10.0, -5.0, 60.0]], dtype=torch.float64)
 

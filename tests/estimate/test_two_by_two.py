@@ -7,6 +7,7 @@ model; `tests/simulate/test_simulate_lenslets.py` compares its images with those
 import numpy as np
 import pytest
 import torch
+from helpers.lenslet_cases import lenslet_settings
 
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.lenslet_images import SIGMA_MAS, LensletImages
@@ -16,19 +17,9 @@ from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.identified import identified
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.frames.noise import NoiseModel
-from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.lenslets import LensletArray
-from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 
-SETTINGS = PsfSettings(
-    load_instrument("irlos").pupil,
-    (24, 24),
-    78.0,
-    ((1250.0, 0.5), (1650.0, 0.5)),
-    KnownWavefront(),
-    64,
-    lenslets=2,
-).for_broad_images()
+SETTINGS = lenslet_settings(24)
 NOISE, GOOD = NoiseModel(1.25, 4.0), torch.ones(24, 24, dtype=torch.bool)
 
 
