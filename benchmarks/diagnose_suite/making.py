@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.diagnose_suite.cases import Case
-from benchmarks.diagnose_suite.foreign import Image
+from benchmarks.diagnose_suite.foreign import Image, unchanged
 from benchmarks.diagnose_suite.planning import plan_case
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import json_text
@@ -35,8 +35,8 @@ def make_case(case: Case, data: Path, truth: Path) -> None:
     plan = plan_case(case, truth / f"{case.name}.yaml")
     zernike_nm = {}
     for planned in plan.recordings:
-        zernike_nm[planned.name] = _record(
-            planned, data / planned.name, plan.foreign.image, case.setting.highest_noll
+        zernike_nm[planned.name] = record(
+            planned, data / planned.name, case.setting.highest_noll, plan.foreign.image
         )
     content = {
         "kind": case.kind,
@@ -54,7 +54,7 @@ def make_case(case: Case, data: Path, truth: Path) -> None:
     write_bytes(truth / f"{case.name}.json", json_text(content).encode())
 
 
-def _record(planned: Planned, folder: Path, hide: Image, highest_noll: int) -> dict[int, float]:
+def record(planned: Planned, folder: Path, highest_noll: int, hide: Image = unchanged) -> dict[int, float]:
     """Write one recording; returns the modes of its mean wavefront, Noll: nm RMS.
 
     They are fitted together with all modes that the wavefront has, at least up to `highest_noll`: those of

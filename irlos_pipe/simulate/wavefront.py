@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -38,7 +38,7 @@ class StaticWavefront:
         self._defocus = shapes[0] if shapes else self._declared_defocus
         self._diversity_nm = telescope.opd_nm(scene.diversity_nm)
         effects = scene.acting(WavefrontEffect)
-        self._static_nm = telescope.opd_nm(_static_zernike_nm(scene, effects))
+        self._static_nm = telescope.opd_nm(static_zernike_nm(scene))
         for effect in effects:
             self._static_nm = self._static_nm + effect.static_opd_nm(telescope)
         drift = _sum_nm(effect.drift_zernike_nm() for effect in effects)
@@ -62,9 +62,10 @@ class StaticWavefront:
         return all(values[frame] == values[other] for values in series)
 
 
-def _static_zernike_nm(scene: Scene, effects: Sequence[WavefrontEffect]) -> dict[int, float]:
-    """NCPAs before and after the derotator, and static modes of the effects, Noll: nm RMS."""
+def static_zernike_nm(scene: Scene) -> dict[int, float]:
+    """Return NCPAs before and after the derotator, and static modes of the effects, Noll: nm RMS."""
     rotated = rotated_nm(scene.rotating_nm, scene.derotator_angle_deg)
+    effects = scene.acting(WavefrontEffect)
     return _sum_nm(
         [scene.ncpa_nm, rotated, *(effect.static_zernike_nm(scene.diversity_nm) for effect in effects)]
     )
