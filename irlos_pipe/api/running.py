@@ -104,7 +104,7 @@ def run(
     force : bool
         Run stages even if their products are up to date.
     device : str
-        ``cpu`` or ``cuda``.
+        ``cpu``, ``cuda`` or ``auto``.
     jobs : int
         Number of threads.
 

@@ -116,6 +116,7 @@ def resources_of(device: str, jobs: int | None, quiet: bool) -> Resources:
     Parameters
     ----------
     device : {"cpu", "cuda", "auto"}
+        It is an error at once that there is no ``cuda``; what ``auto`` means is seen when a stage runs.
     jobs : int or None
         Threads or processes; None for all processors.
     quiet : bool
@@ -123,9 +124,11 @@ def resources_of(device: str, jobs: int | None, quiet: bool) -> Resources:
     """
     from irlos_pipe.pipeline import resources
 
+    if device == "cuda":
+        resources.resolve_device(device)
     show_bars = sys.stderr.isatty() and not quiet
     return resources.Resources(
-        resources.resolve_device(device),
+        device,
         jobs or resources.available_cpus(),
         resources.terminal_progress if show_bars else resources.silent_progress,
     )

@@ -12,8 +12,7 @@ from irlos_pipe.night.reduce import UNCHANGED, Reduced
 from irlos_pipe.night.state import Night
 from irlos_pipe.night.tasks import Job
 from irlos_pipe.night.trend import Series, Trend
-from irlos_pipe.night.trend_plots import label, series_drawing, structure_drawing
-from irlos_pipe.night.trend_text import validity_number, validity_text
+from irlos_pipe.night.trend_text import label, validity_number, validity_text
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.report.content import Figure, KeyNumber, Section, Stack, Table, Text
 from irlos_pipe.report.text import MISSING, duration, number, plural, with_error
@@ -177,6 +176,9 @@ def trend_section(trend: Trend) -> Section | None:
     """Return plots of numbers against time, and of the stability of the NCPAs; of one night its numbers."""
     if len({point.night for one in trend.series for point in one.points}) == 1:
         return Section("trend", "Trend", "One night so far: numbers without a trend.", [_numbers(trend)])
+    # late: most runs of a night find nothing new, draw nothing, and need no matplotlib
+    from irlos_pipe.night.trend_plots import series_drawing, structure_drawing
+
     modes, others = drawn(trend, DRAWN_MODES), drawn(trend, DRAWN_OTHERS)
     blocks: list[Figure | Table | Text | Stack] = []
     beside: list[Figure] = []

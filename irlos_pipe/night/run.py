@@ -217,10 +217,11 @@ def _work_on(request: Request, state: RunState, runner: Runner, wanted: Callable
     for name, reduced in {name: _without_work(job.task) for name, job in jobs.items()}.items():
         if reduced is not None:
             _record(request, state, jobs[name], reduced)
-    todo = [job.task for night in state.nights.values() for job in night.unfinished if wanted(job)]
+    todo = []
     for night in state.nights.values():
-        if night.unfinished:
+        if tasks := [job.task for job in night.unfinished if wanted(job)]:
             begin_page(request.tree, night)
+            todo += tasks
     for number, reduced in enumerate(runner(reduce_group, todo) if todo else (), 1):
         RUN.info("%d of %d: %s", number, len(todo), _progress(reduced))
         _record(request, state, jobs[reduced.name], reduced)

@@ -28,7 +28,7 @@ class Task:
     recipe, settings, inputs :
         Arguments of `load_recipe`.
     device : str
-        ``cpu`` or ``cuda``.
+        ``cpu``, ``cuda`` or ``auto``.
     threads : int
         Threads of the process that works on it; results do not depend on it.
     limit_s : float
@@ -75,7 +75,7 @@ def jobs_of(groups: Iterable[Group], settings: NightSettings, tree: Path, device
     tree : Path
         Products go to ``tree/<night>/<group>/<recipe>``.
     device : str
-        ``cpu`` or ``cuda``.
+        ``cpu``, ``cuda`` or ``auto``.
 
     Raises
     ------

@@ -17,11 +17,10 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.atomic import atomic_file
 from irlos_pipe.night.stability import DAY_S, Structure
 from irlos_pipe.night.trend import Series, Trend
+from irlos_pipe.night.trend_text import label
 from irlos_pipe.report.drawing import BLUE, CYCLE, ORANGE, SKY, STYLE, svg
 
 WIDTH_IN, PANEL_IN, STRUCTURE_IN = 5.6, 0.95, 3.2
-UNITS = ("nm", "arcsec", "mas")
-SPELLING = {"noll": "Noll", "ncpa": "NCPAs", "ao": "AO"}
 MAX_PANELS = 16
 WIDEST_BAND = 3.0  # shown whole, in ranges of the values
 LAGS_DAYS = {1 / 24: "1 hour", 1: "1 day", 7: "1 week", 30: "1 month", 182: "6 months", 730: "2 years"}
@@ -158,12 +157,3 @@ def _structure(axes: Axes, recipe: str, structure: Structure, colour: str) -> No
 
 def _moment(unix_s: float) -> datetime:
     return datetime.fromtimestamp(unix_s, UTC)
-
-
-def label(name: str) -> str:
-    """Return the name of a number as a label, with its unit in brackets."""
-    plain, _, unit = name.rpartition("_")
-    if unit not in UNITS:
-        return name.replace("_", " ")
-    words = [SPELLING.get(word, word) for word in plain.split("_")]
-    return f"{' '.join(words)} [{unit}]"

@@ -23,6 +23,8 @@ VERDICT_COLUMNS = ("night", "group", "verdict", "effects")
 POINT_COLUMNS = (
     "name", "recipe", "configuration", "night", "run", "unix_s", "value", "sigma", "low", "high", "alarm",
 )  # fmt: skip
+UNITS = ("nm", "arcsec", "mas")
+SPELLING = {"noll": "Noll", "ncpa": "NCPAs", "ao": "AO"}
 MOST_VERDICTS = 3
 FAR = 2.0  # times the longest lag between calibrations: a drift is not drawn out further
 
@@ -213,3 +215,12 @@ def _point(point: Point, band: Band | None) -> dict[str, Any]:
         "sigma": point.sigma,
         "band": band and [band.low, band.high],
     }
+
+
+def label(name: str) -> str:
+    """Return the name of a number as a label, with its unit in brackets."""
+    plain, _, unit = name.rpartition("_")
+    if unit not in UNITS:
+        return name.replace("_", " ")
+    words = [SPELLING.get(word, word) for word in plain.split("_")]
+    return f"{' '.join(words)} [{unit}]"

@@ -14,7 +14,7 @@ from irlos_pipe.pipeline.inputs import InputFile, require_unchanged
 from irlos_pipe.pipeline.origin import origin_of, recordings_of
 from irlos_pipe.pipeline.plan import Action, Step, checksum
 from irlos_pipe.pipeline.provenance import command_line, machine, now, software_versions
-from irlos_pipe.pipeline.resources import Resources, limited_threads
+from irlos_pipe.pipeline.resources import Resources, limited_threads, resolve_device
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
 from irlos_pipe.product.header import Origin
 from irlos_pipe.product.product import Product
@@ -87,7 +87,7 @@ class Job:
             self.recipe.instrument,
             self.recipe.inputs,
             self._read_by(name),
-            self.resources.device,
+            resolve_device(self.resources.device),
             self.recipe.seed,
             self.resources.jobs,
             self.resources.progress,
@@ -143,7 +143,7 @@ class Job:
             "failures": list(output.failures),
             "inputs": self.files,
             "seed": self.recipe.seed,
-            "device": self.resources.device,
+            "device": resolve_device(self.resources.device),
             "jobs": self.resources.jobs,
             "software": software_versions(),
             "machine": machine(),

@@ -25,7 +25,7 @@ class Resources:
     Attributes
     ----------
     device : str
-        ``cpu`` or ``cuda``.
+        ``cpu``, ``cuda`` or ``auto``, which is found out when a stage runs: PyTorch takes long to load.
     jobs : int
         Number of threads or processes.
     progress : callable

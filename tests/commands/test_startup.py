@@ -26,7 +26,10 @@ QUICK = {
     "export": ["export", "RUN/01_ingest.h5", "--list"],
     "trend": ["trend", "RUN"],
 }
-PLANS = ["run", "full_reduction", "--samples", "--output", "RUN", "--dry-run"]
+PLANS = [
+    ["run", "full_reduction", "--samples", "--output", "RUN", "--dry-run"],
+    ["night", "data_samples", "--output", "RUN", "--dry-run"],
+]
 CODE = """
 import json, sys
 from click.testing import CliRunner
@@ -42,8 +45,12 @@ for arguments in json.loads(sys.argv[1]):
 def loaded(tmp_path_factory) -> dict[str, list[str]]:
     """By command, in one process: the large libraries that are there after it."""
     run = str(tmp_path_factory.mktemp("run"))
-    calls = [[one.replace("RUN", run) for one in call] for call in ([], ["--help"], *QUICK.values(), PLANS)]
+    calls = [[one.replace("RUN", run) for one in call] for call in ([], ["--help"], *QUICK.values(), *PLANS)]
     calls[0] = ["--version"]
+    return _loaded_by(calls)
+
+
+def _loaded_by(calls: list[list[str]]) -> dict[str, list[str]]:
     code = CODE.replace("{large}", repr(LARGE))
     done = subprocess.run(
         [sys.executable, "-c", code, json.dumps(calls)], capture_output=True, text=True, cwd=REPOSITORY
@@ -55,10 +62,24 @@ def test_every_command_either_computes_or_starts_at_once():
     assert set(QUICK) | MAY_LOAD == set(cli.commands)
 
 
-@pytest.mark.parametrize("name", ["--version", "--help", *QUICK, "run"])
+@pytest.mark.parametrize("name", ["--version", "--help", *QUICK, "run", "night"])
 def test_a_command_that_computes_nothing_loads_nothing_large(loaded, name):
-    """``run`` stands for ``run --dry-run``. A library once loaded stays: the first command to fail is it."""
+    """A library once loaded stays: the first command to fail is it."""
     assert loaded[name] == []
+
+
+def test_what_is_up_to_date_is_found_to_be_so_without_anything_large(tmp_path):
+    """Runs of every hour, by cron, find nothing to do most of the time."""
+    recipe, data, run = tmp_path / "recipe.yaml", tmp_path / "data", tmp_path / "run"
+    sparta_files.write_recorder(data / "sky", sparta_files.counts(sparta_files.star(12, 12), frames=3))
+    recipe.write_text("recipe: test\ninputs: {cube: data}\nstages: [ingest]\n")
+    config = tmp_path / "night.yaml"
+    config.write_text(f"recipes: {{calibration: [{recipe}]}}\n")
+    night = ["night", str(data), "--output", str(tmp_path / "tree"), "--config", str(config)]
+    calls = [["run", str(recipe), "--output", str(run), "-q"], night]
+    for call in calls:
+        assert invoke(*call).exit_code == 0
+    assert all(not large for large in _loaded_by(calls).values())
 
 
 def test_what_reads_no_recording_does_not_load_astropy_either():

@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from irlos_pipe.commands import night as cli_night
 from irlos_pipe.commands.main import cli
-from irlos_pipe.night import page_sections
+from irlos_pipe.night import trend_plots
 
 NOT_STARTED = 99
 MORNING = "2024-02-11T0{hour}:00:00"
@@ -166,4 +166,4 @@ def _become_a_run(stderr: int) -> None:
     sys.stderr = open(2, "w", closefd=False)  # noqa: SIM115 (ends with the process)
     cli_night._runner = lambda *_: lambda work, tasks: map(work, tasks)
     for name in ("series_drawing", "structure_drawing"):
-        setattr(page_sections, name, lambda *_: Markup("<svg></svg>"))
+        setattr(trend_plots, name, lambda *_: Markup("<svg></svg>"))

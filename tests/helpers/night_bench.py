@@ -17,7 +17,7 @@ from helpers import fake_stages
 from helpers.fake_stages import COUNTS
 from helpers.sparta_files import counts, star, write_recorder
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.night import page_sections
+from irlos_pipe.night import trend_plots
 from irlos_pipe.night.run import Request, run_night
 from irlos_pipe.night.settings import load_settings
 from irlos_pipe.night.state import RunState
@@ -132,7 +132,7 @@ class NightBench:
 def without_drawings(monkeypatch) -> None:
     """Drawing takes most of the time of a small night."""
     for name in ("series_drawing", "structure_drawing"):
-        monkeypatch.setattr(page_sections, name, lambda name, _: Markup("<svg></svg>"))
+        monkeypatch.setattr(trend_plots, name, lambda name, _: Markup("<svg></svg>"))
 
 
 def make(folder: Path, monkeypatch) -> NightBench:

@@ -50,11 +50,12 @@ def test_a_night_is_reduced_into_a_folder_per_group_and_recipe(bench):
 
 def test_a_second_run_does_nothing_and_changes_no_file(bench):
     bench.record(MORNING)
+    bench.record("2024-02-11T03:10:00", "offset", role="defocus_ramp", introduced_defocus_nm=10.0)
     bench.run()
     before, page = contents(bench.run_folder()), bench.page()
     state = bench.run()
-    assert [one.action for one in state.nights["2024-02-10"].reduced.values()] == ["up to date"]
-    assert COUNTS["ingest"] == COUNTS["calibrate"] == COUNTS["lift"] == 1
+    assert [one.action for one in state.nights["2024-02-10"].reduced.values()] == 2 * ["up to date"]
+    assert COUNTS["ingest"] == COUNTS["calibrate"] == COUNTS["lift"] == 2
     assert contents(bench.run_folder()) == before and bench.page() == page
 
 
