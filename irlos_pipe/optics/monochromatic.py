@@ -35,18 +35,14 @@ class Colour(NamedTuple):
     padded: int
     samples: int
 
-    def field(self, opd_nm: torch.Tensor, pupil: torch.Tensor | None = None) -> torch.Tensor:
-        """Return the field ``P exp(2πi OPD/λ)`` of `opd_nm`, (frames, 2, n, n); P may be another `pupil`.
+    def field(self, opd_nm: torch.Tensor) -> torch.Tensor:
+        """Return the field ``P exp(2πi OPD/λ)`` of `opd_nm`, (frames, 2, n, n): real and imaginary part."""
+        return behind(self.pupil, self.phasor(opd_nm))
 
-        The second axis has the real and the imaginary part.
-        """
-        pupil = self.pupil if pupil is None else pupil
+    def phasor(self, opd_nm: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return real and imaginary part of ``exp(2πi OPD/λ)``, (frames, n, n) each."""
         phase = opd_nm * (2 * np.pi * NM / self.wavelength_m)
-        cosine, sine = phase.cos(), phase.sin()
-        if not pupil.is_complex():
-            return torch.stack([pupil * cosine, pupil * sine], dim=1)
-        real, imag = pupil.real, pupil.imag
-        return torch.stack([real * cosine - imag * sine, real * sine + imag * cosine], dim=1)
+        return phase.cos(), phase.sin()
 
     @property
     def single(self) -> Colour:
@@ -76,3 +72,12 @@ class Colour(NamedTuple):
         waves = waves * (self.transfer.conj() / counts)  # the real FFT counts them itself
         spread = torch.fft.irfft2(waves, s=(self.padded,) * 2, norm="forward")
         return spread[..., : self.samples, : self.samples]
+
+
+def behind(pupil: torch.Tensor, phasor: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
+    """Field of a `phasor` behind a real or complex `pupil` (n, n), (frames, 2, n, n)."""
+    cosine, sine = phasor
+    if not pupil.is_complex():
+        return torch.stack([pupil * cosine, pupil * sine], dim=1)
+    real, imag = pupil.real, pupil.imag
+    return torch.stack([real * cosine - imag * sine, real * sine + imag * cosine], dim=1)

@@ -37,11 +37,12 @@ from irlos_pipe.optics.focal_plane import COMPLEX, FocalPlane
 from irlos_pipe.optics.grids import Grids, Optics, PupilGrid, Sampling, Tangents
 from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, Pullback
 from irlos_pipe.optics.matrix_dft import MatrixDft, mirrored, products_up_to
-from irlos_pipe.optics.monochromatic import Colour
+from irlos_pipe.optics.monochromatic import Colour, behind
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.resampled import Rates, resampled
 from irlos_pipe.optics.zernike import in_products, noll_to_nm
 
+FAINT = 0.1  # part of the light, of a copy whose derivatives may be rough
 CHUNK_ELEMENTS = 6_000_000  # complex numbers held per batch of frames
 
 
@@ -58,7 +59,9 @@ class PsfModel:
         Of the propagation; sums over pixels are left to the caller, in float64.
     rough_derivatives : bool
         Take the derivatives of the modes from the focal plane to the pixels in float32 whatever `dtype`
-        is: this halves their cost, and they are exact to 1e-6 of the largest.
+        is: this halves their cost, and they are exact to 1e-6 of the largest. Faint copies of the star
+        change with modes and pupil as the star does, as if they were as sharp, which spares each the cost
+        of another star; this is wrong by a part of their flux.
     """
 
     def __init__(
@@ -184,8 +187,10 @@ class PsfModel:
     def _paths(self, optics: Optics, tangents: Tangents = NO_TANGENTS) -> list[_Path]:
         """What light of every wavelength meets, of the star and of its copies."""
         own = tangents.copies or [NO_TANGENTS] * len(optics.copies)
-        pairs = [(optics, tangents), *zip(optics.copies, own, strict=True)]
-        return [_Path(*pair, index) for pair in pairs for index in range(len(self.weights))]
+        follow = [self.rough_derivatives and _is_faint(one) for one in optics.copies]
+        copies = zip(optics.copies, own, [None] * len(own), follow, strict=True)
+        lights = [(optics, tangents, _together(optics, follow), False), *copies]
+        return [_Path(*light, index) for light in lights for index in range(len(self.weights))]
 
     def _one_path(self, opd: torch.Tensor, path: _Path) -> torch.Tensor:
         """Weighted images at one wavelength."""
@@ -219,21 +224,29 @@ class PsfModel:
 
     def _one_path_with_jacobian(self, opd, modal: bool, path: _Path):
         """Weighted images, and derivatives (parameters, frames, rows, columns), at one wavelength."""
-        _, tangents, index = path
+        tangents, index = path.tangents, path.colour
         colour, dft = self._colour(index, path.optics), self.focal_plane.dfts[index]
-        field = colour.field(opd)
-        if modal:
+        phasor = colour.phasor(opd)
+        field = behind(colour.pupil, phasor)
+        changing = (
+            colour if path.alike is None else colour._replace(transfer=self._transfer(path.alike, index))
+        )
+        if modal and not path.follows:
             amplitude, changes = self._amplitude_and_modal(dft, field, float(colour.wavelength_m))
-            columns = [self._derivatives(colour, changes)]
+            columns = [self._derivatives(changing, changes)]
         else:
             amplitude, columns = dft.amplitude(field), []
 
         def by_pupil(slope: torch.Tensor) -> torch.Tensor:
-            change = dft.amplitude(colour.field(opd, self._pupil(slope, index)))
-            return colour.image(2 * (amplitude * change).sum(1))[None]
+            change = dft.amplitude(behind(mirrored(self._complex(slope[index])), phasor))
+            return changing.image(2 * (amplitude * change).sum(1))[None]
 
-        columns += [by_pupil(one) for one in tangents.pupil]
         intensity = _intensity(amplitude)
+        if path.follows:
+            known = len(tangents.pupil) + (len(self.nolls) if modal else 0)
+            columns = [intensity.new_zeros(known, len(opd), *self.settings.window)]
+        else:
+            columns += [by_pupil(one) for one in tangents.pupil]
         by_transfer = [colour.image(intensity, self._transfer(one, index)) for one in tangents.transfer]
         for place, one in tangents.pupil_too:
             by_transfer[place] = by_transfer[place] + by_pupil(one)[0]
@@ -247,7 +260,7 @@ class PsfModel:
 
     def _resampled(self, colour: Colour, opd: torch.Tensor, path: _Path) -> torch.Tensor:
         """Derivatives of weighted images by the parameters of the sampling; see `resampled`."""
-        (optics, tangents, index), plane = path, self.focal_plane
+        optics, tangents, index, plane = path.optics, path.tangents, path.colour, self.focal_plane
         sampling = optics.sampling or self.grids.sampling
         slopes = plane.pixel_slopes(index, sampling, filtered=colour.transfer is not None)
         every = [
@@ -301,11 +314,35 @@ class PsfModel:
 
 
 class _Path(NamedTuple):
-    """Light of the star, or of a copy of it, at the wavelength with the index `colour`."""
+    """Light of the star, or of a copy of it, at the wavelength with the index `colour`.
+
+    Attributes
+    ----------
+    optics, tangents
+    alike : tensor, (wavelengths, p, p//2 + 1), or None
+        OTF factor of star and faint copies, whose derivatives in the pupil are taken together.
+    follows : bool
+        Whether this is one of these copies.
+    colour : int
+    """
 
     optics: Optics
     tangents: Tangents
+    alike: torch.Tensor | None
+    follows: bool
     colour: int
+
+
+def _is_faint(copy: Optics) -> bool:
+    """Whether a copy has so little light that its derivatives may be rough."""
+    return copy.transfer is not None and float(copy.transfer.abs().max()) < FAINT
+
+
+def _together(optics: Optics, follow: Sequence[bool]) -> torch.Tensor | None:
+    """OTF factor of the star and of those copies that follow it; None without any."""
+    factors = [one.transfer for one, so in zip(optics.copies, follow, strict=True) if so]
+    alike = [one for one in (optics.transfer, *factors) if one is not None]
+    return reduce(torch.add, alike) if factors else None
 
 
 def _intensity(amplitude: torch.Tensor) -> torch.Tensor:

@@ -16,7 +16,7 @@ from irlos_pipe.conventions.units import NM
 from irlos_pipe.optics.focal_plane import Matrices
 from irlos_pipe.optics.grids import Sampling
 from irlos_pipe.optics.matrix_dft import MatrixDft
-from irlos_pipe.optics.monochromatic import Colour
+from irlos_pipe.optics.monochromatic import Colour, behind
 
 
 class Rates(NamedTuple):
@@ -64,7 +64,8 @@ def resampled(
     every : sequence of Rates
         One per parameter.
     """
-    field = colour.field(opd_nm)
+    phasor = colour.phasor(opd_nm)
+    field = behind(colour.pupil, phasor)
     amplitude = dft.amplitude(field)
     intensity = amplitude.square().sum(1)
     image, (rows, columns) = colour.image(intensity), pixel_slopes
@@ -78,7 +79,7 @@ def resampled(
         slope = rates.weight * image + (rates.scale - rates.wavelength) * wider
         moved = -rates.wavelength * phase * turned
         if rates.pupil is not None:
-            moved = moved + colour.field(opd_nm, rates.pupil)
+            moved = moved + behind(rates.pupil, phasor)
         if rates.wavelength or rates.pupil is not None:
             slope = slope + colour.image(2 * (amplitude * dft.amplitude(moved)).sum(1))
         if rates.transfer is not None:

@@ -97,6 +97,28 @@ def test_effects_are_differentiated_in_the_star_and_in_its_ghosts():
         assert jacobian[:, index].numpy() == pytest.approx(theirs, abs=2e-5 * np.abs(theirs).max())
 
 
+@pytest.mark.parametrize(("defocus_nm", "error"), [(0.0, 1e-6), (120.0, 0.05)])
+def test_rough_derivatives_of_faint_ghosts_are_wrong_by_a_part_of_their_light(defocus_nm, error):
+    """Truth: exact derivatives. A ghost as sharp as the star changes as the star does."""
+    (ghost, _), (bump, place) = made("ghost"), made("phase_bump")
+    effects = [
+        FixedEffect(ghost, [0.03, 60.0, 40.0, defocus_nm, 0.0], free=("flux_ratio", "defocus_nm")),
+        bump,
+    ]
+    rough = PsfModel(psf().settings, NOLLS, dtype=torch.float64, rough_derivatives=True)
+    values = torch.cat([place, torch.tensor([0.03, defocus_nm], dtype=place.dtype)])
+    (exact_e, exact), (images_e, ours) = (
+        ImageModel(one, effects).predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values)
+        for one in (psf(), rough)
+    )
+    assert images_e.numpy() == pytest.approx(exact_e.numpy(), rel=1e-12)
+    scale = exact.flatten(2).norm(dim=2)
+    wrong = (ours - exact).flatten(2).norm(dim=2) / scale
+    assert float(wrong.max()) < error
+    own = len(NOLLS) + len(place)
+    assert float(wrong[:, own : own + 2].max()) < 1e-6  # its own light and focus are differentiated exactly
+
+
 def test_colours_and_pixels_are_differentiated_through_pupil_otf_and_copies():
     """Dispersion depends on the mean wavelength, a bump and a ghost's focus on each."""
     names = ["spectrum", "plate_scale", "atmospheric_dispersion", "ghost", "phase_bump"]
