@@ -60,12 +60,12 @@ def conclude(
     """
     plain = search.final.under(search.null.stack)
     fine = fine_structure(plain)
-    judgement = judged(search, noise, fine, options)
-    why = judgement.why_unknown
+    before, after = (HeldOutEvaluation(cube.held_out, one.fitted) for one in (search.null, plain))
+    judgement = judged(search, noise, fine, gap_between(before, after), options)
+    search, why = judgement.search, judgement.why_unknown
     steps = [*_drift_steps(cube, search, options), *_steps(cube, search, judgement.shares)]
-    final = plain if not why else search.null
-    judges = [HeldOutEvaluation(cube.held_out, optimum.fitted) for optimum in (search.null, final)]
-    gap = gap_between(*judges)
+    final, after = (search.null, before) if why else (plain, after)
+    gap = gap_between(before, after)
     present = {effect.name for effect in search.final.fitted.effects}
     unseen = [s for s in search.scores if s.name not in present]
     testable = [s for s in unseen if s.testable and within_reach(s, _least_gain(s))]
@@ -86,7 +86,7 @@ def conclude(
         why_unknown=why,
         adjusted=_adjusted(search) if not why else [],
         tried=tried(search, options, hidden, named=not why),
-        rest=rest_of(judges[1], gap.floor, fine, options.sure, search.final.settings),
+        rest=rest_of(after, gap.floor, fine, options.sure, search.final.settings),
         gap=gap,
         mdb=_with_wider_forms({s.name: _smallest(s) for s in testable}) | _elsewhere(search, options),
         untestable=[*(s.name for s in hidden), *search.meaningless],
@@ -102,7 +102,7 @@ def conclude(
         nolls=final.fitted.problem.layout.nolls,
         modes_nm=_both(total_modes_nm(search.null.fitted), total_modes_nm(final.fitted)),
         modes_sigma_nm=_modes_sigma_nm(final),
-        pictures=_pictures(judges, search.null, final),
+        pictures=_pictures((before, after), search.null, final),
     )
 
 

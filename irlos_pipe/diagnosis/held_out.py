@@ -37,6 +37,12 @@ class Gap:
         open_ = self.before - self.floor
         return (self.before - self.after) / open_ if open_ > 0 else float("nan")
 
+    @property
+    def closed(self) -> float:
+        """The same of the squares, in which noise and what a model misses add; NaN where there was none."""
+        open_ = self.before**2 - self.floor**2
+        return (self.before**2 - self.after**2) / open_ if open_ > 0 else float("nan")
+
 
 class HeldOutEvaluation:
     """A model's residuals on the held-out data.

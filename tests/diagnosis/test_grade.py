@@ -1,0 +1,94 @@
+"""How complete a diagnosis is, from what its names leave. Truth: analysis."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from irlos_pipe.diagnosis.acceptance import Search
+from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, NoiseVerdict
+from irlos_pipe.diagnosis.grade import copies_in_a_row, is_left, judged, without_ordinary_facts
+from irlos_pipe.diagnosis.held_out import Gap
+from irlos_pipe.diagnosis.null_model import Excess
+from irlos_pipe.diagnosis.options import Options
+from irlos_pipe.effects import FixedEffect
+from irlos_pipe.effects.companion import Companion
+
+SURE, FLOOR = 5.0, 0.03
+
+
+def model(chi2: float, *names: str) -> SimpleNamespace:
+    """A model with an excess χ² over one of noise of 1000, which says the same beside other variances."""
+    fitted = SimpleNamespace(effects=[SimpleNamespace(name=name) for name in names])
+    one = SimpleNamespace(excess=Excess(chi2, 45.0, 1000.0), fitted=fitted, stack=None)
+    one.under = lambda stack: one
+    return one
+
+
+def name(effect: str, ordinary: bool) -> SimpleNamespace:
+    """An accepted name."""
+    base = SimpleNamespace(fact=effect == "plate_scale")
+    return SimpleNamespace(name=effect, ordinary=ordinary, refit=SimpleNamespace(label=effect, base=base))
+
+
+def search(left: float, *names: SimpleNamespace) -> Search:
+    """From an excess χ² of 5000 to what the names leave."""
+    return Search(model(5000.0), model(left, *(one.name for one in names)), None, [*names], [], [])
+
+
+def gap(closed: float, before: float = 0.06) -> Gap:
+    """Of names that close a part of what a model misses, which adds to noise in squares."""
+    missed = before**2 - FLOOR**2
+    return Gap(before, (FLOOR**2 + (1 - closed) * missed) ** 0.5, FLOOR)
+
+
+@pytest.mark.parametrize("closed", [0.0, 0.4, 1.0])
+def test_of_squares_noise_and_what_is_missing_add(closed):
+    assert gap(closed).closed == pytest.approx(closed)
+
+
+@pytest.mark.parametrize(
+    ("kind", "found", "left"),
+    [
+        (SPECKLES, gap(0.5), True),
+        (SPECKLES, gap(0.8), False),
+        (SPECKLES, gap(0.5, before=0.035), False),  # it comes near the floor
+        (PHOTONS, gap(0.5), False),  # χ² sees all there
+    ],
+)
+def test_names_that_leave_much_to_held_out_speckles_are_not_all(kind, found, left):
+    noise = NoiseVerdict(kind, 1.0, 1.0)
+    assert is_left(search(0.0, name("vibration", False)), noise, found, SURE) is left
+    assert not is_left(search(0.0), noise, found, SURE)  # without a name nothing was closed
+
+
+def test_what_any_instrument_has_is_adjusted_and_not_named_where_something_is_left():
+    believed = without_ordinary_facts(search(900.0, name("plate_scale", True), name("companion", True)))
+    assert [one.name for one in believed.accepted] == ["companion"]
+    assert believed.adjusted == ["plate_scale"]
+    assert believed.nearest is None
+
+
+def test_where_only_the_usual_is_found_and_much_is_left_the_cause_is_unknown():
+    options = Options(30, held_out=0.25, most_names=4, sure=SURE)
+    fine = SimpleNamespace(significance=0.0, ratio=1.0)
+    one = name("plate_scale", True)
+    judgement = judged(search(900.0, one), NoiseVerdict(PHOTONS, 1.0, 1.0), fine, gap(0.9), options)
+    assert judgement.grade == "unknown"
+    assert judgement.search.nearest is one
+    assert "plate_scale" in judgement.why_unknown
+
+
+@pytest.mark.parametrize(
+    ("angles_deg", "number"),
+    [((30, 31, 29), 3), ((30, 150, 270), 0), ((30, 31), 0), ((91, 269), 2), ((0, 90), 0)],
+)
+def test_too_many_copies_of_the_star_in_line_are_no_stars(angles_deg, number):
+    effect = Companion()
+    values = [effect.values_of(0.01, 40.0 * n, angle) for n, angle in enumerate(angles_deg, 1)]
+    copies = {f"companion_{n}": FixedEffect(effect, one) for n, one in enumerate(values)}
+    fitted = SimpleNamespace(
+        problem=SimpleNamespace(effects=SimpleNamespace(labels=[*copies])),
+        effect=copies.get,
+        values_of=lambda label: copies[label].values,
+    )
+    assert copies_in_a_row(fitted) == number
