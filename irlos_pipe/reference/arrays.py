@@ -64,6 +64,8 @@ ARRAYS: dict[str, tuple[str, str, str]] = {
     "lift.offsets_nm": ("nm", "offset", "the offsets of the ramp"),
     "lift.measured_per_offset_e": ("e-", "offset, y, x", "mean frame of every offset"),
     "lift.model_per_offset_e": ("e-", "offset, y, x", "mean model of every offset"),
+    "lift.curve_defocus_nm": ("nm", "value", "defocus at which one frame was held"),
+    "lift.curve_chi2_nu": ("", "value", "of the best fit of that frame with this defocus"),
     "lift.effects/<effect>": ("", "parameter", "parameters of an effect fitted to the ramp"),
     "sensitivity.curves/<n>/mag_j": ("mag", "magnitude", "J magnitude of the dimmed star"),
     "sensitivity.curves/<n>/median_abs_error_nm": ("nm", "magnitude", "median of |estimated − introduced|"),

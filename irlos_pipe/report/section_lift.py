@@ -12,12 +12,13 @@ from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.estimate.ramp import travel_direction
 from irlos_pipe.report.content import Block, Figure, Section, Stack, Table, Width
-from irlos_pipe.report.drawing import BLUE, INK, ORANGE, PURPLE, svg
+from irlos_pipe.report.drawing import BLUE, INK, ORANGE, PURPLE, log_y, svg
 from irlos_pipe.report.images import BRIGHTNESS, SIGNED, brightness_scale, symmetric_scale
 from irlos_pipe.report.misfit_plots import chi2_figures
+from irlos_pipe.report.quality_plots import SIZE_IN
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number, plural, with_error
-from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point
+from irlos_pipe.stages.lift.results import DECISIVE, LiftResults, Line, Offset, Point, Twin
 
 STAGE = "lift"
 # Direction of travel: label, marker, colour.
@@ -35,6 +36,10 @@ FEW_OFFSETS = 3
 CAPTION = (
     "Frames of one offset stand side by side in order of time; the colour shows from which side "
     "the offset was reached."
+)
+TWIN = (
+    "The defocus is held at each value, and everything else fitted. Without diversity the curve would have a "
+    "second minimum, as deep as the first, near the same defocus of the other sign."
 )
 VARIANT_COLUMNS = (
     "model",
@@ -54,6 +59,7 @@ def lift_section(run: RunData) -> Section:
         *_ramp(results.points),
         tables,
         *_chi2(run, results),
+        *_twin(run, results.twin),
         *_strip(run),
     ]
     return Section(STAGE, "Defocus ramp (LIFT)", _lead(results), blocks)
@@ -84,6 +90,26 @@ def _chi2(run: RunData, results: LiftResults) -> list[Figure]:
     chi2_nu = np.array([point.chi2_nu for point in results.points])
     ratio = run.products[STAGE].config.get("max_chi2_ratio") or np.nan
     return chi2_figures("ramp-chi2", chi2_nu, results.nominal_chi2_nu, ratio * results.nominal_chi2_nu)
+
+
+def _twin(run: RunData, twin: Twin) -> list[Figure]:
+    focus_nm, chi2_nu = run.array(STAGE, "curve_defocus_nm"), run.array(STAGE, "curve_chi2_nu")
+    if focus_nm is None or chi2_nu is None or not np.isfinite(chi2_nu).any():
+        return []
+    caption = f"Frame {twin.frame} of {twin.name}, whose χ²/ν is the median. {TWIN} {_twin_said(twin)}"
+    return [Figure(twin_plot(focus_nm, chi2_nu, twin), "Is the twin excluded?", caption, "third")]
+
+
+def _twin_said(twin: Twin) -> str:
+    if not np.isfinite(twin.twin_nm):
+        return "There is no other minimum: the twin is excluded."
+    where = f"The other minimum, at {twin.twin_nm:+.0f} nm, has Δχ² = {twin.delta_chi2:,.0f}"
+    fits = where + (f", {twin.evidence:,.0f} in units of the misfit" if twin.chi2_nu > 1 else "")
+    if twin.evidence >= DECISIVE:
+        return f"{fits}: it is excluded."
+    if twin.evidence <= -DECISIVE:
+        return f"{fits}: it fits better, and the estimate of this frame is wrong."
+    return f"{fits}: it is not excluded, and the sign of defocus is open."
 
 
 def _variants(results: LiftResults) -> Table:
@@ -165,6 +191,22 @@ def ramp_plot(points: RampPoints) -> Markup:
         bottom.set(xlabel="introduced defocus [nm RMS]", ylabel="estimated −\nintroduced [nm]")
 
     return svg("ramp", (4.8, 4.8), draw)
+
+
+def twin_plot(focus_nm: np.ndarray, chi2_nu: np.ndarray, twin: Twin) -> Markup:
+    """Draw χ²/ν of one frame against the defocus it is held at, with the best fit and its `twin` marked."""
+
+    def draw(figure: Canvas) -> None:
+        axes = figure.subplots()
+        axes.plot(focus_nm, chi2_nu, color=BLUE)
+        log_y(axes, chi2_nu)
+        axes.plot(twin.defocus_nm, twin.chi2_nu, "o", color=BLUE, label="best fit")
+        if np.isfinite(twin.twin_nm):
+            axes.plot(twin.twin_nm, twin.twin_chi2_nu, "s", color=ORANGE, label="twin")
+        axes.set(xlabel="defocus [nm RMS]", ylabel="χ²/ν")
+        axes.legend()
+
+    return svg("ramp-twin", SIZE_IN, draw)
 
 
 def image_strip(offsets_nm: np.ndarray, measured: np.ndarray, model: np.ndarray, limit: float) -> Markup:

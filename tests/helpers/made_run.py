@@ -162,6 +162,9 @@ def point(name: str, introduced_nm: float, defocus_nm: float | None) -> dict[str
     }
 
 
+TWIN = {"twin_nm": -190.0, "twin_chi2_nu": 48.0, "delta_chi2": 1234.5, "evidence": 1234.5}
+
+
 def lift() -> Product:
     points = [
         point(f"offset_{i:02d}", nm, nm + 1.0) for i, nm in enumerate(OFFSETS_NM) for _ in range(FRAMES)
@@ -171,6 +174,8 @@ def lift() -> Product:
         "offsets_nm": Quantity(np.array(sorted(OFFSETS_NM)), "nm"),
         "measured_per_offset_e": Quantity(images, "e-"),
         "model_per_offset_e": Quantity(0.9 * images, "e-"),
+        "curve_defocus_nm": Quantity(np.array([-200.0, 0.0, 200.0]), "nm"),
+        "curve_chi2_nu": Quantity(np.array([50.0, 40.0, 0.9]), ""),
     }
     summary = {
         "slope": 0.998,
@@ -187,6 +192,7 @@ def lift() -> Product:
         "summary": summary,
         "offsets": [{"introduced_nm": 0.0, "median_nm": 1.0, "scatter_nm": 0.2}],
         "compare": {"without NCPAs": summary | {"slope": 1.234}},
+        "twin": {"name": "offset_00", "defocus_nm": 200.0, "chi2_nu": 0.9} | TWIN,
     }
     return Product("lift", arrays, results, config={"input": "ramp"})
 

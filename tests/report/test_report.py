@@ -222,6 +222,22 @@ def test_products_without_arrays_and_results_still_have_a_section(tmp_path, stag
     assert page.sections == [stage, "origin"]
 
 
+@pytest.mark.parametrize(
+    ("twin", "said"),
+    [
+        ({}, "at -190 nm, has Δχ² = 1,234: it is excluded"),
+        ({"chi2_nu": 100.0, "evidence": 12.3}, "1,234, 12 in units of the misfit: it is excluded"),
+        ({"evidence": 3.0}, "it is not excluded, and the sign of defocus is open"),
+        ({"evidence": -30.0}, "it fits better, and the estimate of this frame is wrong"),
+        ({"twin_nm": None}, "There is no other minimum: the twin is excluded"),
+    ],
+)
+def test_the_page_says_whether_the_twin_is_excluded(tmp_path, monkeypatch, twin, said):
+    monkeypatch.setattr(made_run, "TWIN", made_run.TWIN | twin)
+    page = report(tmp_path, [made_run.lift()])
+    assert "Is the twin excluded?" in page.text and said in page.text
+
+
 def test_a_stage_without_drawings_shows_its_summary(tmp_path):
     made = [Product("unheard_of", {}, {}, provenance={"summary": ["axis at 31.5, 30.2 px"]})]
     assert "axis at 31.5, 30.2 px" in report(tmp_path, made).text

@@ -61,7 +61,9 @@ class Config(StageConfig):
         "modes 2, 3, 4 and nothing fitted to the ramp",
     )
     compare: bool = Field(
-        True, description="repeat without the NCPAs and without the AO residual, for the report"
+        True,
+        description="repeat without the NCPAs and without the AO residual, and one frame at every defocus, "
+        "for the report",
     )
     min_converged: float = Field(0.9, ge=0, le=1, description="QC limit on the part of frames that converge")
     max_residual_nm: float = Field(

@@ -7,6 +7,8 @@ from typing import ClassVar
 
 from irlos_pipe.product.results import ByNoll, EffectValues, Number, ResultsPart, StageResults
 
+DECISIVE = 10.0  # evidence from which the twin counts as excluded: odds of 150 to 1
+
 
 class Point(ResultsPart):
     """Estimate of one frame.
@@ -62,6 +64,32 @@ class Offset(ResultsPart):
     scatter_nm: Number = math.nan
 
 
+class Twin(ResultsPart):
+    """Whether the other sign of defocus is excluded, by a frame of median χ²/ν; see `estimate.focus_curve`.
+
+    Attributes
+    ----------
+    name : str
+        Recording, in which the frame has the number `frame`.
+    defocus_nm, chi2_nu : float
+        Best fit of the frame.
+    twin_nm, twin_chi2_nu : float
+        The best of the other minima; NaN where there is none.
+    delta_chi2, evidence : float
+        χ² of that minus χ² of the best fit; the same divided by the χ²/ν of the best fit where that is more
+        than 1. From 10 on the twin is excluded.
+    """
+
+    name: str = ""
+    frame: int = 0
+    defocus_nm: Number = math.nan
+    chi2_nu: Number = math.nan
+    twin_nm: Number = math.nan
+    twin_chi2_nu: Number = math.nan
+    delta_chi2: Number = math.nan
+    evidence: Number = math.nan
+
+
 class LiftResults(StageResults):
     """A ramp.
 
@@ -77,6 +105,8 @@ class LiftResults(StageResults):
         Whether effects were fitted to all frames together.
     compare : dict of str to Line
         The same ramp with parts of the model left out.
+    twin : Twin
+        Of one frame; without name where it was not looked for.
     ao_defocus_nm : float
         Scatter of the estimates at one offset beyond photon noise.
     chi2_nu, nominal_chi2_nu : float
@@ -93,6 +123,7 @@ class LiftResults(StageResults):
     effects_sigma: dict[str, EffectValues] = {}
     effects_fitted_jointly: bool = False
     compare: dict[str, Line] = {}
+    twin: Twin = Twin()
     ao_defocus_nm: Number = math.nan
     chi2_nu: Number = math.nan
     nominal_chi2_nu: Number = math.nan

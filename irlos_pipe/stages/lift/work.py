@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.estimate.focus_curve import FocusCurve, focus_curve
 from irlos_pipe.estimate.optics_error import optics_sigma_nm
 from irlos_pipe.estimate.ramp import FocusStage, RampSummary, fit_focus_stage, summarise, summarise_one_offset
 from irlos_pipe.estimate.ramp_fit import RampFit
@@ -24,7 +25,7 @@ from irlos_pipe.stages.lift.config import Config
 from irlos_pipe.stages.lift.fit import fit_frames
 from irlos_pipe.stages.lift.input import Ramp, read_ramp
 from irlos_pipe.stages.lift.quality import WITHOUT_NCPAS, checks_of
-from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point
+from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point, Twin
 from irlos_pipe.stages.model.effects import model_effects
 from irlos_pipe.stages.model.untested import BY_RAMP
 
@@ -41,13 +42,17 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     ramp = replace(ramp, data=replace(ramp.data, introduced_nm=focus.introduced_nm))
     summary = _summarise(ramp, fit)
     others = _comparison(ctx, ramp, fit) if ctx.config.compare else {}
+    typical = _typical(fit) if ctx.config.compare else None
+    curve = None if typical is None else _curve(ramp, fit, typical)
     errors = _frame_errors(ramp, fit)
     optics_nm = _optics_nm(ctx, ramp, fit)
     sigma_nm = errors.sigma_nm(fit.result.mode(4)[1].numpy(), optics_nm)
     converged = float(fit.result.solution.converged.double().mean())
     return StageOutput(
-        _arrays(ramp, fit, summary, sigma_nm),
-        _results(ctx, ramp, fit, summary, others, focus, errors, sigma_nm, optics_nm),
+        _arrays(ramp, fit, summary, sigma_nm) | _curve_arrays(curve),
+        _results(ctx, ramp, fit, summary, others, focus, errors, sigma_nm, optics_nm).model_copy(
+            update={"twin": _twin(ramp, typical, curve)}
+        ),
         checks_of(ctx.config, converged, summary, others, errors, _wavefront_nm(ctx), len(ramp.names)),
         summary=_lines(ctx, fit, summary, others),
     )
@@ -108,6 +113,19 @@ def _comparison(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> dict[str
             ctx, ramp, calibrated=config.calibrated, halo="off", after=fit
         )
     return {name: _summarise(ramp, fit) for name, fit in found.items()}
+
+
+def _typical(fit: RampFit) -> int | None:
+    """Number of the frame with the median χ²/ν; None without a valid fit."""
+    chi2_nu = np.where(np.isfinite(fit.defocus_nm), fit.result.chi2_nu.numpy(), np.nan)
+    order = np.argsort(chi2_nu)[: int(np.isfinite(chi2_nu).sum())]
+    return int(order[len(order) // 2]) if len(order) else None
+
+
+def _curve(ramp: Ramp, fit: RampFit, frame: int) -> FocusCurve:
+    """How well one frame is explained at every defocus."""
+    data, modes_nm = ramp.data, fit.result.zernike_nm[frame]
+    return focus_curve(fit.model, data.images_e[frame], data.good, data.noise, modes_nm)
 
 
 def _summarise(ramp: Ramp, fit: RampFit) -> RampSummary:
@@ -218,6 +236,30 @@ def _arrays(ramp: Ramp, fit: RampFit, summary: RampSummary, sigma_nm: np.ndarray
         "measured_per_offset_e": Quantity(measured, "e-", "mean frame of every offset"),
         "model_per_offset_e": Quantity(modelled, "e-", "mean model of every offset"),
     }
+
+
+def _curve_arrays(curve: FocusCurve | None) -> dict[str, Quantity]:
+    if curve is None:
+        return {}
+    return {
+        "curve_defocus_nm": Quantity(curve.focus_nm, "nm", "defocus at which one frame was held"),
+        "curve_chi2_nu": Quantity(curve.chi2_nu, "", "of the best fit of that frame with this defocus"),
+    }
+
+
+def _twin(ramp: Ramp, frame: int | None, curve: FocusCurve | None) -> Twin:
+    if frame is None or curve is None:
+        return Twin()
+    return Twin(
+        name=ramp.names[frame],
+        frame=ramp.frame[frame],
+        defocus_nm=curve.best_nm,
+        chi2_nu=curve.best_chi2_nu,
+        twin_nm=curve.twin_nm,
+        twin_chi2_nu=curve.twin_chi2_nu,
+        delta_chi2=curve.delta_chi2,
+        evidence=curve.evidence,
+    )
 
 
 def _lines(
