@@ -10,7 +10,7 @@ from irlos_pipe.diagnosis.checks.fine_structure import FineStructure
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, UNSEEN, NoiseVerdict
 from irlos_pipe.diagnosis.fitting import Fitted
 from irlos_pipe.diagnosis.held_out import Gap
-from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.verdict import COMPLETE, NONE, PARTIAL, RESEMBLES, UNKNOWN, Grade
@@ -102,7 +102,7 @@ def _graded(search: Search, shares: Sequence[float], kind: str, left: bool) -> t
 
 def _unexplained(search: Search) -> str:
     """What nothing explains, in words."""
-    left = search.final.under(search.null.stack).excess.chi2_nu
+    left = remaining(search).chi2_nu
     if not search.adjusted:
         return f"nothing in the catalogue explains χ²/ν {left:.2f}"
     return (
@@ -125,7 +125,7 @@ def is_left(search: Search, noise: NoiseVerdict, gap: Gap, sure: float) -> bool:
     """
     if much_is_left(search, noise.kind, sure) or not search.accepted:
         return much_is_left(search, noise.kind, sure)
-    far_off = search.final.under(search.null.stack).excess.chi2_nu > FAR_OFF
+    far_off = remaining(search).chi2_nu > FAR_OFF
     open_ = noise.kind == SPECKLES and gap.closed < CLOSED and gap.after > AT_FLOOR * gap.floor
     return far_off or open_
 
@@ -172,19 +172,29 @@ def _near(angles_deg: Sequence[float], to_deg: float, period_deg: float) -> int:
     return sum(abs((one - to_deg + half) % period_deg - half) < ALIGNED_DEG for one in angles_deg)
 
 
+def remaining(search: Search) -> Excess:
+    """What the final model leaves beside noise and the error of the flat, which shows by itself.
+
+    Parameters
+    ----------
+    search : Search
+    """
+    stack = search.final.stack.without_model_error().limited_by(search.null.stack.photon_limited)
+    return search.final.under(stack).excess
+
+
 def much_is_left(search: Search, kind: str, sure: float) -> bool:
     """Whether a significant part of what the model missed at first is still there.
 
     Parameters
     ----------
     search : Search
-        A plain one, whose models have the same variances.
     kind : str
         Of the noise.
     sure : float
         Significance of a detection.
     """
-    null, final = search.null.excess, search.final.under(search.null.stack).excess
+    null, final = search.null.excess, remaining(search)
     much = final.significance > sure and final.chi2_nu > LEFT_CHI2_NU[kind]
     return much and final.chi2 > LEFT[kind] * null.chi2
 

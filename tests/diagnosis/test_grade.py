@@ -19,7 +19,9 @@ SURE, FLOOR = 5.0, 0.03
 def model(chi2: float, *names: str) -> SimpleNamespace:
     """A model with an excess χ² over one of noise of 1000, which says the same beside other variances."""
     fitted = SimpleNamespace(effects=[SimpleNamespace(name=name) for name in names])
-    one = SimpleNamespace(excess=Excess(chi2, 45.0, 1000.0), fitted=fitted, stack=None)
+    stack = SimpleNamespace(photon_limited=True, limited_by=lambda photons: None)
+    stack.without_model_error = lambda: stack
+    one = SimpleNamespace(excess=Excess(chi2, 45.0, 1000.0), fitted=fitted, stack=stack)
     one.under = lambda stack: one
     return one
 
