@@ -52,24 +52,30 @@ def status(folder: Path, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("product", metavar="PRODUCT.h5", type=FOLDER)
+@click.argument("product", metavar="PRODUCT.h5|DIR", type=FOLDER)
 @JSON
 def show(product: Path, as_json: bool) -> None:
     """Show what PRODUCT.h5 contains: arrays with units, results, configuration, QC, provenance, log.
 
-    The values of arrays are not shown: irlos export copies them.
+    The values of arrays are not shown: irlos export copies them. Of DIR, the folder of a run, the
+    products are listed, with what their stages said.
 
     \b
     Examples:
+      irlos show demo
       irlos show demo/03_calibrate.h5
       irlos show demo/03_calibrate.h5 --json
     """
-    from irlos_pipe.commands.text import product_text
-    from irlos_pipe.product.shown import shown_product
+    from irlos_pipe.commands.text import product_text, run_text
+    from irlos_pipe.product.shown import shown_product, shown_run
 
     with readable(product):
-        found = shown_product(product)
-        click.echo(found.text() if as_json else product_text(found))
+        if product.is_dir():
+            run = shown_run(product)
+            click.echo(run.text() if as_json else run_text(run))
+        else:
+            found = shown_product(product)
+            click.echo(found.text() if as_json else product_text(found))
 
 
 @click.command()

@@ -7,7 +7,16 @@ import math
 import yaml
 
 from irlos_pipe.conventions.text import aligned, printable
-from irlos_pipe.product.printed import ArrayRow, CheckRow, ProductRow, RunStatus, ShownProduct, Versions
+from irlos_pipe.product.printed import (
+    ArrayRow,
+    CheckRow,
+    HeldProduct,
+    ProductRow,
+    RunStatus,
+    ShownProduct,
+    ShownRun,
+    Versions,
+)
 
 
 def product_text(product: ShownProduct) -> str:
@@ -22,6 +31,27 @@ def product_text(product: ShownProduct) -> str:
     }
     text = "\n\n".join(_titled(title, text) for title, text in parts.items())
     return "\n".join(map(printable, text.split("\n")))
+
+
+def run_text(run: ShownRun) -> str:
+    """Return the products of a `run`, each with what its stage said, and the names of the other files."""
+    head = ": ".join(filter(None, (run.run, ", ".join(filter(None, (run.recipe, run.status))))))
+    rows: list[tuple[str, ...]] = [("product", "arrays", "QC", "")]
+    for one in run.products:
+        rows += _held_rows(one)
+    files = f"other files: {', '.join(run.files)}"
+    lines = "\n".join(filter(None, (head, run.notice, aligned(rows), files))).split("\n")
+    return "\n".join(map(printable, lines))
+
+
+def _held_rows(one: HeldProduct) -> list[tuple[str, ...]]:
+    if one.problem:
+        return [(one.product, "-", "-", one.problem)]
+    first, *more = one.summary or [""]
+    return [
+        (one.product, str(one.arrays), f"{one.passed}/{one.checks}", first),
+        *(("", "", "", line) for line in more),
+    ]
 
 
 def status_text(status: RunStatus) -> str:

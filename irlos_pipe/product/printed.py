@@ -148,6 +148,49 @@ class ShownProduct(Printed):
     log: list[str] = []
 
 
+class HeldProduct(ResultsPart):
+    """A product in the folder of a run.
+
+    Attributes
+    ----------
+    arrays, checks, passed : int or None
+        How many arrays and checks of quality it has, and how many of these passed; None where it cannot be
+        read, as `problem` says.
+    summary : list of str
+        What the stage said on the terminal.
+    """
+
+    product: str = ""
+    stage: str = ""
+    arrays: int | None = None
+    checks: int | None = None
+    passed: int | None = None
+    summary: list[str] = []
+    problem: str = ""
+
+
+class ShownRun(Printed):
+    """What ``irlos show DIR --json`` prints.
+
+    Attributes
+    ----------
+    run : str
+        The folder.
+    recipe, status, notice : str
+        As in results.json; empty without one.
+    files : list of str
+        What the folder holds besides the products.
+    """
+
+    format: Literal["irlos-show-run"] = Field("irlos-show-run", alias="schema")
+    run: str = ""
+    recipe: str = ""
+    status: str = ""
+    notice: str = ""
+    products: list[HeldProduct] = []
+    files: list[str] = []
+
+
 class Validation(Printed):
     """What ``irlos validate RECIPE --json`` prints.
 

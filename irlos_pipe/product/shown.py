@@ -1,13 +1,15 @@
-"""What a product contains, without the values of its arrays."""
+"""What a product contains, without the values of its arrays, and which products a run has."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from irlos_pipe.product.printed import ArrayRow, CheckRow, ShownProduct
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.product.printed import ArrayRow, CheckRow, HeldProduct, ShownProduct, ShownRun
 from irlos_pipe.product.quantity import Quantity
-from irlos_pipe.product.results import provenance_of
-from irlos_pipe.product.storage import read_product
+from irlos_pipe.product.results import RunResults, provenance_of, read_run_results
+from irlos_pipe.product.runfolder import existing_run
+from irlos_pipe.product.storage import open_product, read_product
 
 
 def shown_product(path: Path) -> ShownProduct:
@@ -29,6 +31,43 @@ def shown_product(path: Path) -> ShownProduct:
         checks=[CheckRow(**check.as_dict()) for check in product.checks],
         log=product.log,
     )
+
+
+def shown_run(folder: Path) -> ShownRun:
+    """Return which products the run in `folder` has, and what their stages said.
+
+    Raises
+    ------
+    InputDataError
+        When `folder` holds no run, or its results.json cannot be read.
+    """
+    run = existing_run(folder)
+    results = read_run_results(run.results) if run.results.is_file() else RunResults()
+    products = sorted(run.path.glob("[0-9][0-9]_*.h5"))
+    others = {path.name for path in run.path.iterdir() if path.is_file() and not path.name.startswith(".")}
+    return ShownRun(
+        run=str(folder),
+        recipe=results.recipe,
+        status=results.status,
+        notice=results.notice,
+        products=[_held(path) for path in products],
+        files=sorted(others - {path.name for path in products}),
+    )
+
+
+def _held(path: Path) -> HeldProduct:
+    try:
+        product = open_product(path)
+        return HeldProduct(
+            product=path.name,
+            stage=product.stage,
+            arrays=len(product.arrays),
+            checks=len(product.checks),
+            passed=sum(check.passed for check in product.checks),
+            summary=provenance_of(product).summary,
+        )
+    except InputDataError as error:
+        return HeldProduct(product=path.name, problem=str(error))
 
 
 def _array(name: str, quantity: Quantity) -> ArrayRow:

@@ -233,6 +233,19 @@ def test_show_tells_arrays_units_results_checks_and_origin(bench):
         assert part in text
 
 
+def test_show_of_a_run_lists_its_products_and_the_other_files(bench):
+    bench.run()
+    first, head, *rows, last = invoke("show", str(bench.output)).stdout.splitlines()
+    assert first.startswith(f"{bench.output}: ") and first.endswith(", ok") and head.startswith("product ")
+    assert [row.split()[0] for row in rows] == ["01_ingest.h5", "02_calibrate.h5", "03_lift.h5"]
+    assert rows[1].split()[1:3] == ["1", "1/1"] and "qc.json" in last and ".lock" not in last
+
+
+def test_show_of_a_folder_without_a_run_says_what_it_lacks(tmp_path):
+    result = invoke("show", str(tmp_path))
+    assert result.exit_code == 3 and "not the folder of a run" in result.stderr
+
+
 def test_show_tells_a_wrong_file_in_one_line(bench):
     result = invoke("show", str(bench.recipe))
     assert result.exit_code == 3 and len(result.stderr.splitlines()) == 1

@@ -80,6 +80,19 @@ def test_show_of_a_product(bench):
     ]
 
 
+def test_show_of_a_run(bench):
+    bench.run()
+    (bench.output / "03_lift.h5").write_bytes(b"torn")
+    found = printed("show", str(bench.output), "--json")
+    assert (found["schema"], found["status"]) == ("irlos-show-run", "ok")
+    assert [(one["product"], one["arrays"], one["checks"]) for one in found["products"]] == [
+        ("01_ingest.h5", 1, 0),
+        ("02_calibrate.h5", 1, 1),
+        ("03_lift.h5", None, None),
+    ]
+    assert "03_lift.h5" in found["products"][2]["problem"] and "results.json" in found["files"]
+
+
 def test_validate_of_a_recipe_that_is_right(bench):
     found = printed("validate", str(bench.recipe), "--json")
     assert found["valid"] and found["problems"] == [] and found["stages"] == ["ingest", "calibrate", "lift"]
