@@ -17,6 +17,7 @@ from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.centroids import modes_of_centroids_nm
 from irlos_pipe.estimate.cramer_rao import cramer_rao_nm
 from irlos_pipe.estimate.lift import lift
+from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.lenslets import light_path
@@ -97,7 +98,10 @@ class _Side:
         """Defocus of every frame [nm]."""
         images = torch.as_tensor(images_e)
         good = torch.ones(images.shape[1:], dtype=torch.bool)
-        start = torch.zeros(len(images), len(TTF), dtype=torch.float64)
+        if self.scene.lenslets > 1:  # four images show the sign of defocus, and any start does
+            start = torch.zeros(len(images), len(TTF), dtype=torch.float64)
+        else:
+            start = scan_start_nm(self.model.psf, images, good)
         return lift(self.model, images, good, self.noise, start).mode(4)[0].numpy()
 
     def bound_nm(self, mag_j: float) -> float:
