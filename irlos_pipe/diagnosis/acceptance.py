@@ -12,7 +12,8 @@ from irlos_pipe.diagnosis.ambiguity import Alternative, alternatives
 from irlos_pipe.diagnosis.checks.drift import Drift
 from irlos_pipe.diagnosis.checks.motion import MOVING, motion_ratio
 from irlos_pipe.diagnosis.cube import Cube
-from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, preference
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options

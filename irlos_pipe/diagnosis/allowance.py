@@ -16,7 +16,7 @@ from irlos_pipe.conventions.units import resolution_px
 from irlos_pipe.diagnosis.checks.fine_structure import flat_rms
 from irlos_pipe.diagnosis.checks.noise import PHOTONS
 from irlos_pipe.diagnosis.cube import Errors, Stacks
-from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.forward import Task
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opening import Opening

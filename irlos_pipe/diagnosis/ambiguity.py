@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
-from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, preference
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.refit import CLEARLY_LESS, EXPLAINS_AS_MUCH, Refit

@@ -20,7 +20,7 @@ from irlos_pipe.diagnosis.effect_sizes import (
     parameter_covariance,
     within_reach,
 )
-from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.grade import judged, share_at_its_place
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, gap_between
 from irlos_pipe.diagnosis.null_model import Optimum

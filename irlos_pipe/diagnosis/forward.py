@@ -9,7 +9,8 @@ from irlos_pipe.diagnosis.acceptance import Accepted, Search, choose, explained,
 from irlos_pipe.diagnosis.checks.drift import Drift, measure_drift
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.cube import Cube
-from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.moments import Moments
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from irlos_pipe.diagnosis.acceptance import Search, labels_in
 from irlos_pipe.diagnosis.checks.fine_structure import FineStructure
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, UNSEEN, NoiseVerdict
-from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.held_out import Gap
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.options import Options

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.diagnosis.cube import Stacks
-from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.fitted import Fitted
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 
 from irlos_pipe.diagnosis.acceptance import PREFERRED, Accepted, accepted
 from irlos_pipe.diagnosis.allowance import KNOWN, AllowingTask
-from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, share_at_its_place
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.refit import Refit, quick_refits, wider_forms

@@ -13,7 +13,7 @@ from functools import cached_property
 import torch
 
 from irlos_pipe.diagnosis.cube import Stacks
-from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.score_test import NullModel, frozen_effects
 from irlos_pipe.optics.psf_settings import PsfSettings

@@ -13,7 +13,8 @@ import numpy as np
 import torch
 
 from irlos_pipe.diagnosis.cube import Stacks
-from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.joint_fit import JointFit
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.effects import Effect

@@ -16,7 +16,8 @@ import numpy as np
 
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.effect_sizes import determined, parameter_covariance
-from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, preference
 from irlos_pipe.diagnosis.moments import Moments
 from irlos_pipe.diagnosis.null_model import Optimum

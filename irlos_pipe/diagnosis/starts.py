@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.optics.zernike import noll_to_nm
 
 STARTS, START_NM = 2, 60.0  # further wavefronts: RMS of the first radial order, falling

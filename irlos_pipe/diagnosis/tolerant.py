@@ -19,7 +19,7 @@ import numpy as np
 from irlos_pipe.diagnosis.acceptance import Search, threshold
 from irlos_pipe.diagnosis.effect_sizes import parameter_covariance
 from irlos_pipe.diagnosis.elimination import needed
-from irlos_pipe.diagnosis.fitting import Fitted, begun_at
+from irlos_pipe.diagnosis.fitted import Fitted, begun_at
 from irlos_pipe.diagnosis.naming import NamingTask, added
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opening import Opening

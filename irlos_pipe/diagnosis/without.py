@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.fitted import Fitted
 
 
 def nulls_of(fitted: Fitted, label: str) -> dict[int, float]:

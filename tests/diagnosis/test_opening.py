@@ -11,7 +11,8 @@ import torch
 from helpers.diagnose_frames import CASE, CONDITIONS, FLUX_E, NOLLS, TRUE_NM, cube, fitted, image, model
 
 from irlos_pipe.diagnosis.acceptance import threshold
-from irlos_pipe.diagnosis.fitting import Fitter, begun_at
+from irlos_pipe.diagnosis.fitted import begun_at
+from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.search.scores import Family, score_family

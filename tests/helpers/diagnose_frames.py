@@ -19,7 +19,8 @@ from helpers.optics_cases import (
     vector,
 )
 from irlos_pipe.diagnosis.cube import Cube, Stacks
-from irlos_pipe.diagnosis.fitting import Fitted, Fitter
+from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.splitting import HeldOutFrames
 from irlos_pipe.diagnosis.view import View

@@ -15,7 +15,7 @@ from scipy import stats
 
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.diagnosis.cube import Stack, Stacks
-from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.drift import NcpaDrift

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.diagnosis.cube import Stack, Stacks
-from irlos_pipe.diagnosis.fitting import Fitted
+from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.estimate.image_fit import ImageFit
 
 MOVING = 1.5  # variance ratio from which frames move
