@@ -95,7 +95,8 @@ def separation_tables(results: DiagnoseResults) -> list[Table]:
         for step in results.steps
         for other in step.alternatives
     ]
-    return [Table(("effects", "why", "what distinguishes them"), rows, "Not distinguished")] if rows else []
+    columns = ("effects", "why", "what distinguishes them")
+    return [Table(columns, rows, "Not distinguished", prose=True)] if rows else []
 
 
 def _found(results: DiagnoseResults) -> list[StepRow]:

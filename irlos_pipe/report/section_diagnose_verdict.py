@@ -53,7 +53,8 @@ def verdict_numbers(results: DiagnoseResults) -> Iterator[KeyNumber]:
         yield _name("Nearest, not named", results.nearest)
     yield _gap(results)
     chi2 = results.chi2_nu
-    of = "before → after; noise alone gives 1" if results.grade else "of the offsets, before → after"
+    after = f"with {results.nearest.effect}, not named" if results.nearest else "after"
+    of = f"before → {after}; noise alone gives 1" if results.grade else "of the offsets, before → after"
     yield KeyNumber("χ²/ν", f"{_chi2(chi2.before)} → {_chi2(chi2.after)}", of)
     yield from _unseen(results)
     yield from _runner_up(results)

@@ -41,7 +41,8 @@ def quality_text(run: RunData) -> str:
 
 def _table(title: str, checks: list[tuple[str, Check]], folded: bool = False) -> Table:
     marks = ["good" if check.passed else "bad" for _, check in checks]
-    return Table(COLUMNS, [_row(stage, check) for stage, check in checks], title, marks=marks, folded=folded)
+    rows = [_row(stage, check) for stage, check in checks]
+    return Table(COLUMNS, rows, title, marks=marks, folded=folded, prose=True)
 
 
 def _row(stage: str, check: Check) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from irlos_pipe.report.drawing import BLUE, CYCLE, INK, log_y, svg
 from irlos_pipe.report.effect_words import parameter_rows, worded
 from irlos_pipe.report.images import asinh_ticks, brightness_scale, image_panel, log_scale, thumbnail
 from irlos_pipe.report.run_data import RunData
+from irlos_pipe.report.section_diagnose_names import separation_tables
 from irlos_pipe.report.section_diagnose_verdict import verdict_numbers
 from irlos_pipe.report.section_lift import RampPoints, image_strip, ramp_plot, residual_limit
 from irlos_pipe.report.section_prior import prior_section
@@ -28,7 +29,7 @@ from irlos_pipe.report.text import (
     rounded_by_error,
     with_error,
 )
-from irlos_pipe.stages.diagnose.results import DiagnoseResults, StepRow
+from irlos_pipe.stages.diagnose.results import AlternativeRow, Change, DiagnoseResults, StepRow
 from irlos_pipe.stages.sensitivity.results import CurveRow
 
 NAN = float("nan")
@@ -292,3 +293,28 @@ def test_a_list_of_pixels_is_counted_in_its_tile():
     found = DiagnoseResults(verdict="effect", grade="partial", steps=[step])
     (tile,) = [one for one in verdict_numbers(found) if "bad pixels" in one.label]
     assert tile.value == "3 pixels" and tile.note.count("row") == 3
+
+
+@pytest.mark.parametrize(
+    ("nearest", "note"),
+    [
+        (None, "before → after; noise alone gives 1"),
+        ("ghost", "before → with ghost, not named; noise alone gives 1"),
+    ],
+)
+def test_the_tile_of_chi2_says_whose_fit_it_means(nearest, note):
+    found = DiagnoseResults(
+        verdict="unknown",
+        grade="resembles",
+        nearest=StepRow(effect=nearest) if nearest else None,
+        chi2_nu=Change(before=9.9, after=1.1),
+    )
+    (tile,) = [one for one in verdict_numbers(found) if one.label == "χ²/ν"]
+    assert (tile.value, tile.note) == ("9.90 → 1.10", note)
+
+
+def test_tables_of_sentences_are_broken_into_lines():
+    """Not distinguished, and checks of quality: their sentences are wider than any page."""
+    other = AlternativeRow(name="spectrum", reason="they change the image alike")
+    (table,) = separation_tables(DiagnoseResults(steps=[StepRow(effect="plate_scale", alternatives=[other])]))
+    assert table.title == "Not distinguished" and table.prose
