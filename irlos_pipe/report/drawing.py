@@ -14,6 +14,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib import rcsetup
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 # Okabe and Ito's palette, which colour-blind readers can tell apart.
@@ -100,12 +101,13 @@ def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None])
         # Whatever the user's matplotlibrc says, a report looks the same everywhere.
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(STYLE)
-        figure = Figure(figsize=size_in)
+        figure = Figure(figsize=size_in, dpi=matplotlib.rcParams["savefig.dpi"])
         draw(figure)
         if keep := _KEEP.get():
             keep(name, figure)
         text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None})
+        # `savefig` would draw everything twice, the first time for what only other formats need.
+        FigureCanvasSVG(figure).print_svg(text, metadata={"Date": None})
     return Markup(_for_page(text.getvalue(), name))
 
 

@@ -150,12 +150,13 @@ def asinh_ticks(scale: AsinhNorm) -> list[float]:
     low, high, width = scale.vmin or 0.0, scale.vmax or 1.0, scale.linear_width
     last = math.floor(math.log10(max(abs(low), abs(high))))
     powers = [sign * 10.0**power for power in range(last, last - 9, -1) for sign in (1, -1)]
-    ticks = [0.0]
-    for tick in [*powers, *(3 * power for power in powers)]:
-        places = [abs(float(scale(tick)) - float(scale(other))) for other in ticks]
-        if low <= tick <= high and abs(tick) > width / 10 and min(places) > TICK_ROOM:
-            ticks.append(tick)
-    return sorted(ticks)
+    wanted = np.array([0.0, *powers, *(3 * power for power in powers)])
+    wanted = wanted[(low <= wanted) & (wanted <= high) & ((abs(wanted) > width / 10) | (wanted == 0))]
+    found: dict[float, float] = {}
+    for tick, place in zip(wanted.tolist(), np.asarray(scale(wanted)).tolist(), strict=True):
+        if all(abs(place - other) > TICK_ROOM for other in found.values()):
+            found[tick] = place
+    return sorted(found)
 
 
 def _short_number(value: float, _: int | None = None) -> str:
