@@ -20,6 +20,7 @@ from irlos_pipe.diagnosis.acceptance import Search, threshold
 from irlos_pipe.diagnosis.effect_sizes import parameter_covariance
 from irlos_pipe.diagnosis.elimination import needed
 from irlos_pipe.diagnosis.fitted import Fitted, begun_at
+from irlos_pipe.diagnosis.grade import copies_in_a_row
 from irlos_pipe.diagnosis.naming import NamingTask, added
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opening import Opening
@@ -86,6 +87,8 @@ class TolerantTask(NamingTask):
         """
         task = self
         for _ in range(self.options.most_names):
+            if copies_in_a_row(current.fitted):
+                break
             chosen = task.further(current, task._scores(current)[0], least)
             if chosen is None:
                 break
@@ -140,14 +143,15 @@ class TolerantTask(NamingTask):
             task, current = task.closed(task._named_beside_all_modes(opening))
             if number == 0 and task.misfit > FAR:
                 task, current = task._started_elsewhere(current)
-            if len(current.fitted.effects) == known and task.misfit > SETTLED * misfit:
+            steady = len(current.fitted.effects) == known and task.misfit > SETTLED * misfit
+            if steady or copies_in_a_row(current.fitted):  # which the detector makes: more would follow
                 break
         return task, current
 
     def _named_beside_all_modes(self, opening: Opening) -> Opening:
         """All modes beside further effects that they imitate, but would rather not."""
         for _ in range(self.options.most_names):
-            further = self._behind(opening)
+            further = None if copies_in_a_row(opening.fitted) else self._behind(opening)
             if further is None:
                 break
             opening = further
