@@ -44,8 +44,7 @@ def ordered_map(function: Callable[[Item], Result], items: Iterable[Item]) -> li
     """Return what `function` makes of all `items`, in order; side by side if there are workers.
 
     Called from a worker, it runs in that worker: pieces of pieces do not wait for each other.
-    Where gradients are recorded it runs in the caller's thread: the transforms of `torch.func`
-    do not follow into others, and would return zeros.
+    Where gradients are recorded it runs in the caller's thread: workers do not record any.
     """
     return list(_results(function, list(items)))
 

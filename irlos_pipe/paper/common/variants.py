@@ -121,7 +121,7 @@ def sharpest_half(frames: Frames) -> Frames:
 
 # The default first; then what each of its parts contributes.
 VARIANTS = {
-    DEFAULT: Variant("default: mean image, AO residual and jitter, 65 modes, prior"),
+    DEFAULT: Variant("default: mean image, AO residual and jitter, open basis, prior"),
     "no_residual": Variant("without AO residual and jitter", effects=lambda effects: []),
     "expected_residual": Variant("AO residual held at the seeing law", effects=_expected_residual),
     "round_residual": Variant("AO residual without direction", effects=partial(_partial, count=2)),

@@ -39,7 +39,9 @@ class Config(StageConfig):
     published_frames: int = Field(
         100, ge=2, le=10000, description="the first frames, for the published method, which fits one by one"
     )
-    seeing_arcsec: float = Field(1.2, gt=0, le=5, description="seeing on SPARTA's scale")
+    seeing_arcsec: float = Field(
+        0.96, gt=0, le=5, description="seeing on SPARTA's scale; the paper has 1.2 arcsec by MASS-DIMM"
+    )
     mag_j: float = Field(8.0, ge=0, le=20, description="J magnitude of the star")
     rotating_nm: float = Field(50.0, ge=0, description="random NCPAs before the derotator, beside the bump")
     fixed_nm: float = Field(100.0, ge=0, description="random NCPAs behind it")
