@@ -31,7 +31,7 @@ from irlos_pipe.diagnosis.second_recording import Advice, SecondRecordings
 from irlos_pipe.diagnosis.tried import tried
 from irlos_pipe.diagnosis.verdict import COMPLETE, EFFECT, NONE, UNKNOWN, Adjusted, Diagnosis, Pictures, Step
 from irlos_pipe.diagnosis.view import Screened
-from irlos_pipe.effects import FixedEffect, wider_kinds
+from irlos_pipe.effects import Effect, FixedEffect, wider_kinds
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.public_errors import public_sigma
 from irlos_pipe.estimate.effect_modes import effects_in_modes_nm
@@ -181,9 +181,20 @@ def _adjusted(search: Search) -> list[Adjusted]:
     covariance, found = parameter_covariance(search.final.stack, fitted), []
     for label in labels:
         base, values = fitted.effect(label).base, fitted.values_of(label)
-        sigma = public_sigma(base, values, _own_covariance(fitted, label, covariance))
-        found.append(Adjusted(label, FixedEffect(base, values), base.describe(values), sigma))
+        full = _own_covariance(fitted, label, covariance)
+        sigma, shown_sigma = (public_sigma(base, values, full, shown=shown) for shown in (False, True))
+        effect, public, shown = FixedEffect(base, values), base.describe(values), base.shown(values)
+        apart = _apart(base, values, full)
+        found.append(Adjusted(label, effect, public, sigma, shown, shown_sigma, apart))
     return found
+
+
+def _apart(effect: Effect, values: np.ndarray, covariance: np.ndarray) -> float:
+    """Distance of the parameter that is most off from its null, in standard errors; 0 without any null."""
+    pairs = zip(effect.parameters, values, np.diag(covariance) ** 0.5, strict=True)
+    return max(
+        (abs(value - p.null) / s for p, value, s in pairs if p.null is not None and s > 0), default=0.0
+    )
 
 
 # -- names -------------------------------------------------------------------------------------

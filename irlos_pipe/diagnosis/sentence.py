@@ -8,6 +8,8 @@ from irlos_pipe.diagnosis.sharing import Together
 from irlos_pipe.diagnosis.verdict import NONE, PARTIAL, RESEMBLES, UNKNOWN, Diagnosis, Step
 from irlos_pipe.effects import CATALOGUE
 
+OFF = 5.0  # standard errors from which a fact is said to be other than told
+
 
 def sentence(diagnosis: Diagnosis) -> str:
     """The verdict of a diagnosis in one or two sentences."""
@@ -46,10 +48,18 @@ def _unnamed(diagnosis: Diagnosis) -> str:
 def _left(diagnosis: Diagnosis) -> str:
     """What is missing besides the names."""
     if diagnosis.grade == PARTIAL:
-        return f"something else is missing as well: {diagnosis.rest.text}"
+        return f"something else is missing as well: {diagnosis.rest.text}{_adjusted(diagnosis)}"
     if diagnosis.unexplained:
         return "besides, the pixels hold structure finer than the telescope can make, as of a wrong flat"
     return f"nothing else is missing{_limit(diagnosis)}"
+
+
+def _adjusted(diagnosis: Diagnosis) -> str:
+    """Facts that the data want otherwise, within what any instrument may have."""
+    facts = [one for one in diagnosis.adjusted if one.effect.base.fact and one.significance > OFF]
+    if not facts:
+        return ""
+    return f"; not named, as it may take up a part of that: {', '.join(one.phrase for one in facts)}"
 
 
 def _phrase(step: Step) -> str:

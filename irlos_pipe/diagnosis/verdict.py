@@ -155,12 +155,25 @@ class Adjusted:
         As it stands there, nothing free.
     public, sigma : dict
         Parameters and standard errors under public names.
+    shown, shown_sigma : dict
+        As of `Step`.
+    significance : float
+        Of the parameter that differs most from nothing, or from what was told, over its standard error.
     """
 
     label: str
     effect: FixedEffect
     public: dict[str, Any]
     sigma: dict[str, Any]
+    shown: dict[str, Any]
+    shown_sigma: dict[str, Any]
+    significance: float
+
+    @property
+    def phrase(self) -> str:
+        """The effect with its size and error, as a sentence names it."""
+        sizes = measured(self.public, self.sigma) | measured(self.shown, self.shown_sigma)
+        return self.effect.phrase(sizes)
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ def verdict_table(results: DiagnoseResults) -> list[Table]:
         ("data that no fit has seen", _held_out(results)),
         *(("runner-up", _lost(step)) for step in _shown(results)[:1]),
         ("left", _left(results)),
-        ("adjusted, not named", ", ".join(one.effect for one in results.adjusted)),
+        ("adjusted, not named", "; ".join(one.phrase or one.effect for one in results.adjusted)),
         ("tried", _tried(results)),
     ]
     known = [row for row in rows if row[1]]

@@ -18,7 +18,9 @@ from irlos_pipe.diagnosis.naming import added
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Family, score_family
+from irlos_pipe.diagnosis.sentence import _left
 from irlos_pipe.diagnosis.tolerant import SCALES, everyday
+from irlos_pipe.diagnosis.verdict import PARTIAL
 from irlos_pipe.diagnosis.without import without_linearly
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 
@@ -95,6 +97,19 @@ def test_what_was_adjusted_is_handed_on_by_its_label_if_there_are_two_of_a_kind(
     assert one.label == "companion_2"
     assert one.public["flux_ratio"] == pytest.approx(0.02, abs=5 * one.sigma["flux_ratio"])
     assert one.public["pa_deg"] == pytest.approx(np.rad2deg(np.arctan2(40, 150)))
+    assert one.significance == pytest.approx(one.public["flux_ratio"] / one.sigma["flux_ratio"])
+    assert one.phrase.startswith("a second source of ")
+
+
+def test_a_fact_that_is_clearly_off_is_said_where_it_is_not_named(off_centre):
+    training, model = off_centre
+    final = Optimum(training, model)
+    adjusted = _adjusted(SimpleNamespace(final=final, adjusted=[STOP.name, SCALE.name]))
+    rest = SimpleNamespace(text="1 % of the light is misplaced")
+    told = _left(SimpleNamespace(grade=PARTIAL, rest=rest, adjusted=adjusted))
+    assert told.startswith("something else is missing as well: 1 % of the light is misplaced; not named")
+    assert adjusted[0].phrase in told
+    assert "mas instead of" not in told  # the pixels are as told
 
 
 def test_where_nothing_is_named_the_nearest_is_said_with_its_size():

@@ -71,7 +71,8 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
         why_unknown=result.why_unknown,
         rest=_rest(result.rest),
         adjusted=[
-            AdjustedRow(effect=one.label, parameters=one.public, sigma=one.sigma) for one in result.adjusted
+            AdjustedRow(effect=one.label, phrase=one.phrase, parameters=one.public, sigma=one.sigma)
+            for one in result.adjusted
         ],
         tried=[
             TriedRow(effect=one.name, outcome=one.outcome, significance=one.significance, reason=one.reason)

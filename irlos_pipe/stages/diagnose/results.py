@@ -71,9 +71,18 @@ class TriedRow(ResultsPart):
 
 
 class AdjustedRow(ResultsPart):
-    """An effect that makes the final model fit better and is not named; `effect` is its label there."""
+    """An effect that makes the final model fit better and is not named.
+
+    Attributes
+    ----------
+    effect : str
+        Its label there.
+    phrase : str
+        The effect with its size and error, as a sentence names it.
+    """
 
     effect: str = ""
+    phrase: str = ""
     parameters: EffectValues = {}
     sigma: EffectValues = {}
 
