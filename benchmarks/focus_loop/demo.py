@@ -36,7 +36,7 @@ def main(output: Path, exposures: int, speed: float, mag_j: float, start_nm: flo
         nonlocal opened
         if not opened and (url := trial.page_url()):
             opened = True
-            print(f"page: {url}", flush=True)
+            print(f"\rpage: {url}", flush=True)
             webbrowser.open(url)
         print(f"\rexposure {reached}/{exposures}", end="", flush=True)
 
