@@ -73,7 +73,7 @@ def judged(search: Search, noise: NoiseVerdict, fine: FineStructure, gap: Gap, o
     options : Options
     """
     left = is_left(search, noise, gap, options.sure)
-    if left:
+    if left and (noise.kind == PHOTONS or not closes(gap)):  # on sky some χ² is always left
         search = without_ordinary_facts(search)
     shares = [share_at_its_place(one.refit, search.final) for one in search.accepted]
     grade, why = _graded(search, shares, noise.kind, left)
@@ -126,8 +126,17 @@ def is_left(search: Search, noise: NoiseVerdict, gap: Gap, sure: float) -> bool:
     if much_is_left(search, noise.kind, sure) or not search.accepted:
         return much_is_left(search, noise.kind, sure)
     far_off = remaining(search).chi2_nu > FAR_OFF
-    open_ = noise.kind == SPECKLES and gap.closed < CLOSED and gap.after > AT_FLOOR * gap.floor
-    return far_off or open_
+    return far_off or (noise.kind == SPECKLES and not closes(gap))
+
+
+def closes(gap: Gap) -> bool:
+    """Whether names close the gap of held-out frames, or come near its floor.
+
+    Parameters
+    ----------
+    gap : Gap
+    """
+    return not (gap.closed < CLOSED and gap.after > AT_FLOOR * gap.floor)
 
 
 def without_ordinary_facts(search: Search) -> Search:

@@ -70,14 +70,25 @@ def test_what_any_instrument_has_is_adjusted_and_not_named_where_something_is_le
     assert believed.nearest is None
 
 
-def test_where_only_the_usual_is_found_and_much_is_left_the_cause_is_unknown():
+@pytest.mark.parametrize(
+    ("kind", "found", "grade"),
+    [
+        (PHOTONS, gap(0.9), "unknown"),  # noise is known: something else is there
+        (SPECKLES, gap(0.9), "partial"),  # some χ² is always left on sky
+        (SPECKLES, gap(0.3), "unknown"),
+    ],
+)
+def test_where_only_the_usual_is_found_and_much_is_left_the_cause_is_unknown(monkeypatch, kind, found, grade):
+    monkeypatch.setattr("irlos_pipe.diagnosis.grade.share_at_its_place", lambda refit, final: 1.0)
+    monkeypatch.setattr("irlos_pipe.diagnosis.grade.copies_in_a_row", lambda fitted: 0)
     options = Options(30, held_out=0.25, most_names=4, sure=SURE)
     fine = SimpleNamespace(significance=0.0, ratio=1.0)
     one = name("plate_scale", True)
-    judgement = judged(search(900.0, one), NoiseVerdict(PHOTONS, 1.0, 1.0), fine, gap(0.9), options)
-    assert judgement.grade == "unknown"
-    assert judgement.search.nearest is one
-    assert "plate_scale" in judgement.why_unknown
+    judgement = judged(search(900.0, one), NoiseVerdict(kind, 1.0, 1.0), fine, found, options)
+    assert judgement.grade == grade
+    if grade == "unknown":
+        assert judgement.search.nearest is one
+        assert "plate_scale" in judgement.why_unknown
 
 
 @pytest.mark.parametrize(
