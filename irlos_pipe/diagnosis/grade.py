@@ -22,8 +22,8 @@ LEFT = {PHOTONS: 0.003, SPECKLES: 0.05, UNSEEN: 0.05}
 LEFT_CHI2_NU = {PHOTONS: 1.3, SPECKLES: 1.2, UNSEEN: 1.2}
 FAR_OFF = 3.0  # χ² over its expectation that no complete model leaves, however much was missing before
 
-# Speckles hide much from χ², and open modes follow those of the frames that they see. In tuning runs right
-# names closed 0.7 of the squared gap of held-out frames or came near its floor, but for one of fourteen.
+# Facts and modes follow the speckles of the frames that they see, which χ² does not show. In tuning runs
+# right names closed 0.7 of the squared gap of held-out frames or came near its floor, but one of 14.
 CLOSED = 0.6  # of the squared gap, that complete names close
 AT_FLOOR = 1.2  # gap over its floor up to which nothing says that they do not
 
@@ -126,7 +126,8 @@ def is_left(search: Search, noise: NoiseVerdict, gap: Gap, sure: float) -> bool:
     if much_is_left(search, noise.kind, sure) or not search.accepted:
         return much_is_left(search, noise.kind, sure)
     far_off = remaining(search).chi2_nu > FAR_OFF
-    return far_off or (noise.kind == SPECKLES and not closes(gap))
+    followed = noise.kind == SPECKLES and bool(search.adjusted)  # speckles, by many facts and modes
+    return far_off or (followed and not closes(gap))
 
 
 def closes(gap: Gap) -> bool:
