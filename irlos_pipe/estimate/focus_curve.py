@@ -80,7 +80,7 @@ def focus_curve(
     column = model.psf.nolls.index(DEFOCUS)
     starts = modes_nm.repeat(len(CURVE_NM) + 1, 1)
     starts[:-1, column] = torch.as_tensor(CURVE_NM)
-    quick = tabulated(model, starts)
+    quick = tabulated(model.general, starts)
     sigma_nm = torch.full_like(modes_nm, torch.inf)
     sigma_nm[column] = HELD_NM
     options = LiftOptions(prior_mean_nm=starts, prior_sigma_nm=sigma_nm)
