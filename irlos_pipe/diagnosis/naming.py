@@ -114,7 +114,10 @@ class NamingTask(AllowingTask):
             found = [one for one in self._scores(refit.origin)[0] if one.name != refit.name]
         near = [one for one in found if one.testable and one.gain > RIVALS * refit.gain]
         likely = sorted(near, key=lambda one: -one.gain)[:PROPOSALS]
-        return [*self._wider(refit), *quick_refits(self.fitter, refit.origin, likely)]
+        others = quick_refits(
+            self.fitter, refit.origin, likely
+        )  # among them wider forms: of `refit`'s own name
+        return [*self._wider(refit), *(one for one in others if one.name != refit.name)]
 
     def _wider(self, refit: Refit) -> list[Refit]:
         """Fits of wider forms of the same effect, as far as they can be made."""
