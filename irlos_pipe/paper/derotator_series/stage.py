@@ -40,7 +40,7 @@ class Config(StageConfig):
         100, ge=2, le=10000, description="the first frames, for the published method, which fits one by one"
     )
     seeing_arcsec: float = Field(
-        0.96, gt=0, le=5, description="seeing on SPARTA's scale; the paper has 1.2 arcsec by MASS-DIMM"
+        1.2, gt=0, le=5, description="seeing on SPARTA's scale; the paper's 1.2 arcsec by MASS-DIMM are 0.96"
     )
     mag_j: float = Field(8.0, ge=0, le=20, description="J magnitude of the star")
     rotating_nm: float = Field(50.0, ge=0, description="random NCPAs before the derotator, beside the bump")
