@@ -31,17 +31,19 @@ TTF = (2, 3, 4)
 BANDS = (Band.of(J, 0.5), Band.of(H, 0.5))
 EXCESS, READ_NOISE_E, READ_S = 1.25, 1.0, 0.005
 TRUE_NM, DIVERSITY_NM = 60.0, {6: -170.0}
+RANGE_NM = 900.0  # of defocus, beyond which a frame is lost, as for the loop
 BELIEVED_POINTS = 3  # per band; the simulator has more
 
 
 @dataclass(frozen=True)
 class Point:
-    """One magnitude: RMS error of defocus and its bound, by estimator [nm]."""
+    """One magnitude: RMS error of defocus and its bound, by estimator [nm]; part of the frames lost."""
 
     mag_j: float
     photons: float
     full_nm: float
     full_bound_nm: float
+    full_lost: float
     four_nm: float
     four_bound_nm: float
     centroids_nm: float
@@ -95,14 +97,15 @@ class _Side:
         return signal - self.sky_e + np.sqrt(reads) * READ_NOISE_E * self.rng.standard_normal(mean.shape)
 
     def by_lift(self, images_e: np.ndarray) -> np.ndarray:
-        """Defocus of every frame [nm]."""
+        """Defocus of every frame [nm], NaN where it is lost."""
         images = torch.as_tensor(images_e)
         good = torch.ones(images.shape[1:], dtype=torch.bool)
         if self.scene.lenslets > 1:  # four images show the sign of defocus, and any start does
             start = torch.zeros(len(images), len(TTF), dtype=torch.float64)
         else:
             start = scan_start_nm(self.model.psf, images, good)
-        return lift(self.model, images, good, self.noise, start).mode(4)[0].numpy()
+        found = lift(self.model, images, good, self.noise, start).mode(4)[0].numpy()
+        return np.where(np.abs(found) < RANGE_NM, found, np.nan)
 
     def bound_nm(self, mag_j: float) -> float:
         """Cramér–Rao bound of defocus."""
@@ -115,12 +118,14 @@ def _point(mag_j: float, full: _Side, four: _Side) -> Point:
     images_e = four.images_e(mag_j)
     floor_e = float(np.sqrt(four.noise.floor_e2))
     scale, geometry = four.scene.pixel_scale_mas, four.scene.geometry
+    by_full = full.by_lift(full.images_e(mag_j))
     centroids = modes_of_centroids_nm(images_e, geometry, scale, floor_e, TTF)[:, 2]
     return Point(
         mag_j,
         full.photons(mag_j),
-        _rms(full.by_lift(full.images_e(mag_j)) - TRUE_NM),
+        _rms(by_full - TRUE_NM),
         full.bound_nm(mag_j),
+        float(np.isnan(by_full).mean()),
         _rms(four.by_lift(images_e) - TRUE_NM),
         four.bound_nm(mag_j),
         _rms(centroids - TRUE_NM),
@@ -134,12 +139,15 @@ def _rms(errors: np.ndarray) -> float:
 
 def rows(points: list[Point]) -> Iterator[str]:
     """Yield the lines of a Markdown table."""
-    yield "| J | photons | full pupil, LIFT | bound | four images, LIFT | bound | centroids | their bias |"
-    yield "|---|---|---|---|---|---|---|---|"
+    yield (
+        "| J | photons | full pupil, LIFT | bound | lost "
+        "| four images, LIFT | bound | centroids | their bias |"
+    )
+    yield "|---|---|---|---|---|---|---|---|---|"
     for one in points:
         yield (
             f"| {one.mag_j:.0f} | {one.photons:.2g} | {one.full_nm:.1f} | {one.full_bound_nm:.1f} | "
-            f"{one.four_nm:.1f} | {one.four_bound_nm:.1f} | {one.centroids_nm:.1f} | "
+            f"{one.full_lost:.0%} | {one.four_nm:.1f} | {one.four_bound_nm:.1f} | {one.centroids_nm:.1f} | "
             f"{one.centroids_bias_nm:+.1f} |"
         )
 
