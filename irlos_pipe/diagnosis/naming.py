@@ -17,7 +17,7 @@ from irlos_pipe.diagnosis.allowance import KNOWN, AllowingTask
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, share_at_its_place
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.refit import Refit, quick_refits, wider_forms
+from irlos_pipe.diagnosis.refit import Refit, narrower_form, quick_refits, wider_forms
 from irlos_pipe.diagnosis.search.scores import Family, Score, score_family
 from irlos_pipe.diagnosis.without import without_linearly
 from irlos_pipe.effects import CATALOGUE, Effect
@@ -117,7 +117,8 @@ class NamingTask(AllowingTask):
         others = quick_refits(
             self.fitter, refit.origin, likely
         )  # among them wider forms: of `refit`'s own name
-        return [*self._wider(refit), *(one for one in others if one.name != refit.name)]
+        forms = [*self._wider(refit), *narrower_form(self.fitter, refit)]
+        return [*forms, *(one for one in others if one.name not in {refit.name, refit.base.widens})]
 
     def _wider(self, refit: Refit) -> list[Refit]:
         """Fits of wider forms of the same effect, as far as they can be made."""

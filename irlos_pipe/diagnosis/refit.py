@@ -13,7 +13,7 @@ from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma
-from irlos_pipe.effects import Effect, FixedEffect, wider_kinds
+from irlos_pipe.effects import CATALOGUE, Effect, FixedEffect, wider_kinds
 from irlos_pipe.effects.labels import label_of
 from irlos_pipe.numerics.parallel import ordered_map
 
@@ -290,6 +290,26 @@ def _widened(fitter: Fitter, pair: tuple[Refit, type[Effect]]) -> Refit:
     del others[one.label]
     score = replace(one.score, candidate=effect, sizes=effect.values, besides=(), elsewhere=())
     return Refit(score, one.origin, fitter.explored([*others.values(), effect], one.fitted))
+
+
+def narrower_form(fitter: Fitter, one: Refit) -> list[Refit]:
+    """A fit of the effect of which another is a wider form, from where that is; none of other effects.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    one : Refit
+    """
+    if not one.base.widens or one.base.acts_in is not None:
+        return []
+    kind = CATALOGUE[one.base.widens].under(fitter.views[0].conditions)
+    names = [parameter.name for parameter in kind.parameters]
+    effect = FixedEffect(kind, one.values[: len(names)], free=names)  # a wider form adds parameters behind
+    others = one.fitted.continued_by_label()
+    del others[one.label]
+    score = replace(one.score, candidate=effect, sizes=effect.values, besides=(), elsewhere=())
+    found = Refit(score, one.origin, fitter.explored([*others.values(), effect], one.fitted))
+    return [found] if np.isfinite(found.fitted.chi2) else []
 
 
 def proposals(scores: Sequence[Score]) -> list[Score]:

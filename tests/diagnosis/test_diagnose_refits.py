@@ -22,7 +22,7 @@ from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.refit import is_rival, refits
+from irlos_pipe.diagnosis.refit import Refit, is_rival, narrower_form, refits
 from irlos_pipe.diagnosis.search.scores import Family, families, score_family, scores
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.splitting import HeldOutFrames
@@ -176,3 +176,19 @@ def test_of_what_a_model_may_have_several_times_a_further_one_is_looked_for():
 
     assert names() - names("companion", "phase_bump", "vibration") == {"vibration"}
     assert "ghost" not in names()  # looked for where a companion is found
+
+
+def test_a_sharp_ghost_is_tried_as_the_companion_that_it_is_as_well():
+    companion, ghost = (CATALOGUE[name].under(CONDITIONS) for name in ("companion", "ghost"))
+    training = cube(image(effect=companion, values=(0.02, 150.0, 40.0))).training
+    origin = optimum(training)
+    (score,) = scores(origin, only("companion"))
+    start = ghost.widened(np.array([0.02, 145.0, 45.0]))
+    refit = Refit(score, origin, fitted(training, [start]), "ghost")
+    (narrower,) = narrower_form(fitter_of(training), refit)
+    assert narrower.name == "companion"
+    assert narrower.public["flux_ratio"] == pytest.approx(0.02, rel=0.02)
+    assert narrower.public["sep_mas"] == pytest.approx(np.hypot(150, 40), abs=1)
+    assert narrower.gain == pytest.approx(refit.gain, rel=1e-3)
+    assert narrower.merit > refit.merit  # fewer parameters explain as much
+    assert narrower_form(fitter_of(training), narrower) == []
