@@ -91,10 +91,7 @@ def _graded(search: Search, shares: Sequence[float], kind: str, left: bool) -> t
     if kind == PHOTONS and any(one.refit.effect.speckles for one in names):
         return RESEMBLES, "a halo without the speckles that an AO residual makes from frame to frame"
     if copies := copies_in_a_row(search.final.fitted):
-        return (
-            RESEMBLES,
-            f"{copies} copies of the star in one direction, as a detector makes them",
-        )
+        return RESEMBLES, f"{copies} copies of the star in one direction, as a detector makes them"
     if left and max(shares) < AT_ITS_PLACE[kind]:
         return RESEMBLES, f"{names[0].name} leaves {1 - shares[0]:.1%} of its own signal where it acts"
     return (PARTIAL if left else COMPLETE), ""
@@ -123,8 +120,9 @@ def is_left(search: Search, noise: NoiseVerdict, gap: Gap, sure: float) -> bool:
     sure : float
         Significance of a detection.
     """
-    if much_is_left(search, noise.kind, sure) or not search.accepted:
-        return much_is_left(search, noise.kind, sure)
+    left = much_is_left(search, noise.kind, sure)
+    if left or not search.accepted:
+        return left
     far_off = remaining(search).chi2_nu > FAR_OFF
     followed = noise.kind == SPECKLES and bool(search.adjusted)  # speckles, by many facts and modes
     return far_off or (followed and not closes(gap))
