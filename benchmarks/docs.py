@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
+from benchmarks.pages import put
 from benchmarks.table import render
 
 PAGE = Path(__file__).parents[1] / "docs" / "performance.md"
@@ -12,15 +12,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "performance.md"
 
 def write_docs(results: dict) -> None:
     """Replace the table and the breakdown by those of `results`."""
-    text = PAGE.read_text(encoding="utf-8")
-    for name, content in (("table", f"```text\n{render(results)}\n```"), ("breakdown", breakdown(results))):
-        block = f"<!-- {name} -->\n{content}\n<!-- end of {name} -->"
-        text, found = re.subn(
-            rf"<!-- {name} -->.*?<!-- end of {name} -->", lambda _, block=block: block, text, flags=re.S
-        )
-        if not found:
-            raise SystemExit(f"{PAGE.name}: no place for the {name}: the markers <!-- {name} --> are missing")
-    PAGE.write_text(text, encoding="utf-8")
+    put(PAGE, {"table": f"```text\n{render(results)}\n```", "breakdown": breakdown(results)})
 
 
 def breakdown(results: dict) -> str:

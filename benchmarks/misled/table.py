@@ -8,9 +8,9 @@ from typing import Any
 
 from benchmarks.misled.cases import NIGHT
 from benchmarks.misled.working import WRONG_SIGMA
+from benchmarks.pages import put
 
 PAGE = Path(__file__).parents[2] / "docs" / "reliability.md"
-BEGIN, END = "<!-- misled: begin -->", "<!-- misled: end -->"
 ACCUSED, WARNED, STATED, PASSED, MISLED = "accused", "warned only", "said before", "passed", "misled"
 COLUMNS = ("kind", "family", "cases", ACCUSED, WARNED, STATED, PASSED, MISLED)
 ROUTINE = "taken from the"  # what every recording with a plain side-car is warned of
@@ -73,6 +73,4 @@ def summary(outcomes: Sequence[Mapping[str, Any]]) -> str:
 
 def write_page(text: str) -> None:
     """Put `text` between the marks of docs/reliability.md."""
-    page = PAGE.read_text()
-    begin, end = page.index(BEGIN) + len(BEGIN), page.index(END)
-    PAGE.write_text(f"{page[:begin]}\n{text}\n{page[end:]}")
+    put(PAGE, {"misled": text})

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.pages import put
 from benchmarks.pulls.cases import SEEINGS_ARCSEC, SHAPES
 
 PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
-MARKED = re.compile(r"(<!-- pulls -->\n).*?(<!-- /pulls -->)", re.DOTALL)
 DRAWS, SEED = 2000, 1
 HEAD = (
     "| cubes | | error | quoted | pull | χ² of the covariance | ramp: error | quoted | pull | of its mean |"
@@ -74,5 +73,4 @@ def _with_interval(some: Sequence[dict]) -> str:
 
 def write_page(text: str) -> None:
     """Put the table between its marks in docs/performance.md."""
-    page = PAGE.read_text(encoding="utf-8")
-    PAGE.write_text(MARKED.sub(lambda found: f"{found[1]}\n{text}\n\n{found[2]}", page), encoding="utf-8")
+    put(PAGE, {"pulls": text})

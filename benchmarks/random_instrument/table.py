@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,11 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from benchmarks.diagnose_suite.rates import Rate
+from benchmarks.pages import put
 from benchmarks.random_instrument.cases import SEEINGS_ARCSEC
 from benchmarks.random_instrument.scoring import BAD_NM, BAD_PULL, Judged, judged
 
 PAGE = Path(__file__).parents[2] / "docs" / "random_instrument.md"
-MARKED = re.compile(r"(<!-- random instrument -->\n).*?(<!-- /random instrument -->)", re.DOTALL)
 CONFIDENCE, RESAMPLES, SEED = 0.95, 2000, 1
 Statistic = Callable[..., np.ndarray]
 Outcome = Mapping[str, Any]
@@ -148,5 +147,4 @@ def _rate(events: Any) -> str:
 
 def write_page(text: str) -> None:
     """Put the tables between their marks in docs/random_instrument.md."""
-    page = PAGE.read_text(encoding="utf-8")
-    PAGE.write_text(MARKED.sub(lambda found: f"{found[1]}\n{text}\n\n{found[2]}", page), encoding="utf-8")
+    put(PAGE, {"random instrument": text})

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Iterable
 from pathlib import Path
 
 import click
 
+from benchmarks.pages import put
 from benchmarks.two_by_two import archive, comparison
 
 RESULTS = Path(__file__).parent / "results.json"
@@ -27,18 +26,13 @@ def main(folder: Path, files: int, realisations: int, write_docs: bool) -> None:
     points = comparison.compared(MAGS, realisations, exposure_s=1.0, seed=22)
     results = {"archive": archive.as_json(found), "comparison": comparison.as_json(points)}
     RESULTS.write_text(json.dumps(results, indent=1) + "\n")
-    for name, lines in (("archive", archive.rows(found)), ("comparison", comparison.rows(points))):
-        _show(name, list(lines), write_docs)
-
-
-def _show(name: str, lines: Iterable[str], write_docs: bool) -> None:
-    """Print a table, and put it between its markers in the page."""
-    table = "\n".join(lines)
-    click.echo(table)
+    tables = {
+        "archive": "\n".join(archive.rows(found)),
+        "comparison": "\n".join(comparison.rows(points)),
+    }
+    click.echo("\n".join(tables.values()))
     if write_docs:
-        block = f"<!-- {name} -->\n{table}\n<!-- end of {name} -->"
-        pattern = rf"<!-- {name} -->.*?<!-- end of {name} -->"
-        PAGE.write_text(re.sub(pattern, lambda _: block, PAGE.read_text(), flags=re.S))
+        put(PAGE, tables)
 
 
 if __name__ == "__main__":
