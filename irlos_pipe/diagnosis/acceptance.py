@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, preference
-from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import PER_PARAMETER, Refit
 from irlos_pipe.diagnosis.search.scores import Score
@@ -90,6 +91,12 @@ class Search:
     meaningless: list[str]
     adjusted: Sequence[str] = ()
     nearest: Accepted | None = None
+
+    @cached_property
+    def remaining(self) -> Excess:
+        """What the final model leaves beside noise and the error of the flat, which shows by itself."""
+        stack = self.final.stack.without_model_error().limited_by(self.null.stack.photon_limited)
+        return self.final.under(stack).excess
 
 
 def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool) -> Accepted | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -61,11 +62,12 @@ def conclude(
     plain = search.final.under(search.null.stack)
     fine = fine_structure(plain)
     before, after = (HeldOutEvaluation(cube.held_out, one.fitted) for one in (search.null, plain))
-    judgement = judged(search, noise, fine, gap_between(before, after), options)
+    gap = gap_between(before, after)
+    judgement = judged(search, noise, fine, gap, options)
     search, why = judgement.search, judgement.why_unknown
     steps = [*_drift_steps(cube, search, options), *_steps(cube, search, judgement.shares)]
     final, after = (search.null, before) if why else (plain, after)
-    gap = gap_between(before, after)
+    gap = replace(gap, after=after.gap)
     present = {effect.name for effect in search.final.fitted.effects}
     unseen = [s for s in search.scores if s.name not in present]
     testable = [s for s in unseen if s.testable and within_reach(s, _least_gain(s))]
@@ -182,10 +184,8 @@ def _adjusted(search: Search) -> list[Adjusted]:
     for label in labels:
         base, values = fitted.effect(label).base, fitted.values_of(label)
         full = _own_covariance(fitted, label, covariance)
-        sigma, shown_sigma = (public_sigma(base, values, full, shown=shown) for shown in (False, True))
-        effect, public, shown = FixedEffect(base, values), base.describe(values), base.shown(values)
-        apart = _apart(base, values, full)
-        found.append(Adjusted(label, effect, public, sigma, shown, shown_sigma, apart))
+        sizes = _sizes(base, values, full)
+        found.append(Adjusted(**sizes, label=label, significance=_apart(base, values, full)))
     return found
 
 
@@ -223,19 +223,26 @@ def _step(cube: Cube, accepted: Accepted, label: str, fitted: Fitted, covariance
     full = _own_covariance(fitted, label, covariance)
     judges = (HeldOutEvaluation(cube.held_out, one) for one in (refit.origin.fitted, refit.fitted))
     return Step(
-        FixedEffect(base, values),
-        base.describe(values),
-        public_sigma(base, values, full),
-        refit.significance,
-        accepted.ranking[0].explained,
-        accepted.preference,
-        gap_between(*judges),
-        accepted.alternatives,
-        accepted.ranking,
-        label,
-        shown=base.shown(values),
-        shown_sigma=public_sigma(base, values, full, shown=True),
+        **_sizes(base, values, full),
+        significance=refit.significance,
+        explained=accepted.ranking[0].explained,
+        preference=accepted.preference,
+        gap=gap_between(*judges),
+        alternatives=accepted.alternatives,
+        ranking=accepted.ranking,
+        label=label,
     )
+
+
+def _sizes(base: Effect, values: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
+    """An effect with its sizes and errors, as the fields of `Sized`."""
+    return {
+        "effect": FixedEffect(base, values),
+        "public": base.describe(values),
+        "sigma": public_sigma(base, values, covariance),
+        "shown": base.shown(values),
+        "shown_sigma": public_sigma(base, values, covariance, shown=True),
+    }
 
 
 def _own_covariance(fitted: Fitted, label: str, covariance: np.ndarray) -> np.ndarray:

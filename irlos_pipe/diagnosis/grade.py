@@ -10,7 +10,7 @@ from irlos_pipe.diagnosis.checks.fine_structure import FineStructure
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, UNSEEN, NoiseVerdict
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.held_out import Gap
-from irlos_pipe.diagnosis.null_model import Excess, Optimum
+from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.verdict import COMPLETE, NONE, PARTIAL, RESEMBLES, UNKNOWN, Grade
@@ -99,7 +99,7 @@ def _graded(search: Search, shares: Sequence[float], kind: str, left: bool) -> t
 
 def _unexplained(search: Search) -> str:
     """What nothing explains, in words."""
-    left = remaining(search).chi2_nu
+    left = search.remaining.chi2_nu
     if not search.adjusted:
         return f"nothing in the catalogue explains χ²/ν {left:.2f}"
     return (
@@ -123,7 +123,7 @@ def is_left(search: Search, noise: NoiseVerdict, gap: Gap, sure: float) -> bool:
     left = much_is_left(search, noise.kind, sure)
     if left or not search.accepted:
         return left
-    far_off = remaining(search).chi2_nu > FAR_OFF
+    far_off = search.remaining.chi2_nu > FAR_OFF
     followed = noise.kind == SPECKLES and bool(search.adjusted)  # speckles, by many facts and modes
     return far_off or (followed and not closes(gap))
 
@@ -180,17 +180,6 @@ def _near(angles_deg: Sequence[float], to_deg: float, period_deg: float) -> int:
     return sum(abs((one - to_deg + half) % period_deg - half) < ALIGNED_DEG for one in angles_deg)
 
 
-def remaining(search: Search) -> Excess:
-    """What the final model leaves beside noise and the error of the flat, which shows by itself.
-
-    Parameters
-    ----------
-    search : Search
-    """
-    stack = search.final.stack.without_model_error().limited_by(search.null.stack.photon_limited)
-    return search.final.under(stack).excess
-
-
 def much_is_left(search: Search, kind: str, sure: float) -> bool:
     """Whether a significant part of what the model missed at first is still there.
 
@@ -202,7 +191,7 @@ def much_is_left(search: Search, kind: str, sure: float) -> bool:
     sure : float
         Significance of a detection.
     """
-    null, final = search.null.excess, remaining(search)
+    null, final = search.null.excess, search.remaining
     much = final.significance > sure and final.chi2_nu > LEFT_CHI2_NU[kind]
     return much and final.chi2 > LEFT[kind] * null.chi2
 

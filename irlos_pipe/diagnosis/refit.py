@@ -285,11 +285,7 @@ def wider_forms(fitter: Fitter, one: Refit) -> list[Refit]:
 def _widened(fitter: Fitter, pair: tuple[Refit, type[Effect]]) -> Refit:
     """A wider form of what was fitted, from where it is: a second image may be out of focus."""
     one, kind = pair
-    effect = kind.under(fitter.views[0].conditions).widened(one.values)
-    others = one.fitted.continued_by_label()
-    del others[one.label]
-    score = replace(one.score, candidate=effect, sizes=effect.values, besides=(), elsewhere=())
-    return Refit(score, one.origin, fitter.explored([*others.values(), effect], one.fitted))
+    return _as_effect(fitter, one, kind.under(fitter.views[0].conditions).widened(one.values))
 
 
 def narrower_form(fitter: Fitter, one: Refit) -> list[Refit]:
@@ -305,11 +301,16 @@ def narrower_form(fitter: Fitter, one: Refit) -> list[Refit]:
     kind = CATALOGUE[one.base.widens].under(fitter.views[0].conditions)
     names = [parameter.name for parameter in kind.parameters]
     effect = FixedEffect(kind, one.values[: len(names)], free=names)  # a wider form adds parameters behind
+    found = _as_effect(fitter, one, effect)
+    return [found] if np.isfinite(found.fitted.chi2) else []
+
+
+def _as_effect(fitter: Fitter, one: Refit, effect: FixedEffect) -> Refit:
+    """A fit with another effect in the place of what was fitted, from where the rest is."""
     others = one.fitted.continued_by_label()
     del others[one.label]
     score = replace(one.score, candidate=effect, sizes=effect.values, besides=(), elsewhere=())
-    found = Refit(score, one.origin, fitter.explored([*others.values(), effect], one.fitted))
-    return [found] if np.isfinite(found.fitted.chi2) else []
+    return Refit(score, one.origin, fitter.explored([*others.values(), effect], one.fitted))
 
 
 def proposals(scores: Sequence[Score]) -> list[Score]:

@@ -54,8 +54,8 @@ class Ranked:
 
 
 @dataclass(frozen=True)
-class Step:
-    """One name, in the order found.
+class Sized:
+    """An effect with its size and error.
 
     Attributes
     ----------
@@ -63,6 +63,29 @@ class Step:
         As it stands in the final model, nothing free.
     public, sigma : dict
         Parameters and standard errors under public names.
+    shown, shown_sigma : dict
+        What a reader is told of its size, see `Effect.shown`, and standard errors.
+    """
+
+    effect: FixedEffect
+    public: dict[str, Any]
+    sigma: dict[str, Any]
+    shown: dict[str, Any] = field(default_factory=dict, kw_only=True)
+    shown_sigma: dict[str, Any] = field(default_factory=dict, kw_only=True)
+
+    @property
+    def phrase(self) -> str:
+        """The effect with its size and error, as a sentence names it."""
+        sizes = measured(self.public, self.sigma) | measured(self.shown, self.shown_sigma)
+        return self.effect.phrase(sizes)
+
+
+@dataclass(frozen=True)
+class Step(Sized):
+    """One name, in the order found.
+
+    Attributes
+    ----------
     significance : float
         In Gaussian σ.
     explained : float
@@ -78,13 +101,8 @@ class Step:
         Of the effect among those of the final model; by default its name.
     share : float
         Part of its own signal that the final model explains where that signal lies.
-    shown, shown_sigma : dict
-        What a reader is told of its size, see `Effect.shown`, and standard errors.
     """
 
-    effect: FixedEffect
-    public: dict[str, Any]
-    sigma: dict[str, Any]
     significance: float
     explained: float
     preference: float
@@ -93,8 +111,6 @@ class Step:
     ranking: Sequence[Ranked] = ()
     label: str = ""
     share: float = float("nan")
-    shown: dict[str, Any] = field(default_factory=dict)
-    shown_sigma: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "label", self.label or self.name)
@@ -107,12 +123,6 @@ class Step:
     def found_in(self, moments: Moments) -> list[str]:
         """Names of the `moments` in which it acts; none where it acts in all."""
         return [] if self.effect.acts_in is None else moments.names_of(self.effect.acts_in)
-
-    @property
-    def phrase(self) -> str:
-        """The effect with its size and error, as a sentence names it."""
-        sizes = measured(self.public, self.sigma) | measured(self.shown, self.shown_sigma)
-        return self.effect.phrase(sizes)
 
     @property
     def unusual(self) -> list[str]:
@@ -144,36 +154,19 @@ class Tried:
 
 
 @dataclass(frozen=True)
-class Adjusted:
+class Adjusted(Sized):
     """An effect that makes the final model fit better and is not named.
 
     Attributes
     ----------
     label : str
         Of the effect among those of the final model.
-    effect : FixedEffect
-        As it stands there, nothing free.
-    public, sigma : dict
-        Parameters and standard errors under public names.
-    shown, shown_sigma : dict
-        As of `Step`.
     significance : float
         Of the parameter that differs most from nothing, or from what was told, over its standard error.
     """
 
     label: str
-    effect: FixedEffect
-    public: dict[str, Any]
-    sigma: dict[str, Any]
-    shown: dict[str, Any]
-    shown_sigma: dict[str, Any]
     significance: float
-
-    @property
-    def phrase(self) -> str:
-        """The effect with its size and error, as a sentence names it."""
-        sizes = measured(self.public, self.sigma) | measured(self.shown, self.shown_sigma)
-        return self.effect.phrase(sizes)
 
 
 @dataclass(frozen=True)
