@@ -172,7 +172,10 @@ class PsfModel:
         return Colour(wavelength_m, pupil, transfer, to_rows, to_columns, grid.padded, grid.samples)
 
     def _pupil(self, pupils: torch.Tensor | None, index: int) -> torch.Tensor | None:
-        return None if pupils is None else mirrored(self._complex(pupils[index]))
+        return None if pupils is None else self._pupil_of(pupils, index)
+
+    def _pupil_of(self, pupils: torch.Tensor, index: int) -> torch.Tensor:
+        return mirrored(self._complex(pupils[index]))
 
     def _transfer(self, factors: torch.Tensor | None, index: int) -> torch.Tensor | None:
         if factors is None:
@@ -184,10 +187,10 @@ class PsfModel:
         one_path = partial(self._one_path, self._opd_nm(modes_nm))
         return reduce(torch.add, ordered_map(one_path, self._paths(optics)))
 
-    def _paths(self, optics: Optics, tangents: Tangents = NO_TANGENTS) -> list[_Path]:
-        """What light of every wavelength meets, of the star and of its copies."""
+    def _paths(self, optics: Optics, tangents: Tangents = NO_TANGENTS, *, rough: bool = False) -> list[_Path]:
+        """What light of every wavelength meets, of the star and of its copies; see `rough_derivatives`."""
         own = tangents.copies or [NO_TANGENTS] * len(optics.copies)
-        follow = [self.rough_derivatives and _is_faint(one) for one in optics.copies]
+        follow = [rough and _is_faint(one) for one in optics.copies]
         copies = zip(optics.copies, own, [None] * len(own), follow, strict=True)
         lights = [(optics, tangents, _together(optics, follow), False), *copies]
         return [_Path(*light, index) for light in lights for index in range(len(self.weights))]
@@ -219,7 +222,8 @@ class PsfModel:
 
     def _chunk(self, modes_nm, optics: Optics, tangents: Tangents, modal: bool):
         one_path = partial(self._one_path_with_jacobian, self._opd_nm(modes_nm), modal)
-        images, jacobians = zip(*ordered_map(one_path, self._paths(optics, tangents)), strict=True)
+        paths = self._paths(optics, tangents, rough=self.rough_derivatives)
+        images, jacobians = zip(*ordered_map(one_path, paths), strict=True)
         return reduce(torch.Tensor.add_, images), reduce(torch.Tensor.add_, jacobians).transpose(0, 1)
 
     def _one_path_with_jacobian(self, opd, modal: bool, path: _Path):
@@ -238,7 +242,7 @@ class PsfModel:
             amplitude, columns = dft.amplitude(field), []
 
         def by_pupil(slope: torch.Tensor) -> torch.Tensor:
-            change = dft.amplitude(behind(mirrored(self._complex(slope[index])), phasor))
+            change = dft.amplitude(behind(self._pupil_of(slope, index), phasor))
             return changing.image(2 * (amplitude * change).sum(1))[None]
 
         intensity = _intensity(amplitude)
