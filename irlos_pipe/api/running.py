@@ -32,9 +32,9 @@ class Run(Mapping[str, Product]):
     """
 
     def __init__(self, path: Path | str) -> None:
-        self.path = existing_run(Path(path)).path
-        files = sorted(self.path.glob("[0-9][0-9]_*.h5"))
-        self._files = {file.stem.partition("_")[2]: file for file in files}
+        run = existing_run(Path(path))
+        self.path = run.path
+        self._files = {file.stem.partition("_")[2]: file for file in run.product_files}
         self._opened: dict[str, Product] = {}
 
     def __getitem__(self, stage: str) -> Product:

@@ -28,7 +28,7 @@ def run_status(folder: Path) -> RunStatus:
     run = existing_run(folder)
     states = _states(run)
     current = all(state == CURRENT for state, _ in states.values())
-    there = [path.name for path in sorted(run.path.glob("[0-9][0-9]_*.h5"))]
+    there = [path.name for path in run.product_files]
     rows = [_row(run.path / name, *states.pop(name, (FOREIGN, ""))) for name in there]
     rows += [ProductRow(product=name, state=state, reason=why) for name, (state, why) in states.items()]
     return RunStatus(run=str(folder), current=current, products=rows)
@@ -48,7 +48,7 @@ def _states(run: RunFolder) -> dict[str, State]:
         _, steps = plan_run(load_recipe(run.recipe), run.path, Selection())
     except IrlosError as error:
         reason = str(error).splitlines()[0]
-        return {path.name: (UNKNOWN, reason) for path in run.path.glob("[0-9][0-9]_*.h5")}
+        return {path.name: (UNKNOWN, reason) for path in run.product_files}
     return {step.path.name: (CURRENT, "") if step.current else (OUTDATED, step.reason) for step in steps}
 
 

@@ -89,5 +89,5 @@ def _only_adds(recipe: Recipe, version: Path, selection: Selection) -> bool:
     if not run.recipe.is_file():
         return True
     _, steps = plan_run(recipe, version, selection)
-    others = set(version.glob("[0-9][0-9]_*.h5")) - {step.path for step in steps}
+    others = set(run.product_files) - {step.path for step in steps}
     return not others and all(step.action is not Action.RUN or step.reason == NO_PRODUCT for step in steps)

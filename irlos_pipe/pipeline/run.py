@@ -151,7 +151,7 @@ def _failure_recorded(job: Job, run: RunFolder) -> Iterator[None]:
 def _set_others_aside(run: RunFolder, steps: Sequence[Step]) -> None:
     """Nobody should take what another recipe left for a result of this one."""
     ours = {step.path for step in steps}
-    for path in sorted(set(run.path.glob("[0-9][0-9]_*.h5")) - ours):
+    for path in sorted(set(run.product_files) - ours):
         run.set_aside([*_files_beside(path), path.name])
 
 

@@ -62,6 +62,11 @@ class RunFolder:
         """The recipe with every default made explicit."""
         return self.path / "recipe.resolved.yaml"
 
+    @property
+    def product_files(self) -> list[Path]:
+        """All products that are there, whoever made them, by name; those of the run are `products`."""
+        return sorted(self.path.glob("[0-9][0-9]_*.h5"))
+
     def product(self, position: int, stage: str) -> Path:
         """Return the path of the product of `stage` at a `position` in the recipe, counted from 1."""
         return self.path / f"{position:02d}_{stage}.h5"

@@ -43,7 +43,7 @@ def shown_run(folder: Path) -> ShownRun:
     """
     run = existing_run(folder)
     results = read_run_results(run.results) if run.results.is_file() else RunResults()
-    products = sorted(run.path.glob("[0-9][0-9]_*.h5"))
+    products = run.product_files
     others = {path.name for path in run.path.iterdir() if path.is_file() and not path.name.startswith(".")}
     return ShownRun(
         run=str(folder),
