@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
 from irlos_pipe.diagnosis.ambiguity import Alternative, alternatives
 from irlos_pipe.diagnosis.checks.drift import Drift
 from irlos_pipe.diagnosis.checks.motion import MOVING, motion_ratio
@@ -20,6 +18,7 @@ from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import PER_PARAMETER, Refit
 from irlos_pipe.diagnosis.search.scores import Score
+from irlos_pipe.diagnosis.significance import threshold
 from irlos_pipe.diagnosis.verdict import Ranked
 from irlos_pipe.effects.labels import label_of, occurrences
 
@@ -216,14 +215,6 @@ def detected(refit: Refit, sure: float) -> bool:
         refit.significance > sure
         and refit.gain > threshold(refit.parameters, refit.score.trials) * refit.score.inflation
     )
-
-
-def threshold(parameters: int, trials: int) -> float:
-    """Fall of χ² that chance does not reach, over many data sets with small errors of the model.
-
-    `parameters` were fitted to the best of `trials`.
-    """
-    return parameters + 6 * np.sqrt(2 * parameters) + 20 + 2 * np.log(trials)
 
 
 def explained(refit: Refit) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.acceptance import Accepted, Search, labels_in, threshold
+from irlos_pipe.diagnosis.acceptance import Accepted, Search, labels_in
 from irlos_pipe.diagnosis.checks.fine_structure import fine_structure
 from irlos_pipe.diagnosis.checks.motion import motion_ratio
 from irlos_pipe.diagnosis.checks.noise import NoiseVerdict
@@ -70,7 +70,7 @@ def conclude(
     gap = replace(gap, after=after.gap)
     present = {effect.name for effect in search.final.fitted.effects}
     unseen = [s for s in search.scores if s.name not in present]
-    testable = [s for s in unseen if s.testable and within_reach(s, _least_gain(s))]
+    testable = [s for s in unseen if s.testable and within_reach(s)]
     hidden = [s for s in unseen if s not in testable]
     seconds = SecondRecordings(search.final)
     steps = [_with_separation(step, search, seconds) for step in steps]
@@ -125,14 +125,9 @@ def _modes_sigma_nm(optimum: Optimum) -> np.ndarray:
     return np.sqrt(np.diag(covariance))[optimum.fitted.problem.layout.modes]
 
 
-def _least_gain(score: Score) -> float:
-    """Fall of χ², in units of its inflation, from which the effect counts as seen."""
-    return threshold(len(score.usable), score.trials)
-
-
 def _smallest(score: Score) -> dict:
-    """Public size of every parameter that would have been seen."""
-    found = (detectable(one, _least_gain(one)) for one in (*score.besides, score))
+    """Public size of every parameter that would surely have been seen."""
+    found = (detectable(one) for one in (*score.besides, score))
     return {key: size for public in found for key, size in public.items()}
 
 
@@ -154,7 +149,7 @@ def _elsewhere(search: Search, options: Options) -> dict[str, dict]:
 
 def _advice(hidden: Sequence[Score], seconds: SecondRecordings) -> dict[str, Advice]:
     """A second recording for every effect that these data hide, where one helps."""
-    found = ((score.name, seconds.showing(score, _least_gain(score))) for score in hidden)
+    found = ((score.name, seconds.showing(score)) for score in hidden)
     return {name: advice for name, advice in found if advice is not None}
 
 

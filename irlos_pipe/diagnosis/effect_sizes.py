@@ -10,6 +10,7 @@ import numpy as np
 from irlos_pipe.diagnosis.cube import Stacks
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.search.scores import Score
+from irlos_pipe.diagnosis.significance import surely_exceeding, threshold
 from irlos_pipe.effects import Parameter
 from irlos_pipe.effects.public_errors import public_difference
 
@@ -49,14 +50,15 @@ def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.nd
     return (projector @ relative @ projector) * units
 
 
-def detectable(score: Score, gain: float) -> dict[str, Any]:
-    """Public size at which the effect would lower χ² by `gain` times its inflation, parameter by parameter.
+def detectable(score: Score) -> dict[str, Any]:
+    """Public size at which the effect would surely be seen, parameter by parameter.
 
     Positions and directions, which do not change with the size, are left out; of a displacement whose
     direction does not matter both components are its size. `score` is that of the effect.
     """
     null = np.array(score.candidate.null_values, float)
-    sizes = np.where(np.isfinite(score.smallest), score.smallest, 0.0) * np.sqrt(gain)
+    sizes = _surely_seen(score)
+    sizes = np.where(np.isfinite(sizes), sizes, 0.0)
     effect, absent = score.candidate, score.candidate.describe(null)
     alone = np.diag(sizes) if not _is_table(absent) else [sizes]
     changes = [public_difference(effect, null + one, null) for one in alone]
@@ -69,21 +71,22 @@ def detectable(score: Score, gain: float) -> dict[str, Any]:
     return {key: v for key, v in largest.items() if key not in moving and _size(v) > NOTHING}
 
 
-def within_reach(score: Score, gain: float, *, plausible: bool = False) -> bool:
-    """Whether the size that would be detected lies within the bounds of the effect's parameters.
+def within_reach(score: Score, *, plausible: bool = False) -> bool:
+    """Whether the size that would surely be seen lies within the bounds of the effect's parameters.
 
-    Parameters
-    ----------
-    score : Score
-    gain : float
-        See `detectable`.
-    plausible : bool
-        Within the plausible range instead.
+    Or, if `plausible`, within the usual range.
     """
     null = np.array(score.candidate.null_values, float)
     limits = np.array([p.plausible if plausible else (p.lower, p.upper) for p in score.candidate.parameters])
     reach = np.maximum(limits[:, 1] - null, null - limits[:, 0])
-    return bool(np.any(score.smallest * np.sqrt(gain) < reach))
+    return bool(np.any(_surely_seen(score) < reach))
+
+
+def _surely_seen(score: Score) -> np.ndarray:
+    """Size of each parameter alone that would surely be seen; infinite where none would be, (parameters,)."""
+    tested = int(np.isfinite(score.smallest).sum())
+    gain = surely_exceeding(threshold(tested, score.trials), tested) if tested else 1.0
+    return score.smallest * np.sqrt(gain)
 
 
 def _is_table(public: Mapping) -> bool:

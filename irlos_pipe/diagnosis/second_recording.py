@@ -70,26 +70,22 @@ class SecondRecordings:
         beside = ordered_map(partial(self._beside, optimum.fitted), self.views)
         self.beside = dict(zip(self.views, beside, strict=True))
 
-    def showing(self, score: Score, gain: float) -> Advice | None:
+    def showing(self, score: Score) -> Advice | None:
         """The recording with which an untestable effect is seen best; None if none shows it.
 
         Parameters
         ----------
         score : Score
             Of the effect without it.
-        gain : float
-            Fall of χ² from which it counts as seen.
         """
         found = ((recording, self._score(score, optimum)) for recording, optimum in self.beside.items())
         useful = [
-            (recording, one)
-            for recording, one in found
-            if one.testable and within_reach(one, gain, plausible=True)
+            (recording, one) for recording, one in found if one.testable and within_reach(one, plausible=True)
         ]
         if not useful:
             return None
         recording, best = max(useful, key=lambda pair: pair[1].observability)
-        return Advice(recording, best.observability, detectable(best, gain))
+        return Advice(recording, best.observability, detectable(best))
 
     def separating(self, one: Refit, others: Sequence[Refit]) -> list[tuple[str, float]]:
         """For each of the `others` the recording with which it is least like `one`, and how much it still is.

@@ -9,6 +9,7 @@ from scipy import special, stats
 from irlos_pipe.diagnosis.null_model import Optimum
 
 MOST_OF_FRAMES = 0.3  # directions of a test over the number of frames
+SURELY = 0.95  # probability with which an effect of the smallest detectable size is seen
 
 
 def significance_of(
@@ -62,6 +63,22 @@ def gaussian_sigma(hotelling: float, directions: int, frames: float, trials: int
         scale = directions * (freedom + directions - 1)
         tail = _log_tail_of_f(hotelling * freedom / scale, directions, freedom)
     return float(max(-special.ndtri_exp(min(tail + np.log(trials), np.log(0.5))), 0.0))
+
+
+def threshold(parameters: int, trials: int) -> float:
+    """Fall of χ² that chance does not reach, over many data sets with small errors of the model.
+
+    `parameters` were fitted to the best of `trials`.
+    """
+    return parameters + 6 * np.sqrt(2 * parameters) + 20 + 2 * np.log(trials)
+
+
+def surely_exceeding(limit: float, directions: int) -> float:
+    """Noncentrality from which χ² over `directions` exceeds `limit` with the probability `SURELY`.
+
+    It is the λ₀ of the minimal detectable bias (Baarda 1968; Teunissen 2018, 10.1007/s00190-017-1045-7).
+    """
+    return float(special.chndtrinc(limit, directions, 1 - SURELY))
 
 
 def _log_tail_of_f(value: float, above: float, below: float) -> float:

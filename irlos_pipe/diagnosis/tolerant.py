@@ -16,7 +16,7 @@ from functools import partial
 
 import numpy as np
 
-from irlos_pipe.diagnosis.acceptance import Search, threshold
+from irlos_pipe.diagnosis.acceptance import Search
 from irlos_pipe.diagnosis.effect_sizes import parameter_covariance
 from irlos_pipe.diagnosis.elimination import needed
 from irlos_pipe.diagnosis.fitted import Fitted, begun_at
@@ -26,7 +26,7 @@ from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.refit import FAR, PER_PARAMETER
 from irlos_pipe.diagnosis.search.scores import Score
-from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
 from irlos_pipe.diagnosis.starts import other_sides, other_wavefronts
 from irlos_pipe.diagnosis.without import nulls_of
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, wider_kinds

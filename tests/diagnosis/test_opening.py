@@ -10,13 +10,12 @@ import pytest
 import torch
 from helpers.diagnose_frames import CASE, CONDITIONS, FLUX_E, NOLLS, TRUE_NM, cube, fitted, image, model
 
-from irlos_pipe.diagnosis.acceptance import threshold
 from irlos_pipe.diagnosis.fitted import begun_at
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.search.scores import Family, score_family
-from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.significance import SURELY, gaussian_sigma, surely_exceeding, threshold
 from irlos_pipe.diagnosis.starts import other_sides
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.effects import CATALOGUE, FixedEffect
@@ -135,3 +134,11 @@ def test_fewer_independent_frames_than_directions_are_no_error_and_little_eviden
     assert np.isfinite(found).all()
     assert found == sorted(found)
     assert found[1] < 3 < gaussian_sigma(100.0, 3, np.inf)
+
+
+@pytest.mark.parametrize(("limit", "directions"), [(36.0, 1), (45.0, 3), (100.0, 28)])
+def test_an_effect_of_the_smallest_detectable_size_is_nearly_always_seen(limit, directions):
+    """Monte Carlo: normal deviates that are off by this size exceed the limit as often as stated."""
+    size = np.sqrt(surely_exceeding(limit, directions) / directions)
+    drawn = np.random.default_rng(3).normal(size, 1.0, (40_000, directions))
+    assert np.mean((drawn**2).sum(1) > limit) == pytest.approx(SURELY, abs=0.005)

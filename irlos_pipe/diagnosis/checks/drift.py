@@ -16,7 +16,7 @@ from scipy import stats
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.diagnosis.cube import Stack, Stacks
 from irlos_pipe.diagnosis.fitted import Fitted
-from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.significance import gaussian_sigma, surely_exceeding
 from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.drift import NcpaDrift
 from irlos_pipe.effects.image_model import ImageModel
@@ -49,9 +49,10 @@ class Drift:
     recording: int = 0
 
     def detectable_nm(self, sure: float) -> np.ndarray:
-        """Change of each mode alone that would be significant, (modes,)."""
+        """Change of each mode alone that would surely be significant, (modes,)."""
         tested = sum(noll not in TIP_TILT for noll in self.nolls)
-        return self.sigma_nm * np.sqrt(stats.chi2.isf(stats.norm.sf(sure), tested))
+        limit = float(stats.chi2.isf(stats.norm.sf(sure), tested))
+        return self.sigma_nm * np.sqrt(surely_exceeding(limit, tested))
 
     def effect(self) -> FixedEffect:
         """The drift, held at what was measured."""

@@ -15,7 +15,7 @@ import torch
 from irlos_pipe.diagnosis.held_out import Gap
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.search.scores import Family
-from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.significance import gaussian_sigma, surely_exceeding
 from irlos_pipe.diagnosis.verdict import Step
 from irlos_pipe.diagnosis.view import Screened
 from irlos_pipe.effects import FixedEffect
@@ -41,9 +41,10 @@ def outstanding_pixels(optimum: Optimum) -> list[tuple[int, int]]:
 
 
 def smallest_excess(optimum: Optimum) -> dict[str, dict[str, float]]:
-    """Excess of a single pixel that would stand out, median over the window [e-], under the effect's name."""
+    """Excess of a pixel that would surely stand out, median over the window [e-], under the effect's name."""
     error = optimum.stack.variance_e2.sqrt()
-    return {BadPixels.name: {"excess_e": float(OUTSTANDING**0.5 * error[error.isfinite()].median())}}
+    pull = surely_exceeding(OUTSTANDING, 1) ** 0.5
+    return {BadPixels.name: {"excess_e": float(pull * error[error.isfinite()].median())}}
 
 
 def bad_pixel_family(optimum: Optimum) -> list[Family]:

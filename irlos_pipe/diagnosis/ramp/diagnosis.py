@@ -13,7 +13,7 @@ from itertools import chain, combinations
 import numpy as np
 
 from irlos_pipe.diagnosis.ramp.visits import Visits, candidates, course
-from irlos_pipe.diagnosis.significance import gaussian_sigma
+from irlos_pipe.diagnosis.significance import gaussian_sigma, surely_exceeding
 from irlos_pipe.diagnosis.verdict import EFFECT, NONE, UNKNOWN
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.planes import RampEffect
@@ -213,8 +213,9 @@ def _verdict(data: np.ndarray, shapes: Shapes, fit: _Fit, names: list[RampName])
     unexplained = after > FAR_OFF_CHI2_NU or (after > LEFT_CHI2_NU and fit.chi2 > LEFT * float(data @ data))
     unexplained = unexplained or not all(one.plausible for one in names)
     seen = {one.name for one in names}
+    surely = surely_exceeding(SEEN_SIGMA**2, 1) ** 0.5
     smallest = {
-        one.name: one.describe(SEEN_SIGMA * np.sqrt(beside.covariance[-1:, -1]))
+        one.name: one.describe(surely * np.sqrt(beside.covariance[-1:, -1]))
         for one in shapes
         if not one.part and one.name not in seen
         if (beside := _Fit.of(data, shapes, (*fit.effects, one))) is not None
