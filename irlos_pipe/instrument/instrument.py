@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from irlos_pipe.conventions.laws import NcpaLaw, ResidualLaw
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.files.overrides import absolute
+from irlos_pipe.files.overrides import Override, absolute
 from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.instrument.profile import Fact, ModeEntry, Profile, Ratio, SeeingScaleEntry, parse_profile
@@ -125,7 +125,7 @@ def checked_instrument(name: str, folder: Path, errors: ValidationErrors) -> tup
         The name, or the absolute path.
     instrument : Instrument or None
     """
-    if "/" in name or name.endswith(PROFILE_SUFFIXES):
+    if _is_path(name):
         name = str(absolute(name, folder))
     try:
         return name, load_instrument(name)
@@ -134,8 +134,19 @@ def checked_instrument(name: str, folder: Path, errors: ValidationErrors) -> tup
         return name, None
 
 
+def located(override: Override) -> Override:
+    """A setting of the command line; the path in ``instrument=PATH`` counts from the current folder."""
+    if override.key != ("instrument",) or not _is_path(str(override.value)):
+        return override
+    return replace(override, value=str(absolute(str(override.value))))
+
+
+def _is_path(name: str) -> bool:
+    return "/" in name or name.endswith(PROFILE_SUFFIXES)
+
+
 def _profile_path(name: str) -> Path:
-    if name.endswith(PROFILE_SUFFIXES) or "/" in name:
+    if _is_path(name):
         return Path(name)
     known = sorted(path.stem for path in PROFILES.glob("*.yaml"))
     if name not in known:

@@ -11,7 +11,7 @@ from irlos_pipe.files.overrides import Override, absolute, parse_setting, read_o
 from irlos_pipe.files.shipped import RECIPES, are_samples, named_file
 from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import load_yaml, yaml_text
-from irlos_pipe.instrument.instrument import Instrument, checked_instrument
+from irlos_pipe.instrument.instrument import Instrument, checked_instrument, located
 from irlos_pipe.recipe.checks import (
     SECTIONS,
     check_head,
@@ -93,7 +93,8 @@ def load_recipe(
         The recipe: a file, or the name of one that comes with the package, such as ``ncpa_calibration``.
     settings : iterable of str
         ``stage.key=VALUE``, applied in order; the value is YAML. ``section=PATH`` takes a whole section from
-        a file, as ``model=DIR/model.yaml``; the path counts from the current folder.
+        a file, as ``model=DIR/model.yaml``; this path, and that of ``instrument=PATH``, count from the current
+        folder.
     inputs : iterable of str
         ``NAME=PATH``, relative to the current folder; a name given again makes a list.
     seed : int, optional
@@ -114,8 +115,8 @@ def load_recipe(
 
 
 def _parse_setting(text: str) -> Override:
-    """A setting; a section given by name is read."""
-    override = parse_setting(text)
+    """A setting; a section given by the path of its file is read."""
+    override = located(parse_setting(text))
     whole = len(override.key) == 1 and override.key[0] in SECTIONS
     if not whole or not isinstance(override.value, str):
         return override

@@ -12,6 +12,7 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.overrides import overridden, parse_setting
 from irlos_pipe.instrument.instrument import PROFILES
 from irlos_pipe.recipe import load_recipe
+from irlos_pipe.simulate.recordings.spec import load_spec
 
 COMPANION = {"flux_ratio": 0.04, "sep_mas": 150.0, "pa_deg": 300.0}
 RECIPES = sorted((paths.RECIPES).glob("*.yaml"))
@@ -207,6 +208,17 @@ def test_the_adaptive_optics_are_those_of_the_profile_unless_the_recipe_gives_ot
     own = load_recipe(bench.recipe, [f"instrument={tmp_path / 'mine.yaml'}", "model.outer_scale_m=22"])
     resolved = yaml.safe_load(own.resolved_yaml())["model"]
     assert (resolved["cutoff_per_m"], resolved["outer_scale_m"]) == (7.5, 22.0)
+
+
+def test_the_path_of_a_profile_on_the_command_line_counts_from_the_current_folder(tmp_path, monkeypatch):
+    """The recipe goes by name: its folder is that of the package."""
+    (tmp_path / "mine.yaml").write_text((PROFILES / "irlos.yaml").read_text())
+    monkeypatch.chdir(tmp_path)
+    settings = ["instrument=mine.yaml"]
+    recipe = load_recipe("ncpa_calibration", settings, complete=False)
+    assert (
+        recipe.instrument_name == load_spec("bench", settings).instrument_name == str(tmp_path / "mine.yaml")
+    )
 
 
 def test_a_file_for_a_section_that_is_not_there_is_reported(bench):

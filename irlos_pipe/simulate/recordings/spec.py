@@ -5,17 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field, ValidationError
 
-from irlos_pipe.files.overrides import absolute, parse_setting, read_overridden
+from irlos_pipe.files.overrides import Override, absolute, parse_setting, read_overridden
 from irlos_pipe.files.shipped import SIMULATIONS, named_file
 from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import yaml_text
-from irlos_pipe.instrument.instrument import Instrument, checked_instrument
+from irlos_pipe.instrument.instrument import Instrument, checked_instrument, located
 from irlos_pipe.simulate.recordings.planned import DOUBLE
 from irlos_pipe.simulate.recordings.recording_keys import RecordingKeys, Shared
 
@@ -74,7 +73,8 @@ def load_spec(path: str | Path, settings: Iterable[str] = (), seed: int | None =
     path : str or Path
         The specification: a file, or the name of one that comes with the package, such as ``on_sky``.
     settings : iterable of str
-        ``key.key=VALUE``, applied in order; the value is YAML.
+        ``key.key=VALUE``, applied in order; the value is YAML. The path of ``instrument=PATH`` counts from the
+        current folder.
     seed : int, optional
         Replaces the spec's seed.
 
@@ -84,8 +84,11 @@ def load_spec(path: str | Path, settings: Iterable[str] = (), seed: int | None =
         With one line ``where: message`` for everything that is wrong.
     """
     path = named_file(path, SIMULATIONS)
-    parse = partial(parse_setting, example=SETTING_EXAMPLE)
-    return _checked(path, *read_overridden(path, parse, settings, seed=seed))
+    return _checked(path, *read_overridden(path, _parse_setting, settings, seed=seed))
+
+
+def _parse_setting(text: str) -> Override:
+    return located(parse_setting(text, SETTING_EXAMPLE))
 
 
 def _checked(path: Path, data: Mapping[str, Any], errors: ValidationErrors) -> Spec:
