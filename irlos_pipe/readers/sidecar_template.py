@@ -21,11 +21,13 @@ from irlos_pipe.readers.sidecar import FOLDER_SIDECAR, AcquisitionKeys, Detector
 KEYWORDS = {
     "target": ("OBJECT", "TARGNAME"),
     "exposure_s": ("EXPTIME", "ITIME", "ESO DET SEQ1 DIT", "ESO DET DIT"),
-    "seeing_arcsec": ("ESO TEL AMBI FWHM START",),
+    "seeing_arcsec": ("ESO TEL AMBI FWHM START", "SEEING"),
     "mag_j": ("ESO SEQ NGS MAG",),
     "derotator_angle_deg": ("ESO INS DROT START",),
     "parallactic_angle_deg": ("PARANG", "ESO TEL PARANG START"),
     "altitude_deg": ("EL", "ESO TEL ALT"),
+    "airmass": ("AIRMASS",),
+    "filter": ("FILTER",),
     "detector.e_per_adu": ("GAIN", "EGAIN", "ESO DET OUT1 CONAD"),
     "detector.read_noise_e": ("RDNOISE", "READNOIS", "ESO DET OUT1 RON"),
     "detector.coadds": ("COADDS", "COADDONE", "ESO DET NDIT"),
@@ -141,6 +143,10 @@ def _from_keywords(path: Path) -> dict[str, tuple[Any, str]]:
         name = next((one for one in names if _valid(key, header.get(one))), None)
         if name is not None:
             found[key] = (header[name], name)
+    if (
+        "altitude_deg" in found
+    ):  # one of the two says it; of different moments they would contradict each other
+        found.pop("airmass", None)
     return found
 
 
