@@ -51,8 +51,8 @@ def _misfit(limits: Limits, result: Calibration) -> Check:
     why = ""
     if result.chi2_nu > high:
         why = (
-            ": the model lacks something, or spectrum, scale, orientation or diversity are not as told; "
-            "`diagnose` may name it"
+            ": the model lacks something, or spectrum, scale, seeing, orientation or diversity are not as "
+            "told; `diagnose` may name it"
         )
     elif result.chi2_nu < low:
         why = ": neighbouring pixels share their noise, or frames are repeated"
