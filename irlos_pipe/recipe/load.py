@@ -93,8 +93,8 @@ def load_recipe(
         The recipe: a file, or the name of one that comes with the package, such as ``ncpa_calibration``.
     settings : iterable of str
         ``stage.key=VALUE``, applied in order; the value is YAML. ``section=PATH`` takes a whole section from
-        a file, as ``model=DIR/model.yaml``; this path, and that of ``instrument=PATH``, count from the current
-        folder.
+        a file, as ``model=DIR/model.yaml``; this path, and that of ``instrument=PATH``, count from the
+        current folder.
     inputs : iterable of str
         ``NAME=PATH``, relative to the current folder; a name given again makes a list.
     seed : int, optional

@@ -73,8 +73,8 @@ def load_spec(path: str | Path, settings: Iterable[str] = (), seed: int | None =
     path : str or Path
         The specification: a file, or the name of one that comes with the package, such as ``on_sky``.
     settings : iterable of str
-        ``key.key=VALUE``, applied in order; the value is YAML. The path of ``instrument=PATH`` counts from the
-        current folder.
+        ``key.key=VALUE``, applied in order; the value is YAML. The path of ``instrument=PATH`` counts from
+        the current folder.
     seed : int, optional
         Replaces the spec's seed.
 
