@@ -74,7 +74,9 @@ class Profile(_Section):
 
     name: str = Field(min_length=1, description="name of the instrument")
     title: str = Field("", description="one line for people")
-    facts: dict[str, Annotated[list[Fact], BeforeValidator(_as_list)]]
+    facts: dict[str, Annotated[list[Fact], BeforeValidator(_as_list)]] = Field(
+        description="what is known, by name: {value, unit, status, source} each, or a list of them with dates"
+    )
     defaults: dict[str, str | Ratio] = Field({}, description="side-car key: fact that stands in for it")
     seeing_scales: dict[str, SeeingScaleEntry] = Field({}, description="monitor: its relation to SPARTA")
     modes: dict[str, ModeEntry] = Field({}, description="mode string of the header: properties")

@@ -25,6 +25,20 @@ class Observed(ResultsPart):
         Cards of the file's primary header that products inherit, by keyword.
     instrument : str
         Name of the instrument profile.
+    target : str
+        Name of the star.
+    mode : str
+        Read-out mode; empty where the layout has none.
+    exposure_s, frame_rate_hz : float
+        Exposure of a frame, and frames per second.
+    mag_j : float
+        J magnitude of the star.
+    pixel_scale_mas : float
+        Scale of the images, per pixel.
+    wavelength_nm : float
+        Mean wavelength of the photons.
+    diversity_source : str
+        What introduced the diversity, such as ``lens``.
     diversity_nm : dict of int to float
         Introduced diversity by Noll index [nm RMS].
     derotator_angle_deg, parallactic_angle_deg, altitude_deg, pupil_rotation_deg : float

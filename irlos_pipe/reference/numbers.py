@@ -25,6 +25,7 @@ UNITS = {
     "adu": "ADU",
 }
 ATTRIBUTE = re.compile(r"^([\w, ]+?) : .*\n((?:    .*\n?|\n)*)", re.MULTILINE)
+ELSEWHERE = re.compile(r"[,;]? see `[\w.]+`")  # where developers read on
 
 
 def number_entries() -> Iterator[Entry]:
@@ -37,13 +38,20 @@ def _entries(model: type[ResultsPart], above: tuple[str, ...]) -> Iterator[Entry
     told = told_of(model)
     for key, field in model.model_fields.items():
         unit = UNITS.get(key.rpartition("_")[2], "")
-        lines = [field.description or told.get(key, key.replace("_", " "))]
+        lines = [field.description or told.get(key) or _of_the_part(field.annotation)]
         lines += [f"unit: {unit}"] if unit else []
         name = (*above, key)
         yield Entry("number", ".".join(name), "\n".join([*lines, "in results.json under stages"]))
         for inner in models_in(field.annotation):
             if len(above) < 4:
                 yield from _entries(inner, name)
+
+
+def _of_the_part(annotation: Any) -> str:
+    """What a field holds, by the first line of the model in it; empty without one."""
+    model = next(models_in(annotation), None)
+    text = "" if model is None else inspect.cleandoc(model.__doc__ or "").partition("\n")[0]
+    return ELSEWHERE.sub("", text)
 
 
 def told_of(model: type[ResultsPart]) -> dict[str, str]:

@@ -44,6 +44,13 @@ def test_every_stage_effect_check_and_key_is_there():
     assert all(f"  {name}  " in overview() for name in CATALOGUE)
 
 
+def test_every_explanation_says_more_than_the_name():
+    """A number without words of its own would be explained by nothing."""
+    texts = {entry.name: entry.text.partition("\n")[0] for entry in all_entries()}
+    words = {name: name.rpartition(".")[2].replace("_", " ").lower() for name in texts}
+    assert [name for name, text in texts.items() if text.lower().rstrip(".") in ("", words[name])] == []
+
+
 def test_every_check_of_a_stage_is_explained_and_its_limit_is_a_key():
     made = {name for path in (PACKAGE / "stages").rglob("*.py") for name in NAMED.findall(path.read_text())}
     assert made - {name.partition(".")[2] for name in CHECKS} == set()

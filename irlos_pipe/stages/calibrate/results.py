@@ -9,7 +9,19 @@ from irlos_pipe.product.results import ByNoll, EffectValues, Number, ResultsPart
 
 
 class Tail(ResultsPart):
-    """Modes beyond the closed basis: law, see `estimate.tail_law.TailLaw`, and RMS as estimated."""
+    """Modes beyond the closed basis: law, see `estimate.tail_law.TailLaw`, and RMS as estimated.
+
+    Attributes
+    ----------
+    first_noll : int
+        First of these modes.
+    amplitude_nm : float
+        Standard deviation of a mode of the radial order n₁ of the first one [nm RMS].
+    slope : float
+        Exponent p of the law: the standard deviation falls as (n/n₁)^p.
+    wfe_nm : float
+        RMS of all these modes as estimated.
+    """
 
     first_noll: int = 0
     amplitude_nm: Number = math.nan
@@ -22,6 +34,8 @@ class Estimate(ResultsPart):
 
     Attributes
     ----------
+    method : str
+        How they were estimated, such as ``long_exposure`` or ``dip_global``.
     zernike_nm, sigma_nm : dict of int to float
         Reported modes of the static wavefront without the diversity, and their standard errors.
     wfe_nm, wfe_sigma_nm : float
@@ -35,6 +49,10 @@ class Estimate(ResultsPart):
     chi2_nu, nominal_chi2_nu, nominal_chi2_nu_sigma : float
         Reduced χ² of the mean image; what it would be about a model that lacks nothing, and by how much that
         varies by chance, see `estimate.nominal_chi2`.
+    loss : str
+        Function of the residuals that the fit minimises.
+    optimiser : str
+        Algorithm that minimises it.
     modes_estimated : int
         Modes in the fit, more than are reported.
     all_zernike_nm : dict of int to float
@@ -65,7 +83,21 @@ class Estimate(ResultsPart):
 
 
 class Twin(ResultsPart):
-    """Comparison with the twin solution, see `estimate.twin.TwinCheck`."""
+    """Comparison with the twin solution, see `estimate.twin.TwinCheck`.
+
+    Attributes
+    ----------
+    delta_chi2 : float
+        χ² of the refitted twin minus that of the solution, prior included.
+    rms_nm, twin_rms_nm : float
+        RMS of the coefficients of the solution and of the twin, without tip and tilt.
+    distance_nm : float
+        RMS difference between the two; near 0 where the twin fell back into the solution.
+    evidence : float
+        -2 times the logarithm of the odds of the twin, by the data and the law of NCPAs; large: excluded.
+    preferred : str
+        ``solution``, ``twin``, or ``undecided`` where neither data nor law tell.
+    """
 
     delta_chi2: Number = math.nan
     rms_nm: Number = math.nan
@@ -106,14 +138,28 @@ class Lenslets(ResultsPart):
 
 
 class AngleRow(ResultsPart):
-    """A recording and its derotator angle."""
+    """A recording and its derotator angle.
+
+    Attributes
+    ----------
+    name : str
+        Name of the recording.
+    derotator_angle_deg : float
+        Angle of the derotator when it was taken.
+    """
 
     name: str = ""
     derotator_angle_deg: Number = math.nan
 
 
 class CubeRow(Estimate, AngleRow):
-    """Estimate of one recording that was reduced by itself."""
+    """Estimate of one recording that was reduced by itself.
+
+    Attributes
+    ----------
+    effects : dict of str to dict
+        Estimated effects with the values of their parameters.
+    """
 
     effects: dict[str, EffectValues] = {}
 

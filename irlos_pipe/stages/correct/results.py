@@ -9,7 +9,17 @@ from irlos_pipe.product.results import ByNoll, Number, ResultsPart, StageResults
 
 
 class StrehlRow(ResultsPart):
-    """What one part of the model does to the Strehl ratio, see `estimate.strehl_budget.StrehlPart`."""
+    """What one part of the model does to the Strehl ratio, see `estimate.strehl_budget.StrehlPart`.
+
+    Attributes
+    ----------
+    name : str
+        Part of the model: all of it, its modes, or an effect.
+    wfe_nm : float
+        RMS of its modes; NaN of an effect.
+    alone, without : float
+        Strehl ratio with nothing else in the model, and with all else but this part.
+    """
 
     name: str = ""
     wfe_nm: Number = math.nan
@@ -18,7 +28,15 @@ class StrehlRow(ResultsPart):
 
 
 class MapRow(ResultsPart):
-    """RMS about the mean, and peak to valley, of a map of the wavefront over the clear pupil [nm]."""
+    """RMS about the mean, and peak to valley, of a map of the wavefront over the clear pupil [nm].
+
+    Attributes
+    ----------
+    rms_nm : float
+        RMS about the mean over the clear pupil.
+    pv_nm : float
+        Peak to valley over the clear pupil.
+    """
 
     rms_nm: Number = math.nan
     pv_nm: Number = math.nan
@@ -29,6 +47,12 @@ class CorrectResults(StageResults):
 
     Attributes
     ----------
+    offset_nm : dict of int to float
+        Modal offsets to add to the reference, by Noll index [nm RMS]: −NCPA, without the diversity.
+    sign : str
+        What the sign of the offsets means, in words.
+    strehl_before, strehl_after : float
+        Strehl ratio predicted without and with the offsets.
     strehl_budget : list of StrehlRow
         Of the image before the correction, the whole model first.
     wavefront_before, wavefront_after : MapRow

@@ -16,6 +16,8 @@ class PartRow(ResultsPart):
     ----------
     rms_nm, noise_nm : float
         RMS over the disc, and what of it the errors of the estimates explain.
+    zernike_nm, sigma_nm : dict of int to float
+        Modes of the part, and their standard errors [nm RMS].
     """
 
     rms_nm: Number = math.nan
@@ -25,7 +27,19 @@ class PartRow(ResultsPart):
 
 
 class ConsistencyRow(ResultsPart):
-    """Mean RMS difference between two angles, see `estimate.derotator.Consistency`."""
+    """Mean RMS difference between two angles, see `estimate.derotator.Consistency`.
+
+    Attributes
+    ----------
+    measured_nm : float
+        As measured: small if nothing turned.
+    turned_back_nm : float
+        In the frame before the derotator: small if everything turned.
+    without_fixed_nm : float
+        The same after the fixed part is taken out: small if the split explains all.
+    expected_nm : float
+        From the errors of the estimates alone.
+    """
 
     measured_nm: Number = math.nan
     turned_back_nm: Number = math.nan

@@ -29,7 +29,23 @@ class GapRow(ResultsPart):
 
 
 class AlternativeRow(ResultsPart):
-    """An effect not distinguished from the one found, see `diagnosis.ambiguity.Alternative`."""
+    """An effect not distinguished from the one found, see `diagnosis.ambiguity.Alternative`.
+
+    Attributes
+    ----------
+    name : str
+        Name of the effect.
+    reason : str
+        Why the two are not distinguished.
+    separated_by : str
+        What separates them.
+    likeness : float
+        |cos| between what the two add to the image, beyond what the fitted parameters imitate; 1: alike.
+    second_recording : str
+        How a further recording differs with which they are least alike.
+    likeness_then : float
+        |cos| with that recording.
+    """
 
     name: str = ""
     reason: str = ""
@@ -44,6 +60,8 @@ class RankedRow(ResultsPart):
 
     Attributes
     ----------
+    name : str
+        Name of the candidate.
     gain : float
         Fall of χ² by the fit.
     explained : float
@@ -62,7 +80,21 @@ class RankedRow(ResultsPart):
 
 
 class TriedRow(ResultsPart):
-    """What became of an effect of the catalogue, see `diagnosis.verdict.Tried`."""
+    """What became of an effect of the catalogue, see `diagnosis.verdict.Tried`.
+
+    Attributes
+    ----------
+    effect : str
+        Name of the effect.
+    outcome : str
+        ``named``; ``nearest``, where the verdict is unknown; ``modelled`` from the start; ``adjusted``,
+        not named; ``fitted``, explains less; ``scored``, not significant; ``absorbed``, not to be seen;
+        ``not tried``.
+    significance : float
+        Of its score test at the last model for which a name was looked for, in Gaussian σ.
+    reason : str
+        Why, in words.
+    """
 
     effect: str = ""
     outcome: str = ""
@@ -79,6 +111,8 @@ class AdjustedRow(ResultsPart):
         Its label there.
     phrase : str
         The effect with its size and error, as a sentence names it.
+    parameters, sigma : dict
+        Values and standard errors by name of the parameter.
     """
 
     effect: str = ""
@@ -92,12 +126,16 @@ class StepRow(ResultsPart):
 
     Attributes
     ----------
+    effect : str
+        Name of the effect.
     indistinguishable : list of str
         Names of the `alternatives`.
-    phrase : str
-        The effect with its size and error, as a sentence names it.
+    alternatives : list of AlternativeRow
+        Effects that these data do not distinguish from it.
     parameters, sigma : dict
         Values and standard errors by name of the parameter.
+    phrase : str
+        The effect with its size and error, as a sentence names it.
     shown, shown_sigma : dict
         The same for readers: of petals differences from their mean, of a table of modes the RMS as well.
     significance : float
@@ -108,6 +146,8 @@ class StepRow(ResultsPart):
         Vuong's statistic on the held-out frames.
     gap_before, gap_after : float
         Gap without and with it.
+    ranking : list of RankedRow
+        Candidates when it was chosen, the best first.
     share : float
         Part of its own signal that the final model explains where that signal lies.
     unusual : list of str
@@ -136,7 +176,17 @@ class StepRow(ResultsPart):
 
 
 class OwnValueRow(ResultsPart):
-    """What one star and night has of an effect, see `diagnosis.sharing.OwnValue`."""
+    """What one star and night has of an effect, see `diagnosis.sharing.OwnValue`.
+
+    Attributes
+    ----------
+    recording : str
+        Name of the star and night.
+    parameters, sigma : dict
+        Values and standard errors by name of the parameter.
+    significance : float
+        Of its presence there, in Gaussian σ.
+    """
 
     recording: str = ""
     parameters: EffectValues = {}
@@ -150,14 +200,19 @@ class SharingRow(ResultsPart):
     Attributes
     ----------
     effect : str
+        Name of the effect.
     finding : str
         ``common``, ``differs``, or ``open`` where these data do not tell.
     significance : float
         Of the differences, in Gaussian σ.
     chi2_fall : float
         By which χ² falls with a value of each, for so many more `parameters`.
+    parameters : int
+        Further parameters that values of each take.
     held_out_z : float
         Vuong's statistic for a value of each against one for all.
+    values : list of OwnValueRow
+        What each star and night has of it.
     """
 
     effect: str = ""
@@ -175,6 +230,7 @@ class StarRow(ResultsPart):
     Attributes
     ----------
     name, star : str
+        Name of the star and night, and of the star.
     ncpa_change_nm, sigma_nm : float
         RMS over the modes of the change from the common wavefront, and of its standard errors.
     """
@@ -186,7 +242,17 @@ class StarRow(ResultsPart):
 
 
 class AdviceRow(ResultsPart):
-    """A second recording that shows an effect, see `diagnosis.second_recording.Advice`."""
+    """A second recording that shows an effect, see `diagnosis.second_recording.Advice`.
+
+    Attributes
+    ----------
+    recording : str
+        What the second recording should be, in words.
+    survival : float
+        Part of the signature of the effect that the fitted parameters cannot imitate there.
+    smallest : dict
+        Smallest detectable size of the effect with it, by name of the parameter.
+    """
 
     recording: str = ""
     survival: Number = math.nan
@@ -194,7 +260,19 @@ class AdviceRow(ResultsPart):
 
 
 class NoiseRow(ResultsPart):
-    """Whether the noise model holds, see `diagnosis.checks.noise.NoiseVerdict`."""
+    """Whether the noise model holds, see `diagnosis.checks.noise.NoiseVerdict`.
+
+    Attributes
+    ----------
+    kind : str
+        ``photon-limited``, ``speckle-limited``, or ``unseen`` of a single frame.
+    bright_ratio, faint_ratio : float
+        Measured over predicted variance of bright and of faint pixels.
+    holds : bool
+        Whether the noise model explains the scatter of the frames.
+    text : str
+        The same in words.
+    """
 
     kind: str = ""
     bright_ratio: Number = math.nan
@@ -204,14 +282,28 @@ class NoiseRow(ResultsPart):
 
 
 class FineStructureRow(ResultsPart):
-    """Structure finer than the telescope can make, see `diagnosis.checks.fine_structure.FineStructure`."""
+    """Structure finer than the telescope can make, see `diagnosis.checks.fine_structure.FineStructure`.
+
+    Attributes
+    ----------
+    ratio : float
+        Power of the residual beyond the cut-off D/λ, over what noise leaves there.
+    significance : float
+        Of its excess, in standard deviations.
+    """
 
     ratio: Number = math.nan
     significance: Number = math.nan
 
 
 class Change(ResultsPart):
-    """A number with the model as it was, and with what was found."""
+    """A number with the model as it was, and with what was found.
+
+    Attributes
+    ----------
+    before, after : float
+        With the model as it was, and with what was found.
+    """
 
     before: Number = math.nan
     after: Number = math.nan
@@ -223,21 +315,41 @@ class Change(ResultsPart):
 
 
 class ModesChange(ResultsPart):
-    """Coefficients with the model as it was, and with what was found."""
+    """Coefficients with the model as it was, and with what was found.
+
+    Attributes
+    ----------
+    before, after : dict of int to float
+        With the model as it was, and with what was found, by Noll index [nm RMS].
+    """
 
     before: ByNoll = {}
     after: ByNoll = {}
 
 
 class FrameCounts(ResultsPart):
-    """Frames that the fits saw, and those held out."""
+    """Frames that the fits saw, and those held out.
+
+    Attributes
+    ----------
+    training, held_out : int
+        Frames that the fits saw, and those that no fit has seen.
+    """
 
     training: int = 0
     held_out: int = 0
 
 
 class WhereRow(ResultsPart):
-    """The strongest part of what is left, from the star, x to the right and y up [mas]."""
+    """The strongest part of what is left, from the star, x to the right and y up [mas].
+
+    Attributes
+    ----------
+    x_mas, y_mas : float
+        Position from the star, to the right and up.
+    extent_mas : float
+        Diameter of a disc as large.
+    """
 
     x_mas: Number = math.nan
     y_mas: Number = math.nan
@@ -245,14 +357,38 @@ class WhereRow(ResultsPart):
 
 
 class MapRow(ResultsPart):
-    """RMS about the mean, and peak to valley, of a map over the clear pupil [nm]."""
+    """RMS about the mean, and peak to valley, of a map over the clear pupil [nm].
+
+    Attributes
+    ----------
+    rms_nm : float
+        RMS about the mean over the clear pupil.
+    pv_nm : float
+        Peak to valley over the clear pupil.
+    """
 
     rms_nm: Number = math.nan
     pv_nm: Number = math.nan
 
 
 class RestRow(ResultsPart):
-    """What the model still misses, see `diagnosis.rest.Rest`."""
+    """What the model still misses, see `diagnosis.rest.Rest`.
+
+    Attributes
+    ----------
+    light_fraction : float
+        Part of the light that is misplaced beyond what noise alone shows.
+    excess : bool
+        Whether the strongest part is too bright in the data, not too faint.
+    symmetry : str
+        ``symmetric``, ``antisymmetric`` or ``one-sided``, under a half turn about the star.
+    time : str
+        Whether the two halves of the frames leave the same: ``static``, ``moving`` or ``not seen``.
+    finer_than_diffraction : bool
+        Whether a part of it is finer than the telescope can make.
+    text : str
+        All of it in a sentence.
+    """
 
     light_fraction: Number = math.nan
     where: WhereRow = WhereRow()
@@ -272,12 +408,18 @@ class DiagnoseResults(StageResults):
         ``none``, ``effect`` or ``unknown``.
     grade : str
         ``none``, ``complete``, ``partial``, ``resembles`` or ``unknown``, see `diagnosis.verdict.Diagnosis`.
-    rest : RestRow or None
-        What the model with the effects still misses.
+    sentence : str
+        The verdict in words, with sizes and errors.
+    steps : list of StepRow
+        Effects that are named, in the order found.
     nearest : StepRow or None
         What comes nearest, where the verdict is unknown.
     unexplained : bool
         Whether a significant part of the residual is left.
+    why_unknown : str
+        Why nothing is named; empty where something is, or nothing is missing.
+    rest : RestRow or None
+        What the model with the effects still misses.
     adjusted : list of AdjustedRow
         In the final model without being named.
     tried : list of TriedRow
@@ -286,6 +428,8 @@ class DiagnoseResults(StageResults):
         Effects that the free parameters absorb.
     recordings : list of StarRow
         Stars and nights, where there are several; `sharing` says what they share.
+    sharing : list of SharingRow
+        Which effects stars and nights share.
     second_recording : dict of str to AdviceRow
         For those of them that a second recording would show.
     mdb : dict of str to dict
@@ -294,16 +438,20 @@ class DiagnoseResults(StageResults):
         File with the model and what was found.
     chi2_nu, excess_sigma : Change
         Reduced χ² of the mean image, and its excess in σ.
-    held_out : str
-        ``frames`` or ``pixels``: what no fit has seen.
     motion_ratio, drift_significance : float
         Image motion over its expectation; drift in σ.
+    held_out : str
+        ``frames`` or ``pixels``: what no fit has seen.
     added_wavefront : MapRow
         Of the wavefront that what was found adds.
     zernike_nm : ModesChange
         Total static wavefront [nm RMS]; `sigma_nm` its standard errors.
+    sigma_nm : dict of int to float
+        Standard errors of `zernike_nm` with what was found, by Noll index [nm RMS].
     defocus_error_nm : Change
         RMS of estimated minus introduced defocus of a ramp.
+    seconds : float
+        Time of the diagnosis.
     """
 
     stage: ClassVar[str] = "diagnose"

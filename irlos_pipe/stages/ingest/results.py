@@ -33,8 +33,14 @@ class RecordingRow(ResultsPart):
 
     Attributes
     ----------
+    name : str
+        Name of the recording, that of its folder or file.
     input : str
         Recipe input that it belongs to.
+    role : str
+        What it was taken for, as the side-car tells: ``ncpa_calibration``, ``defocus_ramp``, …
+    layout : str
+        Kind of file that it was read from, ``sparta_recorder``, ``muse_raw``, ``fits_cube`` or ``aot``.
     mode : str
         Read-out mode, empty where the layout has none.
     frames, frames_rejected, frames_missing : int
@@ -43,8 +49,12 @@ class RecordingRow(ResultsPart):
         Rows and columns.
     flux_e : float
         Median over the used frames of the sum over the window [e-].
+    mag_j : float
+        J magnitude of the star, as told.
     reasons : dict of str to int
         Rejected frames by reason.
+    saturated_frames : int
+        Frames that are rejected for pixels at the saturation level.
     bad_pixels, bad_pixels_found : list of (row, column)
         All masked pixels, and those of them that no map of dead pixels lists.
     clipped_pixels : list of (row, column)
@@ -53,6 +63,9 @@ class RecordingRow(ResultsPart):
         Replaced pixels, over all frames.
     centre_offset_px : (float, float)
         Position (x, y) of the star from the centre of the window.
+    pedestal_adu, pedestal_error_adu : float
+        Level without light that was estimated from the frames themselves, and its standard error; NaN where
+        dark images give it.
     noise_floor_e2, excess_noise_measured : float
         Noise as measured from the frames; NaN where it cannot be.
     background_variance_e2, dark_variance_e2 : float

@@ -17,6 +17,8 @@ class Point(ResultsPart):
     ----------
     name : str
         Recording, in which the frame has the number `frame`.
+    frame : int
+        Number of the frame in its recording, from 0.
     introduced_nm, commanded_nm : float
         Introduced defocus as the model has it, and as commanded.
     defocus_nm, sigma_nm : float
@@ -25,6 +27,12 @@ class Point(ResultsPart):
         The parts of `sigma_nm`: by photon and read-out noise, which grows by the misfit of the model; of the
         instant, by which errors differ from frame to frame, above all by the AO residual's own defocus in
         the exposure; of the optics, by the covariance of the NCPAs, which all frames share.
+    converged : bool
+        Whether the fit ended at a minimum.
+    status : str
+        How the fit of the frame ended.
+    chi2_nu : float
+        Reduced χ² of the frame.
     zernike_nm : dict of int to float
         All estimated modes.
     """
@@ -45,7 +53,22 @@ class Point(ResultsPart):
 
 
 class Line(ResultsPart):
-    """The straight line of a ramp, see `estimate.ramp.RampSummary`."""
+    """The straight line of a ramp, see `estimate.ramp.RampSummary`.
+
+    Attributes
+    ----------
+    slope, slope_sigma : float
+        Estimated over introduced defocus, 1 is right, and its standard error.
+    offset_nm : float
+        Estimated defocus where none is introduced, by the line.
+    rms_nm : float
+        RMS of estimated minus introduced defocus.
+    residual_rms_nm : float
+        RMS of the estimates about the line.
+    saw_tooth_nm, saw_tooth_sigma_nm : float
+        Difference between offsets reached upwards and downwards, by hysteresis of the focus stage, and its
+        standard error; NaN where only one direction occurs.
+    """
 
     slope: Number = math.nan
     slope_sigma: Number = math.nan
@@ -57,7 +80,17 @@ class Line(ResultsPart):
 
 
 class Offset(ResultsPart):
-    """Median and 1σ scatter of the estimates at one introduced defocus."""
+    """Median and 1σ scatter of the estimates at one introduced defocus.
+
+    Attributes
+    ----------
+    introduced_nm : float
+        Introduced defocus.
+    median_nm : float
+        Median of the estimates there.
+    scatter_nm : float
+        Their 1σ scatter, from the 16th and 84th percentile.
+    """
 
     introduced_nm: Number = math.nan
     median_nm: Number = math.nan
@@ -71,6 +104,8 @@ class Twin(ResultsPart):
     ----------
     name : str
         Recording, in which the frame has the number `frame`.
+    frame : int
+        Number of the frame in its recording, from 0.
     defocus_nm, chi2_nu : float
         Best fit of the frame.
     twin_nm, twin_chi2_nu : float

@@ -12,7 +12,21 @@ if TYPE_CHECKING:
 
 
 class LawRow(ResultsPart):
-    """A fitted law std(i) = A exp(−B i) + C, i = 0 for Noll 2, see `estimate.mode_law.ModeLaw`."""
+    """A fitted law std(i) = A exp(−B i) + C, i = 0 for Noll 2, see `estimate.mode_law.ModeLaw`.
+
+    Attributes
+    ----------
+    A_nm, A_sigma_nm : float
+        Amplitude A of the law, and its standard error [nm RMS].
+    B, B_sigma : float
+        Decay B per mode, and its standard error.
+    C_nm, C_sigma_nm : float
+        Plateau C, and its standard error [nm RMS].
+    deviance_nu : float
+        Deviance over what draws from the law would give; near 1 where it holds.
+    plateau_noll : int or None
+        Noll index from which the exponential is below a tenth of the plateau.
+    """
 
     A_nm: Number = math.nan
     B: Number = math.nan
@@ -46,6 +60,8 @@ class NumberScan(ResultsPart):
     ----------
     cubes : int
         Cubes that the numbers were tried on.
+    highest_noll : list of int
+        Highest Noll index of each fit.
     held_out_chi2_nu, fitted_chi2_nu : list of float
         Reduced χ² of unseen frames, and of those fitted.
     excess, excess_sigma : list of float
@@ -75,6 +91,10 @@ class ModesResults(StageResults):
 
     Attributes
     ----------
+    method : str
+        How the modes of the cubes were estimated.
+    cubes : int
+        Cubes that the law was fitted to.
     draws : int
         Independent sets of NCPAs among the `cubes`.
     laws : dict of str to LawRow

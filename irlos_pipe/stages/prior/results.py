@@ -9,7 +9,19 @@ from irlos_pipe.product.results import Number, ResultsPart, StageResults
 
 
 class DefocusPrior(ResultsPart):
-    """Prior of the defocus of one frame."""
+    """Prior of the defocus of one frame.
+
+    Attributes
+    ----------
+    name : str
+        Recording, in which the frame has the number `frame`.
+    frame : int
+        Number of the frame in its recording, from 0.
+    introduced_nm : float
+        Defocus introduced by the focus stage.
+    defocus_nm : float
+        Defocus by the law, from the widths of the image.
+    """
 
     name: str = ""
     frame: int = 0
@@ -22,6 +34,8 @@ class PriorResults(StageResults):
 
     Attributes
     ----------
+    A, B : float
+        Slope and constant of the law [nm]; σ1 and σ2 are the widths of the image along the two axes.
     angle_deg : float
         Direction of the first axis, from +x towards +y.
     valid_nm : (float, float)

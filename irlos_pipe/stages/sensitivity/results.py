@@ -17,12 +17,16 @@ class CurveRow(ResultsPart):
         Whether the NCPAs are part of the known wavefront.
     modes : list of int
         Estimated modes (Noll).
+    mag_j : list of float
+        J magnitudes, to which the frames were dimmed.
     median_abs_error_nm, p16_nm, p84_nm : list of float
         Percentiles of |estimated − introduced| defocus.
     crb_nm, one_read_crb_nm : list of float
         Cramér–Rao bound, 1σ; and of exposures of one read without sky.
     failures : list of int
         Estimates that failed, of `trials` per magnitude.
+    trials : int
+        Estimates per magnitude.
     limit_mag : float
         Faintest magnitude that meets the criterion; NaN if none does.
     one_read_bound_mag : float
@@ -49,7 +53,15 @@ class CurveRow(ResultsPart):
 
 
 class CriterionRow(ResultsPart):
-    """What a limiting magnitude keeps: largest median error, and largest part of failures."""
+    """What a limiting magnitude keeps: largest median error, and largest part of failures.
+
+    Attributes
+    ----------
+    median_abs_error_nm : float
+        Largest median of |estimated − introduced| defocus.
+    failures : float
+        Largest part of the estimates that may fail.
+    """
 
     median_abs_error_nm: Number = math.nan
     failures: Number = math.nan
@@ -62,8 +74,12 @@ class NoiseRow(ResultsPart):
     ----------
     reads : int
         In an exposure.
+    exposure_s : float
+        Exposure of a frame.
     read_noise_e : float
         Of one read.
+    excess_noise_factor : float
+        Variance of the photons over that of Poisson.
     sky_e, dark_e : float
         In a pixel of an exposure.
     floor_e2, one_read_floor_e2 : float
@@ -81,7 +97,13 @@ class NoiseRow(ResultsPart):
 
 
 class SensitivityResults(StageResults):
-    """One curve per combination of modes and calibration."""
+    """One curve per combination of modes and calibration.
+
+    Attributes
+    ----------
+    crb_note : str
+        How the Cramér–Rao bounds compare with the median errors.
+    """
 
     stage: ClassVar[str] = "sensitivity"
     curves: list[CurveRow] = []
