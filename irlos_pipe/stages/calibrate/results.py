@@ -56,9 +56,9 @@ class Estimate(ResultsPart):
     modes_estimated : int
         Modes in the fit, more than are reported.
     all_zernike_nm : dict of int to float
-        All of them.
+        All estimated modes of the static wavefront, by Noll index [nm RMS].
     tail : Tail or None
-        What was found of those beyond the closed basis; None for a closed one.
+        What was found of the modes beyond the closed basis; None for a closed one.
     status : dict of str to int
         Number of fits by their outcome.
     """
@@ -182,7 +182,7 @@ class CalibrateResults(Estimate, StageResults):
     compare : list of Estimate
         Estimates with other methods.
     lenslets : Lenslets or None
-        Of recordings of a 2x2 mode.
+        What the images of a 2x2 mode determine; None for other recordings.
     """
 
     stage: ClassVar[str] = "calibrate"

@@ -54,9 +54,9 @@ class CorrectResults(StageResults):
     strehl_before, strehl_after : float
         Strehl ratio predicted without and with the offsets.
     strehl_budget : list of StrehlRow
-        Of the image before the correction, the whole model first.
+        What each part of the model costs the image before the correction; the whole model first.
     wavefront_before, wavefront_after : MapRow
-        Of the maps without tip and tilt.
+        RMS and peak to valley of the maps of the wavefront, without tip and tilt.
     resolution_mas : float
         λ/D at the mean wavelength.
     """

@@ -53,7 +53,7 @@ class SplitRow(ResultsPart):
     Attributes
     ----------
     modes : list of int
-        Noll indices.
+        Noll indices of the modes that were split.
     reason : str or None
         Why nothing could be split.
     sense : str

@@ -38,7 +38,7 @@ class AlternativeRow(ResultsPart):
     reason : str
         Why the two are not distinguished.
     separated_by : str
-        What separates them.
+        What separates the two.
     likeness : float
         |cos| between what the two add to the image, beyond what the fitted parameters imitate; 1: alike.
     second_recording : str
@@ -67,7 +67,7 @@ class RankedRow(ResultsPart):
     explained : float
         Part of the excess over noise that it explains.
     significance : float
-        In Gaussian σ.
+        Significance in Gaussian σ.
     held_out_z : float
         Vuong's statistic for the first of all against it, on data that no fit has seen.
     """
@@ -139,7 +139,7 @@ class StepRow(ResultsPart):
     shown, shown_sigma : dict
         The same for readers: of petals differences from their mean, of a table of modes the RMS as well.
     significance : float
-        In Gaussian σ.
+        Significance in Gaussian σ.
     explained : float
         Part of the excess over noise that was there before.
     held_out_z : float
@@ -421,7 +421,7 @@ class DiagnoseResults(StageResults):
     rest : RestRow or None
         What the model with the effects still misses.
     adjusted : list of AdjustedRow
-        In the final model without being named.
+        Effects in the final model that are not named.
     tried : list of TriedRow
         Every effect of the catalogue, and what became of it.
     untestable : list of str
@@ -431,7 +431,7 @@ class DiagnoseResults(StageResults):
     sharing : list of SharingRow
         Which effects stars and nights share.
     second_recording : dict of str to AdviceRow
-        For those of them that a second recording would show.
+        A second recording that would show it, by effect of `untestable`.
     mdb : dict of str to dict
         Smallest detectable size of every effect that was not found.
     model : str
@@ -443,7 +443,7 @@ class DiagnoseResults(StageResults):
     held_out : str
         ``frames`` or ``pixels``: what no fit has seen.
     added_wavefront : MapRow
-        Of the wavefront that what was found adds.
+        RMS and peak to valley of the wavefront that what was found adds.
     zernike_nm : ModesChange
         Total static wavefront [nm RMS]; `sigma_nm` its standard errors.
     sigma_nm : dict of int to float

@@ -109,7 +109,7 @@ class Twin(ResultsPart):
     defocus_nm, chi2_nu : float
         Best fit of the frame.
     twin_nm, twin_chi2_nu : float
-        The best of the other minima; NaN where there is none.
+        Defocus and χ²/ν of the best of the other minima; NaN where there is none.
     delta_chi2, evidence : float
         χ² of that minus χ² of the best fit; the same divided by the χ²/ν of the best fit where that is more
         than 1. From 10 on the twin is excluded.
@@ -141,7 +141,7 @@ class LiftResults(StageResults):
     compare : dict of str to Line
         The same ramp with parts of the model left out.
     twin : Twin
-        Of one frame; without name where it was not looked for.
+        Whether the other sign of defocus is excluded, by one frame; without name where it was not looked for.
     ao_defocus_nm : float
         Scatter of the estimates at one offset beyond photon noise.
     chi2_nu, nominal_chi2_nu : float

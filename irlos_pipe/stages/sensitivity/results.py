@@ -30,7 +30,7 @@ class CurveRow(ResultsPart):
     limit_mag : float
         Faintest magnitude that meets the criterion; NaN if none does.
     one_read_bound_mag : float
-        The same of an efficient estimate from exposures of one read without sky.
+        Limiting magnitude of an efficient estimate from exposures of one read without sky.
     """
 
     calibrated: bool = False
@@ -73,15 +73,15 @@ class NoiseRow(ResultsPart):
     Attributes
     ----------
     reads : int
-        In an exposure.
+        Reads in an exposure.
     exposure_s : float
         Exposure of a frame.
     read_noise_e : float
-        Of one read.
+        Read noise of one read.
     excess_noise_factor : float
         Variance of the photons over that of Poisson.
     sky_e, dark_e : float
-        In a pixel of an exposure.
+        Electrons of sky and of dark current in a pixel of an exposure.
     floor_e2, one_read_floor_e2 : float
         Variance of a pixel without star.
     """
