@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import io
+import textwrap
 import warnings
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from irlos_pipe.files.late import fits
 from irlos_pipe.product.header import Card, Value
 
 CARD_LETTERS = 80
+MAX_CARDS = 9  # of one text
 # Letters of units and comments that FITS, which is ASCII, does not have.
 SPELT = str.maketrans(
     {"χ": "chi", "ν": "nu", "σ": "sigma", "λ": "lambda", "Σ": "sum", "²": "2", "±": "+-", "→": "->", "–": "-",
@@ -25,11 +28,13 @@ def fits_content(hdus: Sequence[fits.hdu.base.ExtensionHDU], cards: Iterable[Car
     hdus : sequence of ExtensionHDU
         Tables and images.
     cards : iterable of Card
-        The primary header. A text that does not fit into a card loses its beginning, as of a path.
+        The primary header. Words that do not fit into a hierarchical card go on in cards of the same keyword
+        with a number; one word, as a path, loses its beginning.
     """
     primary = fits.PrimaryHDU()
     for card in cards:
-        set_card(primary.header, card)
+        for one in _in_words(card):
+            set_card(primary.header, one)
     stream = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", fits.verify.VerifyWarning)
@@ -45,12 +50,34 @@ def ascii_text(text: str) -> str:
 
 def set_card(header: fits.Header, card: Card) -> None:
     """Add a `card` to a `header`."""
-    plain = len(card.key) <= 8 and " " not in card.key
+    plain = _is_plain(card)
     keyword = card.key if plain else f"HIERARCH {card.key}"
-    room = CARD_LETTERS - (10 if plain else len(keyword) + 3)
+    room = _room(card)
     value = _fitting(card.value, room)
     left = room - len(_written(value)) - 3
     header[keyword] = (value, ascii_text(card.comment)[: max(left, 0)])
+
+
+def _is_plain(card: Card) -> bool:
+    return len(card.key) <= 8 and " " not in card.key
+
+
+def _room(card: Card) -> int:
+    """Letters that a card has for its value."""
+    return CARD_LETTERS - (10 if _is_plain(card) else len(f"HIERARCH {card.key} = "))
+
+
+def _in_words(card: Card) -> list[Card]:
+    """The cards that a `card` becomes; the words of a long text are shared out."""
+    if not isinstance(card.value, str) or _is_plain(card):
+        return [card]
+    text = ascii_text(card.value)
+    room = _room(card) - len("'' 2") - text.count("'")  # quotes are doubled
+    if len(_written(text)) <= _room(card) or " " not in text or room < 1:
+        return [card]
+    keys = [card.key, *(f"{card.key} {number}" for number in range(2, MAX_CARDS + 1))]
+    lines = textwrap.wrap(text, room)
+    return [replace(card, key=key, value=line) for key, line in zip(keys, lines, strict=False)]
 
 
 def _fitting(value: Value, room: int) -> Value:

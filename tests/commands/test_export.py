@@ -198,6 +198,13 @@ def test_an_exported_image_knows_its_recording_and_where_its_pixels_lie(run):
         assert centre.ravel() == pytest.approx([0, 0, 9.7, 0])
 
 
+def test_a_sentence_that_does_not_fit_goes_on_in_further_cards():
+    notice = "simulated sample: 'calibration' and 'ramp' came with the package; no instrument was measured"
+    header = fits.Header.fromstring(fits_content([], [Card("IRLOS NOTICE", notice)])[:2880].decode("ascii"))
+    found = [value for key, value in header.items() if key.startswith("IRLOS NOTICE")]
+    assert len(found) > 1 and " ".join(found) == notice
+
+
 def test_text_that_does_not_fit_keeps_its_end_and_hostile_values_stay_in_their_card():
     cards = [
         Card("ESO PRO REC1 RAW1 NAME", "very/" * 30 + "end.fits", "file" * 40),
