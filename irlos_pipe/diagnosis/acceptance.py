@@ -18,7 +18,7 @@ from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import PER_PARAMETER, Refit
 from irlos_pipe.diagnosis.search.scores import Score
-from irlos_pipe.diagnosis.significance import threshold
+from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
 from irlos_pipe.diagnosis.verdict import Ranked
 from irlos_pipe.effects.labels import label_of, occurrences
 
@@ -113,7 +113,7 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool
     first : bool
         Whether no name was found before.
     """
-    if not ranked or not detected(ranked[0], options.sure):
+    if not ranked or not detected(ranked[0], cube, options.sure):
         return None
     best = ranked[0]
     before = best.origin
@@ -127,7 +127,7 @@ def accepted(ranked: Sequence[Refit], cube: Cube, options: Options) -> Accepted 
 
     `ranked`, `cube`, `options`: see `choose`.
     """
-    if not ranked or not detected(ranked[0], options.sure):
+    if not ranked or not detected(ranked[0], cube, options.sure):
         return None
     before = ranked[0].origin
     evaluations = [HeldOutEvaluation(cube.held_out, refit.fitted) for refit in ranked]
@@ -209,12 +209,22 @@ def _led_by(
     return [ranked[i] for i in order], [judges[i] for i in order]
 
 
-def detected(refit: Refit, sure: float) -> bool:
-    """Whether the fall of χ² and the significance of `refit` are beyond chance, the latter above `sure` σ."""
-    return (
-        refit.significance > sure
-        and refit.gain > threshold(refit.parameters, refit.score.trials) * refit.score.inflation
-    )
+def detected(refit: Refit, cube: Cube, sure: float) -> bool:
+    """Whether `refit` lowers χ² beyond chance and is significant, above `sure` σ.
+
+    It is so in the training frames, for all places that were tried, or in those that no fit has seen: the
+    scatter of few independent frames allows no strong statement about many places.
+    """
+    if refit.gain <= threshold(refit.parameters, refit.score.trials) * refit.score.inflation:
+        return False
+    return refit.significance > sure or _held_out_significance(refit, cube) > sure
+
+
+def _held_out_significance(refit: Refit, cube: Cube) -> float:
+    """Preference of the held-out frames, a deviate of Student's law, in Gaussian σ."""
+    judges = (HeldOutEvaluation(cube.held_out, one) for one in (refit.fitted, refit.origin.fitted))
+    z = preference(*judges)
+    return gaussian_sigma(z**2, 1, cube.held_out.independent) if z > 0 else 0.0
 
 
 def explained(refit: Refit) -> float:
