@@ -11,7 +11,7 @@ are taken out, and the others are named if held-out frames want them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -40,8 +40,17 @@ LOOKED_AT = 2  # effects, each fitted beside all modes
 SCALES = ("plate_scale", "spectrum")  # of the image: effects that act nearly alike
 
 
+@dataclass(frozen=True)
 class TolerantTask(NamingTask):
-    """A search with the facts of the instrument free, beside what the model has."""
+    """A search with the facts of the instrument free, beside what the model has.
+
+    Attributes
+    ----------
+    beside_modes : sequence of Score
+        Of the effects that the model lacked beside all visible modes, which imitate a part of them.
+    """
+
+    beside_modes: Sequence[Score] = ()
 
     def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
         """Begin again where a plain search left much: facts first, then names.
@@ -70,7 +79,9 @@ class TolerantTask(NamingTask):
         finished = task.fitter.finished(current.fitted)
         if np.isfinite(finished.chi2):
             current = Optimum(task.cube.training, finished)
+        beside_modes = {one.name: one for one in task.beside_modes}
         found, meaningless = task._scores(current)
+        found = [beside_modes.get(one.name, one) for one in found]
         others = set(added(current.fitted, told)) - {one.refit.label for one in named}
         nearest = None if named else next(iter(search.accepted), None)
         return Search(search.null, current, search.drift, named, found, meaningless, sorted(others), nearest)
@@ -140,7 +151,8 @@ class TolerantTask(NamingTask):
             opening = task.opening(current.fitted, current.fitted.continued())
             if opening is None:
                 return task._named(current)
-            task, current = task.closed(task._named_beside_all_modes(opening))
+            opening, found = task._named_beside_all_modes(opening)
+            task, current = replace(task, beside_modes=found).closed(opening)
             if number == 0 and task.misfit > FAR:
                 task, current = task._started_elsewhere(current)
             steady = len(current.fitted.effects) == known and task.misfit > SETTLED * misfit
@@ -148,18 +160,18 @@ class TolerantTask(NamingTask):
                 break
         return task, current
 
-    def _named_beside_all_modes(self, opening: Opening) -> Opening:
-        """All modes beside further effects that they imitate, but would rather not."""
+    def _named_beside_all_modes(self, opening: Opening) -> tuple[Opening, list[Score]]:
+        """All modes beside further effects that they imitate, but would rather not; scores of all others."""
+        found = self._scores(opening.optimum(self.cube.training))[0]
         for _ in range(self.options.most_names):
-            further = None if copies_in_a_row(opening.fitted) else self._behind(opening)
+            further = None if copies_in_a_row(opening.fitted) else self._behind(opening, found)
             if further is None:
                 break
-            opening = further
-        return opening
+            opening, found = further, self._scores(further.optimum(self.cube.training))[0]
+        return opening, found
 
-    def _behind(self, opening: Opening) -> Opening | None:
+    def _behind(self, opening: Opening, found: Sequence[Score]) -> Opening | None:
         """All modes beside the further effect with which χ² and priors fall most; None if none is seen."""
-        found, _ = self._scores(opening.optimum(self.cube.training))
         seen = [one for one in found if one.testable and one.significance > self.options.sure]
         likely = sorted(seen, key=lambda one: -one.gain / one.inflation)[:LOOKED_AT]
         with_one = ordered_map(partial(self._beside_all_modes, opening), likely)
