@@ -15,6 +15,7 @@ from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, preference
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
+from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import PER_PARAMETER, Refit
 from irlos_pipe.diagnosis.search.scores import Score
@@ -80,6 +81,8 @@ class Search:
         Effects of the final model that make it fit better and are not sure enough to be named.
     nearest : Accepted or None
         The name that comes nearest, where none was found after all.
+    all_modes : Opening or None
+        The last fit of all visible modes; None where the wavefront was not opened.
     """
 
     null: Optimum
@@ -90,6 +93,7 @@ class Search:
     meaningless: list[str]
     adjusted: Sequence[str] = ()
     nearest: Accepted | None = None
+    all_modes: Opening | None = None
 
     @cached_property
     def remaining(self) -> Excess:

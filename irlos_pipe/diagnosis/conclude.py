@@ -16,8 +16,8 @@ from irlos_pipe.diagnosis.checks.noise import NoiseVerdict
 from irlos_pipe.diagnosis.checks.pixels import screened_step, smallest_excess
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.effect_sizes import (
+    Covariances,
     detectable,
-    determined,
     parameter_covariance,
     within_reach,
 )
@@ -175,10 +175,10 @@ def _adjusted(search: Search) -> list[Adjusted]:
     labels = [label for label in fitted.problem.effects.labels if label in search.adjusted]
     if not labels:
         return []
-    covariance, found = parameter_covariance(search.final.stack, fitted), []
+    covariances, found = _covariances(search), []
     for label in labels:
         base, values = fitted.effect(label).base, fitted.values_of(label)
-        full = _own_covariance(fitted, label, covariance)
+        full = covariances.of(label)
         sizes = _sizes(base, values, full)
         found.append(Adjusted(**sizes, label=label, significance=_apart(base, values, full)))
     return found
@@ -196,10 +196,12 @@ def _apart(effect: Effect, values: np.ndarray, covariance: np.ndarray) -> float:
 
 
 def _steps(cube: Cube, search: Search, shares: Sequence[float]) -> list[Step]:
-    fitted = search.final.fitted
-    covariance = parameter_covariance(search.final.stack, fitted)
+    fitted, covariances = search.final.fitted, _covariances(search)
     rows = zip(search.accepted, labels_in(fitted, search.accepted), shares, strict=True)
-    return [replace(_step(cube, one, label, fitted, covariance), share=share) for one, label, share in rows]
+    return [
+        replace(_step(cube, one, label, fitted, covariances.of(label)), share=share)
+        for one, label, share in rows
+    ]
 
 
 def _nearest(cube: Cube, search: Search) -> Step | None:
@@ -207,7 +209,7 @@ def _nearest(cube: Cube, search: Search) -> Step | None:
     if search.nearest is None:
         return None
     refit = search.nearest.refit
-    covariance = parameter_covariance(refit.optimum.stack, refit.fitted)
+    covariance = Covariances(refit.optimum.stack, [refit.fitted]).of(refit.label)
     step = _step(cube, search.nearest, refit.label, refit.fitted, covariance)
     return replace(step, share=share_at_its_place(refit, refit.optimum))
 
@@ -215,10 +217,9 @@ def _nearest(cube: Cube, search: Search) -> Step | None:
 def _step(cube: Cube, accepted: Accepted, label: str, fitted: Fitted, covariance: np.ndarray) -> Step:
     refit = accepted.refit
     base, values = refit.base, fitted.values_of(label)
-    full = _own_covariance(fitted, label, covariance)
     judges = (HeldOutEvaluation(cube.held_out, one) for one in (refit.origin.fitted, refit.fitted))
     return Step(
-        **_sizes(base, values, full),
+        **_sizes(base, values, covariance),
         significance=refit.significance,
         explained=accepted.ranking[0].explained,
         preference=accepted.preference,
@@ -240,13 +241,12 @@ def _sizes(base: Effect, values: np.ndarray, covariance: np.ndarray) -> dict[str
     }
 
 
-def _own_covariance(fitted: Fitted, label: str, covariance: np.ndarray) -> np.ndarray:
-    """Covariance of all parameters of one effect, from that of the whole model; zero for what is held."""
-    effect, columns = fitted.effect(label), fitted.columns_of(label)
-    full = np.zeros((len(effect.base.parameters), len(effect.base.parameters)))
-    own = determined(effect.parameters, covariance[np.ix_(columns, columns)])
-    full[np.ix_(effect.free, effect.free)] = own
-    return full
+def _covariances(search: Search) -> Covariances:
+    """Of the effects of the final model: beside all visible modes, where these were fitted with them."""
+    models = (
+        [search.final.fitted] if search.all_modes is None else [search.all_modes.fitted, search.final.fitted]
+    )
+    return Covariances(search.final.stack, models)
 
 
 def _drift_steps(cube: Cube, search: Search, options: Options) -> list[Step]:

@@ -50,6 +50,43 @@ def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.nd
     return (projector @ relative @ projector) * units
 
 
+class Covariances:
+    """Covariances of the effects of a model.
+
+    Parameters
+    ----------
+    stack : Stacks
+    models : sequence of Fitted
+        Fits of the model, that with most besides first. The last one has all effects.
+    """
+
+    def __init__(self, stack: Stacks, models: Sequence[Fitted]):
+        self.models = [(one, parameter_covariance(stack, one)) for one in models]
+
+    def of(self, label: str) -> np.ndarray:
+        """Of all parameters of the effect with a `label`; zero for what is held.
+
+        Parameters
+        ----------
+        label : str
+        """
+        last, _ = self.models[-1]
+        free = last.effect(label).parameters
+        fitted, covariance = next(pair for pair in self.models if _frees(pair[0], label, free))
+        effect, columns = fitted.effect(label), fitted.columns_of(label)
+        full = np.zeros((len(effect.base.parameters), len(effect.base.parameters)))
+        own = determined(effect.parameters, covariance[np.ix_(columns, columns)])
+        full[np.ix_(effect.free, effect.free)] = own
+        return full
+
+
+def _frees(fitted: Fitted, label: str, free: Sequence[Parameter]) -> bool:
+    """Whether a model has an effect with a `label` and these parameters."""
+    if label not in fitted.problem.effects.labels:
+        return False
+    return [one.name for one in fitted.effect(label).parameters] == [one.name for one in free]
+
+
 def detectable(score: Score) -> dict[str, Any]:
     """Public size at which the effect would surely be seen, parameter by parameter.
 

@@ -17,8 +17,6 @@ from functools import partial
 import numpy as np
 
 from irlos_pipe.diagnosis.acceptance import Search
-from irlos_pipe.diagnosis.effect_sizes import parameter_covariance
-from irlos_pipe.diagnosis.elimination import needed
 from irlos_pipe.diagnosis.fitted import Fitted, begun_at
 from irlos_pipe.diagnosis.grade import copies_in_a_row
 from irlos_pipe.diagnosis.naming import NamingTask, added
@@ -26,9 +24,9 @@ from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.refit import FAR, PER_PARAMETER
 from irlos_pipe.diagnosis.search.scores import Score
-from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
+from irlos_pipe.diagnosis.significance import threshold
 from irlos_pipe.diagnosis.starts import other_sides, other_wavefronts
-from irlos_pipe.diagnosis.without import nulls_of
+from irlos_pipe.diagnosis.without import needless
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, wider_kinds
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.numerics.parallel import ordered_map
@@ -46,10 +44,13 @@ class TolerantTask(NamingTask):
 
     Attributes
     ----------
+    all_modes : Opening or None
+        The last fit of all visible modes.
     beside_modes : sequence of Score
-        Of the effects that the model lacked beside all visible modes, which imitate a part of them.
+        Of the effects that it lacked, of which the modes imitate a part.
     """
 
+    all_modes: Opening | None = None
     beside_modes: Sequence[Score] = ()
 
     def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
@@ -69,7 +70,7 @@ class TolerantTask(NamingTask):
         task = self.allowing(search.final.fitted)
         task, current = task.with_errors(task._base(told, search))
         task, current = task._named(current, MOST)
-        task, current = task._settled(current)
+        task, current = task._settled(current, told)
         task, current = task.with_errors(task._turned(current.fitted))
         full = [*added(current.fitted, told), *SCALES]
         task, current = task.with_errors(task._without_needless(current, told))
@@ -84,7 +85,10 @@ class TolerantTask(NamingTask):
         found = [beside_modes.get(one.name, one) for one in found]
         others = set(added(current.fitted, told)) - {one.refit.label for one in named}
         nearest = None if named else next(iter(search.accepted), None)
-        return Search(search.null, current, search.drift, named, found, meaningless, sorted(others), nearest)
+        adjusted = sorted(others)
+        return Search(
+            search.null, current, search.drift, named, found, meaningless, adjusted, nearest, task.all_modes
+        )
 
     def _moving(self, search: Search) -> list[Effect]:
         """The drift, if it is significant."""
@@ -143,7 +147,7 @@ class TolerantTask(NamingTask):
         best = self.fitter.most_plausible([one for one in found if np.isfinite(one.chi2)])
         return (self, current) if best is current.fitted else self.opened(self.with_errors(best)[1])
 
-    def _settled(self, current: Optimum) -> tuple[TolerantTask, Optimum]:
+    def _settled(self, current: Optimum, told: Sequence[Effect]) -> tuple[TolerantTask, Optimum]:
         """The search and its model with the wavefront open, until neither names nor χ²/ν change any more."""
         task = self
         for number in range(OPENINGS):
@@ -151,14 +155,25 @@ class TolerantTask(NamingTask):
             opening = task.opening(current.fitted, current.fitted.continued())
             if opening is None:
                 return task._named(current)
-            opening, found = task._named_beside_all_modes(opening)
-            task, current = replace(task, beside_modes=found).closed(opening)
+            opening, found = task._named_beside_all_modes(task._without_imitated(opening, told))
+            task, current = replace(task, all_modes=opening, beside_modes=found).closed(opening)
             if number == 0 and task.misfit > FAR:
                 task, current = task._started_elsewhere(current)
             steady = len(current.fitted.effects) == known and task.misfit > SETTLED * misfit
             if steady or copies_in_a_row(current.fitted):  # which the detector makes: more would follow
                 break
         return task, current
+
+    def _without_imitated(self, opening: Opening, told: Sequence[Effect]) -> Opening:
+        """All modes without those effects of the wavefront, found before, that they imitate."""
+        effects = opening.fitted.continued_by_label()
+        found = [label for label in added(opening.fitted, told) if _of_the_wavefront(effects[label])]
+        imitated = needless(opening.fitted, found, self.cube.training, self.options.sure)
+        if not imitated:
+            return opening
+        left = [effect for label, effect in effects.items() if label not in imitated]
+        self.report(1)
+        return self.opening(opening.fitted, left) or opening
 
     def _named_beside_all_modes(self, opening: Opening) -> tuple[Opening, list[Score]]:
         """All modes beside further effects that they imitate, but would rather not; scores of all others."""
@@ -208,25 +223,16 @@ class TolerantTask(NamingTask):
     def _without_needless(self, current: Optimum, told: Sequence[Effect]) -> Fitted:
         """The model without those effects, unless told, that are not significant beside the others."""
         fitted = current.fitted
-        every = {label: nulls_of(fitted, label) for label in added(fitted, told)}
-        nulls = {label: own for label, own in every.items() if own}  # the others are always something
-        zero = np.zeros(fitted.problem.size)
-        for own in nulls.values():
-            zero[[*own]] = [*own.values()]
         errors = self.errors_of(fitted)
         alone = self.cube.training.with_errors(replace(errors, alike_px=1.0))  # to keep rather than to drop
-        covariance = parameter_covariance(alone, fitted)
-        frames = np.inf if current.stack.photon_limited else current.stack.independent
-        kept = needed(
-            {label: [*own] for label, own in nulls.items()},
-            fitted.x[0].numpy() - zero,
-            covariance,
-            lambda rise, count: gaussian_sigma(max(rise, 0.0), count, frames),
-            self.options.sure,
-        )
-        dropped = set(nulls) - set(kept)
+        dropped = needless(fitted, added(fitted, told), alone, self.options.sure)
         effects = fitted.continued_by_label()
         return self.fitter.explored([effects[label] for label in effects if label not in dropped], fitted)
+
+
+def _of_the_wavefront(effect: Effect) -> bool:
+    """Whether it is one of those that modes may imitate and that are not to be expected anywhere."""
+    return effect.plane == "pupil" and not (effect.base.fact or effect.base.mild)
 
 
 def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:

@@ -1,13 +1,18 @@
-"""A model without one of its effects: where the others would go, by a linear model."""
+"""A model without some of its effects: where the others would go, and which it needs, by a linear model."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import torch
 
+from irlos_pipe.diagnosis.cube import Stacks
+from irlos_pipe.diagnosis.effect_sizes import parameter_covariance
+from irlos_pipe.diagnosis.elimination import needed
 from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.diagnosis.significance import gaussian_sigma
 
 
 def nulls_of(fitted: Fitted, label: str) -> dict[int, float]:
@@ -21,6 +26,37 @@ def nulls_of(fitted: Fitted, label: str) -> dict[int, float]:
     """
     pairs = zip(fitted.columns_of(label), fitted.effect(label).parameters, strict=True)
     return {column: parameter.null for column, parameter in pairs if parameter.null is not None}
+
+
+def needless(fitted: Fitted, labels: Sequence[str], stack: Stacks, sure: float) -> set[str]:
+    """Those of some effects that are not significant beside all others of a model.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    labels : sequence of str
+        Of the effects in question; what is always something is none of them.
+    stack : Stacks
+        Whose scatter sets the errors.
+    sure : float
+        Significance in σ, below which an effect is not needed.
+    """
+    every = {label: nulls_of(fitted, label) for label in labels}
+    nulls = {label: own for label, own in every.items() if own}
+    if not nulls:
+        return set()
+    null = np.zeros(fitted.problem.size)
+    for own in nulls.values():
+        null[[*own]] = [*own.values()]
+    frames = np.inf if stack.photon_limited else stack.independent
+    kept = needed(
+        {label: [*own] for label, own in nulls.items()},
+        fitted.x[0].numpy() - null,
+        parameter_covariance(stack, fitted),
+        lambda rise, count: gaussian_sigma(max(rise, 0.0), count, frames),
+        sure,
+    )
+    return set(nulls) - set(kept)
 
 
 def without_linearly(fitted: Fitted, label: str) -> Fitted:

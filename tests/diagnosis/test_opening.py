@@ -10,6 +10,7 @@ import pytest
 import torch
 from helpers.diagnose_frames import CASE, CONDITIONS, FLUX_E, NOLLS, TRUE_NM, cube, fitted, image, model
 
+from irlos_pipe.diagnosis.effect_sizes import Covariances
 from irlos_pipe.diagnosis.fitted import begun_at
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
@@ -18,6 +19,7 @@ from irlos_pipe.diagnosis.search.scores import Family, score_family
 from irlos_pipe.diagnosis.significance import SURELY, gaussian_sigma, surely_exceeding, threshold
 from irlos_pipe.diagnosis.starts import other_sides
 from irlos_pipe.diagnosis.view import View
+from irlos_pipe.diagnosis.without import needless
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.open_fit import last_noll_of, visible_order
@@ -26,6 +28,7 @@ from irlos_pipe.optics.psf import PsfModel
 TAIL_NM, ALL = 6.0, tuple(range(2, last_noll_of(visible_order(CASE)) + 1))
 COMPANION = CATALOGUE["companion"].under(CONDITIONS)
 PLACE = (0.01, 85.0, -70.0)  # of the star's light, and mas
+BUMP, BUMP_VALUES = "phase_bump", (400.0, 1.6, 1.4, 0.8)  # nm and m
 STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
 
 
@@ -84,6 +87,34 @@ def test_beside_the_closed_basis_alone_the_tail_would_pass_for_a_companion(alone
     training, _, opening = alone
     closed = Fitter([View(model(), CONDITIONS)], training).finished(opening.closed)
     assert score_family(Optimum(training, closed), Family((COMPANION,))).significance > 5
+
+
+def bump_beside_all_modes(mean_e):
+    """Whether a bump is needed beside the closed basis and beside all modes, its size and error there."""
+    training = cube(mean_e).training
+    fitter = Fitter([View(model(), CONDITIONS)], training)
+    null = fitted(training)
+    start = score_family(Optimum(training, null), Family(CATALOGUE[BUMP].variants(CONDITIONS))).start()
+    closed = fitter.finished(fitter.explored([start], null))
+    opening = Opening.of(fitter, closed.continued(), closed, {})
+    assert opening is not None
+    both = [not needless(one, [BUMP], training, 5.0) for one in (closed, opening.fitted)]
+    sigma = Covariances(training, [opening.fitted, closed]).of(BUMP)[0, 0] ** 0.5
+    return both, opening.fitted.values_of(BUMP)[0], sigma
+
+
+def test_a_bump_that_stands_in_for_modes_is_not_needed_beside_them():
+    needed, _, _ = bump_beside_all_modes(with_tail())
+    assert needed == [True, False]
+
+
+def test_a_bump_that_is_there_is_needed_beside_all_modes_and_its_error_knows_of_them():
+    bump = CATALOGUE[BUMP].under(CONDITIONS)
+    mean_e = with_tail([FixedEffect(bump, BUMP_VALUES)])
+    needed, nm, sigma_nm = bump_beside_all_modes(mean_e)
+    assert needed == [True, True]
+    assert nm == pytest.approx(BUMP_VALUES[0], abs=4 * sigma_nm)
+    assert TAIL_NM < sigma_nm < BUMP_VALUES[0] / 5
 
 
 def test_modes_found_once_are_where_the_next_fit_begins_and_ends(alone):

@@ -93,7 +93,7 @@ def test_what_was_adjusted_is_handed_on_by_its_label_if_there_are_two_of_a_kind(
     copies = [FixedEffect(COMPANION, (0.02, 150.0, 40.0 * n), ["flux_ratio"]) for n in (-1, 1)]
     training = cube(image(effect=COMPANION, values=(0.02, 150.0, 40.0))).training
     final = Optimum(training, fitted(training, copies))
-    (one,) = _adjusted(SimpleNamespace(final=final, adjusted=["companion_2"]))
+    (one,) = _adjusted(SimpleNamespace(final=final, all_modes=None, adjusted=["companion_2"]))
     assert one.label == "companion_2"
     assert one.public["flux_ratio"] == pytest.approx(0.02, abs=5 * one.sigma["flux_ratio"])
     assert one.public["pa_deg"] == pytest.approx(np.rad2deg(np.arctan2(40, 150)))
@@ -104,7 +104,7 @@ def test_what_was_adjusted_is_handed_on_by_its_label_if_there_are_two_of_a_kind(
 def test_a_fact_that_is_clearly_off_is_said_where_it_is_not_named(off_centre):
     training, model = off_centre
     final = Optimum(training, model)
-    adjusted = _adjusted(SimpleNamespace(final=final, adjusted=[STOP.name, SCALE.name]))
+    adjusted = _adjusted(SimpleNamespace(final=final, all_modes=None, adjusted=[STOP.name, SCALE.name]))
     rest = SimpleNamespace(text="1 % of the light is misplaced")
     told = _left(SimpleNamespace(grade=PARTIAL, rest=rest, adjusted=adjusted))
     assert told.startswith("something else is missing as well: 1 % of the light is misplaced; not named")
