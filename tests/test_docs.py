@@ -25,7 +25,7 @@ PAGES = sorted(
     [*REPOSITORY.glob("*.md"), *REPOSITORY.glob("docs/*.md"), *REPOSITORY.glob("data_samples/*.md")]
 )
 RECIPES = sorted(REPOSITORY.glob("recipes/**/*.yaml"))
-OWN_PROFILE = "instrument=my_camera.yaml"  # the reader's, which docs/own_telescope.md writes and its test executes
+OWN_PROFILE = "instrument=my_camera.yaml"  # which docs/own_telescope.md writes and its test executes
 DATA_PAGE = REPOSITORY / "docs" / "data.md"
 README_LINES, LINE_LENGTH = 150, 120
 FENCE = re.compile(r"^```\w*\n.*?^```", re.DOTALL | re.MULTILINE)
