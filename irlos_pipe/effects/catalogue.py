@@ -7,6 +7,7 @@ import textwrap
 
 import numpy as np
 
+from irlos_pipe.effects.anamorphism import Anamorphism
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.colour import AtmosphericDispersion, PlateScale, Spectrum
@@ -41,6 +42,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         AtmosphericDispersion,
         Spectrum,
         PlateScale,
+        Anamorphism,
         DiversityError,
         PupilMisregistration,
         PupilSizes,

@@ -128,7 +128,8 @@ class EffectSet:
 
         if not (change.wavelengths_m.any() or change.weights.any()):
             return [(None, None, change) for _ in range(1 + len(self._copies))]
-        largest = max(float((rate / one).abs().max()) for one, rate in zip(sampling, change, strict=True))
+        colours = (change.wavelengths_m / sampling.wavelengths_m, change.weights / sampling.weights)
+        largest = max(float(rate.abs().max()) for rate in colours)
         step = DIFFERENCE / largest
         factors = [_slope(*ends, step) for ends in zip(light(step), light(-step), strict=True)]
         return [

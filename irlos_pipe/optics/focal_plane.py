@@ -18,6 +18,7 @@ from irlos_pipe.optics.fourier_matrices import (
 from irlos_pipe.optics.grids import Sampling
 from irlos_pipe.optics.matrix_dft import MatrixDft
 from irlos_pipe.optics.psf_settings import PsfSettings
+from irlos_pipe.optics.strained import Strained
 
 COMPLEX = {torch.float32: torch.complex64, torch.float64: torch.complex128}
 Matrices = tuple[torch.Tensor, torch.Tensor]
@@ -82,6 +83,11 @@ class FocalPlane:
         """Return the derivatives of `to_pixels` by the logarithm of pixel scale over wavelength."""
         make = self._filtered_matrices if filtered else self._plain_matrices
         return make(index, sampling, slope=True)
+
+    def strained(self, index: int, sampling: Sampling) -> Strained:
+        """Return the matrices to pixels of a strained image, at the wavelength `index`."""
+        like = self.like.new_empty(0, dtype=COMPLEX[self.like.dtype])
+        return Strained.of(self.window, sampling, index, self.grids[index], like)
 
     @cached_property
     def _plain(self) -> list[Matrices]:

@@ -8,7 +8,7 @@ all colours in it. It is tabulated once, on pixels somewhat beyond the window::
     image      = S(y₀) I(d) S(x₀)ᵀ                      shifted by band-limited interpolation
 
 Derivatives are those of T_n and of S. An image costs one product with the table and two small matrix
-products, whatever the number of wavelengths.
+products, whatever the number of wavelengths. Where the image is strained, tip shifts it along y, too.
 
 Focus changes the phase between two points of the pupil by up to ``β = 2π R P/λ``, R being half the range and
 P the mode's peak-to-valley. The coefficients of ``exp(iβx)`` are Bessel functions of the order n, which
@@ -28,6 +28,7 @@ from irlos_pipe.optics.defocus import shaped_modes
 from irlos_pipe.optics.grids import Optics, Tangents
 from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, LightPath, Pullback
 from irlos_pipe.optics.shift import ShiftMatrices, kernel_half_length
+from irlos_pipe.optics.strained import pixel_map
 
 TRUNCATION = 1e-7  # the largest Bessel function left out
 WELL_SAMPLED = 0.4  # highest frequency of the images [cycles/px] that short kernels can shift
@@ -65,6 +66,7 @@ class FocusTable:
         window, pixel_nm = self.settings.window, _pixel_nm(psf, optics)
         like = torch.empty(0, dtype=self.dtype, device=self.device)
         self.shift = ShiftMatrices(window, beyond, band, pixel_nm, like)
+        self._stretch = _stretch(psf, optics).to(self.device)
         self.middle_nm = float(np.mean(reach.focus_nm))
         self.half_nm = float(OPEN_END * np.ptp(reach.focus_nm) / 2)
         self._tabulate(psf.in_window(*_wider(psf, beyond)), optics)
@@ -103,7 +105,7 @@ class FocusTable:
     def images(self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
         """See `LightPath.images`; `optics` are in the table already."""
         x, (height, width) = modes_nm.to(self.device, torch.float64), self.settings.window
-        rows, columns = self.shift(x[:, self.tilts])
+        rows, columns = self.shift(x[:, self.tilts] @ self._stretch)
         weights = (self._angle(x) * self.orders).cos().to(self.dtype)
         images = (weights @ self.table).view(-1, *self.shape)
         return torch.bmm(rows[:, :height], torch.bmm(images, columns[:, :width].mT))
@@ -119,13 +121,14 @@ class FocusTable:
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """See `LightPath.images_and_jacobian`; there are no parameters but the modes."""
         x, (height, width) = modes_nm.to(self.device, torch.float64), self.settings.window
-        rows, columns = self.shift(x[:, self.tilts])
+        rows, columns = self.shift(x[:, self.tilts] @ self._stretch)
         images, slopes = self._series(x)
         along_x = torch.bmm(images, columns.mT)  # shifted, and the derivative of that
         both = torch.bmm(rows, along_x[:, :, :width])
         jacobian = both.new_empty(len(x), 3, height, width)
-        jacobian[:, self.tilts[0]] = torch.bmm(rows[:, :height], along_x[:, :, width:])
-        jacobian[:, self.tilts[1]] = both[:, height:]
+        moved = torch.bmm(rows[:, :height], along_x[:, :, width:]), both[:, height:]
+        for tilt, (by_x, by_y) in zip(self.tilts, self._stretch.tolist(), strict=True):
+            jacobian[:, tilt] = by_x * moved[0] + by_y * moved[1]
         jacobian[:, self.focus] = torch.bmm(rows[:, :height], torch.bmm(slopes, columns[:, :width].mT))
         return both[:, :height], jacobian[:, : 3 * modal]
 
@@ -187,7 +190,8 @@ def _wider(psf: LightPath, beyond: int) -> tuple[tuple[int, int], float, float]:
 
 def _pixels_beyond(psf: LightPath, optics: Optics, reach: Reach) -> int:
     """Pixels that are tabulated on each side of the window."""
-    shifts = int(np.ceil(reach.tilt_nm / _pixel_nm(psf, optics)))
+    farthest_nm = reach.tilt_nm * float(_stretch(psf, optics).abs().sum(1).max())
+    shifts = int(np.ceil(farthest_nm / _pixel_nm(psf, optics)))
     return shifts + kernel_half_length(_band_per_px(psf, optics))
 
 
@@ -199,7 +203,13 @@ def _pixel_nm(psf: LightPath, optics: Optics) -> float:
 def _band_per_px(psf: LightPath, optics: Optics) -> float:
     """Highest frequency of the images [cycles/px]."""
     diameter_m = psf.settings.geometry.diameter_m
-    return cutoff_per_px(_shortest_m(psf, optics), diameter_m, _pixel_mas(psf, optics))
+    smallest = float(torch.linalg.eigvalsh(_stretch(psf, optics)).min())
+    return cutoff_per_px(_shortest_m(psf, optics), diameter_m, _pixel_mas(psf, optics)) / smallest
+
+
+def _stretch(psf: LightPath, optics: Optics) -> torch.Tensor:
+    """How an image is stretched, a symmetric matrix (2, 2)."""
+    return pixel_map(-(optics.sampling or psf.grids.sampling).strain.detach())
 
 
 def _pixel_mas(psf: LightPath, optics: Optics) -> float:

@@ -98,11 +98,29 @@ class PupilGrid:
 
 
 class Sampling(NamedTuple):
-    """Colours and pixels: wavelengths (wavelengths,) [m], photon weights that sum to 1, pixel scale [mas]."""
+    """Colours and pixels.
+
+    Attributes
+    ----------
+    wavelengths_m : tensor, (wavelengths,)
+    weights : tensor, (wavelengths,)
+        Of the photons; their sum is 1.
+    pixel_scale_mas : tensor, scalar
+        Geometric mean of the scales along two orthogonal axes.
+    strain : tensor, (2,)
+        How much more the image is stretched than its mean, along x rather than y and along the diagonal y = x
+        rather than the other one, see `strained.pixel_map`.
+    """
 
     wavelengths_m: torch.Tensor
     weights: torch.Tensor
     pixel_scale_mas: torch.Tensor
+    strain: torch.Tensor
+
+    @property
+    def strains(self) -> bool:
+        """Whether the image is strained, or may be where derivatives are asked for."""
+        return self.strain.requires_grad or bool(self.strain.any())
 
 
 @dataclass(frozen=True)

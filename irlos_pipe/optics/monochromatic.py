@@ -9,6 +9,7 @@ import torch
 
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.optics.fourier_matrices import half_plane_counts
+from irlos_pipe.optics.strained import Strained
 
 
 class Colour(NamedTuple):
@@ -25,6 +26,8 @@ class Colour(NamedTuple):
         The photon weight of the wavelength is in the first.
     padded, samples : int
         p, samples per axis of that FFT, and m of the focal grid.
+    strained : Strained or None
+        Of a strained image, instead of the pixel matrices.
     """
 
     wavelength_m: float | torch.Tensor
@@ -34,6 +37,7 @@ class Colour(NamedTuple):
     to_columns: torch.Tensor
     padded: int
     samples: int
+    strained: Strained | None = None
 
     def field(self, opd_nm: torch.Tensor) -> torch.Tensor:
         """Return the field ``P exp(2πi OPD/λ)`` of `opd_nm`, (frames, 2, n, n): real and imaginary part."""
@@ -52,24 +56,39 @@ class Colour(NamedTuple):
             factor = factor.to(torch.complex64 if factor.is_complex() else torch.float32)
         matrix = torch.complex64 if self.to_rows.is_complex() else torch.float32
         return self._replace(
-            transfer=factor, to_rows=self.to_rows.to(matrix), to_columns=self.to_columns.to(matrix)
+            transfer=factor,
+            to_rows=self.to_rows.to(matrix),
+            to_columns=self.to_columns.to(matrix),
+            strained=self.strained and self.strained.single,
         )
 
     def image(self, intensity: torch.Tensor, transfer: torch.Tensor | None = None) -> torch.Tensor:
         """Weighted pixel flux of a focal `intensity` (..., m, m); `transfer` stands in for the own factor."""
+        if self.strained is not None:
+            return self.strained.image(self.waves(intensity, transfer))
         if self.transfer is None:
             return self.to_rows @ (intensity @ self.to_columns.mT)
-        factor = self.transfer if transfer is None else transfer
-        partial = self.to_rows @ (torch.fft.rfft2(intensity, s=(self.padded,) * 2) * factor)
+        partial = self.to_rows @ self.waves(intensity, transfer)
         return partial.real @ self.to_columns.real.mT - partial.imag @ self.to_columns.imag.mT
+
+    def waves(self, intensity: torch.Tensor, transfer: torch.Tensor | None = None) -> torch.Tensor:
+        """Real FFT of a focal `intensity` times the OTF factor, (..., p, p//2 + 1); see `image`."""
+        factor = self.transfer if transfer is None else transfer
+        waves = torch.fft.rfft2(intensity, s=(self.padded,) * 2)
+        return waves if factor is None else waves * factor
 
     def adjoint(self, factors: torch.Tensor) -> torch.Tensor:
         """Return the transpose of `image`: from pixels (..., rows, columns) to focal samples (..., m, m)."""
-        if self.transfer is None:
+        if self.strained is None and self.transfer is None:
             return self.to_rows.mT @ (factors @ self.to_columns)
-        counts = torch.as_tensor(half_plane_counts(self.transfer.shape[-1], self.padded)).to(self.transfer)
-        waves = self.to_rows.mH @ (factors.to(self.to_rows.dtype) @ self.to_columns.conj())
-        waves = waves * (self.transfer.conj() / counts)  # the real FFT counts them itself
+        if self.strained is not None:
+            waves = self.strained.adjoint(factors)
+        else:
+            waves = self.to_rows.mH @ (factors.to(self.to_rows.dtype) @ self.to_columns.conj())
+        counts = torch.as_tensor(half_plane_counts(waves.shape[-1], self.padded)).to(factors)
+        waves = waves / counts  # the real FFT counts them itself
+        if self.transfer is not None:
+            waves = waves * self.transfer.conj()
         spread = torch.fft.irfft2(waves, s=(self.padded,) * 2, norm="forward")
         return spread[..., : self.samples, : self.samples]
 

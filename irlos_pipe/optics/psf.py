@@ -39,7 +39,7 @@ from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, Pullback
 from irlos_pipe.optics.matrix_dft import MatrixDft, mirrored, products_up_to
 from irlos_pipe.optics.monochromatic import Colour, behind
 from irlos_pipe.optics.psf_settings import PsfSettings
-from irlos_pipe.optics.resampled import Rates, resampled
+from irlos_pipe.optics.resampled import PixelSlopes, Rates, SkewPixels, SquarePixels, resampled
 from irlos_pipe.optics.zernike import in_products, noll_to_nm
 
 FAINT = 0.1  # part of the light, of a copy whose derivatives may be rough
@@ -113,7 +113,7 @@ class PsfModel:
     # -- construction ------------------------------------------------------------------------
 
     def _sampling(self) -> Sampling:
-        numbers = self.wavelengths_m, self.weights, self.settings.pixel_scale_mas
+        numbers = self.wavelengths_m, self.weights, self.settings.pixel_scale_mas, np.zeros(2)
         return Sampling(*(torch.as_tensor(n, dtype=torch.float64) for n in numbers))
 
     def _focal_plane(self, settings: PsfSettings) -> FocalPlane:
@@ -169,7 +169,8 @@ class PsfModel:
         to_rows, to_columns = plane.to_pixels(index, sampling, filtered=transfer is not None)
         pupil, grid = self._pupil(optics.pupil, index), plane.grids[index]
         pupil = self.amplitude if pupil is None else pupil
-        return Colour(wavelength_m, pupil, transfer, to_rows, to_columns, grid.padded, grid.samples)
+        strained = plane.strained(index, sampling) if sampling is not None and sampling.strains else None
+        return Colour(wavelength_m, pupil, transfer, to_rows, to_columns, grid.padded, grid.samples, strained)
 
     def _pupil(self, pupils: torch.Tensor | None, index: int) -> torch.Tensor | None:
         return None if pupils is None else self._pupil_of(pupils, index)
@@ -266,12 +267,17 @@ class PsfModel:
         """Derivatives of weighted images by the parameters of the sampling; see `resampled`."""
         optics, tangents, index, plane = path.optics, path.tangents, path.colour, self.focal_plane
         sampling = optics.sampling or self.grids.sampling
-        slopes = plane.pixel_slopes(index, sampling, filtered=colour.transfer is not None)
         every = [
             Rates.of(sampling, change, index, self._pupil(pupil, index), self._transfer(transfer, index))
             for pupil, transfer, change in tangents.sampling
         ]
-        return resampled(colour, plane.dfts[index], slopes, opd, every)
+        pixels: PixelSlopes
+        if colour.strained or any(rates.strain.any() for rates in every):
+            pixels = SkewPixels(colour, plane.strained(index, sampling), sampling.strain)
+        else:
+            slopes = plane.pixel_slopes(index, sampling, filtered=colour.transfer is not None)
+            pixels = SquarePixels(colour, *slopes)
+        return resampled(colour, plane.dfts[index], pixels, opd, every)
 
     def _derivatives(self, colour: Colour, changes: torch.Tensor) -> torch.Tensor:
         """Weighted pixel flux of the derivatives of the focal intensity, in the precision wanted of them."""

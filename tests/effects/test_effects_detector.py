@@ -16,6 +16,7 @@ from irlos_pipe.numerics.directional import Directional
 
 CONTRACT = {
     "tip_tilt_jitter", "vibration", "seeing_halo", "atmospheric_dispersion", "spectrum", "plate_scale",
+    "anamorphism",
     "diversity_error", "pupil_misregistration", "pupil_geometry", "amplitude_aberration", "low_wind_effect",
     "segment_piston", "high_order_ncpa",
     "phase_bump", "ncpa_drift", "companion", "ghost", "interpixel_crosstalk", "detector_nonlinearity",
@@ -134,6 +135,8 @@ def test_starts_lie_within_bounds_and_strong_levels_are_plausible(name):
         ("pupil_geometry", [1.21, 0.0401], "a central obscuration of 1.21 m instead of 1.12 m"),
         ("pupil_geometry", [1.117, 0.05], "vanes 0.050 m wide instead of 0.040 m"),
         ("plate_scale", [0.01], "pixels of 9.797 mas instead of 9.700 mas"),
+        ("anamorphism", [0.006, 0.0], "an image 0.60 % larger along 0° than across"),
+        ("anamorphism", [0.0, -0.02], "an image 2.00 % larger along 135° than across"),
         ("spectrum", [20.0, 0.0, 0.1], "a spectrum about 1469.3 nm instead of 1449.3 nm, 1.10 times as wide"),
     ],
 )

@@ -121,19 +121,28 @@ def test_rough_derivatives_of_faint_ghosts_are_wrong_by_a_part_of_their_light(de
 
 def test_colours_and_pixels_are_differentiated_through_pupil_otf_and_copies():
     """Dispersion depends on the mean wavelength, a bump and a ghost's focus on each."""
-    names = ["spectrum", "plate_scale", "atmospheric_dispersion", "ghost", "phase_bump"]
+    differentiated(["spectrum", "plate_scale", "atmospheric_dispersion", "ghost", "phase_bump"], 4, 1e-6)
+
+
+def test_colours_and_pixels_of_a_strained_image_are_differentiated_too():
+    names = ["spectrum", "plate_scale", "anamorphism", "atmospheric_dispersion", "ghost", "phase_bump"]
+    differentiated(names, 6, 1e-5)  # ripples of the field's end depend on the strain
+
+
+def differentiated(names: list[str], free: int, tolerance: float) -> None:
+    """Compare derivatives by the parameters of the sampling with finite differences."""
     (effects, starts), step = zip(*map(made, names), strict=True), 1e-5
     whole = ImageModel(psf(), effects)
     by_name = dict(zip(names, starts, strict=True))
     values = torch.cat([by_name[effect.name] for effect in whole.effects.effects])
     jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values)[1][:, len(NOLLS) : -2]
-    assert len(whole.effects.free_at("sampling")) == 4
+    assert len(whole.effects.free_at("sampling")) == free
     for index in whole.effects.free_at("sampling"):
         move = torch.zeros_like(values)
         move[index] = step * max(1.0, abs(float(values[index])))
         high, low = (whole.predict(WAVEFRONTS, FLUX, BACKGROUND, values + s * move) for s in (1, -1))
         theirs = ((high - low) / (2 * move[index])).numpy()
-        assert jacobian[:, index].numpy() == pytest.approx(theirs, abs=1e-6 * np.abs(theirs).max())
+        assert jacobian[:, index].numpy() == pytest.approx(theirs, abs=tolerance * np.abs(theirs).max())
 
 
 def test_ghosts_are_there_in_the_pullback_and_among_frozen_effects():

@@ -19,6 +19,7 @@ STRONG = {
     "atmospheric_dispersion": {"mas_per_um": 60.0, "angle_deg": 120.0},
     "spectrum": {"wavelength_nm": 1440.0, "slope": 0.5, "width": 1.1},
     "plate_scale": {"fraction": 0.02},
+    "anamorphism": {"fraction": 0.04, "angle_deg": 115.0},
     "diversity_error": {"nm": 60.0},
     "pupil_misregistration": {"dx_m": 0.12, "dy_m": -0.08, "rotation_deg": 4.0},
     "pupil_geometry": {"obscuration_m": 1.4, "vane_width_m": 0.06},
