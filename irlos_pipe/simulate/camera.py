@@ -6,6 +6,7 @@ import numpy as np
 import scipy.fft
 
 from irlos_pipe.conventions.units import NM, cutoff_per_px
+from irlos_pipe.simulate.distortion import Distortion
 from irlos_pipe.simulate.effects.base import LightEffect
 from irlos_pipe.simulate.imaging import Imager, PixelGrid
 from irlos_pipe.simulate.light import Ray
@@ -15,6 +16,7 @@ from irlos_pipe.simulate.scene import Scene
 
 STATIC_NODES = 4  # per pixel and axis
 FINEST_CYCLES_PER_PX = 0.4  # that the image of a pixel may hold; above, pixels are computed in parts
+FINEST_DISTORTED = 0.2  # the same where splines follow the image
 REACH_SIGMAS = 4.0
 EDGE_PX = 3  # margin for the ringing of the discrete transform at the border
 MIRROR_PX = 8  # border beyond the margin that keeps opposite edges apart
@@ -29,7 +31,8 @@ class Camera:
 
     The many images of a frame with an AO residual are sampled at the pixels' centres, in single
     precision, and integrated over the pixels by a factor on the spectrum too; those of a wavefront at
-    rest, in double precision, by `STATIC_NODES` points per pixel.
+    rest, in double precision, by `STATIC_NODES` points per pixel. Of a distorted image the mean of a frame is
+    sampled finer, and the pixels look at that.
 
     Parameters
     ----------
@@ -41,13 +44,20 @@ class Camera:
 
     def __init__(self, scene: Scene, pupil: Pupil, motion_mas: float = 0.0):
         scale_mas, rays = true_pixel_scale_mas(scene), rays_of(scene)
+        matrix, pixels = stretch_of(scene), PixelGrid(scene.window, scale_mas, STATIC_NODES)
+        self._distortion = None if np.array_equal(matrix, np.eye(2)) else Distortion(matrix, pixels)
         self._parts = _parts_per_pixel(
-            scale_mas, scene.geometry.diameter_m, min(ray.wavelength_nm for ray in rays)
+            scale_mas,
+            scene.geometry.diameter_m,
+            min(ray.wavelength_nm for ray in rays),
+            FINEST_DISTORTED if self._distortion else FINEST_CYCLES_PER_PX,
         )
         self._part_mas = scale_mas / self._parts
-        self._sampled, self._blurred = scene.moves, motion_mas > 0
+        self._sampled, self._blurred = scene.moves or self._distortion is not None, motion_mas > 0
         reach_px = int(np.ceil(REACH_SIGMAS * motion_mas / scale_mas))
         self._margin = reach_px + EDGE_PX if self._sampled or self._blurred else 0
+        if self._distortion:
+            self._margin += self._distortion.reach_px
         rows, columns = (self._parts * (size + 2 * self._margin) for size in scene.window)
         self._imager = Imager(
             pupil.u_m,
@@ -55,7 +65,7 @@ class Camera:
             nominal_area_m2(scene),
             rays,
             PixelGrid((rows, columns), self._part_mas, 1 if self._sampled else STATIC_NODES),
-            np.complex64 if self._sampled else np.complex128,
+            np.complex64 if scene.moves else np.complex128,
         )
 
     def images(self, opd_nm: np.ndarray) -> np.ndarray:
@@ -76,7 +86,8 @@ class Camera:
         """
         if not (self._sampled or self._blurred):
             return self._pixels(images.mean(axis=0))
-        filtered = self._pixels(self._filtered(images, positions_mas, blur))
+        image = self._filtered(images, positions_mas, blur)
+        filtered = self._distortion.seen(image, self._part_mas) if self._distortion else self._pixels(image)
         return np.maximum(
             filtered, 0.0
         )  # the filter rings by 1e-8 of the light, about the dark rings of a PSF
@@ -90,7 +101,7 @@ class Camera:
         if positions_mas is not None:
             spectra = spectra * transfer(_shared(positions_mas, len(images)), fx, fy)
         spectrum = spectra.mean(axis=0) * blur.transfer(fx[None, :], fy[:, None])
-        if self._sampled:
+        if self._sampled and not self._distortion:
             spectrum *= np.sinc(fx * self._part_mas) * np.sinc(fy * self._part_mas)[:, None]
         return scipy.fft.irfft2(spectrum, s=padded.shape[1:])[border:-border, border:-border]
 
@@ -123,6 +134,14 @@ def true_pixel_scale_mas(scene: Scene) -> float:
     return scale_mas
 
 
+def stretch_of(scene: Scene) -> np.ndarray:
+    """Return the matrix by which the image of a `scene` is stretched, in (x, y)."""
+    matrix = np.eye(2)
+    for effect in scene.acting(LightEffect):
+        matrix = effect.stretch() @ matrix
+    return matrix
+
+
 def transfer(positions_mas: np.ndarray, fx: np.ndarray, fy: np.ndarray) -> np.ndarray:
     """Return the mean of exp(-2πi f·position), (times, fy, fx).
 
@@ -142,6 +161,7 @@ def _shared(positions_mas: np.ndarray, images: int) -> np.ndarray:
     return positions_mas if images == len(positions_mas) else positions_mas.reshape(images, -1, 2)
 
 
-def _parts_per_pixel(scale_mas: float, diameter_m: float, wavelength_nm: float) -> int:
+def _parts_per_pixel(scale_mas: float, diameter_m: float, wavelength_nm: float, finest: float) -> int:
+    """Parts of a pixel that hold at most `finest` cycles of the image."""
     cycles_per_px = cutoff_per_px(wavelength_nm * NM, diameter_m, scale_mas)
-    return max(1, int(np.ceil(cycles_per_px / FINEST_CYCLES_PER_PX)))
+    return max(1, int(np.ceil(cycles_per_px / finest)))

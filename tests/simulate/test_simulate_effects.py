@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from helpers.reference_psf import reference
-from helpers.simulated_scenes import NCPA_NM, UT4, image, of_light, scene, tilt_nm_rms, worst
+from helpers.simulated_scenes import MAS_RAD, NCPA_NM, UT4, image, of_light, scene, tilt_nm_rms, worst
 from scipy.ndimage import label
+from scipy.special import j1
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.simulate.atmosphere import Sky
@@ -31,6 +32,7 @@ CONTRACT = {
     "filter_ncpa",
     "spectrum",
     "plate_scale",
+    "anamorphism",
     "diversity_error",
     "pupil_misregistration",
     "pupil_geometry",
@@ -215,6 +217,35 @@ def test_the_spectrum_shifts_and_reddens():
 def test_the_plate_scale_grows_by_its_fraction():
     found = image(effects={"plate_scale": {"fraction": 0.02}})
     assert worst(found, image(pixel_scale_mas=9.7 * 1.02)) < 1e-9
+
+
+STRETCHED = {"anamorphism": {"fraction": 0.05, "angle_deg": 33.0}}
+
+
+def test_the_airy_pattern_is_larger_along_the_angle_of_an_anamorphism():
+    """Analysis: scales whose difference is 5 % of their mean and whose product is one."""
+    along = np.sqrt(1.025 / 0.975)
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    y, x = np.meshgrid(*2 * [((np.arange(25) - 12)[:, None] + nodes / 2).ravel()], indexing="ij")
+    c, s = np.cos(np.deg2rad(33.0)), np.sin(np.deg2rad(33.0))
+    per_px = 9.7 * MAS_RAD * np.pi * 8.0 / 1.6e-6
+    z = np.hypot((c * x + s * y) / along, (c * y - s * x) * along) * per_px
+    fine = (2 * j1(z) / z) ** 2 * per_px**2 / (4 * np.pi)  # integral over the plane: 1
+    expected = np.einsum("yjxi,j,i->yx", fine.reshape(25, 6, 25, 6), weights / 2, weights / 2)
+    disc = {"geometry": PupilGeometry(8.0), "ncpa_nm": {}, "diversity_nm": {}, "window": (25, 25)}
+    assert worst(image(effects=STRETCHED, **disc), expected) < 3e-5
+    assert worst(image(**disc), expected) > 0.01
+
+
+@pytest.mark.slow
+def test_an_anamorphism_stretches_the_moving_image_of_a_scene_on_sky_as_that_of_one_on_the_bench():
+    calm = {"sky": Sky(1e-4, wfe_nm=0.1)}
+    bench, jitter = image(effects=STRETCHED), {"tip_tilt_jitter": {"sigma_mas": 10.0}}
+    assert worst(image(effects=STRETCHED, **calm), bench) < 1e-4
+    blurred = [image(effects=STRETCHED | jitter, frames=40, **more) for more in ({}, calm)]
+    assert worst(*blurred) < 1e-3
+    turned = image(effects={"anamorphism": {"fraction": 0.05, "angle_deg": 123.0}} | jitter, frames=40)
+    assert worst(turned, blurred[0]) > 0.01
 
 
 def test_the_error_of_the_diversity_is_part_of_the_truth():

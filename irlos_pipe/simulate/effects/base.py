@@ -97,6 +97,10 @@ class LightEffect(SimulatedEffect):
         """Return the true pixel scale [mas]."""
         return assumed_mas
 
+    def stretch(self) -> np.ndarray:
+        """Return the matrix by which the image is stretched about the optical axis, in (x, y), (2, 2)."""
+        return np.eye(2)
+
 
 class SkyEffect(SimulatedEffect):
     """Changes the AO residual."""

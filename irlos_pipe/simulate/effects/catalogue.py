@@ -7,7 +7,7 @@ from dataclasses import MISSING, fields
 from typing import Any
 
 from irlos_pipe.simulate.effects.base import SimulatedEffect
-from irlos_pipe.simulate.effects.colour import AtmosphericDispersion, PlateScale, Spectrum
+from irlos_pipe.simulate.effects.colour import Anamorphism, AtmosphericDispersion, PlateScale, Spectrum
 from irlos_pipe.simulate.effects.companion import Companion
 from irlos_pipe.simulate.effects.detector import (
     BackgroundGradient,
@@ -43,6 +43,7 @@ EFFECTS: dict[str, type[SimulatedEffect]] = {
         Spectrum,
         AtmosphericDispersion,
         PlateScale,
+        Anamorphism,
         Companion,
         Ghost,
         PupilMisregistration,

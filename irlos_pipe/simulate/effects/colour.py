@@ -1,4 +1,4 @@
-"""Effects of colour: `spectrum`, `atmospheric_dispersion` and `plate_scale`."""
+"""Effects of colours and scale: `spectrum`, `atmospheric_dispersion`, `plate_scale` and `anamorphism`."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irlos_pipe.simulate.distortion import stretch
 from irlos_pipe.simulate.effects.base import LightEffect, RecordingSetup, own, wider
 from irlos_pipe.simulate.light import Band, Ray, mean_centre_nm
 
@@ -89,3 +90,16 @@ class PlateScale(LightEffect):
     def pixel_scale_mas(self, assumed_mas: float) -> float:
         """See `LightEffect.pixel_scale_mas`."""
         return assumed_mas * (1 + self.fraction)
+
+
+@dataclass(frozen=True)
+class Anamorphism(LightEffect):
+    """The image is larger along `angle_deg` than across, by a `fraction`; its area stays."""
+
+    name = "anamorphism"
+    fraction: float = wider(0.0, 0.5)
+    angle_deg: float = 0.0
+
+    def stretch(self) -> np.ndarray:
+        """See `LightEffect.stretch`."""
+        return stretch(self.fraction, self.angle_deg)

@@ -21,6 +21,7 @@ SIZES = {
     "atmospheric_dispersion": {"mas_per_um": 300, "angle_deg": 45},
     "spectrum": {"wavelength_nm": 1630, "slope": 0.5},
     "plate_scale": {"fraction": 0.02},
+    "anamorphism": {"fraction": 0.02, "angle_deg": 30},
     "diversity_error": {"nm": 20},
     "pupil_misregistration": {"dx_m": 0.1, "rotation_deg": 2.0},
     "pupil_geometry": {"obscuration_m": 1.3},
