@@ -48,12 +48,12 @@ def opaque_spot(rng: np.random.Generator) -> Foreign:
     return Foreign({"edge_m": float(edge), "x_m": x, "y_m": y}, patches=(patch,))
 
 
-def anamorphism(rng: np.random.Generator) -> Foreign:
-    """One direction is imaged larger than the other."""
-    excess, angle = float(rng.uniform(0.02, 0.05)), float(rng.uniform(0, np.pi))
-    along = np.array([np.sin(angle), np.cos(angle)])  # (y, x)
-    stretch = np.eye(2) + excess * (np.outer(along, along) - np.eye(2) / 2)
-    return Foreign({"fraction": excess, "angle_deg": np.rad2deg(angle)}, lambda image: warped(image, stretch))
+def keystone(rng: np.random.Generator) -> Foreign:
+    """The image of a tilted plane: its scale changes along one direction, by 10 to 25 % across the window."""
+    change, angle = float(rng.uniform(0.1, 0.25)), float(rng.uniform(0, 2 * np.pi))
+    towards = np.array([np.sin(angle), np.cos(angle)])  # (y, x)
+    truth = {"fraction": change, "angle_deg": np.rad2deg(angle)}
+    return Foreign(truth, lambda image: seen_aslant(image, change * towards / max(image.shape)))
 
 
 def sheared_readout(rng: np.random.Generator) -> Foreign:
@@ -104,7 +104,7 @@ FOREIGN: dict[str, Callable[[np.random.Generator], Foreign]] = {
     one.__name__: one
     for one in (
         opaque_spot,
-        anamorphism,
+        keystone,
         sheared_readout,
         scattered_light,
         electronic_ghost_row,
@@ -121,7 +121,27 @@ def warped(image_e: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     the fifth order interpolate well.
     """
     back = np.linalg.inv(matrix)
-    middle = -centres(image_e.shape[0], 1.0)[0], -centres(image_e.shape[1], 1.0)[0]
-    offset = middle - back @ np.array(middle)
-    moved = ndimage.affine_transform(image_e, back, offset, order=5, mode="nearest")
-    return np.maximum(moved * abs(np.linalg.det(back)), 0.0)
+    return _looked_at(image_e, np.tensordot(back, _points(image_e), 1), abs(np.linalg.det(back)))
+
+
+def seen_aslant(image_e: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """The image with every point r = (y, x) about the axis moved to ``r / (1 − slope·r)``; light is kept.
+
+    `slope` is the relative change of the scale per pixel along (y, x). The point r shows what was at
+    ``r / (1 + slope·r)``, where areas are smaller by ``(1 + slope·r)³``.
+    """
+    points = _points(image_e)
+    nearer = 1 + np.tensordot(slope, points, 1)
+    return _looked_at(image_e, points / nearer, nearer**-3)
+
+
+def _points(image_e: np.ndarray) -> np.ndarray:
+    """Pixels' places (y, x) about the axis, (2, rows, columns)."""
+    return np.stack(np.meshgrid(*(centres(size, 1.0) for size in image_e.shape), indexing="ij"))
+
+
+def _looked_at(image_e: np.ndarray, points: np.ndarray, area: np.ndarray | float) -> np.ndarray:
+    """What pixels of a relative `area` see that look at `points` of an image, (2, rows, columns)."""
+    middle = -np.array([centres(size, 1.0)[0] for size in image_e.shape])
+    seen = ndimage.map_coordinates(image_e, points + middle[:, None, None], order=5, mode="nearest")
+    return np.maximum(seen * area, 0.0)

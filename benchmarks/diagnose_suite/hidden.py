@@ -102,6 +102,11 @@ def _spectrum(rng: np.random.Generator, size: float, setting: Setting) -> Hidden
     return Hidden("spectrum", centre, centre)
 
 
+def _anamorphism(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
+    stretch = {"fraction": size, "angle_deg": _angle_deg(rng, 180)}
+    return Hidden("anamorphism", stretch, {"fraction": size})
+
+
 def _pupil(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
     """The stop displaced, and the vanes turned by as much at half the radius."""
     angle = rng.uniform(0, 2 * np.pi)
@@ -205,6 +210,7 @@ DRAWS: dict[str, Draw] = {
     "atmospheric_dispersion": _dispersion,
     "spectrum": _spectrum,
     "plate_scale": _plain("plate_scale", "fraction", signed=True),
+    "anamorphism": _anamorphism,
     "diversity_error": _plain("diversity_error", "nm", signed=True),
     "pupil_misregistration": _pupil,
     "pupil_geometry": _sizes,

@@ -28,6 +28,7 @@ SIZES: dict[str, dict[str, tuple[float, float, float]]] = {
         "sky_broad": (0.5, 0.9, 1.5),
     },
     "plate_scale": {"bench": (0.0005, 0.003, 0.015), "sky": (0.0075, 0.012, 0.02)},
+    "anamorphism": {"bench": (0.0015, 0.006, 0.03), "sky": (0.02, 0.035, 0.05)},
     "diversity_error": {"bench": (5.0, 15.0, 40.0), "sky": (5.0, 15.0, 40.0)},  # nm
     "pupil_misregistration": {"bench": (0.02, 0.06, 0.2), "sky": (0.1, 0.2, 0.35)},  # m
     "pupil_geometry": {"bench": (0.035, 0.1, 0.25), "sky": (0.17, 0.28, 0.45)},  # m of the hole

@@ -17,7 +17,7 @@ from helpers.paths import REPOSITORY
 from benchmarks.diagnose_suite.__main__ import chosen, main, run_all
 from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, PAIR, RAMP_SINGLE, RAMPS, SINGLE, Case, all_cases
 from benchmarks.diagnose_suite.confusion import Confusion
-from benchmarks.diagnose_suite.foreign import FOREIGN, warped
+from benchmarks.diagnose_suite.foreign import FOREIGN, seen_aslant, warped
 from benchmarks.diagnose_suite.groups import smallest_sizes, sorted_singles
 from benchmarks.diagnose_suite.hidden import drawn
 from benchmarks.diagnose_suite.judging import all_named, extra_names, is_first, is_in_set, is_right
@@ -95,7 +95,7 @@ def test_every_effect_of_the_catalogue_is_hidden_at_every_level_in_every_setting
     on_ramps = {(case.effects[0], case.level) for case in CASES if case.kind == RAMP_SINGLE}
     catalogue = [name for name in CATALOGUE if name not in ELSEWHERE]
     cubes = [name for name in catalogue if not name.startswith("focus_stage")]
-    assert len(catalogue) == 25
+    assert len(catalogue) == 26
     assert found == set(product(cubes, LEVELS, SETTINGS))
     assert on_ramps == set(product(set(catalogue) - set(cubes), LEVELS))
 
@@ -185,6 +185,18 @@ def test_a_warp_moves_a_blob_by_its_matrix_and_keeps_the_light():
     moved = warped(blob(), matrix)
     assert centroid(moved) == pytest.approx(matrix @ centroid(blob()), abs=1e-3)
     assert moved.sum() == pytest.approx(blob().sum(), rel=1e-4)
+
+
+def test_a_plane_seen_aslant_moves_blobs_by_perspective_and_keeps_their_light():
+    """Projective geometry: the centroid of a small blob moves to r / (1 − slope·r)."""
+    slope = np.array([0.002, -0.001])
+    y, x = np.mgrid[:64, :64] - 31.5
+    for place in ((12.0, 9.0), (-14.0, 6.0), (0.0, 0.0)):
+        small = np.exp(-((y - place[0]) ** 2 + (x - place[1]) ** 2) / (2 * 1.5**2))
+        seen = seen_aslant(small, slope)
+        assert seen.sum() == pytest.approx(small.sum(), rel=1e-4)
+        expected = np.array(place) / (1 - slope @ place)
+        assert centroid(seen) == pytest.approx(expected, abs=0.02)  # the blob is not a point
 
 
 @pytest.mark.parametrize("name", [name for name in FOREIGN if name != "opaque_spot"])
