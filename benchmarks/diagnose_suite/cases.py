@@ -106,7 +106,7 @@ def all_cases(suite_seed: int = 0, dirty: bool = False) -> list[Case]:
     suite_seed : int
     dirty : bool
         All cases with mild errors, after the clean recordings without any, whose smallest detectable sizes
-        say how large a hidden effect is.
+        show what these errors cost.
     """
     cases = [*_clean(), *_singles(), *_pairs(), *_outside(), *_ramps()]
     seeded = [replace(case, suite_seed=suite_seed) for case in cases]

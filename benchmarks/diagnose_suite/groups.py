@@ -34,15 +34,22 @@ def of_kind(outcomes: Sequence[Outcome], kind: str) -> list[Outcome]:
     return [one for one in outcomes if one["truth"]["kind"] == kind]
 
 
-def smallest_sizes(outcomes: Sequence[Outcome], clean: str = CLEAN) -> dict[str, dict[str, Any]]:
-    """Smallest detectable sizes in every setting: those of the median of its clean recordings.
+def smallest_sizes(
+    outcomes: Sequence[Outcome], clean: str = CLEAN, dirty: bool = False
+) -> dict[str, dict[str, Any]]:
+    """Smallest detectable sizes in every setting: those of the median of its recordings with nothing hidden.
 
-    Recordings with mild errors of everything are none of these.
+    Beside mild errors (`dirty`) they are larger, as these imitate a part of what is hidden; effects of which
+    such recordings state none, because they have them, keep the size without mild errors.
     """
-    tables: dict[str, list[Mapping]] = {}
-    for one in of_kind(in_world(outcomes, dirty=False), clean):
-        tables.setdefault(one["truth"]["setting"], []).append(one["diagnosis"]["mdb"])
-    return {setting: _median(several) for setting, several in tables.items()}
+    smallest: dict[str, dict[str, Any]] = {}
+    for world in (False, True) if dirty else (False,):
+        tables: dict[str, list[Mapping]] = {}
+        for one in of_kind(in_world(outcomes, world), clean):
+            tables.setdefault(one["truth"]["setting"], []).append(one["diagnosis"]["mdb"])
+        for setting, several in tables.items():
+            smallest[setting] = smallest.get(setting, {}) | _median(several)
+    return smallest
 
 
 def _median(tables: Sequence[Any]) -> Any:
@@ -59,14 +66,19 @@ def _median(tables: Sequence[Any]) -> Any:
 
 
 def sorted_singles(
-    outcomes: Sequence[Outcome], kind: str = SINGLE, clean: str = CLEAN, dirty: bool = False
+    outcomes: Sequence[Outcome],
+    kind: str = SINGLE,
+    clean: str = CLEAN,
+    dirty: bool = False,
+    smallest: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Singles:
     """Split the recordings with one effect, beside mild errors of everything (`dirty`) or alone.
 
-    An effect is untestable where the diagnosis says so, and small below `CLEARLY_THERE` times the
-    smallest detectable size of clean recordings; where that is not known it counts as large.
+    An effect is untestable where the diagnosis says so, and small below `CLEARLY_THERE` times the `smallest`
+    detectable size, of such recordings unless given; where that is not known it counts as large.
     """
-    smallest, singles = smallest_sizes(outcomes, clean), of_kind(in_world(outcomes, dirty), kind)
+    smallest = smallest_sizes(outcomes, clean, dirty) if smallest is None else smallest
+    singles = of_kind(in_world(outcomes, dirty), kind)
     untestable = [one for one in singles if is_untestable(one)]
     rest = [one for one in singles if not is_untestable(one)]
     sizes = [in_smallest(one, smallest.get(one["truth"]["setting"], {})) for one in rest]

@@ -42,7 +42,7 @@ def write_report(outcomes: Sequence[Outcome], failed: Mapping[str, str], folder:
     dirty = in_world(outcomes, dirty=True)
     parts = score_dirty(outcomes) if dirty else score(outcomes)
     confusion = Confusion.of(dirty or outcomes)
-    smallest = smallest_sizes(outcomes)
+    smallest = smallest_sizes(outcomes, dirty=bool(dirty))
     content = {
         "schema": "irlos-diagnose-suite",
         "schema_version": 2,

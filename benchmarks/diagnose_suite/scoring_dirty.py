@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, PAIR, RAMP_CLEAN, RAMP_OUTSIDE, RAMP_SINGLE
-from benchmarks.diagnose_suite.groups import Singles, in_world, of_kind, sorted_singles
+from benchmarks.diagnose_suite.groups import Singles, in_world, of_kind, smallest_sizes, sorted_singles
 from benchmarks.diagnose_suite.judging import (
     GRADES,
     Outcome,
@@ -26,10 +26,12 @@ def score_dirty(outcomes: Sequence[Outcome]) -> dict[str, list[Row]]:
     """Rows of the table, by part; those of the clean recordings that give the smallest sizes come first."""
     dirty = in_world(outcomes, dirty=True)
     singles = sorted_singles(outcomes, dirty=True)
+    as_if_clean = sorted_singles(outcomes, dirty=True, smallest=smallest_sizes(outcomes))
     ramps = sorted_singles(outcomes, RAMP_SINGLE, RAMP_CLEAN, dirty=True)
     return {
         "without mild errors": clean_rows(in_world(outcomes, dirty=False)),
         "one effect beside mild errors": _singles(singles),
+        "one effect beside mild errors, from 3 MDB without these on": _singles(as_if_clean),
         "one effect beside mild errors, by grade": _grades(singles.testable),
         "other, beside mild errors": _others(dirty),
         "gap": _gaps(dirty),

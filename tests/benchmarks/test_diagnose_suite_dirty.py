@@ -13,6 +13,7 @@ import pytest
 
 from benchmarks.diagnose_suite.__main__ import chosen
 from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, PAIR, SINGLE, Case, all_cases
+from benchmarks.diagnose_suite.groups import smallest_sizes, sorted_singles
 from benchmarks.diagnose_suite.judging import (
     first_is_wrong,
     grade,
@@ -291,6 +292,21 @@ def test_the_table_counts_what_was_made_by_hand(tmp_path):
     assert "dirty.single.vibration.phase_bump: partial, gap 4.00% to 2.00%, floor 1.00%: phase_bump" in text
     reported = json.loads((tmp_path / "suite.json").read_text())["outcomes"]
     assert [one["wrong_first_name"] for one in reported] == [False, False, True, False, True]
+
+
+def test_what_mild_errors_hide_is_small_beside_them_and_counted_apart():
+    """A vibration of 4 mas, from three times 1 mas on, where mild errors let 2 mas be seen."""
+    hidden = outcome("vibration")
+    hidden["truth"]["sizes"] = {"vibration": {"sigma_mas": 4.0}}
+    alone = outcome("", kind=CLEAN, mdb={"vibration": {"sigma_mas": 1.0}, "companion": {"flux_ratio": 0.1}})
+    alone["truth"]["dirty"] = False
+    beside = outcome("", kind=CLEAN, mdb={"vibration": {"sigma_mas": 2.0}})
+    outcomes = [hidden, alone, beside]
+    assert smallest_sizes(outcomes, dirty=True)["bench_narrow"]["companion"]["flux_ratio"] == 0.1
+    assert sorted_singles(outcomes, dirty=True).small == [hidden]
+    parts = {part: {row.what: row.value for row in rows} for part, rows in score_dirty(outcomes).items()}
+    assert parts["one effect beside mild errors"]["named"].total == 0
+    assert parts["one effect beside mild errors, from 3 MDB without these on"]["named"].total == 1
 
 
 def test_outcomes_of_another_seed_are_not_taken_for_those_asked_for(tmp_path):
