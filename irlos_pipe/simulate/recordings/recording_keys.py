@@ -122,6 +122,12 @@ class RecordingKeys(Shared):
         """Lenslets per side of the pupil."""
         return 2 if self.mode.startswith("20x20_") else 1
 
+    @field_validator("start", mode="before")
+    @classmethod
+    def _text(cls, value: Any) -> Any:
+        """YAML makes a time of what looks like one, without quotes."""
+        return value.isoformat() if isinstance(value, datetime) else value
+
     @field_validator("start")
     @classmethod
     def _a_date(cls, value: str | None) -> str | None:

@@ -55,6 +55,14 @@ def test_a_vibration_may_have_its_former_spelling(tmp_path):
     assert one.hidden["vibration"]["shape"] == "gaussian" and "distribution" not in one.hidden["vibration"]
 
 
+def test_a_time_needs_no_quotes(tmp_path):
+    setting = "recordings.one.start=2024-03-01T02:00:00"
+    spec = loaded(tmp_path, spec_of({"one": CUBE}), setting)
+    assert spec.recordings["one"].start == "2024-03-01T02:00:00"
+    (tmp_path / "again.yaml").write_text(spec.resolved_yaml())
+    assert load_spec(tmp_path / "again.yaml").recordings == spec.recordings
+
+
 def test_the_resolved_spec_holds_what_the_profile_gives(tmp_path):
     spec = loaded(tmp_path, spec_of({"one": CUBE | {"sky": {"seeing_arcsec": 0.6}, "motion": {}}}))
     one = yaml.safe_load(spec.resolved_yaml())["recordings"]["one"]
