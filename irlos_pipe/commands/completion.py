@@ -71,11 +71,16 @@ def arrays(context: click.Context) -> Iterable[str]:
     """Return the names of the arrays of the product that was typed."""
     from irlos_pipe.product.storage import read_product
 
-    return read_product(Path(context.params["product"])).arrays
+    return read_product(Path(_typed(context, "product") or "")).arrays
+
+
+def _typed(context: click.Context, argument: str) -> str | None:
+    """The `argument` of a command; click leaves it unread behind an option that still lacks its value."""
+    return context.params.get(argument) or next(iter(context.args), None)
 
 
 def _recipe(context: click.Context) -> dict:
     from irlos_pipe.files.shipped import RECIPES, named_file
     from irlos_pipe.files.yaml import load_yaml
 
-    return load_yaml(named_file(context.params.get("recipe") or "full_reduction", RECIPES))[0]
+    return load_yaml(named_file(_typed(context, "recipe") or "full_reduction", RECIPES))[0]

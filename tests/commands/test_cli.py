@@ -265,6 +265,9 @@ def test_the_report_can_be_built_again(bench):
         (["run", "defocus_ramp", "--input", "cal"], "calibration="),
         (["run", "defocus_ramp", "--from", "li"], "lift"),
         (["run", "defocus_ramp", "--set", "calibrate.highest"], "calibrate.highest_noll="),
+        (["run", "diagnose_bench", "--input", "c"], "cube="),
+        (["run", "diagnose_bench", "--from", "d"], "diagnose"),
+        (["run", "--seed", "1", "diagnose_bench", "--set", "diagnose.hi"], "diagnose.highest_noll="),
         (["simulate", "on"], "on_sky"),
         (["explain", "seeing"], "seeing_halo"),
     ],
@@ -273,3 +276,15 @@ def test_the_shell_completes_values(typed, expected):
     variables = {"COMP_WORDS": " ".join(["irlos", *typed]), "COMP_CWORD": str(len(typed))}
     result = CliRunner().invoke(cli, prog_name="irlos", env={"_IRLOS_COMPLETE": "bash_complete", **variables})
     assert f"plain,{expected}" in result.stdout.splitlines()
+
+
+def test_the_shell_completes_arrays_of_the_product_that_was_typed(bench):
+    bench.run()
+    typed = ["export", str(bench.output / "02_calibrate.h5"), "--array", "me"]
+    test_the_shell_completes_values(typed, "mean")
+
+
+def test_the_shell_proposes_nothing_of_a_product_that_is_not_there():
+    variables = {"COMP_WORDS": "irlos export nothing.h5 --array m", "COMP_CWORD": "4"}
+    result = CliRunner().invoke(cli, prog_name="irlos", env={"_IRLOS_COMPLETE": "bash_complete", **variables})
+    assert result.stdout.strip() == "" and not isinstance(result.exception, Exception)
