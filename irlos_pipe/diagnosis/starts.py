@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.diagnosis.fitted import Fitted, begun_at
+from irlos_pipe.effects import Effect
 from irlos_pipe.optics.zernike import noll_to_nm
 
 STARTS, START_NM = 2, 60.0  # further wavefronts: RMS of the first radial order, falling
@@ -35,6 +36,21 @@ def other_wavefronts(near: Fitted) -> list[Fitted]:
         x[0, modes] = pointing + (drawn if number else 0.0)
         found.append(replace(near, solution=replace(near.solution, values=x)))
     return found
+
+
+def on_other_sides(fitted: Fitted) -> list[list[Effect]]:
+    """The effects of a model, to begin where it is but for one of them, which begins elsewhere.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    """
+    effects = fitted.continued_by_label()
+    return [
+        [*(effects | {label: begun_at(effects[label], values)}).values()]
+        for label in effects
+        for values in other_sides(fitted, label)
+    ]
 
 
 def other_sides(fitted: Fitted, label: str) -> list[np.ndarray]:

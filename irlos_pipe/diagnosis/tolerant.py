@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from irlos_pipe.diagnosis.acceptance import Search
-from irlos_pipe.diagnosis.fitted import Fitted, begun_at
+from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.grade import copies_in_a_row
 from irlos_pipe.diagnosis.naming import NamingTask, added
 from irlos_pipe.diagnosis.null_model import Optimum
@@ -25,7 +25,7 @@ from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.refit import FAR, PER_PARAMETER
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import threshold
-from irlos_pipe.diagnosis.starts import other_sides, other_wavefronts
+from irlos_pipe.diagnosis.starts import on_other_sides, other_wavefronts
 from irlos_pipe.diagnosis.without import needless
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, wider_kinds
 from irlos_pipe.effects.effect_set import labels_of
@@ -129,15 +129,16 @@ class TolerantTask(NamingTask):
         A stop that began on the wrong side of the pupil comes to rest at its centre, where the image has a
         kink, or stays there: to first order opposite sides look alike.
         """
-        effects = fitted.continued_by_label()
-        others = [
-            [*(effects | {label: begun_at(effects[label], values)}).values()]
-            for label in effects
-            for values in other_sides(fitted, label)
-        ]
-        found = ordered_map(lambda turned: self.fitter.explored(turned, fitted), others)
+        found = ordered_map(lambda turned: self.fitter.explored(turned, fitted), on_other_sides(fitted))
         self.report(len(found))
         return min([fitted, *found], key=lambda one: one.chi2)
+
+    def _turned_beside_all_modes(self, opening: Opening) -> Opening:
+        """The best of all modes beside the effects as they are, and beside some that begin elsewhere."""
+        fitted = opening.fitted
+        found = ordered_map(lambda turned: self.opening(fitted, turned), on_other_sides(fitted))
+        self.report(len(found))
+        return min([opening, *(one for one in found if one is not None)], key=lambda one: one.chi2)
 
     def _started_elsewhere(self, current: Optimum) -> tuple[TolerantTask, Optimum]:
         """The search and its model from the most plausible of several starts: this may be a false minimum."""
@@ -155,7 +156,9 @@ class TolerantTask(NamingTask):
             opening = task.opening(current.fitted, current.fitted.continued())
             if opening is None:
                 return task._named(current)
-            opening, found = task._named_beside_all_modes(task._without_imitated(opening, told))
+            opening = task._without_imitated(opening, told)
+            opening = task._turned_beside_all_modes(opening) if number else opening
+            opening, found = task._named_beside_all_modes(opening)
             task, current = replace(task, all_modes=opening, beside_modes=found).closed(opening)
             if number == 0 and task.misfit > FAR:
                 task, current = task._started_elsewhere(current)
