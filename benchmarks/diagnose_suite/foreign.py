@@ -49,18 +49,18 @@ def opaque_spot(rng: np.random.Generator) -> Foreign:
 
 
 def keystone(rng: np.random.Generator) -> Foreign:
-    """The image of a tilted plane: its scale changes along one direction, by 10 to 25 % across the window."""
-    change, angle = float(rng.uniform(0.1, 0.25)), float(rng.uniform(0, 2 * np.pi))
+    """The image of a tilted plane: its scale changes along one direction, by 5 to 12 % across the window."""
+    change, angle = float(rng.uniform(0.05, 0.12)), float(rng.uniform(0, 2 * np.pi))
     towards = np.array([np.sin(angle), np.cos(angle)])  # (y, x)
     truth = {"fraction": change, "angle_deg": np.rad2deg(angle)}
     return Foreign(truth, lambda image: seen_aslant(image, change * towards / max(image.shape)))
 
 
-def sheared_readout(rng: np.random.Generator) -> Foreign:
-    """Rows are displaced along the columns, the more the later they are read."""
-    slope = float(rng.uniform(0.01, 0.03) * rng.choice([-1, 1]))
-    shear = np.array([[1.0, 0.0], [-slope, 1.0]])
-    return Foreign({"px_per_row": slope}, lambda image: warped(image, shear))
+def unsteady_rows(rng: np.random.Generator) -> Foreign:
+    """Every row is displaced along the columns by its own part of a pixel: an unsteady clock."""
+    rms_px = float(rng.uniform(0.05, 0.2))
+    shifts_px = rms_px * rng.standard_normal(64)
+    return Foreign({"rms_px": rms_px}, lambda image: displaced_rows(image, shifts_px[: len(image)]))
 
 
 def scattered_light(rng: np.random.Generator) -> Foreign:
@@ -105,7 +105,7 @@ FOREIGN: dict[str, Callable[[np.random.Generator], Foreign]] = {
     for one in (
         opaque_spot,
         keystone,
-        sheared_readout,
+        unsteady_rows,
         scattered_light,
         electronic_ghost_row,
         charge_trail,
@@ -114,14 +114,10 @@ FOREIGN: dict[str, Callable[[np.random.Generator], Foreign]] = {
 }
 
 
-def warped(image_e: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """The image with every point r = (y, x) about the axis moved to ``matrix @ r``; light is conserved.
-
-    Pixels sample an image without frequencies above a third of a cycle per pixel, where splines of
-    the fifth order interpolate well.
-    """
-    back = np.linalg.inv(matrix)
-    return _looked_at(image_e, np.tensordot(back, _points(image_e), 1), abs(np.linalg.det(back)))
+def displaced_rows(image_e: np.ndarray, shifts_px: np.ndarray) -> np.ndarray:
+    """The image with its rows displaced towards larger columns, each by its own of `shifts_px`."""
+    y, x = _points(image_e)
+    return _looked_at(image_e, np.stack([y, x - shifts_px[:, None]]), 1.0)
 
 
 def seen_aslant(image_e: np.ndarray, slope: np.ndarray) -> np.ndarray:
@@ -141,7 +137,11 @@ def _points(image_e: np.ndarray) -> np.ndarray:
 
 
 def _looked_at(image_e: np.ndarray, points: np.ndarray, area: np.ndarray | float) -> np.ndarray:
-    """What pixels of a relative `area` see that look at `points` of an image, (2, rows, columns)."""
+    """What pixels of a relative `area` see that look at `points` of an image, (2, rows, columns).
+
+    An image has no frequencies above a third of a cycle per pixel, where splines of the fifth order
+    interpolate well.
+    """
     middle = -np.array([centres(size, 1.0)[0] for size in image_e.shape])
     seen = ndimage.map_coordinates(image_e, points + middle[:, None, None], order=5, mode="nearest")
     return np.maximum(seen * area, 0.0)
