@@ -17,7 +17,7 @@ from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.search.scores import Family, score_family
 from irlos_pipe.diagnosis.significance import SURELY, gaussian_sigma, surely_exceeding, threshold
-from irlos_pipe.diagnosis.starts import other_sides
+from irlos_pipe.diagnosis.starts import on_other_sides, other_sides
 from irlos_pipe.diagnosis.view import View
 from irlos_pipe.diagnosis.without import needless
 from irlos_pipe.effects import CATALOGUE, FixedEffect
@@ -146,6 +146,22 @@ def test_a_stop_that_came_to_rest_begins_on_the_other_sides():
     assert best.chi2 < resting.chi2 - 25
     assert best.values_of(STOP.name)[0] == pytest.approx(distance_m, abs=0.01)
     assert np.cos(best.values_of(STOP.name)[1] - direction_rad) > 0.9
+
+
+def test_a_stop_that_rests_beside_all_modes_is_found_on_its_side_by_all_of_them():
+    distance_m, direction_rad = 0.06, 0.9
+    training = cube(with_tail([FixedEffect(STOP, (distance_m, direction_rad, 0.0))])).training
+    fitter = Fitter([View(model(), CONDITIONS)], training)
+    centred = begun_at(STOP, np.array([0.0, direction_rad + np.pi, 0.0]))
+    resting = Opening.of(fitter, [centred], fitted(training), {})
+    assert resting is not None
+    others = on_other_sides(resting.fitted)
+    turned = [Opening.of(fitter, effects, resting.fitted, resting.beyond_nm) for effects in others]
+    best = min((one for one in turned if one is not None), key=lambda one: one.chi2)
+    distances, directions, _ = zip(*(one.fitted.values_of(STOP.name) for one in (resting, best)), strict=True)
+    assert best.chi2 < resting.chi2 - 25
+    assert distances[1] == pytest.approx(distance_m, abs=0.015)
+    assert np.cos(directions[1] - direction_rad) > 0.9
 
 
 def test_what_has_a_distance_begins_on_the_opposite_side_and_what_has_none_nowhere():
