@@ -206,9 +206,12 @@ class _Task:
             start[:, problem.layout.modes] = near[1].values[:, near[0].layout.modes]
         solution = self._solve(problem, start, self.report)
         alone = near is None and self.start_nm is None
-        if alone and METHODS[self.options.method].effects and not is_plausible(problem, solution):
+        if alone and METHODS[self.options.method].effects and not self._is_plausible(problem, solution):
             solution = better(solution, self._solve(problem, self._second_start(problem)))
         return problem, solution
+
+    def _is_plausible(self, problem: ImageFit, solution: Solution) -> bool:
+        return is_plausible(problem, solution, _nominal(self.frames, problem, solution.values).most)
 
     def _problem(self, model: ImageModel) -> ImageFit:
         nolls, prior = self.psf.nolls, self.options.prior

@@ -24,6 +24,9 @@ from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.frames.blocks import blocks
 
 LEAST_FRAMES = 4  # whose scatter is looked at
+BY_CHANCE = 5.0  # standard deviations that χ²/ν may differ from its nominal value
+NUMERICAL = 0.15  # part of it: complete models leave up to 1.14, by errors of the discretisation
+SHARED = 0.15  # part of it: the noise of the dark is read off the frames, to a fifth of their scatter
 LONGEST = 512  # frames of which all pairs are looked at; of more, runs of neighbours are averaged
 
 
@@ -33,6 +36,16 @@ class NominalChi2:
 
     value: float
     sigma: float
+
+    @property
+    def least(self) -> float:
+        """Below this χ²/ν is neither by chance nor by the error of the noise that all frames share."""
+        return max(0.0, (1 - SHARED) * self.value - BY_CHANCE * self.sigma)
+
+    @property
+    def most(self) -> float:
+        """Above this χ²/ν is neither by chance nor by errors of the discretisation."""
+        return (1 + NUMERICAL) * self.value + BY_CHANCE * self.sigma
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ the peak of the normalised cross-correlation. It costs a few transforms per imag
 far off the elongation prior is.
 
 Aberrations of 200 nm and more leave an averaged image with several minima, and a fit that starts from
-none of them often ends in the wrong one, with χ²/ν ten times too large. Single frames keep their
+none of them often ends in the wrong one, with χ²/ν several times too large. Single frames keep their
 speckles and are less ambiguous; the median of a few of them is a start close enough.
 """
 
@@ -26,7 +26,6 @@ from irlos_pipe.optics.light_path import AS_BUILT, LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 SCAN_NM = np.linspace(-700.0, 700.0, 15)  # defocus of the templates
-PLAUSIBLE_CHI2 = 4.0  # χ²/ν of right solutions stays below 3, that of wrong ones is 10 and more
 FEW_FRAMES = 10  # whose median is a start
 FEW_FRAMES_ITERATIONS = 60
 START_HIGHEST_NOLL = 30  # modes of a start from single frames
@@ -118,9 +117,9 @@ def _signed(index: int, size: int) -> int:
     return index - size if index > size // 2 else index
 
 
-def is_plausible(problem: ImageFit, solution: Solution) -> bool:
-    """Return whether the `solution` of the first member of a `problem` is converged and fits."""
-    return bool(solution.converged[0] and problem.reduced_chi2(solution.values[:1])[0] < PLAUSIBLE_CHI2)
+def is_plausible(problem: ImageFit, solution: Solution, most: float) -> bool:
+    """Return whether the first `solution` of a `problem` is converged, with χ²/ν up to `most`."""
+    return bool(solution.converged[0] and problem.reduced_chi2(solution.values[:1])[0] <= most)
 
 
 def median_of_frames_nm(

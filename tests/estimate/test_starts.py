@@ -11,6 +11,7 @@ from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.methods import MeanImage, start_at_centroids
+from irlos_pipe.estimate.nominal_chi2 import NominalChi2
 from irlos_pipe.estimate.starts import FEW_FRAMES, better, median_of_frames_nm
 from irlos_pipe.numerics.solution import CONVERGED, INVALID, Solution
 from irlos_pipe.optics.psf import PsfModel
@@ -64,9 +65,25 @@ def test_a_fit_that_ended_wrong_is_tried_again(frames, truth_nm, monkeypatch):
     found = calibrate(frames, cases.settings(WINDOW), options)
     assert np.linalg.norm(found.zernike_nm - truth_nm[0].numpy()) < 2
     assert found.chi2_nu < 1.2
-    monkeypatch.setattr(calibration, "is_plausible", lambda problem, solution: True)
+    monkeypatch.setattr(calibration, "is_plausible", lambda problem, solution, most: True)
     once = calibrate(frames, cases.settings(WINDOW), options)
     assert once.chi2_nu > 10
+
+
+def test_a_fit_worse_than_nominal_is_tried_again(frames, truth_nm, monkeypatch):
+    """Nothing is wrong with it, but for a nominal χ²/ν far below its own; both starts end alike."""
+    starts = []
+
+    def counted(*arguments):
+        starts.append(median_of_frames_nm(*arguments))
+        return starts[-1]
+
+    monkeypatch.setattr(calibration, "median_of_frames_nm", counted)
+    monkeypatch.setattr(calibration, "_nominal", lambda *fit: NominalChi2(0.3, 0.03))
+    options = CalibrationOptions(highest_noll=15, prior=cases.PRIOR)
+    found = calibrate(frames, cases.settings(WINDOW), options)
+    assert len(starts) == 1
+    assert np.linalg.norm(found.zernike_nm - truth_nm[0].numpy()) < 2
 
 
 def test_a_good_fit_is_left_alone(frames, monkeypatch):

@@ -10,9 +10,6 @@ from irlos_pipe.estimate.orientation import Mirrored
 from irlos_pipe.product.product import Check
 from irlos_pipe.stages.calibrate.config import Limits
 
-SIGMA = 5.0  # standard deviations that χ²/ν may differ from its nominal value by chance
-# Part of the nominal χ²/ν: complete models leave up to 1.14, by errors of the discretisation.
-NUMERICAL = 0.15
 LOWEST_KURTOSIS = 1.3  # two kinds in halves have 1, a sinusoidal vibration 1.5
 LOWEST_NOISE_RATIO = 0.5  # cross-talk of detectors lowers the scatter to 0.7 of the noise at most
 
@@ -44,8 +41,8 @@ def _converged(limits: Limits, result: Calibration) -> Check:
 def _misfit(limits: Limits, result: Calibration) -> Check:
     """χ²/ν against what the frames let expect, from both sides."""
     nominal = result.nominal
-    high = (1 + NUMERICAL) * nominal.value + SIGMA * nominal.sigma
-    low = max(0.0, nominal.value - SIGMA * nominal.sigma) if len(result.frames_nm) >= LEAST_FRAMES else 0.0
+    high = nominal.most
+    low = nominal.least if len(result.frames_nm) >= LEAST_FRAMES else 0.0
     if limits.max_chi2_nu is not None:
         high, low = limits.max_chi2_nu, 0.0
     why = ""
