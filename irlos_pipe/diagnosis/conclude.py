@@ -25,6 +25,7 @@ from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.grade import judged, share_at_its_place
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, gap_between
 from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.rest import rest_of
 from irlos_pipe.diagnosis.search.scores import Score
@@ -103,7 +104,7 @@ def conclude(
         held_out=cube.training.held_out,
         nolls=final.fitted.problem.layout.nolls,
         modes_nm=_both(total_modes_nm(search.null.fitted), total_modes_nm(final.fitted)),
-        modes_sigma_nm=_modes_sigma_nm(final),
+        modes_sigma_nm=_modes_sigma_nm(final, None if why else search.all_modes),
         pictures=_pictures((before, after), search.null, final),
     )
 
@@ -120,9 +121,11 @@ def total_modes_nm(fitted: Fitted) -> np.ndarray:
     return x[0, part.layout.modes].numpy() + added.numpy()
 
 
-def _modes_sigma_nm(optimum: Optimum) -> np.ndarray:
-    covariance = parameter_covariance(optimum.stack, optimum.fitted)
-    return np.sqrt(np.diag(covariance))[optimum.fitted.problem.layout.modes]
+def _modes_sigma_nm(optimum: Optimum, all_modes: Opening | None) -> np.ndarray:
+    """Errors of the modes of an optimum, beside those beyond them where these were fitted with it."""
+    fitted = optimum.fitted if all_modes is None else all_modes.fitted
+    variances = np.diag(parameter_covariance(optimum.stack, fitted))[fitted.problem.layout.modes]
+    return np.sqrt(variances[: len(optimum.fitted.problem.layout.nolls)])
 
 
 def _smallest(score: Score) -> dict:

@@ -10,6 +10,7 @@ import pytest
 import torch
 from helpers.diagnose_frames import CASE, CONDITIONS, FLUX_E, NOLLS, TRUE_NM, cube, fitted, image, model
 
+from irlos_pipe.diagnosis.conclude import _modes_sigma_nm
 from irlos_pipe.diagnosis.effect_sizes import Covariances
 from irlos_pipe.diagnosis.fitted import begun_at
 from irlos_pipe.diagnosis.fitting import Fitter
@@ -115,6 +116,18 @@ def test_a_bump_that_is_there_is_needed_beside_all_modes_and_its_error_knows_of_
     assert needed == [True, True]
     assert nm == pytest.approx(BUMP_VALUES[0], abs=4 * sigma_nm)
     assert TAIL_NM < sigma_nm < BUMP_VALUES[0] / 5
+
+
+def test_errors_of_modes_know_of_those_beyond(alone):
+    """As large as the errors are that were made; beside known modes beyond they are far too small."""
+    training, fitter, opening = alone
+    closed = fitter.of(training, opening.with_known_modes().views).at(opening.with_known_modes())
+    final = Optimum(training, closed)
+    sigma = [_modes_sigma_nm(final, one)[2:] for one in (opening, None)]
+    error = closed.modes_nm[2:] - [TRUE_NM.get(noll, 0.0) for noll in NOLLS[2:]]
+    pulls = [float(np.sqrt(np.mean((error / one) ** 2))) for one in sigma]
+    assert 0.5 < pulls[0] < 1.6
+    assert pulls[1] > 1.5 * pulls[0]
 
 
 def test_modes_found_once_are_where_the_next_fit_begins_and_ends(alone):
