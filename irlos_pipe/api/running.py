@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 
@@ -11,10 +11,11 @@ from matplotlib.figure import Figure
 from irlos_pipe.conventions.text import aligned, suggestion
 from irlos_pipe.pipeline import Resources, Selection, run_recipe
 from irlos_pipe.product.product import Check, Product
-from irlos_pipe.product.results import RunResults, read_run_results
+from irlos_pipe.product.results import LOST, RunResults, read_run_results
 from irlos_pipe.product.runfolder import RunFolder, existing_run
 from irlos_pipe.product.storage import open_product
 from irlos_pipe.recipe import Recipe
+from irlos_pipe.stages.model.untested import NOT_TESTED
 
 
 class Run(Mapping[str, Product]):
@@ -71,14 +72,17 @@ class Run(Mapping[str, Product]):
         """Say what was run, and what came out of it."""
         failed = [check.name for check in self.checks if not check.passed]
         quality = f"{len(self.checks) - len(failed)} of {len(self.checks)} checks passed"
-        rows = [(f"  {stage}", _headline(product.summary)) for stage, product in self.items()]
+        rows = [row for stage, product in self.items() for row in _rows(stage, product)]
         head = f"Run {self.path}: recipe {self.results.recipe}, {self.results.status}, {quality}"
         return "\n".join([head, aligned(rows), *(f"  failed: {name}" for name in failed)])
 
 
-def _headline(summary: Sequence[str]) -> str:
-    """The first line that is not one of detail."""
-    return next((line for line in summary if not line.startswith("  ")), "")
+def _rows(stage: str, product: Product) -> list[tuple[str, str, str]]:
+    """How many checks passed, the headline, and after it what was not tested and what was lost."""
+    headline, *more = product.summary or [""]
+    quality = f"{sum(check.passed for check in product.checks)}/{len(product.checks)}"
+    beside = [line for line in more if line.startswith((NOT_TESTED, LOST))]
+    return [(f"  {stage}", quality, headline), *(("", "", line) for line in beside)]
 
 
 def run(

@@ -18,6 +18,7 @@ from irlos_pipe.pipeline.resources import Resources, limited_threads, resolve_de
 from irlos_pipe.pipeline.runlog import RUN, collected, stage_logger
 from irlos_pipe.product.header import Origin
 from irlos_pipe.product.product import Product
+from irlos_pipe.product.results import LOST
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.product.storage import open_product, read_product, write_product
 from irlos_pipe.product.table import Table, table_content
@@ -77,6 +78,8 @@ class Job:
             "seconds": round(time.perf_counter() - clock, 3),
         }
         self._write(step, output, times, lines)
+        for line in output.failures:
+            RUN.warning("%s: lost: %s", step.name, line)
         RUN.info("%s: done in %.1f s", step.name, times["seconds"])
 
     def _context(self, step: Step, log: logging.Logger) -> StageContext:
@@ -139,7 +142,7 @@ class Job:
             "key": step.key,
             "parts": step.parts,
             "recipe": self.recipe.name,
-            "summary": list(output.summary),
+            "summary": [*output.summary, *(f"{LOST:16s}{line}" for line in output.failures)],
             "failures": list(output.failures),
             "inputs": self.files,
             "seed": self.recipe.seed,

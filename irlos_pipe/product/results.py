@@ -66,6 +66,9 @@ class Machine(ResultsPart):
     platform: str = ""
 
 
+LOST = "Lost"  # begins the lines of a summary that say which exposures failed
+
+
 class Provenance(ResultsPart):
     """Where a product comes from.
 
@@ -74,7 +77,7 @@ class Provenance(ResultsPart):
     key : str
         Checksum of all that the product depends on; `parts` are what it was made of.
     summary, failures : list of str
-        Lines for the terminal, and one line per exposure that failed.
+        Lines for the terminal, and one line per exposure that failed, which the former end with.
     files : list of str
         Further files that the stage wrote; `file_sha256` are their checksums by name.
     software : dict of str to str

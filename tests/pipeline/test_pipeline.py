@@ -112,6 +112,14 @@ def test_lost_exposures_make_a_run_partial_also_when_it_is_skipped(bench):
     assert (run(bench)[0].exit_code, run(bench)[0].status) == (5, "partial")
 
 
+def test_terminal_and_log_name_the_exposures_that_were_lost_again_when_it_is_skipped(bench):
+    bench.make("calibrate.lose_exposure")
+    lost = "Lost            exposure 3: no star"
+    assert [run(bench)[0].summary["calibrate"][-1] for _ in range(2)] == [lost, lost]
+    log = (bench.output / "run.log").read_text()
+    assert "WARNING irlos_pipe.run: calibrate: lost: exposure 3: no star" in log
+
+
 def test_a_failed_stage_keeps_the_products_before_it_and_says_so_in_the_results(bench):
     bench.make("calibrate.bad_data")
     with pytest.raises(InputDataError, match="HDU 1 is truncated"):

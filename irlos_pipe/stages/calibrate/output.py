@@ -171,7 +171,6 @@ def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
     last = result.nolls[reported(result.nolls)][-1]
     few = ["  errors from the noise model and the misfit: too few frames to show their scatter"]
     return [
-        CUBES_IN_SHORT,
         f"NCPA            {wfe:.1f} ± {sigma:.1f} nm RMS in Noll 2–{last} "
         f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f}, "
         f"nominal {result.nominal.value:.2f})",
@@ -183,6 +182,7 @@ def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
             f"{other.seconds:.1f} s, χ²/ν {other.chi2_nu:.2f})"
             for other in others
         ),
+        CUBES_IN_SHORT,
     ]
 
 

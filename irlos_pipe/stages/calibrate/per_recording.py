@@ -180,7 +180,6 @@ class _Mean:
 def _summary(mean: _Mean, cubes: Sequence[Cube]) -> list[str]:
     last = mean.nolls[reported(mean.nolls)][-1]
     return [
-        CUBES_IN_SHORT,
         f"NCPA            {wfe_nm(mean.nolls, mean.zernike_nm):.1f} ± "
         f"{wfe_nm(mean.nolls, mean.sigma_nm):.1f} nm RMS in Noll 2–{last}: mean of {len(cubes)} "
         f"{'cube' if len(cubes) == 1 else 'cubes'} ({mean.first.options.method})",
@@ -190,4 +189,5 @@ def _summary(mean: _Mean, cubes: Sequence[Cube]) -> list[str]:
             f"{cube.acquisition.derotator_angle_deg:g}°, χ²/ν {cube.result.chi2_nu:.2f}"
             for cube in cubes
         ),
+        CUBES_IN_SHORT,
     ]

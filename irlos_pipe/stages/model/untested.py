@@ -19,8 +19,9 @@ BY_RAMP = (
     "sign and orientation of diversity and offsets together: the slope tests one against the other",
     "wavelength and pixel scale wrong by the same factor",
 )
+NOT_TESTED = "Not tested"
 CUBES_IN_SHORT = (
-    "Not tested      sign, size and mode of the diversity; images transposed or turned by 180°; wavelength "
+    f"{NOT_TESTED:16s}sign, size and mode of the diversity; images transposed or turned by 180°; wavelength "
     "and scale by one factor"
 )
 
