@@ -68,6 +68,7 @@ def conclude(
     search, why = judgement.search, judgement.why_unknown
     steps = [*_drift_steps(cube, search, options), *_steps(cube, search, judgement.shares)]
     final, after = (search.null, before) if why else (plain, after)
+    left_fine = fine_structure(search.null) if why else fine
     gap = replace(gap, after=after.gap)
     present = {effect.name for effect in search.final.fitted.effects}
     unseen = [s for s in search.scores if s.name not in present]
@@ -89,7 +90,7 @@ def conclude(
         why_unknown=why,
         adjusted=_adjusted(search) if not why else [],
         tried=tried(search, options, hidden, named=not why),
-        rest=rest_of(after, gap.floor, fine, options.sure, search.final.settings),
+        rest=rest_of(after, gap.floor, left_fine, options.sure, search.final.settings),
         gap=gap,
         mdb=_with_wider_forms({s.name: _smallest(s) for s in testable}) | _elsewhere(search, options),
         untestable=[*(s.name for s in hidden), *search.meaningless],

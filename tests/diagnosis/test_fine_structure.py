@@ -28,8 +28,7 @@ FRAMES = 40
 def found(images_e: torch.Tensor, mask: torch.Tensor, expected_e: np.ndarray, case=CASE) -> FineStructure:
     """In frames of which a model expects a mean image."""
     stack = Stack.of(Frames(images_e, mask, READ_NOISE), np.linspace(0, 1, len(images_e)))
-    residual_e = stack.mean_e - torch.as_tensor(expected_e.ravel())
-    return structure_of(stack, residual_e, case)
+    return structure_of(stack, torch.as_tensor(expected_e.ravel()), case)
 
 
 def drawn(mean_e: np.ndarray, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -70,6 +69,15 @@ def test_a_wrong_wavefront_is_no_fine_structure():
     imager = reference()
     other = imager.image(opd_nm(imager, x_px=0.2), WAVELENGTH_NM, CASE.window, 9.7) * FLUX_E
     assert abs(found(*drawn(other, 3), plain() * FLUX_E).significance) < 4.5
+
+
+def test_what_only_the_model_has_beyond_the_cut_off_is_no_fine_structure():
+    """A response that is not linear, in the model or in the data: its square reaches to twice the cut-off."""
+    linear = plain() * FLUX_E
+    bent = linear * (1 - 0.1 * linear / linear.max())
+    assert found(*drawn(bent, 6), linear).significance > 5
+    assert abs(found(*drawn(linear, 6), bent).significance) < 4.5
+    assert abs(found(*drawn(bent, 6), bent).significance) < 4.5
 
 
 def test_masked_pixels_do_not_pass_for_structure():

@@ -4,6 +4,9 @@ Whatever the wavefront, light ends at the cut-off D/λ of spatial frequency (Goo
 Fourier Optics, section 6.3); motion and pixels only weaken what is below. What a mean image has beyond, and
 noise does not explain, was made behind the optics: by an error of the flat, by single pixels, by a response
 that is not linear. Speckles do not reach there, so it shows down to photon noise on sky as well.
+
+A model of the detector reaches beyond as well. What it has there and the data have not is its mistake, and no
+structure of theirs: what counts is what the data have, and what the model leaves of it.
 """
 
 from __future__ import annotations
@@ -42,29 +45,28 @@ class FineStructure:
 
 
 def fine_structure(optimum: Optimum) -> FineStructure:
-    """Fine structure of the residual of a fitted model, the most significant of its recordings.
+    """Fine structure that a fitted model does not explain, the most significant of its recordings.
 
     With pixels held out it cannot be told from the gaps they leave.
     """
     if optimum.stack.held_out == "pixels":
         return FineStructure()
     fitted = optimum.fitted
-    residual_e = optimum.stack.mean_e - fitted.image_e
     found = [
-        structure_of(part, residual_e[pixels], view.psf.settings)
+        structure_of(part, fitted.image_e[pixels], view.psf.settings)
         for part, pixels, view in zip(optimum.stack.parts, fitted.problem.pixels, fitted.views, strict=True)
     ]
     return max(found, key=lambda one: one.significance)
 
 
-def structure_of(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings) -> FineStructure:
-    """Fine structure of one recording.
+def structure_of(stack: Stack, model_e: torch.Tensor, settings: PsfSettings) -> FineStructure:
+    """Fine structure of one recording: the lesser of what it has and of what a model leaves of it.
 
     Parameters
     ----------
     stack : Stack
-    residual_e : tensor, (pixels,)
-        Its mean image minus that of a model [e-].
+    model_e : tensor, (pixels,)
+        Its mean image by the model [e-].
     settings : PsfSettings
     """
     beyond = Beyond(stack.frames.good, highest_frequency_per_px(settings))
@@ -74,9 +76,11 @@ def structure_of(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings) 
     frames = beyond(deviations_e.reshape(-1, *settings.window)) ** 2
     scatter = local_mean(frames.sum(0) / (len(frames) - 1), beyond.weight)
     shared = beyond.share * beyond.fade**2 * stack.frames.noise.shared_e2
-    mean = beyond(residual_e.reshape(1, *settings.window))[0] ** 2
+    left = beyond((stack.mean_e - model_e).reshape(1, *settings.window))[0]
+    own = left + beyond.of_whole(model_e.reshape(settings.window))
     noise = (frames / scatter)[:, beyond.inside].mean(1) * len(frames) / (len(frames) - 1)
-    ratio = float((mean / (scatter / len(frames) + shared))[beyond.inside].mean() / noise.mean())
+    means = [(part**2 / (scatter / len(frames) + shared))[beyond.inside].mean() for part in (left, own)]
+    ratio = float(min(means) / noise.mean())
     return FineStructure(ratio, (ratio - 1) * float(noise.mean() / noise.std()))
 
 
@@ -88,7 +92,9 @@ def flat_rms(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings) -> f
 
     Parameters
     ----------
-    stack, residual_e, settings : see `structure_of`
+    stack, settings : see `structure_of`
+    residual_e : tensor, (pixels,)
+        Its mean image minus that of a model [e-].
     """
     good = stack.frames.good
     beyond = Beyond(good, highest_frequency_per_px(settings))
@@ -132,8 +138,11 @@ class Beyond:
 
     def __call__(self, images: torch.Tensor) -> torch.Tensor:
         """The filtered images (images, rows, columns)."""
-        filled = torch.stack([self._filled(image) for image in images])
-        return torch.fft.ifft2(torch.fft.fft2(filled * self.fade) * self.band).real
+        return self.of_whole(torch.stack([self._filled(image) for image in images]))
+
+    def of_whole(self, images: torch.Tensor) -> torch.Tensor:
+        """The filtered images (…, rows, columns) that have no bad pixels."""
+        return torch.fft.ifft2(torch.fft.fft2(images * self.fade) * self.band).real
 
     def power(self, variance: torch.Tensor) -> torch.Tensor:
         """Variance of the filtered image of uncorrelated pixels of some `variance`, (rows, columns)."""
