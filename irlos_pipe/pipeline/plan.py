@@ -13,6 +13,7 @@ from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.pipeline.fingerprint import changes, key_of, key_parts
 from irlos_pipe.pipeline.inputs import InputFile
+from irlos_pipe.product.results import results_of
 from irlos_pipe.product.runfolder import RunFolder
 from irlos_pipe.product.storage import is_intact, read_product
 from irlos_pipe.recipe import Recipe
@@ -129,12 +130,21 @@ def with_repairs(steps: Sequence[Step]) -> list[Step]:
 
 
 def _repaired(step: Step, steps: Sequence[Step]) -> Step:
-    if step.action not in (Action.SKIP, Action.USE) or is_intact(step.path):
+    if step.action not in (Action.SKIP, Action.USE) or (is_intact(step.path) and _has_results(step)):
         return step
     if step.action is Action.USE:
         first = next(other.name for other in steps if other.action is not Action.USE)
         raise _unusable(step.name, first, f"{step.path}: {DAMAGED}")
     return replace(step, action=Action.RUN, reason=DAMAGED, current=False)
+
+
+def _has_results(step: Step) -> bool:
+    """Whether the results in a product are those of its stage, which no checksum tells."""
+    try:
+        results_of(STAGES[step.name].Results, read_product(step.path, arrays=False))
+    except InputDataError:
+        return False
+    return True
 
 
 def _range(recipe: Recipe, selection: Selection) -> tuple[int, int]:

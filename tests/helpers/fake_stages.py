@@ -32,6 +32,12 @@ class FreeResults(StageResults):
     stage: ClassVar[str] = "any"
 
 
+class MethodResults(FreeResults):
+    """Those of a stage that tells its method."""
+
+    method: str = ""
+
+
 COUNTS: Counter[str] = Counter()
 
 
@@ -70,7 +76,7 @@ def calibrate(ctx: StageContext) -> StageOutput:
     mean = ctx.products["ingest"].arrays["counts"].value.mean()
     return StageOutput(
         {"mean": Quantity(np.asarray(mean), "ADU")},
-        FreeResults(method=ctx.config.method),
+        MethodResults(method=ctx.config.method),
         checks=[Check("mean", mean, "ADU", 0, None, "counts are positive")],
         files={"table.csv": b"mode,nm\n"},
         summary=[f"mean {mean:g} ADU"],
@@ -125,7 +131,8 @@ def _module(name: str, config: type[StageConfig], work, **extra) -> ModuleType:
                 output = change(output)
         return output
 
-    module.__dict__.update(NAME=name, VERSION=1, Config=config, run=run, **extra)
+    declared = {"Results": FreeResults} | extra
+    module.__dict__.update(NAME=name, VERSION=1, Config=config, run=run, **declared)
     return module
 
 
@@ -133,7 +140,7 @@ def modules() -> dict[str, ModuleType]:
     """Fresh stand-ins by the name of the module they replace."""
     stages = [
         _module("ingest", IngestConfig, ingest, DEPENDS_ON={"inputs", "instrument"}),
-        _module("calibrate", CalibrateConfig, calibrate, NEEDS=("ingest",)),
+        _module("calibrate", CalibrateConfig, calibrate, NEEDS=("ingest",), Results=MethodResults),
         _module("lift", LiftConfig, lift, NEEDS=("ingest",), READS=("ingest",), DEPENDS_ON={"seed"}),
     ]
     return {stage.__name__: stage for stage in stages} | {"irlos_pipe.report.build": report_module()}

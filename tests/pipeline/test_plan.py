@@ -1,6 +1,7 @@
 """What a run would do, and the reason it gives."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from irlos_pipe.conventions.errors import ConfigurationError, NothingToDo
 from irlos_pipe.instrument.instrument import PROFILES
 from irlos_pipe.pipeline import Selection, plan_run, run_recipe
 from irlos_pipe.pipeline.fingerprint import changes
+from irlos_pipe.product.storage import read_product, write_product
 from irlos_pipe.recipe import load_recipe
 
 
@@ -126,6 +128,16 @@ def test_a_product_with_damaged_arrays_is_made_again_whether_or_not_a_stage_read
     assert run(bench)[1] == [product[3:-3]]
     assert results(bench)["status"] == "ok"
     assert run(bench)[1] == []
+
+
+def test_a_product_whose_results_are_not_those_of_its_stage_is_made_again(bench):
+    """Written with a right checksum: only its content tells."""
+    run(bench)
+    path = bench.output / "02_calibrate.h5"
+    product = read_product(path)
+    write_product(replace(product, results=product.results | {"method": 3}), path)
+    assert run(bench)[1] == ["calibrate"]
+    assert results(bench)["status"] == "ok"
 
 
 def test_a_run_from_a_stage_refuses_damaged_arrays_and_leaves_the_results(bench):
