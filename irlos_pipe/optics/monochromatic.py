@@ -85,7 +85,7 @@ class Colour(NamedTuple):
             waves = self.strained.adjoint(factors)
         else:
             waves = self.to_rows.mH @ (factors.to(self.to_rows.dtype) @ self.to_columns.conj())
-        counts = torch.as_tensor(half_plane_counts(waves.shape[-1], self.padded)).to(factors)
+        counts = torch.as_tensor(half_plane_counts(waves.shape[-1], self.padded)).to(waves)
         waves = waves / counts  # the real FFT counts them itself
         if self.transfer is not None:
             waves = waves * self.transfer.conj()
