@@ -123,7 +123,7 @@ def choose(ranked: Sequence[Refit], cube: Cube, options: Options, *, first: bool
     before = best.origin
     if not first and before.excess.significance > options.sure and explained(best) < MUST_EXPLAIN:
         return None
-    return accepted(ranked, cube, options)
+    return _preferred(ranked, cube)
 
 
 def accepted(ranked: Sequence[Refit], cube: Cube, options: Options) -> Accepted | None:
@@ -133,6 +133,11 @@ def accepted(ranked: Sequence[Refit], cube: Cube, options: Options) -> Accepted 
     """
     if not ranked or not detected(ranked[0], cube, options.sure):
         return None
+    return _preferred(ranked, cube)
+
+
+def _preferred(ranked: Sequence[Refit], cube: Cube) -> Accepted | None:
+    """The best of significant names, if the held-out frames agree."""
     before = ranked[0].origin
     evaluations = [HeldOutEvaluation(cube.held_out, refit.fitted) for refit in ranked]
     ranked, judges = by_simplicity(*by_plausibility(*by_motion(ranked, evaluations, cube)))

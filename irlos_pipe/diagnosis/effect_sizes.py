@@ -61,7 +61,8 @@ class Covariances:
     """
 
     def __init__(self, stack: Stacks, models: Sequence[Fitted]):
-        self.models = [(one, parameter_covariance(stack, one)) for one in models]
+        self.stack, self.models = stack, models
+        self._found: dict[int, np.ndarray] = {}
 
     def of(self, label: str) -> np.ndarray:
         """Of all parameters of the effect with a `label`; zero for what is held.
@@ -70,9 +71,11 @@ class Covariances:
         ----------
         label : str
         """
-        last, _ = self.models[-1]
-        free = last.effect(label).parameters
-        fitted, covariance = next(pair for pair in self.models if _frees(pair[0], label, free))
+        free = self.models[-1].effect(label).parameters
+        number, fitted = next(pair for pair in enumerate(self.models) if _frees(pair[1], label, free))
+        if number not in self._found:  # of many modes and frames it takes a while
+            self._found[number] = parameter_covariance(self.stack, fitted)
+        covariance = self._found[number]
         effect, columns = fitted.effect(label), fitted.columns_of(label)
         full = np.zeros((len(effect.base.parameters), len(effect.base.parameters)))
         own = determined(effect.parameters, covariance[np.ix_(columns, columns)])
