@@ -13,13 +13,12 @@ from pathlib import Path
 import pytest
 from helpers.paths import HELPERS, REPOSITORY
 
-from irlos_pipe.frames.blocks import BLOCK_FRAMES
-
 FEW, MANY = 500, 3000
 FRAME_BYTES = 64 * 64 * 4
-ALLOWED = {"ingest": 2.8, "prior": 0.6, "long_exposure": 0.2, "dip_global": 0.5}  # frames per further frame
+ALLOWED = {"ingest": 2.5, "prior": 0.5, "long_exposure": 0.5, "dip_global": 0.5}  # frames per further frame
 
-BLOCKS_BYTES = 3 * BLOCK_FRAMES * 64 * 64 * 8  # that one run finds in freed memory, another not
+# Blocks of this size are mapped, and go back to the system when they are freed; smaller ones may stay, or not.
+MAPPED_BYTES = 4 * 2**20
 
 pytestmark = [
     pytest.mark.slow,
@@ -30,7 +29,8 @@ pytestmark = [
 def rises(frames: int) -> dict[str, int]:
     case = HELPERS / "memory_case.py"
     paths = os.pathsep.join([str(REPOSITORY), str(HELPERS.parent)])
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": paths}
+    malloc = {"MALLOC_MMAP_THRESHOLD_": str(MAPPED_BYTES), "MALLOC_ARENA_MAX": "1"}
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": paths} | malloc
     command = [sys.executable, str(case), str(frames)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -41,7 +41,7 @@ def rises(frames: int) -> dict[str, int]:
 def growth() -> dict[str, float]:
     """Memory per further frame, in frames."""
     few, many = rises(FEW), rises(MANY)
-    return {name: (many[name] - few[name] - BLOCKS_BYTES) / (MANY - FEW) / FRAME_BYTES for name in few}
+    return {name: (many[name] - few[name]) / (MANY - FEW) / FRAME_BYTES for name in few}
 
 
 @pytest.mark.parametrize("step", ALLOWED)
