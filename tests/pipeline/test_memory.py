@@ -17,7 +17,7 @@ FEW, MANY = 500, 3000
 FRAME_BYTES = 64 * 64 * 4
 ALLOWED = {"ingest": 2.5, "prior": 0.5, "long_exposure": 0.5, "dip_global": 0.5}  # frames per further frame
 
-# Blocks of this size are mapped, and go back to the system when they are freed; smaller ones may stay, or not.
+# Blocks of this size are mapped, and go back to the system when they are freed; smaller ones may stay.
 MAPPED_BYTES = 4 * 2**20
 
 pytestmark = [
