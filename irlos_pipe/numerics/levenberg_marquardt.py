@@ -113,9 +113,27 @@ class _State:
             return self._evaluated(self.x[which], which)
         spent = which if self.ahead is None else which[self.age[which] >= SPENT]
         if len(spent):
-            self._keep(spent, self._evaluated(self.x[spent], spent))
+            self._keep(spent, self._renewed(spent))
             self.age[spent] = 0
         return tuple(array[which] for array in self.ahead or ())
+
+    def _renewed(self, which: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Equations with the Hessian of the place; a gradient by itself is exact, where theirs may be rough.
+
+        A rough one foretells falls that do not come, and the iterations go round in circles.
+        """
+        x = self.x[which]
+        value, gradient, hessian = self._evaluated(x, which)
+        if self.ahead is not None:
+            value, gradient = (array[which] for array in self.ahead[:2])
+        elif self.cheap_gradient is not None:
+            value, gradient = self._slope(x, which)
+        return value, gradient, hessian
+
+    def _slope(self, x: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Objective and gradient, exact."""
+        assert self.cheap_gradient is not None
+        return tuple(tensor.numpy() for tensor in self.cheap_gradient(*map(torch.from_numpy, (x, which))))
 
     def _evaluated(self, x: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, ...]:
         equations = self.problem.normal_equations(torch.from_numpy(x), torch.from_numpy(which))
@@ -175,9 +193,12 @@ class _State:
         """Try damped steps, raising the damping until the objective falls."""
         for _ in range(TRIALS):
             trial = (self.x[which] + self._descent(which)).clip(self.lower, self.upper)
-            value = self._trial_value(trial, which)
+            tried = self._tried(trial, which)
+            value = tried[0]
             better = value <= self.value[which] * (1 + ROUNDING)  # False for NaN as well
             taken, trial = which[better], trial[better]
+            if len(tried) > 1:
+                self._keep(taken, tuple(array[better] for array in tried))
             self.moved[taken] = trial - self.x[taken]
             self.x[taken] = trial
             factor = self._factor(taken, value[better])
@@ -202,21 +223,17 @@ class _State:
         self.age[which[aged]] = SPENT
         return which[~aged]
 
-    def _trial_value(self, x: np.ndarray, which: np.ndarray) -> np.ndarray:
-        """Objective of trial steps.
+    def _tried(self, x: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Objective of trial steps, and the equations there for the next iteration.
 
         Steps are seldom refused, and images cost a part of what their derivatives do: those are evaluated
-        with them, and kept for the next iteration, except where equations are not those of the objective.
+        with them, except where equations are not those of the objective.
         """
         if self.reweighted:
-            return self.problem.objective(torch.from_numpy(x), torch.from_numpy(which)).numpy()
+            return (self.problem.objective(torch.from_numpy(x), torch.from_numpy(which)).numpy(),)
         if self.cheap_gradient is None:
-            equations = self._evaluated(x, which)
-        else:
-            slope = self.cheap_gradient(torch.from_numpy(x), torch.from_numpy(which))
-            equations = *(tensor.numpy() for tensor in slope), self.hessian[which]
-        self._keep(which, equations)
-        return equations[0]
+            return self._evaluated(x, which)
+        return *self._slope(x, which), self.hessian[which]
 
     def _factor(self, which: np.ndarray, value: np.ndarray) -> np.ndarray:
         """Factor on the damping after an accepted step that led to `value`.

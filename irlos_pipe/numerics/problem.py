@@ -56,7 +56,7 @@ class Problem(ABC):
 
 
 class CheapGradientProblem(Problem):
-    """A problem whose gradient costs a small part of its normal equations."""
+    """A problem whose gradient costs a small part of its normal equations, which may have a rough one."""
 
     def cheap_gradient(self, x: torch.Tensor, which: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the objective and gradient of `normal_equations` at `x` of the members `which`: autograd."""
