@@ -13,7 +13,7 @@ from irlos_pipe.diagnosis.checks.motion import MOVING, motion_ratio
 from irlos_pipe.diagnosis.cube import Cube
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.fitting import Fitter
-from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, preference
+from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, gap_between, preference
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.options import Options
@@ -38,6 +38,8 @@ class Accepted:
     refit : Refit
     preference : float
         Vuong's statistic on the held-out frames, against the model before.
+    gap : Gap
+        On the held-out frames, of the models without and with it.
     alternatives : sequence of Alternative
     ranking : sequence of Ranked
     rivals : sequence of Refit
@@ -46,6 +48,7 @@ class Accepted:
 
     refit: Refit
     preference: float
+    gap: Gap
     alternatives: Sequence[Alternative]
     ranking: Sequence[Ranked]
     rivals: Sequence[Refit] = ()
@@ -141,14 +144,14 @@ def _preferred(ranked: Sequence[Refit], cube: Cube) -> Accepted | None:
     before = ranked[0].origin
     evaluations = [HeldOutEvaluation(cube.held_out, refit.fitted) for refit in ranked]
     ranked, judges = by_simplicity(*by_plausibility(*by_motion(ranked, evaluations, cube)))
-    best = ranked[0]
-    z = preference(judges[0], HeldOutEvaluation(cube.held_out, before.fitted))
+    best, without = ranked[0], HeldOutEvaluation(cube.held_out, before.fitted)
+    z = preference(judges[0], without)
     if z < (PREFERRED if cube.training.photon_limited else 0.0):
         return None
     ranking = [_ranked(one, preference(judges[0], judge)) for one, judge in zip(ranked, judges, strict=True)]
     others = alternatives(ranked, judges)
     rivals = [next(r for r in ranked if r.name == other.name) for other in others]
-    return Accepted(best, z, others, ranking, rivals)
+    return Accepted(best, z, gap_between(without, judges[0]), others, ranking, rivals)
 
 
 def _ranked(refit: Refit, held_out_z: float) -> Ranked:

@@ -66,7 +66,7 @@ def conclude(
     gap = gap_between(before, after)
     judgement = judged(search, noise, fine, gap, options)
     search, why = judgement.search, judgement.why_unknown
-    steps = [*_drift_steps(cube, search, options), *_steps(cube, search, judgement.shares)]
+    steps = [*_drift_steps(cube, search, options), *_steps(search, judgement.shares)]
     final, after = (search.null, before) if why else (plain, after)
     left_fine = fine_structure(search.null) if why else fine
     gap = replace(gap, after=after.gap)
@@ -85,7 +85,7 @@ def conclude(
         verdict=UNKNOWN if why else EFFECT if known else NONE,
         grade=judgement.grade if why or judgement.left or not known else COMPLETE,
         steps=known,
-        nearest=(steps[0] if steps else _nearest(cube, search)) if why else None,
+        nearest=(steps[0] if steps else _nearest(search)) if why else None,
         unexplained=bool(why) or judgement.left or fine.significance > options.sure,
         why_unknown=why,
         adjusted=_adjusted(search) if not why else [],
@@ -199,35 +199,34 @@ def _apart(effect: Effect, values: np.ndarray, covariance: np.ndarray) -> float:
 # -- names -------------------------------------------------------------------------------------
 
 
-def _steps(cube: Cube, search: Search, shares: Sequence[float]) -> list[Step]:
+def _steps(search: Search, shares: Sequence[float]) -> list[Step]:
     fitted, covariances = search.final.fitted, _covariances(search)
     rows = zip(search.accepted, labels_in(fitted, search.accepted), shares, strict=True)
     return [
-        replace(_step(cube, one, label, fitted, covariances.of(label)), share=share)
+        replace(_step(one, label, fitted, covariances.of(label)), share=share)
         for one, label, share in rows
     ]
 
 
-def _nearest(cube: Cube, search: Search) -> Step | None:
+def _nearest(search: Search) -> Step | None:
     """What came nearest where nothing was named, as the model had it in which it was found."""
     if search.nearest is None:
         return None
     refit = search.nearest.refit
     covariance = Covariances(refit.optimum.stack, [refit.fitted]).of(refit.label)
-    step = _step(cube, search.nearest, refit.label, refit.fitted, covariance)
+    step = _step(search.nearest, refit.label, refit.fitted, covariance)
     return replace(step, share=share_at_its_place(refit, refit.optimum))
 
 
-def _step(cube: Cube, accepted: Accepted, label: str, fitted: Fitted, covariance: np.ndarray) -> Step:
+def _step(accepted: Accepted, label: str, fitted: Fitted, covariance: np.ndarray) -> Step:
     refit = accepted.refit
     base, values = refit.base, fitted.values_of(label)
-    judges = (HeldOutEvaluation(cube.held_out, one) for one in (refit.origin.fitted, refit.fitted))
     return Step(
         **_sizes(base, values, covariance),
         significance=refit.significance,
         explained=accepted.ranking[0].explained,
         preference=accepted.preference,
-        gap=gap_between(*judges),
+        gap=accepted.gap,
         alternatives=accepted.alternatives,
         ranking=accepted.ranking,
         label=label,

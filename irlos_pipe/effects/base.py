@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
@@ -331,12 +332,15 @@ class FixedEffect(Effect):
 
     def all_values(self, values: Values) -> torch.Tensor:
         """See `Effect.all_values`."""
-        full = torch.as_tensor(self.values, dtype=torch.float64)
-        if not self.free:
-            return full
-        chosen = torch.as_tensor(np.eye(len(self.values))[self.free])
-        held = torch.as_tensor(np.isin(np.arange(len(self.values)), self.free, invert=True))
-        return full * held + torch.as_tensor(values, dtype=torch.float64) @ chosen
+        held, chosen = self._parts
+        return held + torch.as_tensor(values, dtype=torch.float64) @ chosen if self.free else held.clone()
+
+    @cached_property
+    def _parts(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """All values with 0 for the free ones, and the rows that put these in their places."""
+        held = self.values.copy()
+        held[self.free] = 0.0
+        return torch.as_tensor(held), torch.as_tensor(np.eye(len(held))[self.free])
 
     @property
     def needs_search(self) -> bool:

@@ -26,10 +26,11 @@ def model(chi2: float, *names: str) -> SimpleNamespace:
     return one
 
 
-def name(effect: str, ordinary: bool) -> SimpleNamespace:
-    """An accepted name."""
-    base = SimpleNamespace(fact=effect == "plate_scale")
-    return SimpleNamespace(name=effect, ordinary=ordinary, refit=SimpleNamespace(label=effect, base=base))
+def name(effect: str, ordinary: bool, closed: float = 0.9) -> SimpleNamespace:
+    """An accepted name that closes a part of the gap without it."""
+    base = SimpleNamespace(fact=effect == "plate_scale", copies_star=effect == "companion")
+    refit = SimpleNamespace(label=effect, base=base, effect=SimpleNamespace(speckles=False))
+    return SimpleNamespace(name=effect, ordinary=ordinary, refit=refit, gap=gap(closed))
 
 
 def search(left: float, *names: SimpleNamespace, adjusted: tuple[str, ...] = ()) -> Search:
@@ -92,6 +93,27 @@ def test_where_only_the_usual_is_found_and_much_is_left_the_cause_is_unknown(mon
     if grade == "unknown":
         assert judgement.search.nearest is one
         assert "plate_scale" in judgement.why_unknown
+
+
+@pytest.mark.parametrize(
+    ("kind", "left", "believed"),
+    [
+        (SPECKLES, 900.0, ["vibration", "companion"]),  # a copy of the star has a place of its own
+        (SPECKLES, 0.0, ["vibration", "companion", "seeing_halo"]),
+        (PHOTONS, 900.0, ["vibration", "companion", "seeing_halo"]),  # noise is known
+    ],
+)
+def test_on_sky_a_name_that_closes_little_by_itself_is_adjusted_where_much_is_left(
+    monkeypatch, kind, left, believed
+):
+    monkeypatch.setattr("irlos_pipe.diagnosis.grade.share_at_its_place", lambda refit, final: 1.0)
+    monkeypatch.setattr("irlos_pipe.diagnosis.grade.copies_in_a_row", lambda fitted: 0)
+    options = Options(30, held_out=0.25, most_names=4, sure=SURE)
+    fine = SimpleNamespace(significance=0.0, ratio=1.0)
+    names = [name("vibration", False), name("companion", False, 0.1), name("seeing_halo", False, 0.3)]
+    found = judged(search(left, *names), NoiseVerdict(kind, 1.0, 1.0), fine, gap(0.9), options).search
+    assert [one.name for one in found.accepted] == believed
+    assert [*found.adjusted] == [one.name for one in names if one.name not in believed]
 
 
 @pytest.mark.parametrize(
