@@ -203,8 +203,7 @@ def _steps(search: Search, shares: Sequence[float]) -> list[Step]:
     fitted, covariances = search.final.fitted, _covariances(search)
     rows = zip(search.accepted, labels_in(fitted, search.accepted), shares, strict=True)
     return [
-        replace(_step(one, label, fitted, covariances.of(label)), share=share)
-        for one, label, share in rows
+        replace(_step(one, label, fitted, covariances.of(label)), share=share) for one, label, share in rows
     ]
 
 
