@@ -59,19 +59,16 @@ class File:
 
 
 def archive_spec(files: int, seed: int) -> dict:
-    """Return the spec of an archive: small scale, two epochs, J 8 to 13, defocus of 100 nm RMS.
-
-    A fit of the wide images of the large scale takes tens of minutes, so there is none among them.
-    """
+    """Return the spec of an archive: small, then large scale, of two epochs; defocus of 100 nm RMS."""
     rng = np.random.default_rng(seed)
     images = {axis: rng.normal(0, 1, 4).round(2).tolist() for axis in ("x_mas", "y_mas")}
     images["flux"] = rng.normal(0, 0.05, 4).round(3).tolist()
     recordings = {}
     for number in range(files):
-        day = (NEW, OLD)[number % 4 == 3]
+        day, scale = (NEW, OLD)[number % 4 == 3], ("Small", "Large")[2 * number >= files]
         recordings[f"file_{number:02d}"] = {
             "role": "psf",
-            "mode": "20x20_SmallScale_500Hz_HighGain",
+            "mode": f"20x20_{scale}Scale_500Hz_HighGain",
             "mag_j": round(rng.uniform(8, 13 if day == NEW else 10), 1),
             "bands": "j_h",
             "frames": 48,

@@ -209,7 +209,7 @@ class _Baselines:
 def _baselines(band: ResidualBand, r0_m: float, focal: FocalGrid) -> _Baselines:
     bx, by = np.broadcast_arrays(focal.baseline_x_m[None, :], focal.baseline_y_m[:, None])
     lengths = np.hypot(bx, by)
-    within = lengths <= focal.width_m  # no two points of the pupil are further apart
+    within = lengths <= focal.longest_m
     return _Baselines(
         InBandResidual(bx[within], by[within], band),
         torch.as_tensor(fitting_structure_nm2(lengths[within], band, r0_m)),

@@ -15,7 +15,7 @@ from irlos_pipe.optics.fourier_matrices import (
     quick_fft_length,
     require_resolved,
 )
-from irlos_pipe.optics.grids import Sampling
+from irlos_pipe.optics.grids import PupilGrid, Sampling
 from irlos_pipe.optics.matrix_dft import MatrixDft
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.strained import Strained
@@ -33,8 +33,7 @@ class FocalPlane:
         Window, pixel scale and margins.
     sampling : Sampling
         Wavelengths and weights as built.
-    u_m : ndarray, (n,)
-        Samples of the pupil along either axis [m].
+    pupil : PupilGrid
     polynomials : ndarray, (degree + 1, n)
         See `MatrixDft`.
     like : tensor
@@ -50,13 +49,13 @@ class FocalPlane:
         self,
         settings: PsfSettings,
         sampling: Sampling,
-        u_m: np.ndarray,
+        pupil: PupilGrid,
         polynomials: np.ndarray,
         like: torch.Tensor,
     ):
         self.window, self.sampling, self.like = settings.window, sampling, like
-        self.grids = _focal_grids(settings, sampling.wavelengths_m.numpy(), u_m)
-        self.dfts = [MatrixDft(u_m, focal, polynomials, like) for focal in self.grids]
+        self.grids = _focal_grids(settings, sampling.wavelengths_m.numpy(), pupil)
+        self.dfts = [MatrixDft(pupil.u_m, focal, polynomials, like) for focal in self.grids]
 
     @property
     def widest(self) -> FocalGrid:
@@ -112,14 +111,14 @@ class FocalPlane:
         return (sampling.weights[index] * along_y).to(device, dtype), along_x.to(device, dtype)
 
 
-def _focal_grids(settings: PsfSettings, wavelengths_m: np.ndarray, u_m: np.ndarray) -> list[FocalGrid]:
-    step_m, scale_mas, window_px = u_m[1] - u_m[0], settings.pixel_scale_mas, max(settings.window)
-    require_resolved(window_px, scale_mas, wavelengths_m.min(), step_m)
+def _focal_grids(settings: PsfSettings, wavelengths_m: np.ndarray, pupil: PupilGrid) -> list[FocalGrid]:
+    scale_mas, window_px = settings.pixel_scale_mas, max(settings.window)
+    require_resolved(window_px, scale_mas, wavelengths_m.min(), pupil.u_m[1] - pupil.u_m[0])
 
     def samples(margin_mas: float, wavelength_m: float) -> int:
-        return focal_samples_for(window_px, scale_mas, margin_mas, wavelength_m, len(u_m) * step_m)
+        return focal_samples_for(window_px, scale_mas, margin_mas, wavelength_m, pupil.width_m)
 
     needed = [samples(settings.margin_mas, wavelength_m) for wavelength_m in wavelengths_m]
     period = samples(settings.halo_margin_mas, wavelengths_m.min())
     padded = quick_fft_length(max(*needed, period))
-    return [FocalGrid(count, len(u_m) * step_m, padded) for count in needed]
+    return [FocalGrid(count, pupil.width_m, padded, pupil.longest_m) for count in needed]

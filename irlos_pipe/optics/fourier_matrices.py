@@ -33,11 +33,14 @@ class FocalGrid:
     padded : int
         Samples per axis with the zeros that are appended before OTF factors are applied: the
         period with which a blur wraps around. Halo that wraps is the first thing to go wrong.
+    longest_m : float
+        No two points of the pupil are further apart [m].
     """
 
     samples: int
     width_m: float
     padded: int
+    longest_m: float
 
     @property
     def frequency_per_m(self) -> np.ndarray:

@@ -36,12 +36,15 @@ class PupilGrid:
     u_m : ndarray, (n,)
         Coordinates along either axis [m].
     wavelengths_m : tensor, (wavelengths, 1, 1)
+    middle_m : (float, float)
+        From which the coordinates count, along x and y [m]: the pupil's, unless it is a part of that.
     """
 
     geometry: PupilGeometry
     samples: int
     u_m: np.ndarray
     wavelengths_m: torch.Tensor
+    middle_m: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of(cls, geometry: PupilGeometry, samples: int, wavelengths_m: Sequence[float]) -> PupilGrid:
@@ -61,6 +64,11 @@ class PupilGrid:
     def width_m(self) -> float:
         """Width of the grid, a little more than the diameter."""
         return len(self.u_m) * (self.u_m[1] - self.u_m[0])
+
+    @property
+    def longest_m(self) -> float:
+        """No two points with light are further apart [m]."""
+        return self.width_m
 
     @property
     def lit(self) -> np.ndarray:
@@ -195,7 +203,7 @@ class Tangents(NamedTuple):
     Attributes
     ----------
     pupil : tensor, (parameters, wavelengths, n, n), or empty
-    transfer : sequence of tensor, (wavelengths, p, p//2 + 1) each
+    transfer : sequence of tensor, (wavelengths, p, p//2 + 1) each, or None of what does not change
     pupil_too : sequence of (int, tensor)
         Of the pupil with respect to parameters of the OTF: positions among these, (wavelengths, n, n).
     sampling : sequence of (tensor or None, tensor or None, Sampling)
@@ -205,7 +213,7 @@ class Tangents(NamedTuple):
     """
 
     pupil: Sequence[torch.Tensor] = ()
-    transfer: Sequence[torch.Tensor] = ()
+    transfer: Sequence[torch.Tensor | None] = ()
     pupil_too: Sequence[tuple[int, torch.Tensor]] = ()
     sampling: Sequence[Change] = ()
     copies: tuple[Tangents, ...] = ()

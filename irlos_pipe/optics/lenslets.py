@@ -9,25 +9,18 @@ which quarter of the pupil is a convention of the instrument: here the lower lef
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
-from functools import lru_cache
-from itertools import product
 from typing import Any
 
-import numpy as np
 import torch
 
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.optics.grids import Grids, Optics, Tangents
 from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, LightPath, Pullback
-from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.optics.psf import PsfModel, pupil_grid
 from irlos_pipe.optics.psf_settings import PsfSettings
-from irlos_pipe.optics.pupil import band_limited_parts
-
-DARK, FAINT = 1e-12, 0.02  # of the largest amplitude
-BEYOND = 0.5  # by which the band-limited parts of a faint amplitude may ring over it
+from irlos_pipe.optics.quarters import quarters
 
 
 class LensletArray:
@@ -52,23 +45,22 @@ class LensletArray:
         if rows % 2 or columns % 2:
             raise ValueError(f"a window of {rows}x{columns} px has no four equal quarters")
         own = replace(settings, window=settings.lenslet_window, lenslets=1)
-        self.whole = PsfModel(own, nolls, **options)
-        self.settings, self.nolls = settings, self.whole.nolls
-        self.device, self.dtype = self.whole.device, self.whole.dtype
-        grid = self.whole.pupil_grid
-        self._amplitudes = np.where(grid.lit, _quarters(settings.geometry, grid.samples), 0) * grid.light
-        self._weights = _weights(grid.amplitude, self._amplitudes)
-        self.paths = [self.whole.with_amplitude(one) for one in self._amplitudes]
+        self.pupil = pupil_grid(own)
+        self.quarters = quarters(self.pupil)
+        self.paths = [PsfModel(own, nolls, grid=quarter, **options) for quarter in self.quarters]
+        first = self.paths[0]
+        self.settings, self.nolls = settings, first.nolls
+        self.device, self.dtype = first.device, first.dtype
 
     @property
     def grids(self) -> Grids:
-        """See `LightPath.grids`: the pupil is the whole one."""
-        return self.whole.grids
+        """See `LightPath.grids`: the pupil is the whole one, the baselines are those of a quarter."""
+        return self.paths[0].grids._replace(pupil=self.pupil)
 
     @property
     def limits_nm(self) -> torch.Tensor:
         """See `LightPath.limits_nm`."""
-        return self.whole.limits_nm
+        return self.paths[0].limits_nm
 
     def in_window(self, window: tuple[int, int], margin_mas: float, halo_margin_mas: float) -> LensletArray:
         """See `LightPath.in_window`."""
@@ -76,8 +68,7 @@ class LensletArray:
         other.settings = replace(
             self.settings, window=window, margin_mas=margin_mas, halo_margin_mas=halo_margin_mas
         )
-        other.whole = self.whole.in_window(other.settings.lenslet_window, *margins)
-        other.paths = [other.whole.with_amplitude(one) for one in self._amplitudes]
+        other.paths = [path.in_window(other.settings.lenslet_window, *margins) for path in self.paths]
         return other
 
     def images(self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
@@ -134,44 +125,17 @@ class LensletArray:
         def pupil(one: torch.Tensor | None) -> torch.Tensor | None:
             return None if one is None else self._through(one, lenslet)
 
-        def transfer(one: torch.Tensor | None) -> torch.Tensor | None:
-            return None if one is None else _of(one, lenslet)
-
         return Tangents(
             [self._through(one, lenslet) for one in tangents.pupil],
-            [_of(one, lenslet) for one in tangents.transfer],
+            [_slope_of(one, lenslet) for one in tangents.transfer],
             [(place, self._through(one, lenslet)) for place, one in tangents.pupil_too],
-            [(pupil(one), transfer(other), change) for one, other, change in tangents.sampling],
+            [(pupil(one), _slope_of(other, lenslet), change) for one, other, change in tangents.sampling],
             tuple(self._tangents(one, lenslet) for one in tangents.copies),
         )
 
     def _through(self, pupil: torch.Tensor, lenslet: int) -> torch.Tensor:
         """The part of a disturbed `pupil`, (wavelengths, n, n), before a lenslet."""
-        return pupil * torch.as_tensor(self._weights[lenslet])
-
-
-@lru_cache(maxsize=8)
-def _quarters(geometry: PupilGeometry, samples: int) -> np.ndarray:
-    """Amplitudes of the quarters of a pupil, (4, n, n), on the grid of `band_limited_pupil`."""
-
-    def shares(x_m: np.ndarray, y_m: np.ndarray, step_m: float) -> Iterator[tuple[int, slice, np.ndarray]]:
-        middle = x_m.shape[1] // 2
-        for number, (up, columns) in enumerate(product((0, 1), (slice(middle), slice(middle, None)))):
-            yield number, columns, (y_m > 0) == up
-
-    return band_limited_parts(geometry, samples, 4, shares)
-
-
-def _weights(whole: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """By what to multiply an amplitude to get its parts, (4, n, n).
-
-    They are ratios of amplitudes: what an effect does to the light of the pupil it does to that of a part.
-    Where there is hardly light, the ratio is held near 0 to 1.
-    """
-    seen = np.abs(whole) > DARK * np.abs(whole).max()
-    ratio = np.divide(parts, whole, out=np.zeros_like(parts), where=seen)
-    faint = np.abs(whole) < FAINT * np.abs(whole).max()
-    return np.where(faint, ratio.clip(-BEYOND, 1 + BEYOND), ratio)
+        return self.quarters[lenslet].through(pupil)
 
 
 def side_by_side(parts: Sequence[torch.Tensor]) -> torch.Tensor:
@@ -194,3 +158,9 @@ def light_path(settings: PsfSettings, nolls: Sequence[int], **options: Any) -> L
 def _of(transfer: torch.Tensor, lenslet: int) -> torch.Tensor:
     """The OTF factor of a lenslet, where effects differ between them."""
     return transfer if transfer.ndim == 3 else transfer[lenslet]
+
+
+def _slope_of(transfer: torch.Tensor | None, lenslet: int) -> torch.Tensor | None:
+    """Its derivative; None where a parameter leaves the lenslet alone."""
+    own = None if transfer is None else _of(transfer, lenslet)
+    return None if own is None or not bool(own.any()) else own

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -62,20 +63,34 @@ class Colour(NamedTuple):
             strained=self.strained and self.strained.single,
         )
 
-    def image(self, intensity: torch.Tensor, transfer: torch.Tensor | None = None) -> torch.Tensor:
-        """Weighted pixel flux of a focal `intensity` (..., m, m); `transfer` stands in for the own factor."""
-        if self.strained is not None:
-            return self.strained.image(self.waves(intensity, transfer))
-        if self.transfer is None:
+    def image(self, intensity: torch.Tensor) -> torch.Tensor:
+        """Return the weighted pixel flux of a focal `intensity`, (..., m, m)."""
+        if self.strained is None and self.transfer is None:
             return self.to_rows @ (intensity @ self.to_columns.mT)
-        partial = self.to_rows @ self.waves(intensity, transfer)
-        return partial.real @ self.to_columns.real.mT - partial.imag @ self.to_columns.imag.mT
+        return self._seen(self.waves(intensity))
 
-    def waves(self, intensity: torch.Tensor, transfer: torch.Tensor | None = None) -> torch.Tensor:
-        """Real FFT of a focal `intensity` times the OTF factor, (..., p, p//2 + 1); see `image`."""
-        factor = self.transfer if transfer is None else transfer
+    def images_through(
+        self, intensity: torch.Tensor, transfers: Sequence[torch.Tensor | None]
+    ) -> list[torch.Tensor]:
+        """Return images as of `image`, each with another factor of the OTF: None of none at all."""
+        if not transfers:
+            return []
         waves = torch.fft.rfft2(intensity, s=(self.padded,) * 2)
-        return waves if factor is None else waves * factor
+        shape = *intensity.shape[:-2], len(self.to_rows), len(self.to_columns)
+        dark = intensity.new_zeros(())
+        return [dark.expand(shape) if one is None else self._seen(waves * one) for one in transfers]
+
+    def waves(self, intensity: torch.Tensor) -> torch.Tensor:
+        """Real FFT of a focal `intensity` times the OTF factor, (..., p, p//2 + 1)."""
+        waves = torch.fft.rfft2(intensity, s=(self.padded,) * 2)
+        return waves if self.transfer is None else waves * self.transfer
+
+    def _seen(self, waves: torch.Tensor) -> torch.Tensor:
+        """Weighted pixel flux of the `waves` of a focal intensity."""
+        if self.strained is not None:
+            return self.strained.image(waves)
+        partial = self.to_rows @ waves
+        return partial.real @ self.to_columns.real.mT - partial.imag @ self.to_columns.imag.mT
 
     def adjoint(self, factors: torch.Tensor) -> torch.Tensor:
         """Return the transpose of `image`: from pixels (..., rows, columns) to focal samples (..., m, m)."""

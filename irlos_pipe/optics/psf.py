@@ -62,6 +62,8 @@ class PsfModel:
         is: this halves their cost, and they are exact to 1e-6 of the largest. Faint copies of the star
         change with modes and pupil as the star does, as if they were as sharp, which spares each the cost
         of another star; this is wrong by a part of their flux.
+    grid : PupilGrid, optional
+        Of a part of the pupil, if no other light makes the image; light is counted of the whole pupil.
     """
 
     def __init__(
@@ -72,14 +74,14 @@ class PsfModel:
         device: str = "cpu",
         dtype: torch.dtype = torch.float32,
         rough_derivatives: bool = False,
+        grid: PupilGrid | None = None,
     ):
         self.settings, self.nolls, self.device, self.dtype = settings, tuple(nolls), device, dtype
         self.rough_derivatives = rough_derivatives
         wavelengths, weights = np.array(settings.spectrum, float).T
         self.wavelengths_m = wavelengths * NM
         self.weights = weights / weights.sum()
-        even = settings.pupil_samples + settings.pupil_samples % 2  # `MatrixDft` folds the grid
-        self.pupil_grid = PupilGrid.of(settings.geometry, even, self.wavelengths_m)
+        self.pupil_grid = pupil_grid(settings) if grid is None else grid
         self._set_pupil(self.pupil_grid)
         self._set_products(self.pupil_grid)
         self.focal_plane = self._focal_plane(settings)
@@ -98,12 +100,6 @@ class PsfModel:
         other.focal_plane = self._focal_plane(other.settings)
         return other
 
-    def with_amplitude(self, amplitude: np.ndarray) -> PsfModel:
-        """Return the same light path with another `amplitude` of the pupil, (n, n), as it is."""
-        other = copy(self)
-        other.amplitude = other._map(amplitude)
-        return other
-
     @property
     def limits_nm(self) -> torch.Tensor:
         """See `LightPath.limits_nm`: there are none."""
@@ -117,7 +113,7 @@ class PsfModel:
         return Sampling(*(torch.as_tensor(n, dtype=torch.float64) for n in numbers))
 
     def _focal_plane(self, settings: PsfSettings) -> FocalPlane:
-        return FocalPlane(settings, self._sampling(), self.pupil_grid.u_m, self.polynomials, self.amplitude)
+        return FocalPlane(settings, self._sampling(), self.pupil_grid, self.polynomials, self.amplitude)
 
     def _set_pupil(self, grid: PupilGrid) -> None:
         self.amplitude = self._map(grid.amplitude)
@@ -135,10 +131,10 @@ class PsfModel:
         degree = max((noll_to_nm(noll)[0] for noll in (*self.nolls, *companions)), default=0)
         pairs = products_up_to(degree)
         along_x, along_y = np.array(pairs).T
-        reach = grid.u_m[-1] / grid.radius_m
-        terms = in_products(self.nolls, degree, reach)
+        reach, middle = grid.u_m[-1] / grid.radius_m, [one / grid.radius_m for one in grid.middle_m]
+        terms = in_products(self.nolls, degree, reach, middle)
         if len(companions) > 1:
-            shape = in_products([*companions], degree, reach)
+            shape = in_products([*companions], degree, reach, middle)
             terms[self.nolls.index(DEFOCUS)] = np.tensordot([*companions.values()], shape, 1)
         signs = [-1.0 if a % 2 and b % 2 else 1.0 for a, b in pairs]  # as `MatrixDft.products` returns them
         self.combine = self._real(terms[:, along_y, along_x] * signs)  # (K, pairs)
@@ -252,7 +248,8 @@ class PsfModel:
             columns = [intensity.new_zeros(known, len(opd), *self.settings.window)]
         else:
             columns += [by_pupil(one) for one in tangents.pupil]
-        by_transfer = [colour.image(intensity, self._transfer(one, index)) for one in tangents.transfer]
+        factors = [self._transfer(one, index) for one in tangents.transfer]
+        by_transfer = colour.images_through(intensity, factors)
         for place, one in tangents.pupil_too:
             by_transfer[place] = by_transfer[place] + by_pupil(one)[0]
         columns += [one[None] for one in by_transfer]
@@ -321,6 +318,12 @@ class PsfModel:
         beat[len(even) :].addcmul_(odd[:, :, 1], imag)
         scale = -4 * np.pi * NM / wavelength_m
         return amplitude, ((scale * self.combine) @ beat.flatten(1)).unflatten(1, beat.shape[1:])
+
+
+def pupil_grid(settings: PsfSettings) -> PupilGrid:
+    """Return the samples of the pupil that `settings` ask for."""
+    even = settings.pupil_samples + settings.pupil_samples % 2  # `MatrixDft` folds the grid
+    return PupilGrid.of(settings.geometry, even, [wavelength * NM for wavelength, _ in settings.spectrum])
 
 
 class _Path(NamedTuple):

@@ -89,12 +89,22 @@ def _radial_factors(m: int, squared: np.ndarray) -> Iterator[np.ndarray]:
         before, now = now, after / (2 * k * (k + m) * (twice - 2))
 
 
-def in_products(nolls: Sequence[int], degree: int, reach: float) -> np.ndarray:
+def in_products(nolls: Sequence[int], degree: int, reach: float, middle: Sequence[float]) -> np.ndarray:
     """Return Zernike modes in products ``T_b(y/reach) T_a(x/reach)``, (modes, b, a): interpolated, so exact.
 
     Their values at the corners of the square rule how exact: rounding of float64 errs by 4e-8 at degree 20.
+
+    Parameters
+    ----------
+    nolls : sequence of int
+    degree : int
+        Of the products, at least that of the modes.
+    reach : float
+        From the middle of the square to its sides [radii].
+    middle : (float, float)
+        Where that is, x and y [radii]; the x and y of the products count from there.
     """
     nodes = chebyshev.chebpts1(degree + 1)
     invert = np.linalg.inv(chebyshev.chebvander(nodes, degree))
-    values = zernike_basis(nolls, *np.meshgrid(reach * nodes, reach * nodes))
+    values = zernike_basis(nolls, *np.meshgrid(middle[0] + reach * nodes, middle[1] + reach * nodes))
     return invert @ values @ invert.T

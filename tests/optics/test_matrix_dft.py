@@ -35,7 +35,7 @@ class Case:
 
     def __init__(self, samples: int, focal: int, degree: int):
         self.u_m = grid_centres(samples, STEP_M)
-        grid = FocalGrid(focal, samples * STEP_M, 2 * focal)
+        grid = FocalGrid(focal, samples * STEP_M, 2 * focal, samples * STEP_M)
         self.polynomials = chebyshev.chebvander(self.u_m / self.u_m[-1], degree).T
         self.dft = MatrixDft(self.u_m, grid, self.polynomials, torch.zeros((), dtype=torch.float64))
         self.matrix = np.exp(-2j * np.pi * np.outer(grid.frequency_per_m, self.u_m)) * STEP_M

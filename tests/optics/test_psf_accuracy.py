@@ -124,7 +124,7 @@ def test_a_wide_window_holds_nearly_all_light():
 
 
 def test_a_window_wider_than_the_focal_grid_is_refused():
-    grid = FocalGrid(64, 8.5, 128)
+    grid = FocalGrid(64, 8.5, 128, 8.5)
     field_px = 64 * 1.6e-6 / (2 * 8.5) / (SCALE_MAS * MAS_RAD)
     assert (
         baseline_to_pixels(grid.baseline_y_m, int(field_px), SCALE_MAS, 1.6e-6, grid, half=False).shape[1]

@@ -106,7 +106,7 @@ def test_the_sharpest_half_is_the_half_with_less_blur():
 def test_a_residual_without_direction_has_a_round_transfer_function():
     halo = partial_halo(SeeingHalo(ResidualBand(0.125, 2.5, 25.0), FACILITY.residual_law, 0.8), 2)
     wavelength_m = torch.tensor(1.6e-6, dtype=torch.float64)
-    grid = OtfGrid(FocalGrid(96, 9.0, 96), wavelength_m[None, None, None], wavelength_m)
+    grid = OtfGrid(FocalGrid(96, 9.0, 96, 9.0), wavelength_m[None, None, None], wavelength_m)
     values = torch.tensor([1e4, 2.0], dtype=torch.float64)
     factor = halo.apply(values, torch.ones((), dtype=torch.float64), grid)[0].numpy()
     along_x, along_y = -np.log(factor[0, 1:20]), -np.log(factor[1:20, 0])
