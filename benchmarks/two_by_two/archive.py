@@ -27,7 +27,7 @@ WANTED_NM, OF_BOUND = 10.0, 1.2
 
 @dataclass(frozen=True)
 class File:
-    """One file of the archive: what was put in, and what came out [nm]."""
+    """One file of the archive: what was put in, frames that were used, and what came out [nm]."""
 
     name: str
     mode: str
@@ -35,6 +35,7 @@ class File:
     mag_j: float
     frames: int
     seeing_arcsec: float
+    used: int = 0
     truth_nm: float = float("nan")
     defocus_nm: float = float("nan")
     sigma_nm: float = float("nan")
@@ -119,6 +120,7 @@ def _measured(folder: Path, name: str, keys) -> File:
         keys.mag_j,
         keys.frames,
         keys.sky.seeing_arcsec,
+        _used(stages["ingest"]),
         json.loads(truth.read_text())["mean_zernike_nm"]["4"],
         calibrate["zernike_nm"]["4"],
         calibrate["sigma_nm"]["4"],
@@ -128,16 +130,22 @@ def _measured(folder: Path, name: str, keys) -> File:
     )
 
 
+def _used(ingest: dict) -> int:
+    """Frames of the file that ingest has not rejected."""
+    return sum(one["frames"] - one["frames_rejected"] for one in ingest["inputs"])
+
+
 def rows(found: list[File]) -> Iterator[str]:
     """Yield the lines of a Markdown table."""
-    yield "| file | mode | day | J | seeing | true | estimate | error | allowed | bound | centroids |"
-    yield "|---|---|---|---|---|---|---|---|---|---|---|"
+    yield "| file | mode | day | J | seeing | frames | true | estimate | error | wanted | bound | centroids |"
+    yield "|---|---|---|---|---|---|---|---|---|---|---|---|"
     for one in found:
         _, scale, rate, _ = one.mode.split("_")
         yield (
             f"| {one.name[-2:]} | {scale} {rate} | {one.day} | {one.mag_j:.1f} | {one.seeing_arcsec:.2f} "
-            f"| {one.truth_nm:+.1f} | {one.defocus_nm:+.1f} ± {one.sigma_nm:.1f} | {one.error_nm:+.1f} "
-            f"| {one.allowed_nm:.1f} | {one.bound_nm:.1f} | {one.centroids_nm - one.truth_nm:+.1f} |"
+            f"| {one.used} | {one.truth_nm:+.1f} | {one.defocus_nm:+.1f} ± {one.sigma_nm:.1f} "
+            f"| {one.error_nm:+.1f} | {one.allowed_nm:.1f} | {one.bound_nm:.1f} "
+            f"| {one.centroids_nm - one.truth_nm:+.1f} |"
         )
 
 

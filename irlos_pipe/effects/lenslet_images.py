@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -27,12 +28,14 @@ class LensletImages(OtfEffect):
     """
 
     name = "lenslet_images"
+    fact = True
     formula = "T_k(b) = (1 + f_k) exp(−2πi b·s_k/λ) for the image of lenslet k"
     public = (
         Public("x_mas", f"mas, {WHICH}", "parts", -1000.0, 1000.0),
         Public("y_mas", "mas, in the same order", "parts", -1000.0, 1000.0),
         Public("flux", "relative, in the same order", "parts", -0.9, 9.0),
     )
+    sentence = "images of the lenslets {rms_mas:.1f} mas RMS beside their places, and {percent:.0f} % uneven"
     look_alike = "the static wavefront: defocus moves all four images outwards"
     reference = "Hardy 1998, Adaptive Optics for Astronomical Telescopes, section 5.3.1"
 
@@ -75,6 +78,12 @@ class LensletImages(OtfEffect):
             slope[lenslet] = whole[lenslet] * rate
             found.append(slope)
         return found
+
+    def phrase(self, public: Mapping[str, Any]) -> str:
+        """See `Effect.phrase`: the RMS over images and axes, and that of the light."""
+        places, flux = np.concatenate([public["x_mas"], public["y_mas"]]), np.array(public["flux"])
+        sizes = {"rms_mas": np.sqrt(np.mean(places**2)), "percent": 100 * np.sqrt(np.mean(flux**2))}
+        return super().phrase({**public, **sizes})
 
     def describe(self, values: np.ndarray) -> dict[str, list[float]]:
         """One number per lenslet each."""

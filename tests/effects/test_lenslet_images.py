@@ -57,3 +57,9 @@ def test_without_lenslets_it_means_nothing_and_with_them_there_are_four():
     effect = CATALOGUE["lenslet_images"].under(replace(CONDITIONS, settings=SETTINGS))
     with pytest.raises(ValueError, match="flux has 3 values; give one per lenslet, 4"):
         effect.values_of(**VALUES | {"flux": [0.0] * 3})
+
+
+def test_a_sentence_names_the_rms_of_the_displacements_and_of_the_light():
+    public = {"x_mas": [3.0, -3.0, 3.0, -3.0], "y_mas": [1.0] * 4, "flux": [0.1, -0.1, 0.1, -0.1]}
+    told = "images of the lenslets 2.2 mas RMS beside their places, and 10 % uneven"  # √((9 + 1)/2) = 2.24
+    assert LensletImages().phrase(public) == told

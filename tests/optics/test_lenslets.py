@@ -142,6 +142,15 @@ def test_a_pupil_that_an_effect_redraws_is_that_of_its_drawing():
     assert (by_effect - by_drawing).abs().max() < 2e-4 * by_drawing.max()
 
 
+def test_baselines_of_a_quarter_reach_from_corner_to_corner():
+    """The ends of its arc are √2 radii apart: more than its grid is wide."""
+    psf = LensletArray(settings(size=6), NOLLS)
+    focal, radius_m = psf.grids.focal, UT4.diameter_m / 2
+    assert np.sqrt(2) * radius_m <= focal.longest_m <= 1.25 * np.sqrt(2) * radius_m
+    assert focal.width_m >= radius_m and np.abs(focal.baseline_y_m).max() >= radius_m
+    assert PsfModel(replace(settings(size=6), lenslets=1), NOLLS).grids.focal.longest_m >= UT4.diameter_m
+
+
 def test_settings_choose_the_light_path():
     assert isinstance(light_path(settings(size=6), NOLLS), LensletArray)
     assert isinstance(light_path(replace(settings(size=6), lenslets=1), NOLLS), PsfModel)
