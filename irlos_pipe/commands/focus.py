@@ -29,6 +29,11 @@ TOKEN = "IRLOS_FOCUS_TOKEN"
 )
 @click.option("--ring", type=FOLDER, metavar="FILE", help="Read frames from a ring in shared memory.")
 @click.option("--folder", type=FOLDER, metavar="DIR", help="Read recordings as they appear in a folder.")
+@click.option(
+    "--zeromq",
+    metavar="ENDPOINT",
+    help=f"Read frames from a ZeroMQ publisher, tcp://127.0.0.1:PORT say; any other machine needs {TOKEN}.",
+)
 @click.option("--replay", type=FOLDER, metavar="RUN", help="Measure the ingested frames of a run once more.")
 @click.option("--input", "input_name", default="ramp", show_default=True, help="Input of the run to replay.")
 @click.option(
@@ -110,6 +115,7 @@ def focus(
     output: Path,
     ring: Path | None,
     folder: Path | None,
+    zeromq: str | None,
     replay: Path | None,
     input_name: str,
     speed: float,
@@ -131,7 +137,7 @@ def focus(
 ) -> None:
     """Close the slow focus loop with the calibration of the folder RUN.
 
-    Frames come from --ring, --folder or --replay. Of every exposure the loop measures tip, tilt and
+    Frames come from --ring, --folder, --zeromq or --replay. Of every exposure the loop measures tip, tilt and
     defocus, says whether the measurement is valid and why not, and commands the offset of the
     focus. From a defocus of up to 900 nm it finds into its linear range by limited jumps. A
     measurement that is not valid never changes the offset. The loop runs until it is interrupted or
@@ -153,8 +159,8 @@ def focus(
     from irlos_pipe.focus.service import Service
     from irlos_pipe.pipeline.resources import limited_threads
 
-    if sum(one is not None for one in (ring, folder, replay)) != 1:
-        raise click.UsageError("give one of --ring, --folder and --replay")
+    if sum(one is not None for one in (ring, folder, zeromq, replay)) != 1:
+        raise click.UsageError("give one of --ring, --folder, --zeromq and --replay")
     settings = _settings(
         gain, leak, delay, limit_nm, jump_nm, reads, counter_step, shadow or replay is not None, stale_after
     )
@@ -162,7 +168,7 @@ def focus(
         output,
         _request(run, acquisition, ring, max_misfit),
         settings,
-        _opener(ring, folder, replay, input_name, speed),
+        _opener(ring, folder, zeromq, replay, input_name, speed),
         every_exposure_counts=replay is not None,
         page=_page(page_port, page_address),
         socket=socket,
@@ -195,11 +201,19 @@ def _request(run: Path, acquisition: Path | None, ring: Path | None, max_misfit:
     )
 
 
-def _opener(ring: Path | None, folder: Path | None, replay: Path | None, input_name: str, speed: float):
+def _opener(
+    ring: Path | None,
+    folder: Path | None,
+    zeromq: str | None,
+    replay: Path | None,
+    input_name: str,
+    speed: float,
+):
     """What makes the source."""
     from irlos_pipe.focus.replay import Replay
     from irlos_pipe.focus.ring import RingSource
     from irlos_pipe.focus.watched import WatchedFolder
+    from irlos_pipe.focus.zeromq import ZeroMqSource
 
     def opened(calibration, again: bool):
         if ring is not None:
@@ -207,7 +221,9 @@ def _opener(ring: Path | None, folder: Path | None, replay: Path | None, input_n
         if folder is not None:
             detector = calibration.acquisition.detector
             return WatchedFolder(folder, calibration.instrument, detector, from_start=again)
-        assert replay is not None, "one of the three was given"
+        if zeromq is not None:
+            return ZeroMqSource(zeromq, os.environ.get(TOKEN, ""))
+        assert replay is not None, "one of the four was given"
         return Replay(replay, input_name, speed)
 
     return opened

@@ -100,7 +100,7 @@ def test_a_run_without_the_frames_of_a_loop_asks_for_their_description(run, tmp_
 def test_one_source_is_asked_for(sources, tmp_path):
     result = invoke("focus", "run", "--output", str(tmp_path / "loop"), *sources)
     assert result.exit_code == 2
-    assert "give one of --ring, --folder and --replay" in result.stderr
+    assert "give one of --ring, --folder, --zeromq and --replay" in result.stderr
 
 
 def test_the_help_teaches_by_examples_and_names_the_token():

@@ -1,0 +1,127 @@
+"""Frames over ZeroMQ. Truth: what was sent, by a publisher of the test."""
+
+import socket
+import sys
+import time
+
+import numpy as np
+import pytest
+from helpers import focus_loop as made
+
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.focus.source import Fault
+from irlos_pipe.focus.zeromq import ZeroMqSource, message_of
+
+zmq = pytest.importorskip("zmq")
+TOKEN = "a token of 24 characters"
+
+
+def read(counter: int):
+    return made.read(counter, 0.0, image_e=np.arange(12, dtype=np.float32).reshape(3, 4) + counter)
+
+
+@pytest.fixture
+def publisher(tmp_path):
+    context = zmq.Context()
+    sender = context.socket(zmq.XPUB)  # it sees who subscribes, and waits for that
+    sender.bind(f"ipc://{tmp_path}/frames")
+    yield sender
+    context.destroy(linger=0)
+
+
+def subscribed(publisher, token: str = "") -> ZeroMqSource:
+    source = ZeroMqSource(publisher.get_string(zmq.LAST_ENDPOINT), token)
+    assert publisher.poll(5000)
+    publisher.recv()
+    return source
+
+
+def arrived(source: ZeroMqSource, count: int) -> list:
+    found, until = [], time.monotonic() + 10
+    while len(found) < count and time.monotonic() < until:
+        found += source.poll(0.2)
+    source.close()
+    return found
+
+
+@pytest.mark.parametrize("token", ["", TOKEN])
+def test_frames_come_out_as_they_went_in(publisher, token):
+    source = subscribed(publisher, token)
+    for counter in (5, 6):
+        publisher.send_multipart(message_of(read(counter), token))
+    first, second = arrived(source, 2)
+    assert (first.counter, second.counter, first.unix_s) == (5, 6, read(5).unix_s)
+    np.testing.assert_array_equal(second.image_e, read(6).image_e)
+
+
+def test_nothing_sent_is_nothing_read(publisher):
+    source = subscribed(publisher)
+    assert source.poll(0.01) == []
+    source.close()
+
+
+def cut(parts):
+    return [parts[0], parts[1][:-4], parts[2]]
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "words"),
+    [
+        (lambda parts: [b"hello"], "no frame"),
+        (lambda parts: [b"SOMEFRAM" + parts[0][8:], *parts[1:]], "no frame"),
+        (cut, "another version or size"),
+        (lambda parts: [*parts[:2], b"x"], "not signed"),
+    ],
+)
+def test_what_is_no_frame_is_named_and_the_next_one_read(publisher, spoilt, words):
+    source = subscribed(publisher)
+    publisher.send_multipart(spoilt(message_of(read(1))))
+    publisher.send_multipart(message_of(read(2)))
+    fault, frame = arrived(source, 2)
+    assert isinstance(fault, Fault) and words in fault.text
+    assert frame.counter == 2
+
+
+@pytest.mark.parametrize("sent", [message_of(read(1)), message_of(read(1), "another one of 24 chars."), None])
+def test_with_a_token_frames_must_be_signed_by_it(publisher, sent):
+    source = subscribed(publisher, TOKEN)
+    signed = message_of(read(1), TOKEN)
+    changed = [signed[0], b"\0" * len(signed[1]), signed[2]]
+    publisher.send_multipart(sent or changed)
+    (fault,) = arrived(source, 1)
+    assert "not signed with the token" in fault.text
+
+
+def test_a_program_that_speaks_something_else_is_named_once():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(10)
+        source = ZeroMqSource(f"tcp://127.0.0.1:{server.getsockname()[1]}")
+        found = []
+        for _ in range(2):  # ZeroMQ tries again
+            client, _ = server.accept()
+            client.sendall(b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\n\r\n")
+            time.sleep(0.2)
+            client.close()
+            found += source.poll(0.3)
+        source.close()
+    assert [one.text.split(": ")[1] for one in found] == ["what answers there does not speak ZeroMQ"]
+
+
+@pytest.mark.parametrize(
+    "endpoint", ["", "5555", "tcp://127.0.0.1", "tcp://localhost:5", "udp://127.0.0.1:5"]
+)
+def test_what_is_no_endpoint_is_refused(endpoint):
+    with pytest.raises(ConfigurationError, match="give tcp://ADDRESS:PORT with an IP address, or ipc://FILE"):
+        ZeroMqSource(endpoint)
+
+
+@pytest.mark.parametrize("token", ["", "short"])
+def test_no_other_machine_without_a_token(token):
+    with pytest.raises(ConfigurationError, match="at least 16 characters in IRLOS_FOCUS_TOKEN"):
+        ZeroMqSource("tcp://192.0.2.1:5555", token)
+
+
+def test_without_pyzmq_an_error_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "zmq", None)
+    with pytest.raises(ConfigurationError, match=r"pip install 'irlos_pipe\[zeromq\]'"):
+        ZeroMqSource("tcp://127.0.0.1:5555")
