@@ -8,7 +8,9 @@ import torch
 
 from benchmarks.baseline_fft import FftModel, fit
 from benchmarks.baseline_numpy_lift import NumpyLift
-from benchmarks.focus_latency import compare, histogram
+from benchmarks.focus_export import Fitted
+from benchmarks.focus_latency import NOISE, WINDOW, compare, histogram, prepared
+from irlos_pipe.estimate.focus.sensor import Focus
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
@@ -86,3 +88,14 @@ def test_the_latency_of_the_focus_sensor_is_timed_beside_that_of_lift_on_the_sam
     focus, single = compare(3)
     assert (len(focus.wall_ms), len(single.wall_ms)) == (3, 10)
     assert sum(int(line.split("ms")[1].split()[0]) for line in histogram(focus.cpu_ms)) == 3
+
+
+def test_what_is_exported_for_comparison_measures_the_same_focus():
+    model, images_e = prepared()
+    sensor = Focus(model, np.ones(WINDOW, bool), NOISE)
+    fit = Fitted(sensor).eval()
+    for image_e in images_e[:5]:
+        focus_nm, sigma_nm, _ = fit(torch.as_tensor(image_e, dtype=torch.float32)).tolist()
+        expected_nm, expected_sigma_nm, valid = sensor.measure(image_e)
+        assert valid
+        assert (focus_nm - expected_nm, sigma_nm) == pytest.approx((0, expected_sigma_nm), rel=1e-3, abs=5e-3)
