@@ -27,9 +27,11 @@ LIGHT_PATH = {
 # Experiments of the paper on simulated data, each a stage of its own recipe, in the order of the paper.
 EXPERIMENTS = (
     "first_tests",
+    "exposures",
     "methods",
     "correction_gain",
     "focus_ramp",
+    "ramp_conditions",
     "derotator_series",
     "faint",
     "mode_statistics",

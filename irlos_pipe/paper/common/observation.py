@@ -37,16 +37,31 @@ def seeing_of(scene: Scene) -> float:
     return scene.sky.seeing_arcsec if scene.sky else scene.facility.typical_seeing_arcsec
 
 
-def model_effects_of(scene: Scene) -> list[Effect]:
-    """Return AO residual and jitter, starting from the seeing that a side-car states."""
+def conditions_of(scene: Scene, ncpa_wavelength_nm: float | None = None) -> Conditions:
+    """Return what effects of the model of a `scene` start from: what a side-car and the profile state.
+
+    Parameters
+    ----------
+    scene : Scene
+    ncpa_wavelength_nm : float, optional
+        At which NCPAs that differ by wavelength are stated.
+    """
     facility = scene.facility
-    conditions = Conditions(
+    return Conditions(
         settings_of(scene),
         ResidualBand(1 / facility.pupil.diameter_m, facility.cutoff_per_m, facility.outer_scale_m),
         facility.residual_law,
         seeing_of(scene),
         HIGHEST_REPORTED_NOLL,
+        ncpa_law=facility.ncpa_law,
+        elements=(scene.diversity_source,),
+        ncpa_wavelength_nm=ncpa_wavelength_nm,
     )
+
+
+def model_effects_of(scene: Scene) -> list[Effect]:
+    """Return AO residual and jitter, starting from the seeing that a side-car states."""
+    conditions = conditions_of(scene)
     return [SeeingHalo.under(conditions), TipTiltJitter.under(conditions)]
 
 

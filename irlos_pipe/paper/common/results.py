@@ -9,6 +9,8 @@ import numpy as np
 
 from irlos_pipe.product.results import Number, ResultsPart
 
+DRAWS, BOOTSTRAP_SEED = 4000, 0
+NINETY = (5.0, 95.0)  # percentiles of a range of 90 %
 ONE_SIGMA = (15.87, 50.0, 84.13)  # percentiles of a normal distribution at -1σ, 0 and +1σ
 
 
@@ -24,3 +26,19 @@ class Percentiles(ResultsPart):
         """Return the percentiles of `values` at `ranks` [%]."""
         p16, median, p84 = map(float, np.percentile(values, ranks))
         return cls(median=median, p16=p16, p84=p84)
+
+
+class Interval(ResultsPart):
+    """A number from some samples, and the range in which it lies, 90 %, by bootstrap over the samples."""
+
+    value: Number = math.nan
+    low: Number = math.nan
+    high: Number = math.nan
+
+    @classmethod
+    def of_rms(cls, values: Sequence[float] | np.ndarray) -> Interval:
+        """Return the root of the mean square of one value per sample, (samples,)."""
+        squares = np.square(np.asarray(values, float))
+        drawn = np.random.default_rng(BOOTSTRAP_SEED).integers(len(squares), size=(DRAWS, len(squares)))
+        low, high = np.sqrt(np.percentile(squares[drawn].mean(axis=1), NINETY))
+        return cls(value=float(np.sqrt(squares.mean())), low=float(low), high=float(high))

@@ -1,0 +1,1 @@
+"""Experiment `exposures`: its science, its stage and its section of the report."""
