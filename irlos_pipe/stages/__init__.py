@@ -36,6 +36,7 @@ EXPERIMENTS = (
     "faint",
     "mode_statistics",
     "mode_number",
+    "low_wind",
     "capture",
     "slow_loop",
     "seeing_scales",

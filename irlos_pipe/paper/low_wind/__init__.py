@@ -1,0 +1,1 @@
+"""Experiment `low_wind`: its science, its stage and its section of the report."""
