@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from irlos_pipe.effects.image_model import ImageModel
@@ -62,8 +63,9 @@ class LiftResult:
 
     @property
     def sigma_nm(self) -> torch.Tensor:
-        """Standard errors, (images, modes)."""
-        return torch.diagonal(self.covariance_nm2, dim1=1, dim2=2).clamp_min(0).sqrt()
+        """Standard errors, (images, modes); the root is NumPy's, to the last bit that of the focus loop."""
+        variance = torch.diagonal(self.covariance_nm2, dim1=1, dim2=2).clamp_min(0)
+        return torch.from_numpy(np.sqrt(variance.cpu().numpy())).to(variance)
 
     def mode(self, noll: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Return estimates and standard errors of one mode, (images,) each [nm]."""
