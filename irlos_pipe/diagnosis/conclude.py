@@ -15,17 +15,11 @@ from irlos_pipe.diagnosis.checks.motion import motion_ratio
 from irlos_pipe.diagnosis.checks.noise import NoiseVerdict
 from irlos_pipe.diagnosis.checks.pixels import screened_step, smallest_excess
 from irlos_pipe.diagnosis.cube import Cube
-from irlos_pipe.diagnosis.effect_sizes import (
-    Covariances,
-    detectable,
-    parameter_covariance,
-    within_reach,
-)
+from irlos_pipe.diagnosis.effect_sizes import Covariances, detectable, within_reach
 from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.grade import judged, share_at_its_place
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation, gap_between
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.rest import rest_of
 from irlos_pipe.diagnosis.search.scores import Score
@@ -66,7 +60,8 @@ def conclude(
     gap = gap_between(before, after)
     judgement = judged(search, noise, fine, gap, options)
     search, why = judgement.search, judgement.why_unknown
-    steps = [*_drift_steps(cube, search, options), *_steps(search, judgement.shares)]
+    covariances = _covariances(search)
+    steps = [*_drift_steps(cube, search, options), *_steps(search, judgement.shares, covariances)]
     final, after = (search.null, before) if why else (plain, after)
     left_fine = fine_structure(search.null) if why else fine
     gap = replace(gap, after=after.gap)
@@ -88,7 +83,7 @@ def conclude(
         nearest=(steps[0] if steps else _nearest(search)) if why else None,
         unexplained=bool(why) or judgement.left or fine.significance > options.sure,
         why_unknown=why,
-        adjusted=_adjusted(search) if not why else [],
+        adjusted=_adjusted(search, covariances) if not why else [],
         tried=tried(search, options, hidden, named=not why),
         rest=rest_of(after, gap.floor, left_fine, options.sure, search.final.settings),
         gap=gap,
@@ -105,7 +100,7 @@ def conclude(
         held_out=cube.training.held_out,
         nolls=final.fitted.problem.layout.nolls,
         modes_nm=_both(total_modes_nm(search.null.fitted), total_modes_nm(final.fitted)),
-        modes_sigma_nm=_modes_sigma_nm(final, None if why else search.all_modes),
+        modes_sigma_nm=(Covariances(final.stack, [final.fitted]) if why else covariances).modes_sigma_nm(),
         pictures=_pictures((before, after), search.null, final),
     )
 
@@ -120,13 +115,6 @@ def total_modes_nm(fitted: Fitted) -> np.ndarray:
     part, x = fitted.recordings[0]
     added = effects_in_modes_nm(part.model.effects, x[0, part.layout.effect_values], part.layout.nolls)[0]
     return x[0, part.layout.modes].numpy() + added.numpy()
-
-
-def _modes_sigma_nm(optimum: Optimum, all_modes: Opening | None) -> np.ndarray:
-    """Errors of the modes of an optimum, beside those beyond them where these were fitted with it."""
-    fitted = optimum.fitted if all_modes is None else all_modes.fitted
-    variances = np.diag(parameter_covariance(optimum.stack, fitted))[fitted.problem.layout.modes]
-    return np.sqrt(variances[: len(optimum.fitted.problem.layout.nolls)])
 
 
 def _smallest(score: Score) -> dict:
@@ -173,13 +161,11 @@ def _with_separation(step: Step, search: Search, seconds: SecondRecordings) -> S
     return replace(step, alternatives=alternatives)
 
 
-def _adjusted(search: Search) -> list[Adjusted]:
+def _adjusted(search: Search, covariances: Covariances) -> list[Adjusted]:
     """Effects that make the final model fit better and are not named, as it has them."""
     fitted = search.final.fitted
     labels = [label for label in fitted.problem.effects.labels if label in search.adjusted]
-    if not labels:
-        return []
-    covariances, found = _covariances(search), []
+    found = []
     for label in labels:
         base, values = fitted.effect(label).base, fitted.values_of(label)
         full = covariances.of(label)
@@ -199,8 +185,8 @@ def _apart(effect: Effect, values: np.ndarray, covariance: np.ndarray) -> float:
 # -- names -------------------------------------------------------------------------------------
 
 
-def _steps(search: Search, shares: Sequence[float]) -> list[Step]:
-    fitted, covariances = search.final.fitted, _covariances(search)
+def _steps(search: Search, shares: Sequence[float], covariances: Covariances) -> list[Step]:
+    fitted = search.final.fitted
     rows = zip(search.accepted, labels_in(fitted, search.accepted), shares, strict=True)
     return [
         replace(_step(one, label, fitted, covariances.of(label)), share=share) for one, label, share in rows

@@ -51,7 +51,7 @@ def determined(parameters: Sequence[Parameter], covariance: np.ndarray) -> np.nd
 
 
 class Covariances:
-    """Covariances of the effects of a model.
+    """Covariances of the effects and modes of a model.
 
     Parameters
     ----------
@@ -73,14 +73,23 @@ class Covariances:
         """
         free = self.models[-1].effect(label).parameters
         number, fitted = next(pair for pair in enumerate(self.models) if _frees(pair[1], label, free))
-        if number not in self._found:  # of many modes and frames it takes a while
-            self._found[number] = parameter_covariance(self.stack, fitted)
-        covariance = self._found[number]
+        covariance = self._whole(number)
         effect, columns = fitted.effect(label), fitted.columns_of(label)
         full = np.zeros((len(effect.base.parameters), len(effect.base.parameters)))
         own = determined(effect.parameters, covariance[np.ix_(columns, columns)])
         full[np.ix_(effect.free, effect.free)] = own
         return full
+
+    def modes_sigma_nm(self) -> np.ndarray:
+        """Errors of the modes of the last model, beside those that the first has beyond them, (modes,)."""
+        variances = np.diag(self._whole(0))[self.models[0].problem.layout.modes]
+        return np.sqrt(variances[: len(self.models[-1].problem.layout.nolls)])
+
+    def _whole(self, number: int) -> np.ndarray:
+        """Of all parameters of one of the models."""
+        if number not in self._found:  # of many modes and frames it takes a while
+            self._found[number] = parameter_covariance(self.stack, self.models[number])
+        return self._found[number]
 
 
 def _frees(fitted: Fitted, label: str, free: Sequence[Parameter]) -> bool:

@@ -10,7 +10,6 @@ import pytest
 import torch
 from helpers.diagnose_frames import CASE, CONDITIONS, FLUX_E, NOLLS, TRUE_NM, cube, fitted, image, model
 
-from irlos_pipe.diagnosis.conclude import _modes_sigma_nm
 from irlos_pipe.diagnosis.effect_sizes import Covariances
 from irlos_pipe.diagnosis.fitted import begun_at
 from irlos_pipe.diagnosis.fitting import Fitter
@@ -122,8 +121,8 @@ def test_errors_of_modes_know_of_those_beyond(alone):
     """As large as the errors are that were made; beside known modes beyond they are far too small."""
     training, fitter, opening = alone
     closed = fitter.of(training, opening.with_known_modes().views).at(opening.with_known_modes())
-    final = Optimum(training, closed)
-    sigma = [_modes_sigma_nm(final, one)[2:] for one in (opening, None)]
+    models = [opening.fitted, closed], [closed]
+    sigma = [Covariances(training, some).modes_sigma_nm()[2:] for some in models]
     error = closed.modes_nm[2:] - [TRUE_NM.get(noll, 0.0) for noll in NOLLS[2:]]
     pulls = [float(np.sqrt(np.mean((error / one) ** 2))) for one in sigma]
     assert 0.5 < pulls[0] < 1.6

@@ -13,6 +13,7 @@ from helpers.diagnose_frames import CONDITIONS, NOLLS, cube, fitted, image
 from irlos_pipe.diagnosis.acceptance import Options, accepted, labels_in
 from irlos_pipe.diagnosis.allowance import errors_of
 from irlos_pipe.diagnosis.conclude import _adjusted, _nearest
+from irlos_pipe.diagnosis.effect_sizes import Covariances
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.naming import added
 from irlos_pipe.diagnosis.null_model import Optimum
@@ -92,8 +93,9 @@ def test_of_one_kind_the_labels_keep_their_order_when_others_have_gone():
 def test_what_was_adjusted_is_handed_on_by_its_label_if_there_are_two_of_a_kind():
     copies = [FixedEffect(COMPANION, (0.02, 150.0, 40.0 * n), ["flux_ratio"]) for n in (-1, 1)]
     training = cube(image(effect=COMPANION, values=(0.02, 150.0, 40.0))).training
-    final = Optimum(training, fitted(training, copies))
-    (one,) = _adjusted(SimpleNamespace(final=final, all_modes=None, adjusted=["companion_2"]))
+    model = fitted(training, copies)
+    search = SimpleNamespace(final=Optimum(training, model), adjusted=["companion_2"])
+    (one,) = _adjusted(search, Covariances(training, [model]))
     assert one.label == "companion_2"
     assert one.public["flux_ratio"] == pytest.approx(0.02, abs=5 * one.sigma["flux_ratio"])
     assert one.public["pa_deg"] == pytest.approx(np.rad2deg(np.arctan2(40, 150)))
@@ -103,8 +105,8 @@ def test_what_was_adjusted_is_handed_on_by_its_label_if_there_are_two_of_a_kind(
 
 def test_a_fact_that_is_clearly_off_is_said_where_it_is_not_named(off_centre):
     training, model = off_centre
-    final = Optimum(training, model)
-    adjusted = _adjusted(SimpleNamespace(final=final, all_modes=None, adjusted=[STOP.name, SCALE.name]))
+    search = SimpleNamespace(final=Optimum(training, model), adjusted=[STOP.name, SCALE.name])
+    adjusted = _adjusted(search, Covariances(training, [model]))
     rest = SimpleNamespace(text="1 % of the light is misplaced")
     told = _left(SimpleNamespace(grade=PARTIAL, rest=rest, adjusted=adjusted))
     assert told.startswith("something else is missing as well: 1 % of the light is misplaced; not named")
