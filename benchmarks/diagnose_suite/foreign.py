@@ -40,12 +40,15 @@ class Foreign:
     patches: tuple[Vane, ...] = ()
 
 
-def opaque_spot(rng: np.random.Generator) -> Foreign:
-    """A square piece of the pupil is dark: dirt, a loose screw of a stop."""
-    edge, radius, angle = rng.uniform(0.2, 0.8), rng.uniform(1.4, 2.8), rng.uniform(0, 2 * np.pi)
-    x, y = float(radius * np.cos(angle)), float(radius * np.sin(angle))
-    patch = Vane((x - edge / 2, y), (x + edge / 2, y), float(edge))
-    return Foreign({"edge_m": float(edge), "x_m": x, "y_m": y}, patches=(patch,))
+def scratch(rng: np.random.Generator) -> Foreign:
+    """A hair or a scratch: an opaque line across a part of the pupil."""
+    width, length, turn = rng.uniform(0.05, 0.15), rng.uniform(2.5, 4.5), rng.uniform(0, 2 * np.pi)
+    radius, angle = rng.uniform(1.5, 2.5), rng.uniform(0, 2 * np.pi)
+    middle = radius * np.array([np.cos(angle), np.sin(angle)])
+    half = length / 2 * np.array([np.cos(turn), np.sin(turn)])
+    ends = [tuple(float(one) for one in middle + side * half) for side in (-1, 1)]
+    truth = {"width_m": float(width), "from_m": ends[0], "to_m": ends[1]}
+    return Foreign(truth, patches=(Vane(*ends, float(width)),))
 
 
 def keystone(rng: np.random.Generator) -> Foreign:
@@ -103,7 +106,7 @@ def flat_field_error(rng: np.random.Generator) -> Foreign:
 FOREIGN: dict[str, Callable[[np.random.Generator], Foreign]] = {
     one.__name__: one
     for one in (
-        opaque_spot,
+        scratch,
         keystone,
         unsteady_rows,
         scattered_light,

@@ -141,14 +141,19 @@ def _high_order(rng: np.random.Generator, size: float, setting: Setting) -> Hidd
 
 
 def _bump(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
-    radius, angle = rng.uniform(1.2, 3.0), rng.uniform(0, 2 * np.pi)
-    bump = {
-        "nm": size * _sign(rng),
-        "x_m": float(radius * np.cos(angle)),
-        "y_m": float(radius * np.sin(angle)),
-        "width_m": float(rng.uniform(0.3, 0.6)),
-    }
+    bump = {"nm": size * _sign(rng), **_place(rng), "width_m": float(rng.uniform(0.3, 0.6))}
     return Hidden("phase_bump", bump, {"nm": bump["nm"]})
+
+
+def _spot(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
+    spot = {"opacity": size, **_place(rng), "radius_m": float(rng.uniform(0.3, 0.6))}
+    return Hidden("pupil_spot", spot, {"opacity": size})
+
+
+def _place(rng: np.random.Generator) -> dict[str, float]:
+    """Somewhere between the hole and the rim of the pupil."""
+    radius, angle = rng.uniform(1.2, 3.0), rng.uniform(0, 2 * np.pi)
+    return {"x_m": float(radius * np.cos(angle)), "y_m": float(radius * np.sin(angle))}
 
 
 def _chromatic(rng: np.random.Generator, size: float, setting: Setting) -> Hidden:
@@ -218,6 +223,7 @@ DRAWS: dict[str, Draw] = {
     "low_wind_effect": _low_wind,
     "high_order_ncpa": _high_order,
     "phase_bump": _bump,
+    "pupil_spot": _spot,
     "ncpa_drift": _drift,
     "chromatic_ncpa": _chromatic,
     "filter_ncpa": _filter,

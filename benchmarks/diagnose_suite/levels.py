@@ -36,6 +36,7 @@ SIZES: dict[str, dict[str, tuple[float, float, float]]] = {
     "low_wind_effect": {"bench": (6.0, 30.0, 100.0), "sky": (65.0, 110.0, 180.0)},  # nm
     "high_order_ncpa": {"bench": (1.0, 6.0, 25.0), "sky": (10.0, 20.0, 35.0)},  # nm RMS
     "phase_bump": {"bench": (12.0, 50.0, 150.0), "sky": (200.0, 400.0, 600.0)},  # nm
+    "pupil_spot": {"bench": (0.025, 0.1, 0.5), "sky": (0.5, 0.75, 1.0)},  # opacity
     "ncpa_drift": {"bench": (4.0, 15.0, 40.0), "sky": (25.0, 50.0, 90.0)},  # nm RMS
     "chromatic_ncpa": {  # nm RMS per µm
         "bench_narrow": (50.0, 150.0, 400.0),

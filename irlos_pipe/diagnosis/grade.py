@@ -82,18 +82,19 @@ def judged(search: Search, noise: NoiseVerdict, fine: FineStructure, gap: Gap, o
     if left and noise.kind != PHOTONS:
         search = without_minor_names(search)
     shares = [share_at_its_place(one.refit, search.final) for one in search.accepted]
-    grade, why = _graded(search, shares, noise.kind, left)
+    grade, why = _graded(search, shares, noise.kind, left, options.sure)
     if grade == NONE and fine.significance > options.sure:
         grade = UNKNOWN
         why = f"structure finer than the telescope can make, {fine.ratio:.1f} × the noise of the mean image"
     return Judgement(grade, left, search, shares, why)
 
 
-def _graded(search: Search, shares: Sequence[float], kind: str, left: bool) -> tuple[Grade, str]:
+def _graded(search: Search, shares: Sequence[float], kind: str, left: bool, sure: float) -> tuple[Grade, str]:
     """The grade, and what speaks against the names."""
     names = search.accepted
     if not names:
-        return (UNKNOWN, _unexplained(search)) if left else (NONE, "")
+        missing = left or _missed(search, kind, sure)
+        return (UNKNOWN, _unexplained(search, left)) if missing else (NONE, "")
     if kind == PHOTONS and any(one.refit.effect.speckles for one in names):
         return RESEMBLES, "a halo without the speckles that an AO residual makes from frame to frame"
     if copies := copies_in_a_row(search.final.fitted):
@@ -103,15 +104,20 @@ def _graded(search: Search, shares: Sequence[float], kind: str, left: bool) -> t
     return (PARTIAL if left else COMPLETE), ""
 
 
-def _unexplained(search: Search) -> str:
+def _missed(search: Search, kind: str, sure: float) -> bool:
+    """Whether much was missing at first: what is only adjusted may stand in for it."""
+    return search.null.excess.significance > sure and search.null.excess.chi2_nu > LEFT_CHI2_NU[kind]
+
+
+def _unexplained(search: Search, left: bool) -> str:
     """What nothing explains, in words."""
-    left = search.remaining.chi2_nu
+    before, after = search.null.excess.chi2_nu, search.remaining.chi2_nu
     if not search.adjusted:
-        return f"nothing in the catalogue explains χ²/ν {left:.2f}"
-    return (
-        f"{', '.join(search.adjusted)}, of which none is sure, lower χ²/ν from "
-        f"{search.null.excess.chi2_nu:.2f} to {left:.2f}, and nothing explains the rest"
+        return f"nothing in the catalogue explains χ²/ν {after:.2f}"
+    lowered = (
+        f"{', '.join(search.adjusted)}, of which none is sure, lower χ²/ν from {before:.2f} to {after:.2f}"
     )
+    return f"{lowered}, and nothing explains the rest" if left else lowered
 
 
 def is_left(search: Search, noise: NoiseVerdict, gap: Gap, sure: float) -> bool:

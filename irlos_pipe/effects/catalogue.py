@@ -28,10 +28,11 @@ from irlos_pipe.effects.lenslet_images import LensletImages
 from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.effects.motion import TipTiltJitter, Vibration
 from irlos_pipe.effects.pupil_geometry import PupilSizes
+from irlos_pipe.effects.pupil_places import PhaseBump, PupilSpot
 from irlos_pipe.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
 from irlos_pipe.effects.seeing_halo import SeeingHalo
 from irlos_pipe.effects.segment_piston import SegmentPiston
-from irlos_pipe.effects.wavefront import DiversityError, HighOrderNcpa, PhaseBump
+from irlos_pipe.effects.wavefront import DiversityError, HighOrderNcpa
 
 CATALOGUE: dict[str, type[Effect]] = {
     effect.name: effect
@@ -47,6 +48,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         PupilMisregistration,
         PupilSizes,
         AmplitudeAberration,
+        PupilSpot,
         LowWindEffect,
         SegmentPiston,
         HighOrderNcpa,

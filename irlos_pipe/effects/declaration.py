@@ -35,6 +35,8 @@ class Parameter:
         Value at which the effect is absent; None for a number that then means nothing, such as a position.
     plausible : (float, float)
         A value outside says that the effect stands in for something else.
+    natural : bool
+        Whether nature sets the bounds: a value there is as good as any other.
     """
 
     name: str
@@ -46,12 +48,13 @@ class Parameter:
     upper: float = INFINITE
     null: float | None = 0.0
     plausible: tuple[float, float] = (-INFINITE, INFINITE)
+    natural: bool = False
 
     def allows(self, value: float) -> bool:
-        """Whether a `value` is plausible, and not held by a bound."""
+        """Whether a `value` is plausible, and not held by a bound that is not natural."""
         low, high = self.plausible
         at_bound = self.null is not None and self.null != value and value in (self.lower, self.upper)
-        return low <= value <= high and not at_bound
+        return low <= value <= high and (self.natural or not at_bound)
 
 
 @dataclass(frozen=True)

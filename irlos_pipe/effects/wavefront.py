@@ -1,4 +1,4 @@
-"""Static wavefront beyond the estimated modes: `diversity_error`, `high_order_ncpa` and `phase_bump`."""
+"""Static wavefront beyond the estimated modes: `diversity_error` and `high_order_ncpa`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from irlos_pipe.conventions.late import torch
-from irlos_pipe.effects.base import Effect, FixedEffect
+from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public, number
 from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.effects.zernike_table import ZernikeTable
@@ -17,8 +17,6 @@ from irlos_pipe.optics.zernike import noll_to_nm
 
 HIGH_ORDER_SIGMA_NM = 60.0
 EXTRA_ORDERS = 2  # radial orders beyond the estimated modes, by default
-REACH_M = 4.0  # from the axis
-BUMP_STEP_M, BUMP_WIDTHS_M = 0.8, (0.3, 0.8)  # of a search
 
 
 class OpdMap(PupilEffect):
@@ -146,67 +144,3 @@ class HighOrderNcpa(ZernikeTable, OpdMap):
         self, values: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
     ) -> Sequence[torch.Tensor]:
         return torch.tensor(grid.modes(self.nolls)[list(wanted)]).unbind()
-
-
-class PhaseBump(OpdMap):
-    """A Gaussian OPD somewhere in the pupil: a bad actuator, glue, dust on a mirror near the pupil.
-
-    ``nm · exp(-½ r²/width²)``. Position and width mean nothing without it and are scanned in a search.
-
-    Parameters
-    ----------
-    start : (float, float, float, float)
-        Height [nm], x, y and width [m].
-    """
-
-    name = "phase_bump"
-    formula = "Φ → Φ + nm · exp(−½ |u − (x_m, y_m)|² / width_m²)"
-    repeatable = True
-    aberration = True
-    public = (
-        number("nm", "nm, peak", -2000.0, 2000.0),
-        number("x_m", "m", -5.0, 5.0, role="position"),
-        number("y_m", "m", -5.0, 5.0, role="position"),
-        number("width_m", "m, sigma", 0.01, 5.0, role="position"),
-    )
-    sentence = "a bump of {nm:.0f} nm at ({x_m:.1f}, {y_m:.1f}) m in the pupil, {width_m:.1f} m wide"
-    look_alike = "high_order_ncpa, of which every mode takes a part of the bump"
-    reference = "MUSE-NFM phase bump, 206 nm RMS in all"
-
-    def __init__(self, start: tuple[float, float, float, float] = (50.0, 2.0, 0.0, 0.5)):
-        height, x, y, width = start
-        self.parameters = (
-            Parameter("nm", "nm", height, 0.0, 300.0, plausible=(-1000.0, 1000.0)),
-            Parameter("x_m", "m", x, lower=-REACH_M, upper=REACH_M, null=None),
-            Parameter("y_m", "m", y, lower=-REACH_M, upper=REACH_M, null=None),
-            Parameter("width_m", "m", width, 0.6, 0.6, 0.1, 3.0, None, (0.15, 2.0)),
-        )
-
-    def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        return values[0] * self._unit(values, grid)[0]
-
-    def _map_slopes(
-        self, values: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
-    ) -> Sequence[torch.Tensor]:
-        bump, x, y = self._unit(values, grid)
-        per_m = values[0] / values[3] * bump
-        slopes = [bump, per_m * x, per_m * y, per_m * (x**2 + y**2)]
-        return [slopes[index] for index in wanted]
-
-    def _unit(self, values: torch.Tensor, grid: PupilGrid) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """The bump of height 1, and the places in the pupil from its centre, in widths."""
-        _, x, y, width = values
-        u, v = (torch.as_tensor(axis * grid.radius_m) for axis in grid.xy)
-        u, v = (u - x) / width, (v - y) / width
-        return torch.exp(-(u**2 + v**2) / 2) * torch.tensor(grid.lit), u, v
-
-    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
-        """See `Effect.candidates`: one per position on a grid and per width."""
-        steps = np.arange(-REACH_M + BUMP_STEP_M / 2, REACH_M, BUMP_STEP_M)
-        return [
-            FixedEffect(self, [0.0, x, y, width], free=("nm",))
-            for width in BUMP_WIDTHS_M
-            for y in steps
-            for x in steps
-            if np.hypot(x, y) < REACH_M
-        ]

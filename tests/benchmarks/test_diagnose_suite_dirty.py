@@ -245,7 +245,7 @@ def test_either_of_two_hidden_effects_may_be_named_first_and_a_companion_in_its_
 def test_with_nothing_hidden_or_nothing_that_can_be_named_only_wrong_names_count():
     assert is_right(outcome("", kind=CLEAN, verdict="unknown"))
     assert is_right(outcome("", "plate_scale", kind=CLEAN))
-    assert not is_right(outcome("opaque_spot", "phase_bump", kind=OUTSIDE))
+    assert not is_right(outcome("scratch", "phase_bump", kind=OUTSIDE))
     assert not is_right(outcome("vibration", "plate_scale", kind=PAIR))
 
 

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from helpers.diagnose_cases import COMPANION, FURTHER, GHOST, PUPIL, TRUE_NM, diagnosis_of
+from helpers.diagnose_cases import COMPANION, FURTHER, GHOST, PUPIL, SPOT_M, TRUE_NM, diagnosis_of
 
 from irlos_pipe.diagnosis.sentence import sentence
 from irlos_pipe.effects import CATALOGUE
@@ -115,8 +115,15 @@ def test_a_name_that_lost_says_what_data_that_no_fit_has_seen_say_of_it():
 
 
 @pytest.mark.slow
-def test_an_opaque_spot_which_the_catalogue_lacks_gets_no_name():
-    diagnosis = diagnosis_of("spot")
+def test_an_opaque_disc_is_a_spot_where_it_is():
+    found = diagnosis_of("spot").steps[0]
+    assert found.name == "pupil_spot"
+    assert [found.public[key] for key in ("x_m", "y_m")] == pytest.approx(SPOT_M, abs=0.05)
+
+
+@pytest.mark.slow
+def test_a_scratch_which_the_catalogue_lacks_gets_no_name():
+    diagnosis = diagnosis_of("scratch")
     assert diagnosis.verdict == "unknown"
     assert diagnosis.steps == []
     assert diagnosis.why_unknown

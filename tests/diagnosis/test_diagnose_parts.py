@@ -44,8 +44,9 @@ from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.effects.motion import Vibration
 from irlos_pipe.effects.public_errors import public_sigma
 from irlos_pipe.effects.public_values import measured
+from irlos_pipe.effects.pupil_places import PhaseBump
 from irlos_pipe.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
-from irlos_pipe.effects.wavefront import HighOrderNcpa, PhaseBump
+from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.frames.noise import NoiseModel
 
 STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)

@@ -83,7 +83,7 @@ def test_means_of_consecutive_frames_carry_the_noise_of_means():
 
 
 def diagnosis_of(kind: str, count: int, seed: int = 3) -> Diagnosis:
-    made = {"plain": cases.plain, "companion": cases.with_companion, "spot": cases.with_opaque_spot}[kind]()
+    made = {"plain": cases.plain, "companion": cases.with_companion, "scratch": cases.with_scratch}[kind]()
     return diagnose([Exposures(few(cases.cube(made, seed), count), cases.CONDITIONS)], [], cases.options())
 
 
@@ -111,6 +111,6 @@ def test_a_companion_is_named_with_its_size_in_a_single_image():
 @pytest.mark.slow
 @pytest.mark.long
 def test_what_the_catalogue_lacks_is_unknown_in_a_single_image():
-    verdict = diagnosis_of("spot", 1)
+    verdict = diagnosis_of("scratch", 1)
     assert verdict.verdict == "unknown"
     assert np.isfinite(verdict.gap.shrink)

@@ -168,6 +168,14 @@ def test_an_amplitude_aberration_multiplies_the_field():
 
 
 @pytest.mark.slow
+def test_a_spot_is_a_disc_with_a_soft_edge():
+    (x, y), spot = xy_m(), STRONG["pupil_spot"]
+    distance2 = (x - spot["x_m"]) ** 2 + (y - spot["y_m"]) ** 2
+    factor = 1 - spot["opacity"] * np.exp2(-((distance2 / spot["radius_m"] ** 2) ** 2))
+    agree(ours("pupil_spot"), truth(transmission=reference().transmission * factor))
+
+
+@pytest.mark.slow
 def test_high_orders_are_further_zernike_modes():
     agree(ours("high_order_ncpa"), truth(reference().opd_nm(STRONG["high_order_ncpa"]["zernike_nm"])))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
 import numpy as np
 
@@ -33,6 +34,7 @@ CONDITIONS = Conditions(CASE, BAND, RESIDUAL_LAW, 0.5, HIGHEST_NOLL, ncpa_law=NC
 COMPANION = {"flux_ratio": 0.03, "x_px": -9.3, "y_px": 6.1}
 FURTHER = {"flux_ratio": 0.01, "x_px": 7.8, "y_px": 10.4}
 PUPIL = {"rotation_deg": 2.0, "obscuration_m": 1.22, "vane_width_m": 0.05}
+SPOT_M = (1.6, -1.9)
 GHOST = COMPANION | {"defocus_nm": 80.0}
 
 
@@ -69,11 +71,21 @@ def with_companion() -> np.ndarray:
     return with_second_images(COMPANION)
 
 
-def with_opaque_spot(radius_m: float = 0.45) -> np.ndarray:
-    """Something opaque in the pupil, which the catalogue does not have."""
+def with_spot(radius_m: float = 0.45) -> np.ndarray:
+    """An opaque disc in the pupil."""
+    x, y = SPOT_M
+    return with_opaque(lambda grid: np.hypot(grid.x - x, grid.y - y) < radius_m)
+
+
+def with_scratch(width_m: float = 0.12) -> np.ndarray:
+    """An opaque line across the pupil, beside its centre, which the catalogue does not have."""
+    return with_opaque(lambda grid: np.abs(0.8 * grid.x - 0.6 * grid.y - 1.7) < width_m / 2)
+
+
+def with_opaque(dark: Callable) -> np.ndarray:
+    """A part of the pupil is `dark`."""
     imager = reference()
-    x, y = imager.grid.x, imager.grid.y
-    clear = np.hypot(np.asarray(x) - 1.6, np.asarray(y) + 1.9) > radius_m
+    clear = ~np.asarray(dark(imager.grid))
     return imager.image(
         opd_nm(imager), WAVELENGTH_NM, CASE.window, 9.7, transmission=imager.transmission * clear
     )
@@ -103,6 +115,7 @@ def diagnosis_of(kind: str) -> Diagnosis:
         "two": functools.partial(with_second_images, COMPANION, FURTHER),
         "ghost": functools.partial(with_second_images, GHOST),
         "pupil": with_another_pupil,
-        "spot": with_opaque_spot,
+        "spot": with_spot,
+        "scratch": with_scratch,
     }
     return diagnose([Exposures(cube(images[kind]()), CONDITIONS)], [], options())

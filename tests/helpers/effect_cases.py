@@ -24,6 +24,7 @@ STRONG = {
     "pupil_misregistration": {"dx_m": 0.12, "dy_m": -0.08, "rotation_deg": 4.0},
     "pupil_geometry": {"obscuration_m": 1.4, "vane_width_m": 0.06},
     "amplitude_aberration": {"zernike": {2: 0.08, 5: -0.06, 8: 0.05}},
+    "pupil_spot": {"opacity": 0.9, "x_m": -1.7, "y_m": 1.2, "radius_m": 0.4},
     "low_wind_effect": {
         "piston_nm": [150.0, -120.0, 90.0, -60.0],
         "tip_nm": [0.0, 40.0, 0.0, -30.0],

@@ -37,6 +37,7 @@ CONTRACT = {
     "pupil_misregistration",
     "pupil_geometry",
     "amplitude_aberration",
+    "pupil_spot",
     "low_wind_effect",
     "segment_piston",
     "high_order_ncpa",
@@ -292,9 +293,22 @@ def test_vanes_turn_anticlockwise():
 
 @pytest.mark.slow
 def test_amplitude_aberrations_shade_the_pupil():
+    shade = 1 + reference(SAMPLES).opd_nm({2: 0.1, 4: -0.06})
+    shaded("amplitude_aberration", {"zernike": {2: 0.1, 4: -0.06}}, shade)
+
+
+def test_a_spot_is_darkest_at_its_centre():
+    """Truth: HCIPy's pupil, times the formula."""
+    spot = {"opacity": 0.9, "x_m": 1.5, "y_m": -2.0, "radius_m": 0.6}
+    grid = reference(SAMPLES).grid
+    distance2 = (grid.x - 1.5) ** 2 + (grid.y + 2.0) ** 2
+    shaded("pupil_spot", spot, 1 - 0.9 * np.exp(-np.log(2) * distance2**2 / 0.6**4))
+
+
+def shaded(name: str, parameters: dict, shade: np.ndarray) -> None:
+    """Compare an image with that of HCIPy's pupil whose amplitude is multiplied by a `shade`."""
     source = reference(SAMPLES)
-    shade = 1 + source.opd_nm({2: 0.1, 4: -0.06})
-    found = image(effects={"amplitude_aberration": {"zernike": {2: 0.1, 4: -0.06}}})
+    found = image(effects={name: parameters})
     lit = source.transmission
     source.transmission = lit * shade
     try:

@@ -21,7 +21,12 @@ from irlos_pipe.simulate.effects.ghost import Ghost
 from irlos_pipe.simulate.effects.high_aperture import HighAperture
 from irlos_pipe.simulate.effects.low_wind import LowWindEffect, SegmentPiston
 from irlos_pipe.simulate.effects.motion import TipTiltJitter, Vibration
-from irlos_pipe.simulate.effects.pupil_stop import AmplitudeAberration, PupilMisregistration, PupilSizes
+from irlos_pipe.simulate.effects.pupil_stop import (
+    AmplitudeAberration,
+    PupilMisregistration,
+    PupilSizes,
+    PupilSpot,
+)
 from irlos_pipe.simulate.effects.seeing_halo import SeeingHalo
 from irlos_pipe.simulate.effects.wavefront import (
     ChromaticNcpa,
@@ -49,6 +54,7 @@ EFFECTS: dict[str, type[SimulatedEffect]] = {
         PupilMisregistration,
         PupilSizes,
         AmplitudeAberration,
+        PupilSpot,
         LowWindEffect,
         SegmentPiston,
         HighOrderNcpa,

@@ -1,4 +1,4 @@
-"""Effects on where light passes the pupil: `pupil_misregistration` and `amplitude_aberration`."""
+"""Effects on where light passes the pupil: its stop, its sizes, its transmission, a dark spot."""
 
 from __future__ import annotations
 
@@ -54,3 +54,22 @@ class AmplitudeAberration(PupilEffect):
     def transparency(self, pupil: Telescope) -> np.ndarray:
         """See `PupilEffect.transparency`."""
         return np.maximum(1 + pupil.opd_nm(self.zernike), 0.0)
+
+
+@dataclass(frozen=True)
+class PupilSpot(PupilEffect):
+    """A disc at (`x_m`, `y_m`) that stops a part `opacity`, half as much at `radius_m` from its centre.
+
+    Its edge is soft: the fourth power of the distance is in an exponential.
+    """
+
+    name = "pupil_spot"
+    opacity: float = wider(0.0, 1.0)
+    x_m: float = wider(-10.0, 10.0)
+    y_m: float = wider(-10.0, 10.0)
+    radius_m: float = wider(1e-3, 10.0)
+
+    def transparency(self, pupil: Telescope) -> np.ndarray:
+        """See `PupilEffect.transparency`."""
+        x2, y2 = (pupil.u_m - self.x_m) ** 2, (pupil.u_m - self.y_m) ** 2
+        return 1 - self.opacity * 0.5 ** ((x2[None, :] + y2[:, None]) ** 2 / self.radius_m**4)

@@ -26,6 +26,7 @@ SIZES = {
     "pupil_misregistration": {"dx_m": 0.1, "rotation_deg": 2.0},
     "pupil_geometry": {"obscuration_m": 1.3},
     "amplitude_aberration": {"zernike": {4: 0.1}},
+    "pupil_spot": {"opacity": 0.9, "x_m": 2.0, "y_m": -1.0, "radius_m": 0.6},
     "low_wind_effect": {"piston_nm": [70, -70, 50, -30]},
     "segment_piston": {"piston_nm": [50, -40, 30, -20]},
     "high_order_ncpa": {"zernike_nm": {60: 40}},

@@ -1,0 +1,152 @@
+"""One place in the pupil that differs from all others: `phase_bump` and `pupil_spot`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from irlos_pipe.conventions.late import torch
+from irlos_pipe.effects.base import Effect, FixedEffect
+from irlos_pipe.effects.declaration import Parameter, number
+from irlos_pipe.effects.planes import PupilEffect
+from irlos_pipe.effects.wavefront import OpdMap
+from irlos_pipe.optics.grids import PupilGrid
+
+REACH_M = 4.0  # from the axis
+STEP_M, WIDTHS_M = 0.8, (0.3, 0.8)  # of a search
+STEEPNESS = float(np.log(2))  # of the edge of a spot, which is half as dark at its radius
+
+
+class PupilPlace(PupilEffect):
+    """Something of some height at one place in the pupil, round and with a soft edge.
+
+    Position and width mean nothing without it and are scanned in a search.
+
+    Parameters
+    ----------
+    start : (float, float, float, float), optional
+        Height, x, y and width [m].
+    """
+
+    repeatable = True
+    height: ClassVar[Parameter]
+    width: ClassVar[Parameter]
+
+    def __init__(self, start: tuple[float, float, float, float] | None = None):
+        height, x, y, width = start or (self.height.start, 2.0, 0.0, self.width.start)
+        self.parameters = (
+            replace(self.height, start=height),
+            Parameter("x_m", "m", x, lower=-REACH_M, upper=REACH_M, null=None),
+            Parameter("y_m", "m", y, lower=-REACH_M, upper=REACH_M, null=None),
+            replace(self.width, start=width),
+        )
+
+    def profile(self, square: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """What is at a `square` of the distance in widths, of height 1, and its derivative, (n, n) each."""
+        raise NotImplementedError
+
+    def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
+        """See `Effect.candidates`: one per position on a grid and per width."""
+        steps = np.arange(-REACH_M + STEP_M / 2, REACH_M, STEP_M)
+        return [
+            FixedEffect(self, [0.0, x, y, width], free=(self.height.name,))
+            for width in WIDTHS_M
+            for y in steps
+            for x in steps
+            if np.hypot(x, y) < REACH_M
+        ]
+
+    def _map(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """What is added, (n, n)."""
+        u, v = self._places(values, grid)
+        return values[0] * self.profile(u**2 + v**2)[0] * torch.tensor(grid.lit)
+
+    def _map_slopes(
+        self, values: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> Sequence[torch.Tensor]:
+        """Its derivatives with respect to the parameters `wanted`, (n, n) each."""
+        u, v = self._places(values, grid)
+        square, lit = u**2 + v**2, torch.tensor(grid.lit)
+        unit, change = (one * lit for one in self.profile(square))
+        inwards = -2 * values[0] / values[3] * change
+        slopes = [unit, inwards * u, inwards * v, inwards * square]
+        return [slopes[index] for index in wanted]
+
+    def _places(self, values: torch.Tensor, grid: PupilGrid) -> tuple[torch.Tensor, torch.Tensor]:
+        """Places in the pupil from the centre, in widths; they combine to (n, n)."""
+        _, x, y, width = values
+        u, v = (torch.as_tensor(axis * grid.radius_m) for axis in grid.xy)
+        return (u - x) / width, (v - y) / width
+
+
+class PhaseBump(PupilPlace, OpdMap):
+    """A Gaussian OPD somewhere in the pupil: a bad actuator, glue, dust on a mirror near the pupil.
+
+    ``nm · exp(-½ r²/width²)``. Position and width mean nothing without it and are scanned in a search.
+    """
+
+    name = "phase_bump"
+    formula = "Φ → Φ + nm · exp(−½ |u − (x_m, y_m)|² / width_m²)"
+    aberration = True
+    height = Parameter("nm", "nm", 50.0, 0.0, 300.0, plausible=(-1000.0, 1000.0))
+    width = Parameter("width_m", "m", 0.5, 0.6, 0.6, 0.1, 3.0, None, (0.15, 2.0))
+    public = (
+        number("nm", "nm, peak", -2000.0, 2000.0),
+        number("x_m", "m", -5.0, 5.0, role="position"),
+        number("y_m", "m", -5.0, 5.0, role="position"),
+        number("width_m", "m, sigma", 0.01, 5.0, role="position"),
+    )
+    sentence = "a bump of {nm:.0f} nm at ({x_m:.1f}, {y_m:.1f}) m in the pupil, {width_m:.1f} m wide"
+    look_alike = "high_order_ncpa, of which every mode takes a part of the bump; pupil_spot in a narrow band"
+    reference = "MUSE-NFM phase bump, 206 nm RMS in all"
+
+    def profile(self, square: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `PupilPlace.profile`."""
+        bump = torch.exp(-square / 2)
+        return bump, -bump / 2
+
+    def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        return self._map(values, grid)
+
+
+class PupilSpot(PupilPlace):
+    """A dark spot somewhere in the pupil: dirt near the pupil, a screw of a stop, a masked actuator.
+
+    The amplitude is multiplied by ``1 - opacity · exp(-ln 2 · (r/radius)⁴)``, a disc with a soft edge. Of a
+    small one the image shows the area that is dark, and hardly more.
+    """
+
+    name = "pupil_spot"
+    formula = "P(u) → P(u) · (1 − opacity · exp(−ln 2 · |u − (x_m, y_m)|⁴ / radius_m⁴))"
+    height = Parameter("opacity", "", 0.5, 0.0, 1.0, 0.0, 1.0, natural=True)
+    width = Parameter("radius_m", "m", 0.4, 0.4, 0.4, 0.05, 2.0, None)
+    public = (
+        number("opacity", "part of the amplitude", 0.0, 1.0),
+        number("x_m", "m", -5.0, 5.0, role="position"),
+        number("y_m", "m", -5.0, 5.0, role="position"),
+        number("radius_m", "m, where it is half as dark", 0.01, 5.0, role="position"),
+    )
+    sentence = (
+        "a spot in the pupil at ({x_m:.1f}, {y_m:.1f}) m, {radius_m:.2f} m in radius, that stops "
+        "{opacity:.0%} of the amplitude"
+    )
+    look_alike = "phase_bump of a wave or more in a narrow band; amplitude_aberration, which is smooth"
+    reference = "Goodman 2005, Introduction to Fourier Optics, 3rd ed., Sect. 3.10"
+
+    def profile(self, square: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `PupilPlace.profile`."""
+        disc = torch.exp(-STEEPNESS * square**2)
+        return disc, -2 * STEEPNESS * square * disc
+
+    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.apply`."""
+        return field * (1 - self._map(values, grid))
+
+    def slopes(
+        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `PupilEffect.slopes`."""
+        return [-field * slope for slope in self._map_slopes(values, grid, wanted)]
