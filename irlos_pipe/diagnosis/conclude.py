@@ -292,5 +292,5 @@ def _amplitude(model: ImageModel, values: torch.Tensor) -> np.ndarray:
     """Amplitude in the pupil, 1 where it is clear, (n, n)."""
     grid = model.psf.grids.pupil
     pupil = model.effects(values).pupil
-    field = grid.amplitude if pupil is None else pupil[0].abs().numpy()
-    return field / grid.light
+    field = grid.amplitude if pupil is None else pupil[0].numpy()
+    return np.abs(field) / grid.light

@@ -95,10 +95,9 @@ def pupil_figures(run: RunData, results: DiagnoseResults) -> list[Figure]:
         )
         found.append(Figure(pupil_map("dia-opd", opd, "nm"), "Wavefront added", caption, "third"))
     if amplitude is not None and _dims(results) and np.abs(amplitude).max() > NOTHING:
-        caption = "Change of the amplitude in the pupil, 1 where it is clear."
-        found.append(
-            Figure(pupil_map("dia-amplitude", amplitude, "amplitude"), "Amplitude added", caption, "third")
-        )
+        caption = "Change of the amplitude in the pupil, in % of what it is where the pupil is clear."
+        panel = pupil_map("dia-amplitude", 100 * amplitude, "%", 100.0)
+        found.append(Figure(panel, "Amplitude added", caption, "third"))
     return found
 
 
@@ -124,7 +123,7 @@ def _profile(run: RunData) -> list[Figure]:
     return [Figure(plot, "Radial profile", f"About the star's centroid. {HELD_OUT}", "third")]
 
 
-def pupil_map(name: str, values: np.ndarray, unit: str) -> Markup:
+def pupil_map(name: str, values: np.ndarray, unit: str, percentile: float = MAP_PERCENTILE) -> Markup:
     """Draw a map of the pupil about zero.
 
     Parameters
@@ -135,8 +134,10 @@ def pupil_map(name: str, values: np.ndarray, unit: str) -> Markup:
         NaN where the pupil is dark.
     unit : str
         Label of the colour bar.
+    percentile : float
+        Of the absolute values, where colours end.
     """
-    scale = symmetric_scale(float(np.nanpercentile(np.abs(values), MAP_PERCENTILE)))
+    scale = symmetric_scale(float(np.nanpercentile(np.abs(values), percentile)))
 
     def draw(figure: Canvas) -> None:
         axes, bar = panel_axes(figure)

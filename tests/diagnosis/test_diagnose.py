@@ -116,9 +116,13 @@ def test_a_name_that_lost_says_what_data_that_no_fit_has_seen_say_of_it():
 
 @pytest.mark.slow
 def test_an_opaque_disc_is_a_spot_where_it_is():
-    found = diagnosis_of("spot").steps[0]
+    diagnosis = diagnosis_of("spot")
+    found = diagnosis.steps[0]
     assert found.name == "pupil_spot"
     assert [found.public[key] for key in ("x_m", "y_m")] == pytest.approx(SPOT_M, abs=0.05)
+    added = diagnosis.pictures.added_amplitude
+    assert added.min() < -0.9
+    assert np.mean(np.abs(added) > 1e-6) < 0.1  # the edges of the pupil are where they were
 
 
 @pytest.mark.slow
