@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
 
 from irlos_pipe.diagnosis.acceptance import Accepted, Search, labels_in
 from irlos_pipe.diagnosis.checks.fine_structure import FineStructure
@@ -14,6 +17,7 @@ from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.verdict import COMPLETE, NONE, PARTIAL, RESEMBLES, UNKNOWN, Grade
+from irlos_pipe.effects.pupil_places import PupilPlace
 
 # Part of the excess, and χ² over its expectation, from which much is left. With known noise a right name
 # leaves less than a thousandth; the residual of an AO system has more shapes than its model. Complete models
@@ -34,6 +38,7 @@ BY_ITSELF = 0.5
 # By chance three images on one side are in line in one of 2400 cases, two along rows or columns in one of
 # 450.
 IN_A_ROW, ALONG_PIXELS, ALIGNED_DEG = 3, 2, 3.0
+TOUCHING = 1.5  # sum of the widths of two places in the pupil, within which they are one of another shape
 
 # Part of its own signal that a right name explains where it acts.
 AT_ITS_PLACE = {PHOTONS: 0.95, SPECKLES: 0.9, UNSEEN: 0.9}
@@ -99,6 +104,8 @@ def _graded(search: Search, shares: Sequence[float], kind: str, left: bool, sure
         return RESEMBLES, "a halo without the speckles that an AO residual makes from frame to frame"
     if copies := copies_in_a_row(search.final.fitted):
         return RESEMBLES, f"{copies} copies of the star in one direction, as a detector makes them"
+    if name := one_place_twice(search.final.fitted):
+        return RESEMBLES, f"{name} is twice in one place of the pupil, and makes another shape"
     if left and max(shares) < AT_ITS_PLACE[kind]:
         return RESEMBLES, f"{names[0].name} leaves {1 - shares[0]:.1%} of its own signal where it acts"
     return (PARTIAL if left else COMPLETE), ""
@@ -206,6 +213,24 @@ def copies_in_a_row(fitted: Fitted) -> int:
     if in_line >= IN_A_ROW:
         return in_line
     return along_pixels if along_pixels >= ALONG_PIXELS else 0
+
+
+def one_place_twice(fitted: Fitted) -> str:
+    """Name of an effect that is twice in one place of the pupil, where two make another shape; or nothing.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    """
+    labels = fitted.problem.effects.labels
+    places = [label for label in labels if isinstance(fitted.effect(label).base, PupilPlace)]
+    for one, other in combinations(places, 2):
+        name = fitted.effect(one).base.name
+        (_, x1, y1, width1), (_, x2, y2, width2) = (fitted.values_of(label) for label in (one, other))
+        touch = np.hypot(x2 - x1, y2 - y1) < TOUCHING * (width1 + width2)
+        if touch and name == fitted.effect(other).base.name:
+            return name
+    return ""
 
 
 def _near(angles_deg: Sequence[float], to_deg: float, period_deg: float) -> int:

@@ -6,12 +6,19 @@ import pytest
 
 from irlos_pipe.diagnosis.acceptance import Search
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, SPECKLES, NoiseVerdict
-from irlos_pipe.diagnosis.grade import copies_in_a_row, is_left, judged, without_ordinary_facts
+from irlos_pipe.diagnosis.grade import (
+    copies_in_a_row,
+    is_left,
+    judged,
+    one_place_twice,
+    without_ordinary_facts,
+)
 from irlos_pipe.diagnosis.held_out import Gap
 from irlos_pipe.diagnosis.null_model import Excess
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.effects import FixedEffect
 from irlos_pipe.effects.companion import Companion
+from irlos_pipe.effects.pupil_places import PhaseBump, PupilSpot
 
 SURE, FLOOR = 5.0, 0.03
 
@@ -85,6 +92,7 @@ def test_what_any_instrument_has_is_adjusted_and_not_named_where_something_is_le
 def test_where_only_the_usual_is_found_and_much_is_left_the_cause_is_unknown(monkeypatch, kind, found, grade):
     monkeypatch.setattr("irlos_pipe.diagnosis.grade.share_at_its_place", lambda refit, final: 1.0)
     monkeypatch.setattr("irlos_pipe.diagnosis.grade.copies_in_a_row", lambda fitted: 0)
+    monkeypatch.setattr("irlos_pipe.diagnosis.grade.one_place_twice", lambda fitted: "")
     options = Options(30, held_out=0.25, most_names=4, sure=SURE)
     fine = SimpleNamespace(significance=0.0, ratio=1.0)
     one = name("plate_scale", True)
@@ -108,6 +116,7 @@ def test_on_sky_a_name_that_closes_little_by_itself_is_adjusted_where_much_is_le
 ):
     monkeypatch.setattr("irlos_pipe.diagnosis.grade.share_at_its_place", lambda refit, final: 1.0)
     monkeypatch.setattr("irlos_pipe.diagnosis.grade.copies_in_a_row", lambda fitted: 0)
+    monkeypatch.setattr("irlos_pipe.diagnosis.grade.one_place_twice", lambda fitted: "")
     options = Options(30, held_out=0.25, most_names=4, sure=SURE)
     fine = SimpleNamespace(significance=0.0, ratio=1.0)
     names = [name("vibration", False), name("companion", False, 0.1), name("seeing_halo", False, 0.3)]
@@ -123,10 +132,28 @@ def test_on_sky_a_name_that_closes_little_by_itself_is_adjusted_where_much_is_le
 def test_too_many_copies_of_the_star_in_line_are_no_stars(angles_deg, number):
     effect = Companion()
     values = [effect.values_of(0.01, 40.0 * n, angle) for n, angle in enumerate(angles_deg, 1)]
-    copies = {f"companion_{n}": FixedEffect(effect, one) for n, one in enumerate(values)}
-    fitted = SimpleNamespace(
-        problem=SimpleNamespace(effects=SimpleNamespace(labels=[*copies])),
-        effect=copies.get,
-        values_of=lambda label: copies[label].values,
+    assert copies_in_a_row(fitted_with([FixedEffect(effect, one) for one in values])) == number
+
+
+def fitted_with(effects: list[FixedEffect]) -> SimpleNamespace:
+    """A model that has these effects."""
+    known = {f"effect_{number}": one for number, one in enumerate(effects)}
+    return SimpleNamespace(
+        problem=SimpleNamespace(effects=SimpleNamespace(labels=[*known])),
+        effect=known.get,
+        values_of=lambda label: known[label].values,
     )
-    assert copies_in_a_row(fitted) == number
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "name"),
+    [
+        ((PupilSpot, 2.0, 0.0, 0.4), (PupilSpot, 1.4, 0.9, 0.4), "pupil_spot"),  # 1.08 m apart
+        ((PhaseBump, 2.0, 0.0, 0.3), (PhaseBump, 2.0, 0.0, 0.3), "phase_bump"),
+        ((PupilSpot, 2.0, 0.0, 0.4), (PupilSpot, -2.0, 0.0, 0.4), ""),
+        ((PupilSpot, 2.0, 0.0, 0.4), (PhaseBump, 2.0, 0.0, 0.4), ""),  # dirt that delays as well
+    ],
+)
+def test_what_is_twice_in_one_place_of_the_pupil_has_another_shape(first, second, name):
+    made = [FixedEffect(kind(), (0.5, x, y, width)) for kind, x, y, width in (first, second)]
+    assert one_place_twice(fitted_with([FixedEffect(Companion(), (0.01, 50.0, 0.0)), *made])) == name
