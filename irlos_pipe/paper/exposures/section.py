@@ -5,12 +5,12 @@ from __future__ import annotations
 from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.paper.common.results import Percentiles
+from irlos_pipe.paper.common.section import spread
 from irlos_pipe.paper.exposures.results import ExposuresResults
 from irlos_pipe.report.content import Block, Figure, Section, Table
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, svg
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.text import number, plural
+from irlos_pipe.report.text import plural
 
 STAGE = ExposuresResults.stage
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, INK)
@@ -49,12 +49,6 @@ def _figure(results: ExposuresResults) -> Markup:
 def _table(results: ExposuresResults) -> Table:
     columns = ("seeing", "method", *(f"{one:g} s" for one in results.exposures_s))
     body = [
-        (f'{row.seeing_arcsec:g}"', row.label, *(_spread(one) for one in row.modes_nm))
-        for row in results.rows
+        (f'{row.seeing_arcsec:g}"', row.label, *(spread(one) for one in row.modes_nm)) for row in results.rows
     ]
     return Table(columns, body, "Exposures", CAPTION)
-
-
-def _spread(found: Percentiles) -> str:
-    median, p16, p84 = (number(value, ".1f") for value in (found.median, found.p16, found.p84))
-    return f"{median} ({p16}…{p84})"

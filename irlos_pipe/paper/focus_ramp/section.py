@@ -9,13 +9,12 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import LogLocator, NullLocator
 
 from irlos_pipe.conventions.modes import TIP_TILT
-from irlos_pipe.paper.common.results import Percentiles
-from irlos_pipe.paper.common.section import array_of
+from irlos_pipe.paper.common.section import array_of, spread
 from irlos_pipe.paper.focus_ramp.results import FocusRampResults, VariantRow
 from irlos_pipe.report.content import Block, Figure, Section, Table
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, YELLOW, svg
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.text import mode_label, number, plural
+from irlos_pipe.report.text import mode_label, plural
 
 STAGE = FocusRampResults.stage
 DRAWN = {  # the ramps drawn side by side, where they were run
@@ -157,19 +156,14 @@ def _table(rows: list[VariantRow]) -> Table:
         (
             row.label,
             str(len(row.modes)),
-            _spread(row.slope, ".3f"),
-            _spread(row.offset_nm, "+.1f"),
-            _spread(row.rms_nm),
-            _spread(row.line_rms_nm),
-            _spread(row.true_rms_nm),
+            spread(row.slope, ".3f"),
+            spread(row.offset_nm, "+.1f"),
+            spread(row.rms_nm),
+            spread(row.line_rms_nm),
+            spread(row.true_rms_nm),
         )
         for row in rows
     ]
     marks = ["good" if row.key.startswith("default") else "" for row in rows]
     caption = "Medians over the ramps, 16th to 84th percentile in brackets."
     return Table(COLUMNS, body, "Variants of LIFT", caption, marks)
-
-
-def _spread(found: Percentiles, pattern: str = ".1f") -> str:
-    median, p16, p84 = (number(value, pattern) for value in (found.median, found.p16, found.p84))
-    return f"{median} ({p16}…{p84})"

@@ -6,7 +6,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.paper.common.results import Percentiles
+from irlos_pipe.paper.common.section import mark, spread
 from irlos_pipe.paper.low_wind.results import LowWindResults, LowWindRow
 from irlos_pipe.report.content import Block, Figure, Section, Table
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, svg
@@ -61,7 +61,8 @@ def _figure(rows: list[LowWindRow]) -> Markup:
                 sizes_nm, left_nm = _columns(of_it)
                 label = f"{recording}, {model}"
                 axes.plot(sizes_nm, left_nm, marker + line, color=colour, markersize=4, label=label)
-        axes.axhline(10, color=INK, linestyle=":", linewidth=0.9)
+        for asked_nm in {row.asked_nm for row in rows if np.isfinite(row.asked_nm)}:
+            axes.axhline(asked_nm, color=INK, linestyle=":", linewidth=0.9)
         axes.set(xlabel="pistons [nm RMS over the petals]", ylabel="left [nm RMS]", yscale="log")
         figure.legend(loc="outside upper center", ncols=2)
 
@@ -79,23 +80,12 @@ def _table(rows: list[LowWindRow]) -> Table:
             number(row.size_nm, "g"),
             number(row.largest_difference_nm.median, ".0f"),
             {"with": "yes", "without": "no"}[row.model],
-            _spread(row.pupil_nm),
-            _spread(row.folded_nm),
-            _spread(row.modes_nm),
+            spread(row.pupil_nm),
+            spread(row.folded_nm),
+            spread(row.modes_nm),
             number(row.chi2_nu.median, ".1f"),
         )
         for row in rows
     ]
-    marks = [_mark(row) for row in rows]
+    marks = [mark(row.worst_nm, row.asked_nm) for row in rows]
     return Table(COLUMNS, body, "Sizes of the effect", CAPTION, marks)
-
-
-def _mark(row: LowWindRow) -> str:
-    if not np.isfinite(row.asked_nm):
-        return ""
-    return "good" if row.worst_nm <= row.asked_nm else "bad"
-
-
-def _spread(found: Percentiles) -> str:
-    median, p16, p84 = (number(value, ".1f") for value in (found.median, found.p16, found.p84))
-    return f"{median} ({p16}…{p84})"

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.paper.common.results import Interval
-from irlos_pipe.paper.common.section import array_of
+from irlos_pipe.paper.common.section import array_of, mark
 from irlos_pipe.paper.ramp_conditions.conditions import ASKED_NM
 from irlos_pipe.paper.ramp_conditions.results import RampConditionsResults, WayRow
 from irlos_pipe.report.content import Block, Figure, Section, Table
@@ -92,14 +92,8 @@ def _table(rows: list[WayRow]) -> Table:
         (row.condition_label, row.label, _range(row.true_rms_nm), _range(row.bias_nm), _range(row.rms_nm))
         for row in rows
     ]
-    marks = [_mark(row) for row in rows]
+    marks = [mark(row.true_rms_nm.value, row.asked_nm) for row in rows]
     return Table(COLUMNS, body, "Conditions and estimates", CAPTION, marks)
-
-
-def _mark(row: WayRow) -> str:
-    if not np.isfinite(row.asked_nm):
-        return ""
-    return "good" if row.true_rms_nm.value <= row.asked_nm else "bad"
 
 
 def _modes(rows: list[WayRow]) -> list[Table]:
