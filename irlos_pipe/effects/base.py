@@ -190,6 +190,10 @@ class Effect:
         """
         raise NotImplementedError
 
+    def pushed(self, values: torch.Tensor, images_e: torch.Tensor, changes: torch.Tensor) -> torch.Tensor:
+        """What small `changes` of images become behind the detector, (images, changes, rows, columns)."""
+        raise NotImplementedError
+
     @property
     def copies(self) -> Sequence[Effect]:
         """Images of the star that have a focus of their own, each a `planes.CopyOfStar`; here none."""
@@ -360,6 +364,10 @@ class FixedEffect(Effect):
     ) -> Sequence[torch.Tensor]:
         """See `Effect.slopes`."""
         return self.base.slopes(self.all_values(values), light, grid, [self.free[i] for i in wanted])
+
+    def pushed(self, values: torch.Tensor, images_e: torch.Tensor, changes: torch.Tensor) -> torch.Tensor:
+        """See `Effect.pushed`."""
+        return self.base.pushed(self.all_values(values), images_e, changes)
 
     def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor | None:
         """See `Effect.opd_nm`."""

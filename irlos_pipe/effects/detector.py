@@ -44,6 +44,10 @@ class InterpixelCrosstalk(DetectorEffect):
         received = reduce(torch.add, neighbours) / 4
         return images_e + values[0] * (received.reshape(images_e.shape) - images_e)
 
+    def pushed(self, values: torch.Tensor, images_e: torch.Tensor, changes: torch.Tensor) -> torch.Tensor:
+        """See `Effect.pushed`: linear."""
+        return self.apply(values, changes)
+
 
 class DetectorNonlinearity(DetectorEffect):
     """The node's capacitance grows with its charge: ``s (1 - f s / s_peak)``.
@@ -75,6 +79,16 @@ class DetectorNonlinearity(DetectorEffect):
         """See `DetectorEffect.apply`."""
         peak = images_e.amax((-2, -1), keepdim=True) if self.peak_e is None else self.peak_e
         return images_e * (1 - values[0] * images_e / peak)
+
+    def pushed(self, values: torch.Tensor, images_e: torch.Tensor, changes: torch.Tensor) -> torch.Tensor:
+        """See `Effect.pushed`: the brightest pixel changes as well."""
+        images, lost = images_e[:, None], values[0]
+        if self.peak_e is not None:
+            return changes * (1 - 2 * lost / self.peak_e * images)
+        part = images / images.amax((-2, -1), keepdim=True)
+        brightest = images_e.flatten(1).argmax(1)[:, None, None].expand(-1, changes.shape[1], 1)
+        of_peak = changes.flatten(2).gather(2, brightest)[..., None]
+        return changes * (1 - 2 * lost * part) + lost * part**2 * of_peak
 
 
 class BackgroundGradient(DetectorEffect):

@@ -145,6 +145,15 @@ class EffectSet:
         """Electrons `images_e` in the pixels as the detector shows them with the effects at `values`."""
         return reduce(lambda x, e: e[0].apply(values[e[1]], x), self.at("detector"), images_e)
 
+    def detect_with_changes(
+        self, values: torch.Tensor, images_e: torch.Tensor, changes: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """The same, and what small `changes` of the images become, (images, changes, rows, columns)."""
+        for effect, piece in self.at("detector"):
+            changes = effect.pushed(values[piece], images_e, changes)
+            images_e = effect.apply(values[piece], images_e)
+        return images_e, changes
+
     def opd_nm(self, values: torch.Tensor) -> torch.Tensor:
         """Part of the wavefront that effects in the pupil add, (n, n) [nm]."""
         grid = self.grids.pupil

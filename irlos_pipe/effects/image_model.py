@@ -10,14 +10,13 @@ automatic differentiation of the whole path.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 import torch
 
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.effect_set import EffectSet
-from irlos_pipe.numerics.directional import Directional, pushed_all
+from irlos_pipe.numerics.directional import Directional
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.light_path import NO_TANGENTS, LightPath
 
@@ -211,12 +210,12 @@ class ImageModel:
 
     def _detected(self, image: torch.Tensor, columns: torch.Tensor, values: torch.Tensor, first: int | None):
         """Images and derivatives behind the detector; `first`: column of the first effect parameter."""
-        columns = pushed_all(partial(self.effects.detect, values), image, columns)
+        seen, columns = self.effects.detect_with_changes(values, image, columns)
         if first is not None:
             change = Directional(lambda v: self.effects.detect(v, image), values)
             for index in self.effects.free_at("detector"):
                 columns[:, first + index] = change.by(index)
-        return self.effects.detect(values, image), columns
+        return seen, columns
 
 
 def _mean(per_time: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:

@@ -134,6 +134,10 @@ class DetectorEffect(Effect):
         """Images `images_e`, (..., rows, columns) [e-], as the detector shows them at `values`."""
         raise NotImplementedError
 
+    def pushed(self, values: torch.Tensor, images_e: torch.Tensor, changes: torch.Tensor) -> torch.Tensor:
+        """See `Effect.pushed`: here they stay."""
+        return changes
+
 
 class RampEffect(Effect):
     """Changes the defocus that a focus stage really introduces.

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.effects.base import Effect, FixedEffect
-from irlos_pipe.effects.declaration import Parameter, number
+from irlos_pipe.effects.declaration import Conditions, Parameter, number
 from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.effects.wavefront import OpdMap
 from irlos_pipe.optics.grids import PupilGrid
 
-REACH_M = 4.0  # from the axis
-STEP_M, WIDTHS_M = 0.8, (0.3, 0.8)  # of a search
+STEP, WIDTHS = 0.1, (0.0375, 0.1)  # of a search, in diameters of the pupil
 STEEPNESS = float(np.log(2))  # of the edge of a spot, which is half as dark at its radius
 
 
@@ -27,22 +26,28 @@ class PupilPlace(PupilEffect):
 
     Parameters
     ----------
-    start : (float, float, float, float), optional
-        Height, x, y and width [m].
+    diameter_m : float
+        Of the pupil: the place lies within, and no width is larger.
     """
 
     repeatable = True
     height: ClassVar[Parameter]
-    width: ClassVar[Parameter]
+    width: ClassVar[Parameter]  # in diameters of the pupil
 
-    def __init__(self, start: tuple[float, float, float, float] | None = None):
-        height, x, y, width = start or (self.height.start, 2.0, 0.0, self.width.start)
+    def __init__(self, diameter_m: float = 8.0):
+        rim = diameter_m / 2
+        self.diameter_m = diameter_m
         self.parameters = (
-            replace(self.height, start=height),
-            Parameter("x_m", "m", x, lower=-REACH_M, upper=REACH_M, null=None),
-            Parameter("y_m", "m", y, lower=-REACH_M, upper=REACH_M, null=None),
-            replace(self.width, start=width),
+            self.height,
+            Parameter("x_m", "m", rim / 2, lower=-rim, upper=rim, null=None),
+            Parameter("y_m", "m", 0.0, lower=-rim, upper=rim, null=None),
+            _scaled(self.width, diameter_m),
         )
+
+    @classmethod
+    def under(cls, conditions: Conditions) -> Self:
+        """See `Effect.under`."""
+        return cls(conditions.settings.geometry.diameter_m)
 
     def profile(self, square: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """What is at a `square` of the distance in widths, of height 1, and its derivative, (n, n) each."""
@@ -50,13 +55,11 @@ class PupilPlace(PupilEffect):
 
     def candidates(self, window: tuple[int, int], pixel_scale_mas: float) -> list[Effect]:
         """See `Effect.candidates`: one per position on a grid and per width."""
-        steps = np.arange(-REACH_M + STEP_M / 2, REACH_M, STEP_M)
+        steps = np.arange(-0.5 + STEP / 2, 0.5, STEP)
+        places = [(x, y, width) for width in WIDTHS for y in steps for x in steps if np.hypot(x, y) < 0.5]
         return [
-            FixedEffect(self, [0.0, x, y, width], free=(self.height.name,))
-            for width in WIDTHS_M
-            for y in steps
-            for x in steps
-            if np.hypot(x, y) < REACH_M
+            FixedEffect(self, [0.0, *(self.diameter_m * one for one in place)], free=(self.height.name,))
+            for place in places
         ]
 
     def _map(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
@@ -92,12 +95,12 @@ class PhaseBump(PupilPlace, OpdMap):
     formula = "Φ → Φ + nm · exp(−½ |u − (x_m, y_m)|² / width_m²)"
     aberration = True
     height = Parameter("nm", "nm", 50.0, 0.0, 300.0, plausible=(-1000.0, 1000.0))
-    width = Parameter("width_m", "m", 0.5, 0.6, 0.6, 0.1, 3.0, None, (0.15, 2.0))
+    width = Parameter("width_m", "m", 0.0625, 0.075, 0.075, 0.0125, 0.375, None, (0.019, 0.25))
     public = (
         number("nm", "nm, peak", -2000.0, 2000.0),
-        number("x_m", "m", -5.0, 5.0, role="position"),
-        number("y_m", "m", -5.0, 5.0, role="position"),
-        number("width_m", "m, sigma", 0.01, 5.0, role="position"),
+        number("x_m", "m", -20.0, 20.0, role="position"),
+        number("y_m", "m", -20.0, 20.0, role="position"),
+        number("width_m", "m, sigma", 0.01, 20.0, role="position"),
     )
     sentence = "a bump of {nm:.0f} nm at ({x_m:.1f}, {y_m:.1f}) m in the pupil, {width_m:.1f} m wide"
     look_alike = "high_order_ncpa, of which every mode takes a part of the bump; pupil_spot in a narrow band"
@@ -122,12 +125,12 @@ class PupilSpot(PupilPlace):
     name = "pupil_spot"
     formula = "P(u) → P(u) · (1 − opacity · exp(−ln 2 · |u − (x_m, y_m)|⁴ / radius_m⁴))"
     height = Parameter("opacity", "", 0.5, 0.0, 1.0, 0.0, 1.0, natural=True)
-    width = Parameter("radius_m", "m", 0.4, 0.4, 0.4, 0.05, 2.0, None)
+    width = Parameter("radius_m", "m", 0.05, 0.05, 0.05, 0.00625, 0.25, None)
     public = (
         number("opacity", "part of the amplitude", 0.0, 1.0),
-        number("x_m", "m", -5.0, 5.0, role="position"),
-        number("y_m", "m", -5.0, 5.0, role="position"),
-        number("radius_m", "m, where it is half as dark", 0.01, 5.0, role="position"),
+        number("x_m", "m", -20.0, 20.0, role="position"),
+        number("y_m", "m", -20.0, 20.0, role="position"),
+        number("radius_m", "m, where it is half as dark", 0.01, 20.0, role="position"),
     )
     sentence = (
         "a spot in the pupil at ({x_m:.1f}, {y_m:.1f}) m, {radius_m:.2f} m in radius, that stops "
@@ -150,3 +153,11 @@ class PupilSpot(PupilPlace):
     ) -> list[torch.Tensor]:
         """See `PupilEffect.slopes`."""
         return [-field * slope for slope in self._map_slopes(values, grid, wanted)]
+
+
+def _scaled(width: Parameter, diameter_m: float) -> Parameter:
+    """A width stated in diameters, in metres."""
+    names = ("start", "prior_mean", "prior_sigma", "lower", "upper")
+    metres = {name: diameter_m * getattr(width, name) for name in names}
+    low, high = width.plausible
+    return replace(width, plausible=(diameter_m * low, diameter_m * high), **metres)

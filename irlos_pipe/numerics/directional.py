@@ -51,15 +51,6 @@ class Directional:
         return self.along(direction)
 
 
-def pushed_all(function: Function, values: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
-    """Return the derivatives of `function` at `values` along several `directions`, the second axis of both.
-
-    The function gets its argument with that axis, and must make the same of every element along it.
-    """
-    repeated = values.unsqueeze(1).expand_as(directions).contiguous()
-    return Directional(function, repeated).along(directions)
-
-
 def along_all(function: Function, values: torch.Tensor) -> torch.Tensor:
     """Return those of a real or complex `function` by all elements of `values`, elements first."""
     change = Directional(function, values)

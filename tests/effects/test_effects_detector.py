@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -9,7 +11,9 @@ from helpers.effect_cases import CONDITIONS, STRONG, made
 from scipy.ndimage import convolve
 from scipy.special import j0
 
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.effects import CATALOGUE
+from irlos_pipe.effects.base import FixedEffect
 from irlos_pipe.effects.bessel import j0_of_twice_root
 from irlos_pipe.effects.detector import BadPixels, DetectorNonlinearity
 from irlos_pipe.numerics.directional import Directional
@@ -70,6 +74,23 @@ def test_bad_pixels_are_masked_or_have_an_offset_of_their_own(images):
     added = effect.apply(torch.tensor([50.0, -30.0]).double(), torch.as_tensor(images)).numpy() - images
     assert (added[:, 4, 7], added[:, 2, 0]) == (pytest.approx([50, 50]), pytest.approx([-30, -30]))
     assert np.count_nonzero(np.abs(added) > 1e-9) == 4
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        *(FixedEffect(*made(name)) for name in CATALOGUE if CATALOGUE[name].plane == "detector"),
+        FixedEffect(DetectorNonlinearity(peak_e=900.0), [0.1]),
+    ],
+    ids=lambda one: f"{one.name}{' at a known signal' if getattr(one.base, 'peak_e', None) else ''}",
+)
+def test_changes_of_images_are_pushed_through_as_finite_differences_are(effect):
+    nothing, step, rng = torch.zeros(0).double(), 1e-4, np.random.default_rng(5)
+    before = torch.as_tensor(rng.uniform(10, 1000, (2, 36, 33)))
+    changes = torch.as_tensor(rng.normal(0, 30, (2, 3, 36, 33)))
+    moved = [effect.apply(nothing, (before[:, None] + way * step * changes).flatten(0, 1)) for way in (1, -1)]
+    expected = (moved[0] - moved[1]).view_as(changes) / (2 * step)
+    assert effect.pushed(nothing, before, changes).numpy() == pytest.approx(expected.numpy(), abs=1e-6)
 
 
 def test_bad_pixels_outside_the_window_are_refused():
@@ -143,3 +164,16 @@ def test_starts_lie_within_bounds_and_strong_levels_are_plausible(name):
 def test_a_fact_told_wrong_is_named_with_the_wanted_and_the_told_value(name, values, wanted):
     effect = CATALOGUE[name].under(CONDITIONS)
     assert effect.phrase(effect.describe(np.array(values))) == wanted
+
+
+@pytest.mark.parametrize("name", ["phase_bump", "pupil_spot"])
+def test_places_are_looked_for_all_over_a_pupil_of_any_size(name):
+    geometry = PupilGeometry(diameter_m=5.0, obscuration_m=1.8)
+    smaller = replace(CONDITIONS, settings=replace(CONDITIONS.settings, geometry=geometry))
+    radii = {}
+    for conditions in (CONDITIONS, smaller):
+        tried = CATALOGUE[name].under(conditions).candidates((64, 64), 9.7)
+        places = np.array([one.values[1:3] for one in tried])
+        radii[conditions.settings.geometry.diameter_m] = np.hypot(*places.T)
+    assert radii[5.0] == pytest.approx(5.0 / 8.0 * radii[8.0])
+    assert 3.6 < radii[8.0].max() < 4.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from irlos_pipe.numerics.directional import Directional, along_all, pushed_all
+from irlos_pipe.numerics.directional import Directional, along_all
 
 VALUES = torch.tensor([0.3, -1.2, 2.0], dtype=torch.float64)
 FACTORS = torch.arange(1, 4, dtype=torch.float64)
@@ -29,13 +29,11 @@ def test_derivatives_of_a_complex_function_along_all_elements():
     assert along_all(waves, VALUES).numpy() == pytest.approx(slopes_of_waves(VALUES), rel=1e-12)
 
 
-def test_derivatives_by_one_element_along_a_direction_and_along_several():
+def test_derivatives_by_one_element_and_along_a_direction():
     direction = torch.tensor([1.0, 2.0, 0.0], dtype=torch.float64)
     change = Directional(squares, VALUES)
     assert change.by(1).tolist() == pytest.approx([0.0, -2.4, 0.0])
     assert change.along(direction).tolist() == pytest.approx([0.6, -4.8, 0.0])
-    columns = torch.stack([direction, 2 * direction], dim=1)
-    assert pushed_all(squares, VALUES, columns)[:, 1].tolist() == pytest.approx([1.2, -9.6, 0.0])
 
 
 @pytest.mark.parametrize(
