@@ -109,9 +109,9 @@ class Colour(NamedTuple):
 
 
 def behind(pupil: torch.Tensor, phasor: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
-    """Field of a `phasor` behind a real or complex `pupil` (n, n), (frames, 2, n, n)."""
+    """Field of a `phasor` behind a real or complex `pupil` (..., n, n), (..., frames, 2, n, n)."""
     cosine, sine = phasor
     if not pupil.is_complex():
-        return torch.stack([pupil * cosine, pupil * sine], dim=1)
+        return torch.stack([pupil * cosine, pupil * sine], dim=-3)
     real, imag = pupil.real, pupil.imag
-    return torch.stack([real * cosine - imag * sine, real * sine + imag * cosine], dim=1)
+    return torch.stack([real * cosine - imag * sine, real * sine + imag * cosine], dim=-3)

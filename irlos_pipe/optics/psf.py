@@ -44,6 +44,7 @@ from irlos_pipe.optics.zernike import in_products, noll_to_nm
 
 FAINT = 0.1  # part of the light, of a copy whose derivatives may be rough
 CHUNK_ELEMENTS = 6_000_000  # complex numbers held per batch of frames
+SLOPES_AT_ONCE = 8  # changes of the pupil times frames: they fit into the processor's cache
 
 
 class PsfModel:
@@ -238,20 +239,23 @@ class PsfModel:
         else:
             amplitude, columns = dft.amplitude(field), []
 
-        def by_pupil(slope: torch.Tensor) -> torch.Tensor:
-            change = dft.amplitude(behind(self._pupil_of(slope, index), phasor))
-            return changing.image(2 * (amplitude * change).sum(1))[None]
+        def by_pupil(slopes: Sequence[torch.Tensor]) -> list[torch.Tensor]:
+            """Derivatives (slopes, frames, rows, columns), in pieces."""
+            pupils, many = [one[index] for one in slopes], max(1, SLOPES_AT_ONCE // len(opd))
+            pieces = [torch.stack(pupils[i : i + many]) for i in range(0, len(pupils), many)]
+            changes = (self._changes(dft, some, phasor) for some in pieces)
+            return [self._derivatives(changing, 2 * (amplitude * one).sum(2)) for one in changes]
 
         intensity = _intensity(amplitude)
         if path.follows:
             known = len(tangents.pupil) + (len(self.nolls) if modal else 0)
             columns = [intensity.new_zeros(known, len(opd), *self.settings.window)]
         else:
-            columns += [by_pupil(one) for one in tangents.pupil]
+            columns += by_pupil(tangents.pupil)
         factors = [self._transfer(one, index) for one in tangents.transfer]
         by_transfer = colour.images_through(intensity, factors)
         for place, one in tangents.pupil_too:
-            by_transfer[place] = by_transfer[place] + by_pupil(one)[0]
+            by_transfer[place] = by_transfer[place] + by_pupil([one])[0][0]
         columns += [one[None] for one in by_transfer]
         if tangents.sampling:
             columns.append(self._resampled(colour, opd, path))
@@ -275,6 +279,11 @@ class PsfModel:
             slopes = plane.pixel_slopes(index, sampling, filtered=colour.transfer is not None)
             pixels = SquarePixels(colour, *slopes)
         return resampled(colour, plane.dfts[index], pixels, opd, every)
+
+    def _changes(self, dft: MatrixDft, pupils: torch.Tensor, phasor) -> torch.Tensor:
+        """Focal amplitudes behind several pupils (k, n, n), (k, frames, 2, m, m)."""
+        fields = behind(mirrored(self._complex(pupils))[:, None], phasor)
+        return dft.amplitude(fields.flatten(0, 1)).unflatten(0, fields.shape[:2])
 
     def _derivatives(self, colour: Colour, changes: torch.Tensor) -> torch.Tensor:
         """Weighted pixel flux of the derivatives of the focal intensity, in the precision wanted of them."""

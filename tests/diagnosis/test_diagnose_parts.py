@@ -160,15 +160,16 @@ def test_of_twins_whose_images_differ_less_than_the_speckles_scatter_the_smaller
 
 
 @pytest.mark.slow
-def test_candidates_tried_together_beside_frozen_effects_have_the_derivatives_that_each_has_alone():
+@pytest.mark.parametrize(("kind", "step"), [(PhaseBump, 29), (Vibration, 3)])
+def test_candidates_tried_together_beside_frozen_effects_have_the_derivatives_that_each_has_alone(kind, step):
     at_rest = optimum(cube(image()).training, [PupilMisregistration()])
     part, x = at_rest.fitted.problem.parts[0], at_rest.fitted.x
     held = part.model.effects.held(at_rest.fitted.effect_values).effects
-    bumps = PhaseBump().candidates(CASE.window, 9.7)[::29]
+    tried = kind().candidates(CASE.window, 9.7)[::step]
     at = x[:, part.layout.modes], x[:, -2], x[:, -1]
-    for bump, shape in zip(bumps, whitened_shapes(at_rest, bumps), strict=True):
-        null = torch.tensor(bump.null_values, dtype=torch.float64)
-        columns = ImageModel(part.model.psf, [*held, bump]).predict_and_jacobian(*at, null)[1]
+    for one, shape in zip(tried, whitened_shapes(at_rest, tried), strict=True):
+        null = torch.tensor(one.null_values, dtype=torch.float64)
+        columns = ImageModel(part.model.psf, [*held, one]).predict_and_jacobian(*at, null)[1]
         alone = columns[0, -3].flatten() * at_rest.root  # before flux and background
         assert shape[:, 0].numpy() == pytest.approx(alone.numpy(), abs=1e-9 * float(alone.norm()))
 

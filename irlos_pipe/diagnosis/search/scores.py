@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,13 +15,11 @@ from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.search.companion_search import around, brightest_copies
 from irlos_pipe.diagnosis.significance import significance_of
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
-from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.score_test import ABSORBED, LinearEstimate, derivatives
 from irlos_pipe.numerics.parallel import ordered_map
-from irlos_pipe.optics.grids import PupilGrid
 
-BUNDLED = 16  # candidates in the pupil
+BUNDLED = 16  # candidates in the pupil or of the OTF
 LINEAR = 0.5  # of the prior's σ: how far from nothing a fit begins at most
 CLEARLY_MORE = 25.0  # of calibrated χ², that one moment alone must gain beyond all together
 FURTHER_STARTS, FAR_APART = 2, 0.2  # of a fit; part of the range of a position or direction
@@ -227,7 +226,7 @@ def whitened_shapes(optimum: Optimum, candidates: Sequence[Effect]) -> list[torc
     ----------
     optimum : Optimum
     candidates : sequence of Effect
-        Several must be of the pupil.
+        Several must be of one plane, pupil or OTF.
     """
     fitted = optimum.fitted
     columns = [
@@ -258,7 +257,8 @@ def _together(candidates: Sequence[Effect]) -> Effect:
 
 def _bundles(candidates: Sequence[Effect]) -> list[Sequence[Effect]]:
     """Candidates of one family whose derivatives are computed together."""
-    size = BUNDLED if candidates[0].plane == "pupil" else 1
+    first = candidates[0]
+    size = BUNDLED if first.plane in ("pupil", "otf") and not first.copies_star else 1
     return [candidates[i : i + size] for i in range(0, len(candidates), size)]
 
 
@@ -305,21 +305,22 @@ def _score(optimum: Optimum, trials: int, candidate: Effect, shapes: torch.Tenso
     )
 
 
-class _Bundle(PupilEffect):
-    """Several candidates in the pupil as one effect, at their null values, where each leaves the field.
+class _Bundle(Effect):
+    """Several candidates in one plane as one effect, at their null values, where each leaves the light.
 
     The light path up to them is computed once for all.
 
     Parameters
     ----------
     candidates : sequence of Effect
-        Of one family, in the pupil.
+        Of one family.
     """
 
     name = "bundle"
 
     def __init__(self, candidates: Sequence[Effect]):
-        self.bundled, self.order = tuple(candidates), candidates[0].order
+        self.bundled = tuple(candidates)
+        self.plane, self.order = candidates[0].plane, candidates[0].order
         self.parameters = tuple(p for one in candidates for p in one.parameters)
 
     @property
@@ -327,18 +328,18 @@ class _Bundle(PupilEffect):
         """See `Effect.null_values`."""
         return [value for one in self.bundled for value in one.null_values]
 
-    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """See `PupilEffect.apply`."""
-        return field
+    def apply(self, values: torch.Tensor, *light: torch.Tensor, **more: Any) -> torch.Tensor:
+        """See `Effect.apply`."""
+        return light[0]
 
     def slopes(
-        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+        self, values: torch.Tensor, light: torch.Tensor, grid: Any, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
-        """See `PupilEffect.slopes`."""
-        every = [slope for one in self.bundled for slope in _slopes_at_null(one, field, grid)]
+        """See `Effect.slopes`."""
+        every = [slope for one in self.bundled for slope in _slopes_at_null(one, light, grid)]
         return [every[index] for index in wanted]
 
 
-def _slopes_at_null(candidate: Effect, field: torch.Tensor, grid: PupilGrid) -> Sequence[torch.Tensor]:
+def _slopes_at_null(candidate: Effect, light: torch.Tensor, grid: Any) -> Sequence[torch.Tensor]:
     null = torch.tensor(candidate.null_values, dtype=torch.float64)
-    return candidate.slopes(null, field, grid, range(len(null)))
+    return candidate.slopes(null, light, grid, range(len(null)))
