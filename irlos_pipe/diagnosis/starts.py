@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +10,11 @@ import torch
 
 from irlos_pipe.diagnosis.fitted import Fitted, begun_at
 from irlos_pipe.effects import Effect
+from irlos_pipe.numerics.problem import ROUNDING
 from irlos_pipe.optics.zernike import noll_to_nm
 
 STARTS, START_NM = 2, 60.0  # further wavefronts: RMS of the first radial order, falling
-OTHER_SIDES = (2 * np.pi / 3, -2 * np.pi / 3)  # from where a distance came to rest
+DIRECTIONS = 8  # in which it is asked whether what came to rest at no distance would rather have one
 AT_REST = 1e-3  # of a distance
 
 
@@ -56,8 +58,9 @@ def on_other_sides(fitted: Fitted) -> list[list[Effect]]:
 def other_sides(fitted: Fitted, label: str) -> list[np.ndarray]:
     """Other values of an effect with a distance and a direction; none of an effect without.
 
-    What began on the wrong side and came to rest at no distance, where the image has a kink, begins on the
-    others; what has a distance on the opposite one, which to first order looks alike.
+    What has a distance begins on the opposite side, which to first order looks alike. What began on the wrong
+    side came to rest at no distance, where the image has a kink; it begins where the fit falls most steeply
+    from there, or nowhere else if it rises on all sides.
 
     Parameters
     ----------
@@ -65,16 +68,66 @@ def other_sides(fitted: Fitted, label: str) -> list[np.ndarray]:
     label : str
         Of the effect.
     """
+    place = _place(fitted, label)
+    if place is None:
+        return []
+    values, angle, resting = place
+    if resting:
+        return _from_rest(fitted, label, values, angle)
+    values[angle] += np.pi
+    return [values]
+
+
+def off_rest(fitted: Fitted, effects: Mapping[str, Effect]) -> list[Effect]:
+    """The same effects; what came to rest in a fit begins where that falls, see `other_sides`.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    effects : mapping
+        By label, where a fit would begin.
+    """
+    begun = {**effects}
+    for label in fitted.continued_by_label().keys() & effects.keys():
+        place = _place(fitted, label)
+        for values in _from_rest(fitted, label, *place[:2]) if place and place[2] else ():
+            begun[label] = begun_at(effects[label], values)
+    return [*begun.values()]
+
+
+def _place(fitted: Fitted, label: str) -> tuple[np.ndarray, int, bool] | None:
+    """Values of an effect, which of them is the direction, and whether it is at rest at no distance."""
     free = fitted.effect(label).parameters
     angles = [i for i, one in enumerate(free) if one.null is None and one.unit == "rad"]
     if not angles or free[0].null is None or free[0].null > free[0].lower:
+        return None
+    values = fitted.x[0, fitted.columns_of(label)].numpy().copy()
+    return values, angles[0], bool(values[0] <= free[0].lower + AT_REST)
+
+
+def _from_rest(fitted: Fitted, label: str, values: np.ndarray, angle: int) -> list[np.ndarray]:
+    """Values at a distance in the direction in which the fit falls; none if it falls in none."""
+    downhill = _downhill(fitted, label, angle)
+    if downhill is None:
         return []
-    values = fitted.x[0, fitted.columns_of(label)].numpy()
-    resting = values[0] <= free[0].lower + AT_REST
-    found = []
-    for turn in OTHER_SIDES if resting else (np.pi,):
-        other = values.copy()
-        other[0] = fitted.effect(label).base.parameters[0].start if resting else values[0]
-        other[angles[0]] += turn
-        found.append(other)
-    return found
+    values[0], values[angle] = fitted.effect(label).base.parameters[0].start, downhill
+    return [values]
+
+
+def _downhill(fitted: Fitted, label: str, angle: int) -> float | None:
+    """The direction in which the fit falls most from no distance; None if it falls in none.
+
+    All other parameters are where they are best, so that to first order they would stay.
+    """
+    columns, which = fitted.columns_of(label), torch.zeros(1, dtype=torch.int64)
+
+    def objective(distance: float, direction: float) -> float:
+        x = fitted.x.clone()
+        x[0, columns[0]] = fitted.effect(label).parameters[0].lower + distance
+        x[0, columns[angle]] = direction
+        return float(fitted.problem.objective(x, which))
+
+    centred = objective(0.0, 0.0)
+    directions = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
+    values = [objective(AT_REST, direction) for direction in directions]
+    return float(directions[np.argmin(values)]) if min(values) < centred * (1 - ROUNDING) else None

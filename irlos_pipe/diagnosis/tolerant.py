@@ -25,7 +25,7 @@ from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.refit import FAR, PER_PARAMETER
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import threshold
-from irlos_pipe.diagnosis.starts import on_other_sides, other_wavefronts
+from irlos_pipe.diagnosis.starts import off_rest, on_other_sides, other_wavefronts
 from irlos_pipe.diagnosis.without import needless
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, wider_kinds
 from irlos_pipe.effects.effect_set import labels_of
@@ -153,7 +153,7 @@ class TolerantTask(NamingTask):
         task = self
         for number in range(OPENINGS):
             misfit, known = task.misfit, len(current.fitted.effects)
-            opening = task.opening(current.fitted, current.fitted.continued())
+            opening = task.opening(current.fitted, task._begun(current.fitted))
             if opening is None:
                 return task._named(current)
             opening = task._without_imitated(opening, told)
@@ -166,6 +166,11 @@ class TolerantTask(NamingTask):
             if steady or copies_in_a_row(current.fitted):  # which the detector makes: more would follow
                 break
         return task, current
+
+    def _begun(self, fitted: Fitted) -> list[Effect]:
+        """The effects from where they are, but for what rests where all modes want it to have a distance."""
+        effects = fitted.continued_by_label()
+        return [*effects.values()] if self.all_modes is None else off_rest(self.all_modes.fitted, effects)
 
     def _without_imitated(self, opening: Opening, told: Sequence[Effect]) -> Opening:
         """All modes without those effects of the wavefront, found before, that they imitate."""
