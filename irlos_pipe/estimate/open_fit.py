@@ -27,6 +27,8 @@ MOST_ORDERS = 20  # Noll 231: the budget of time
 # Falls of χ² per mode still ahead at which the law may be fitted, and at which the fit is done: RMS steps of
 # one standard error, and of a sixth.
 ROUGHLY, SETTLED = 1.0, 0.03
+FINISHING = 2  # iterations with its own Hessian, which the errors need
+JOINED = 0.5  # λ/D at the edge of the window: colours in the Hessian that lie less apart are one
 
 
 def last_noll_of(order: int) -> int:
@@ -63,9 +65,24 @@ class Opened:
 
 
 class OpenFit(CheapGradientProblem, ImageFit):
-    """An `ImageFit` of so many modes that steps with an older Hessian pay, and so does keeping one."""
+    """An `ImageFit` of so many modes that steps with an older Hessian pay, and so does keeping one.
 
+    Attributes
+    ----------
+    coarse : ImageModel or None
+        From which the Hessian of steps is, where it may be rough; images and gradients are exact.
+    """
+
+    coarse: ImageModel | None = None
     kept: tuple[torch.Tensor, ...] = ()  # the last place with its normal equations without the prior
+
+    def hastened(self) -> OpenFit:
+        """Return the same fit, the Hessian of its steps of a coarse light path."""
+        psf = self.model.psf
+        settings = psf.settings.with_fewer_colours(JOINED)
+        options = {"device": psf.device, "dtype": psf.dtype, "rough_derivatives": True}
+        coarse = light_path(settings, psf.nolls, **options)
+        return self._with(coarse=ImageModel(coarse, self.model.effects.effects))
 
     def with_law(self, law: TailLaw) -> OpenFit:
         """Return the same fit with the modes beyond the closed basis as a `law` expects."""
@@ -82,7 +99,8 @@ class OpenFit(CheapGradientProblem, ImageFit):
         if self.reweighted:
             return super().normal_equations(x, which)
         if not (self.kept and torch.equal(self.kept[0], x)):
-            free = self._with(prior_precision=torch.zeros_like(self.prior_precision), has_prior=False)
+            nothing = torch.zeros_like(self.prior_precision)
+            free = self._with(model=self.coarse or self.model, prior_precision=nothing, has_prior=False)
             self.kept = x.clone(), *ImageFit.normal_equations(free, x, which)
         _, value, gradient, hessian = self.kept
         precision, offset = self.prior_precision[which], x - self.prior_mean[which]
@@ -124,13 +142,17 @@ def open_basis(
     law = TailLaw(psf.nolls[-1] + 1)
     problem = _wider(closed, model).with_law(law).with_tolerance(ROUGHLY * len(nolls))
     start = _widened(solution.values, closed.layout, problem.layout, beyond_nm or {})
-    rough = solve(problem, start, max_iterations=max_iterations)
+    quick = problem.hastened()
+    rough = solve(quick, start, max_iterations=max_iterations)
     if rough.status[0] == INVALID:
         return None
     law = _law_at(problem, rough, law)
-    problem = problem.with_law(law).with_tolerance(SETTLED * len(nolls))
-    start = problem.kept[0] if problem.kept else rough.values  # the step from there was negligible
-    final = solve(problem, start, max_iterations=max_iterations)
+    start = quick.kept[0] if quick.kept else rough.values  # the step from there was negligible
+    problem, quick = (one.with_law(law).with_tolerance(SETTLED * len(nolls)) for one in (problem, quick))
+    near = solve(quick, start, max_iterations=max_iterations)
+    if near.status[0] == INVALID:
+        return None
+    final = solve(problem, near.values, max_iterations=FINISHING)
     return None if final.status[0] == INVALID else Opened(problem, final, law)
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry
-from irlos_pipe.conventions.units import NM, resolution_px
+from irlos_pipe.conventions.units import MAS, NM, resolution_px
 from irlos_pipe.optics.fourier_matrices import pupil_samples_for
 
 MARGIN_MAS, HALO_MARGIN_MAS = 200.0, 500.0
@@ -119,6 +119,25 @@ class PsfSettings:
         wavelengths_nm = [wavelength_nm for wavelength_nm, _ in self.spectrum]
         return max(wavelengths_nm) - min(wavelengths_nm)
 
+    def with_fewer_colours(self, apart: float) -> PsfSettings:
+        """Return the same with neighbouring wavelengths joined, for derivatives that may be rough.
+
+        Parameters
+        ----------
+        apart : float
+            By how much light of joined wavelengths may lie apart at the edge of the window [λ/D].
+        """
+        reach = max(self.lenslet_window) * self.pixel_scale_mas * MAS / 2 * self.aperture_m  # [m]
+        groups: list[list[tuple[float, float]]] = []
+        for wavelength_nm, weight in sorted(self.spectrum):
+            first_nm = groups[-1][0][0] if groups else 0.0
+            near = first_nm and reach / NM * (1 / first_nm - 1 / wavelength_nm) < apart
+            if near:
+                groups[-1].append((wavelength_nm, weight))
+            else:
+                groups.append([(wavelength_nm, weight)])
+        return replace(self, spectrum=tuple(_joined(group) for group in groups))
+
     @property
     def breadth(self) -> float:
         """How much larger λ/D is than in the images that the margins were tuned on, at least 1."""
@@ -155,3 +174,9 @@ class PsfSettings:
         """Fewest samples across the pupil for the width of the window."""
         window_px, diameter_m = max(self.lenslet_window), self.geometry.diameter_m
         return pupil_samples_for(window_px, self.pixel_scale_mas, self.shortest_m, diameter_m)
+
+
+def _joined(group: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Mean wavelength and total weight of some."""
+    total = sum(weight for _, weight in group)
+    return sum(wavelength_nm * weight for wavelength_nm, weight in group) / total, total

@@ -154,3 +154,33 @@ def test_an_open_basis_of_a_method_without_one_is_refused():
     frames = Frames(images, cases.everything(images), cases.READ_NOISE)
     with pytest.raises(ValueError, match="no open basis"):
         calibrate(frames, cases.settings(24), CalibrationOptions("dip_avg", highest_noll="open"))
+
+
+def test_joined_colours_keep_light_and_mean_and_lie_less_apart_than_told():
+    """At a distance a from the axis light of the wavelengths λ and μ lies D a (1/λ - 1/μ) apart, in λ/D."""
+    told = cases.settings(64, cases.J_AND_H)
+    reach_m = 8.0 * 32 * cases.SCALE_MAS * cases.MAS_RAD
+    for apart in (0.1, 0.5, 2.0):
+        joined = told.with_fewer_colours(apart)
+        assert sum(weight for _, weight in joined.spectrum) == pytest.approx(sum(w for _, w in told.spectrum))
+        assert joined.mean_nm == pytest.approx(told.mean_nm)
+        neighbours = np.array([nm for nm, _ in joined.spectrum]) * 1e-9
+        moved = [np.abs(reach_m * (1 / neighbours - 1e9 / nm)).min() for nm, _ in told.spectrum]
+        assert max(moved) < apart
+    assert len(told.with_fewer_colours(0.0).spectrum) == len(told.spectrum)
+
+
+def test_a_hastened_fit_has_the_same_images_and_gradient_and_nearly_the_same_hessian():
+    settings = cases.settings(24, [(nm, 1.0) for nm in (1300.0, 1310.0, 1700.0, 1710.0)])
+    model = ImageModel(PsfModel(settings, range(2, 29), dtype=torch.float64))
+    data = torch.full((1, 1, 24 * 24), 900.0, dtype=torch.float64)
+    fit = OpenFit(model, Layout(model.psf.nolls), data, data)
+    quick = fit.hastened()
+    assert quick.coarse is not None
+    assert len(quick.coarse.psf.settings.spectrum) == 2
+    x, which = small_problems()[2], torch.arange(1)
+    for own, other in zip(quick.cheap_gradient(x, which), fit.cheap_gradient(x, which), strict=True):
+        assert torch.equal(own, other)
+    exact, rough = (torch.diagonal(one.normal_equations(x, which)[2][0]) for one in (fit, quick))
+    assert not torch.equal(exact, rough)
+    assert rough.numpy() == pytest.approx(exact.numpy(), rel=0.02)
