@@ -191,7 +191,14 @@ class Effect:
         raise NotImplementedError
 
     def pushed(self, values: torch.Tensor, images_e: torch.Tensor, changes: torch.Tensor) -> torch.Tensor:
-        """What small `changes` of images become behind the detector, (images, changes, rows, columns)."""
+        """What small changes of images become behind the detector.
+
+        Parameters
+        ----------
+        values, images_e
+            As those of `apply`; (images, rows, columns).
+        changes : tensor, (images, changes, rows, columns)
+        """
         raise NotImplementedError
 
     @property

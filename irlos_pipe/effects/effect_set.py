@@ -148,7 +148,14 @@ class EffectSet:
     def detect_with_changes(
         self, values: torch.Tensor, images_e: torch.Tensor, changes: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """The same, and what small `changes` of the images become, (images, changes, rows, columns)."""
+        """The same, and what small changes of the images become.
+
+        Parameters
+        ----------
+        values : tensor, (parameters,)
+        images_e : tensor, (images, rows, columns)
+        changes : tensor, (images, changes, rows, columns)
+        """
         for effect, piece in self.at("detector"):
             changes = effect.pushed(values[piece], images_e, changes)
             images_e = effect.apply(values[piece], images_e)
