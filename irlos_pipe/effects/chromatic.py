@@ -25,8 +25,9 @@ from irlos_pipe.effects.zernike_table import ZernikeTable
 from irlos_pipe.optics.grids import PupilGrid
 
 UM = 1e-6
-CHROMATIC_NOLLS = range(4, 22)  # to the fifth order; tip and tilt are `atmospheric_dispersion`
-FILTER_NOLLS = range(5, 22)  # the focus of a lens is that of the star, in recordings of one focus
+CHROMATIC_NOLLS = range(4, 67)  # to the tenth order; tip and tilt are `atmospheric_dispersion`
+FILTER_NOLLS = range(5, 67)  # the focus of a lens is that of the star, in recordings of one focus
+SEARCHED = 21  # last mode by which a diagnosis tells it from other effects
 BROAD_NM = 100.0  # from the shortest wavelength to the longest, from which a slope shows
 OF_LAW = 1.0  # prior: a slope per µm, and a filter, of as much as the law of the NCPAs gives
 WITHOUT_LAW_NM = 30.0
@@ -100,6 +101,11 @@ class ChromaticNcpa(_Table):
         """See `Effect.under`: by default about the wavelength of the NCPAs."""
         return cls(nolls or CHROMATIC_NOLLS, reference_nm or conditions.reference_nm, conditions.ncpa_law)
 
+    @classmethod
+    def variants(cls, conditions: Conditions) -> tuple[Effect, ...]:
+        """See `Effect.variants`."""
+        return (cls.under(conditions, range(CHROMATIC_NOLLS.start, SEARCHED + 1)),)
+
     def shown_by(self, recordings: Sequence[Conditions]) -> bool:
         """See `Effect.shown_by`: bands that are broad or apart."""
         reach = [nm for one in recordings for nm, _ in one.settings.spectrum]
@@ -148,6 +154,11 @@ class FilterNcpa(_Table):
         """See `Effect.under`: by default of the filter and the lens of the recording together."""
         elements = (of,) if of else conditions.elements
         return cls(nolls or FILTER_NOLLS, elements, conditions.ncpa_law)
+
+    @classmethod
+    def variants(cls, conditions: Conditions) -> tuple[Effect, ...]:
+        """See `Effect.variants`."""
+        return (cls.under(conditions, range(FILTER_NOLLS.start, SEARCHED + 1)),)
 
     @property
     def of(self) -> str:

@@ -75,7 +75,7 @@ class Way:
 DEFAULT, WAVEFRONTS, LOW_WAVEFRONTS, PLAIN = "default", "wavefronts", "low_wavefronts", "plain"
 WAYS = {
     DEFAULT: Way("default: dispersion and colour fitted"),
-    WAVEFRONTS: Way("chromatic and lens's wavefront fitted too, to Noll 51", last_noll=51),
+    WAVEFRONTS: Way("chromatic and lens's wavefront fitted too, to Noll 66", last_noll=66),
     LOW_WAVEFRONTS: Way("the same, to Noll 21", last_noll=21),
     PLAIN: Way("neither dispersion nor colour", colour=False),
     "nine": Way("default, nine modes", NINE),
