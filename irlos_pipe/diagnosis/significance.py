@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from scipy import special, stats
+from scipy import special
 
 from irlos_pipe.diagnosis.null_model import Optimum
 
@@ -55,8 +55,8 @@ def gaussian_sigma(hotelling: float, directions: int, frames: float, trials: int
     It has `directions` over `frames`, with infinitely many of which it is χ², and is the best of `trials`.
     """
     if np.isinf(frames):
-        tail = stats.chi2.logsf(hotelling, directions)
-        # Beyond the range of logsf: its leading terms.
+        tail = _log(special.chdtrc(directions, hotelling))
+        # Beyond the range of chdtrc: its leading terms.
         tail = tail if np.isfinite(tail) else -hotelling / 2 + (directions / 2 - 1) * np.log(hotelling / 2)
     else:
         freedom = max(frames - directions, 1.0)  # slow changes leave fewer frames than directions
@@ -87,8 +87,13 @@ def _log_tail_of_f(value: float, above: float, below: float) -> float:
     F is a ratio of which ``x = below / (below + above F)`` follows a beta law; far out its tail is the
     leading term of the incomplete beta function.
     """
-    tail = stats.f.logsf(value, above, below)
+    tail = _log(special.fdtrc(above, below, value))
     if np.isfinite(tail):
         return float(tail)
     x, (a, b) = below / (below + above * value), (below / 2, above / 2)
     return float(a * np.log(x) + (b - 1) * np.log1p(-x) - np.log(a) - special.betaln(a, b))
+
+
+def _log(probability: float) -> float:
+    """Its natural logarithm, −∞ of none."""
+    return float(np.log(probability)) if probability > 0 else -np.inf

@@ -10,8 +10,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student_t
+from scipy.special import ndtr, stdtrit
 
 from irlos_pipe.estimate.cube import Frames, covariance_of_mean
 from irlos_pipe.estimate.few_frames import covariance_from_noise
@@ -59,4 +58,4 @@ def _scatter_beyond(used: np.ndarray, covariance: np.ndarray) -> bool:
 
 def widening(count: int) -> float:
     """Return the factor on the standard error of the mean of `count` values, which know little of it."""
-    return float(student_t.ppf(norm.cdf(KEPT_SIGMA), count - 1)) / KEPT_SIGMA
+    return float(stdtrit(count - 1, ndtr(KEPT_SIGMA))) / KEPT_SIGMA

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from scipy import stats
+from scipy.special import chdtri, ndtr
 
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.diagnosis.cube import Stack, Stacks
@@ -51,7 +51,7 @@ class Drift:
     def detectable_nm(self, sure: float) -> np.ndarray:
         """Change of each mode alone that would surely be significant, (modes,)."""
         tested = sum(noll not in TIP_TILT for noll in self.nolls)
-        limit = float(stats.chi2.isf(stats.norm.sf(sure), tested))
+        limit = float(chdtri(tested, ndtr(-sure)))
         return self.sigma_nm * np.sqrt(surely_exceeding(limit, tested))
 
     def effect(self) -> FixedEffect:
