@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from irlos_pipe.conventions.modes import TIP_TILT
+from irlos_pipe.conventions.modes import REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.optics.azimuthal_mean import ring_means
 from irlos_pipe.optics.grids import Optics
 from irlos_pipe.optics.image_quality import Curve, encircled_energy, transfer_cut
@@ -51,6 +51,38 @@ class Prediction:
     def transfer(self, image: np.ndarray, axis: int) -> Curve:
         """Return a cut through the OTF of an `image`, see `image_quality.transfer_cut`."""
         return transfer_cut(image, self.resolution_px, axis)
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """Modal offsets to add to the reference; modes that were not estimated are 0 with an infinite error.
+
+    Attributes
+    ----------
+    nolls : ndarray, (29,)
+    value_nm, sigma_nm : ndarray, (29,)
+        Offsets and their standard errors [nm RMS].
+    """
+
+    nolls: np.ndarray
+    value_nm: np.ndarray
+    sigma_nm: np.ndarray
+
+
+def modal_offsets(nolls: Sequence[int], zernike_nm: np.ndarray, sigma_nm: np.ndarray, gain: float) -> Offsets:
+    """Return the offsets that cancel a part `gain` of the whole wavefront.
+
+    Parameters
+    ----------
+    nolls : sequence of int
+    zernike_nm, sigma_nm : ndarray, (modes,)
+        Estimates of the whole wavefront and their standard errors [nm RMS].
+    gain : float
+    """
+    offset_nm = -gain * np.asarray(zernike_nm)
+    table = {noll: (o, s) for noll, o, s in zip(nolls, offset_nm, sigma_nm, strict=True)}
+    values = np.array([table.get(noll, (0.0, np.inf)) for noll in REPORTED_NOLLS])
+    return Offsets(np.array(REPORTED_NOLLS), values[:, 0], values[:, 1])
 
 
 def seen_and_left_nm(

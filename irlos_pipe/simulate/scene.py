@@ -19,6 +19,7 @@ from irlos_pipe.simulate.effects.base import RecordingSetup, SimulatedEffect
 from irlos_pipe.simulate.effects.catalogue import effects_of
 from irlos_pipe.simulate.errors import SceneError
 from irlos_pipe.simulate.light import Band
+from irlos_pipe.simulate.mirror import Mirror
 from irlos_pipe.simulate.motion import Motion
 
 STATIC_PUPIL_SAMPLES, MOVING_PUPIL_SAMPLES = 256, 128
@@ -81,6 +82,8 @@ class Scene:
     diversity_nm : mapping of int to float
     introduced_nm : float or tuple of float
         Defocus (Noll 4) of all frames, or of every frame.
+    mirror : Mirror or None
+        With the offsets it has been sent; what it makes of them is part of the truth.
     sky : Sky or None
         AO residual; None on the bench.
     motion : Motion or None
@@ -114,6 +117,7 @@ class Scene:
     diversity_nm: Mapping[int, float] = field(default_factory=dict)
     diversity_source: str = "lens"
     introduced_nm: float | tuple[float, ...] = 0.0
+    mirror: Mirror | None = None
     sky: Sky | None = None
     motion: Motion | None = None
     sky_e_per_s: float = 0.0

@@ -41,6 +41,8 @@ class StaticWavefront:
         self._static_nm = telescope.opd_nm(static_zernike_nm(scene))
         for effect in effects:
             self._static_nm = self._static_nm + effect.static_opd_nm(telescope)
+        if scene.mirror:
+            self._static_nm = self._static_nm + scene.mirror.opd_nm(telescope)
         drift = _sum_nm(effect.drift_zernike_nm() for effect in effects)
         self._drift_nm = telescope.opd_nm(drift)
         self._elapsed = np.linspace(0, 1 if drift else 0, scene.frames)

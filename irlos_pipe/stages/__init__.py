@@ -33,6 +33,7 @@ EXPERIMENTS = (
     "focus_ramp",
     "ramp_conditions",
     "derotator_series",
+    "mirror_loop",
     "faint",
     "mode_statistics",
     "mode_number",

@@ -7,20 +7,19 @@ accepts: Noll 4–30 of the estimate, subtracted from the wavefront. Tip and til
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
+from irlos_pipe.paper.common.star import star_image
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE, VARIANTS
-from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
 
 COMPARED = (DEFAULT, PAPER_CHOICE)
 STATES = ("before", *COMPARED, "ideal")
 CORRECTED = tuple(range(4, HIGHEST_REPORTED_NOLL + 1))
-SEED_OF_STAR = 1  # other residuals than in the cube that was calibrated
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,5 @@ def _image(state: str, scene: Scene, frames: int, removed_nm: Mapping[int, float
     left_nm = {
         noll: value - removed_nm.get(noll, 0.0) for noll, value in scene.ncpa_nm.items() if noll not in (2, 3)
     }
-    star = replace(scene, ncpa_nm=left_nm, diversity_nm={}, frames=frames, seed=(*scene.seed, SEED_OF_STAR))
-    image = expose(star).mean_e.mean(axis=0, dtype=float) / star.photons
-    perfect = expose(replace(star, ncpa_nm={}, sky=None, motion=None, frames=1)).mean_e[0] / star.photons
-    return {f"{state}/image": image, f"{state}/strehl": image.max() / perfect.max()}
+    image, strehl = star_image(scene, frames, left_nm)
+    return {f"{state}/image": image, f"{state}/strehl": np.array(strehl)}

@@ -9,7 +9,13 @@ import numpy as np
 
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL, REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.effects import SeeingHalo, fixed_optics
-from irlos_pipe.estimate.correction import Prediction, predict_correction, seen_and_left_nm
+from irlos_pipe.estimate.correction import (
+    Offsets,
+    Prediction,
+    modal_offsets,
+    predict_correction,
+    seen_and_left_nm,
+)
 from irlos_pipe.estimate.strehl_budget import StrehlPart, strehl_budget
 from irlos_pipe.frames.recording import PROFILE, Recording
 from irlos_pipe.optics.wavefront import clear_pupil, opd_maps_nm, rms_and_pv
@@ -30,7 +36,6 @@ SIGN = (
     "offset = -NCPA: add the offset to the reference to cancel the aberration; OPD in nm RMS, Noll; "
     "diversity not included"
 )
-Offsets = tuple[np.ndarray, np.ndarray, np.ndarray]  # Noll indices, offsets [nm], standard errors [nm]
 
 
 def run(ctx: StageContext[Config]) -> StageOutput:
@@ -38,7 +43,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     arrays = ctx.products["calibrate"].arrays
     nolls = [int(n) for n in arrays["noll"].value]
     zernike, sigma = np.array(arrays["zernike_nm"].value, float), np.array(arrays["zernike_nm"].error, float)
-    offsets = _offsets(nolls, -ctx.config.gain * zernike, sigma)
+    offsets = modal_offsets(nolls, zernike, sigma, ctx.config.gain)
     recording = recordings_from_product(ctx.products["ingest"], ctx.config.input)[0]
     prediction, budget = _predict(ctx, recording, nolls, zernike)
     table = _table(ctx, offsets, prediction)
@@ -51,25 +56,18 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         files={"correction.csv": table, "correction.fits": table},
         summary=[
             f"Correction      Strehl {prediction.strehl_before:.3f} → {prediction.strehl_after:.3f} "
-            f"predicted, {len(offsets[0])} offsets in correction.csv and correction.fits"
+            f"predicted, {len(offsets.nolls)} offsets in correction.csv and correction.fits"
         ],
     )
-
-
-def _offsets(nolls: list[int], offset_nm: np.ndarray, sigma_nm: np.ndarray) -> Offsets:
-    """The reported modes; those that were not estimated are 0 with an infinite error."""
-    table = {noll: (o, s) for noll, o, s in zip(nolls, offset_nm, sigma_nm, strict=True)}
-    values = np.array([table.get(noll, (0.0, np.inf)) for noll in REPORTED_NOLLS])
-    return np.array(REPORTED_NOLLS), values[:, 0], values[:, 1]
 
 
 def _table(ctx: StageContext[Config], offsets: Offsets, prediction: Prediction) -> Table:
     """The offsets as they are handed on, with what they mean and how good they are."""
     calibration = results_of(CalibrateResults, ctx.products["calibrate"])
     columns = (
-        Column("noll", "", offsets[0], "Noll index"),
-        Column("offset_nm", "nm", offsets[1], "to be added to the reference", ".4f"),
-        Column("sigma_nm", "nm", offsets[2], "1-sigma error", ".4f"),
+        Column("noll", "", offsets.nolls, "Noll index"),
+        Column("offset_nm", "nm", offsets.value_nm, "to be added to the reference", ".4f"),
+        Column("sigma_nm", "nm", offsets.sigma_nm, "1-sigma error", ".4f"),
     )
     facts = (
         Card("IRLOS SIGN", "offset = -NCPA", "add it to the reference"),
@@ -179,8 +177,8 @@ def _arrays(offsets: Offsets, prediction: Prediction) -> dict[str, Quantity]:
         )
     }
     return arrays | {
-        "noll": Quantity(offsets[0], "", "Noll index"),
-        "offset_nm": Quantity(offsets[1], "nm", SIGN, offsets[2]),
+        "noll": Quantity(offsets.nolls, "", "Noll index"),
+        "offset_nm": Quantity(offsets.value_nm, "nm", SIGN, offsets.sigma_nm),
         "radius_mas": Quantity(prediction.radius_mas, "mas", "radius of the rings"),
         "profile_before": Quantity(prediction.profile_before, "", "mean of each ring, unit-flux image"),
         "profile_after": Quantity(prediction.profile_after, "", "mean of each ring, unit-flux image"),
@@ -200,7 +198,7 @@ def _results(
     pixel_scale_mas: float,
 ) -> CorrectResults:
     return CorrectResults(
-        offset_nm=dict(zip(offsets[0].tolist(), offsets[1].tolist(), strict=True)),
+        offset_nm=dict(zip(offsets.nolls.tolist(), offsets.value_nm.tolist(), strict=True)),
         sign=SIGN,
         strehl_before=prediction.strehl_before,
         strehl_after=prediction.strehl_after,

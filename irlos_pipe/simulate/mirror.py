@@ -1,0 +1,131 @@
+"""A deformable mirror of Gaussian influence functions that is sent modal offsets.
+
+The control computer turns offsets of Zernike modes into the strokes that come nearest to them over the pupil,
+for the mirror as it is believed to be. What the mirror then does differs by its gain and by where it lies:
+its actuators may be shifted and turned against the pupil.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+
+from irlos_pipe.conventions.modes import REPORTED_NOLLS
+from irlos_pipe.simulate.errors import SceneError
+from irlos_pipe.simulate.telescope import Telescope
+from irlos_pipe.simulate.zernikes import zernike
+
+POINTS_PER_PITCH, FEWEST_POINTS = 3, 64  # where the strokes are fitted: per actuator, and across the pupil
+DAMPING = 1e-6  # of the strokes, relative to the mean response of an actuator
+
+
+@dataclass(frozen=True)
+class Actuators:
+    """A square grid of actuators under the pupil.
+
+    Attributes
+    ----------
+    diameter_m : float
+        Of the pupil; the grid ends a pitch beyond it.
+    pitch_m : float
+        From actuator to actuator, as projected on the pupil.
+    coupling : float
+        Height of an influence function at the next actuator, of 1 at its own.
+    """
+
+    diameter_m: float
+    pitch_m: float
+    coupling: float = 0.3
+
+    @property
+    def positions_m(self) -> np.ndarray:
+        """Return the places of rows and columns, symmetric about the axis, (places,) [m]."""
+        half = int(np.ceil(self.diameter_m / 2 / self.pitch_m)) + 1
+        return (np.arange(2 * half) - half + 0.5) * self.pitch_m
+
+    @property
+    def present(self) -> np.ndarray:
+        """Return where there is an actuator, (places, places); row index is y."""
+        x_m, y_m = np.meshgrid(self.positions_m, self.positions_m)
+        return np.hypot(x_m, y_m) <= self.diameter_m / 2 + self.pitch_m
+
+    def along(self, at_m: np.ndarray) -> np.ndarray:
+        """Return the influence of every place at coordinates `at_m`, (points,): (points, places)."""
+        distance = (at_m[:, None] - self.positions_m) / self.pitch_m
+        return self.coupling ** (distance**2)
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """A mirror and what it has been sent.
+
+    Attributes
+    ----------
+    actuators : Actuators
+    gain : float
+        Stroke over the stroke that was asked for.
+    shift_m : (float, float)
+        By which the actuators lie off the pupil, (x, y).
+    turn_deg : float
+        By which they are turned about the optical axis, anticlockwise, before they are shifted.
+    offsets_nm : mapping of int to float
+        Modal offsets, Noll 2 to 30: nm RMS.
+    """
+
+    actuators: Actuators
+    gain: float = 1.0
+    shift_m: tuple[float, float] = (0.0, 0.0)
+    turn_deg: float = 0.0
+    offsets_nm: Mapping[int, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.offsets_nm) - set(REPORTED_NOLLS))
+        if unknown:
+            raise SceneError(f"mirror: there are no offsets of Noll {', '.join(map(str, unknown))}")
+
+    def opd_nm(self, telescope: Telescope) -> np.ndarray:
+        """Return the wavefront that the mirror makes on the grid of `telescope`, (n, n) [nm]."""
+        strokes = modal_strokes(self.actuators)
+        total_nm = sum(
+            (value_nm * strokes[noll - REPORTED_NOLLS[0]] for noll, value_nm in self.offsets_nm.items()),
+            np.zeros_like(strokes[0]),
+        )
+        x_m, y_m = (one.ravel() for one in self._on_mirror_m(telescope.u_m[None, :], telescope.u_m[:, None]))
+        along_x, along_y = self.actuators.along(x_m), self.actuators.along(y_m)
+        shape_nm = np.einsum("px,px->p", along_y @ total_nm, along_x)
+        return self.gain * shape_nm.reshape(telescope.transmission.shape)
+
+    def _on_mirror_m(self, x_m: np.ndarray, y_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points of the pupil in the coordinates of the actuators."""
+        x_m, y_m = x_m - self.shift_m[0], y_m - self.shift_m[1]
+        cosine, sine = np.cos(np.deg2rad(self.turn_deg)), np.sin(np.deg2rad(self.turn_deg))
+        return cosine * x_m + sine * y_m, cosine * y_m - sine * x_m
+
+
+@cache
+def modal_strokes(actuators: Actuators) -> np.ndarray:
+    """Return the strokes that come nearest to Noll 2..30 of 1 nm RMS over the disc of the pupil.
+
+    Returns
+    -------
+    ndarray, (29, places, places)
+        Rows are y, columns x; zero where there is no actuator [nm].
+    """
+    radius_m = actuators.diameter_m / 2
+    points = max(FEWEST_POINTS, int(np.ceil(POINTS_PER_PITCH * actuators.diameter_m / actuators.pitch_m)))
+    unit = (np.arange(points) + 0.5) * 2 / points - 1
+    x, y = (one.ravel() for one in np.meshgrid(unit, unit))
+    inside = np.hypot(x, y) <= 1
+    x, y = x[inside], y[inside]
+    present = actuators.present
+    rows, columns = np.nonzero(present)
+    influence = actuators.along(y * radius_m)[:, rows] * actuators.along(x * radius_m)[:, columns]
+    normal = influence.T @ influence
+    normal[np.diag_indices_from(normal)] += DAMPING * np.trace(normal) / len(normal)
+    modes = np.array([zernike(noll, x, y) for noll in REPORTED_NOLLS])
+    strokes = np.zeros((len(REPORTED_NOLLS), *present.shape))
+    strokes[:, present] = np.linalg.solve(normal, influence.T @ modes.T).T
+    return strokes
