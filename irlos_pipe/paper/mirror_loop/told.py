@@ -61,7 +61,13 @@ class Judge:
 
 
 def further(offsets_nm: Mapping[int, float], seen_nm: Mapping[int, float]) -> dict[int, float]:
-    """Return the offsets after those of one more estimate `seen_nm`, Noll: nm RMS; tip and tilt stay."""
+    """Return the offsets of Noll 4..30 after one more estimate; tip and tilt stay.
+
+    Parameters
+    ----------
+    offsets_nm, seen_nm : mapping of int to float
+        Offsets so far, and the estimate, Noll: nm RMS.
+    """
     return {noll: offsets_nm.get(noll, 0.0) - seen_nm.get(noll, 0.0) for noll in CORRECTED}
 
 
