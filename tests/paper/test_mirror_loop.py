@@ -126,12 +126,29 @@ def test_a_calibrated_loop_takes_a_bias_out():
     assert found[f"{name}/strehl"][0] < found[f"{name}/strehl"][2] < found["ideal"] + 0.02
 
 
+def series_of_estimates(sample: MirrorSample, corrections: int) -> np.ndarray:
+    """Halved by every correction, but for the last where there are fewer than six."""
+    seen_nm = 0.5 ** np.arange(sample.corrections + 1.0)
+    seen_nm[corrections] = seen_nm[corrections - 1] if corrections < 6 else seen_nm[corrections]
+    seen_nm[corrections + 1 :] = np.nan
+    return seen_nm
+
+
+@pytest.mark.parametrize(
+    ("seen_nm", "falls"),
+    [([9], True), ([9, 8, np.nan], True), ([90, 80], True), ([90, 82], False), ([9, 2, 3, np.nan], False)],
+)
+def test_an_estimate_improves_where_it_is_a_tenth_below_the_one_before(seen_nm, falls):
+    assert experiment.improves(seen_nm) is falls
+
+
 def numbers(sample: MirrorSample, left_nm: float, corrections: int) -> dict:
     series = np.full(sample.corrections + 1, np.nan)
     series[: corrections + 1] = np.linspace(200.0, left_nm, corrections + 1)
     found = {"ideal": 0.7}
     for loop in LOOPS:
         found |= {f"{loop.name}/{name}": series for name in SERIES}
+        found[f"{loop.name}/seen_nm"] = series_of_estimates(sample, corrections)
         found |= {f"{loop.name}/corrections": corrections, f"{loop.name}/predicted": 0.6}
         for rank, part in enumerate(PARTS):
             found |= {f"{loop.name}/{part}/modes_nm": rank, f"{loop.name}/{part}/beyond_nm": 2.0 * rank}

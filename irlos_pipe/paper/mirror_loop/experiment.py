@@ -7,6 +7,7 @@ actuators are shifted and turned against the pupil. The star was refocused befor
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -181,11 +182,10 @@ class _Bench:
             calibration = cube.calibrated(VARIANTS[loop.method])
             seen_nm = seen_by(calibration)
             seen_rms_nm = float(np.linalg.norm([seen_nm[noll] for noll in CORRECTED]))
-            improves = not rows or seen_rms_nm < IMPROVES * rows[-1][-1]
             rows.append([*self._left(mirror), self._strehl(mirror), seen_rms_nm])
             if index == 0:
                 predicted = predicted_strehl(cube, calibration)
-            if not improves or index == self.sample.corrections:
+            if not improves([row[-1] for row in rows]) or index == self.sample.corrections:
                 break
             mirror = replace(mirror, offsets_nm=further(mirror.offsets_nm, seen_nm))
         series = np.full((self.sample.corrections + 1, len(SERIES)), np.nan)
@@ -246,6 +246,12 @@ class _Bench:
             found |= {f"{part}/modes_nm": left.modes_nm, f"{part}/beyond_nm": left.beyond_nm}
             before_nm = state_nm
         return found
+
+
+def improves(seen_nm: Sequence[float]) -> bool:
+    """Return whether the last of the estimates `seen_nm`, NaN after the end, is well below the one before."""
+    there = [one for one in seen_nm if np.isfinite(one)]
+    return len(there) < 2 or bool(there[-1] < IMPROVES * there[-2])
 
 
 def seen_by(calibration: Calibration) -> dict[int, float]:

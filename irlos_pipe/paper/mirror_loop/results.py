@@ -48,6 +48,8 @@ class LoopRow(ResultsPart):
     corrections : Percentiles
         Until the estimate fell no more.
     most_corrections : int
+    cut_off : int
+        Loops in which the estimate still fell at the last correction that was allowed.
     before_nm, end_nm, beyond_nm, all_nm : Percentiles
         In Noll 4–30 before and at the end, and at the end in all other modes, and altogether.
     strehl_before, strehl_end, strehl_ideal, strehl_predicted : Percentiles
@@ -69,6 +71,7 @@ class LoopRow(ResultsPart):
     states: list[StateRow] = []
     corrections: Percentiles = Percentiles()
     most_corrections: int = 0
+    cut_off: int = 0
     before_nm: Percentiles = Percentiles()
     end_nm: Percentiles = Percentiles()
     beyond_nm: Percentiles = Percentiles()

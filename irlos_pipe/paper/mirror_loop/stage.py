@@ -18,6 +18,7 @@ from irlos_pipe.paper.mirror_loop.experiment import (
     MirrorErrors,
     MirrorSample,
     close,
+    improves,
 )
 from irlos_pipe.paper.mirror_loop.results import AloneRow, LoopRow, MirrorLoopResults, StateRow
 from irlos_pipe.product.product import Check, Quantity
@@ -68,7 +69,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         for pitch_m in config.pitches_m
         for error in config.errors.alone()
     ]
-    checks = [_ended(row, config.corrections) for row in rows if row.method == DEFAULT]
+    checks = [_ended(row) for row in rows if row.method == DEFAULT]
     checks += [_left(row) for row in rows if np.isfinite(row.asked_nm)]
     results = MirrorLoopResults(samples=config.samples, rows=rows, alone=alone)
     return StageOutput(_arrays(found), results, checks, summary=[_line(row) for row in rows])
@@ -104,6 +105,7 @@ def _row(loop: Loop, bias_nm: float, found: Sequence[Arrays]) -> LoopRow:
         {part: float(np.median([one[f"{loop.name}/{part}/{where}"] for one in found])) for part in PARTS}
         for where in ("modes_nm", "beyond_nm")
     )
+    falling = [improves(one) for one in series["seen_nm"]]
     asked = loop.method == DEFAULT and loop.diversity == "exact"
     return LoopRow(
         method=loop.method,
@@ -113,6 +115,7 @@ def _row(loop: Loop, bias_nm: float, found: Sequence[Arrays]) -> LoopRow:
         states=[_state(series, index) for index in range(done.max() + 1)],
         corrections=Percentiles.of(done),
         most_corrections=int(done.max()),
+        cut_off=sum(falling),
         before_nm=first["modes_nm"],
         end_nm=Percentiles.of(last["modes_nm"]),
         beyond_nm=Percentiles.of(last["beyond_nm"]),
@@ -147,14 +150,14 @@ def _alone(sample: MirrorSample, found: Sequence[Arrays], pitch_m: float, error:
     )
 
 
-def _ended(row: LoopRow, allowed: int) -> Check:
+def _ended(row: LoopRow) -> Check:
     return Check(
-        f"end of the loop, {row.diversity} diversity, bias {row.bias_nm:g} nm",
-        row.most_corrections,
+        f"loops cut off, {row.diversity} diversity, bias {row.bias_nm:g} nm",
+        row.cut_off,
         "",
         None,
-        allowed - 1,
-        f"{row.most_corrections} corrections in the longest loop, which is cut off after {allowed}",
+        0,
+        f"loops in which the estimate still fell at the last correction that is allowed: {row.cut_off}",
     )
 
 
