@@ -6,4 +6,5 @@ TIP_TILT = (2, 3)  # the position of the star, which says nothing about the opti
 DEFOCUS = 4
 HIGHEST_REPORTED_NOLL = 30
 REPORTED_NOLLS = tuple(range(2, HIGHEST_REPORTED_NOLL + 1))
+CORRECTED_NOLLS = REPORTED_NOLLS[len(TIP_TILT) :]  # tip and tilt are the fast loop's
 REPORTED_TEXT = f"Noll {REPORTED_NOLLS[0]}–{HIGHEST_REPORTED_NOLL}"

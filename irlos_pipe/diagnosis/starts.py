@@ -68,14 +68,18 @@ def other_sides(fitted: Fitted, label: str) -> list[np.ndarray]:
     label : str
         Of the effect.
     """
-    place = _place(fitted, label)
-    if place is None:
+    angle = _direction(fitted, label)
+    if angle is None:
         return []
-    values, angle, resting = place
-    if resting:
-        return _from_rest(fitted, label, values, angle)
-    values[angle] += np.pi
-    return [values]
+    other = fitted.x[0, fitted.columns_of(label)].numpy().copy()
+    if not _rests(fitted, label):
+        other[angle] += np.pi
+        return [other]
+    downhill = _downhill(fitted, label, angle)
+    if downhill is None:
+        return []
+    other[0], other[angle] = fitted.effect(label).base.parameters[0].start, downhill
+    return [other]
 
 
 def off_rest(fitted: Fitted, effects: Mapping[str, Effect]) -> list[Effect]:
@@ -87,31 +91,28 @@ def off_rest(fitted: Fitted, effects: Mapping[str, Effect]) -> list[Effect]:
     effects : mapping
         By label, where a fit would begin.
     """
-    begun = {**effects}
-    for label in fitted.continued_by_label().keys() & effects.keys():
-        place = _place(fitted, label)
-        for values in _from_rest(fitted, label, *place[:2]) if place and place[2] else ():
-            begun[label] = begun_at(effects[label], values)
-    return [*begun.values()]
+    shared = [label for label in fitted.problem.effects.labels if label in effects]
+    resting = [label for label in shared if _rests(fitted, label)]
+    places = ((label, values) for label in resting for values in other_sides(fitted, label))
+    released = {label: begun_at(effects[label], values) for label, values in places}
+    return [*({**effects} | released).values()]
 
 
-def _place(fitted: Fitted, label: str) -> tuple[np.ndarray, int, bool] | None:
-    """Values of an effect, which of them is the direction, and whether it is at rest at no distance."""
+def _direction(fitted: Fitted, label: str) -> int | None:
+    """Which parameter of an effect is its direction; None of an effect without a distance and a direction."""
     free = fitted.effect(label).parameters
     angles = [i for i, one in enumerate(free) if one.null is None and one.unit == "rad"]
     if not angles or free[0].null is None or free[0].null > free[0].lower:
         return None
-    values = fitted.x[0, fitted.columns_of(label)].numpy().copy()
-    return values, angles[0], bool(values[0] <= free[0].lower + AT_REST)
+    return angles[0]
 
 
-def _from_rest(fitted: Fitted, label: str, values: np.ndarray, angle: int) -> list[np.ndarray]:
-    """Values at a distance in the direction in which the fit falls; none if it falls in none."""
-    downhill = _downhill(fitted, label, angle)
-    if downhill is None:
-        return []
-    values[0], values[angle] = fitted.effect(label).base.parameters[0].start, downhill
-    return [values]
+def _rests(fitted: Fitted, label: str) -> bool:
+    """Whether an effect with a direction is at no distance."""
+    if _direction(fitted, label) is None:
+        return False
+    distance = float(fitted.x[0, fitted.columns_of(label)[0]])
+    return distance <= fitted.effect(label).parameters[0].lower + AT_REST
 
 
 def _downhill(fitted: Fitted, label: str, angle: int) -> float | None:

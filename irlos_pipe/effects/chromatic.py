@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -42,12 +43,19 @@ class _Table(ZernikeTable, OpdMap):
     law : NcpaLaw, optional
     """
 
+    default: ClassVar[range]
+
     def __init__(self, nolls: Sequence[int], law: NcpaLaw | None = None):
         super().__init__(nolls)
         sigma = np.full(len(self.nolls), WITHOUT_LAW_NM) if law is None else OF_LAW * law.sigma_nm(self.nolls)
         self.parameters = tuple(
             replace(one, prior_sigma=float(s)) for one, s in zip(self.parameters, sigma, strict=True)
         )
+
+    @classmethod
+    def variants(cls, conditions: Conditions) -> tuple[Effect, ...]:
+        """See `Effect.variants`: fewer modes tell it from other effects."""
+        return (cls.under(conditions, range(cls.default.start, SEARCHED + 1)),)
 
     def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         return torch.tensordot(values, torch.tensor(grid.modes(self.nolls)), 1) * self._share(grid)
@@ -77,7 +85,7 @@ class ChromaticNcpa(_Table):
         Of the prior, per µm.
     """
 
-    name, table = "chromatic_ncpa", "zernike_nm_per_um"
+    name, table, default = "chromatic_ncpa", "zernike_nm_per_um", CHROMATIC_NOLLS
     formula = "Φ(λ) = Φ + (λ − λ_ref) Σ c_k Z_k, λ_ref = reference_nm"
     aberration = True
     public = (Public(table, "Noll index: nm RMS per µm", "zernike", -2000.0, 2000.0),)
@@ -99,12 +107,7 @@ class ChromaticNcpa(_Table):
         cls, conditions: Conditions, nolls: Sequence[int] = (), reference_nm: float | None = None
     ) -> ChromaticNcpa:
         """See `Effect.under`: by default about the wavelength of the NCPAs."""
-        return cls(nolls or CHROMATIC_NOLLS, reference_nm or conditions.reference_nm, conditions.ncpa_law)
-
-    @classmethod
-    def variants(cls, conditions: Conditions) -> tuple[Effect, ...]:
-        """See `Effect.variants`."""
-        return (cls.under(conditions, range(CHROMATIC_NOLLS.start, SEARCHED + 1)),)
+        return cls(nolls or cls.default, reference_nm or conditions.reference_nm, conditions.ncpa_law)
 
     def shown_by(self, recordings: Sequence[Conditions]) -> bool:
         """See `Effect.shown_by`: bands that are broad or apart."""
@@ -131,7 +134,7 @@ class FilterNcpa(_Table):
         Of the prior.
     """
 
-    name, table = "filter_ncpa", "zernike_nm"
+    name, table, default = "filter_ncpa", "zernike_nm", FILTER_NOLLS
     formula = "Φ → Φ + Σ c_k Z_k in recordings through the filter or lens"
     aberration = True
     repeatable = True
@@ -153,12 +156,7 @@ class FilterNcpa(_Table):
     def under(cls, conditions: Conditions, nolls: Sequence[int] = (), of: str = "") -> FilterNcpa:
         """See `Effect.under`: by default of the filter and the lens of the recording together."""
         elements = (of,) if of else conditions.elements
-        return cls(nolls or FILTER_NOLLS, elements, conditions.ncpa_law)
-
-    @classmethod
-    def variants(cls, conditions: Conditions) -> tuple[Effect, ...]:
-        """See `Effect.variants`."""
-        return (cls.under(conditions, range(FILTER_NOLLS.start, SEARCHED + 1)),)
+        return cls(nolls or cls.default, elements, conditions.ncpa_law)
 
     @property
     def of(self) -> str:
@@ -167,7 +165,7 @@ class FilterNcpa(_Table):
 
     def with_focus(self) -> FilterNcpa:
         """Return the same with Noll 4, which recordings of known focus show; chosen modes stay."""
-        if self.nolls != tuple(FILTER_NOLLS):
+        if self.nolls != tuple(self.default):
             return self
         return FilterNcpa((4, *self.nolls), tuple(self.elements), self.law)
 

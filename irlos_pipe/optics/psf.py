@@ -170,10 +170,11 @@ class PsfModel:
         return Colour(wavelength_m, pupil, transfer, to_rows, to_columns, grid.padded, grid.samples, strained)
 
     def _pupil(self, pupils: torch.Tensor | None, index: int) -> torch.Tensor | None:
-        return None if pupils is None else self._pupil_of(pupils, index)
+        return None if pupils is None else self._amplitudes(pupils[index])
 
-    def _pupil_of(self, pupils: torch.Tensor, index: int) -> torch.Tensor:
-        return mirrored(self._complex(pupils[index]))
+    def _amplitudes(self, pupils: torch.Tensor) -> torch.Tensor:
+        """Complex maps of the pupil, (..., n, n), in the order of `matrix_dft`."""
+        return mirrored(self._complex(pupils))
 
     def _transfer(self, factors: torch.Tensor | None, index: int) -> torch.Tensor | None:
         if factors is None:
@@ -282,7 +283,7 @@ class PsfModel:
 
     def _changes(self, dft: MatrixDft, pupils: torch.Tensor, phasor) -> torch.Tensor:
         """Focal amplitudes behind several pupils (k, n, n), (k, frames, 2, m, m)."""
-        fields = behind(mirrored(self._complex(pupils))[:, None], phasor)
+        fields = behind(self._amplitudes(pupils)[:, None], phasor)
         return dft.amplitude(fields.flatten(0, 1)).unflatten(0, fields.shape[:2])
 
     def _derivatives(self, colour: Colour, changes: torch.Tensor) -> torch.Tensor:

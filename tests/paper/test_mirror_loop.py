@@ -13,6 +13,7 @@ import pytest
 from helpers import optics_cases as cases
 from helpers.experiment_stage import run_stage, section_of
 
+from irlos_pipe.conventions.modes import CORRECTED_NOLLS
 from irlos_pipe.paper.common.variants import DEFAULT
 from irlos_pipe.paper.mirror_loop import experiment, stage
 from irlos_pipe.paper.mirror_loop.experiment import (
@@ -25,7 +26,7 @@ from irlos_pipe.paper.mirror_loop.experiment import (
     close,
 )
 from irlos_pipe.paper.mirror_loop.section import section
-from irlos_pipe.paper.mirror_loop.told import CORRECTED, Judge, diversity_error_nm, further, told
+from irlos_pipe.paper.mirror_loop.told import Judge, diversity_error_nm, further, told
 from irlos_pipe.simulate.exposure import telescope_of
 
 ERRORS = MirrorErrors(gain=0.9, shift=0.02, turn_deg=2.0)
@@ -38,7 +39,7 @@ def sizes_nm(mirror, ncpa_nm, corrections=3):
     """Root of the sum of squares of Noll 4–30 before the first correction and after each."""
     states = told(JUDGE, mirror, JUDGE.telescope.opd_nm(ncpa_nm), 0.0, corrections)
     found = [JUDGE.coefficients_nm(state) for state in states]
-    return np.array([np.linalg.norm([one[noll] for noll in CORRECTED]) for one in found])
+    return np.array([np.linalg.norm([one[noll] for noll in CORRECTED_NOLLS]) for one in found])
 
 
 @pytest.mark.parametrize("gain", [0.7, 1.2])
@@ -64,7 +65,7 @@ def test_a_shift_of_coma_leaves_defocus_and_astigmatism_that_the_next_correction
 
 def test_tip_and_tilt_are_not_corrected():
     assert further({4: 1.0}, {2: 9.0, 3: 9.0, 4: 3.0}) == {
-        noll: -2.0 if noll == 4 else 0.0 for noll in CORRECTED
+        noll: -2.0 if noll == 4 else 0.0 for noll in CORRECTED_NOLLS
     }
     opd_nm = JUDGE.telescope.opd_nm({2: 80.0, 5: 30.0, 40: 10.0})
     still = JUDGE.left(JUDGE.telescope.opd_nm({5: 30.0, 40: 10.0}))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
+from irlos_pipe.conventions.modes import CORRECTED_NOLLS, TIP_TILT
 from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
 from irlos_pipe.paper.common.star import star_image
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE, VARIANTS
@@ -19,7 +19,6 @@ from irlos_pipe.simulate.scene import Scene
 
 COMPARED = (DEFAULT, PAPER_CHOICE)
 STATES = ("before", *COMPARED, "ideal")
-CORRECTED = tuple(range(4, HIGHEST_REPORTED_NOLL + 1))
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ def correct(star: Star) -> dict[str, np.ndarray]:
 def _corrected(name: str, cube: ObservedCube, frames: int) -> dict[str, np.ndarray]:
     calibration = cube.calibrated(VARIANTS[name])
     estimate_nm = dict(zip(calibration.nolls, calibration.zernike_nm, strict=True))
-    removed_nm = {noll: estimate_nm[noll] for noll in CORRECTED if noll in estimate_nm}
+    removed_nm = {noll: estimate_nm[noll] for noll in CORRECTED_NOLLS if noll in estimate_nm}
     return {
         f"{name}/wavefront_nm": cube.wavefront_nm(calibration),
         f"{name}/pupil_nm": np.array(cube.pupil_delta_nm(calibration)),
@@ -78,7 +77,9 @@ def _corrected(name: str, cube: ObservedCube, frames: int) -> dict[str, np.ndarr
 def _image(state: str, scene: Scene, frames: int, removed_nm: Mapping[int, float]) -> dict[str, np.ndarray]:
     """Averaged image of the star, and its peak over that of a star without any aberration."""
     left_nm = {
-        noll: value - removed_nm.get(noll, 0.0) for noll, value in scene.ncpa_nm.items() if noll not in (2, 3)
+        noll: value - removed_nm.get(noll, 0.0)
+        for noll, value in scene.ncpa_nm.items()
+        if noll not in TIP_TILT
     }
     image, strehl = star_image(scene, frames, left_nm)
     return {f"{state}/image": image, f"{state}/strehl": np.array(strehl)}

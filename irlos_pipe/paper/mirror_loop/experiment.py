@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from irlos_pipe.conventions.facility import Facility
-from irlos_pipe.conventions.modes import DEFOCUS
+from irlos_pipe.conventions.modes import CORRECTED_NOLLS, DEFOCUS, REPORTED_NOLLS, TIP_TILT
 from irlos_pipe.effects import fixed_optics
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.correction import modal_offsets, predict_correction
@@ -23,7 +23,7 @@ from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM, CubeSample, Observ
 from irlos_pipe.paper.common.ramps import knowledge_of
 from irlos_pipe.paper.common.star import star_image
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE, VARIANTS
-from irlos_pipe.paper.mirror_loop.told import CORRECTED, Judge, diversity_error_nm, further, told
+from irlos_pipe.paper.mirror_loop.told import Judge, diversity_error_nm, further, told
 from irlos_pipe.simulate.exposure import telescope_of
 from irlos_pipe.simulate.mirror import Actuators, Mirror
 from irlos_pipe.simulate.scene import Scene
@@ -181,7 +181,7 @@ class _Bench:
             cube = ObservedCube.of(self._cube(loop, mirror, index))
             calibration = cube.calibrated(VARIANTS[loop.method])
             seen_nm = seen_by(calibration)
-            seen_rms_nm = float(np.linalg.norm([seen_nm[noll] for noll in CORRECTED]))
+            seen_rms_nm = float(np.linalg.norm([seen_nm[noll] for noll in CORRECTED_NOLLS]))
             rows.append([*self._left(mirror), self._strehl(mirror), seen_rms_nm])
             if index == 0:
                 predicted = predicted_strehl(cube, calibration)
@@ -209,7 +209,7 @@ class _Bench:
     def _strehl(self, mirror: Mirror) -> float:
         """Strehl ratio of the star, which the fast loop keeps centred."""
         moved_nm = self.judge.coefficients_nm(mirror.opd_nm(self.judge.telescope))
-        ncpa_nm = {**self.scene.ncpa_nm, 2: -moved_nm[2], 3: -moved_nm[3]}
+        ncpa_nm = {**self.scene.ncpa_nm} | {noll: -moved_nm[noll] for noll in TIP_TILT}
         return star_image(replace(self.scene, mirror=mirror), self.sample.star_frames, ncpa_nm)[1]
 
     def _cube(self, loop: Loop, mirror: Mirror, index: int) -> Scene:
@@ -220,7 +220,9 @@ class _Bench:
         # The scene adds the diversity as declared; here the mirror makes it, so that it is taken out once.
         declared_nm = scene.diversity_nm
         ncpa_nm = {noll: value - declared_nm.get(noll, 0.0) for noll, value in scene.ncpa_nm.items()}
-        sent_nm = {noll: mirror.offsets_nm.get(noll, 0.0) + declared_nm.get(noll, 0.0) for noll in CORRECTED}
+        sent_nm = {
+            noll: mirror.offsets_nm.get(noll, 0.0) + declared_nm.get(noll, 0.0) for noll in CORRECTED_NOLLS
+        }
         return replace(scene, ncpa_nm=ncpa_nm, mirror=replace(mirror, offsets_nm=sent_nm))
 
     def _parts(self, loop: Loop, mirror: Mirror, done: int) -> dict[str, float]:
@@ -231,7 +233,7 @@ class _Bench:
         unseen_nm: np.ndarray | float = 0.0
         if loop.diversity == "mirror":
             unseen_nm = diversity_error_nm(judge.telescope, real, self.scene.diversity_nm)
-        finer_nm = {noll: value for noll, value in self.scene.ncpa_nm.items() if noll > CORRECTED[-1]}
+        finer_nm = {noll: value for noll, value in self.scene.ncpa_nm.items() if noll > CORRECTED_NOLLS[-1]}
         states = (
             judge.telescope.opd_nm(finer_nm),
             told(judge, aligned, opd_nm, 0.0, FITTED_BY)[-1],
@@ -270,7 +272,7 @@ def predicted_strehl(cube: ObservedCube, calibration: Calibration) -> float:
     """
     nolls = calibration.nolls
     effects = list(knowledge_of(cube, calibration).effects.values())
-    gain = np.isin(nolls, (2, 3, *CORRECTED)).astype(float)
+    gain = np.isin(nolls, REPORTED_NOLLS).astype(float)
     return predict_correction(
         cube.settings,
         nolls,

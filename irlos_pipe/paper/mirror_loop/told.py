@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
+from irlos_pipe.conventions.modes import CORRECTED_NOLLS, HIGHEST_REPORTED_NOLL, TIP_TILT
 from irlos_pipe.simulate.mirror import Mirror
 from irlos_pipe.simulate.telescope import Telescope
 
-CORRECTED = tuple(range(4, HIGHEST_REPORTED_NOLL + 1))  # tip and tilt are the fast loop's
 LAST_FITTED = 66  # so that modes beyond the corrected ones do not pass for them
 
 
@@ -49,8 +48,8 @@ class Judge:
     def left(self, opd_nm: np.ndarray) -> Left:
         """Return what there is in a wavefront `opd_nm`, (n, n) [nm]."""
         found_nm = self.coefficients_nm(opd_nm)
-        modes_nm = self.telescope.opd_nm({noll: found_nm[noll] for noll in CORRECTED})
-        still_nm = opd_nm - self.telescope.opd_nm({noll: found_nm[noll] for noll in (2, 3)})
+        modes_nm = self.telescope.opd_nm({noll: found_nm[noll] for noll in CORRECTED_NOLLS})
+        still_nm = opd_nm - self.telescope.opd_nm({noll: found_nm[noll] for noll in TIP_TILT})
         parts = (modes_nm, still_nm - modes_nm, still_nm)
         return Left(*(self._rms_nm(part) for part in parts))
 
@@ -68,7 +67,7 @@ def further(offsets_nm: Mapping[int, float], seen_nm: Mapping[int, float]) -> di
     offsets_nm, seen_nm : mapping of int to float
         Offsets so far, and the estimate, Noll: nm RMS.
     """
-    return {noll: offsets_nm.get(noll, 0.0) - seen_nm.get(noll, 0.0) for noll in CORRECTED}
+    return {noll: offsets_nm.get(noll, 0.0) - seen_nm.get(noll, 0.0) for noll in CORRECTED_NOLLS}
 
 
 def told(
