@@ -19,7 +19,7 @@ from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.refit import PER_PARAMETER, Refit
 from irlos_pipe.diagnosis.search.scores import Score
-from irlos_pipe.diagnosis.significance import gaussian_sigma, threshold
+from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.verdict import Ranked
 from irlos_pipe.effects.labels import label_of, occurrences
 
@@ -227,7 +227,7 @@ def detected(refit: Refit, cube: Cube, sure: float) -> bool:
     It is so in the training frames, for all places that were tried, or in those that no fit has seen: the
     scatter of few independent frames allows no strong statement about many places.
     """
-    if refit.gain <= threshold(refit.parameters, refit.score.trials) * refit.score.inflation:
+    if not refit.beyond_chance:
         return False
     return refit.significance > sure or _held_out_significance(refit, cube) > sure
 

@@ -66,10 +66,12 @@ class Fitter:
         problem = self._problem(effects, self._quick)
         return self._exact(self._solved(problem, self._start(problem, near)))
 
-    def explored(self, effects: Sequence[Effect], near: Fitted | None = None) -> Fitted:
+    def explored(
+        self, effects: Sequence[Effect], near: Fitted | None = None, iterations: int = EXPLORING
+    ) -> Fitted:
         """Fit `effects` from a fit `near` by, in float32 to a loose tolerance: enough to rank candidates."""
         problem = self._problem(effects, self._quick, ROUGHLY)
-        return self._solved(problem, self._start(problem, near), EXPLORING)
+        return self._solved(problem, self._start(problem, near), iterations)
 
     def begun(self, effects: Sequence[Effect], near: Fitted) -> Fitted:
         """`effects` beside modes, flux and background of a fit `near` by, nothing fitted yet."""

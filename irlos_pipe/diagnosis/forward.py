@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
 
 from irlos_pipe.diagnosis.acceptance import Accepted, Search, choose, explained, no_longer_needed
@@ -14,12 +14,13 @@ from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.moments import Moments
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.refit import FAR, Refit, refits
+from irlos_pipe.diagnosis.refit import Refit, refits
 from irlos_pipe.diagnosis.search.placements import placed_families
 from irlos_pipe.diagnosis.search.scores import Score, families, scores
 from irlos_pipe.diagnosis.sharing import parted, sharing
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
 
+LARGER_OF_TWO = 0.5  # effects, which explains at least as much of the excess
 SPLIT = 0.5  # of what one value for all leaves, that a value for each moment must explain
 Report = Callable[[int], None]
 
@@ -92,13 +93,14 @@ class Task:
         moment = self.fitter.views[drift.recording].moment
         return drift.effect().only_in(frozenset({moment}) if self.moments.several else None)
 
-    def _scores(self, current: Optimum) -> tuple[list[Score], list[str]]:
-        """Scores of all families that the model lacks."""
+    def _scores(self, current: Optimum, but: Container[str] = ()) -> tuple[list[Score], list[str]]:
+        """Scores of all families that the model lacks, but for some names; and what means nothing here."""
         present = current.fitted.effects
         if self.moments.several:
             missing, meaningless = placed_families(self.moments, present)
         else:
             missing, meaningless = families(self.conditions, [effect.name for effect in present])
+        missing = [one for one in missing if one.effect.name not in but]
         listed = any(effect.found_by == "pixels" for effect in present)
         pixels = [] if listed else bad_pixel_family(current)
         if not self.cube.training.in_time:
@@ -129,14 +131,11 @@ class Task:
         return [of_each] * len(found.seen)
 
     def _leads_nowhere(self, refit: Refit) -> bool:
-        """Whether a name leaves much, and explains less than its share of as many names as are allowed.
+        """Whether a name leaves much, and explains less than half.
 
-        The larger of two effects explains half. Where the model stays far off and less is explained, more is
-        wrong than names one after the other can tell.
+        The larger of two effects explains half: more is wrong than names one after the other can tell.
         """
-        much = refit.excess.significance > self.options.sure
-        names = 2 if refit.excess.chi2_nu > FAR else self.options.most_names
-        return much and explained(refit) < 1 / names
+        return refit.excess.significance > self.options.sure and explained(refit) < LARGER_OF_TWO
 
     def _adapted(self, accepted: list[Accepted]) -> tuple[Optimum, list[Accepted]]:
         """The model with the new name, without one that it makes superfluous."""

@@ -31,10 +31,10 @@ from irlos_pipe.effects import CATALOGUE, Conditions, Effect, wider_kinds
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.numerics.parallel import ordered_map
 
-OPENINGS = 4  # of the wavefront, while further names are found or χ²/ν falls
+OPENINGS, TURNED = 4, 1  # of the wavefront, while χ²/ν falls; that in which other sides are tried
 SETTLED = 0.8  # of χ²/ν before
 MOST = 0.5  # of χ², that a name must explain which leaves much where it acts, while more is wrong
-LOOKED_AT = 2  # effects, each fitted beside all modes
+LOOKED_AT, NEARLY = 2, 0.5  # effects, each fitted beside all modes; fall of χ² over that by the best
 SCALES = ("plate_scale", "spectrum")  # of the image: effects that act nearly alike
 
 
@@ -80,12 +80,10 @@ class TolerantTask(NamingTask):
         finished = task.fitter.finished(current.fitted)
         if np.isfinite(finished.chi2):
             current = Optimum(task.cube.training, finished)
-        beside_modes = {one.name: one for one in task.beside_modes}
-        found, meaningless = task._scores(current)
-        found = [beside_modes.get(one.name, one) for one in found]
-        others = set(added(current.fitted, told)) - {one.refit.label for one in named}
+        others, meaningless = task._scores(current, but=[one.name for one in task.beside_modes])
+        found = [*task.beside_modes, *others]
+        adjusted = sorted(set(added(current.fitted, told)) - {one.refit.label for one in named})
         nearest = None if named else next(iter(search.accepted), None)
-        adjusted = sorted(others)
         return Search(
             search.null, current, search.drift, named, found, meaningless, adjusted, nearest, task.all_modes
         )
@@ -149,20 +147,23 @@ class TolerantTask(NamingTask):
         return (self, current) if best is current.fitted else self.opened(self.with_errors(best)[1])
 
     def _settled(self, current: Optimum, told: Sequence[Effect]) -> tuple[TolerantTask, Optimum]:
-        """The search and its model with the wavefront open, until neither names nor χ²/ν change any more."""
+        """The search and its model with the wavefront open, until χ²/ν falls no more.
+
+        Names are looked for until none is found, each time that the wavefront is opened.
+        """
         task = self
         for number in range(OPENINGS):
-            misfit, known = task.misfit, len(current.fitted.effects)
+            misfit = task.misfit
             opening = task.opening(current.fitted, task._begun(current.fitted))
             if opening is None:
                 return task._named(current)
             opening = task._without_imitated(opening, told)
-            opening = task._turned_beside_all_modes(opening) if number else opening
+            opening = task._turned_beside_all_modes(opening) if number == TURNED else opening
             opening, found = task._named_beside_all_modes(opening)
             task, current = replace(task, all_modes=opening, beside_modes=found).closed(opening)
             if number == 0 and task.misfit > FAR:
                 task, current = task._started_elsewhere(current)
-            steady = len(current.fitted.effects) == known and task.misfit > SETTLED * misfit
+            steady = task.misfit > SETTLED * misfit
             if steady or copies_in_a_row(current.fitted):  # which the detector makes: more would follow
                 break
         return task, current
@@ -197,6 +198,7 @@ class TolerantTask(NamingTask):
         """All modes beside the further effect with which χ² and priors fall most; None if none is seen."""
         seen = [one for one in found if one.testable and one.significance > self.options.sure]
         likely = sorted(seen, key=lambda one: -one.gain / one.inflation)[:LOOKED_AT]
+        likely = [one for one in likely if one.gain > NEARLY * likely[0].gain]
         with_one = ordered_map(partial(self._beside_all_modes, opening), likely)
         self.report(len(likely))
         best, most = None, 0.0
