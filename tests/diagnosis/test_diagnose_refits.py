@@ -22,7 +22,7 @@ from irlos_pipe.diagnosis.effect_sizes import determined
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.held_out import HeldOutEvaluation
 from irlos_pipe.diagnosis.null_model import Optimum
-from irlos_pipe.diagnosis.refit import Refit, is_rival, narrower_form, refits
+from irlos_pipe.diagnosis.refit import Refit, is_rival, narrower_form, quick_refits, refits
 from irlos_pipe.diagnosis.search.scores import Family, families, score_family, scores
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.splitting import HeldOutFrames
@@ -102,10 +102,9 @@ def test_rivals_of_the_best_have_converged_in_float64_too():
     assert all(one.fitted.exact and one.fitted.converged for one in (best, *rivals))
 
 
-def test_priors_cost_what_they_cost_however_soon_a_fit_was_ended(monkeypatch):
-    monkeypatch.setattr("irlos_pipe.diagnosis.fitting.EXPLORING", 2)
+def test_priors_cost_what_they_cost_however_soon_a_fit_was_ended():
     stack = cube(image()).training
-    ended = fitter_of(stack).explored([])
+    ended = fitter_of(stack).explored([], iterations=2)
     sigma = ended.problem.prior_precision[0, ended.problem.layout.modes].numpy() ** -0.5
     assert not ended.converged
     assert ended.penalty == pytest.approx(np.sum((ended.modes_nm / sigma) ** 2), rel=1e-9)
@@ -176,6 +175,15 @@ def test_of_what_a_model_may_have_several_times_a_further_one_is_looked_for():
 
     assert names() - names("companion", "phase_bump", "vibration") == {"vibration"}
     assert "ghost" not in names()  # looked for where a companion is found
+
+
+@pytest.mark.parametrize(("fraction", "names"), [(0.0, {"companion"}), (0.02, {"companion", "ghost"})])
+def test_a_copy_of_the_star_is_tried_out_of_focus_unless_chance_makes_it(fraction, names):
+    companion = CATALOGUE["companion"].under(CONDITIONS)
+    training = cube(image(effect=companion, values=(fraction, 150.0, 40.0))).training
+    origin = optimum(training)
+    found = quick_refits(fitter_of(training), origin, scores(origin, only("companion")))
+    assert {one.name for one in found} == names
 
 
 def test_a_sharp_ghost_is_tried_as_the_companion_that_it_is_as_well():
