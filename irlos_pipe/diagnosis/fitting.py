@@ -69,7 +69,15 @@ class Fitter:
     def explored(
         self, effects: Sequence[Effect], near: Fitted | None = None, iterations: int = EXPLORING
     ) -> Fitted:
-        """Fit `effects` from a fit `near` by, in float32 to a loose tolerance: enough to rank candidates."""
+        """Fit `effects` from a fit `near` by, in float32 to a loose tolerance: enough to rank candidates.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+        near : Fitted, optional
+        iterations : int
+            At most.
+        """
         problem = self._problem(effects, self._quick, ROUGHLY)
         return self._solved(problem, self._start(problem, near), iterations)
 
