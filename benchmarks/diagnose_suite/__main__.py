@@ -10,7 +10,7 @@ import click
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.diagnose_suite.cases import Case, all_cases
+from benchmarks.diagnose_suite.cases import Case, all_cases, in_one_setting
 from benchmarks.diagnose_suite.report import write_report
 from benchmarks.diagnose_suite.working import Folder, work
 from irlos_pipe.files.processes import in_processes
@@ -31,6 +31,7 @@ REPORTED_SEED = 35355339  # of the reported runs; no threshold may rest on its c
 )
 @click.option("--jobs", default=1, show_default=True, help="Worker processes, of one thread each.")
 @click.option("--only", default="*", help="Cases whose name matches, for example '*companion*'.")
+@click.option("--once", is_flag=True, help="Each in one of its settings, which take turns.")
 @click.option("--sample", type=int, help="That many of them, evenly spread.")
 @click.option("--finished", is_flag=True, help="Those among them that are finished already; run none.")
 @click.option("--list", "listed", is_flag=True, help="Print the names of the cases and stop.")
@@ -40,6 +41,7 @@ def main(
     suite_seed: int,
     jobs: int,
     only: str,
+    once: bool,
     sample: int | None,
     finished: bool,
     listed: bool,
@@ -48,7 +50,8 @@ def main(
 
     A folder is gone on with where it stopped: finished cases are kept.
     """
-    cases = chosen(all_cases(suite_seed, dirty), only, sample)
+    every = all_cases(suite_seed, dirty)
+    cases = chosen(in_one_setting(every) if once else every, only, sample)
     if listed:
         click.echo("\n".join(case.name for case in cases))
         return

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import groupby, product
 from typing import Any
 from zlib import crc32
 
@@ -114,6 +114,19 @@ def all_cases(suite_seed: int = 0, dirty: bool = False) -> list[Case]:
         return seeded
     clean = [case for case in seeded if case.kind in (CLEAN, RAMP_CLEAN)]
     return clean + [replace(case, dirty=True) for case in seeded]
+
+
+def in_one_setting(cases: Sequence[Case]) -> list[Case]:
+    """Every case in one of its settings, which take turns.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+        As `all_cases` has them: settings of one case together.
+    """
+    groups = groupby(cases, lambda one: (one.dirty, one.kind, one.effects, one.level, one.number))
+    alike = [list(group) for _, group in groups]
+    return [some[number % len(some)] for number, some in enumerate(alike)]
 
 
 def _clean() -> Iterator[Case]:

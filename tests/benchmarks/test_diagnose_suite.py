@@ -7,6 +7,7 @@ closed form; images whose moments are known.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from itertools import product
 
 import numpy as np
@@ -15,7 +16,17 @@ from click.testing import CliRunner
 from helpers.paths import REPOSITORY
 
 from benchmarks.diagnose_suite.__main__ import chosen, main, run_all
-from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, PAIR, RAMP_SINGLE, RAMPS, SINGLE, Case, all_cases
+from benchmarks.diagnose_suite.cases import (
+    CLEAN,
+    OUTSIDE,
+    PAIR,
+    RAMP_SINGLE,
+    RAMPS,
+    SINGLE,
+    Case,
+    all_cases,
+    in_one_setting,
+)
 from benchmarks.diagnose_suite.confusion import Confusion
 from benchmarks.diagnose_suite.foreign import FOREIGN, displaced_rows, seen_aslant
 from benchmarks.diagnose_suite.groups import smallest_sizes, sorted_singles
@@ -164,6 +175,16 @@ def test_where_the_sky_s_own_residual_or_motion_is_hidden_the_model_begins_witho
 def test_a_sample_is_spread_over_the_kinds():
     assert {case.kind for case in chosen(CASES, sample=60)} >= {CLEAN, SINGLE, PAIR, OUTSIDE}
     assert all(case.kind in RAMPS for case in chosen(CASES, "ramp_*"))
+
+
+def test_each_case_in_one_setting_has_all_cases_and_all_settings_alike():
+    once = in_one_setting(CASES)
+    hidden = Counter((one.kind, one.effects, one.level, one.number) for one in once)
+    assert set(hidden) == {(one.kind, one.effects, one.level, one.number) for one in CASES}
+    assert set(hidden.values()) == {1}
+    singles = Counter(one.setting.name for one in once if one.kind == SINGLE)
+    assert set(singles) == {*SETTINGS}
+    assert max(singles.values()) - min(singles.values()) <= 1
 
 
 # -- effects outside the catalogue -------------------------------------------------------------
