@@ -88,6 +88,11 @@ class PupilSteps(PupilEffect):
             )
         return {"count": counts.pop()} if counts else {}
 
+    @property
+    def pistons(self) -> list[int]:
+        """Positions of the pistons among the parameters."""
+        return list(range(self.count)) if "piston_nm" in self.kinds else []
+
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         """See `PupilEffect.apply`."""
         for amplitude, opd in zip(self._amplitudes(grid), self._opds_nm(values, grid), strict=True):

@@ -34,7 +34,13 @@ from irlos_pipe.estimate.open_fit import Opened, open_basis
 from irlos_pipe.estimate.orientation import Mirrored, mirrored
 from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.score_test import best_start
-from irlos_pipe.estimate.starts import START_HIGHEST_NOLL, better, is_plausible, median_of_frames_nm
+from irlos_pipe.estimate.starts import (
+    START_HIGHEST_NOLL,
+    a_wave_off,
+    better,
+    is_plausible,
+    median_of_frames_nm,
+)
 from irlos_pipe.estimate.tail_law import TailLaw
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.numerics.solution import Solution
@@ -185,6 +191,9 @@ def calibrate(
     return _result(frames, options, fit, twin, tail, time.perf_counter() - began)
 
 
+FIRST = torch.zeros(1, dtype=torch.int64)  # member of a batch
+
+
 @dataclass(frozen=True)
 class _Task:
     """What is to be fitted, whatever the effects in the model."""
@@ -208,7 +217,21 @@ class _Task:
         alone = near is None and self.start_nm is None
         if alone and METHODS[self.options.method].effects and not self._is_plausible(problem, solution):
             solution = better(solution, self._solve(problem, self._second_start(problem)))
+            solution = self._by_whole_waves(problem, solution)
         return problem, solution
+
+    def _by_whole_waves(self, problem: ImageFit, solution: Solution) -> Solution:
+        """The solution, or better ones with parts of the pupil whole waves nearer or further."""
+        while not self._is_plausible(problem, solution):
+            starts = a_wave_off(problem, solution.values[:1])
+            if not starts:
+                break
+            nearest = min(starts, key=lambda one: float(problem.objective(one, FIRST)))
+            found = better(solution, self._solve(problem, nearest))
+            if found is solution:
+                break
+            solution = found
+        return solution
 
     def _is_plausible(self, problem: ImageFit, solution: Solution) -> bool:
         return is_plausible(problem, solution, _nominal(self.frames, problem, solution.values).most)

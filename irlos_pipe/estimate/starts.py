@@ -16,6 +16,7 @@ import torch
 
 from irlos_pipe.conventions.units import tilt_nm
 from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.pupil_steps import PupilSteps
 from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
@@ -155,6 +156,37 @@ def median_of_frames_nm(
     valid = torch.tensor([status != INVALID for status in result.solution.status])
     estimates = result.zernike_nm[valid]
     return estimates.median(dim=0).values if len(estimates) else start.new_zeros(len(model.nolls))
+
+
+def a_wave_off(problem: ImageFit, x: torch.Tensor) -> list[torch.Tensor]:
+    """Return starts with one part of the pupil a wave nearer or further, the nearest minima of a broad band.
+
+    At one wavelength they have the same image, in a band an image a little worse than that of the right one:
+    a fit that ended there has a wall before it on all sides.
+
+    Parameters
+    ----------
+    problem : ImageFit
+        Of one member.
+    x : tensor, (1, parameters)
+        Where a fit ended.
+    """
+    wavelengths_nm, weights = np.array(problem.model.psf.settings.spectrum).T
+    wave_nm = float(np.average(wavelengths_nm, weights=weights))
+    first, effects = problem.layout.effect_values.start, problem.model.effects
+    pistons = [
+        first + effects.columns_of(label)[piston]
+        for label, effect in zip(effects.labels, effects.effects, strict=True)
+        if isinstance(effect, PupilSteps)
+        for piston in effect.pistons
+    ]
+    found = []
+    for column in pistons:
+        for sign in (-1, 1):
+            start = x.clone()
+            start[0, column] += sign * wave_nm
+            found.append(start)
+    return found
 
 
 def better(first: Solution, second: Solution) -> Solution:

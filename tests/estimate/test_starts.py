@@ -6,13 +6,17 @@ import pytest
 import torch
 from helpers import optics_cases as cases
 
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.estimate import calibration
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.image_fit import ImageFit
 from irlos_pipe.estimate.methods import MeanImage, start_at_centroids
 from irlos_pipe.estimate.nominal_chi2 import NominalChi2
-from irlos_pipe.estimate.starts import FEW_FRAMES, better, median_of_frames_nm
+from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.starts import FEW_FRAMES, a_wave_off, better, median_of_frames_nm
 from irlos_pipe.numerics.solution import CONVERGED, INVALID, Solution
 from irlos_pipe.optics.psf import PsfModel
 
@@ -100,3 +104,39 @@ def test_the_lower_objective_wins_and_an_invalid_fit_loses():
     assert better(low, high) is low
     assert better(low, invalid) is low
     assert better(invalid, high) is high
+
+
+PISTONS_NM = np.array([515.0, -585.0, 154.0, -84.0])
+BROAD = tuple((wavelength_nm, 1.0) for wavelength_nm in (1150.0, 1300.0, 1500.0, 1600.0, 1750.0))
+
+
+@pytest.fixture(scope="module")
+def frames_of_petals(truth_nm) -> Frames:
+    """In J+H, with petals of the pupil so far apart that waves of the two bands count differently."""
+    model = ImageModel(PsfModel(cases.settings(WINDOW, BROAD), NOLLS), [LowWindEffect()])
+    values = torch.tensor(LowWindEffect().values_of(piston_nm=PISTONS_NM, tip_nm=[0] * 4, tilt_nm=[0] * 4))
+    flux, background = torch.tensor([FLUX_E]), torch.zeros(1)
+    images = cases.draw_frames(model.predict(truth_nm, flux, background, values)[0].numpy(), 24, seed=3)
+    return Frames(images, cases.everything(images), cases.READ_NOISE)
+
+
+def petals_nm(frames: Frames) -> np.ndarray:
+    """Pistons that a calibration finds, from their mean, whose absolute value no image shows."""
+    options = CalibrationOptions(highest_noll=NOLLS[-1], prior=cases.PRIOR)
+    found = calibrate(frames, cases.settings(WINDOW, BROAD), options, [LowWindEffect()])
+    pistons = np.array(found.effects["low_wind_effect"]["piston_nm"])
+    return pistons - pistons.mean()
+
+
+@pytest.mark.slow
+def test_a_petal_that_a_fit_left_a_wave_off_is_brought_back(frames_of_petals, monkeypatch):
+    expected = PISTONS_NM - PISTONS_NM.mean()
+    assert np.abs(petals_nm(frames_of_petals) - expected).max() < 3
+    monkeypatch.setattr(calibration, "a_wave_off", lambda *_: [])
+    assert np.abs(petals_nm(frames_of_petals) - expected).max() > 500
+
+
+def test_a_pupil_without_parts_has_nothing_a_wave_off():
+    model = ImageModel(PsfModel(cases.settings(WINDOW), NOLLS))
+    problem = ImageFit(model, Layout(NOLLS, ()), *torch.ones(2, 1, 1, WINDOW**2))
+    assert a_wave_off(problem, torch.zeros(1, len(NOLLS) + 2)) == []

@@ -23,7 +23,7 @@ from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = LowWindResults.stage
-VERSION = 1
+VERSION = 2
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 ASKED_NM = 10.0  # of a calibration that has the petals in its model
