@@ -26,6 +26,7 @@ from irlos_pipe.effects.labels import label_of, occurrences
 MUST_EXPLAIN = 0.8  # of what is left, for a further name
 SIGNIFICANT = 5.0  # standard errors of the excess, from which a moment's counts
 PLAINLY = 10.0  # times its price, by which χ² grows without a name that is needed
+HARDLY_MORE = 1.25  # of what the best leaves, while something else is missing
 PREFERRED = 3.0  # Vuong's statistic on held-out frames, where noise is known or a model has errors
 
 
@@ -187,11 +188,14 @@ def by_plausibility(
 ) -> tuple[Sequence[Refit], Sequence[HeldOutEvaluation]]:
     """Among indistinguishable names prefer the first with plausible parameters.
 
+    While something else is missing, those are not distinguished that leave as much: an equal double star
+    closer than λ/D takes a little more of a companion far away than a vibration does.
+
     `ranked` and `judges`: see `by_motion`.
     """
     if not ranked[0].implausible:
         return ranked, judges
-    rivals = _rivals(ranked, judges)
+    rivals = _rivals(ranked, judges) | _leaving_as_much(ranked)
     better = [i for i, one in enumerate(ranked) if one.name in rivals and not one.implausible]
     return _led_by(better[:1], ranked, judges)
 
@@ -206,6 +210,14 @@ def by_simplicity(
     rivals = _rivals(ranked, judges)
     narrower = [i for i, one in enumerate(ranked) if one.name == ranked[0].base.widens and one.name in rivals]
     return _led_by(narrower, ranked, judges)
+
+
+def _leaving_as_much(ranked: Sequence[Refit]) -> set[str]:
+    """Names that leave hardly more than the first, which leaves a significant part."""
+    left = ranked[0].excess
+    if left.significance < SIGNIFICANT:
+        return set()
+    return {one.name for one in ranked[1:] if one.excess.chi2 < HARDLY_MORE * left.chi2}
 
 
 def _rivals(ranked: Sequence[Refit], judges: Sequence[HeldOutEvaluation]) -> set[str]:

@@ -84,6 +84,10 @@ class Companion(OtfEffect):
         """See `Effect.ordinary`: a faint reflection."""
         return float(values[0]) <= FAINT
 
+    def unusual(self, values: Values) -> list[str]:
+        """See `Effect.unusual`."""
+        return [*super().unusual(values), *unresolved(values)]
+
     def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
         """See `Effect.displaced`."""
         return FixedEffect(self, [0.0, x_mas, y_mas], free=("flux_ratio",))
@@ -93,6 +97,19 @@ class Companion(OtfEffect):
         reach = (n / 2 * pixel_scale_mas for n in window[::-1])
         columns, rows = (STEP_MAS * np.arange(-(r // STEP_MAS), r // STEP_MAS + 1) for r in reach)
         return [self.displaced(x, y) for y in rows for x in columns if np.hypot(x, y) >= INNER_MAS]
+
+
+def unresolved(values: Values) -> list[str]:
+    """Name of the separation of a copy of the star where it is closer than an image resolves, or nothing.
+
+    Such a copy stands in for whatever makes the image longer.
+
+    Parameters
+    ----------
+    values : array_like
+        Flux ratio and position [mas], and what else the copy has.
+    """
+    return ["sep_mas"] if np.hypot(float(values[1]), float(values[2])) < INNER_MAS else []
 
 
 class _Companions(OtfEffect):

@@ -8,7 +8,7 @@ import numpy as np
 
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.effects.base import Effect, FixedEffect, Values
-from irlos_pipe.effects.companion import FAINT, Companion, copy_of_star
+from irlos_pipe.effects.companion import FAINT, Companion, copy_of_star, unresolved
 from irlos_pipe.effects.declaration import Conditions, Parameter, direction, number
 from irlos_pipe.effects.motion import damping
 from irlos_pipe.effects.planes import CopyOfStar, OtfEffect
@@ -113,6 +113,10 @@ class Ghost(OtfEffect):
     def ordinary(self, values: Values) -> bool:
         """See `Effect.ordinary`: a faint reflection."""
         return float(values[0]) <= FAINT
+
+    def unusual(self, values: Values) -> list[str]:
+        """See `Effect.unusual`."""
+        return [*super().unusual(values), *unresolved(values)]
 
     def displaced(self, x_mas: float, y_mas: float) -> FixedEffect:
         """See `Effect.displaced`."""

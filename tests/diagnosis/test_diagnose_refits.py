@@ -186,6 +186,21 @@ def test_a_copy_of_the_star_is_tried_out_of_focus_unless_chance_makes_it(fractio
     assert {one.name for one in found} == names
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("fraction", [0.003, 0.006])
+def test_a_vibration_beside_a_faint_companion_is_no_double_star_that_nobody_resolves(fraction):
+    """Two equal stars 2 σ apart are as long, and their further parameters take a bit of the companion."""
+    vibration = CATALOGUE["vibration"].under(CONDITIONS)
+    shaken = image(effect=vibration, values=vibration.values_of(sigma_mas=6.0, angle_deg=60.0))
+    both = cube((shaken + fraction * np.roll(shaken, (7, 5), (0, 1))) / (1 + fraction))
+    origin = optimum(both.training)
+    found = scores(origin, only("vibration", "companion"))
+    ranked = refits(fitter_of(both.training), origin, found)
+    assert ranked[0].name == "ghost" and "sep_mas" in ranked[0].implausible
+    judges = [HeldOutEvaluation(both.held_out, one.fitted) for one in ranked]
+    assert by_plausibility(ranked, judges)[0][0].name == "vibration"
+
+
 def test_a_sharp_ghost_is_tried_as_the_companion_that_it_is_as_well():
     companion, ghost = (CATALOGUE[name].under(CONDITIONS) for name in ("companion", "ghost"))
     training = cube(image(effect=companion, values=(0.02, 150.0, 40.0))).training
