@@ -45,6 +45,8 @@ class Accepted:
     ranking : sequence of Ranked
     rivals : sequence of Refit
         Fits of the alternatives.
+    label : str
+        In the model with which a search ended; unless known, it is the last of its kind there.
     """
 
     refit: Refit
@@ -53,6 +55,7 @@ class Accepted:
     alternatives: Sequence[Alternative]
     ranking: Sequence[Ranked]
     rivals: Sequence[Refit] = ()
+    label: str = ""
 
     @property
     def name(self) -> str:
@@ -287,10 +290,12 @@ def no_longer_needed(
 
 
 def labels_in(fitted: Fitted, accepted: Sequence[Accepted]) -> list[str]:
-    """Labels of `accepted` names in a model that has them all: the last of their kinds.
+    """Labels of `accepted` names in a model that has them all: their own, or the last of their kinds.
 
     Of one kind they keep their order, even if others of it have gone.
     """
+    if all(one.label for one in accepted):
+        return [one.label for one in accepted]
     kinds = Counter(effect.name for effect in fitted.effects)
     kinds.subtract(one.name for one in accepted)
     ordered = sorted(accepted, key=lambda one: (len(one.refit.label), one.refit.label))

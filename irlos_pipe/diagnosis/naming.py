@@ -7,6 +7,7 @@ has seen. What another effect explains as well, and more plausibly, gives that i
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Self
 
@@ -86,7 +87,8 @@ class NamingTask(AllowingTask):
         dropped : sequence of str
             Names that were not significant beside these.
         """
-        task, named, waiting = self, [], added(current.fitted, told)
+        named: list[Accepted] = []
+        task, waiting = self, added(current.fitted, told)
         while waiting:
             label, *waiting = waiting
             present = task._against_without(current, label)
@@ -98,10 +100,11 @@ class NamingTask(AllowingTask):
             one = task._wanted(sorted(plausible, key=lambda one: -one.merit))
             if one is None:
                 continue
-            named.append(one)
             if one.refit is not present:
                 task, current = task.with_errors(one.refit.fitted)
                 waiting = [label_after(other, label) for other in waiting]
+                named = [replace(other, label=label_after(other.label, label)) for other in named]
+            named.append(replace(one, label=one.refit.label))
         return task, current, sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
 
     def _rivals(self, refit: Refit, dropped: Sequence[str]) -> list[Refit]:

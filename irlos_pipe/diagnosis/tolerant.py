@@ -82,7 +82,7 @@ class TolerantTask(NamingTask):
             current = Optimum(task.cube.training, finished)
         others, meaningless = task._scores(current, but=[one.name for one in task.beside_modes])
         found = [*task.beside_modes, *others]
-        adjusted = sorted(set(added(current.fitted, told)) - {one.refit.label for one in named})
+        adjusted = sorted(set(added(current.fitted, told)) - {one.label for one in named})
         nearest = None if named else next(iter(search.accepted), None)
         return Search(
             search.null, current, search.drift, named, found, meaningless, adjusted, nearest, task.all_modes

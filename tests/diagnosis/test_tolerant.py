@@ -83,11 +83,17 @@ def test_of_one_kind_the_labels_keep_their_order_when_others_have_gone():
     model = SimpleNamespace(effects=[STOP, *copies])
 
     def one(name, label):
-        return SimpleNamespace(name=name, refit=SimpleNamespace(label=label))
+        return SimpleNamespace(name=name, label="", refit=SimpleNamespace(label=label))
 
     found = [one("companion", "companion_3"), one(STOP.name, STOP.name), one("companion", "companion_2")]
     assert labels_in(model, found) == ["companion_2", STOP.name, "companion"]
     assert np.unique(labels_in(model, found)).size == 3
+
+
+def test_a_name_keeps_its_label_beside_others_of_its_kind_that_have_no_name():
+    copies = [FixedEffect(COMPANION, (0.01, 10.0 * n, 50.0)) for n in (1, 2)]
+    one = SimpleNamespace(name="companion", label="companion", refit=SimpleNamespace(label="companion"))
+    assert labels_in(SimpleNamespace(effects=copies), [one]) == ["companion"]
 
 
 def test_what_was_adjusted_is_handed_on_by_its_label_if_there_are_two_of_a_kind():
