@@ -11,46 +11,30 @@ import torch
 
 from irlos_pipe.conventions.units import NM, resolution_px
 from irlos_pipe.effects import Effect
-from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.labels import occurrences
 from irlos_pipe.effects.wavefront import HighOrderNcpa
 from irlos_pipe.estimate.calibration_errors import ErrorsFrom, errors_of
 from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
+from irlos_pipe.estimate.cube_fit import CubeFit, Fit, nominal_of
 from irlos_pipe.estimate.effect_errors import effect_errors
 from irlos_pipe.estimate.effect_modes import drifts, measured_drift
 from irlos_pipe.estimate.frame_kinds import kurtosis_of_frames
-from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
-from irlos_pipe.estimate.lbfgs import solve_lbfgs
 from irlos_pipe.estimate.methods import (
-    EVERY_FRAME,
     Report,
     linear_estimates,
     scheme_of,
-    start_at_centroids,
 )
-from irlos_pipe.estimate.nominal_chi2 import NominalChi2, nominal_chi2
+from irlos_pipe.estimate.nominal_chi2 import NominalChi2
 from irlos_pipe.estimate.open_fit import Opened, open_basis
 from irlos_pipe.estimate.orientation import Mirrored, mirrored
-from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.estimate.score_test import best_start
-from irlos_pipe.estimate.starts import (
-    START_HIGHEST_NOLL,
-    a_wave_off,
-    better,
-    is_plausible,
-    median_of_frames_nm,
-)
 from irlos_pipe.estimate.tail_law import TailLaw
 from irlos_pipe.estimate.twin import TwinCheck
-from irlos_pipe.numerics.solution import Solution
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
-from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 MISFIT, MISFIT_ROUNDS = 1.3, 3  # χ²/ν from which few frames are weighed by it; how often at most
-
-Fit = tuple[ImageFit, Solution]
 
 
 @dataclass(frozen=True)
@@ -171,7 +155,7 @@ def calibrate(
     options = options.resolved()
     effects = tuple(effects) if METHODS[options.method].effects else ()
     psf = scheme_of(options).psf_model(settings, range(2, options.last_noll + 1), device)
-    task = _Task(frames, psf, options, start_nm, report)
+    task = CubeFit(frames, psf, options, start_nm, report)
     steady = [effect for effect in effects if not drifts(effect)]
     fit = _fit_steady(task, steady)
     if (
@@ -191,75 +175,7 @@ def calibrate(
     return _result(frames, options, fit, twin, tail, time.perf_counter() - began)
 
 
-FIRST = torch.zeros(1, dtype=torch.int64)  # member of a batch
-
-
-@dataclass(frozen=True)
-class _Task:
-    """What is to be fitted, whatever the effects in the model."""
-
-    frames: Frames
-    psf: LightPath
-    options: CalibrationOptions
-    start_nm: np.ndarray | None
-    report: Report | None
-
-    def fit(self, effects: Sequence[Effect], near: Fit | None = None) -> Fit:
-        """Fit with these effects, from scratch or from the modes of another fit."""
-        problem = self._problem(ImageModel(self.psf, effects))
-        if self.start_nm is None:
-            start = scheme_of(self.options).start(self.frames, problem)
-        else:
-            start = start_at_centroids(self.frames, problem, self.start_nm)
-        if near is not None:
-            start[:, problem.layout.modes] = near[1].values[:, near[0].layout.modes]
-        solution = self._solve(problem, start, self.report)
-        alone = near is None and self.start_nm is None
-        if alone and METHODS[self.options.method].effects and not self._is_plausible(problem, solution):
-            solution = better(solution, self._solve(problem, self._second_start(problem)))
-            solution = self._by_whole_waves(problem, solution)
-        return problem, solution
-
-    def _by_whole_waves(self, problem: ImageFit, solution: Solution) -> Solution:
-        """The solution, or better ones with parts of the pupil whole waves nearer or further."""
-        while not self._is_plausible(problem, solution):
-            starts = a_wave_off(problem, solution.values[:1])
-            if not starts:
-                break
-            nearest = min(starts, key=lambda one: float(problem.objective(one, FIRST)))
-            found = better(solution, self._solve(problem, nearest))
-            if found is solution:
-                break
-            solution = found
-        return solution
-
-    def _is_plausible(self, problem: ImageFit, solution: Solution) -> bool:
-        return is_plausible(problem, solution, _nominal(self.frames, problem, solution.values).most)
-
-    def _problem(self, model: ImageModel) -> ImageFit:
-        nolls, prior = self.psf.nolls, self.options.prior
-        sigma_nm = None if prior is None else prior.sigma_nm(nolls)
-        layout = Layout(nolls, model.effects.parameters, prior_sigma_nm=sigma_nm)
-        images, variance = scheme_of(self.options).data(self.frames)
-        variance = masked_variance(variance, self.frames.good)
-        data = (one.flatten(-2).to(self.psf.device) for one in (images, variance))
-        return ImageFit(model, layout, *data, loss=self.options.loss_function)
-
-    def _second_start(self, problem: ImageFit) -> torch.Tensor:
-        """The start with the low modes of single frames."""
-        nolls = [noll for noll in self.psf.nolls if noll <= START_HIGHEST_NOLL]
-        model, cube = EVERY_FRAME.psf_model(self.psf.settings, nolls, self.psf.device), self.frames
-        median_nm = median_of_frames_nm(model, cube.images_e, cube.good, cube.noise)
-        return start_at_centroids(cube, problem, median_nm)
-
-    def _solve(self, problem: ImageFit, start: torch.Tensor, report: Report | None = None) -> Solution:
-        limit = self.options.max_iterations
-        if self.options.optimiser == "lbfgs":
-            return solve_lbfgs(problem, start, max_iterations=3 * limit)
-        return scheme_of(self.options).solve(problem, start, limit, report)
-
-
-def _fit_steady(task: _Task, effects: Sequence[Effect]) -> Fit:
+def _fit_steady(task: CubeFit, effects: Sequence[Effect]) -> Fit:
     """Fit with all effects; those whose position is unknown are searched for in what the others leave.
 
     Of several of one kind each is searched for beside those before it.
@@ -289,7 +205,7 @@ def _explained_by_tail(options: CalibrationOptions, effects: Sequence[Effect], f
     return opened is not None and float(opened.problem.reduced_chi2(opened.solution.values[:1])[0]) < MISFIT
 
 
-def _weighed_by_misfit(task: _Task, effects: Sequence[Effect], fit: Fit) -> tuple[_Task, Fit]:
+def _weighed_by_misfit(task: CubeFit, effects: Sequence[Effect], fit: Fit) -> tuple[CubeFit, Fit]:
     """Fit a few frames again where the model misfits, so that noise and prior have their true weights.
 
     Weights of known noise alone would have modes follow what is no wavefront, against any prior.
@@ -318,7 +234,7 @@ def _result(
     model_image = problem.predict(found.values)[0].reshape(mean.shape).cpu()
     pull = ((mean - model_image) / sigma)[frames.good]
     chi2_nu = float((pull**2).sum() / (len(pull) - layout.size))
-    nominal = _nominal(frames, problem, found.values)
+    nominal = nominal_of(frames, problem, found.values)
     effect_values = found.values[0, layout.effect_values]
     misfit = chi2_nu / nominal.value
     left = torch.where(frames.good, (mean - model_image) / sigma, torch.nan).numpy()
@@ -348,12 +264,6 @@ def _result(
         power_spectrum(left, problem.model.psf.settings.resolution_px),
         mirrored(frames, problem, found.values) if METHODS[options.method].effects else None,
     )
-
-
-def _nominal(frames: Frames, problem: ImageFit, values: torch.Tensor) -> NominalChi2:
-    """χ²/ν of the mean image about a model that lacks nothing."""
-    _, jacobian = problem.predict_and_jacobian(values)
-    return nominal_chi2(frames, jacobian[0], problem.prior_precision[0])
 
 
 def window_resolutions(settings: PsfSettings) -> float:

@@ -8,7 +8,7 @@ from helpers import optics_cases as cases
 
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.effects.low_wind import LowWindEffect
-from irlos_pipe.estimate import calibration
+from irlos_pipe.estimate import cube_fit
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
@@ -69,7 +69,7 @@ def test_a_fit_that_ended_wrong_is_tried_again(frames, truth_nm, monkeypatch):
     found = calibrate(frames, cases.settings(WINDOW), options)
     assert np.linalg.norm(found.zernike_nm - truth_nm[0].numpy()) < 2
     assert found.chi2_nu < 1.2
-    monkeypatch.setattr(calibration, "is_plausible", lambda problem, solution, most: True)
+    monkeypatch.setattr(cube_fit, "is_plausible", lambda problem, solution, most: True)
     once = calibrate(frames, cases.settings(WINDOW), options)
     assert once.chi2_nu > 10
 
@@ -82,8 +82,8 @@ def test_a_fit_worse_than_nominal_is_tried_again(frames, truth_nm, monkeypatch):
         starts.append(median_of_frames_nm(*arguments))
         return starts[-1]
 
-    monkeypatch.setattr(calibration, "median_of_frames_nm", counted)
-    monkeypatch.setattr(calibration, "_nominal", lambda *fit: NominalChi2(0.3, 0.03))
+    monkeypatch.setattr(cube_fit, "median_of_frames_nm", counted)
+    monkeypatch.setattr(cube_fit, "nominal_of", lambda *fit: NominalChi2(0.3, 0.03))
     options = CalibrationOptions(highest_noll=15, prior=cases.PRIOR)
     found = calibrate(frames, cases.settings(WINDOW), options)
     assert len(starts) == 1
@@ -94,7 +94,7 @@ def test_a_good_fit_is_left_alone(frames, monkeypatch):
     def refuse(*arguments):
         raise AssertionError("a second start was made")
 
-    monkeypatch.setattr(calibration, "median_of_frames_nm", refuse)
+    monkeypatch.setattr(cube_fit, "median_of_frames_nm", refuse)
     calibrate(frames, cases.settings(WINDOW), CalibrationOptions(highest_noll=15, prior=cases.PRIOR))
 
 
@@ -132,7 +132,7 @@ def petals_nm(frames: Frames) -> np.ndarray:
 def test_a_petal_that_a_fit_left_a_wave_off_is_brought_back(frames_of_petals, monkeypatch):
     expected = PISTONS_NM - PISTONS_NM.mean()
     assert np.abs(petals_nm(frames_of_petals) - expected).max() < 3
-    monkeypatch.setattr(calibration, "a_wave_off", lambda *_: [])
+    monkeypatch.setattr(cube_fit, "a_wave_off", lambda *_: [])
     assert np.abs(petals_nm(frames_of_petals) - expected).max() > 500
 
 

@@ -1,0 +1,130 @@
+"""Fits of one cube: where they begin, and where they begin again if they end in a wrong minimum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from irlos_pipe.effects import Effect
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.image_fit import ImageFit, masked_variance
+from irlos_pipe.estimate.lbfgs import solve_lbfgs
+from irlos_pipe.estimate.methods import EVERY_FRAME, Report, scheme_of, start_at_centroids
+from irlos_pipe.estimate.nominal_chi2 import NominalChi2, nominal_chi2
+from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.estimate.starts import (
+    START_HIGHEST_NOLL,
+    a_wave_off,
+    better,
+    is_plausible,
+    median_of_frames_nm,
+)
+from irlos_pipe.numerics.solution import Solution
+from irlos_pipe.optics.light_path import LightPath
+
+FIRST = torch.zeros(1, dtype=torch.int64)  # member of a batch
+
+Fit = tuple[ImageFit, Solution]
+
+
+@dataclass(frozen=True)
+class CubeFit:
+    """The means to fit one cube, whatever the effects in the model.
+
+    Attributes
+    ----------
+    frames : Frames
+    psf : LightPath
+    options : CalibrationOptions
+    start_nm : ndarray, (modes,), or None
+        Where every fit begins, from Noll 2 on; else each begins from none, and from elsewhere if it ends in
+        a wrong minimum.
+    report : callable or None
+        Called with the number of finished frames.
+    """
+
+    frames: Frames
+    psf: LightPath
+    options: CalibrationOptions
+    start_nm: np.ndarray | None
+    report: Report | None
+
+    def fit(self, effects: Sequence[Effect], near: Fit | None = None) -> Fit:
+        """Fit with these effects, from scratch or from the modes of another fit.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+        near : tuple of ImageFit and Solution, optional
+            The other fit.
+        """
+        problem = self._problem(ImageModel(self.psf, effects))
+        if self.start_nm is None:
+            start = scheme_of(self.options).start(self.frames, problem)
+        else:
+            start = start_at_centroids(self.frames, problem, self.start_nm)
+        if near is not None:
+            start[:, problem.layout.modes] = near[1].values[:, near[0].layout.modes]
+        solution = self._solve(problem, start, self.report)
+        alone = near is None and self.start_nm is None
+        if alone and METHODS[self.options.method].effects and not self._is_plausible(problem, solution):
+            solution = better(solution, self._solve(problem, self._second_start(problem)))
+            solution = self._by_whole_waves(problem, solution)
+        return problem, solution
+
+    def _by_whole_waves(self, problem: ImageFit, solution: Solution) -> Solution:
+        """The solution, or better ones with parts of the pupil whole waves nearer or further."""
+        while not self._is_plausible(problem, solution):
+            starts = a_wave_off(problem, solution.values[:1])
+            if not starts:
+                break
+            nearest = min(starts, key=lambda one: float(problem.objective(one, FIRST)))
+            found = better(solution, self._solve(problem, nearest))
+            if found is solution:
+                break
+            solution = found
+        return solution
+
+    def _is_plausible(self, problem: ImageFit, solution: Solution) -> bool:
+        return is_plausible(problem, solution, nominal_of(self.frames, problem, solution.values).most)
+
+    def _problem(self, model: ImageModel) -> ImageFit:
+        nolls, prior = self.psf.nolls, self.options.prior
+        sigma_nm = None if prior is None else prior.sigma_nm(nolls)
+        layout = Layout(nolls, model.effects.parameters, prior_sigma_nm=sigma_nm)
+        images, variance = scheme_of(self.options).data(self.frames)
+        variance = masked_variance(variance, self.frames.good)
+        data = (one.flatten(-2).to(self.psf.device) for one in (images, variance))
+        return ImageFit(model, layout, *data, loss=self.options.loss_function)
+
+    def _second_start(self, problem: ImageFit) -> torch.Tensor:
+        """The start with the low modes of single frames."""
+        nolls = [noll for noll in self.psf.nolls if noll <= START_HIGHEST_NOLL]
+        model, cube = EVERY_FRAME.psf_model(self.psf.settings, nolls, self.psf.device), self.frames
+        median_nm = median_of_frames_nm(model, cube.images_e, cube.good, cube.noise)
+        return start_at_centroids(cube, problem, median_nm)
+
+    def _solve(self, problem: ImageFit, start: torch.Tensor, report: Report | None = None) -> Solution:
+        limit = self.options.max_iterations
+        if self.options.optimiser == "lbfgs":
+            return solve_lbfgs(problem, start, max_iterations=3 * limit)
+        return scheme_of(self.options).solve(problem, start, limit, report)
+
+
+def nominal_of(frames: Frames, problem: ImageFit, values: torch.Tensor) -> NominalChi2:
+    """Return χ²/ν of the mean image of a cube about a model that lacks nothing.
+
+    Parameters
+    ----------
+    frames : Frames
+    problem : ImageFit
+    values : tensor, (1, parameters)
+        Where the model is.
+    """
+    _, jacobian = problem.predict_and_jacobian(values)
+    return nominal_chi2(frames, jacobian[0], problem.prior_precision[0])
