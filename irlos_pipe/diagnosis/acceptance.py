@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from irlos_pipe.diagnosis.ambiguity import Alternative, alternatives
@@ -17,7 +17,7 @@ from irlos_pipe.diagnosis.held_out import Gap, HeldOutEvaluation, gap_between, p
 from irlos_pipe.diagnosis.null_model import Excess, Optimum
 from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.options import Options
-from irlos_pipe.diagnosis.refit import PER_PARAMETER, Refit
+from irlos_pipe.diagnosis.refit import PER_PARAMETER, Refit, narrower_form
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import gaussian_sigma
 from irlos_pipe.diagnosis.verdict import Ranked
@@ -287,6 +287,41 @@ def no_longer_needed(
         if without.chi2 - current.fitted.chi2 < price:
             return one, without
     return None
+
+
+def narrowed(
+    fitter: Fitter, cube: Cube, current: Optimum, found: Sequence[Accepted]
+) -> tuple[Optimum, list[Accepted]]:
+    """A model and its names, narrower forms in the place of wider ones that fit no better beside all others.
+
+    Before image motion is found, a second image is blurred more than it is.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    cube : Cube
+    current : Optimum
+        With all names.
+    found : sequence of Accepted
+    """
+    names = list(found)
+    for place, one in enumerate(found):
+        if not one.refit.base.widens:
+            continue
+        wider = _beside_all(fitter, current, one.refit, labels_in(current.fitted, names)[place])
+        for narrower in narrower_form(fitter, wider):
+            chosen = _preferred([wider, replace(narrower, fitted=fitter.finished(narrower.fitted))], cube)
+            if chosen is not None and chosen.name == narrower.name:
+                names[place], current = chosen, chosen.refit.optimum
+    return current, names
+
+
+def _beside_all(fitter: Fitter, current: Optimum, refit: Refit, label: str) -> Refit:
+    """A name in the model with all names, against that model without it."""
+    others = current.fitted.continued_by_label()
+    del others[label]
+    origin = Optimum(current.stack, fitter.explored([*others.values()], current.fitted))
+    return Refit(refit.score, origin, current.fitted, label)
 
 
 def labels_in(fitted: Fitted, accepted: Sequence[Accepted]) -> list[str]:

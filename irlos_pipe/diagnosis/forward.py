@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
 
-from irlos_pipe.diagnosis.acceptance import Accepted, Search, choose, explained, no_longer_needed
+from irlos_pipe.diagnosis.acceptance import Accepted, Search, choose, explained, narrowed, no_longer_needed
 from irlos_pipe.diagnosis.checks.drift import Drift, measure_drift
 from irlos_pipe.diagnosis.checks.pixels import bad_pixel_family
 from irlos_pipe.diagnosis.cube import Cube
@@ -58,7 +58,7 @@ class Task:
             if self._leads_nowhere(last):
                 current = last.optimum
                 break
-            current, accepted = self._adapted(accepted)
+            current, accepted = narrowed(self.fitter, self.cube, *self._adapted(accepted))
         return Search(null, current, drift, accepted, found, meaningless)
 
     # -- steps ---------------------------------------------------------------------------------

@@ -316,7 +316,8 @@ def _as_effect(fitter: Fitter, one: Refit, effect: FixedEffect) -> Refit:
     others = one.fitted.continued_by_label()
     del others[one.label]
     score = replace(one.score, candidate=effect, sizes=effect.values, besides=(), elsewhere=())
-    return Refit(score, one.origin, fitter.explored([*others.values(), effect], one.fitted))
+    label = label_of(effect.name, sum(other.name == effect.name for other in others.values()))
+    return Refit(score, one.origin, fitter.explored([*others.values(), effect], one.fitted), label)
 
 
 def proposals(scores: Sequence[Score]) -> list[Score]:

@@ -43,7 +43,12 @@ def model() -> PsfModel:
 
 def image(modes_nm: dict[int, float] = TRUE_NM, effect=None, values=()) -> np.ndarray:
     """Mean image [e-] with one effect or none."""
-    whole = ImageModel(model(), [] if effect is None else [effect])
+    return image_with([] if effect is None else [effect], modes_nm, values)
+
+
+def image_with(effects, modes_nm: dict[int, float] = TRUE_NM, values=()) -> np.ndarray:
+    """Mean image [e-] with some effects, and the values of what is free in them."""
+    whole = ImageModel(model(), effects)
     flux, none = torch.tensor([FLUX_E], dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
     values = torch.tensor(values, dtype=torch.float64)
     return whole.predict(vector(modes_nm, NOLLS), flux, none, values)[0].numpy()
