@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.diagnose_suite.cases import CLEAN, OUTSIDE, PAIR
+from irlos_pipe.effects.labels import kind_of
 
 NONE, EFFECT, UNKNOWN = "none", "effect", "unknown"
 GRADES = ("complete", "partial", "resembles", UNKNOWN, NONE)
@@ -43,7 +44,9 @@ def ambiguity_sets(outcome: Outcome) -> list[set[str]]:
 
 
 def _adopted(outcome: Outcome) -> list[Mapping[str, Any]]:
-    return list(outcome["diagnosis"]["steps"]) if outcome["diagnosis"]["verdict"] == EFFECT else []
+    """Steps of the diagnosis, each with the effect itself in the place of its label."""
+    steps = outcome["diagnosis"]["steps"] if outcome["diagnosis"]["verdict"] == EFFECT else []
+    return [{**step, "effect": kind_of(step["effect"])} for step in steps]
 
 
 def is_first(outcome: Outcome) -> bool:

@@ -29,6 +29,11 @@ def label_of(name: str, before: int) -> str:
     return f"{name}_{before + 1}" if before else name
 
 
+def kind_of(label: str) -> str:
+    """Name of the effect with this `label`."""
+    return _parts(label)[0]
+
+
 def label_after(label: str, gone: str) -> str:
     """Label of an effect when the one labelled `gone` has left the model: later ones of its kind move up.
 

@@ -81,6 +81,13 @@ def outcome(effect, *names, kind=SINGLE, verdict="effect", known=None, parameter
     }
 
 
+def test_a_second_one_of_its_kind_is_one_of_its_kind():
+    """The label in a diagnosis says which of several it is."""
+    place = {"flux_ratio": 0.01, "sep_mas": 250.0, "pa_deg": 10.0}
+    one = outcome("companion", "companion_2", known={"companion": place}, parameters=place)
+    assert is_first(one) and not first_is_wrong(one)
+
+
 # -- the cases ---------------------------------------------------------------------------------
 
 

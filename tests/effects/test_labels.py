@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from irlos_pipe.effects.labels import label_after, labels_of
+from irlos_pipe.effects.labels import kind_of, label_after, labels_of
 
 KINDS = ["companion", "plate_scale", "companion", "companion", "tip_tilt_jitter", "companion"]
 
@@ -16,3 +16,7 @@ def test_labels_after_one_has_left_are_those_of_the_others(gone):
     others = [label for position, label in enumerate(labels) if position != gone]
     left = [effect for position, effect in enumerate(effects) if position != gone]
     assert [label_after(label, labels[gone]) for label in others] == labels_of(left)
+
+
+def test_every_label_tells_its_kind():
+    assert [kind_of(label) for label in labels_of([SimpleNamespace(name=name) for name in KINDS])] == KINDS
