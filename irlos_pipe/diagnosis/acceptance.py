@@ -277,11 +277,9 @@ def no_longer_needed(
     accepted : sequence of Accepted
         The last one is not in question.
     """
-    effects = current.fitted.continued_by_label()
     for one, own in list(zip(accepted, labels_in(current.fitted, accepted), strict=True))[:-1]:
-        kept = [effect for label, effect in effects.items() if label != own]
         price = PER_PARAMETER * one.refit.parameters * one.refit.score.inflation
-        without = fitter.explored(kept, current.fitted)
+        without = _without(fitter, current.fitted, own)
         if without.chi2 - current.fitted.chi2 < PLAINLY * price:
             without = fitter.finished(without)
         if without.chi2 - current.fitted.chi2 < price:
@@ -318,10 +316,14 @@ def narrowed(
 
 def _beside_all(fitter: Fitter, current: Optimum, refit: Refit, label: str) -> Refit:
     """A name in the model with all names, against that model without it."""
-    others = current.fitted.continued_by_label()
-    del others[label]
-    origin = Optimum(current.stack, fitter.explored([*others.values()], current.fitted))
+    origin = Optimum(current.stack, _without(fitter, current.fitted, label))
     return Refit(refit.score, origin, current.fitted, label)
+
+
+def _without(fitter: Fitter, fitted: Fitted, label: str) -> Fitted:
+    """The fit of a model without one of its effects, from where that is."""
+    effects = fitted.continued_by_label()
+    return fitter.explored([one for other, one in effects.items() if other != label], fitted)
 
 
 def labels_in(fitted: Fitted, accepted: Sequence[Accepted]) -> list[str]:

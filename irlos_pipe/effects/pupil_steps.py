@@ -89,9 +89,9 @@ class PupilSteps(PupilEffect):
         return {"count": counts.pop()} if counts else {}
 
     @property
-    def pistons(self) -> list[int]:
-        """Positions of the pistons among the parameters."""
-        return list(range(self.count)) if "piston_nm" in self.kinds else []
+    def pistons(self) -> range:
+        """Positions of the pistons among the parameters: the first of the kinds."""
+        return range(self.count)
 
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         """See `PupilEffect.apply`."""

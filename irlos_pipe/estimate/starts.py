@@ -171,8 +171,7 @@ def a_wave_off(problem: ImageFit, x: torch.Tensor) -> list[torch.Tensor]:
     x : tensor, (1, parameters)
         Where a fit ended.
     """
-    wavelengths_nm, weights = np.array(problem.model.psf.settings.spectrum).T
-    wave_nm = float(np.average(wavelengths_nm, weights=weights))
+    wave_nm = problem.model.psf.settings.mean_nm
     first, effects = problem.layout.effect_values.start, problem.model.effects
     pistons = [
         first + effects.columns_of(label)[piston]
