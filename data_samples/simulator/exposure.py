@@ -7,10 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulator.atmosphere import ResidualScreens
+from simulator.closed_loop import ClosedLoop
 from simulator.imaging import Imager
 from simulator.jitter import jitter_mas
 from simulator.scene import Cosmic, Scene
 from simulator.telescope import Telescope, tilt_nm
+
+Residual = type[ResidualScreens] | type[ClosedLoop]
 
 
 @dataclass(frozen=True)
@@ -30,12 +33,12 @@ class RawRecording:
     mean_opd_nm: np.ndarray
 
 
-def record(scene: Scene, telescope: Telescope) -> RawRecording:
-    """Return the raw frames of a scene."""
+def record(scene: Scene, telescope: Telescope, residual: Residual = ResidualScreens) -> RawRecording:
+    """Return the raw frames of a scene; `residual` says how the AO residual is made."""
     sky_rng, detector_rng = (
         np.random.default_rng(seq) for seq in np.random.SeedSequence(scene.seed).spawn(2)
     )
-    images, mean_opd_nm = expose(scene, telescope, sky_rng)
+    images, mean_opd_nm = expose(scene, telescope, sky_rng, residual)
     mean_e = images * scene.photons
     detector = scene.detector
     pedestal_adu = detector.pedestal_map_adu(scene.window_px, detector_rng)
@@ -46,10 +49,12 @@ def record(scene: Scene, telescope: Telescope) -> RawRecording:
     return RawRecording(np.array(frames), dark_adu, mean_opd_nm)
 
 
-def expose(scene: Scene, telescope: Telescope, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def expose(
+    scene: Scene, telescope: Telescope, rng: np.random.Generator, residual: Residual = ResidualScreens
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the frames (frames, rows, columns), as fractions of the photons, and the mean OPD [nm]."""
     imager = _imager(scene, telescope)
-    wavefronts = _Wavefronts(scene, telescope, rng)
+    wavefronts = _Wavefronts(scene, telescope, rng, residual)
     diversity_nm = telescope.opd_nm(scene.diversity_nm)
     recorded = set(scene.exposed.tolist())
     images, opd_sum_nm = [], np.zeros_like(diversity_nm)
@@ -69,10 +74,10 @@ def _imager(scene: Scene, telescope: Telescope) -> Imager:
 class _Wavefronts:
     """Sequence of OPDs without diversity: static and introduced aberrations, residual, image motion."""
 
-    def __init__(self, scene: Scene, telescope: Telescope, rng: np.random.Generator):
+    def __init__(self, scene: Scene, telescope: Telescope, rng: np.random.Generator, residual: Residual):
         step_s = scene.exposure_s / scene.subexposures
         steps = (int(scene.exposed.max()) + 1) * scene.subexposures
-        self._screens = ResidualScreens(telescope, scene.seeing_arcsec, step_s, rng)
+        self._screens = residual(telescope, scene.seeing_arcsec, step_s, rng)
         self._motion_mas = iter(jitter_mas(scene.jitter_mas, step_s, steps, rng))
         self._static_nm = telescope.opd_nm(scene.ncpa_nm) + telescope.opd_nm({4: scene.introduced_defocus_nm})
         self._tip_tilt = telescope.modes[1:3]

@@ -29,6 +29,7 @@ EXPERIMENTS = (
     "first_tests",
     "exposures",
     "methods",
+    "ranking",
     "correction_gain",
     "focus_ramp",
     "ramp_conditions",

@@ -39,6 +39,18 @@ class Interval(ResultsPart):
     def of_rms(cls, values: Sequence[float] | np.ndarray) -> Interval:
         """Return the root of the mean square of one value per sample, (samples,)."""
         squares = np.square(np.asarray(values, float))
-        drawn = np.random.default_rng(BOOTSTRAP_SEED).integers(len(squares), size=(DRAWS, len(squares)))
-        low, high = np.sqrt(np.percentile(squares[drawn].mean(axis=1), NINETY))
+        low, high = np.sqrt(np.percentile(_redrawn(squares).mean(axis=1), NINETY))
         return cls(value=float(np.sqrt(squares.mean())), low=float(low), high=float(high))
+
+    @classmethod
+    def of_median(cls, values: Sequence[float] | np.ndarray) -> Interval:
+        """Return the median of one value per sample, (samples,)."""
+        found = np.asarray(values, float)
+        low, high = np.percentile(np.median(_redrawn(found), axis=1), NINETY)
+        return cls(value=float(np.median(found)), low=float(low), high=float(high))
+
+
+def _redrawn(values: np.ndarray) -> np.ndarray:
+    """Return samples drawn from these with replacement, (DRAWS, samples)."""
+    rng = np.random.default_rng(BOOTSTRAP_SEED)
+    return values[rng.integers(len(values), size=(DRAWS, len(values)))]
