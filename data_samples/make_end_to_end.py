@@ -24,7 +24,7 @@ def make_recording(scene: Scene, output: Path) -> tuple[str, float]:
     telescope = build_telescope()
     raw = record(scene, telescope, ClosedLoop)
     write_recorder_folder(output / seeing / "data" / name, scene, raw)
-    write_truth(output / seeing / "truth" / f"{name.replace('/', '__')}.json", scene, raw, telescope)
+    write_truth(output / seeing / "truth" / f"{name.replace('/', '__')}.json", scene, raw, telescope, {})
     return scene.name, time.perf_counter() - started
 
 

@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
+from simulator.atmosphere import residual_wfe_nm
 from simulator.campaign import MUSE, recorder_scenes
 from simulator.exposure import record
 from simulator.files import write_muse_raw, write_recorder_folder, write_truth
@@ -25,7 +26,8 @@ def make_recording(scene: Scene, output: Path) -> tuple[str, float]:
         write_muse_raw(output / f"{scene.name}.fits", scene, raw)
     else:
         write_recorder_folder(output / scene.name, scene, raw)
-    write_truth(output / "truth" / f"{scene.name.replace('/', '__')}.json", scene, raw, telescope)
+    residual = {"residual_wfe_nm": residual_wfe_nm(scene.seeing_arcsec)}
+    write_truth(output / "truth" / f"{scene.name.replace('/', '__')}.json", scene, raw, telescope, residual)
     return scene.name, time.perf_counter() - started
 
 

@@ -12,8 +12,8 @@ HEIGHT_M = 11_000.0  # of a layer
 
 
 @pytest.fixture(scope="module")
-def geometry():
-    return closed_loop._geometry()
+def hardware():
+    return closed_loop.build_hardware()
 
 
 @pytest.fixture(scope="module")
@@ -21,37 +21,37 @@ def telescope():
     return build_telescope(240, 2)
 
 
-def test_a_tilted_wavefront_has_its_slope_everywhere(geometry):
+def test_a_tilted_wavefront_has_its_slope_everywhere(hardware):
     slope_nm_m = 40.0
-    x_m = closed_loop._centres(len(geometry.lit), SUBAPERTURE_M / closed_loop.SAMPLES_PER_SUBAPERTURE)
-    opd_nm = np.broadcast_to(slope_nm_m * x_m, geometry.lit.shape)
-    along_x, along_y = geometry.slopes(opd_nm, 0.0)
+    x_m = closed_loop.centres(len(hardware.lit), SUBAPERTURE_M / closed_loop.SAMPLES_PER_SUBAPERTURE)
+    opd_nm = np.broadcast_to(slope_nm_m * x_m, hardware.lit.shape)
+    along_x, along_y = hardware.slopes(opd_nm, 0.0)
     assert np.allclose(along_x, slope_nm_m)
     assert np.allclose(along_y, 0)
 
 
-def test_the_cone_of_the_laser_star_magnifies_high_layers(geometry):
+def test_the_cone_of_the_laser_star_magnifies_high_layers(hardware):
     # The laser star sees the layer at r (1 - h / H) in r: slopes are smaller by that factor.
-    y_m = closed_loop._centres(len(geometry.lit), SUBAPERTURE_M / closed_loop.SAMPLES_PER_SUBAPERTURE)
+    y_m = closed_loop.centres(len(hardware.lit), SUBAPERTURE_M / closed_loop.SAMPLES_PER_SUBAPERTURE)
     opd_nm = np.repeat(30.0 * y_m[:, None], len(y_m), axis=1)
-    along_x, along_y = geometry.slopes(opd_nm, HEIGHT_M)
+    along_x, along_y = hardware.slopes(opd_nm, HEIGHT_M)
     assert np.allclose(along_y, 30.0 * (1 - HEIGHT_M / closed_loop.LASER_STAR_M))
     assert np.allclose(along_x, 0)
 
 
-def test_the_reconstructor_returns_a_shape_that_the_mirror_can_make(geometry):
+def test_the_reconstructor_returns_a_shape_that_the_mirror_can_make(hardware):
     # A smooth shape, a wave of 4 m: the penalty on commands takes little of it.
-    edges_m = (np.arange(len(geometry.used)) - (len(geometry.used) - 1) / 2) * SUBAPERTURE_M
+    edges_m = (np.arange(len(hardware.used)) - (len(hardware.used) - 1) / 2) * SUBAPERTURE_M
     wanted_nm = 100 * np.cos(2 * np.pi * edges_m[None, :] / 4.0) * np.ones((len(edges_m), 1))
-    shape_nm = geometry.mirror_nm(wanted_nm[geometry.used])
-    slopes = geometry.slopes(shape_nm, 0.0)
-    made_nm = geometry.mirror_nm(geometry.reconstructor @ slopes.ravel())
-    error_nm, inside_nm = (made_nm - shape_nm)[geometry.lit], shape_nm[geometry.lit]
+    shape_nm = hardware.mirror_nm(wanted_nm[hardware.used])
+    slopes = hardware.slopes(shape_nm, 0.0)
+    made_nm = hardware.mirror_nm(hardware.reconstructor @ slopes.ravel())
+    error_nm, inside_nm = (made_nm - shape_nm)[hardware.lit], shape_nm[hardware.lit]
     assert np.std(error_nm) < 0.1 * np.std(inside_nm)
 
 
 def test_without_turbulence_only_noise_is_left(monkeypatch, telescope):
-    monkeypatch.setattr(closed_loop, "_screen_nm", lambda layer, time_s: 0 * closed_loop._geometry().lit)
+    monkeypatch.setattr(closed_loop, "opd_at", lambda layer, time_s: 0 * closed_loop.build_hardware().lit)
     monkeypatch.setattr(closed_loop, "SLOPE_NOISE_NM", 0.0)
     monkeypatch.setattr(closed_loop, "WARM_UP_S", 0.01)
     residual_nm = ClosedLoop(telescope, 0.5, 2 * LOOP_S, np.random.default_rng(1)).next_nm()
@@ -61,19 +61,19 @@ def test_without_turbulence_only_noise_is_left(monkeypatch, telescope):
 
 def test_the_loop_follows_a_wavefront_that_stands_still(monkeypatch, telescope):
     # An integrator leaves nothing of a shape that its mirror can make, but for its leak.
-    static_nm = closed_loop._geometry().mirror_nm(
-        50 * np.random.default_rng(2).standard_normal(closed_loop._geometry().actuators)
+    static_nm = closed_loop.build_hardware().mirror_nm(
+        50 * np.random.default_rng(2).standard_normal(closed_loop.build_hardware().actuators)
     )
     ground = iter(range(10**6))
     monkeypatch.setattr(
-        closed_loop, "_screen_nm", lambda layer, time_s: static_nm if next(ground) % 4 == 0 else 0 * static_nm
+        closed_loop, "opd_at", lambda layer, time_s: static_nm if next(ground) % 4 == 0 else 0 * static_nm
     )
     monkeypatch.setattr(closed_loop, "SLOPE_NOISE_NM", 0.0)
     monkeypatch.setattr(closed_loop, "WARM_UP_S", 0.2)
     loop = ClosedLoop(telescope, 0.5, 0.01, np.random.default_rng(1))
     lit = telescope.transmission > 0.99
     left_nm = loop.next_nm()[lit]
-    before_nm = (loop._to_pupil @ static_nm @ loop._to_pupil.T)[lit]
+    before_nm = (loop.to_pupil @ static_nm @ loop.to_pupil.T)[lit]
     assert np.std(left_nm) < 0.15 * np.std(before_nm)
 
 

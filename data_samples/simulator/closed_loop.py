@@ -67,13 +67,13 @@ class ClosedLoop:
     def __init__(self, telescope: Telescope, seeing_arcsec: float, step_s: float, rng: np.random.Generator):
         self._rng = rng
         self._steps = round(step_s / LOOP_S)
-        self._geometry = _geometry()
-        self._to_pupil = _linear(_centres(telescope.transmission.shape[0], telescope.step_m), 1.0)
+        self._hardware = build_hardware()
+        self.to_pupil = _linear(centres(telescope.transmission.shape[0], telescope.step_m), 1.0)
         strength = Cn_squared_from_fried_parameter(fried_parameter_m(seeing_arcsec), REFERENCE_M)
         self._layers = [
             _moving(layer, strength, seed) for layer, seed in zip(LAYERS, rng.spawn(4), strict=True)
         ]
-        actuators = self._geometry.actuators
+        actuators = self._hardware.actuators
         self._command_nm = np.zeros(actuators)
         self._on_its_way = deque([np.zeros(actuators)] * DELAY_STEPS)
         self._tip_tilt_nm, self._tip_tilt_seen = np.zeros(2), []
@@ -85,34 +85,34 @@ class ClosedLoop:
         """Advance to the next screen and return the OPD (n, n) [nm] on the telescope's grid."""
         for _ in range(self._steps):
             residual_nm = self._advance()
-        return self._to_pupil @ residual_nm @ self._to_pupil.T
+        return self.to_pupil @ residual_nm @ self.to_pupil.T
 
     def _advance(self) -> np.ndarray:
         """Make one step of the loop and return the OPD on its own grid [nm], piston removed."""
-        geometry = self._geometry
+        hardware = self._hardware
         self._clock += 1
-        screens_nm = [_screen_nm(layer, self._clock * LOOP_S) for layer in self._layers]
-        mirror_nm = geometry.mirror_nm(self._on_its_way.popleft())
+        screens_nm = [opd_at(layer, self._clock * LOOP_S) for layer in self._layers]
+        mirror_nm = hardware.mirror_nm(self._on_its_way.popleft())
         residual_nm = np.sum(screens_nm, axis=0) - mirror_nm
-        residual_nm -= np.tensordot(self._tip_tilt_nm, geometry.tip_tilt, axes=1)
-        residual_nm -= np.mean(residual_nm[geometry.lit])
+        residual_nm -= np.tensordot(self._tip_tilt_nm, hardware.tip_tilt, axes=1)
+        residual_nm -= np.mean(residual_nm[hardware.lit])
         self._correct_shape(screens_nm, mirror_nm)
         self._correct_tip_tilt(residual_nm)
         return residual_nm
 
     def _correct_shape(self, screens_nm: list[np.ndarray], mirror_nm: np.ndarray) -> None:
-        geometry = self._geometry
-        slopes = -geometry.slopes(mirror_nm, 0.0)
+        hardware = self._hardware
+        slopes = -hardware.slopes(mirror_nm, 0.0)
         for layer, screen_nm in zip(LAYERS, screens_nm, strict=True):
-            slopes += geometry.slopes(screen_nm, layer.height_m)
+            slopes += hardware.slopes(screen_nm, layer.height_m)
         slopes += SLOPE_NOISE_NM / SUBAPERTURE_M * self._rng.standard_normal(slopes.shape)
         slopes -= slopes.mean(axis=1, keepdims=True)  # a laser star shows neither tip nor tilt
-        step_nm = geometry.reconstructor @ slopes.ravel().astype(np.float32)
+        step_nm = hardware.reconstructor @ slopes.ravel().astype(np.float32)
         self._command_nm = (1 - LEAK) * self._command_nm + GAIN * step_nm
         self._on_its_way.append(self._command_nm)
 
     def _correct_tip_tilt(self, residual_nm: np.ndarray) -> None:
-        lit, modes = self._geometry.lit, self._geometry.tip_tilt
+        lit, modes = self._hardware.lit, self._hardware.tip_tilt
         self._tip_tilt_seen.append([np.mean(residual_nm[lit] * mode[lit]) for mode in modes])
         if len(self._tip_tilt_seen) == TIP_TILT_STEPS:
             self._tip_tilt_nm = self._tip_tilt_nm + TIP_TILT_GAIN * np.mean(self._tip_tilt_seen, axis=0)
@@ -120,7 +120,7 @@ class ClosedLoop:
 
 
 @dataclass(frozen=True)
-class _Geometry:
+class Hardware:
     """Sensor and mirror on the loop's grid.
 
     Attributes
@@ -166,10 +166,10 @@ class _Geometry:
 
 
 @lru_cache(1)
-def _geometry() -> _Geometry:
+def build_hardware() -> Hardware:
     """Return sensor, mirror and reconstructor."""
     lit = np.asarray(ut4_aperture(_grid()).shaped) > 0.5
-    position_m = _centres(SUBAPERTURES * SAMPLES_PER_SUBAPERTURE, SUBAPERTURE_M / SAMPLES_PER_SUBAPERTURE)
+    position_m = centres(SUBAPERTURES * SAMPLES_PER_SUBAPERTURE, SUBAPERTURE_M / SAMPLES_PER_SUBAPERTURE)
     tilt = np.broadcast_to(position_m / (DIAMETER_M / 4), lit.shape)
     mean = np.kron(np.eye(SUBAPERTURES), np.full(SAMPLES_PER_SUBAPERTURE, 1 / SAMPLES_PER_SUBAPERTURE))
     edges_m = (np.arange(SUBAPERTURES + 1) - SUBAPERTURES / 2) * SUBAPERTURE_M
@@ -180,7 +180,7 @@ def _geometry() -> _Geometry:
     for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):  # the corners of every valid subaperture
         used[row : row + SUBAPERTURES, column : column + SUBAPERTURES] |= valid
     influence = _cubic_spline((position_m[:, None] - edges_m) / SUBAPERTURE_M)
-    return _Geometry(
+    return Hardware(
         lit=lit,
         tip_tilt=np.array([tilt, tilt.T]),
         along={height: mean @ cone for height, cone in cones.items()},
@@ -214,12 +214,12 @@ def _moving(layer: Layer, strength: float, rng: np.random.Generator) -> Infinite
     return InfiniteAtmosphericLayer(_grid(), layer.share * strength, OUTER_SCALE_M, velocity, 0, 2, seed=rng)
 
 
-def _screen_nm(layer: InfiniteAtmosphericLayer, time_s: float) -> np.ndarray:
+def opd_at(layer: InfiniteAtmosphericLayer, time_s: float) -> np.ndarray:
     layer.evolve_until(time_s)
     return np.asarray(layer.phase_for(REFERENCE_M).shaped) * (REFERENCE_M * 1e9 / (2 * np.pi))
 
 
-def _centres(samples: int, step_m: float) -> np.ndarray:
+def centres(samples: int, step_m: float) -> np.ndarray:
     return (np.arange(samples) - (samples - 1) / 2) * step_m
 
 

@@ -10,7 +10,6 @@ import numpy as np
 import yaml
 from astropy.io import fits
 
-from simulator.atmosphere import residual_wfe_nm
 from simulator.exposure import RawRecording
 from simulator.scene import SIDE_CAR_POINTS, Scene
 from simulator.telescope import Telescope
@@ -59,14 +58,19 @@ def write_side_car(path: Path, scene: Scene) -> None:
     path.write_text(yaml.safe_dump(content, sort_keys=False))
 
 
-def write_truth(path: Path, scene: Scene, raw: RawRecording, telescope: Telescope) -> None:
-    """Write the truth: coefficients drawn, those of the mean wavefront, parameters of the simulation."""
+def write_truth(
+    path: Path, scene: Scene, raw: RawRecording, telescope: Telescope, residual: dict[str, float]
+) -> None:
+    """Write the truth: coefficients drawn, those of the mean wavefront, parameters of the simulation.
+
+    `residual` is what is known of the AO residual beside the parameters of the scene.
+    """
     content = {
         "hidden": {},
         "ncpa_nm": scene.ncpa_nm,
         "introduced_defocus_nm": scene.introduced_defocus_nm,
         "mean_zernike_nm": telescope.fit_zernike_nm(raw.mean_opd_nm),
-        "simulation": _simulation(scene),
+        "simulation": _simulation(scene) | residual,
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(content, indent=1) + "\n")
@@ -75,8 +79,7 @@ def write_truth(path: Path, scene: Scene, raw: RawRecording, telescope: Telescop
 def _simulation(scene: Scene) -> dict:
     told_above = {"ncpa_nm", "introduced_defocus_nm"}
     parameters = {key: value for key, value in asdict(scene).items() if key not in told_above}
-    derived = {"photons_per_frame": scene.photons, "residual_wfe_nm": residual_wfe_nm(scene.seeing_arcsec)}
-    return parameters | derived
+    return parameters | {"photons_per_frame": scene.photons}
 
 
 def _primary_header() -> fits.PrimaryHDU:
