@@ -56,7 +56,7 @@ class Opening:
             return None
         closed = fitter.begun(effects, near)
         try:
-            opened = open_basis(closed.problem.parts[0], closed.solution, beyond_nm=beyond_nm)
+            opened = open_basis(closed.problem.parts[0], closed.solution.values, beyond_nm=beyond_nm)
         except (ValueError, np.linalg.LinAlgError):
             return None
         if opened is None or not bool(opened.solution.values.isfinite().all()):

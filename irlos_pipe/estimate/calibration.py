@@ -18,7 +18,7 @@ from irlos_pipe.estimate.calibration_options import METHODS, OPEN, CalibrationOp
 from irlos_pipe.estimate.cube import Frames, mean_variance_e2
 from irlos_pipe.estimate.cube_fit import CubeFit, Fit, nominal_of
 from irlos_pipe.estimate.effect_errors import effect_errors
-from irlos_pipe.estimate.effect_modes import drifts, measured_drift
+from irlos_pipe.estimate.effect_modes import drifts, measured_drift, starts_as_told
 from irlos_pipe.estimate.frame_kinds import kurtosis_of_frames
 from irlos_pipe.estimate.methods import (
     Report,
@@ -168,8 +168,10 @@ def calibrate(
         if drifts(effect):
             frames_nm = linear_estimates(frames, *fit).frames_nm
             fit = task.fit([*fit[0].model.effects.effects, measured_drift(effect, psf.nolls, frames_nm)], fit)
-    twin, tail = scheme_of(options).twin(*fit, options.law), None
-    opened = _opened(options, effects, fit)
+    closed, opened = fit, _opened(options, effects, fit)
+    if opened is not None and any(starts_as_told(effect) for effect in steady):
+        closed, opened = _from_told(task, closed, opened)
+    twin, tail = scheme_of(options).twin(*closed, options.law), None
     if opened is not None:
         fit, tail = (opened.problem, opened.solution), opened.law
     return _result(frames, options, fit, twin, tail, time.perf_counter() - began)
@@ -194,7 +196,22 @@ def _opened(options: CalibrationOptions, effects: Sequence[Effect], fit: Fit) ->
     """The fit of all visible modes, where it is wanted and can be made."""
     if not options.open or any(isinstance(effect, HighOrderNcpa) for effect in effects):
         return None
-    return open_basis(*fit, max_iterations=options.max_iterations)
+    return open_basis(fit[0], fit[1].values, max_iterations=options.max_iterations)
+
+
+def _from_told(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Fit, Opened]:
+    """The likelier of two ways to fit all modes: that of `closed` and `opened`, and one from what was told.
+
+    Beside few modes, or none, effects that a diagnosis found may go astray. Here they stay where it found
+    them until the modes of the closed basis are fitted, and are free beside all modes only.
+    """
+    effects = closed[0].model.effects.effects
+    held = task.fit([effect.expected() if starts_as_told(effect) else effect for effect in effects])
+    problem, values = task.released(effects, held)
+    other = open_basis(problem, values, max_iterations=task.options.max_iterations)
+    if other is None or float(opened.solution.objective[0]) <= float(other.solution.objective[0]):
+        return closed, opened
+    return held, other
 
 
 def _explained_by_tail(options: CalibrationOptions, effects: Sequence[Effect], fit: Fit) -> bool:

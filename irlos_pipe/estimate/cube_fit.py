@@ -77,6 +77,26 @@ class CubeFit:
             solution = self._by_whole_waves(problem, solution)
         return problem, solution
 
+    def released(self, effects: Sequence[Effect], held: Fit) -> tuple[ImageFit, torch.Tensor]:
+        """Return the problem with these effects, and where a fit with some of them held is in it.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+        held : tuple of ImageFit and Solution
+            The fit: those that are free there are so here as well.
+        """
+        problem = self._problem(ImageModel(self.psf, effects))
+        old, new = held[0].layout, problem.layout
+        found = held[1].values[0]
+        values = new.start(problem.images.double().mean(1).cpu())
+        values[0, new.modes], values[0, -2:] = found[old.modes], found[-2:]
+        pieces = held[0].model.effects.split(found[old.effect_values])
+        starts = problem.model.effects.split(values[0, new.effect_values])
+        joined = [pieces[label] if len(pieces[label]) else start for label, start in starts.items()]
+        values[0, new.effect_values] = torch.as_tensor(np.concatenate(joined))
+        return problem, values
+
     def _by_whole_waves(self, problem: ImageFit, solution: Solution) -> Solution:
         """The solution, or better ones with parts of the pupil whole waves nearer or further."""
         while not self._is_plausible(problem, solution):

@@ -79,6 +79,13 @@ def drifts(effect: Effect) -> bool:
     return effect.plane == "time" and len(effect.parameters) > 0
 
 
+def starts_as_told(effect: Effect) -> bool:
+    """Return whether the effect, one that not every recording has, starts from values found before."""
+    if effect.usual or not isinstance(effect, FixedEffect) or not effect.free:
+        return False
+    return not np.array_equal(effect.values, effect.base.null_values)
+
+
 def measured_drift(effect: Effect, nolls: Sequence[int], frames_nm: np.ndarray) -> FixedEffect:
     """Return the effect held at what the estimates of single frames show of it, by least squares.
 

@@ -110,19 +110,19 @@ class OpenFit(CheapGradientProblem, ImageFit):
 
 def open_basis(
     closed: ImageFit,
-    solution: Solution,
+    values: torch.Tensor,
     *,
     beyond_nm: Mapping[int, float] | None = None,
     max_iterations: int = 60,
 ) -> Opened | None:
-    """Fit all modes that the window shows, from the solution of a closed basis.
+    """Fit all modes that the window shows, from where a fit of a closed basis is.
 
     Parameters
     ----------
     closed : ImageFit
         The mean image by modes from Noll 2 on.
-    solution : Solution
-        Its solution.
+    values : tensor, (1, parameters)
+        Where it is.
     beyond_nm : mapping, optional
         Where the modes beyond begin, Noll index to nm RMS; by default at nothing.
     max_iterations : int
@@ -141,7 +141,7 @@ def open_basis(
     model = ImageModel(wider, closed.model.effects.effects)
     law = TailLaw(psf.nolls[-1] + 1)
     problem = _wider(closed, model).with_law(law).with_tolerance(ROUGHLY * len(nolls))
-    start = _widened(solution.values, closed.layout, problem.layout, beyond_nm or {})
+    start = _widened(values, closed.layout, problem.layout, beyond_nm or {})
     quick = problem.hastened()
     rough = solve(quick, start, max_iterations=max_iterations)
     if rough.status[0] == INVALID:

@@ -25,6 +25,7 @@ DAMPING_START, DAMPING_MIN = 1e-3, 1e-9
 MEMBERS_AT_ONCE = 256  # whose matrices are solved: some ten copies of each are made on the way
 GOOD_STEP, POOR_STEP = 0.75, 0.25  # parts of the predicted fall that lower, or raise, the damping
 MIN_CURVATURE = 1e-3  # curvature along a parameter over the largest of those in the same unit
+LEAST_CURVATURE = 1e-186  # of a parameter that nothing depends on: its variance is 1e200
 TRIALS = 12  # of a step, with ten times the damping each
 SLOW = 10.0  # times the negligible fall: where iterations are used up, a tenth of a standard error will do
 SPENT = 12  # steps of a problem with cheap gradients after which its Hessian is renewed
@@ -328,14 +329,14 @@ def _solve(
 def scaled_inverse(hessian: torch.Tensor) -> torch.Tensor:
     """Return the inverse of a batch of Hessians, (batch, p, p), through variables scaled by their curvature.
 
-    Directions without information get a huge variance.
+    Directions without information get a huge variance, which is finite: what does not depend on them has
+    errors all the same.
     """
     pieces = [torch.from_numpy(_scaled_inverse(some.numpy())) for some in hessian.split(MEMBERS_AT_ONCE)]
     return pieces[0] if len(pieces) == 1 else torch.cat(pieces)
 
 
 def _scaled_inverse(hessian: np.ndarray) -> np.ndarray:
-    scale = np.sqrt(np.diagonal(hessian, axis1=1, axis2=2).clip(min=1e-300))
+    scale = np.sqrt(np.diagonal(hessian, axis1=1, axis2=2).clip(min=LEAST_CURVATURE))
     outer = scale[:, :, None] * scale[:, None, :]
-    with np.errstate(over="ignore"):
-        return np.linalg.inv(hessian / outer + 1e-14 * np.eye(hessian.shape[-1])) / outer
+    return np.linalg.inv(hessian / outer + 1e-14 * np.eye(hessian.shape[-1])) / outer

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.optimize import least_squares
 
-from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse, solve
 from irlos_pipe.numerics.problem import CheapGradientProblem, Problem
 from irlos_pipe.numerics.solution import CONVERGED, INVALID, MAX_ITERATIONS
 
@@ -251,3 +251,15 @@ def test_a_parameter_without_curvature_at_the_start_gets_its_due_later():
     solution = solve(Frugal(data), begin)
     assert solution.status == [CONVERGED]
     assert np.allclose(solution.values[0], scipy_fit(data[0]).x, rtol=1e-3)
+
+
+def test_what_does_not_depend_on_a_dead_parameter_has_its_error():
+    # Truth: the inverse without the row and column of the dead parameter, the second of four.
+    alive, root = [0, 2, 3], np.random.default_rng(4).standard_normal((3, 3))
+    hessian = np.zeros((1, 4, 4))
+    hessian[0][np.ix_(alive, alive)] = root @ root.T + np.eye(3)
+    inverse = scaled_inverse(torch.from_numpy(hessian))[0].numpy()
+    assert np.isfinite(inverse).all()
+    assert inverse[1, 1] > 1e100
+    assert inverse[np.ix_(alive, alive)] == pytest.approx(np.linalg.inv(hessian[0][np.ix_(alive, alive)]))
+    assert np.all(np.isfinite(inverse @ hessian[0]))
