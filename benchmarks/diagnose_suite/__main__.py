@@ -15,7 +15,7 @@ from benchmarks.diagnose_suite.report import write_report
 from benchmarks.diagnose_suite.working import Folder, work
 from irlos_pipe.files.processes import in_processes
 
-REPORTED_SEED = 17320508  # of the reported runs; no threshold may rest on its cases
+REPORTED_SEED = 86602540  # of the reported runs; no threshold may rest on its cases
 
 
 @click.command()
