@@ -1,1 +1,1 @@
-"""Experiment: all methods with the same modes, frames and starts."""
+"""Experiment: all methods with the same modes and frames."""

@@ -16,7 +16,7 @@ STAGE = RankingResults.stage
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, INK)
 MODES = (
     "Error in Noll 2–30 [nm RMS], medians over the cubes with their range of 90 % by bootstrap over cubes, "
-    "by the last fitted Noll mode. All methods have the same cubes, frames and starts."
+    "by the last fitted Noll mode. All methods have the same cubes and frames."
 )
 FRAMES = "The same with each method's own modes, by the number of frames, without a tail."
 

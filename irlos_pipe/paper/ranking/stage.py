@@ -1,4 +1,4 @@
-"""Stage `ranking`: all calibration methods with the same modes, frames and starts."""
+"""Stage `ranking`: all calibration methods with the same modes and frames."""
 
 from __future__ import annotations
 
