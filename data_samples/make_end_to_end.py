@@ -5,14 +5,13 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 
 from simulator.closed_loop import ClosedLoop
 from simulator.end_to_end import scenes
 from simulator.exposure import record
 from simulator.files import write_recorder_folder, write_truth
+from simulator.pool import make_all
 from simulator.scene import Scene
 from simulator.telescope import build_telescope
 
@@ -34,11 +33,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, required=True, help="folder to write to")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="recordings made at the same time")
     options = parser.parse_args()
-    os.environ["OMP_NUM_THREADS"] = "1"  # the recordings share the cores; spawned workers see this
-    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-        for done in as_completed([pool.submit(make_recording, scene, options.output) for scene in scenes()]):
-            name, seconds = done.result()
-            print(f"{name}: {seconds:.0f} s", flush=True)
+    make_all(make_recording, scenes(), options.output, options.jobs)
 
 
 if __name__ == "__main__":

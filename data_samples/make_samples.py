@@ -5,14 +5,13 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 
 from simulator.atmosphere import residual_wfe_nm
 from simulator.campaign import MUSE, recorder_scenes
 from simulator.exposure import record
 from simulator.files import write_muse_raw, write_recorder_folder, write_truth
+from simulator.pool import make_all
 from simulator.scene import Scene
 from simulator.telescope import build_telescope
 
@@ -48,12 +47,7 @@ def main() -> None:
     options = parse_arguments(scenes)
     wanted = [scene for scene in scenes if not options.only or scene.name in options.only]
     options.output.mkdir(parents=True, exist_ok=True)
-    # The recordings share the cores; threads inside a worker would only compete. Spawned workers see this.
-    os.environ["OMP_NUM_THREADS"] = "1"
-    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-        for done in as_completed([pool.submit(make_recording, scene, options.output) for scene in wanted]):
-            name, seconds = done.result()
-            print(f"{name}: {seconds:.0f} s", flush=True)
+    make_all(make_recording, wanted, options.output, options.jobs)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -71,25 +72,33 @@ MUSE = replace(
 
 def ramp_scene(index: int) -> Scene:
     """Return the recording at RAMP_OFFSETS_NM[index]; its start tells its place in the ping-pong order."""
-    delay_s = RAMP_ORDER.index(index) * RAMP_MOVE_S
-    return replace(
+    return ramp_behind(
         CALIBRATION,
+        600 + RAMP_ORDER.index(index) * RAMP_MOVE_S,
         name=f"ramp/offset_{index:02d}",
+        seed=(*RAMP_SEED, index),
+        frames=6,
+        points_per_band=11,
+        introduced_defocus_nm=RAMP_OFFSETS_NM[index],
+    )
+
+
+def ramp_behind(cube: Scene, delay_s: int, **its: Any) -> Scene:
+    """Return a step of a ramp behind the optics of a `cube`, `delay_s` after it, with fields of `its` own."""
+    return replace(
+        cube,
         role="defocus_ramp",
         target="SIM-RAMP",
-        seed=(*RAMP_SEED, index),
         mag_j=12.0,
         exposure_s=1.0,
-        frames=6,
         subexposures=100,
         bands=BROAD_J_H,
-        points_per_band=11,
         flux_fraction=1.0,
-        introduced_defocus_nm=RAMP_OFFSETS_NM[index],
         lost_frame=None,
         cosmic=None,
-        start_s=CALIBRATION.start_s + 600 + delay_s,
-        first_counter=CALIBRATION.first_counter + (600 + delay_s) * CALIBRATION.loop_hz,
+        start_s=cube.start_s + delay_s,
+        first_counter=cube.first_counter + delay_s * cube.loop_hz,
+        **its,
     )
 
 

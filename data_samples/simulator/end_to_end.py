@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from simulator.campaign import BROAD_J_H, CALIBRATION, CLEAN_DETECTOR
+from simulator.campaign import CALIBRATION, CLEAN_DETECTOR, RAMP_MOVE_S, ramp_behind
 from simulator.scene import Scene, draw_ncpa_nm
 
 SEED = 20261123
@@ -36,21 +36,12 @@ def _cube(index: int) -> Scene:
 
 
 def _step(cube: Scene, index: int) -> Scene:
-    delay_s = 600 + 24 * index
-    return replace(
+    return ramp_behind(
         cube,
+        600 + RAMP_MOVE_S * index,
         name=f"{cube.name.partition('/')[0]}/ramp/offset_{index:02d}",
-        role="defocus_ramp",
-        target="SIM-RAMP",
         seed=(*cube.seed, 1, index),
-        mag_j=12.0,
-        exposure_s=1.0,
         frames=3,
-        subexposures=100,
-        bands=BROAD_J_H,
         points_per_band=7,
-        flux_fraction=1.0,
         introduced_defocus_nm=OFFSETS_NM[index],
-        start_s=cube.start_s + delay_s,
-        first_counter=cube.first_counter + delay_s * cube.loop_hz,
     )

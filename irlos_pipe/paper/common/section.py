@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from irlos_pipe.paper.common.results import Percentiles
+from irlos_pipe.paper.common.results import Interval, Percentiles
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number
 
@@ -25,6 +25,12 @@ def spread(found: Percentiles, pattern: str = ".1f") -> str:
     """
     median, p16, p84 = (number(value, pattern) for value in (found.median, found.p16, found.p84))
     return f"{median} ({p16}…{p84})"
+
+
+def interval(found: Interval) -> str:
+    """Return a number with its range, as a table has it."""
+    value, low, high = (number(one, ".1f") for one in (found.value, found.low, found.high))
+    return f"{value} ({low}…{high})"
 
 
 def mark(error: float, asked: float) -> str:

@@ -7,8 +7,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.conventions.modes import TIP_TILT
-from irlos_pipe.paper.common.results import Interval
-from irlos_pipe.paper.common.section import array_of, mark
+from irlos_pipe.paper.common.section import array_of, interval, mark
 from irlos_pipe.paper.ramp_conditions.conditions import ASKED_NM
 from irlos_pipe.paper.ramp_conditions.results import RampConditionsResults, WayRow
 from irlos_pipe.report.content import Block, Figure, Section, Table
@@ -89,7 +88,13 @@ def _errors(run: RunData, rows: list[WayRow]) -> Markup:
 
 def _table(rows: list[WayRow]) -> Table:
     body = [
-        (row.condition_label, row.label, _range(row.true_rms_nm), _range(row.bias_nm), _range(row.rms_nm))
+        (
+            row.condition_label,
+            row.label,
+            interval(row.true_rms_nm),
+            interval(row.bias_nm),
+            interval(row.rms_nm),
+        )
         for row in rows
     ]
     marks = [mark(row.true_rms_nm.value, row.asked_nm) for row in rows]
@@ -102,7 +107,7 @@ def _modes(rows: list[WayRow]) -> list[Table]:
         (
             f"{row.condition_label}; {row.label}",
             mode_label(mode.noll),
-            _range(mode.error_nm),
+            interval(mode.error_nm),
             number(mode.sigma_nm, ".2f"),
             number(mode.scatter_nm, ".1f"),
             number(mode.true_scatter_nm, ".1f"),
@@ -113,8 +118,3 @@ def _modes(rows: list[WayRow]) -> list[Table]:
         if mode.noll not in TIP_TILT
     ]
     return [Table(MODE_COLUMNS, body, "All modes of a ramp", MODE_CAPTION)] if body else []
-
-
-def _range(found: Interval) -> str:
-    value, low, high = (number(one, ".1f") for one in (found.value, found.low, found.high))
-    return f"{value} ({low}…{high})"

@@ -5,12 +5,11 @@ from __future__ import annotations
 from markupsafe import Markup
 from matplotlib.figure import Figure as Canvas
 
-from irlos_pipe.paper.common.results import Interval
+from irlos_pipe.paper.common.section import interval
 from irlos_pipe.paper.ranking.results import RankingResults, RankingRow
 from irlos_pipe.report.content import Block, Figure, Section, Table
 from irlos_pipe.report.drawing import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, svg
 from irlos_pipe.report.run_data import RunData
-from irlos_pipe.report.text import number
 
 STAGE = RankingResults.stage
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, INK)
@@ -65,14 +64,9 @@ def _table(rows: list[RankingRow], part: str, title: str, caption: str) -> Table
             f'{row.seeing_arcsec:g}"',
             f"{row.tail_nm:g}",
             row.label,
-            *(_cell(getattr(row, part).get(name)) for name in names),
+            *(interval(found[name]) if name in found else "–" for name in names),
         )
         for row in rows
+        for found in [getattr(row, part)]
     ]
     return Table(columns, body, title, caption)
-
-
-def _cell(found: Interval | None) -> str:
-    if found is None:
-        return "–"
-    return f"{number(found.value, '.1f')} ({number(found.low, '.1f')}…{number(found.high, '.1f')})"
