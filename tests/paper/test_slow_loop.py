@@ -11,6 +11,7 @@ from helpers.experiment_stage import run_stage, section_of
 from irlos_pipe.control.disturbance import Drift, SodiumLayer
 from irlos_pipe.control.linear_theory import Integrator, best_gain
 from irlos_pipe.paper.common.broad_band import star_scene
+from irlos_pipe.paper.common.reads import Read
 from irlos_pipe.paper.slow_loop import stage
 from irlos_pipe.paper.slow_loop.experiment import Conditions, LoopSample, noise_law, run_loops
 from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
@@ -140,13 +141,13 @@ def test_the_best_gain_is_a_minimum(noise):
 class PerfectSensor:
     """Reads the defocus out of `linear_table`'s two pixels."""
 
-    def measure(self, images_e):
+    def measure(self, images_e, noise):
         a, b = images_e[:, 0, 0], images_e[:, 0, 1]
         return 100 * (a - b) / (a + b)
 
 
 class BlindSensor:
-    def measure(self, images_e):
+    def measure(self, images_e, noise):
         return np.full(len(images_e), np.nan)
 
 
@@ -165,7 +166,13 @@ def scene(frames=1):
 def closed(loops, drift, sensor, delay=1):
     bright = replace(scene(), window=(1, 2), detector=replace(scene().detector, e_per_adu=1e9))
     return close_loops(
-        loops, {"one": sensor}, bright, linear_table(len(drift)), drift, delay, np.random.default_rng(0)
+        loops,
+        {"one": sensor},
+        dict.fromkeys((1, 2), bright),
+        linear_table(len(drift)),
+        drift,
+        delay,
+        np.random.default_rng(0),
     )
 
 
@@ -273,6 +280,25 @@ def test_the_bound_follows_photons(found):
     bright, faint, longer = found["bound_nm"]
     assert longer == pytest.approx(bright / np.sqrt(2), rel=0.01)
     assert faint > 400 * bright  # 13 magnitudes are a factor 398 while photons rule, more with read noise
+
+
+@pytest.mark.slow
+def test_with_all_reads_the_bound_is_that_of_a_noisier_detector_under_the_sky():
+    """The bound of 200 reads is that of one with √200 times the noise, and grows further with the sky."""
+    read = Read(0.005, 1.0, 1.0, 0.0)
+    dark_sky = replace(cases.FACILITY, sky_mag_per_arcsec2=())
+    bright_sky = replace(cases.FACILITY, sky_mag_per_arcsec2=((1215, 16.5), (1625, 14.4)))
+    law = {
+        name: noise_law(replace(CONDITIONS, facility=facility, read=one))(22.0, 1)
+        for name, facility, one in (
+            ("one read", dark_sky, None),
+            ("noisier", dark_sky, Read(1.0, np.sqrt(200), 1.0, 0.0)),
+            ("reads", dark_sky, read),
+            ("sky", bright_sky, read),
+        )
+    }
+    assert law["reads"] == pytest.approx(law["noisier"])
+    assert law["one read"] < 0.5 * law["reads"] < 0.49 * law["sky"]
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ import torch
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects import Conditions, Effect, SeeingHalo, TipTiltJitter
 from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.frames.exposure_noise import ExposureNoise
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
 from irlos_pipe.optics.structure_function import ResidualBand
@@ -66,8 +67,21 @@ def model_effects_of(scene: Scene) -> list[Effect]:
 
 
 def noise_of(scene: Scene) -> NoiseModel:
-    """Return the noise model with the detector's constants."""
-    return NoiseModel(scene.detector.excess_noise_factor, scene.detector.read_noise_e**2)
+    """Return the noise model of an exposure, from its reads, the light of the sky and dark current."""
+    told = exposure_noise(scene)
+    return NoiseModel(told.excess_noise_factor, told.floor_e2)
+
+
+def exposure_noise(scene: Scene) -> ExposureNoise:
+    """Return what makes the noise of an exposure of a `scene`."""
+    detector, exposure_s = scene.detector, scene.exposure_s
+    return ExposureNoise(
+        detector.reads(exposure_s),
+        detector.read_noise_e,
+        detector.excess_noise_factor,
+        scene.sky_e_per_s * exposure_s,
+        detector.dark_e_per_s * exposure_s,
+    )
 
 
 def images_of(scene: Scene, exposed: Exposed) -> torch.Tensor:
@@ -79,7 +93,25 @@ def images_of(scene: Scene, exposed: Exposed) -> torch.Tensor:
         Electrons; the noise is drawn with the scene's seed.
     """
     rng = np.random.default_rng([*scene.seed, PHOTON_STREAM])
-    return torch.as_tensor(electrons(scene, exposed.mean_e, rng))
+    return torch.as_tensor(recorded_e(scene, exposed.mean_e, rng))
+
+
+def recorded_e(scene: Scene, mean_e: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return noisy frames of the mean light `mean_e` as ingest leaves them: without the sky's mean light.
+
+    Parameters
+    ----------
+    scene : Scene
+    mean_e : ndarray, (frames, rows, columns)
+        Of the star [e-].
+    rng : Generator
+
+    Returns
+    -------
+    ndarray, (frames, rows, columns), float32
+        Electrons.
+    """
+    return electrons(scene, mean_e, rng) - np.float32(scene.sky_e_per_s * scene.exposure_s)
 
 
 def frames_of(scene: Scene, exposed: Exposed) -> Frames:

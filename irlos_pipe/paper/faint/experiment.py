@@ -15,11 +15,10 @@ import torch
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, Curve, curve_of, scan
-from irlos_pipe.frames.exposure_noise import ExposureNoise
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.paper.common.broad_band import FINE
 from irlos_pipe.paper.common.cube import MIRROR_DIVERSITY_NM, CubeSample
-from irlos_pipe.paper.common.observation import noise_of
+from irlos_pipe.paper.common.observation import exposure_noise, noise_of
 from irlos_pipe.paper.common.ramps import (
     DEFOCUS,
     LIFT_VARIANTS,
@@ -29,6 +28,7 @@ from irlos_pipe.paper.common.ramps import (
     methods_of,
     observe,
 )
+from irlos_pipe.paper.common.reads import Read, as_read
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Scene
 
@@ -43,16 +43,6 @@ class Exposures:
 
     exposure_s: float
     magnitudes: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Read:
-    """One read of the detector: exposure [s], noise [e- RMS], excess noise, dark current [e-/s]."""
-
-    exposure_s: float
-    noise_e: float
-    excess_noise_factor: float
-    dark_e_per_s: float
 
 
 @dataclass(frozen=True)
@@ -85,17 +75,7 @@ class FaintSample:
         """Return the noise of dimmed exposures of a `ramp`; None is that of the bright ones."""
         if self.read is None:
             return None
-        photons_per_s_m0 = ramp.photons / ramp.exposure_s * 10 ** (0.4 * ramp.mag_j)
-        spectrum = [(band.centre_nm, band.share) for band in ramp.bands]
-        sky_per_s = self.facility.sky_photons_per_s(spectrum, photons_per_s_m0, ramp.pixel_scale_mas)
-        told = ExposureNoise(
-            max(1, round(ramp.exposure_s / self.read.exposure_s)),
-            self.read.noise_e,
-            self.read.excess_noise_factor,
-            sky_per_s * ramp.exposure_s,
-            self.read.dark_e_per_s * ramp.exposure_s,
-        )
-        return told.beyond(noise_of(ramp))
+        return exposure_noise(as_read(ramp, self.read)).beyond(noise_of(ramp))
 
 
 def scenes_of(sample: FaintSample) -> tuple[Scene, list[Scene]]:

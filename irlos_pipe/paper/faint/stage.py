@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from pydantic import Field, model_validator
 
-from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, Curve
-from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.ramps import LIFT_VARIANTS
+from irlos_pipe.paper.common.reads import NoiseOf, Read
 from irlos_pipe.paper.faint.experiment import (
     COMPARED,
     Exposures,
     FaintSample,
-    Read,
     dim_and_estimate,
     pooled,
     residual_floor_nm,
@@ -27,7 +23,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.sensitivity.work import UNITS
 
 NAME = FaintResults.stage
-VERSION = 6
+VERSION = 7
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 MONITOR = "mass_dimm"  # the paper's scale of the seeing on sky
@@ -49,8 +45,7 @@ class Config(StageConfig):
     seeing_arcsec: float = Field(0.5, gt=0, le=3, description="by MASS-DIMM")
     limit_nm: float = Field(30.0, gt=0, description="limiting magnitude: largest median error [nm RMS]")
     limit_failures: float = Field(0.1, ge=0, le=1, description="limiting magnitude: largest part of failures")
-
-    noise: Literal["reads", "one_read"] = Field(
+    noise: NoiseOf = Field(
         "reads", description="of the dimmed frames: all reads of an exposure with sky and dark, or one read"
     )
 
@@ -108,22 +103,8 @@ def _sample(ctx: StageContext[Config], index: int) -> FaintSample:
         config.cube_frames,
         float(ctx.instrument.seeing_scales[MONITOR].to_sparta(config.seeing_arcsec)),
         config.mag_j,
-        _read(ctx.instrument) if config.noise == "reads" else None,
+        Read.of(ctx.instrument, config.noise, NAME),
     )
-
-
-def _read(instrument: Instrument) -> Read:
-    """One read of the detector by the profile."""
-    defaults = instrument.defaults
-    needed = ("detector.read_s", "detector.read_noise_e")
-    missing = [key for key in needed if key not in defaults]
-    if missing:
-        raise ConfigurationError(
-            f"the profile {instrument.name} gives no {' and '.join(missing)}; set faint.noise=one_read"
-        )
-    factor, dark = (defaults.get(f"detector.{key}", 0.0) for key in ("excess_noise_factor", "dark_e_per_s"))
-    exposure_s, noise_e = (defaults[key] for key in needed)
-    return Read(exposure_s, noise_e, max(1.0, factor), dark)
 
 
 def _group(found: list[Arrays], exposures: Exposures, criterion: Criterion) -> ExposureGroup:

@@ -11,6 +11,7 @@ from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.mode_number import choose, fit_mode_numbers, scan_mode_numbers
 from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
+from irlos_pipe.paper.common.reads import Read, as_read
 from irlos_pipe.paper.common.variants import DEFAULT, Variant
 
 LIFT = "lift_avg"
@@ -30,12 +31,15 @@ class NumberSample:
         J magnitudes for every method.
     frames : mapping of str to int
         Frames that a method is given.
+    read : Read or None
+        Of which exposures are the sum, with the light of the sky; None: one read without sky.
     """
 
     cube: CubeSample
     highest_nolls: tuple[int, ...]
     magnitudes: Mapping[str, tuple[float, ...]]
     frames: Mapping[str, int]
+    read: Read | None = None
 
     @property
     def name(self) -> str:
@@ -53,7 +57,7 @@ def errors_by_number(sample: NumberSample) -> dict[str, np.ndarray]:
         that held-out frames recommend to the default at its first magnitude, and ``held_out``, (numbers,),
         the misfit they show.
     """
-    cube = ObservedCube.of(sample.cube.scene())
+    cube = ObservedCube.of(as_read(sample.cube.scene(), sample.read))
     numbers = {
         f"{method}/error_nm": np.array(
             [_errors_nm(sample, cube.dimmed(mag_j), method) for mag_j in magnitudes]

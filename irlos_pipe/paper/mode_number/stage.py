@@ -9,6 +9,7 @@ from pydantic import Field, field_validator
 
 from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
+from irlos_pipe.paper.common.reads import NoiseOf, Read
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE, frames_per_method
 from irlos_pipe.paper.mode_number.experiment import LIFT, NumberSample, errors_by_number
 from irlos_pipe.paper.mode_number.results import ModeNumberResults, NumberCurve
@@ -16,7 +17,7 @@ from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = ModeNumberResults.stage
-VERSION = 3
+VERSION = 4
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 MODES_INTRODUCED = 50
@@ -37,6 +38,7 @@ class Config(StageConfig):
         (7.0, 14.0, 16.0, 18.0), min_length=1, description="of the star, in J"
     )
     seeing_arcsec: float = Field(0.5, gt=0, le=5, description="seeing on SPARTA's scale")
+    noise: NoiseOf = Field("reads", description="of exposures: all reads with sky and dark, or one read")
 
     @field_validator("numbers")
     @classmethod
@@ -72,6 +74,7 @@ def _magnitudes(config: Config) -> dict[str, tuple[float, ...]]:
 def _samples(ctx: StageContext[Config]) -> Iterator[NumberSample]:
     config = ctx.config
     frames = frames_per_method(config.frames, config.published_frames) | {LIFT: config.frames}
+    read = Read.of(ctx.instrument, config.noise, NAME)
     for index in range(config.cubes):
         cube = CubeSample(
             f"cube {index}",
@@ -81,7 +84,7 @@ def _samples(ctx: StageContext[Config]) -> Iterator[NumberSample]:
             config.frames,
             config.magnitudes[0],
         )
-        yield NumberSample(cube, config.numbers, _magnitudes(config), frames)
+        yield NumberSample(cube, config.numbers, _magnitudes(config), frames, read)
 
 
 def _curve(config: Config, method: str, mag_j: float, errors_nm: Sequence[np.ndarray]) -> NumberCurve:

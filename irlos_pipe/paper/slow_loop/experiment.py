@@ -17,7 +17,9 @@ from irlos_pipe.control.linear_theory import best_gain
 from irlos_pipe.conventions.facility import Facility
 from irlos_pipe.paper.common.broad_band import FINE, star_scene
 from irlos_pipe.paper.common.cube import BRIGHT_MAG_J, CubeSample
+from irlos_pipe.paper.common.observation import noise_of
 from irlos_pipe.paper.common.ramps import TTF, Knowledge, calibrated
+from irlos_pipe.paper.common.reads import Read, as_read
 from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
 from irlos_pipe.paper.slow_loop.loops import Loop, close_loops
 from irlos_pipe.paper.slow_loop.sensor import FocusSensor, focus_sensor
@@ -35,13 +37,20 @@ SKY_FOCUS_NM = 5.0  # defocus of the AO residual in a frame of a second, as simu
 
 @dataclass(frozen=True)
 class Conditions:
-    """Telescope, sky and calibration that all loops share; `delay` as in `Integrator`."""
+    """Telescope, sky and calibration that all loops share; `delay` as in `Integrator`.
+
+    Attributes
+    ----------
+    read : Read or None
+        Of which the loops' exposures are the sum, with the light of the sky; None: one read without sky.
+    """
 
     facility: Facility
     drift: Drift
     delay: int
     seeing_arcsec: float
     calibration_frames: int
+    read: Read | None = None
 
 
 @dataclass(frozen=True)
@@ -79,15 +88,16 @@ def run_loops(sample: LoopSample) -> dict[str, np.ndarray]:
         ``sky_focus_nm`` (frames,); ``bound_nm`` (loops,), the Cramér–Rao bound of one measurement.
     """
     cube = _cube(sample)
-    scene = _star(sample, cube.ncpa_nm)
+    bare = _star(sample, cube.ncpa_nm)
+    scenes = {loop.exposures: _exposed_for(bare, loop.exposures, sample.conditions) for loop in sample.loops}
     methods = [name for name in sample.configurations if name != UNCALIBRATED]
     known = calibrated(cube, methods) if methods else {}
-    sensors = {name: focus_sensor(scene, known.get(name, Knowledge())) for name in sample.configurations}
-    table = frame_table(scene, sample.reach_nm, sample.nodes)
+    sensors = {name: focus_sensor(bare, known.get(name, Knowledge())) for name in sample.configurations}
+    table = frame_table(bare, sample.reach_nm, sample.nodes)
     drift_nm = np.array([_drift_nm(sample, index) for index in range(sample.drifts)])
     records = [
         close_loops(
-            sample.loops, sensors, scene, table, one, sample.conditions.delay, _noise_rng(sample, index)
+            sample.loops, sensors, scenes, table, one, sample.conditions.delay, _noise_rng(sample, index)
         )
         for index, one in enumerate(drift_nm)
     ]
@@ -95,7 +105,7 @@ def run_loops(sample: LoopSample) -> dict[str, np.ndarray]:
         **{name: np.array([getattr(one, name) for one in records]) for name in vars(records[0])},
         "drift_nm": drift_nm,
         "sky_focus_nm": table.sky_focus_nm,
-        "bound_nm": _bounds_nm(sample.loops, sensors, scene, table),
+        "bound_nm": _bounds_nm(sample.loops, sensors, scenes, table),
     }
 
 
@@ -128,6 +138,12 @@ def _star(sample: LoopSample, ncpa_nm: Mapping[int, float]) -> Scene:
     )
 
 
+def _exposed_for(star: Scene, frames: int, conditions: Conditions) -> Scene:
+    """The same star in exposures of so many frames, with the noise of their reads."""
+    exposure_s = frames * star.exposure_s
+    return as_read(replace(star, exposure_s=exposure_s, frame_rate_hz=1 / exposure_s), conditions.read)
+
+
 def _drift_nm(sample: LoopSample, index: int) -> np.ndarray:
     """Mean defocus of the disturbance in every frame, (frames,)."""
     rng = np.random.default_rng([*sample.seed, DRIFT_STREAM, index])
@@ -140,13 +156,19 @@ def _noise_rng(sample: LoopSample, index: int) -> np.random.Generator:
 
 
 def _bounds_nm(
-    loops: Sequence[Loop], sensors: dict[str, FocusSensor], scene: Scene, table: FrameTable
+    loops: Sequence[Loop],
+    sensors: Mapping[str, FocusSensor],
+    scenes: Mapping[int, Scene],
+    table: FrameTable,
 ) -> np.ndarray:
     """Cramér–Rao bound of one measurement of every loop, with its own sensor's model."""
     seen_e = float(table.images_e(0, np.zeros(1)).sum())
     return np.array(
         [
-            sensors[loop.sensor].bound_nm(seen_e * loop.brightness(scene.mag_j) * loop.exposures)
+            sensors[loop.sensor].bound_nm(
+                seen_e * loop.brightness(scenes[loop.exposures].mag_j) * loop.exposures,
+                noise_of(scenes[loop.exposures]),
+            )
             for loop in loops
         ]
     )
@@ -162,7 +184,8 @@ def noise_law(conditions: Conditions) -> Noise:
 
     def noise_nm(mag_j: float, exposures: int) -> float:
         seen_e = SEEN * scene.photons * 10 ** (-0.4 * mag_j) * exposures
-        return float(np.hypot(sensor.bound_nm(seen_e), SKY_FOCUS_NM / np.sqrt(exposures)))
+        noise = noise_of(_exposed_for(scene, exposures, conditions))
+        return float(np.hypot(sensor.bound_nm(seen_e, noise), SKY_FOCUS_NM / np.sqrt(exposures)))
 
     return noise_nm
 

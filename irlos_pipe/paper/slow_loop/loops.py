@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from irlos_pipe.paper.common.observation import noise_of, recorded_e
 from irlos_pipe.paper.slow_loop.frames import FrameTable
 from irlos_pipe.paper.slow_loop.sensor import FocusSensor
-from irlos_pipe.simulate.readout import electrons
 from irlos_pipe.simulate.scene import Scene
 
 
@@ -63,7 +63,7 @@ class LoopRecord:
 def close_loops(
     loops: Sequence[Loop],
     sensors: Mapping[str, FocusSensor],
-    scene: Scene,
+    scenes: Mapping[int, Scene],
     table: FrameTable,
     drift_nm: np.ndarray,
     delay: int,
@@ -76,8 +76,10 @@ def close_loops(
     loops : sequence of Loop
     sensors : mapping of str to FocusSensor
         By the names that the loops use.
-    scene, table : Scene, FrameTable
-        The sky, and its frames at any defocus.
+    scenes : mapping of int to Scene
+        The sky in exposures of so many frames.
+    table : FrameTable
+        Its frames at any defocus.
     drift_nm : ndarray, (frames,)
         Mean defocus of the disturbance in every frame. What it wanders within one is too little to
         change the image other than through its mean.
@@ -87,13 +89,15 @@ def close_loops(
         Of the detector noise.
     """
     bank = _Bank(loops, len(drift_nm), delay, table)
-    flux = np.array([loop.brightness(scene.mag_j) for loop in loops])[:, None, None]
+    flux = np.array([loop.brightness(scenes[loop.exposures].mag_j) for loop in loops])[:, None, None]
+    alike = dict.fromkeys((loop.sensor, loop.exposures) for loop in loops)
     for frame, drift in enumerate(drift_nm):
         bank.expose(frame, drift, flux)
-        for name, sensor in sensors.items():
-            members = bank.ready(frame, name)
+        for name, exposures in alike:
+            members = bank.ready(frame, name, exposures)
             if len(members):
-                bank.correct(members, frame, sensor.measure(electrons(scene, bank.images_e[members], rng)))
+                images_e = recorded_e(scenes[exposures], bank.images_e[members], rng)
+                bank.correct(members, frame, sensors[name].measure(images_e, noise_of(scenes[exposures])))
     return bank.record()
 
 
@@ -120,9 +124,11 @@ class _Bank:
         keep = (frame % self.exposures != 0)[:, None, None]
         self.images_e = keep * self.images_e + flux * self.table.images_e(frame, seen)
 
-    def ready(self, frame: int, sensor: str) -> np.ndarray:
-        """Return the loops of `sensor` whose exposure ends with `frame`."""
-        return np.flatnonzero(self.alive & (self.sensor == sensor) & ((frame + 1) % self.exposures == 0))
+    def ready(self, frame: int, sensor: str, exposures: int) -> np.ndarray:
+        """Return the loops of `sensor` with exposures of so many frames that end with `frame`."""
+        if (frame + 1) % exposures:
+            return np.array([], dtype=int)
+        return np.flatnonzero(self.alive & (self.sensor == sensor) & (self.exposures == exposures))
 
     def correct(self, members: np.ndarray, frame: int, measured_nm: np.ndarray) -> None:
         """Record the measurements and change the commands; without a measurement a command is held."""

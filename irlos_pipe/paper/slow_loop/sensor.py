@@ -17,7 +17,7 @@ from irlos_pipe.estimate.tabulated import tabulated
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.paper.common.broad_band import frame_settings
-from irlos_pipe.paper.common.observation import model_effects_of, noise_of
+from irlos_pipe.paper.common.observation import model_effects_of
 from irlos_pipe.paper.common.ramps import TTF, Knowledge
 from irlos_pipe.simulate.scene import Scene
 
@@ -35,28 +35,26 @@ class FocusSensor:
     ----------
     model : ImageModel
         With AO residual and jitter.
-    noise : NoiseModel
     """
 
     model: ImageModel
-    noise: NoiseModel
 
-    def measure(self, images_e: np.ndarray) -> np.ndarray:
+    def measure(self, images_e: np.ndarray, noise: NoiseModel) -> np.ndarray:
         """Return the defocus of every image, (images,) [nm RMS]; NaN where none is to be used."""
         images = torch.as_tensor(images_e)
         good = torch.ones(images.shape[1:], dtype=torch.bool)
         start = torch.zeros(len(images), len(TTF), dtype=torch.float64)
-        result = lift(self.model, images, good, self.noise, start, LiftOptions("model"))
+        result = lift(self.model, images, good, noise, start, LiftOptions("model"))
         defocus, sigma = result.mode(DEFOCUS)
         credible = (sigma < LARGEST_SIGMA_NM) & (defocus.abs() < FARTHEST_NM)
         return torch.where(result.solution.converged & credible, defocus, torch.nan).numpy()
 
-    def bound_nm(self, seen_e: float) -> float:
+    def bound_nm(self, seen_e: float, noise: NoiseModel) -> float:
         """Return the Cramér–Rao bound at zero defocus, for electrons seen in the window [nm RMS]."""
         zero = torch.zeros(1, len(TTF), dtype=torch.float64)
         in_window = self.model.psf.images(zero, self.model.optics).double().sum().cpu()
         flux = seen_e / in_window[None]
-        return float(cramer_rao_nm(self.model, zero, flux, self.noise)[0, FOCUS])
+        return float(cramer_rao_nm(self.model, zero, flux, noise)[0, FOCUS])
 
 
 def focus_sensor(scene: Scene, knowledge: Knowledge) -> FocusSensor:
@@ -64,4 +62,4 @@ def focus_sensor(scene: Scene, knowledge: Knowledge) -> FocusSensor:
     psf = PsfModel(frame_settings(scene, knowledge.ncpa_nm), TTF)
     effects = ramp_effects(model_effects_of(scene), knowledge.effects)
     model = tabulated(ImageModel(psf, effects), torch.zeros(1, len(TTF), dtype=torch.float64))
-    return FocusSensor(model, noise_of(scene))
+    return FocusSensor(model)

@@ -12,6 +12,7 @@ from pydantic import Field
 from irlos_pipe.control.disturbance import SodiumLayer
 from irlos_pipe.control.linear_theory import Integrator, best_gain
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
+from irlos_pipe.paper.common.reads import NoiseOf, Read
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
 from irlos_pipe.paper.slow_loop.experiment import (
     UNCALIBRATED,
@@ -29,7 +30,7 @@ from irlos_pipe.product.product import Check, Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = SlowLoopResults.stage
-VERSION = 5
+VERSION = 6
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 
@@ -51,16 +52,19 @@ class Config(StageConfig):
     drifts: int = Field(1, ge=1, le=1000, description="drifts of the sodium layer on each sky")
     frames: int = Field(120, ge=10, le=100000, description="frames of 1 s per drift")
     settle: int = Field(20, ge=0, description="frames left out of the statistics")
-    magnitudes: tuple[float, ...] = Field((12, 18, 20, 21, 22, 23), min_length=1, description="J mag")
+    magnitudes: tuple[float, ...] = Field((12, 16, 17, 18, 19, 20), min_length=1, description="J mag")
     configurations: tuple[str, ...] = Field(
         (UNCALIBRATED, PAPER_CHOICE, DEFAULT), description="calibration methods, or `uncalibrated`"
     )
-    scan_magnitudes: tuple[float, ...] = Field((12, 21), description="stars of the scan of gains")
+    scan_magnitudes: tuple[float, ...] = Field((12, 18), description="stars of the scan of gains")
     scan_gains: tuple[float, ...] = Field((0.05, 0.1, 0.2, 0.6, 0.8), description="gains of the scan")
     half_rate: bool = Field(True, description="also frames of 2 s, with the default calibration")
     delay: int = Field(1, ge=0, le=10, description="frames between exposure and correction")
     seeing_arcsec: float = Field(0.5, gt=0, le=3, description="seeing on SPARTA's scale")
     calibration_frames: int = Field(100, ge=10, le=10000, description="frames of the calibration cube")
+    noise: NoiseOf = Field(
+        "reads", description="of the loop's exposures: all reads with sky and dark, or one read"
+    )
     layer: Layer = Layer()
 
 
@@ -88,7 +92,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
 def _conditions(ctx: StageContext[Config]) -> Conditions:
     config, facility = ctx.config, ctx.instrument.facility
     drift = SodiumLayer(**config.layer.model_dump()).drift(facility.pupil.diameter_m)
-    return Conditions(facility, drift, config.delay, config.seeing_arcsec, config.calibration_frames)
+    read = Read.of(ctx.instrument, config.noise, NAME)
+    return Conditions(facility, drift, config.delay, config.seeing_arcsec, config.calibration_frames, read)
 
 
 def _loops(ctx: StageContext[Config]) -> tuple[Loop, ...]:
