@@ -11,6 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from benchmarks.diagnose_suite.cases import Case, all_cases, in_one_setting
+from benchmarks.diagnose_suite.kept import keep, lay_out
 from benchmarks.diagnose_suite.report import write_report
 from benchmarks.diagnose_suite.working import Folder, work
 from irlos_pipe.files.processes import in_processes
@@ -33,6 +34,12 @@ REPORTED_SEED = 86602540  # of the reported runs; no threshold may rest on its c
 @click.option("--only", default="*", help="Cases whose name matches, for example '*companion*'.")
 @click.option("--once", is_flag=True, help="Each in one of its settings, which take turns.")
 @click.option("--sample", type=int, help="That many of them, evenly spread.")
+@click.option("--shuffled", is_flag=True, help="In random order: wherever it is stopped, a fair sample.")
+@click.option(
+    "--kept",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="File whose outcomes count as finished; those of this run are added.",
+)
 @click.option("--finished", is_flag=True, help="Those among them that are finished already; run none.")
 @click.option("--list", "listed", is_flag=True, help="Print the names of the cases and stop.")
 def main(
@@ -43,6 +50,8 @@ def main(
     only: str,
     once: bool,
     sample: int | None,
+    shuffled: bool,
+    kept: Path | None,
     finished: bool,
     listed: bool,
 ) -> None:
@@ -52,15 +61,21 @@ def main(
     """
     every = all_cases(suite_seed, dirty)
     cases = chosen(in_one_setting(every) if once else every, only, sample)
+    if shuffled:
+        cases = list(np.random.default_rng(suite_seed).permutation(np.array(cases, dtype=object)))
     if listed:
         click.echo("\n".join(case.name for case in cases))
         return
     if output is None:
         raise click.UsageError("give --output DIR, a folder for the recordings and the results")
     folder = Folder(output.resolve())
+    if kept is not None:
+        lay_out(kept, cases, folder)
     if finished:
         cases = [case for case in cases if folder.outcome(case).is_file()]
     outcomes, failed = run_all(cases, folder, jobs)
+    if kept is not None:
+        keep(kept, outcomes)
     click.echo(write_report(outcomes, failed, output))
     raise SystemExit(1 if failed else 0)
 

@@ -19,6 +19,7 @@ from benchmarks.diagnose_suite.planning import CALIBRATION, CUBE, RAMP
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import json_text
 from irlos_pipe.pipeline import run_recipe
+from irlos_pipe.pipeline.provenance import software_versions
 from irlos_pipe.recipe import load_recipe
 
 RECIPES = Path(__file__).parents[2] / "recipes"
@@ -90,6 +91,7 @@ def _worked(case: Case, folder: Folder) -> dict[str, Any]:
     errors_nm = None if case.is_ramp else ncpa_errors_nm(diagnosis, truth)
     return {
         "case": case.name,
+        "code": software_versions()["irlos_pipe"],
         "truth": {key: truth[key] for key in TRUTH_KEPT},
         "diagnosis": {key: value for key, value in diagnosis.items() if key not in NOT_KEPT},
         "ncpa_error_nm": errors_nm,
