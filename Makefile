@@ -132,9 +132,8 @@ paper: env ## run every experiment of the paper, hours; resumes if interrupted (
 paper-quick: env ## run every experiment of the paper with small samples, minutes
 	$(BIN)/irlos paper --output $(RUNS)/paper-quick --quick $(ARGS)
 
-paper-tables: env ## after make paper: renew docs/paper_results.json and the tables of docs/results.md
-	cp $(RUNS)/paper/paper_results.json docs/paper_results.json
-	$(BIN)/python -m irlos_pipe.paper.run.results_page
+paper-tables: env ## after make paper: renew docs/paper_results.json and the tables of docs/results.md (ARGS=--beside)
+	$(BIN)/python -m irlos_pipe.paper.run.results_page --take $(RUNS)/paper/paper_results.json $(ARGS)
 
 simulate: env ## make recordings with a known truth (SPEC=on_sky, OUT=...)
 	$(BIN)/irlos simulate $(SPEC) --output $(OUT) $(ARGS)
