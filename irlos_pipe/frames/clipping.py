@@ -60,7 +60,8 @@ def _piled_up(values: np.ndarray, sigma: np.ndarray, step: float) -> np.ndarray:
         near, around = (_others_within(values, width * sigma) for width in (close, wide))
         # of normal values about their own mean; any wider distribution has a smaller share
         share = scipy.special.erf(close / np.sqrt(2)) / scipy.special.erf(wide / np.sqrt(2))
-        found |= (scipy.stats.binom.sf(near - 1, around, share) < FALSE_ALARM) & (close * sigma > 2 * step)
+        by_chance = scipy.special.bdtrc(near - 1, around, share)  # that as many or more are near
+        found |= (by_chance < FALSE_ALARM) & (close * sigma > 2 * step)
     return found
 
 

@@ -44,8 +44,9 @@ class Prediction:
     @property
     def dependence(self) -> float:
         """Pixels that count as one in a mean of (pixel - prediction)², for they share neighbours."""
-        correlation = scipy.signal.correlate2d(self.kernel, self.kernel) / np.sum(self.kernel**2)
-        return float(np.sum(correlation**2))
+        padded = [2 * side for side in self.kernel.shape]  # against wrapping round
+        power = np.abs(np.fft.fft2(self.kernel, padded)) ** 2 / np.sum(self.kernel**2)
+        return float(np.mean(power**2))  # Parseval: the sum of the squared autocorrelation
 
     def of(self, images: np.ndarray) -> np.ndarray:
         """Return the predicted images, (..., rows, columns) like `images`."""
