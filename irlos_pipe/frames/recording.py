@@ -14,6 +14,7 @@ from irlos_pipe.frames.blocks import mean_frame, picked
 
 # sources of values
 RECIPE, SIDECAR, HEADER, PROFILE, FRAMES = "recipe", "side-car", "header", "instrument profile", "measured"
+MODE = "read-out mode by the instrument profile"
 
 
 @dataclass(frozen=True)

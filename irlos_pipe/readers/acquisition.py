@@ -12,7 +12,15 @@ from pydantic import ValidationError
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.seeing import SPARTA
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.frames.recording import HEADER, PROFILE, RECIPE, SIDECAR, Acquisition, Detector
+from irlos_pipe.frames.recording import (
+    HEADER,
+    MODE,
+    PROFILE,
+    RECIPE,
+    SIDECAR,
+    Acquisition,
+    Detector,
+)
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.altitude import altitude_deg
 from irlos_pipe.readers.raw_file import RawRecording
@@ -91,6 +99,7 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
         RECIPE: recipe.flat(),
         SIDECAR: read_sidecar(path).flat(),
         HEADER: _plausible(raw.header),
+        MODE: raw.of_mode,
         PROFILE: instrument.defaults | HARMLESS,
     }
     values, sources = _settle(layers)
@@ -298,7 +307,7 @@ def _detector(values: Mapping[str, Any], reads: int, *, told_reads: bool) -> Det
 def _warnings(raw: RawRecording, values: Mapping[str, Any], sources: Mapping[str, str]) -> tuple[str, ...]:
     """One line per source from which values had to be taken, and one for what stays unknown."""
     lines = []
-    for source in (HEADER, PROFILE):
+    for source in (HEADER, MODE, PROFILE):
         taken = [
             f"{key} = {values[key]:.6g}"
             for key in sorted(values)

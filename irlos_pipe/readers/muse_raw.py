@@ -67,8 +67,9 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
         layout=LAYOUT,
         adu=adu,
         frame_counter=np.arange(len(adu)),
-        header=_from_mode(mode, instrument) | _from_header(header) | _from_atmosphere(hdus),
+        header=_from_header(header) | _from_atmosphere(hdus),
         mode=mode.name,
+        of_mode=_from_mode(mode, instrument),
         start_unix_s=_start(hdus, header, path),
     )
     if mode.lenslets == 1:

@@ -30,6 +30,8 @@ class RawRecording(RawFrames):
         Side-car keys (``detector.`` ones dotted) that the file itself knows.
     mode : str
         Read-out mode string, empty where the layout has none.
+    of_mode : mapping
+        Side-car keys that the instrument profile states of that mode.
     start_unix_s : float
         Begin of the recording, NaN if not known [s since 1970].
     notes : tuple of str
@@ -44,6 +46,7 @@ class RawRecording(RawFrames):
     unix_s: np.ndarray | None = None
     header: Mapping[str, Any] = field(default_factory=dict)
     mode: str = ""
+    of_mode: Mapping[str, Any] = field(default_factory=dict)
     start_unix_s: float = float("nan")
     notes: tuple[str, ...] = ()
     cards: Mapping[str, Any] = field(default_factory=dict)

@@ -62,7 +62,10 @@ def sidecar_template(path: Path, instrument: Instrument) -> str:
         When there is no recording in the file.
     """
     recordings = read_recordings(path, instrument)
-    told = _from_keywords(path) | {key: (value, HEADER) for key, value in recordings[0].header.items()}
+    first = recordings[0]
+    told = _from_keywords(path)
+    told |= {key: (value, PROFILE) for key, value in first.of_mode.items()}
+    told |= {key: (value, HEADER) for key, value in first.header.items()}
     lines = _lines(AcquisitionKeys, "", told, instrument.defaults)
     return HEAD.format(name=path.name) + "\n".join(lines) + "\n"
 

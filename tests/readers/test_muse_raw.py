@@ -5,6 +5,7 @@ import pytest
 from helpers.sparta_files import FULL_PUPIL, TWO_BY_TWO, quadrants, write_muse
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.frames.recording import MODE
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.readers.acquisition import resolve
 from irlos_pipe.readers.find import read_recordings
@@ -44,11 +45,11 @@ def test_the_header_gives_what_it_knows(tmp_path):
         "altitude_deg": 62.0,
         "derotator_angle_deg": 81.4,
         "target": "HD 1",
-        "frame_rate_hz": 200.0,
-        "exposure_s": 0.005,
-        "pixel_scale_mas": 9.7,
     }
+    of_mode = {"frame_rate_hz": 200.0, "exposure_s": 0.005, "pixel_scale_mas": 9.7}
     assert {key: raw.header[key] for key in expected} == expected
+    assert {key: raw.of_mode[key] for key in of_mode} == of_mode
+    assert not of_mode.keys() & raw.header.keys()
     assert raw.start_unix_s == 1689304870.0  # 2023-07-14T03:21:10 UTC
 
 
@@ -85,8 +86,8 @@ def test_values_of_before_the_upgrade_hold_for_files_of_that_time(tmp_path):
         )[0]
         for day in ("2023-01-01T00:00:00", "2020-01-01T00:00:00")
     )
-    assert new.header["pixel_scale_mas"] == 78
-    assert old.header["pixel_scale_mas"] == 60
+    assert new.of_mode["pixel_scale_mas"] == 78
+    assert old.of_mode["pixel_scale_mas"] == 60
 
 
 def test_the_images_of_a_2x2_mode_lie_side_by_side_without_their_borders(tmp_path):
@@ -109,8 +110,8 @@ def test_the_images_of_a_2x2_mode_lie_side_by_side_without_their_borders(tmp_pat
 def test_scale_and_gain_are_those_of_mode_and_day(tmp_path, day, mode, scale_mas, e_per_adu):
     path = write_muse(tmp_path / "m.fits", quadrants([numbered(1, 6, 6)] * 4), mode, {"DATE-OBS": day})
     (raw,) = read_recordings(path, IRLOS)
-    assert raw.header["pixel_scale_mas"] == scale_mas
-    assert raw.header["detector.e_per_adu"] == pytest.approx(e_per_adu)
+    assert raw.of_mode["pixel_scale_mas"] == scale_mas
+    assert raw.of_mode["detector.e_per_adu"] == pytest.approx(e_per_adu)
 
 
 def test_a_2x2_file_without_a_day_needs_a_side_car_that_states_scale_and_gain(tmp_path):
@@ -134,6 +135,8 @@ def test_a_2x2_file_needs_no_side_car(tmp_path):
     acquisition = resolve(raw, AcquisitionKeys(), IRLOS).acquisition
     assert (acquisition.role, acquisition.diversity, acquisition.lenslets) == ("psf", {}, 2)
     assert 1215 < acquisition.wavelength_nm < 1625
+    for key in ("role", "spectrum", "diversity", "pixel_scale_mas", "detector.e_per_adu"):
+        assert acquisition.sources[key] == MODE  # the file states mode and day only
 
 
 def test_a_2x2_cube_without_borders_is_refused():
