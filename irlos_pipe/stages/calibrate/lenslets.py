@@ -83,6 +83,7 @@ def _lines(row: Lenslets) -> list[str]:
     return [
         f"Lenslets        by their noise the four images determine {row.combinations} of {row.modes_tried} "
         f"combinations of Noll 2–{TRIED_NOLLS[-1]}, {len(row.determined)} modes to half of their prior",
+        "  speckles, and places of the images that nobody knows, leave fewer: docs/two_by_two.md",
         f"  defocus from centroids {row.centroids_nm[4]:+.1f} ± {row.centroids_sigma_nm[4]:.1f} nm, "
         f"Cramér–Rao bound of the fit {row.bound_nm.get(4, np.nan):.1f} nm",
     ]

@@ -20,6 +20,7 @@ from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate, Tail
 from irlos_pipe.stages.model.effects import effect_arrays
 from irlos_pipe.stages.model.untested import CUBES_IN_SHORT, FAINT_VANES, untested_by_cubes
 
+LABEL_WIDTH = 24  # of what stands before numbers in lines for the terminal; the longest effect has 22
 COVARIANCE = {
     "frames": "from the scatter over frames and the misfit",
     "few_frames": "from the noise model, the misfit, and the scatter of few frames",
@@ -160,8 +161,8 @@ def effect_lines(effects: dict[str, dict], sigma: dict[str, dict] | None = None)
     """Return one line per effect, with the errors `sigma` where there are any."""
     errors = sigma or {}
     return [
-        f"  {name:22s}"
-        + ", ".join(f"{key} {value:.3g}" for key, value in rows_of(measured(values, errors.get(name, {}))))
+        f"  {name:{LABEL_WIDTH}s}"
+        + ", ".join(f"{key} {value:.4g}" for key, value in rows_of(measured(values, errors.get(name, {}))))
         for name, values in effects.items()
     ]
 
@@ -191,6 +192,6 @@ def _tail_lines(result: Calibration) -> list[str]:
     if tail is None:
         return []
     return [
-        f"  {f'Noll {tail.first_noll}–{result.nolls[-1]}':22s}{tail.wfe_nm:.1f} nm RMS, "
+        f"  {f'Noll {tail.first_noll}–{result.nolls[-1]}':{LABEL_WIDTH}s}{tail.wfe_nm:.1f} nm RMS, "
         f"law {tail.amplitude_nm:.2g} nm each, as order^{-tail.slope:.1f}"
     ]
