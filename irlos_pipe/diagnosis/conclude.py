@@ -25,7 +25,17 @@ from irlos_pipe.diagnosis.rest import rest_of
 from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.second_recording import Advice, SecondRecordings
 from irlos_pipe.diagnosis.tried import tried
-from irlos_pipe.diagnosis.verdict import COMPLETE, EFFECT, NONE, UNKNOWN, Adjusted, Diagnosis, Pictures, Step
+from irlos_pipe.diagnosis.verdict import (
+    COMPLETE,
+    EFFECT,
+    NONE,
+    PARTIAL,
+    UNKNOWN,
+    Adjusted,
+    Diagnosis,
+    Pictures,
+    Step,
+)
 from irlos_pipe.diagnosis.view import Screened
 from irlos_pipe.effects import Effect, FixedEffect, wider_kinds
 from irlos_pipe.effects.image_model import ImageModel
@@ -75,13 +85,14 @@ def conclude(
     frames = len({*cube.training.parts[0].when, *cube.held_out.parts[0].when})
     pixels = screened_step(screened, final, frames, gap)
     if pixels is not None:
-        known, gap = [pixels, *known], replace(gap, before=pixels.gap.before)
+        known, gap = [*known, pixels], replace(gap, before=pixels.gap.before)
+    left = judgement.left or fine.significance > options.sure
     return Diagnosis(
         verdict=UNKNOWN if why else EFFECT if known else NONE,
-        grade=judgement.grade if why or judgement.left or not known else COMPLETE,
+        grade=judgement.grade if why or not known else PARTIAL if left else COMPLETE,
         steps=known,
         nearest=(steps[0] if steps else _nearest(search)) if why else None,
-        unexplained=bool(why) or judgement.left or fine.significance > options.sure,
+        unexplained=bool(why) or left,
         why_unknown=why,
         adjusted=_adjusted(search, covariances) if not why else [],
         tried=tried(search, options, hidden, named=not why),

@@ -8,6 +8,7 @@ import textwrap
 import numpy as np
 
 from irlos_pipe.effects.anamorphism import Anamorphism
+from irlos_pipe.effects.ao_cutoff import AoCutoff
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.colour import AtmosphericDispersion, PlateScale, Spectrum
@@ -40,6 +41,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         TipTiltJitter,
         Vibration,
         SeeingHalo,
+        AoCutoff,
         AtmosphericDispersion,
         Spectrum,
         PlateScale,

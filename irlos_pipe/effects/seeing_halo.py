@@ -77,7 +77,7 @@ class SeeingHalo(OtfEffect):
     )
     speckles = True
     look_alike = "tip_tilt_jitter, which broadens the core instead of feeding a halo"
-    reference = "Fétick et al. 2018, A&A 628, A99; Roddier 1981, Prog. Opt. 19, 281"
+    reference = "Fétick et al. 2019, A&A 628, A99; Roddier 1981, Prog. Opt. 19, 281"
 
     def __init__(self, band: ResidualBand, law: ResidualLaw, seeing_arcsec: float, measured: bool = True):
         self.band, self.law, self.measured = band, law, measured
@@ -147,8 +147,8 @@ class SeeingHalo(OtfEffect):
         """In-band WFE, total WFE, PSD slope, strength and direction of the elongation, four-fold strength."""
         variance, slope, cos2, sin2, cos4, sin4 = (float(v) for v in values)
         return {
-            "wfe_nm": float(np.sqrt(variance + self._beyond(variance) * self.fitting_nm2)),
-            "in_band_wfe_nm": float(np.sqrt(variance)),
+            "wfe_nm": float(np.sqrt(max(variance + self._beyond(variance) * self.fitting_nm2, 0.0))),
+            "in_band_wfe_nm": float(np.sqrt(max(variance, 0.0))),
             "slope": slope,
             "stretch": float(np.hypot(cos2, sin2)),
             "stretch_angle_deg": float(np.rad2deg(np.arctan2(sin2, cos2)) / 2 % 180),
