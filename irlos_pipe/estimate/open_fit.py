@@ -53,13 +53,13 @@ class Opened:
 
     Attributes
     ----------
-    problem : ImageFit
+    problem : OpenFit
     solution : Solution
     law : TailLaw
         Prior of the modes beyond the closed basis, as fitted.
     """
 
-    problem: ImageFit
+    problem: OpenFit
     solution: Solution
     law: TailLaw
 
