@@ -27,6 +27,7 @@ from irlos_pipe.estimate.methods import (
 )
 from irlos_pipe.estimate.nominal_chi2 import NominalChi2
 from irlos_pipe.estimate.open_fit import Opened, open_basis
+from irlos_pipe.estimate.open_minima import likelier_minimum
 from irlos_pipe.estimate.orientation import Mirrored, mirrored
 from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.estimate.tail_law import TailLaw
@@ -139,7 +140,8 @@ def calibrate(
         Of the model; methods of the paper leave them out.
     start_nm : ndarray, (modes,), optional
         Start from Noll 2 on, for as many modes as there are; else the fit starts from none, and once more
-        from single frames if it ends in a wrong minimum.
+        from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from others,
+        for up to three times as long again (see `open_minima`).
     device : str
     report : callable, optional
         Called with the number of finished frames, for a progress bar.
@@ -171,10 +173,14 @@ def calibrate(
     closed, opened = fit, _opened(options, effects, fit)
     if opened is not None and any(starts_as_told(effect) for effect in steady):
         closed, opened = _from_told(task, closed, opened)
+    nominal = None
+    if opened is not None and start_nm is None:
+        opened, nominal = _likelier(task, closed, opened)
     twin, tail = scheme_of(options).twin(*closed, options.law), None
     if opened is not None:
         fit, tail = (opened.problem, opened.solution), opened.law
-    return _result(frames, options, fit, twin, tail, time.perf_counter() - began)
+    known = nominal if task.frames is frames else None
+    return _result(frames, options, fit, twin, tail, time.perf_counter() - began, known)
 
 
 def _fit_steady(task: CubeFit, effects: Sequence[Effect]) -> Fit:
@@ -214,6 +220,13 @@ def _from_told(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Fit, Opened]
     return held, other
 
 
+def _likelier(task: CubeFit, closed: Fit, opened: Opened) -> tuple[Opened, NominalChi2 | None]:
+    """The likelier minimum of all modes, and the nominal χ²/ν there where it is known already."""
+    nominal = nominal_of(task.frames, opened.problem, opened.solution.values[:1])
+    found = likelier_minimum(task, closed, opened, nominal.most)
+    return found, nominal if found is opened else None
+
+
 def _explained_by_tail(options: CalibrationOptions, effects: Sequence[Effect], fit: Fit) -> bool:
     """Whether modes beyond the closed basis are all that the model misses."""
     if float(fit[0].reduced_chi2(fit[1].values[:1])[0]) < MISFIT:
@@ -243,6 +256,7 @@ def _result(
     twin: TwinCheck | None,
     tail: TailLaw | None,
     seconds: float,
+    nominal: NominalChi2 | None = None,
 ) -> Calibration:
     problem, solution = fit
     layout, effects = problem.layout, problem.model.effects
@@ -251,7 +265,7 @@ def _result(
     model_image = problem.predict(found.values)[0].reshape(mean.shape).cpu()
     pull = ((mean - model_image) / sigma)[frames.good]
     chi2_nu = float((pull**2).sum() / (len(pull) - layout.size))
-    nominal = nominal_of(frames, problem, found.values)
+    nominal = nominal or nominal_of(frames, problem, found.values)
     effect_values = found.values[0, layout.effect_values]
     misfit = chi2_nu / nominal.value
     left = torch.where(frames.good, (mean - model_image) / sigma, torch.nan).numpy()

@@ -77,6 +77,16 @@ class CubeFit:
             solution = self._by_whole_waves(problem, solution)
         return problem, solution
 
+    def starts(self, problem: ImageFit) -> list[torch.Tensor]:
+        """Return where a fit may begin that knows nothing, and one with the low modes of single frames.
+
+        Parameters
+        ----------
+        problem : ImageFit
+            Of this cube.
+        """
+        return [scheme_of(self.options).start(self.frames, problem), self._second_start(problem)]
+
     def released(self, effects: Sequence[Effect], held: Fit) -> tuple[ImageFit, torch.Tensor]:
         """Return the problem with these effects, and where a fit with some of them held is in it.
 

@@ -53,13 +53,13 @@ class Opened:
 
     Attributes
     ----------
-    problem : ImageFit
+    problem : OpenFit
     solution : Solution
     law : TailLaw
         Prior of the modes beyond the closed basis, as fitted.
     """
 
-    problem: ImageFit
+    problem: OpenFit
     solution: Solution
     law: TailLaw
 
@@ -93,6 +93,10 @@ class OpenFit(CheapGradientProblem, ImageFit):
         sigma[beyond] = torch.as_tensor(law.sigma_nm(self.layout.nolls))[beyond]
         layout = replace(self.layout, prior_sigma_nm=sigma)
         return self._with(layout=layout, prior_precision=layout.prior(len(self.images))[1], has_prior=True)
+
+    def reweighed(self, root_weight: torch.Tensor) -> OpenFit:
+        """Return the same fit with other square roots of the weights, of the shape of the present ones."""
+        return self._with(root_weight=root_weight, kept=())
 
     def normal_equations(self, x: torch.Tensor, which: torch.Tensor):
         """See `Problem.normal_equations`; those of the data are kept for another prior."""
@@ -141,14 +145,35 @@ def open_basis(
     model = ImageModel(wider, closed.model.effects.effects)
     law = TailLaw(psf.nolls[-1] + 1)
     problem = _wider(closed, model).with_law(law).with_tolerance(ROUGHLY * len(nolls))
-    start = _widened(values, closed.layout, problem.layout, beyond_nm or {})
+    start = widened(values, closed.layout, problem.layout, beyond_nm or {})
     quick = problem.hastened()
     rough = solve(quick, start, max_iterations=max_iterations)
-    if rough.status[0] == INVALID:
-        return None
+    return None if rough.status[0] == INVALID else settled(problem, quick, rough, law, max_iterations)
+
+
+def settled(
+    problem: OpenFit, quick: OpenFit, rough: Solution, law: TailLaw, max_iterations: int
+) -> Opened | None:
+    """Fit the law of the tail where a fit of all modes roughly ended, and from there all modes by it.
+
+    Parameters
+    ----------
+    problem, quick : OpenFit
+        The fit with a `law`, and the same hastened.
+    rough : Solution
+        Of `quick`.
+    law : TailLaw
+    max_iterations : int
+
+    Returns
+    -------
+    Opened or None
+        None where numbers are not finite.
+    """
+    modes = len(problem.layout.nolls)
     law = _law_at(problem, rough, law)
     start = quick.kept[0] if quick.kept else rough.values  # the step from there was negligible
-    problem, quick = (one.with_law(law).with_tolerance(SETTLED * len(nolls)) for one in (problem, quick))
+    problem, quick = (one.with_law(law).with_tolerance(SETTLED * modes) for one in (problem, quick))
     near = solve(quick, start, max_iterations=max_iterations)
     if near.status[0] == INVALID:
         return None
@@ -174,8 +199,17 @@ def _wider(closed: ImageFit, model: ImageModel) -> OpenFit:
     return OpenFit(model, layout, closed.images, closed.root_weight.double() ** -2, loss=closed.loss)
 
 
-def _widened(values: torch.Tensor, old: Layout, new: Layout, beyond_nm: Mapping[int, float]) -> torch.Tensor:
-    """Parameters in another layout; modes that the old one lacks are as stated, or 0."""
+def widened(values: torch.Tensor, old: Layout, new: Layout, beyond_nm: Mapping[int, float]) -> torch.Tensor:
+    """Return parameters in another layout, (batch, parameters).
+
+    Parameters
+    ----------
+    values : tensor, (batch, parameters)
+    old, new : Layout
+        With the same effects; the modes of `old` are the first of `new`.
+    beyond_nm : mapping
+        Modes that `old` lacks, Noll index to nm RMS; others are 0.
+    """
     x = torch.zeros(len(values), new.size, dtype=torch.float64)
     x[:, : len(new.nolls)] = torch.tensor([beyond_nm.get(noll, 0.0) for noll in new.nolls])
     x[:, : len(old.nolls)] = values[:, old.modes]
