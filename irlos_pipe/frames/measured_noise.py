@@ -19,7 +19,8 @@ from irlos_pipe.frames.noise import NoiseModel
 
 PREDICTION_ERROR = 0.01  # of the local brightness; a pixel where it dominates the noise is left out
 DOMINATES = (0.1, 10.0)  # times the variance expected: of a single frame, and over time
-MIN_PIXELS = 100
+MIN_PIXELS = 100  # times frames
+FEWEST = 10  # pixels, for two or three terms
 PHOTON_ERROR = 0.02  # of the photon noise that a single frame is relieved of before its floor is measured
 ROUNDS = 5
 SELECTIONS = 20  # at most, of the pixels that count
@@ -85,7 +86,7 @@ def measure_noise(
     if len(sample) == 1:
         return _floor_of_one(sample[0], good, prediction, declared)
     scatter = _Scatter.of(sample, prediction)
-    (floor, slope) = _photon_transfer(scatter, good)
+    floor, slope = _photon_transfer(scatter, good)
     return MeasuredNoise(*floor, *slope, _corner_scatter_e(sample, good))
 
 
@@ -150,7 +151,8 @@ def _photon_transfer(scatter: _Scatter, good: np.ndarray) -> list[tuple[float, f
         faint, most = (
             good & (PREDICTION_ERROR**2 * scatter.structure < limit * expected) for limit in DOMINATES
         )
-        if faint.sum() * scatter.frames < MIN_PIXELS or _same(before, (faint, most)):
+        few = faint.sum() < FEWEST or faint.sum() * scatter.frames < MIN_PIXELS
+        if few or _same(before, (faint, most)):
             break
         before = faint, most
         *found, (left, left_error) = scatter.fitted(most, expected, 3)
