@@ -140,19 +140,24 @@ def _parts(signal: np.ndarray, prediction: Prediction) -> tuple[np.ndarray, np.n
 def _photon_transfer(scatter: _Scatter, good: np.ndarray) -> list[tuple[float, float]]:
     """Floor and slope, each with its error; NaN where too few pixels tell.
 
-    Which pixels count, and for how much, hangs on the noise that is sought. It begins with a guess from the
-    scatter itself, not with what was told: frames in other units then have the same noise in other units.
+    Which pixels count, and for how much, hangs on the noise that is sought. It begins with the least that can
+    be, from the scatter itself and not from what was told: frames in other units then have the same noise in
+    other units, and pixels that image motion rules are not taken for noise.
     """
     found = [(float("nan"), float("nan"))] * 2
-    seen, floor, slope = _guess(scatter, good)
-    before = None
+    seen, slope = _least(scatter, good)
+    floor, before = seen, None
     for _ in range(SELECTIONS):
         expected = scatter.expected(max(floor, seen), slope)
         faint, most = (
             good & (PREDICTION_ERROR**2 * scatter.structure < limit * expected) for limit in DOMINATES
         )
-        few = faint.sum() < FEWEST or faint.sum() * scatter.frames < MIN_PIXELS
-        if few or _same(before, (faint, most)):
+        if faint.sum() < FEWEST or faint.sum() * scatter.frames < MIN_PIXELS:
+            if before is not None:
+                break
+            seen, floor, slope = 2 * seen, 2 * floor, 2 * slope
+            continue
+        if _same(before, (faint, most)):
             break
         before = faint, most
         *found, (left, left_error) = scatter.fitted(most, expected, 3)
@@ -166,15 +171,14 @@ def _same(before: tuple[np.ndarray, np.ndarray] | None, now: tuple[np.ndarray, n
     return before is not None and all(map(np.array_equal, before, now))
 
 
-def _guess(scatter: _Scatter, good: np.ndarray) -> tuple[float, float, float]:
-    """The least floor that can be, a floor from the darkest pixels and a slope from the brightest."""
+def _least(scatter: _Scatter, good: np.ndarray) -> tuple[float, float]:
+    """The least floor and slope that can be: of the quietest pixels, among all and among the brightest."""
     if not good.any():
-        return 0.0, 0.0, 0.0
-    each, light = scatter.variance[good] / scatter.flat[good], scatter.photons[good]
-    dark, bright = np.quantile(light, [FAINT, 1 - FAINT])
-    lit = (light >= bright) & (light > 0)
-    slope = float(np.median(scatter.variance[good][lit] / light[lit])) if lit.any() else 0.0
-    return float(np.percentile(each, FAINTEST)), float(each[light <= dark].mean()), slope
+        return 0.0, 0.0
+    variance, light = scatter.variance[good], scatter.photons[good]
+    lit = (light >= np.quantile(light, 1 - FAINT)) & (light > 0)
+    slope = float(np.percentile(variance[lit] / light[lit], FAINTEST)) if lit.any() else 0.0
+    return float(np.percentile(variance / scatter.flat[good], FAINTEST)), slope
 
 
 def _floor_of_one(

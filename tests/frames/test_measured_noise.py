@@ -114,3 +114,12 @@ def test_frames_without_any_noise_tell_nothing():
     images = np.repeat(star_e()[None], 5, axis=0)
     found = measure_noise(images, ALL_GOOD, neighbour_prediction(ALL_GOOD, 4.2), NoiseModel(1.0, 1.0))
     assert not found.floor_e2 > 1e-9 and not found.excess_noise_factor > 1e-9
+
+
+def test_image_motion_that_fills_a_small_window_is_not_taken_for_noise():
+    """A slope that is within its error of 1, however large that is; begun too high, it would stay at 13."""
+    window = slice(20, 44)
+    images, good = on_sky_e(1e6)[:, window, window], np.ones((24, 24), bool)
+    found = measure_noise(images, good, neighbour_prediction(good, 4.2), NoiseModel(1.0, 81.0))
+    assert found.excess_noise_factor == pytest.approx(1.0, abs=5 * found.excess_noise_error)
+    assert found.excess_noise_error > 0.1
