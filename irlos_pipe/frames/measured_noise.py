@@ -19,9 +19,11 @@ from irlos_pipe.frames.noise import NoiseModel
 
 PREDICTION_ERROR = 0.01  # of the local brightness; a pixel where it dominates the noise is left out
 DOMINATES = (0.1, 10.0)  # times the variance expected: of a single frame, and over time
-MIN_PIXELS = 100
+MIN_PIXELS = 100  # times frames
+FEWEST = 10  # pixels, for two or three terms
 PHOTON_ERROR = 0.02  # of the photon noise that a single frame is relieved of before its floor is measured
 ROUNDS = 5
+SELECTIONS = 20  # at most, of the pixels that count
 SIGNIFICANT = 5.0  # sigma
 FINE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # along both axes: leaves what is finer than 3 pixels
 FAINTEST = 5.0  # percent of the pixels, where a noise beyond the declared one shows
@@ -76,35 +78,124 @@ def measure_noise(
     prediction : Prediction
         Of each pixel by its good neighbours.
     declared : NoiseModel
-        Where the weights start from.
+        As told. Only a single frame is compared with it: its star's photon noise is taken out.
     """
     if not len(images_e):
         return MeasuredNoise()
     sample = images_e[sample_frames(len(images_e))]
-    single = len(sample) == 1
-    signal = sample.mean(axis=0, dtype=np.float64)
-    residual = sample - prediction.of(sample)
-    variance = residual[0] ** 2 if single else residual.var(axis=0, ddof=1)
-    if single:
-        signal = np.maximum(prediction.of(signal), 0)  # the pixel's own noise would weigh it
+    if len(sample) == 1:
+        return _floor_of_one(sample[0], good, prediction, declared)
+    scatter = _Scatter.of(sample, prediction)
+    floor, slope = _photon_transfer(scatter, good)
+    return MeasuredNoise(*floor, *slope, _corner_scatter_e(sample, good))
+
+
+@dataclass(frozen=True)
+class _Scatter:
+    """The variance over time of (pixel - prediction), and what it may consist of.
+
+    Attributes
+    ----------
+    variance : ndarray, (rows, columns)
+        [e-²]
+    flat, photons, structure : ndarray, (rows, columns)
+        What a floor of 1 e-², a slope of 1, and an unpredicted part of 1 of the brightness contribute [e-²].
+    frames : int
+        Independent differences behind each variance.
+    dependence : float
+        See `Prediction.dependence`.
+    """
+
+    variance: np.ndarray
+    flat: np.ndarray
+    photons: np.ndarray
+    structure: np.ndarray
+    frames: int
+    dependence: float
+
+    @classmethod
+    def of(cls, sample: np.ndarray, prediction: Prediction) -> _Scatter:
+        """Return the scatter of a `sample` (frames, rows, columns)."""
+        signal = sample.mean(axis=0, dtype=np.float64)
+        variance = (sample - prediction.of(sample)).var(axis=0, ddof=1, dtype=np.float64)
+        return cls(variance, *_parts(signal, prediction), len(sample) - 1, prediction.dependence)
+
+    def expected(self, floor: float, slope: float) -> np.ndarray:
+        """Return the variance of that floor and slope, (rows, columns) [e-²]."""
+        return slope * np.maximum(self.photons, 0) + floor * self.flat
+
+    def fitted(self, chosen: np.ndarray, expected: np.ndarray, count: int) -> list[tuple[float, float]]:
+        """Fit the first `count` terms to the `chosen` pixels; see `_fit`."""
+        terms = np.stack([self.flat, self.photons, self.structure][:count], axis=-1)[chosen]
+        degrees = self.frames / self.dependence
+        return _fit(terms, np.zeros(1), self.variance[chosen], expected[chosen], degrees)
+
+
+def _parts(signal: np.ndarray, prediction: Prediction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What floor, photons and structure contribute to the variance of (pixel - prediction)."""
     flat = prediction.variance(np.ones_like(signal))
-    photons, structure = prediction.variance(signal), prediction.local_rms(signal) ** 2
+    return flat, prediction.variance(signal), prediction.local_rms(signal) ** 2
+
+
+def _photon_transfer(scatter: _Scatter, good: np.ndarray) -> list[tuple[float, float]]:
+    """Floor and slope, each with its error; NaN where too few pixels tell.
+
+    Which pixels count, and for how much, hangs on the noise that is sought. It begins with the least that can
+    be, from the scatter itself and not from what was told: frames in other units then have the same noise in
+    other units, and pixels that image motion rules are not taken for noise.
+    """
+    found = [(float("nan"), float("nan"))] * 2
+    seen, slope = _least(scatter, good)
+    floor, before = seen, None
+    for _ in range(SELECTIONS):
+        expected = scatter.expected(max(floor, seen), slope)
+        faint, most = (
+            good & (PREDICTION_ERROR**2 * scatter.structure < limit * expected) for limit in DOMINATES
+        )
+        if faint.sum() < FEWEST or faint.sum() * scatter.frames < MIN_PIXELS:
+            if before is not None:
+                break
+            seen, floor, slope = 2 * seen, 2 * floor, 2 * slope
+            continue
+        if _same(before, (faint, most)):
+            break
+        before = faint, most
+        *found, (left, left_error) = scatter.fitted(most, expected, 3)
+        if not left > SIGNIFICANT * left_error:
+            found = scatter.fitted(faint, expected, 2)
+        (floor, _), (slope, _) = found
+    return found
+
+
+def _same(before: tuple[np.ndarray, np.ndarray] | None, now: tuple[np.ndarray, np.ndarray]) -> bool:
+    return before is not None and all(map(np.array_equal, before, now))
+
+
+def _least(scatter: _Scatter, good: np.ndarray) -> tuple[float, float]:
+    """The least floor and slope that can be: of the quietest pixels, among all and among the brightest."""
+    if not good.any():
+        return 0.0, 0.0
+    variance, light = scatter.variance[good], scatter.photons[good]
+    lit = (light >= np.quantile(light, 1 - FAINT)) & (light > 0)
+    slope = float(np.percentile(variance[lit] / light[lit], FAINTEST)) if lit.any() else 0.0
+    return float(np.percentile(variance / scatter.flat[good], FAINTEST)), slope
+
+
+def _floor_of_one(
+    image: np.ndarray, good: np.ndarray, prediction: Prediction, declared: NoiseModel
+) -> MeasuredNoise:
+    """The floor of a single frame, relieved of the photon noise that is told."""
+    # the pixel's own noise would weigh it
+    flat, photons, structure = _parts(np.maximum(prediction.of(image), 0), prediction)
+    variance = (image - prediction.of(image)) ** 2
     seen = float(np.percentile(variance[good] / flat[good], FAINTEST)) if good.any() else 0.0
-    expected = declared.excess_noise_factor * np.maximum(photons, 0) + max(declared.floor_e2, seen) * flat
-    terms = np.stack([flat, photons, structure], axis=-1)
-    faint, most = (good & (PREDICTION_ERROR**2 * structure < limit * expected) for limit in DOMINATES)
-    degrees = max(len(sample) - 1, 1) / prediction.dependence
-    if faint.sum() * max(len(sample) - 1, 1) < MIN_PIXELS:
+    expected = declared.excess_noise_factor * photons + max(declared.floor_e2, seen) * flat
+    faint = good & (PREDICTION_ERROR**2 * structure < DOMINATES[0] * expected)
+    if faint.sum() < MIN_PIXELS:
         return MeasuredNoise()
-    if single:
-        known = declared.excess_noise_factor * photons[faint]
-        ((floor, error),) = _fit(terms[faint, :1], known, variance[faint], expected[faint], degrees)
-        return MeasuredNoise(floor, float(np.hypot(error, PHOTON_ERROR * np.median(known / flat[faint]))))
-    none = np.zeros(1)
-    *found, (left, left_error) = _fit(terms[most], none, variance[most], expected[most], degrees)
-    if not left > SIGNIFICANT * left_error:
-        found = _fit(terms[faint, :2], none, variance[faint], expected[faint], degrees)
-    return MeasuredNoise(*found[0], *found[1], _corner_scatter_e(sample, good))
+    known, degrees = declared.excess_noise_factor * photons[faint], 1 / prediction.dependence
+    ((floor, error),) = _fit(flat[faint, None], known, variance[faint], expected[faint], degrees)
+    return MeasuredNoise(floor, float(np.hypot(error, PHOTON_ERROR * np.median(known / flat[faint]))))
 
 
 def _corner_scatter_e(images_e: np.ndarray, good: np.ndarray) -> float:
@@ -125,13 +216,17 @@ def _fit(
     lowest = np.array([-np.inf, 0.0, 0.0])[: terms.shape[1]]
     for _ in range(ROUNDS):
         weighted = terms / expected[:, None]
-        solved = scipy.optimize.lsq_linear(weighted, (variance - known) / expected, (lowest, np.inf), "bvls")
-        solution = solved.x
+        unit = np.linalg.norm(weighted, axis=0)  # the terms differ by powers of the unit of the frames
+        unit[unit == 0] = 1.0
+        solved = scipy.optimize.lsq_linear(
+            weighted / unit, (variance - known) / expected, (lowest, np.inf), "bvls"
+        )
+        solution = solved.x / unit
         expected = np.maximum(known + terms @ solution, 0.05 * expected)
     present = solution > lowest
-    inside = weighted[:, present]
+    inside = (weighted / unit)[:, present]
     errors = np.full(len(solution), np.nan)
-    errors[present] = np.sqrt(np.diag(np.linalg.inv(inside.T @ inside)) * 2 / degrees)
+    errors[present] = np.sqrt(np.diag(np.linalg.inv(inside.T @ inside)) * 2 / degrees) / unit[present]
     return list(zip(np.maximum(solution, 0.0).tolist(), errors.tolist(), strict=True))
 
 

@@ -9,16 +9,21 @@ from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 from irlos_pipe.conventions.text import suggestion
+from irlos_pipe.instrument.units import require_unit, unit_of_name
 
 MOST_CYCLES = 500  # per diameter that adaptive optics may correct: a thousand actuators across
 
 
 class Dated(Protocol):
-    """A value with the days on which it held, as ISO dates."""
+    """A value with its unit and the days on which it held, as ISO dates."""
 
     @property
     def value(self) -> Any:
         """The value itself."""
+
+    @property
+    def unit(self) -> str:
+        """Its unit as text."""
 
     @property
     def since(self) -> str | None:
@@ -127,11 +132,39 @@ def require_facts(facts: Mapping[str, Sequence[Dated]], used: Iterable[str], *, 
             raise ValueError(f"unknown fact '{name}'{suggestion(name, FACTS)}")
         for entry in entries:
             _require_dates(name, entry)
+            unit = FACTS[name].unit if name in FACTS else unit_of_name(name)
+            if unit is not None:
+                require_unit(name, entry.unit, unit)
             if name in FACTS:
                 _require_value(name, FACTS[name], entry.value)
     if ("pupil_vanes_m" in facts) != ("pupil_vane_width_m" in facts):
         raise ValueError("facts 'pupil_vanes_m' and 'pupil_vane_width_m' belong together; give both or none")
     _require_correction(facts)
+
+
+def require_used_units(
+    facts: Mapping[str, Sequence[Dated]], uses: Iterable[tuple[str, str, str | None]]
+) -> None:
+    """Check that facts have the unit of what they stand in for.
+
+    Parameters
+    ----------
+    facts : mapping of str to sequence
+        See `require_facts`.
+    uses : iterable of (str, str, str or None)
+        Key, name of the fact that gives it, and its unit, if it has one.
+
+    Raises
+    ------
+    ValueError
+        Naming key, fact and both units.
+    """
+    for key, name, unit in uses:
+        for entry in facts.get(name, ()) if unit is not None else ():
+            try:
+                require_unit(name, entry.unit, str(unit))
+            except ValueError as problem:
+                raise ValueError(f"{key}: {problem}") from None
 
 
 def _require_dates(name: str, entry: Dated) -> None:

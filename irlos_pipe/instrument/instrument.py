@@ -19,6 +19,7 @@ from irlos_pipe.files.validation import ValidationErrors
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.instrument.profile import Fact, ModeEntry, Profile, Ratio, SeeingScaleEntry, parse_profile
 from irlos_pipe.instrument.pupil import drawn
+from irlos_pipe.instrument.pupil_checks import require_usable
 
 PROFILES = Path(__file__).parent
 PROFILE_SUFFIXES = (".yaml", ".yml")
@@ -235,9 +236,11 @@ def _pupil(profile: Profile, values: _Values, folder: Path) -> PupilGeometry:
     obscuration_m = float(values.get("pupil_obscuration_m", 0.0))
     try:
         plain = PupilGeometry(values.number("pupil_diameter_m"), obscuration_m, vanes)
-        return drawn(plain, profile.pupil, folder) if profile.pupil else plain
+        pupil = drawn(plain, profile.pupil, folder) if profile.pupil else plain
+        require_usable(pupil)
     except ValueError as problem:
         raise ConfigurationError(f"pupil: {problem}") from None
+    return pupil
 
 
 def _seeing_scale(name: str, entry: SeeingScaleEntry, values: _Values) -> SeeingScale:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,9 +11,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.files.validation import Origins, require_valid
-from irlos_pipe.instrument.facts import DEFAULTS, require_facts
+from irlos_pipe.instrument.facts import DEFAULTS, require_facts, require_used_units
 from irlos_pipe.instrument.pupil import PupilSection, ZenithSection
 from irlos_pipe.instrument.status import Status
+from irlos_pipe.instrument.units import unit_of_name
 
 
 class _Section(BaseModel):
@@ -93,7 +95,20 @@ class Profile(_Section):
                 f"defaults: unknown side-car key '{unknown[0]}'{suggestion(unknown[0], DEFAULTS)}"
             )
         require_facts(self.facts, self._used(), modes=bool(self.modes))
+        require_used_units(self.facts, self._uses())
         return self
+
+    def _uses(self) -> Iterator[tuple[str, str, str | None]]:
+        """Keys that a fact gives as it is: the key, the fact, and the unit of the key."""
+        for key, name in self.defaults.items():
+            if isinstance(name, str):
+                yield f"defaults.{key}", name, unit_of_name(key)
+        for mode, entry in self.modes.items():
+            yield f"modes.{mode}.pixel_scale", entry.pixel_scale, "mas"
+            yield f"modes.{mode}.apd_gain", entry.apd_gain, "1"
+        for monitor, scale in self.seeing_scales.items():
+            yield f"seeing_scales.{monitor}.ratio", scale.ratio, "1"
+            yield f"seeing_scales.{monitor}.offset_arcsec", scale.offset_arcsec, "arcsec"
 
     def _used(self) -> set[str]:
         """Names of facts to which other sections refer."""

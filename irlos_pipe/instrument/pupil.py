@@ -129,7 +129,21 @@ def drawn(plain: PupilGeometry, section: PupilSection, folder: Path) -> PupilGeo
         aperture,
         tuple(part_of(entry) for entry in section.obstructions),
     )
-    return placed(geometry, Placement.of(section.rotation_deg, section.flip, section.shift_m))
+    placement = Placement.of(section.rotation_deg, section.flip, section.shift_m)
+    try:
+        return placed(geometry, placement)
+    except ValueError as problem:
+        raise ValueError(f"{problem}; {_off_axis(geometry, placement.shift_m)}") from None
+
+
+def _off_axis(geometry: PupilGeometry, shift_m: Point) -> str:
+    """What to do about a shifted pupil that no longer lies on the disc, to which the model's grid is cut."""
+    needed_m = geometry.diameter_m + 2 * float(np.hypot(*shift_m))
+    disc = f" and the disc as aperture: [{{circle: {{diameter_m: {geometry.diameter_m:g}}}}}]"
+    return (
+        f"pupil_diameter_m is that of a disc about the axis that holds all of the shifted pupil: give "
+        f"{needed_m:.4g}{'' if geometry.aperture else disc}"
+    )
 
 
 def part_of(entry: dict[str, Any]) -> Part:

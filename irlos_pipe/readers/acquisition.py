@@ -40,6 +40,7 @@ HARMLESS = {
     "dispersion_corrected": False,
     "sky_e_per_s": 0.0,
 }
+ALTITUDE = ("altitude_deg", "airmass")  # two ways to say the same
 OF_THE_SKY = (
     "parallactic_angle_deg",
     "altitude_deg",
@@ -95,10 +96,11 @@ def resolve(raw: RawRecording, recipe: AcquisitionKeys, instrument: Instrument) 
         A key without a safe default is missing, or there is not one defocus per frame.
     """
     path = sidecar_path(raw.path)
+    told = read_sidecar(path).flat()
     layers = {
         RECIPE: recipe.flat(),
-        SIDECAR: read_sidecar(path).flat(),
-        HEADER: _plausible(raw.header),
+        SIDECAR: told,
+        HEADER: _unless_told(_plausible(raw.header), {**told, **recipe.flat()}),
         MODE: raw.of_mode,
         PROFILE: instrument.defaults | HARMLESS,
     }
@@ -165,6 +167,12 @@ def _on_sparta_scale(
 def _plausible(header: Mapping[str, Any]) -> dict[str, Any]:
     """Drop header values out of the range of their key: ESO writes -1 where nothing was measured."""
     return {key: value for key, value in header.items() if _is_valid(key, value)}
+
+
+def _unless_told(header: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, Any]:
+    """Drop altitude and airmass of a header where either is `told`: they are of another moment."""
+    dropped = ALTITUDE if any(key in told for key in ALTITUDE) else ()
+    return {key: value for key, value in header.items() if key not in dropped}
 
 
 def _is_valid(key: str, value: Any) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.instrument.instrument import Instrument
+from irlos_pipe.readers.eso_header import plain_header_keys
 from irlos_pipe.readers.fitsfile import first_image, has_image, hdu_label, image_array, require_one, stem
 from irlos_pipe.readers.raw_file import RawRecording
 
@@ -30,7 +31,10 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
     others = [other for other in hdus[index + 1 :] if has_image(other)]
     require_one(path, [hdu, *(other for other in others if _is_cube_too(other, hdu))], "cubes of frames")
     adu = image_array(hdu, hdu_label(path, index, hdu))
-    unread = ", ".join(other.name or "without a name" for other in others)
+    header, notes = plain_header_keys(path, hdus[0].header, instrument)
+    if others:
+        unread = ", ".join(other.name or "without a name" for other in others)
+        notes = (f"{path}: images that are not read: {unread}", *notes)
     return [
         RawRecording(
             name=stem(path),
@@ -38,7 +42,8 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
             layout=LAYOUT,
             adu=adu,
             frame_counter=np.arange(len(adu)),
-            notes=(f"{path}: images that are not read: {unread}",) if others else (),
+            header=header,
+            notes=notes,
         )
     ]
 

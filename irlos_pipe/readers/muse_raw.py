@@ -13,7 +13,8 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.seeing import SPARTA
 from irlos_pipe.conventions.text import suggestion
 from irlos_pipe.instrument.instrument import Instrument, Mode
-from irlos_pipe.readers.fitsfile import hdu_label, header_number, image_array, require_one, stem
+from irlos_pipe.readers.eso_header import header_keys
+from irlos_pipe.readers.fitsfile import hdu_label, image_array, require_one, stem
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
 from irlos_pipe.readers.times import require_times, unix_seconds
@@ -22,18 +23,6 @@ LAYOUT = "muse_raw"
 CUBE = "SPARTA_TT_CUBE"
 ATMOSPHERE = "SPARTA_ATM_DATA"
 MODE_KEY = "ESO AOS MAIN MODES IRLOS"
-HEADER_KEYS = {
-    "mag_j": "ESO SEQ NGS MAG",
-    "seeing_arcsec": "ESO TEL AMBI FWHM START",
-    "parallactic_angle_deg": "ESO TEL PARANG START",
-    "altitude_deg": "ESO TEL ALT",
-    "airmass": "ESO TEL AIRM START",
-    "pressure_hpa": "ESO TEL AMBI PRES START",
-    "temperature_c": "ESO TEL AMBI TEMP",
-    "humidity_percent": "ESO TEL AMBI RHUM",
-    "derotator_angle_deg": "ESO INS DROT START",
-}
-MONITOR = "mass_dimm"  # whose seeing stands in the header
 SEEING_RANGE_ARCSEC = (0.05, 10.0)
 
 
@@ -127,11 +116,8 @@ def _from_mode(mode: Mode, instrument: Instrument) -> dict[str, Any]:
 
 
 def _from_header(header: fits.Header) -> dict[str, Any]:
-    numbers = {key: header_number(header, name) for key, name in HEADER_KEYS.items()}
-    texts = {"target": str(header["OBJECT"])} if header.get("OBJECT") else {}
-    if numbers["seeing_arcsec"] is not None:
-        texts["seeing_scale"] = MONITOR
-    return {key: value for key, value in numbers.items() if value is not None} | texts
+    target = {"target": str(header["OBJECT"])} if header.get("OBJECT") else {}
+    return header_keys(header) | target
 
 
 def _from_atmosphere(hdus: fits.HDUList) -> dict[str, Any]:

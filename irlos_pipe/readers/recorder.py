@@ -11,6 +11,7 @@ from astropy.io import fits
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.calibration_files import PREFIX, calibration_files, read_calibration_maps
+from irlos_pipe.readers.eso_header import plain_header_keys
 from irlos_pipe.readers.fitsfile import (
     has_fits_name,
     hdu_label,
@@ -71,6 +72,7 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
     folders = _folders(path)
     maps, notes = read_calibration_maps(calibration_files(folders), (adu.shape[1], adu.shape[2]))
     times, time_notes = _times(path, hdus, folders, counter)
+    header, header_notes = plain_header_keys(path, hdus[0].header, instrument)
     return [
         RawRecording(
             name=stem(path),
@@ -81,7 +83,8 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
             calibration=maps,
             unix_s=times,
             start_unix_s=float(times[0]) if times is not None else float("nan"),
-            notes=notes + time_notes,
+            header=header,
+            notes=notes + time_notes + header_notes,
         )
     ]
 

@@ -69,3 +69,57 @@ def test_a_background_that_is_off_by_some_electrons_does_not_change_the_photon_t
     assert 0 < found.excess_noise_error < 0.1
     assert abs(found.excess_noise_factor - 1) < 5 * found.excess_noise_error
     assert np.isfinite(found.floor_error_e2) and found.floor_e2 >= 0
+
+
+def on_sky_e(flux_e: float, count: int = 40) -> np.ndarray:
+    """A star whose halo and centre change from frame to frame, with 9 e- of read noise, (count, 64, 64)."""
+    rng = np.random.default_rng(7)
+    shifted = [np.roll(star_e(flux_e), rng.integers(-2, 3, 2), (0, 1)) for _ in range(count)]
+    seen = np.stack(shifted) * rng.normal(1.0, 0.1, (count, 1, 1))
+    return rng.poisson(seen) + rng.normal(0, 9.0, seen.shape)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e-5, 1e-3, 0.03, 30.0, 1e3, 1e6])
+@pytest.mark.parametrize("flux_e", [300.0, 1e5])
+def test_frames_in_another_unit_have_the_same_noise_in_that_unit(flux_e, unit):
+    """The slope is proportional to the unit, the floor to its square, to the rounding of the frames."""
+    prediction = neighbour_prediction(ALL_GOOD, 4.2)
+    images, told = on_sky_e(flux_e).astype(np.float32), NoiseModel(1.0, 81.0)
+    found = measure_noise(images, ALL_GOOD, prediction, told)
+    scaled = measure_noise((images * unit).astype(np.float32), ALL_GOOD, prediction, told)
+    assert found.floor_e2 > 0 and found.excess_noise_factor > 0
+    assert scaled.excess_noise_factor / unit == pytest.approx(found.excess_noise_factor, rel=1e-4)
+    assert scaled.excess_noise_error / unit == pytest.approx(found.excess_noise_error, rel=1e-4)
+    assert scaled.floor_e2 / unit**2 == pytest.approx(found.floor_e2, rel=1e-4)
+    assert scaled.floor_error_e2 / unit**2 == pytest.approx(found.floor_error_e2, rel=1e-4)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_the_noise_is_that_of_the_frames_in_any_unit(unit):
+    images = (on_sky_e(3e3) * unit).astype(np.float32)
+    found = measure_noise(images, ALL_GOOD, neighbour_prediction(ALL_GOOD, 4.2), NoiseModel(1.0, 81.0))
+    assert found.excess_noise_factor == pytest.approx(unit, abs=5 * found.excess_noise_error)
+    assert found.floor_e2 == pytest.approx(81.0 * unit**2, abs=5 * found.floor_error_e2)
+    assert found.excess_noise_error < 0.1 * unit and found.floor_error_e2 < 5 * unit**2
+
+
+@pytest.mark.parametrize("told", [NoiseModel(1.0, 1e-4), NoiseModel(3.0, 1e6), NoiseModel(1.0, 0.0)])
+def test_what_was_told_does_not_change_what_several_frames_show(told):
+    prediction, images = neighbour_prediction(ALL_GOOD, 4.2), on_sky_e(1e4)
+    expected = measure_noise(images, ALL_GOOD, prediction, NoiseModel(1.0, 81.0))
+    assert measure_noise(images, ALL_GOOD, prediction, told) == expected
+
+
+def test_frames_without_any_noise_tell_nothing():
+    images = np.repeat(star_e()[None], 5, axis=0)
+    found = measure_noise(images, ALL_GOOD, neighbour_prediction(ALL_GOOD, 4.2), NoiseModel(1.0, 1.0))
+    assert not found.floor_e2 > 1e-9 and not found.excess_noise_factor > 1e-9
+
+
+def test_image_motion_that_fills_a_small_window_is_not_taken_for_noise():
+    """A slope that is within its error of 1, however large that is; begun too high, it would stay at 13."""
+    window = slice(20, 44)
+    images, good = on_sky_e(1e6)[:, window, window], np.ones((24, 24), bool)
+    found = measure_noise(images, good, neighbour_prediction(good, 4.2), NoiseModel(1.0, 81.0))
+    assert found.excess_noise_factor == pytest.approx(1.0, abs=5 * found.excess_noise_error)
+    assert found.excess_noise_error > 0.1

@@ -6,14 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 import yaml
 from astropy.io import fits
+from helpers.optics_cases import settings, vector
 from helpers.paths import SHARED
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.pupil_drawing import turned
 from irlos_pipe.conventions.pupil_parts import Circle, Hexagons
+from irlos_pipe.instrument.facts import FACTS
 from irlos_pipe.instrument.instrument import PROFILES, load_instrument
+from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.optics.pupil import area_weighted_pupil, grid_centres
 from irlos_pipe.optics.pupil_division import petals_of, segment_count
 
@@ -150,9 +154,92 @@ def test_a_map_that_cannot_be_used_is_told_in_one_line(tmp_path, profile, values
     assert len(str(caught.value).splitlines()) == 1
 
 
+def circle(diameter_m, x=0.0, y=0.0):
+    return {"circle": {"diameter_m": diameter_m, "centre_m": [x, y]}}
+
+
+def square(x, y, side_m=2.0):
+    corners = [[0, 0], [side_m, 0], [side_m, side_m], [0, side_m]]
+    return {"polygon": {"corners_m": corners, "centre_m": [x, y]}}
+
+
+@pytest.mark.parametrize(
+    ("pupil", "message"),
+    [
+        ({"aperture": [circle(1.0)]}, "lets no light on its disc pass; compare aperture, hole, obstructions"),
+        ({"obstructions": [circle(8.0)]}, "lets no light on its disc pass"),
+        ({"aperture": [circle(0.1, 3.9)]}, "lets only 0.0002 of the light on its disc pass"),
+        ({"vanes": [{"start_m": [-5, 0], "end_m": [5, 0], "width_m": 7.99}]}, "lets no light|lets only"),
+        (
+            {"aperture": [circle(2.2)]},
+            "light ends 1.1 m from the axis, before 0.67 of half the diameter, 4 m",
+        ),
+        ({"aperture": [circle(6.0, -1), circle(6.0, 1)]}, "overlap: 0.41 of its area is covered twice"),
+        ({"aperture": [square(-2, -1), square(-0.1, -1)]}, "overlap: 0.02[0-9] of its area is covered twice"),
+    ],
+    ids=["hole", "obstruction", "speck", "vane", "small", "circles", "squares"],
+)
+def test_a_pupil_that_cannot_be_one_is_told_in_one_line(tmp_path, profile, pupil, message):
+    changed(profile, pupil_obscuration_m=2.0)
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        loaded(tmp_path, profile, **pupil)
+    assert len(str(caught.value).splitlines()) == 1 and "mine.yaml" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "aperture",
+    [
+        [square(-2, -2), square(0, -2), square(-2, 0), square(0, 0)],
+        [circle(0.2, 3.5), circle(0.2, -2.0, 2.5), circle(0.2, -2.0, -2.5)],
+        [{"hexagons": {"flat_to_flat_m": 1.2, "gap_m": 0.0, "rings": 2}}],
+        [{"hexagons": {"flat_to_flat_m": 0.2, "gap_m": 0.0, "rings": 18}}],
+    ],
+    ids=["squares side by side", "an aperture mask", "hexagons", "a thousand hexagons"],
+)
+def test_parts_that_meet_or_are_few_and_small_are_accepted(tmp_path, profile, aperture):
+    drawn = loaded(tmp_path, profile, aperture=aperture).pupil
+    clear = area_weighted_pupil(drawn, grid_centres(400, 0.02))
+    assert clear.max() == pytest.approx(1.0, abs=1e-9) and clear.any()
+
+
+@pytest.mark.parametrize("scale_m", [0.02, 0.05])
+def test_a_map_that_ends_far_inside_the_diameter_is_refused(tmp_path, profile, scale_m):
+    """A disc of 3.2 or 8 m, in a pupil of 8 m."""
+    y, x = np.indices((180, 180)) - 89.5
+    name = map_file(tmp_path, (np.hypot(x, y) < 80).astype(float), PUPLSCAL=scale_m)
+    if scale_m == 0.05:
+        assert loaded(tmp_path, profile, map={"file": name}).pupil.map
+        return
+    with pytest.raises(ConfigurationError, match=r"ends 1\.[56].* m from the axis, before 0.67 of half"):
+        loaded(tmp_path, profile, map={"file": name})
+
+
+@pytest.mark.parametrize(("drawn", "needed"), [({}, "8.2 and the disc"), ({"aperture": [circle(8)]}, "8.2$")])
+def test_a_shift_beyond_the_diameter_says_how_to_draw_it(tmp_path, profile, drawn, needed):
+    with pytest.raises(ConfigurationError, match=f"disc about the axis that holds all .*: give {needed}"):
+        loaded(tmp_path, profile, shift_m=[0.08, -0.06], **drawn)
+
+
+def test_a_shifted_pupil_on_a_larger_disc_has_the_image_of_the_unshifted_one(tmp_path, profile):
+    """A shift of the pupil is a phase in the focal plane, which no detector sees."""
+    changed(profile, pupil_obscuration_m=1.0)
+    vane = [{"start_m": [0, 0], "end_m": [4.2, 0], "width_m": 0.1}]
+    centred = loaded(tmp_path, profile, vanes=vane).pupil
+    changed(profile, pupil_diameter_m=8.2)
+    moved = loaded(tmp_path, profile, vanes=vane, aperture=[circle(8)], shift_m=[0.08, -0.06]).pupil
+    images = [
+        PsfModel(settings(32, diversity={}, geometry=pupil), (4,), dtype=torch.float64)
+        .images(vector({}, (4,)))[0]
+        .numpy()
+        for pupil in (centred, moved)
+    ]
+    assert np.abs(images[1] - images[0]).max() < 2e-4 * images[0].max()
+
+
 def changed(profile, **facts):
     for name, value in facts.items():
-        profile["facts"][name] = {"value": value, "unit": "m", "status": "assumed", "source": "a test"}
+        unit = FACTS[name].unit if name in FACTS else "1/m"
+        profile["facts"][name] = {"value": value, "unit": unit, "status": "assumed", "source": "a test"}
 
 
 @pytest.mark.parametrize(

@@ -300,6 +300,19 @@ def test_one_frame_without_a_noise_level_is_refused_unless_it_is_told(tmp_path):
     assert only_recording(run(tmp_path)).acquisition.detector.read_noise_e == 1.0
 
 
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_frames_in_any_unit_become_the_same_electrons(tmp_path, unit):
+    """Of frames whose gain nobody told: as many electrons as the photons that were put in, to a tenth."""
+    image = star(64, 64, flux_e=3e5)
+    adu = (frames_e(image, 60, read_noise_e=3.0) * unit).astype(np.float32)
+    write_recorder(tmp_path / "rec", adu, keys={"detector": {"excess_noise_factor": 1.0}})
+    output = run(tmp_path)
+    noise = output.results.as_json()["inputs"][0]["noise"]
+    assert noise["detector.e_per_adu"]["used"] == pytest.approx(1 / unit, rel=0.1)
+    assert noise["detector.read_noise_e"]["used"] == pytest.approx(3.0, rel=0.2)
+    assert only_recording(output).images_e.sum(axis=(1, 2)).mean() == pytest.approx(image.sum(), rel=0.1)
+
+
 @pytest.mark.parametrize(("averaged", "gain"), [(False, 0.5), (True, 12.5)])
 def test_a_coadded_frame_has_the_noise_of_all_its_exposures(tmp_path, averaged, gain):
     told = {"e_per_adu": 0.5, "read_noise_e": 1.0, "coadds": 25, "coadds_averaged": averaged}
