@@ -68,6 +68,11 @@ def as_read(scene: Scene, read: Read | None) -> Scene:
 
     Charges and their multiplication add up, so that N reads have the statistics of a single one of the
     whole exposure, which is √N times noisier; it takes a hundredth of the time to draw.
+
+    Parameters
+    ----------
+    scene : Scene
+    read : Read or None
     """
     if read is None:
         return scene

@@ -40,7 +40,14 @@ class FocusSensor:
     model: ImageModel
 
     def measure(self, images_e: np.ndarray, noise: NoiseModel) -> np.ndarray:
-        """Return the defocus of every image, (images,) [nm RMS]; NaN where none is to be used."""
+        """Return the defocus of every image, (images,) [nm RMS]; NaN where none is to be used.
+
+        Parameters
+        ----------
+        images_e : ndarray, (images, rows, columns)
+        noise : NoiseModel
+            Of an image.
+        """
         images = torch.as_tensor(images_e)
         good = torch.ones(images.shape[1:], dtype=torch.bool)
         start = torch.zeros(len(images), len(TTF), dtype=torch.float64)
@@ -50,7 +57,14 @@ class FocusSensor:
         return torch.where(result.solution.converged & credible, defocus, torch.nan).numpy()
 
     def bound_nm(self, seen_e: float, noise: NoiseModel) -> float:
-        """Return the Cramér–Rao bound at zero defocus, for electrons seen in the window [nm RMS]."""
+        """Return the Cramér–Rao bound at zero defocus [nm RMS].
+
+        Parameters
+        ----------
+        seen_e : float
+            Electrons in the window.
+        noise : NoiseModel
+        """
         zero = torch.zeros(1, len(TTF), dtype=torch.float64)
         in_window = self.model.psf.images(zero, self.model.optics).double().sum().cpu()
         flux = seen_e / in_window[None]
