@@ -11,7 +11,9 @@ import os
 import sqlite3
 import time
 from collections import deque
+from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import InputDataError
@@ -28,6 +30,28 @@ CREATE TABLE IF NOT EXISTS events (position INTEGER PRIMARY KEY, line TEXT NOT N
 COLUMNS = 11
 COMMIT_S = 1.0  # between transactions
 TAIL_BYTES = 1 << 16  # at the end of the lines in which the last record is looked for
+
+
+RECENT_BYTES = 1 << 26  # at the end of the lines in which recent ones are looked for
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """What loops on this output have measured.
+
+    Attributes
+    ----------
+    since_unix_s : float
+        When the first one started.
+    recordings : frozenset of str
+        Of which there are records.
+    last : str
+        The one of the last record.
+    """
+
+    since_unix_s: float = 0.0
+    recordings: frozenset[str] = frozenset()
+    last: str = ""
 
 
 class Journal:
@@ -65,6 +89,26 @@ class Journal:
     def waiting(self) -> int:
         """Lines that could not be written yet."""
         return len(self._waiting)
+
+    @property
+    def earlier(self) -> Earlier | None:
+        """What has been measured; None if there is no record yet."""
+        if self.last is None:
+            return None
+        contents = [json.loads(line) for line in self._lines(self._end)]
+        names = frozenset(one.get("recording", "") for one in contents if "sequence" in one)
+        started = (one["unix_s"] for one in contents if "event" in one)
+        return Earlier(next(started, 0.0), names - {""}, self.last.recording)
+
+    def recent(self, since_unix_s: float) -> list[tuple[float, str]]:
+        """Return the lines written since a time, with their times."""
+        found = []
+        for line in self._lines(RECENT_BYTES):
+            content = json.loads(line)
+            written_s = content.get("recorded_unix_s", content.get("unix_s") if "event" in content else None)
+            if written_s is not None and written_s >= since_unix_s:
+                found.append((written_s, line))
+        return found
 
     def add(self, record: Record) -> str:
         """Append a `record`; return its line."""
@@ -123,15 +167,19 @@ class Journal:
         return end
 
     def _last_record(self) -> Record | None:
-        start = max(0, self._end - TAIL_BYTES)
-        lines = os.pread(self._file, self._end - start, start).decode().splitlines()
         try:
-            for line in reversed(lines[1:] if start else lines):
+            for line in reversed([*self._lines(TAIL_BYTES)]):
                 if (record := record_of(line)) is not None:
                     return record
         except (ValueError, KeyError) as error:
             raise InputDataError(f"{self._path}: not the record of a focus loop ({error})") from None
         return None
+
+    def _lines(self, most_bytes: int) -> Iterator[str]:
+        """The last whole lines of the file."""
+        start = max(0, self._end - most_bytes)
+        lines = os.pread(self._file, self._end - start, start).decode(errors="replace").splitlines(True)
+        return iter(lines[1:] if start else lines)
 
 
 class _Database:
