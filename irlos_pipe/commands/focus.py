@@ -329,11 +329,11 @@ def _opener(
     from irlos_pipe.focus.watched import WatchedFolder
     from irlos_pipe.focus.zeromq import ZeroMqSource
 
-    def opened(calibration, earlier):
+    def opened(calibration, journal):
         if ring is not None:
             return RingSource(ring)
         if folder is not None:
-            return WatchedFolder(folder, calibration.instrument, calibration.acquisition, earlier)
+            return WatchedFolder(folder, calibration.instrument, calibration.acquisition, journal.earlier)
         if zeromq is not None:
             return ZeroMqSource(zeromq, os.environ.get(TOKEN, ""))
         assert replay is not None, "one of the four was given"

@@ -16,7 +16,13 @@ Spectrum = Sequence[tuple[float, float]]
 
 
 def optical_differences(frames: Acquisition, calibrated: Acquisition) -> list[str]:
-    """Return what makes images of `frames` others than the `calibrated` ones, an item for each key."""
+    """Return what makes images of some frames others than those of a calibration, an item for each key.
+
+    Parameters
+    ----------
+    frames, calibrated : Acquisition
+        How the ones and the others are taken.
+    """
     found = [
         *_of_spectrum(frames.spectrum, calibrated.spectrum),
         *_of_number("pixel_scale_mas", frames.pixel_scale_mas, calibrated.pixel_scale_mas),
@@ -28,7 +34,13 @@ def optical_differences(frames: Acquisition, calibrated: Acquisition) -> list[st
 
 
 def exposure_differences(frames: Acquisition, calibrated: Acquisition) -> list[str]:
-    """Return what makes the noise of `frames` another than that of the `calibrated` ones."""
+    """Return what makes the noise of some frames another than that of a calibration's, an item for each key.
+
+    Parameters
+    ----------
+    frames, calibrated : Acquisition
+        How the ones and the others are taken; what is not known of either does not differ.
+    """
     pairs = [
         ("exposure_s", frames.exposure_s, calibrated.exposure_s),
         ("read_noise_e", frames.detector.read_noise_e, calibrated.detector.read_noise_e),
@@ -42,7 +54,14 @@ def exposure_differences(frames: Acquisition, calibrated: Acquisition) -> list[s
 
 
 def stated_differences(keys: AcquisitionKeys, calibrated: Acquisition) -> list[str]:
-    """Return what the `keys` of a side-car state otherwise than it is `calibrated`."""
+    """Return what a side-car states otherwise than it is calibrated, an item for each key.
+
+    Parameters
+    ----------
+    keys : AcquisitionKeys
+        Of the side-car; what it leaves out does not differ.
+    calibrated : Acquisition
+    """
     stated = keys.flat()
     found: list[str] = []
     if "spectrum" in stated:

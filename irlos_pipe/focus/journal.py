@@ -11,7 +11,6 @@ import os
 import sqlite3
 import time
 from collections import deque
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,15 +94,25 @@ class Journal:
         """What has been measured; None if there is no record yet."""
         if self.last is None:
             return None
-        contents = [json.loads(line) for line in self._lines(self._end)]
-        names = frozenset(one.get("recording", "") for one in contents if "sequence" in one)
-        started = (one["unix_s"] for one in contents if "event" in one)
-        return Earlier(next(started, 0.0), names - {""}, self.last.recording)
+        noted_unix_s, names = list[float](), set[str]()
+        with open(self._path, encoding="utf-8", errors="replace") as stream:
+            for content in map(json.loads, stream):
+                if "event" in content:
+                    noted_unix_s.append(content["unix_s"])
+                else:
+                    names.add(content.get("recording", ""))
+        return Earlier(min(noted_unix_s, default=0.0), frozenset(names) - {""}, self.last.recording)
 
     def recent(self, since_unix_s: float) -> list[tuple[float, str]]:
-        """Return the lines written since a time, with their times."""
+        """Return lines with the times at which they were written.
+
+        Parameters
+        ----------
+        since_unix_s : float
+            Earlier ones are left out.
+        """
         found = []
-        for line in self._lines(RECENT_BYTES):
+        for line in self._last_lines(RECENT_BYTES):
             content = json.loads(line)
             written_s = content.get("recorded_unix_s", content.get("unix_s") if "event" in content else None)
             if written_s is not None and written_s >= since_unix_s:
@@ -168,18 +177,18 @@ class Journal:
 
     def _last_record(self) -> Record | None:
         try:
-            for line in reversed([*self._lines(TAIL_BYTES)]):
+            for line in reversed(self._last_lines(TAIL_BYTES)):
                 if (record := record_of(line)) is not None:
                     return record
         except (ValueError, KeyError) as error:
             raise InputDataError(f"{self._path}: not the record of a focus loop ({error})") from None
         return None
 
-    def _lines(self, most_bytes: int) -> Iterator[str]:
-        """The last whole lines of the file."""
+    def _last_lines(self, most_bytes: int) -> list[str]:
+        """The whole lines in the last bytes of the file."""
         start = max(0, self._end - most_bytes)
         lines = os.pread(self._file, self._end - start, start).decode(errors="replace").splitlines(True)
-        return iter(lines[1:] if start else lines)
+        return lines[1:] if start else lines
 
 
 class _Database:

@@ -27,7 +27,13 @@ class SparingNotes:
     _last: str = ""
 
     def add(self, text: str) -> None:
-        """Tell a fault, or count it."""
+        """Tell a fault, or count it.
+
+        Parameters
+        ----------
+        text : str
+            Of one line.
+        """
         self.look()
         if self._told < MOST_A_MINUTE:
             self._told += 1

@@ -90,7 +90,14 @@ class LivePage:
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def show(self, line: str, written_unix_s: float | None = None) -> None:
-        """Add the `line` of a record or an event, written just now unless a time is given."""
+        """Add the line of a record or an event.
+
+        Parameters
+        ----------
+        line : str
+        written_unix_s : float, optional
+            When it was written; by default just now.
+        """
         self._kept.add(line, time.time() if written_unix_s is None else written_unix_s)
 
     def close(self) -> None:

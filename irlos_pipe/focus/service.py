@@ -15,7 +15,7 @@ from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.focus.agreement import exposure_differences, optical_differences
 from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
 from irlos_pipe.focus.exchange import CalibrationWatch
-from irlos_pipe.focus.journal import Earlier, Journal
+from irlos_pipe.focus.journal import Journal
 from irlos_pipe.focus.loop import FocusLoop, LoopSettings
 from irlos_pipe.focus.mailbox import Command, Mailbox
 from irlos_pipe.focus.notes import SparingNotes
@@ -50,7 +50,7 @@ class Service:
     calibration : CalibrationRequest
     settings : LoopSettings
     open_source : callable
-        Makes the source, with the calibration, and with what earlier loops have measured, None at first.
+        Makes the source, with the calibration and the record, which knows what has been measured.
     flush_after_s : float
         Silence after which an incomplete exposure is closed.
     silent_after_s : float
@@ -65,7 +65,7 @@ class Service:
     output: Path
     calibration: CalibrationRequest
     settings: LoopSettings
-    open_source: Callable[[Calibration, Earlier | None], Source]
+    open_source: Callable[[Calibration, Journal], Source]
     flush_after_s: float = 2.0
     silent_after_s: float = math.inf
     every_exposure_counts: bool = False
@@ -93,7 +93,7 @@ class Service:
             stack.enter_context(owned_folder(self.output))
             calibration = self.calibration.load()
             journal = stack.enter_context(closing(Journal(self.output)))
-            source = stack.enter_context(closing(self.open_source(calibration, journal.earlier)))
+            source = stack.enter_context(closing(self.open_source(calibration, journal)))
             _require_window(source, calibration)
             _require_agreement(source, calibration)
             mailbox = stack.enter_context(closing(Mailbox(self.output / COMMAND)))

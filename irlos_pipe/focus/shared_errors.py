@@ -29,7 +29,13 @@ class SharedErrors:
 
     @classmethod
     def of(cls, results: LiftResults) -> SharedErrors | None:
-        """Return those of a ramp; None where it was measured without the NCPAs, or not at all."""
+        """Return those that a ramp has shown; None where it was measured without the NCPAs, or not at all.
+
+        Parameters
+        ----------
+        results : LiftResults
+            Of the ramp.
+        """
         defocus_nm = np.array([point.defocus_nm for point in results.points])
         chosen = spread_over(defocus_nm)
         if not results.calibrated or not len(chosen):
@@ -39,6 +45,12 @@ class SharedErrors:
         return cls(frames, defocus_nm[chosen], optics_nm)
 
     def sigma_nm(self, defocus_nm: float, photon_nm: float) -> float:
-        """Return the standard error of a measurement [nm], from its error by photons and read-out."""
+        """Return the standard error of a measurement [nm].
+
+        Parameters
+        ----------
+        defocus_nm, photon_nm : float
+            The measurement, and its error by photons and read-out.
+        """
         optics_nm = np.interp([defocus_nm], self.defocus_nm, self.optics_nm)
         return float(self.frames.sigma_nm(np.array([photon_nm]), optics_nm)[0])

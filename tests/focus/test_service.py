@@ -270,8 +270,8 @@ def test_a_recording_with_lower_counters_than_the_one_before_is_measured(tmp_pat
 def test_after_a_restart_a_recording_goes_on_where_it_was(tmp_path):
     given = []
 
-    def opened(_, earlier):
-        given.append(earlier)
+    def opened(_, journal):
+        given.append(journal.earlier)
         return Listed([[replace(read, recording="b")] for (read,) in reads(0, 4 + 4 * (len(given) - 1))])
 
     request = made.Ready(tmp_path / "none", made.calibration())

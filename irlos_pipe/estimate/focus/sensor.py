@@ -29,6 +29,7 @@ RIVALS = 3  # maxima tried at most where the first is wrong
 # in which χ²/ν is a ninth or less. In a seeing burst right images have such a misfit, too, and no better
 # orientation; of wrong ones it then brings χ²/ν to a quarter, near the focus only to a half.
 UPRIGHT_MISFIT, UPRIGHT_PART = 0.08, 0.5
+TURNED_ITERATIONS = 3  # a fit of the right orientation is near its end, and of wrong ones there are many
 ABSURD_E = 1e12  # of a pixel, either way: no detector gives it, and single precision has room for its square
 
 # Reasons why a measurement is not to be used.
@@ -137,7 +138,10 @@ class Focus:
         self._images = FocusImages(table)
         self._scan, self._fit = FocusScan(table), PhotonFit(self._images, self._good)
         self._image = np.empty(self._good.shape)
-        self._turned = [(turn, PhotonFit(self._images, turn.of(self._good))) for turn in _turns(self.window)]
+        self._turned = [
+            (turn, PhotonFit(self._images, turn.of(self._good), TURNED_ITERATIONS))
+            for turn in _turns(self.window)
+        ]
 
     def measure(self, image_e: np.ndarray) -> tuple[float, float, bool]:
         """Return defocus, its error [nm RMS], and whether they are to be used; see `measurement`."""
@@ -233,12 +237,12 @@ class Focus:
         """Whether the image, where the model does not explain it, is explained flipped or turned."""
         if found.chi2_nu <= self.limits.chi2_nu or found.misfit <= UPRIGHT_MISFIT:
             return False
-        images = [turn.of(self._image) for turn, _ in self._turned]
-        starts = [self._scan(image) for image in images]
-        likely = max(range(len(images)), key=lambda one: starts[one][0].energy_e2)
-        fit, flat = self._turned[likely][1], images[likely].ravel()
-        others = (fit(flat, start[:3], noise) for start in starts[likely][:2])
-        return any(one.converged and one.chi2_nu < UPRIGHT_PART * found.chi2_nu for one in others)
+        for turn, fit in self._turned:
+            image = turn.of(self._image)
+            other = fit(image.ravel(), self._scan(image)[0][:3], noise)
+            if other.chi2_nu < UPRIGHT_PART * found.chi2_nu:
+                return True
+        return False
 
 
 class _Turn(NamedTuple):
