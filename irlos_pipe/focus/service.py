@@ -207,13 +207,13 @@ class _Running:
             self.note(f"the counter of the recorder went {way} to {exposure.first_counter}")
         record = self.loop.record(exposure, arrived_s, damaged=self.damaged, overtaken=overtaken)
         self.damaged = 0
-        if self.loop.problem:
-            self.faults.add(f"exposure {record.exposure} could not be measured: {self.loop.problem}")
         if not self.service.settings.shadow:
             self.mailbox.write(Command(record.sequence, record.offset_nm, record.counter))
         self.journal.last = record
         self.records += 1
         self.show(self.journal.add(record))
+        if self.loop.problem:
+            self.faults.add(f"exposure {record.exposure} could not be measured: {self.loop.problem}")
 
     def show(self, line: str) -> None:
         """Pass the line of a record or an event on to whoever looks."""
@@ -280,14 +280,10 @@ def _require_agreement(source: Source, calibration: Calibration) -> None:
         If they are not.
     """
     name = getattr(source, "instrument_name", calibration.instrument_name)
-    against = (
-        [f"instrument {name}, not {calibration.instrument_name}"]
-        if name != calibration.instrument_name
-        else []
-    )
-    against += optical_differences(
-        getattr(source, "acquisition", calibration.acquisition), calibration.acquisition
-    )
+    acquisition = getattr(source, "acquisition", calibration.acquisition)
+    against = optical_differences(acquisition, calibration.acquisition)
+    if name != calibration.instrument_name:
+        against.insert(0, f"instrument {name}, not {calibration.instrument_name}")
     if against:
         raise InputDataError(
             f"the frames are not those that the calibration {calibration.name} is for: {'; '.join(against)}; "
