@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
+from irlos_pipe.focus.journal import Journal
 from irlos_pipe.focus.loop import LoopSettings
 from irlos_pipe.focus.page import PageSettings
 from irlos_pipe.focus.service import Service
@@ -31,7 +32,11 @@ def main(calibration: Path, frames: int) -> None:
         settings, page = LoopSettings(reads=READS), PageSettings(0)
         source = _MadeUp(frames)
         service = Service(
-            Path(folder) / "loop", CalibrationRequest(calibration), settings, source.opened, page=page
+            Path(folder) / "loop",
+            CalibrationRequest(calibration, despite_qc=True),
+            settings,
+            source.opened,
+            page=page,
         )
         records = service.run(lambda _: None)
     print(
@@ -46,9 +51,9 @@ class _MadeUp:
         self._left, self._number, self._rng, self.mib = frames, 0, np.random.default_rng(0), list[float]()
         self._mark = math.ceil(frames / MARKS)
 
-    def opened(self, calibration: Calibration, again: bool) -> _MadeUp:
+    def opened(self, calibration: Calibration, journal: Journal) -> _MadeUp:
         """Take the star from the first image that the sensor models."""
-        del again
+        del journal
         scale = torch.hann_window(calibration.window[0], dtype=torch.float64).numpy() ** 8
         self._star_e = 1e3 * np.outer(scale, scale[: calibration.window[1]])
         return self

@@ -92,7 +92,7 @@ def summary_of(outcome: Outcome) -> dict:
         "closed_after": outcome.closed_at,
         "residual_nm": _undisturbed_nm(outcome),
         "predicted_nm": outcome.predicted_nm(),
-        "sigma_nm": float(np.median([one["sigma_nm"] for one in valid])),
+        "sigma_nm": float(np.median([one["sigma_photon_nm"] for one in valid])),
         "valid": len(valid) / len(outcome.records),
         "latency_ms": np.percentile(latency, [50, 99]).tolist(),
         "wrongly_commanded": outcome.wrongly_commanded(),

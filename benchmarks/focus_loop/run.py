@@ -181,7 +181,7 @@ class Outcome:
 
     def predicted_nm(self) -> float:
         """What linear theory expects, with the noise that the measurements state and that of the sky."""
-        sigma = np.median([one["sigma_nm"] for one in self.records if one["valid"]])
+        sigma = np.median([one["sigma_photon_nm"] for one in self.records if one["valid"]])
         loop = Integrator(GAIN, 1.0, self.night.delay)
         return loop.residual_nm(self.night.drift, float(np.hypot(sigma, SKY_FOCUS_NM)))
 

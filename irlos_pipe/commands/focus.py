@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from irlos_pipe.commands.exits import EXIT_CODES, terminated_like_interrupted
+from irlos_pipe.commands.exits import EXIT_CODES
 from irlos_pipe.commands.options import FOLDER
-from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.errors import ConfigurationError, ExitCode
 
 if TYPE_CHECKING:
     from irlos_pipe.focus.calibration import CalibrationRequest
@@ -20,6 +24,15 @@ if TYPE_CHECKING:
 
 DAY_S = 86400.0
 TOKEN = "IRLOS_FOCUS_TOKEN"
+SILENT_AFTER_S, FOLDER_SILENT_AFTER_S = 10.0, 600.0
+RING_WAIT_S, LOOK_S = 60.0, 0.2
+
+
+def _finite(ctx: click.Context, option: click.Parameter, value: float | None) -> float | None:
+    """Refuse what is no number; click takes it for one within any range."""
+    if value is not None and not math.isfinite(value):
+        raise ConfigurationError(f"{option.opts[0]} {value:g}: give a finite number")
+    return value
 
 
 @click.command(epilog=EXIT_CODES)
@@ -39,6 +52,7 @@ TOKEN = "IRLOS_FOCUS_TOKEN"
 @click.option(
     "--speed",
     type=click.FloatRange(min=0),
+    callback=_finite,
     default=0.0,
     help="Of a replay, times the recorded rate. 0 is as fast as possible.",
 )
@@ -58,8 +72,22 @@ TOKEN = "IRLOS_FOCUS_TOKEN"
     show_default=True,
     help="Counts of the recorder from read to read.",
 )
-@click.option("--gain", type=float, default=0.4, show_default=True, help="Of the controller, per exposure.")
-@click.option("--leak", type=float, default=0.0, show_default=True, help="Of the controller, per exposure.")
+@click.option(
+    "--gain",
+    type=float,
+    callback=_finite,
+    default=0.4,
+    show_default=True,
+    help="Of the controller, per exposure.",
+)
+@click.option(
+    "--leak",
+    type=float,
+    callback=_finite,
+    default=0.0,
+    show_default=True,
+    help="Of the controller, per exposure.",
+)
 @click.option(
     "--delay",
     type=click.IntRange(min=0),
@@ -70,6 +98,7 @@ TOKEN = "IRLOS_FOCUS_TOKEN"
 @click.option(
     "--limit-nm",
     type=click.FloatRange(min=0, min_open=True),
+    callback=_finite,
     default=1500.0,
     show_default=True,
     help="Largest offset.",
@@ -77,6 +106,7 @@ TOKEN = "IRLOS_FOCUS_TOKEN"
 @click.option(
     "--jump-nm",
     type=click.FloatRange(min=0, min_open=True),
+    callback=_finite,
     default=400.0,
     show_default=True,
     help="Largest change at once while the loop is being closed.",
@@ -84,6 +114,7 @@ TOKEN = "IRLOS_FOCUS_TOKEN"
 @click.option(
     "--max-misfit",
     type=click.FloatRange(min=0, min_open=True),
+    callback=_finite,
     default=0.3,
     show_default=True,
     help="Part of the light that the model may leave unexplained, beyond noise.",
@@ -91,11 +122,32 @@ TOKEN = "IRLOS_FOCUS_TOKEN"
 @click.option(
     "--stale-after",
     type=click.FloatRange(min=0, min_open=True),
+    callback=_finite,
     metavar="DAYS",
     help="Age from which a calibration is not used (default: never).",
 )
+@click.option("--despite-qc", is_flag=True, help="Take a calibration whose QC has failed, too.")
+@click.option(
+    "--wait",
+    type=click.FloatRange(min=0),
+    callback=_finite,
+    default=RING_WAIT_S,
+    show_default=True,
+    metavar="SECONDS",
+    help="For a ring that is not there yet.",
+)
+@click.option(
+    "--silent-after",
+    type=click.FloatRange(min=0, min_open=True),
+    callback=_finite,
+    metavar="SECONDS",
+    help=f"Say after so long that no frames come (default: {SILENT_AFTER_S:g}, "
+    f"with --folder {FOLDER_SILENT_AFTER_S:g}).",
+)
 @click.option("--shadow", is_flag=True, help="Only watch: measure and record, command nothing.")
-@click.option("--socket", type=FOLDER, metavar="PATH", help="Publish every record on a Unix socket.")
+@click.option(
+    "--socket", type=FOLDER, metavar="PATH", help="Publish every line of the record on a Unix socket."
+)
 @click.option(
     "--page-port",
     type=click.IntRange(0, 65535),
@@ -110,7 +162,9 @@ TOKEN = "IRLOS_FOCUS_TOKEN"
     help=f"Address of the page; any other one needs a token in {TOKEN}.",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@click.pass_context
 def focus(
+    ctx: click.Context,
     run: Path,
     output: Path,
     ring: Path | None,
@@ -129,6 +183,9 @@ def focus(
     jump_nm: float,
     max_misfit: float,
     stale_after: float | None,
+    despite_qc: bool,
+    wait: float,
+    silent_after: float | None,
     shadow: bool,
     socket: Path | None,
     page_port: int | None,
@@ -144,6 +201,8 @@ def focus(
     the replay ends; started again with the same DIR it goes on where it was. Another calibration
     that appears in RUN, a folder or a link to one, is taken without a stop.
 
+    Stopped by Ctrl-C it ends with exit code 130, by SIGTERM or SIGHUP, as a service manager does it, with 0.
+
     \b
     Examples:
       irlos focus night/calibration --ring /dev/shm/irlos --output loop --page-port 8800
@@ -156,7 +215,7 @@ def focus(
       focus.sqlite   the same in tables
       command        the offset, for the telescope
     """
-    from irlos_pipe.focus.service import Service
+    from irlos_pipe.focus.service import Service, Stopped
     from irlos_pipe.pipeline.resources import limited_threads
 
     if sum(one is not None for one in (ring, folder, zeromq, replay)) != 1:
@@ -164,19 +223,73 @@ def focus(
     settings = _settings(
         gain, leak, delay, limit_nm, jump_nm, reads, counter_step, shadow or replay is not None, stale_after
     )
-    service = Service(
-        output,
-        _request(run, acquisition, ring, max_misfit),
-        settings,
-        _opener(ring, folder, zeromq, replay, input_name, speed),
-        every_exposure_counts=replay is not None,
-        page=_page(page_port, page_address),
-        socket=socket,
-    )
-    with terminated_like_interrupted(), limited_threads(1):
-        records = service.run((lambda _: None) if quiet else click.echo)
-    if not quiet:
-        click.echo(f"{records} records in {output}")
+
+    def say(text: str) -> None:
+        if not quiet:
+            click.echo(text)
+
+    with _ended_by_signals() as signals, limited_threads(1):
+        try:
+            if ring is not None:
+                _await(ring, wait, say)
+            records = Service(
+                output,
+                _request(run, acquisition, ring, max_misfit, despite_qc),
+                settings,
+                _opener(ring, folder, zeromq, replay, input_name, speed),
+                silent_after_s=_silent_after_s(silent_after, folder, replay),
+                every_exposure_counts=replay is not None,
+                page=_page(page_port, page_address),
+                socket=socket,
+            ).run(say)
+        except Stopped as stop:
+            say(f"{stop.records} records in {output}")
+            ctx.exit(_code_of(signals))
+        except KeyboardInterrupt:
+            say("stopped before it began")
+            ctx.exit(_code_of(signals))
+    say(f"{records} records in {output}")
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[list[int]]:
+    """End the block on SIGTERM and SIGHUP as on Ctrl-C; yield the list of those that came."""
+    came: list[int] = []
+
+    def end(number: int, _: object) -> None:
+        came.append(number)
+        raise KeyboardInterrupt
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    for number, handler in before.items():
+        if handler != signal.SIG_IGN:  # as under nohup
+            signal.signal(number, end)
+    try:
+        yield came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _code_of(signals: list[int]) -> ExitCode:
+    """A service that ends when it is told to has done its work; Ctrl-C interrupts it."""
+    return ExitCode.DONE if signals else ExitCode.INTERRUPTED
+
+
+def _await(ring: Path, wait_s: float, say: Callable[[str], None]) -> None:
+    """Wait for a ring that the recorder has still to make; opening it says what is wrong with it."""
+    if not ring.exists():
+        say(f"waiting {wait_s:g} s for the ring {ring}")
+    until = time.monotonic() + wait_s
+    while not ring.exists() and time.monotonic() < until:
+        time.sleep(min(LOOK_S, wait_s))
+
+
+def _silent_after_s(given: float | None, folder: Path | None, replay: Path | None) -> float:
+    """A replay comes as fast as it is measured, and recordings minutes apart."""
+    if replay is not None:
+        return math.inf
+    return given or (SILENT_AFTER_S if folder is None else FOLDER_SILENT_AFTER_S)
 
 
 def _settings(gain, leak, delay, limit_nm, jump_nm, reads, counter_step, shadow, stale_after) -> LoopSettings:
@@ -191,14 +304,15 @@ def _settings(gain, leak, delay, limit_nm, jump_nm, reads, counter_step, shadow,
     return LoopSettings(controller, reads, counter_step, shadow, stale_after_s)
 
 
-def _request(run: Path, acquisition: Path | None, ring: Path | None, max_misfit: float) -> CalibrationRequest:
+def _request(
+    run: Path, acquisition: Path | None, ring: Path | None, max_misfit: float, despite_qc: bool
+) -> CalibrationRequest:
     from irlos_pipe.estimate.focus.sensor import Limits
     from irlos_pipe.focus.calibration import CalibrationRequest
     from irlos_pipe.focus.ring import window_of
 
-    return CalibrationRequest(
-        run, acquisition, None if ring is None else window_of(ring), Limits(misfit=max_misfit)
-    )
+    window = None if ring is None else window_of(ring)
+    return CalibrationRequest(run, acquisition, window, Limits(misfit=max_misfit), despite_qc)
 
 
 def _opener(
@@ -215,12 +329,11 @@ def _opener(
     from irlos_pipe.focus.watched import WatchedFolder
     from irlos_pipe.focus.zeromq import ZeroMqSource
 
-    def opened(calibration, again: bool):
+    def opened(calibration, journal):
         if ring is not None:
             return RingSource(ring)
         if folder is not None:
-            detector = calibration.acquisition.detector
-            return WatchedFolder(folder, calibration.instrument, detector, from_start=again)
+            return WatchedFolder(folder, calibration.instrument, calibration.acquisition, journal.earlier)
         if zeromq is not None:
             return ZeroMqSource(zeromq, os.environ.get(TOKEN, ""))
         assert replay is not None, "one of the four was given"

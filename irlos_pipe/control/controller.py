@@ -49,6 +49,13 @@ class ControllerSettings:
     patience: int = 3
 
     def __post_init__(self) -> None:
+        for name in ("limit_nm", "jump_nm", "linear_nm"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} {getattr(self, name):g}: give a positive, finite number of nm RMS")
+        if self.delay < 0 or self.patience < 1:
+            raise ValueError(
+                f"delay {self.delay}, patience {self.patience}: give exposures, from 0 and from 1 on"
+            )
         largest = 2 * math.sin(math.pi / (2 * (2 * self.delay + 1)))
         if not 0 < self.gain < largest:
             raise ValueError(

@@ -14,6 +14,7 @@ import numpy as np
 # Exposures' worth of late reads in a row that mean that the recorder counts anew: of reads that were taken
 # after the last exposure, and of any, should the clock have been set back as well.
 RESTARTED_AFTER, RESTARTED_ANYWAY_AFTER = 3, 1000
+LARGEST_GAP = 10_000_000  # reads: more, ten hours at 250 Hz, are not missing, the counter has jumped
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +29,14 @@ class Read:
         Time since 1970; NaN if not known.
     image_e : ndarray, (rows, columns)
         Photo-electrons, dark and background subtracted.
+    recording : str
+        Which it belongs to, where each recording has a counter of its own; else empty.
     """
 
     counter: int
     unix_s: float
     image_e: np.ndarray
+    recording: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +57,9 @@ class Exposure:
     late, doubled, missing : int
         Reads since the exposure before: come too late, come again, and not come.
     restarted : bool
-        Whether the recorder began to count anew.
+        Whether the recorder began to count anew, or the counter jumped further than reads go missing.
+    recording : str
+        Of its reads.
     """
 
     index: int
@@ -66,6 +72,7 @@ class Exposure:
     doubled: int = 0
     missing: int = 0
     restarted: bool = False
+    recording: str = ""
 
 
 @dataclass
@@ -89,27 +96,31 @@ class Accumulator:
         The last exposure that is done: reads of it and of earlier ones are late.
     last_unix_s : float
         Time of its first read; NaN if not known.
+    recording : str
+        Of the last exposure: in another one counters begin again.
     """
 
     reads: int
     step: int = 1
     last_index: int | None = None
     last_unix_s: float = math.nan
+    recording: str = ""
     _open: dict[int, Read] = field(default_factory=dict)
     _tally: _Tally = field(default_factory=_Tally)
     _new_in_a_row: int = 0
     _late_in_a_row: int = 0
+    _overtaken_in_a_row: int = 0
 
     def add(self, read: Read) -> list[Exposure]:
         """Take a `read`; return the exposures that it completes, in order."""
+        done = [] if read.recording == self.recording else self.count_anew()
+        self.recording = read.recording
         index = self._index(read)
         if self._is_late(index, read):
-            return []
-        done = []
+            return done
         if self._open and index != self._index(self._first):
             if index < self._index(self._first):  # of an exposure that another one has overtaken
-                self._tally.late += 1
-                return []
+                return done + self._overtaken()
             done += self.flush()
         if read.counter in self._open:
             self._tally.doubled += 1
@@ -119,6 +130,18 @@ class Accumulator:
             done += self.flush()
         return done
 
+    def count_anew(self) -> list[Exposure]:
+        """Close the open exposure, and expect any counter: that of another recording or recorder."""
+        done = self.flush()
+        self.last_index, self.last_unix_s = None, math.nan
+        self._late_in_a_row = self._new_in_a_row = 0
+        return done
+
+    @property
+    def unused(self) -> int:
+        """Reads since the last exposure that came too late or twice, of which no record tells yet."""
+        return self._tally.late + self._tally.doubled
+
     def flush(self) -> list[Exposure]:
         """Close the open exposure with what it has; an empty list if there is none."""
         if not self._open:
@@ -126,6 +149,7 @@ class Accumulator:
         index, first = self._index(self._first), self._first
         images = [self._open[counter].image_e for counter in sorted(self._open)]
         skipped = 0 if self.last_index is None or self._tally.restarted else index - self.last_index - 1
+        jumped = skipped * self.reads > LARGEST_GAP
         exposure = Exposure(
             index=index,
             image_e=_total(images),
@@ -135,12 +159,23 @@ class Accumulator:
             unix_s=first.unix_s,
             late=self._tally.late,
             doubled=self._tally.doubled,
-            missing=skipped * self.reads + self.reads - len(images),
-            restarted=self._tally.restarted,
+            missing=(0 if jumped else skipped * self.reads) + self.reads - len(images),
+            restarted=self._tally.restarted or jumped,
+            recording=first.recording,
         )
         self.last_index, self.last_unix_s = index, first.unix_s
-        self._open, self._tally = {}, _Tally()
+        self._open, self._tally, self._overtaken_in_a_row = {}, _Tally(), 0
         return [exposure]
+
+    def _overtaken(self) -> list[Exposure]:
+        """One more read of before the open exposure: after many in a row, that had a wild counter."""
+        self._tally.late += 1
+        self._overtaken_in_a_row += 1
+        if self._overtaken_in_a_row <= RESTARTED_AFTER * self.reads:
+            return []
+        done = self.count_anew()
+        self._tally.restarted = True
+        return done
 
     @property
     def _first(self) -> Read:

@@ -46,17 +46,30 @@ def optics_sigma_nm(
         Of their errors.
     """
     defocus_nm = result.mode(DEFOCUS)[0].numpy()
-    usable = np.flatnonzero(np.isfinite(defocus_nm))
-    if not len(usable):
+    chosen = spread_over(defocus_nm)
+    if not len(chosen):
         return np.full(len(defocus_nm), np.nan)
-    order = usable[np.argsort(defocus_nm[usable], kind="stable")]
-    chosen = order[np.unique(np.linspace(0, len(order) - 1, MOST_OFFSETS).round().astype(int))]
     general, own = model.general, tuple(sorted({*nolls, *result.nolls}))
     wide = ImageModel(light_path(general.psf.settings, own), general.effects.effects)
     known = [own.index(noll) for noll in nolls]
     slopes = [defocus_slopes(wide, result, int(frame), good, noise)[known] for frame in chosen]
     sigma_nm = [float(np.sqrt(slope @ covariance_nm2 @ slope)) for slope in slopes]
     return np.interp(defocus_nm, defocus_nm[chosen], sigma_nm)
+
+
+def spread_over(defocus_nm: np.ndarray) -> np.ndarray:
+    """Return the frames at which the error is computed, in order of their defocus, (offsets,).
+
+    Parameters
+    ----------
+    defocus_nm : ndarray, (frames,)
+        Estimates; NaN where they failed.
+    """
+    usable = np.flatnonzero(np.isfinite(defocus_nm))
+    if not len(usable):
+        return usable
+    order = usable[np.argsort(defocus_nm[usable], kind="stable")]
+    return order[np.unique(np.linspace(0, len(order) - 1, MOST_OFFSETS).round().astype(int))]
 
 
 def defocus_slopes(

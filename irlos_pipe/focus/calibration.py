@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 from dataclasses import dataclass, field, replace
@@ -10,11 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
+from irlos_pipe.conventions.text import and_more
 from irlos_pipe.estimate.focus.sensor import Focus, Limits
+from irlos_pipe.files.regular import read_regular
+from irlos_pipe.focus.shared_errors import SharedErrors
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
-from irlos_pipe.product.runfolder import existing_run
+from irlos_pipe.product.results import read_run_results, results_of
+from irlos_pipe.product.runfolder import RunFolder, existing_run
 from irlos_pipe.product.storage import open_product
 from irlos_pipe.readers.acquisition import resolve
 from irlos_pipe.readers.raw_file import RawRecording
@@ -24,9 +29,11 @@ from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.lift.config import Config
 from irlos_pipe.stages.lift.input import ROLES, read_ramp
+from irlos_pipe.stages.lift.results import LiftResults
 from irlos_pipe.stages.lift.singly import focus_sensor, light_path
 
 LOG = logging.getLogger(__name__)
+QC_FAILED = "qc_failed"  # as results.json says
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +51,10 @@ class Calibration:
         Of the frames to be measured.
     made_unix_s : float
         Time of the recording behind it; NaN if not known.
+    errors : SharedErrors or None
+        Beside those by photons; None where the run has no ramp that tells them.
+    notice : str
+        What has to be said before any result, as of samples; empty if nothing has to be.
     """
 
     sensor: Focus
@@ -52,6 +63,8 @@ class Calibration:
     instrument_name: str
     acquisition: Acquisition
     made_unix_s: float
+    errors: SharedErrors | None = None
+    notice: str = ""
 
     @property
     def window(self) -> tuple[int, int]:
@@ -72,12 +85,15 @@ class CalibrationRequest:
     window : (int, int) or None
         Of the frames, where nothing else says it.
     limits : Limits
+    despite_qc : bool
+        Take a run whose QC has failed, too.
     """
 
     run: Path
     acquisition: Path | None = None
     window: tuple[int, int] | None = None
     limits: Limits = field(default_factory=Limits)
+    despite_qc: bool = False
 
     def load(self) -> Calibration:
         """Read the run.
@@ -85,7 +101,7 @@ class CalibrationRequest:
         Raises
         ------
         InputDataError
-            When the folder is not that of a run with a calibration.
+            When the folder is not that of a run with a calibration, or of one whose QC has failed.
         ConfigurationError
             When its model cannot measure single frames.
         """
@@ -95,12 +111,19 @@ class CalibrationRequest:
             raise InputDataError(
                 f"{self.run}: holds no calibration; run a recipe with the stages ingest and calibrate first"
             )
+        whole = read_run_results(folder.results)
+        if whole.status == QC_FAILED and not self.despite_qc:
+            raise InputDataError(
+                f"{self.run}: its QC has failed ({_failed_checks(folder)}); mend the calibration, or take it "
+                "with --despite-qc"
+            )
         recipe = load_recipe(folder.recipe, complete=False)
         products = {name: open_product(paths[name]) for name in ("ingest", "calibrate")}
         config = recipe.configs.get("lift", Config())
         assert isinstance(config, Config)
         ctx = _context(recipe, products, config)
         recording, good, noise = self._frames(ctx)
+        _require_full_pupil(self.run, recording)
         sensor = focus_sensor(light_path(ctx, recording), good, noise, self._limits(recording.acquisition))
         key = str(products["calibrate"].provenance.get("key", ""))[:12]
         starts = [one.start_unix_s for one in recordings_from_product(products["ingest"])]
@@ -111,6 +134,10 @@ class CalibrationRequest:
             recipe.instrument_name,
             recording.acquisition,
             min((one for one in starts if math.isfinite(one)), default=math.nan),
+            SharedErrors.of(results_of(LiftResults, open_product(paths["lift"])))
+            if "lift" in paths
+            else None,
+            whole.notice,
         )
 
     def _limits(self, acquisition: Acquisition) -> Limits:
@@ -129,6 +156,24 @@ class CalibrationRequest:
         good = calibrated.good if calibrated.window == window else np.ones(window, bool)
         recording = _described(self.acquisition, window, ctx.instrument)
         return recording, good, NoiseModel.of(recording)
+
+
+def _failed_checks(folder: RunFolder) -> str:
+    """Names of the checks that failed, as far as they can be read."""
+    try:
+        checks = json.loads(read_regular(folder.quality))["checks"]
+        names = [f"'{one['name']}'" for one in checks if not one["passed"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        names = []
+    return f"{names[0]}{and_more(names)}" if names else f"see {folder.quality}"
+
+
+def _require_full_pupil(run: Path, recording: Recording) -> None:
+    if recording.acquisition.lenslets > 1:
+        raise ConfigurationError(
+            f"{run}: its ramp has frames of a 2x2 mode, and the loop measures images of the full pupil; "
+            "describe those with --acquisition FILE"
+        )
 
 
 def _context(recipe: Recipe, products: dict, config: Config) -> StageContext[Config]:

@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass, field
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
+from irlos_pipe.focus.agreement import optical_differences
 from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
 from irlos_pipe.product.runfolder import RunFolder
 
@@ -90,7 +91,7 @@ def require_exchangeable(old: Calibration, new: Calibration) -> None:
     Raises
     ------
     InputDataError
-        Another instrument or window.
+        Another instrument or window, or frames taken otherwise.
     """
     if new.instrument_name != old.instrument_name:
         raise InputDataError(
@@ -101,4 +102,9 @@ def require_exchangeable(old: Calibration, new: Calibration) -> None:
         raise InputDataError(
             f"{new.name}: a calibration for frames of {new.window[0]}x{new.window[1]} px, the loop has "
             f"{old.window[0]}x{old.window[1]}"
+        )
+    against = optical_differences(new.acquisition, old.acquisition)
+    if against:
+        raise InputDataError(
+            f"{new.name}: a calibration for other frames than the loop has: {'; '.join(against)}"
         )

@@ -12,6 +12,7 @@ import sqlite3
 import time
 from collections import deque
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import InputDataError
@@ -28,6 +29,28 @@ CREATE TABLE IF NOT EXISTS events (position INTEGER PRIMARY KEY, line TEXT NOT N
 COLUMNS = 11
 COMMIT_S = 1.0  # between transactions
 TAIL_BYTES = 1 << 16  # at the end of the lines in which the last record is looked for
+
+
+RECENT_BYTES = 1 << 26  # at the end of the lines in which recent ones are looked for
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """What loops on this output have measured.
+
+    Attributes
+    ----------
+    since_unix_s : float
+        When the first one started.
+    recordings : frozenset of str
+        Of which there are records.
+    last : str
+        The one of the last record.
+    """
+
+    since_unix_s: float = 0.0
+    recordings: frozenset[str] = frozenset()
+    last: str = ""
 
 
 class Journal:
@@ -65,6 +88,36 @@ class Journal:
     def waiting(self) -> int:
         """Lines that could not be written yet."""
         return len(self._waiting)
+
+    @property
+    def earlier(self) -> Earlier | None:
+        """What has been measured; None if there is no record yet."""
+        if self.last is None:
+            return None
+        noted_unix_s, names = list[float](), set[str]()
+        with open(self._path, encoding="utf-8", errors="replace") as stream:
+            for content in map(json.loads, stream):
+                if "event" in content:
+                    noted_unix_s.append(content["unix_s"])
+                else:
+                    names.add(content.get("recording", ""))
+        return Earlier(min(noted_unix_s, default=0.0), frozenset(names) - {""}, self.last.recording)
+
+    def recent(self, since_unix_s: float) -> list[tuple[float, str]]:
+        """Return lines with the times at which they were written.
+
+        Parameters
+        ----------
+        since_unix_s : float
+            Earlier ones are left out.
+        """
+        found = []
+        for line in self._last_lines(RECENT_BYTES):
+            content = json.loads(line)
+            written_s = content.get("recorded_unix_s", content.get("unix_s") if "event" in content else None)
+            if written_s is not None and written_s >= since_unix_s:
+                found.append((written_s, line))
+        return found
 
     def add(self, record: Record) -> str:
         """Append a `record`; return its line."""
@@ -123,15 +176,19 @@ class Journal:
         return end
 
     def _last_record(self) -> Record | None:
-        start = max(0, self._end - TAIL_BYTES)
-        lines = os.pread(self._file, self._end - start, start).decode().splitlines()
         try:
-            for line in reversed(lines[1:] if start else lines):
+            for line in reversed(self._last_lines(TAIL_BYTES)):
                 if (record := record_of(line)) is not None:
                     return record
         except (ValueError, KeyError) as error:
             raise InputDataError(f"{self._path}: not the record of a focus loop ({error})") from None
         return None
+
+    def _last_lines(self, most_bytes: int) -> list[str]:
+        """The whole lines in the last bytes of the file."""
+        start = max(0, self._end - most_bytes)
+        lines = os.pread(self._file, self._end - start, start).decode(errors="replace").splitlines(True)
+        return lines[1:] if start else lines
 
 
 class _Database:

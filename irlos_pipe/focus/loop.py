@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from dataclasses import dataclass, field
@@ -10,9 +11,9 @@ from irlos_pipe.control.controller import ControllerSettings, ControllerState, D
 from irlos_pipe.control.exposures import Exposure
 from irlos_pipe.estimate.focus.sensor import Measurement
 from irlos_pipe.focus.calibration import Calibration
-from irlos_pipe.focus.record import INCOMPLETE, LATE, SHADOW, STALE, WINDOW, Record
+from irlos_pipe.focus.record import FAILED, INCOMPLETE, LATE, SHADOW, STALE, WINDOW, Record
 
-NUMBERS = ("defocus_nm", "sigma_nm", "tip_nm", "tilt_nm", "flux_e", "background_e", "chi2_nu", "misfit")
+NUMBERS = ("defocus_nm", "tip_nm", "tilt_nm", "flux_e", "background_e", "chi2_nu", "misfit")
 
 
 @dataclass(frozen=True)
@@ -51,12 +52,18 @@ class FocusLoop:
     settings : LoopSettings
     last : Record or None
         The last record of an earlier start: the loop goes on from there.
+
+    Attributes
+    ----------
+    problem : str
+        What was unforeseen in the last measurement; empty if nothing was.
     """
 
     def __init__(self, calibration: Calibration, settings: LoopSettings, last: Record | None = None):
         self.calibration, self._settings = calibration, settings
         self._state = ControllerState() if last is None else last.state
         self.sequence = 0 if last is None else last.sequence
+        self.problem = ""
 
     def record(
         self, exposure: Exposure, arrived_s: float, *, damaged: int = 0, overtaken: bool = False
@@ -89,6 +96,8 @@ class FocusLoop:
             reads_missing=exposure.missing,
             reads_damaged=damaged,
             **numbers,
+            sigma_nm=self._sigma_nm(measured),
+            sigma_photon_nm=measured.sigma_nm,
             valid=measured.valid,
             reasons=measured.reasons,
             mode=SHADOW if self._settings.shadow else state.mode,
@@ -100,12 +109,24 @@ class FocusLoop:
             outside=state.outside,
             latency_ms=(time.monotonic() - arrived_s) * 1e3,
             calibration=self.calibration.name,
+            recording=exposure.recording,
+            recorded_unix_s=time.time(),
         )
 
     def _measured(self, exposure: Exposure) -> Measurement:
         if exposure.image_e.shape != self.calibration.window:
             return Measurement(math.nan, math.nan, False, (WINDOW,))
-        return self.calibration.sensor.measurement(exposure.image_e, exposure.reads)
+        self.problem = ""
+        try:
+            return self.calibration.sensor.measurement(exposure.image_e, exposure.reads)
+        except Exception as error:  # whatever stands in an image, the loop goes on
+            logging.getLogger(__name__).debug("measurement", exc_info=True)
+            self.problem = f"{type(error).__name__}: {error}"
+            return Measurement(math.nan, math.nan, False, (FAILED,))
+
+    def _sigma_nm(self, measured: Measurement) -> float:
+        errors = self.calibration.errors
+        return math.nan if errors is None else errors.sigma_nm(measured.defocus_nm, measured.sigma_nm)
 
     def _judged(self, exposure: Exposure, measured: Measurement, overtaken: bool) -> Measurement:
         """With the reasons that the image does not show."""

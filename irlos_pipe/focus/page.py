@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
+import json
+import secrets
 import threading
+import time
 from collections import deque
 from dataclasses import dataclass
 from functools import partial
@@ -18,9 +21,11 @@ from urllib.parse import parse_qs, urlsplit
 
 from irlos_pipe.conventions.errors import ConfigurationError
 
-HOUR = 3600  # records kept
+HOUR_S = 3600.0  # of lines that are kept
+MOST_LINES = 40_000  # kept, of exposures of a tenth of a second an hour
 LOOPBACK = "127.0.0.1"
 SHORTEST_TOKEN = 16
+LONGEST_NUMBER = 16  # digits
 
 
 @dataclass(frozen=True)
@@ -72,8 +77,8 @@ class LivePage:
     """
 
     def __init__(self, settings: PageSettings):
-        self._lines: deque[tuple[int, str]] = deque(maxlen=HOUR)
-        handler = partial(_Handler, lines=self._lines, settings=settings)
+        self._kept = _Kept()
+        handler = partial(_Handler, kept=self._kept, settings=settings)
         try:
             self._server = ThreadingHTTPServer((settings.address, settings.port), handler)
         except OSError as error:
@@ -84,9 +89,16 @@ class LivePage:
         self.url = f"http://{settings.address}:{self._server.server_address[1]}/"
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
-    def show(self, sequence: int, line: str) -> None:
-        """Add the `line` of the record with that `sequence`."""
-        self._lines.append((sequence, line))
+    def show(self, line: str, written_unix_s: float | None = None) -> None:
+        """Add the line of a record or an event.
+
+        Parameters
+        ----------
+        line : str
+        written_unix_s : float, optional
+            When it was written; by default just now.
+        """
+        self._kept.add(line, time.time() if written_unix_s is None else written_unix_s)
 
     def close(self) -> None:
         """Stop listening."""
@@ -94,11 +106,33 @@ class LivePage:
         self._server.server_close()
 
 
-class _Handler(BaseHTTPRequestHandler):
-    """Answers ``/`` with the page and ``/records?after=N`` with the records after number N."""
+class _Kept:
+    """The lines of the last hour, numbered from 1, under a name: a page may stay open beyond the loop."""
 
-    def __init__(self, *arguments, lines: deque[tuple[int, str]], settings: PageSettings):
-        self._lines, self._settings = lines, settings
+    def __init__(self) -> None:
+        self._name, self._number = secrets.token_hex(8), 0
+        self._lines: deque[tuple[int, float, str]] = deque(maxlen=MOST_LINES)
+
+    def add(self, line: str, written_unix_s: float) -> None:
+        """Add a line; those of more than an hour before it go."""
+        self._number += 1
+        self._lines.append((self._number, written_unix_s, line))
+        while written_unix_s - self._lines[0][1] > HOUR_S:
+            self._lines.popleft()
+
+    def after(self, number: int, name: str) -> str:
+        """Return as JSON the lines after a number, all of them if they were numbered under another name."""
+        kept, known = list(self._lines), number if name == self._name else 0
+        head = json.dumps({"loop": self._name, "last": kept[-1][0] if kept else 0, "now": time.time()})
+        lines = ",".join(line for position, _, line in kept if position > known)
+        return f'{head[:-1]}, "lines": [{lines}]}}'
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Answers ``/`` with the page, ``/lines?after=N&loop=NAME`` with lines after number N of that name."""
+
+    def __init__(self, *arguments, kept: _Kept, settings: PageSettings):
+        self._kept, self._settings = kept, settings
         super().__init__(*arguments)
 
     def do_GET(self) -> None:
@@ -111,16 +145,15 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(
                 "text/html; charset=utf-8", files("irlos_pipe.focus").joinpath("live.html").read_bytes()
             )
-        elif url.path == "/records":
-            self._answer("application/json", self._records(query))
+        elif url.path == "/lines":
+            self._answer("application/json", self._lines(query))
         else:
             self.send_error(HTTPStatus.NOT_FOUND)
 
-    def _records(self, query: dict[str, list[str]]) -> bytes:
+    def _lines(self, query: dict[str, list[str]]) -> bytes:
         after = query.get("after", ["0"])[0]
-        last = int(after) if after.isdecimal() else 0
-        lines = [line for sequence, line in list(self._lines) if sequence > last]
-        return f"[{','.join(lines)}]".encode()
+        number = int(after) if after.isdecimal() and len(after) < LONGEST_NUMBER else 0
+        return self._kept.after(number, query.get("loop", [""])[0]).encode()
 
     def _is_own_host(self) -> bool:
         """A page of another site that leads a browser here by name is not answered."""

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, fields
+import math
+from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any
 
 from irlos_pipe.control.controller import ControllerState
 from irlos_pipe.files.json import jsonable
 
-SCHEMA, SCHEMA_VERSION = "irlos-focus", 1
+SCHEMA, SCHEMA_VERSION = "irlos-focus", 2  # of 1, `sigma_nm` was the error by photons
 SHADOW = "shadow"
 
 # Reasons of the program, beside those of `Focus`.
 WINDOW, LATE, STALE, INCOMPLETE = "window", "late", "stale_calibration", "incomplete"
+FAILED = "failed"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Record:
     """One exposure.
 
@@ -30,8 +32,12 @@ class Record:
         Time of the first read.
     reads, reads_late, reads_doubled, reads_missing, reads_damaged : int
         In the exposure, and since the exposure before.
-    defocus_nm, sigma_nm, tip_nm, tilt_nm, flux_e, background_e, chi2_nu, misfit : float
+    defocus_nm, tip_nm, tilt_nm, flux_e, background_e, chi2_nu, misfit : float
         See `Measurement`.
+    sigma_nm : float
+        Error of the defocus with those that exposures share, see `SharedErrors`; NaN if these are not known.
+    sigma_photon_nm : float
+        Its part by photons and read-out.
     valid : bool
     reasons : tuple of str
         Why it is not valid.
@@ -49,6 +55,10 @@ class Record:
     latency_ms : float
         From the arrival of the last read to this record.
     calibration : str
+    recording : str
+        That the reads belong to, where each has a counter of its own.
+    recorded_unix_s : float
+        Time of the record, by the clock of the loop.
     """
 
     sequence: int
@@ -79,6 +89,9 @@ class Record:
     outside: int
     latency_ms: float
     calibration: str
+    sigma_photon_nm: float = math.nan
+    recording: str = ""
+    recorded_unix_s: float = math.nan
 
     def line(self) -> str:
         """Return the record as one line of JSON."""
@@ -120,7 +133,8 @@ def record_of(line: str) -> Record | None:
         raise ValueError("not a record of a focus loop")
     if "event" in content:
         return None
-    values = {one.name: content[one.name] for one in fields(Record)}
+    known = [one for one in fields(Record) if one.name in content or one.default is MISSING]
+    values = {one.name: content[one.name] for one in known}  # older records lack the keys with a default
     values |= {name: float("nan") for name, value in values.items() if value is None}
     return Record(**values | {"reasons": tuple(values["reasons"])})
 

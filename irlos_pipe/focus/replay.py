@@ -11,6 +11,7 @@ from irlos_pipe.control.exposures import Read
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.product.runfolder import existing_run
 from irlos_pipe.product.storage import open_product
+from irlos_pipe.recipe.load import load_recipe
 from irlos_pipe.stages.model.recording_settings import used_in_time_order
 
 
@@ -32,7 +33,8 @@ class Replay:
     """
 
     def __init__(self, run: Path, input_name: str, speed: float = 0.0):
-        path = existing_run(run).products().get("ingest")
+        run_folder = existing_run(run)
+        path = run_folder.products().get("ingest")
         if path is None:
             raise InputDataError(f"{run}: holds no ingested frames; run its recipe again")
         try:
@@ -41,7 +43,8 @@ class Replay:
             recordings = []
         if not recordings:
             raise InputDataError(f"{run}: has no input '{input_name}' with frames")
-        self.window = recordings[0].window
+        self.window, self.acquisition = recordings[0].window, recordings[0].acquisition
+        self.instrument_name = load_recipe(run_folder.recipe, complete=False).instrument_name
         self._reads = self._in_order(recordings)
         self._speed, self._started = speed, time.monotonic()
         self._first_s = math.nan

@@ -24,7 +24,7 @@ import numpy as np
 
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.focus.source import Fault
+from irlos_pipe.focus.source import Arrival, Fault, Notice
 
 MAGIC, VERSION = b"IRLOSRNG", 1
 HEAD = struct.Struct("<8s4I")
@@ -32,35 +32,11 @@ HEAD_BYTES, WRITTEN_AT = 64, 24
 NUMBER = struct.Struct("<Q")
 BODY = struct.Struct("<qdI4x")
 POLL_S = 0.0005
+LOOK_S = 0.25  # between looks whether the file is still the one that is open
 LARGEST_SIDE = 4096
 
 
-class _Ring:
-    """The mapped file."""
-
-    def __init__(self, path: Path, window: tuple[int, int], slots: int, *, writes: bool):
-        self.path, self.window, self.slots = path, window, slots
-        self._bytes = 4 * window[0] * window[1]
-        self._stride = NUMBER.size + BODY.size + self._bytes
-        descriptor = os.open(path, os.O_RDWR if writes else os.O_RDONLY)
-        access = mmap.ACCESS_WRITE if writes else mmap.ACCESS_READ
-        self._map = mmap.mmap(descriptor, HEAD_BYTES + slots * self._stride, access=access)
-        os.close(descriptor)
-
-    @property
-    def written(self) -> int:
-        """Frames written so far."""
-        return int(NUMBER.unpack_from(self._map, WRITTEN_AT)[0])
-
-    def close(self) -> None:
-        """Unmap the file."""
-        self._map.close()
-
-    def _at(self, number: int) -> int:
-        return HEAD_BYTES + (number - 1) % self.slots * self._stride
-
-
-class RingWriter(_Ring):
+class RingWriter:
     """Writes frames.
 
     Parameters
@@ -89,12 +65,27 @@ class RingWriter(_Ring):
                 f"{path}: a ring of {found[2]} frames of {found[0]}x{found[1]} px, not of {slots} of "
                 f"{window[0]}x{window[1]}; remove it or choose another file"
             )
-        super().__init__(path, window, slots, writes=True)
+        self._slots, self._stride = slots, _stride(window)
+        descriptor = os.open(path, os.O_RDWR)
+        self._map = mmap.mmap(descriptor, _size(window, slots))
+        os.close(descriptor)
+
+    @property
+    def written(self) -> int:
+        """Frames written so far."""
+        return int(NUMBER.unpack_from(self._map, WRITTEN_AT)[0])
+
+    def close(self) -> None:
+        """Unmap the file."""
+        self._map.close()
 
     def write(self, read: Read, *, damaged: bool = False) -> None:
         """Write one frame, `read`, over the oldest; a `damaged` one, for trials, has a wrong checksum."""
         number = self.written + 1
-        at, pixels = self._at(number), np.ascontiguousarray(read.image_e, "<f4").tobytes()
+        at, pixels = (
+            _at(number, self._slots, self._stride),
+            np.ascontiguousarray(read.image_e, "<f4").tobytes(),
+        )
         NUMBER.pack_into(self._map, at, 0)
         crc = _crc(read.counter, read.unix_s, pixels) ^ damaged
         BODY.pack_into(self._map, at + NUMBER.size, read.counter, read.unix_s, crc)
@@ -103,8 +94,11 @@ class RingWriter(_Ring):
         NUMBER.pack_into(self._map, WRITTEN_AT, number)
 
 
-class RingSource(_Ring):
+class RingSource:
     """Reads frames, see `Source`; begins with the oldest that is still there.
+
+    It reads the file and does not map it: a file that is cut short under a map kills the process. A ring that
+    is taken away, cut short or made anew is named, waited for, and read again from its oldest frame.
 
     Parameters
     ----------
@@ -117,37 +111,101 @@ class RingSource(_Ring):
     """
 
     def __init__(self, path: Path):
-        rows, columns, slots = _shape(path)
-        super().__init__(path, (rows, columns), slots, writes=False)
-        self._next = max(1, self.written - slots + 2)
+        self.path, self._lost = path, ""
+        self._take(*_opened(path))
 
-    def poll(self, timeout_s: float) -> Sequence[Read | Fault]:
+    def poll(self, timeout_s: float) -> Sequence[Arrival]:
         """See `Source.poll`."""
         until = time.monotonic() + timeout_s
-        while self.written < self._next:
+        while True:
+            if self._looked_s + LOOK_S < time.monotonic() and (news := self._look()):
+                return news
+            if self._written() >= self._next:
+                return self._frames()
             if time.monotonic() >= until:
                 return []
             time.sleep(POLL_S)
-        found: list[Read | Fault] = []
-        oldest = self.written - self.slots + 2
+
+    def close(self) -> None:
+        """See `Source.close`."""
+        os.close(self._descriptor)
+
+    def _take(self, descriptor: int, shape: tuple[int, int, int]) -> None:
+        rows, columns, self.slots = shape
+        self._descriptor, self.window = descriptor, (rows, columns)
+        self._stride, self._looked_s = _stride(self.window), time.monotonic()
+        self._next = max(1, self._written() - self.slots + 2)
+
+    def _written(self) -> int:
+        """Frames written so far, 0 where the head is gone; read until it is the same twice."""
+        content = self._read(NUMBER.size, WRITTEN_AT)
+        while content != (again := self._read(NUMBER.size, WRITTEN_AT)):
+            content = again
+        return int(NUMBER.unpack(content)[0]) if len(content) == NUMBER.size else 0
+
+    def _read(self, size: int, at: int) -> bytes:
+        try:
+            return os.pread(self._descriptor, size, at)
+        except OSError:  # of a disk that is away
+            return b""
+
+    def _frames(self) -> list[Arrival]:
+        """What has been written since the last poll."""
+        written, found = self._written(), list[Arrival]()
+        oldest = written - self.slots + 2
         if self._next < oldest:
             found.append(
                 Fault(f"{self.path}: {oldest - self._next} frames overwritten before they were read")
             )
             self._next = oldest
-        while self._next <= self.written:
+        while self._next <= written:
             found.append(self._frame(self._next))
             self._next += 1
         return found
 
     def _frame(self, number: int) -> Read | Fault:
-        at = self._at(number)
-        slot = bytes(self._map[at : at + self._stride])
+        slot = self._read(self._stride, _at(number, self.slots, self._stride))
+        if len(slot) < self._stride:
+            return Fault(f"{self.path}: frame {number} is not there: the file was cut short")
         counter, unix_s, crc = BODY.unpack_from(slot, NUMBER.size)
         pixels = slot[NUMBER.size + BODY.size :]
         if NUMBER.unpack_from(slot)[0] != number or crc != _crc(counter, unix_s, pixels):
             return Fault(f"{self.path}: frame {number} is damaged")
         return Read(counter, unix_s, np.frombuffer(pixels, "<f4").reshape(self.window))
+
+    def _look(self) -> list[Arrival]:
+        """Whether the file is still that ring; what is wrong with it is named once."""
+        self._looked_s = time.monotonic()
+        if self._is_the_same() and not self._lost:
+            return []
+        try:
+            descriptor, shape = _opened(self.path)
+        except InputDataError as error:
+            first, self._lost = not self._lost, str(error)
+            return [*self._frames(), Notice(f"{self._lost}; waiting for it")] if first else []
+        self._lost = ""
+        return self._exchanged(descriptor, shape)
+
+    def _is_the_same(self) -> bool:
+        """Whether the path leads to the file that is open, whole, and with the frames that were read."""
+        try:
+            named, opened = os.stat(self.path), os.fstat(self._descriptor)
+        except OSError:
+            return False
+        same = (named.st_dev, named.st_ino) == (opened.st_dev, opened.st_ino)
+        whole = opened.st_size >= _size(self.window, self.slots)
+        return same and whole and self._written() >= self._next - 1
+
+    def _exchanged(self, descriptor: int, shape: tuple[int, int, int]) -> list[Arrival]:
+        """Go over to the file that has been opened, after the last frames of the one before."""
+        if self._is_the_same():
+            os.close(descriptor)
+            return [Notice(f"{self.path}: the ring is there again")]
+        rest = self._frames()
+        self.close()
+        self._take(descriptor, shape)
+        text = f"{self.path}: made anew, with frames of {shape[0]}x{shape[1]} px; the loop reads these now"
+        return [*rest, Notice(text, counts_anew=True)]
 
 
 def window_of(path: Path) -> tuple[int, int]:
@@ -162,13 +220,26 @@ def window_of(path: Path) -> tuple[int, int]:
     return rows, columns
 
 
+def _stride(window: tuple[int, int]) -> int:
+    return NUMBER.size + BODY.size + 4 * window[0] * window[1]
+
+
+def _size(window: tuple[int, int], slots: int) -> int:
+    return HEAD_BYTES + slots * _stride(window)
+
+
+def _at(number: int, slots: int, stride: int) -> int:
+    """Where the slot of a frame begins."""
+    return HEAD_BYTES + (number - 1) % slots * stride
+
+
 def _crc(counter: int, unix_s: float, pixels: bytes) -> int:
     return zlib.crc32(pixels, zlib.crc32(struct.pack("<qd", counter, unix_s)))
 
 
 def _create(path: Path, window: tuple[int, int], slots: int) -> None:
     """Make an empty ring that appears whole."""
-    size = HEAD_BYTES + slots * (NUMBER.size + BODY.size + 4 * window[0] * window[1])
+    size = _size(window, slots)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with open(temporary, "wb") as stream:
@@ -182,19 +253,40 @@ def _create(path: Path, window: tuple[int, int], slots: int) -> None:
 
 def _shape(path: Path) -> tuple[int, int, int]:
     """Rows, columns and slots of a ring."""
+    descriptor, shape = _opened(path)
+    os.close(descriptor)
+    return shape
+
+
+def _opened(path: Path) -> tuple[int, tuple[int, int, int]]:
+    """A descriptor of a ring, and its rows, columns and slots."""
+    descriptor = -1
     try:
-        with open(path, "rb") as stream:
-            head, size = stream.read(HEAD.size), os.fstat(stream.fileno()).st_size
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # of a pipe, too, without waiting
+        head, size = os.pread(descriptor, HEAD.size, 0), os.fstat(descriptor).st_size
+        return descriptor, _checked(path, head, size)
     except OSError as error:
+        _close(descriptor)
         raise InputDataError(f"{path}: cannot be read as a ring of frames: {error.strerror}") from error
+    except InputDataError:
+        _close(descriptor)
+        raise
+
+
+def _close(descriptor: int) -> None:
+    if descriptor >= 0:
+        os.close(descriptor)
+
+
+def _checked(path: Path, head: bytes, size: int) -> tuple[int, int, int]:
+    """Rows, columns and slots that the head of a file of some size states."""
     if len(head) < HEAD.size or not head.startswith(MAGIC):
         raise InputDataError(
             f"{path}: not a ring of frames; give the file that the recorder writes frames to"
         )
     _, version, rows, columns, slots = HEAD.unpack(head)
-    wanted = HEAD_BYTES + slots * (NUMBER.size + BODY.size + 4 * rows * columns)
     sound = 0 < rows <= LARGEST_SIDE and 0 < columns <= LARGEST_SIDE and slots > 1
-    if version != VERSION or not sound or size < wanted:
+    if version != VERSION or not sound or size < _size((rows, columns), slots):
         raise InputDataError(
             f"{path}: a damaged ring of frames, or one of another version; let it be made anew"
         )

@@ -12,15 +12,16 @@ from pathlib import Path
 
 from irlos_pipe.control.exposures import Accumulator, Exposure, Read
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.focus.agreement import exposure_differences, optical_differences
 from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
 from irlos_pipe.focus.exchange import CalibrationWatch
 from irlos_pipe.focus.journal import Journal
 from irlos_pipe.focus.loop import FocusLoop, LoopSettings
 from irlos_pipe.focus.mailbox import Command, Mailbox
-from irlos_pipe.focus.page import LivePage, PageSettings
+from irlos_pipe.focus.notes import SparingNotes
+from irlos_pipe.focus.page import HOUR_S, LivePage, PageSettings
 from irlos_pipe.focus.publisher import Publisher
-from irlos_pipe.focus.record import Record
-from irlos_pipe.focus.source import Fault, Source
+from irlos_pipe.focus.source import Arrival, Fault, Source
 from irlos_pipe.product.runfolder import owned_folder, require_free
 
 LOG = logging.getLogger(__name__)
@@ -28,6 +29,14 @@ COMMAND = "command"
 POLL_S = 0.25  # between looks at everything that is no frame
 CLOCK_STEP_S = 0.5
 OWN = ("focus.jsonl", COMMAND)
+
+
+class Stopped(KeyboardInterrupt):
+    """The loop was interrupted after it had made so many `records`."""
+
+    def __init__(self, records: int):
+        super().__init__()
+        self.records = records
 
 
 @dataclass(frozen=True)
@@ -41,11 +50,14 @@ class Service:
     calibration : CalibrationRequest
     settings : LoopSettings
     open_source : callable
-        Makes the source, with the calibration, and with whether an earlier loop has left a record.
+        Makes the source, with the calibration and the record, which knows what has been measured.
     flush_after_s : float
         Silence after which an incomplete exposure is closed.
+    silent_after_s : float
+        Silence after which an event says that no frames come.
     every_exposure_counts : bool
-        Whether exposures that have been overtaken are used: in a replay, not on the telescope.
+        Whether exposures that have been overtaken are used although they command: in a replay, not on the
+        telescope.
     page : PageSettings or None
     socket : Path or None
     """
@@ -53,8 +65,9 @@ class Service:
     output: Path
     calibration: CalibrationRequest
     settings: LoopSettings
-    open_source: Callable[[Calibration, bool], Source]
+    open_source: Callable[[Calibration, Journal], Source]
     flush_after_s: float = 2.0
+    silent_after_s: float = math.inf
     every_exposure_counts: bool = False
     page: PageSettings | None = None
     socket: Path | None = None
@@ -72,24 +85,26 @@ class Service:
         ------
         IrlosError
             When the loop cannot start.
+        Stopped
+            When it is interrupted.
         """
         with ExitStack() as stack:
             require_free(self.output, OWN)
             stack.enter_context(owned_folder(self.output))
             calibration = self.calibration.load()
             journal = stack.enter_context(closing(Journal(self.output)))
-            source = stack.enter_context(closing(self.open_source(calibration, journal.last is not None)))
+            source = stack.enter_context(closing(self.open_source(calibration, journal)))
             _require_window(source, calibration)
+            _require_agreement(source, calibration)
             mailbox = stack.enter_context(closing(Mailbox(self.output / COMMAND)))
             page = None if self.page is None else stack.enter_context(closing(LivePage(self.page)))
             publisher = None if self.socket is None else stack.enter_context(closing(Publisher(self.socket)))
             running = _Running(self, calibration, journal, mailbox, page, publisher, report)
-            running.begin()
+            running.begin(source)
             try:
-                while not stopped() and (arrivals := source.poll(POLL_S)) is not None:
-                    running.take(arrivals)
-            finally:  # interrupted, too
-                running.finish()
+                running.follow(source, stopped)
+            except KeyboardInterrupt:
+                raise Stopped(running.records) from None
             return running.records
 
 
@@ -111,60 +126,106 @@ class _Running:
     def __post_init__(self) -> None:
         settings, last = self.service.settings, self.journal.last
         self.loop = FocusLoop(self.calibration, settings, last)
-        done = (None, math.nan) if last is None else (last.exposure, last.unix_s)
+        done = () if last is None else (last.exposure, last.unix_s, last.recording)
         self.accumulator = Accumulator(settings.reads, settings.counter_step, *done)
         self.watch = CalibrationWatch(self.service.calibration, self.calibration)
-        self.heard_s, self.full = time.monotonic(), False
+        self.heard_s, self.silent, self.full = time.monotonic(), False, False
+        self.faults = SparingNotes(self.note)
 
-    def begin(self) -> None:
-        """Say that the loop runs, and from where it goes on."""
+    def begin(self, source: Source) -> None:
+        """Say that the loop runs, from where it goes on, and with which calibration."""
         last = self.journal.last
+        if self.page is not None:
+            for written_s, line in self.journal.recent(time.time() - HOUR_S):
+                self.page.show(line, written_s)
         text = "started" if last is None else f"started again after record {last.sequence}"
         self.note(f"{text}, calibration {self.calibration.name}")
+        self.note_calibration(self.calibration)
+        acquisition = getattr(source, "acquisition", self.calibration.acquisition)
+        if against := exposure_differences(acquisition, self.calibration.acquisition):
+            self.note(f"frames exposed otherwise than the calibration says: {'; '.join(against)}")
         if self.page is not None:
             self.report(f"page: {self.page.url}")
 
-    def take(self, arrivals: Sequence[Read | Fault]) -> None:
+    def follow(self, source: Source, stopped: Callable[[], bool]) -> None:
+        """Work on what comes until nothing more does."""
+        try:
+            while not stopped() and (arrivals := source.poll(POLL_S)) is not None:
+                self.take(arrivals)
+        finally:  # interrupted, too
+            self.finish()
+
+    def note_calibration(self, calibration: Calibration) -> None:
+        """Say what has to be said of a calibration."""
+        if calibration.notice:
+            self.note(f"calibration {calibration.name}: {calibration.notice}")
+
+    def take(self, arrivals: Sequence[Arrival]) -> None:
         """Work on what has arrived."""
         arrived_s = time.monotonic()
-        exposures: list[Exposure] = []
-        for one in arrivals:
-            if isinstance(one, Fault):
-                self.damaged += 1
-                self.note(one.text)
-            else:
-                exposures += self.accumulator.add(one)
-        if arrivals:
-            self.heard_s = arrived_s
-        elif arrived_s - self.heard_s > self.service.flush_after_s:
+        exposures = [exposure for one in arrivals for exposure in self.arrived(one)]
+        self.listen(any(isinstance(one, Read) for one in arrivals), arrived_s)
+        if arrived_s - self.heard_s > self.service.flush_after_s:
             exposures += self.accumulator.flush()
+        all_count = self.service.every_exposure_counts or self.service.settings.shadow
         for position, exposure in enumerate(exposures, 1):
-            overtaken = position < len(exposures) and not self.service.every_exposure_counts
-            self.publish(exposure, arrived_s, overtaken)
+            self.publish(exposure, arrived_s, position < len(exposures) and not all_count)
         self.look_around()
+
+    def arrived(self, one: Arrival) -> list[Exposure]:
+        """Take what has arrived; return the exposures that are complete with it."""
+        if isinstance(one, Read):
+            return self.accumulator.add(one)
+        if isinstance(one, Fault):
+            self.damaged += 1
+            self.faults.add(one.text)
+            return []
+        self.note(one.text)
+        return self.accumulator.count_anew() if one.counts_anew else []
+
+    def listen(self, heard: bool, now_s: float) -> None:
+        """Note when frames stop, and when they come again."""
+        silence_s, limit_s = now_s - self.heard_s, self.service.silent_after_s
+        if heard:
+            if self.silent:
+                self.note(f"frames come again after {silence_s:.1f} s")
+            self.heard_s, self.silent = now_s, False
+        elif silence_s > limit_s and not self.silent:
+            self.silent = True
+            self.note(f"no frames for {limit_s:g} s{self.unused()}")
+
+    def unused(self) -> str:
+        """Reads that no record tells of."""
+        count = self.accumulator.unused
+        return f"; {count} reads since the last record came too late or twice" if count else ""
 
     def publish(self, exposure: Exposure, arrived_s: float, overtaken: bool) -> None:
         """Command first, as light does not wait; then the record."""
         if exposure.restarted:
-            self.note(f"the counter of the recorder went back to {exposure.first_counter}")
+            last = self.journal.last
+            way = "back" if last is None or exposure.first_counter < last.counter else "on"
+            self.note(f"the counter of the recorder went {way} to {exposure.first_counter}")
         record = self.loop.record(exposure, arrived_s, damaged=self.damaged, overtaken=overtaken)
         self.damaged = 0
         if not self.service.settings.shadow:
             self.mailbox.write(Command(record.sequence, record.offset_nm, record.counter))
         self.journal.last = record
         self.records += 1
-        self.show(record, self.journal.add(record))
+        self.show(self.journal.add(record))
+        if self.loop.problem:
+            self.faults.add(f"exposure {record.exposure} could not be measured: {self.loop.problem}")
 
-    def show(self, record: Record, line: str) -> None:
-        """Pass the record on to whoever looks."""
+    def show(self, line: str) -> None:
+        """Pass the line of a record or an event on to whoever looks."""
         if self.page is not None:
-            self.page.show(record.sequence, line)
+            self.page.show(line)
         if self.publisher is not None:
             self.publisher.send(line)
 
     def look_around(self) -> None:
         """Disk, clock and calibration."""
         self.journal.flush()
+        self.faults.look()
         if (self.journal.waiting > 0) != self.full:
             self.full = self.journal.waiting > 0
             problem = self.journal.problem
@@ -177,6 +238,7 @@ class _Running:
         if news is not None and news.calibration is not None:
             self.loop.calibration = news.calibration
             self.note(f"calibration {news.calibration.name}")
+            self.note_calibration(news.calibration)
         elif news is not None:
             self.note(f"calibration kept: {news.problem}")
 
@@ -184,11 +246,12 @@ class _Running:
         """Close what is open; an exposure that was cut short does not count."""
         for exposure in self.accumulator.flush():
             self.publish(exposure, time.monotonic(), False)
-        self.note("stopped")
+        self.faults.finish()
+        self.note(f"stopped{self.unused()}")
 
     def note(self, text: str) -> None:
         """Record and report something that happened."""
-        self.journal.event(text)
+        self.show(self.journal.event(text))
         self.report(text)
 
 
@@ -205,4 +268,24 @@ def _require_window(source: Source, calibration: Calibration) -> None:
         raise InputDataError(
             f"frames of {window[0]}x{window[1]} px, and the calibration {calibration.name} is for "
             f"{calibration.window[0]}x{calibration.window[1]} px; give one for these frames"
+        )
+
+
+def _require_agreement(source: Source, calibration: Calibration) -> None:
+    """Frames must be taken as those of the calibration, as far as the source knows from the start.
+
+    Raises
+    ------
+    InputDataError
+        If they are not.
+    """
+    name = getattr(source, "instrument_name", calibration.instrument_name)
+    acquisition = getattr(source, "acquisition", calibration.acquisition)
+    against = optical_differences(acquisition, calibration.acquisition)
+    if name != calibration.instrument_name:
+        against.insert(0, f"instrument {name}, not {calibration.instrument_name}")
+    if against:
+        raise InputDataError(
+            f"the frames are not those that the calibration {calibration.name} is for: {'; '.join(against)}; "
+            "give one for these frames"
         )

@@ -22,10 +22,33 @@ class Fault:
     text: str
 
 
-class Source(Protocol):
-    """Where reads come from."""
+@dataclass(frozen=True)
+class Notice:
+    """Something that happened to the source itself.
 
-    def poll(self, timeout_s: float) -> Sequence[Read | Fault] | None:
+    Attributes
+    ----------
+    text : str
+        What happened and where, in one line.
+    counts_anew : bool
+        Whether the counter of the reads after it may begin anywhere.
+    """
+
+    text: str
+    counts_anew: bool = False
+
+
+Arrival = Read | Fault | Notice
+
+
+class Source(Protocol):
+    """Where reads come from.
+
+    It may say how its frames were taken, as far as it knows from the start: `window`, `acquisition` and
+    `instrument_name`, as a calibration has them.
+    """
+
+    def poll(self, timeout_s: float) -> Sequence[Arrival] | None:
         """Return what has arrived, waiting for up to `timeout_s`; None when nothing will come any more."""
 
     def close(self) -> None:

@@ -10,32 +10,38 @@ import numpy as np
 
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.focus.source import Fault
+from irlos_pipe.focus.agreement import stated_differences
+from irlos_pipe.focus.journal import Earlier
+from irlos_pipe.focus.source import Arrival, Fault
 from irlos_pipe.frames.cleaning import find_background
 from irlos_pipe.frames.detector import to_electrons
-from irlos_pipe.frames.recording import Detector
+from irlos_pipe.frames.recording import Acquisition
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.calibration_files import PREFIX
 from irlos_pipe.readers.find import read_recordings
 from irlos_pipe.readers.fitsfile import has_fits_name
 from irlos_pipe.readers.raw_file import RawRecording
+from irlos_pipe.readers.sidecar import read_sidecar, sidecar_path
 
 POLL_S = 0.02
+PART = "#"  # between the name of a file and that of one of its recordings
 QUIET_S = 0.2  # a file that has not changed for so long is complete
 
 
 class WatchedFolder:
     """Recorder folders and FITS files below a folder, one level deep, see `Source`.
 
+    Every recording counts its frames by itself: they carry its name, of the file below the folder.
+
     Parameters
     ----------
     root : Path
     instrument : Instrument
         Knows the read-out modes.
-    detector : Detector
-        Its gain.
-    from_start : bool
-        Read what is there already, too.
+    acquisition : Acquisition
+        As which the frames are taken: a recording whose side-car contradicts it is not used.
+    earlier : Earlier or None
+        What an earlier loop has measured: what has come since is read. Without, what is there already is not.
 
     Raises
     ------
@@ -43,15 +49,18 @@ class WatchedFolder:
         If there is no such folder.
     """
 
-    def __init__(self, root: Path, instrument: Instrument, detector: Detector, *, from_start: bool = False):
+    def __init__(
+        self, root: Path, instrument: Instrument, acquisition: Acquisition, earlier: Earlier | None = None
+    ):
         if not root.is_dir():
             raise InputDataError(f"{root}: no such folder; give the one that the recorder writes to")
-        self._root, self._instrument, self._detector = root, instrument, detector
+        self._root, self._instrument, self._calibrated = root, instrument, acquisition
         self._seen: dict[Path, tuple[int, int]] = {}
-        self._read = set() if from_start else set(self._files())
+        self._earlier = earlier or Earlier()
+        self._read = {one for one in self._files() if earlier is None or self._is_done(one, earlier)}
         self._away = False
 
-    def poll(self, timeout_s: float) -> Sequence[Read | Fault]:
+    def poll(self, timeout_s: float) -> Sequence[Arrival]:
         """See `Source.poll`."""
         until = time.monotonic() + timeout_s
         while True:
@@ -79,10 +88,28 @@ class WatchedFolder:
         files = (file for folder in folders for file in folder.iterdir())
         return sorted(f for f in files if has_fits_name(f) and not f.name.startswith((PREFIX, ".")))
 
+    def _is_done(self, path: Path, earlier: Earlier) -> bool:
+        """Whether an earlier loop has read a file, or it was there before that; the last may be half done."""
+        name = self._name(path)
+        if name == earlier.last.partition(PART)[0]:
+            return False
+        try:  # the time of the change: copies keep that of their contents
+            came_unix_s = path.stat().st_ctime
+        except OSError:
+            return False
+        return came_unix_s < earlier.since_unix_s or name in {
+            one.partition(PART)[0] for one in earlier.recordings
+        }
+
+    def _name(self, path: Path) -> str:
+        return path.relative_to(self._root).as_posix()
+
     def _complete(self) -> list[Path]:
         """New files that no longer change."""
         found = []
-        for path in self._files():
+        for path in sorted(
+            self._files(), key=lambda one: self._name(one) != self._earlier.last
+        ):  # that first
             if path in self._read:
                 continue
             try:
@@ -105,14 +132,32 @@ class WatchedFolder:
             return [Fault(" ".join(str(error).split()))]
         except Exception as error:  # nobody foresees all that can stand in a file
             return [Fault(f"{path}: cannot be used: {type(error).__name__}: {error}")]
-        return [read for raw in recordings for read in self._frames(raw)]
+        names = [
+            self._name(path) + (f"{PART}{raw.name}" if len(recordings) > 1 else "") for raw in recordings
+        ]
+        found: list[Read | Fault] = []
+        for raw, name in zip(recordings, names, strict=True):
+            if name == self._earlier.last or name not in self._earlier.recordings:
+                found += self._agreeing(raw, name)
+        return found
 
-    def _frames(self, raw: RawRecording) -> list[Read]:
+    def _agreeing(self, raw: RawRecording, name: str) -> list[Read] | list[Fault]:
+        """Frames of a recording, unless its side-car says that they are not those of the calibration."""
+        path = sidecar_path(raw.path)
+        try:
+            against = stated_differences(read_sidecar(path), self._calibrated)
+        except InputDataError as error:
+            return [Fault(" ".join(str(error).split()))]
+        if against:
+            return [Fault(f"{path}: not taken as the calibration says: {'; '.join(against)}; not used")]
+        return self._frames(raw, name)
+
+    def _frames(self, raw: RawRecording, name: str) -> list[Read]:
         good = ~raw.calibration.bad if raw.calibration.bad is not None else np.ones(raw.window, bool)
         background = find_background(raw.adu, raw.calibration, good)
-        images = to_electrons(raw.adu, background.adu, background.flat, self._detector.e_per_adu)
+        images = to_electrons(raw.adu, background.adu, background.flat, self._calibrated.detector.e_per_adu)
         times = np.full(raw.frames, np.nan) if raw.unix_s is None else raw.unix_s
         return [
-            Read(int(counter), float(unix_s), image)
+            Read(int(counter), float(unix_s), image, name)
             for counter, unix_s, image in zip(raw.frame_counter, times, images, strict=True)
         ]

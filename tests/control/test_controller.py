@@ -99,6 +99,16 @@ def test_one_measurement_far_outside_is_not_believed_and_three_start_the_loop_ag
         ({"gain": 0.0}, "stable"),
         ({"leak": 1.0}, "leak"),
         ({"capture_nm": 300.0}, "capture"),
+        ({"limit_nm": float("nan")}, "limit_nm nan"),
+        ({"limit_nm": float("inf")}, "limit_nm inf"),
+        ({"limit_nm": -1500.0}, "limit_nm -1500"),
+        ({"jump_nm": float("nan")}, "jump_nm nan"),
+        ({"linear_nm": float("inf")}, "linear_nm inf"),
+        ({"capture_nm": float("nan")}, "capture"),
+        ({"gain": float("nan")}, "gain nan"),
+        ({"leak": float("nan")}, "leak nan"),
+        ({"delay": -1, "gain": 0.1}, "delay -1"),
+        ({"patience": 0}, "patience 0"),
     ],
 )
 def test_settings_that_make_no_stable_loop_are_refused(settings, words):

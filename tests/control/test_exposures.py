@@ -1,5 +1,7 @@
 """Reads become exposures. Truth: sums written out; whatever the order, an exposure has the same bits."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from irlos_pipe.control.exposures import Accumulator, Read
@@ -98,3 +100,54 @@ def test_reads_with_different_windows_make_no_image():
     accumulator.add(read(0))
     (exposure,) = accumulator.add(Read(1, 0.0, np.zeros((5, 5))))
     assert exposure.image_e.shape == (0, 0)
+
+
+def of(recording: str, *counters: int) -> list[Read]:
+    return [Read(counter, 0.0, np.zeros((2, 3)), recording) for counter in counters]
+
+
+def test_every_recording_counts_by_itself_and_none_is_late_or_missing():
+    accumulator = Accumulator(2)
+    reads = [*of("b", 10, 11, 12), *of("a", 0, 1, 2, 3), *of("c", 90, 91)]
+    exposures = [one for read in reads for one in accumulator.add(read)]
+    assert [(one.recording, one.index, one.reads) for one in exposures] == [
+        ("b", 5, 2),
+        ("b", 6, 1),
+        ("a", 0, 2),
+        ("a", 1, 2),
+        ("c", 45, 2),
+    ]
+    assert [(one.late, one.missing, one.restarted) for one in exposures] == [
+        (0, 0, False),
+        (0, 1, False),
+        *[(0, 0, False)] * 3,
+    ]
+
+
+def test_told_that_counters_begin_anew_the_first_read_counts():
+    accumulator = Accumulator(2)
+    fed([4000, 4001, 4002], accumulator)
+    (cut_short,) = accumulator.count_anew()
+    assert (cut_short.index, cut_short.reads) == (2001, 1)
+    (exposure,) = fed([6, 7], accumulator)
+    assert (exposure.index, exposure.late, exposure.missing) == (3, 0, 0)
+
+
+def test_a_counter_that_jumps_leaves_no_reads_missing_and_says_so():
+    _, second = fed([0, 1, 2, 3, 2**62, 2**62 + 1, 2**62 + 2, 2**62 + 3])
+    assert (second.missing, second.restarted) == (0, True)
+
+
+def test_one_read_with_a_wild_counter_costs_some_exposures_and_no_more():
+    accumulator = Accumulator(READS)
+    reads = [*map(read, range(4)), replace(read(4), counter=2**62), *map(read, range(5, 60))]
+    exposures = [exposure for one in reads for exposure in accumulator.add(one)]
+    assert exposures[-1].index == 14
+    assert sum(one.reads == READS for one in exposures) >= 10
+    assert sum(one.reads + one.late for one in exposures) + accumulator.unused == 60
+
+
+def test_reads_of_which_no_record_tells_are_counted():
+    accumulator = Accumulator(READS, last_index=3)
+    fed([0, 1, 16, 16], accumulator)
+    assert accumulator.unused == 3

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import optics_cases as cases
+from scipy.ndimage import gaussian_filter
 
 from irlos_pipe.effects import FixedEffect, TipTiltJitter
 from irlos_pipe.effects.detector import InterpixelCrosstalk
@@ -190,3 +191,36 @@ def test_fixed_motion_is_in_the_table():
     image = model.predict(torch.tensor([[0.0, 0.0, 60.0]]), one * 1e6, zero)[0].numpy()
     assert Focus(model, GOOD, NOISE).measurement(image).defocus_nm == pytest.approx(60.0, abs=0.5)
     assert abs(sensor().measurement(image).defocus_nm - 60.0) > 1.0
+
+
+@pytest.mark.parametrize("value", [1e13, 1e20, 1e38, -1e38, 1e300])
+def test_numbers_that_no_detector_gives_are_refused_as_those_that_are_none(focus, value):
+    everywhere, pixel = np.full((48, 40), value), drawn([0.0, 0.0, 50.0])[0]
+    pixel[20, 20] = value
+    for image in (everywhere, pixel):
+        found = focus.measurement(image)
+        assert (found.valid, found.reasons) == (False, ("not_finite",))
+
+
+@pytest.mark.parametrize("value", [1e5, 1e9, 1e11, -1e11, 0.0])
+def test_a_constant_image_is_measured_and_not_valid(focus, value):
+    assert not focus.measurement(np.full((48, 40), value)).valid
+
+
+@pytest.mark.parametrize("window", [(48, 48), (48, 40)])
+def test_images_read_out_in_another_orientation_are_named_and_those_of_a_halo_are_not(window):
+    known = cases.settings(window, TWO_COLOURS, {6: -170.0, 7: 60.0, 8: 50.0, 11: -30.0, 5: 40.0})
+    model = ImageModel(PsfModel(known.for_single_frames(), (2, 3, 4)))
+    square = Focus(model, np.ones(window, bool), NOISE)
+    x = torch.as_tensor(anywhere(12, 400.0, seed=3))
+    mean_e = model.psf.images(x).double().clamp_min(0).numpy() * 1e6
+    images = np.random.default_rng(4).poisson(mean_e).astype(float)
+    others = [images[:, ::-1], images[:, :, ::-1], images[:, ::-1, ::-1]]
+    if window[0] == window[1]:
+        others += [one.transpose(0, 2, 1) for one in (images, *others)]
+    for other in others:
+        assert all("mirrored" in square.measurement(image).reasons for image in other)
+    blurred = [gaussian_filter(image, 2.5) for image in images]  # unlike the model, and yet upright
+    found = [square.measurement(image) for image in blurred]
+    assert min(one.misfit for one in found) > 0.1
+    assert not any("mirrored" in one.reasons for one in found)

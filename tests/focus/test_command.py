@@ -2,18 +2,24 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from conftest import invoke
 from helpers.paths import SAMPLES
 
 from irlos_pipe.commands.focus import TOKEN
 from irlos_pipe.control.exposures import Read
+from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.focus import calibration as calibration_module
+from irlos_pipe.focus.calibration import CalibrationRequest
 from irlos_pipe.focus.mailbox import Mailbox
 from irlos_pipe.focus.replay import Replay
 from irlos_pipe.focus.ring import RingWriter
@@ -49,7 +55,9 @@ def test_a_replay_gives_what_lift_gives_to_the_last_bit(run, tmp_path):
     found = records(tmp_path / "again")
     assert f"{len(points)} records" in result.stdout
     for mine, theirs in zip(found, points, strict=True):
-        assert (mine["defocus_nm"], mine["sigma_nm"]) == (theirs["defocus_nm"], theirs["sigma_photon_nm"])
+        assert [mine[key] for key in ("defocus_nm", "sigma_nm", "sigma_photon_nm")] == [
+            theirs[key] for key in ("defocus_nm", "sigma_nm", "sigma_photon_nm")
+        ]
         assert (mine["tip_nm"], mine["tilt_nm"]) == (theirs["zernike_nm"]["2"], theirs["zernike_nm"]["3"])
         assert mine["valid"] and not mine["commanded"]
     assert abs(found[0]["defocus_nm"] - points[0]["introduced_nm"]) < 10.0
@@ -109,12 +117,106 @@ def test_the_help_teaches_by_examples_and_names_the_token():
     assert TOKEN in text
 
 
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        *(
+            (option, value)
+            for option in ("--limit-nm", "--jump-nm", "--max-misfit", "--gain", "--leak", "--speed")
+            for value in ("nan", "inf")
+        ),
+        ("--stale-after", "nan"),
+        ("--silent-after", "inf"),
+        ("--wait", "nan"),
+    ],
+)
+def test_what_is_no_finite_number_is_refused_in_one_line(tmp_path, option, value):
+    code, line = failure("run", "--replay", "run", "--output", tmp_path / "loop", option, value)
+    assert (code, line) == (2, f"irlos: error: {option} {value}: give a finite number")
+
+
+@pytest.fixture
+def doubtful(run, tmp_path):
+    """The run with QC that has failed."""
+    folder = tmp_path / "doubtful"
+    shutil.copytree(run, folder)
+    results = json.loads((folder / "results.json").read_text())
+    (folder / "results.json").write_text(json.dumps(results | {"status": "qc_failed"}))
+    quality = json.loads((folder / "qc.json").read_text())
+    quality["checks"][0] |= {"passed": False, "name": "chi2 of the frames"}
+    (folder / "qc.json").write_text(json.dumps(quality))
+    return folder
+
+
+@pytest.mark.slow
+def test_a_calibration_whose_qc_has_failed_is_taken_only_when_asked_for(run, doubtful, tmp_path):
+    replay = ("--replay", str(run), "--output", str(tmp_path / "loop"))
+    code, line = failure(doubtful, *replay)
+    assert code == 3
+    assert re.search(r"doubtful: its QC has failed \('chi2 of the frames'.*--despite-qc", line)
+    assert invoke("focus", str(doubtful), *replay, "--despite-qc", "-q").exit_code == 0
+
+
+@pytest.mark.slow
+def test_samples_are_said_to_be_no_measurement(run, tmp_path):
+    told = invoke("focus", str(run), "--replay", str(run), "--output", str(tmp_path / "loop")).stdout
+    assert "simulated sample: 'ramp'" in told
+
+
+@pytest.mark.slow
+def test_frames_that_are_not_those_of_the_calibration_are_refused(run, tmp_path):
+    other = tmp_path / "acquisition.yaml"
+    text = (SAMPLES / "ramp" / "offset_00" / "acquisition.yaml").read_text()
+    out = ("--output", tmp_path / "loop")
+    for key, value in (("pixel_scale_mas", "9.9"), ("wavelength_nm", "2200.0")):
+        other.write_text(re.sub(rf"{key}: [0-9.]+", f"{key}: {value}", text, count=1))
+        code, line = failure(run, "--replay", run, "--acquisition", other, *out)
+        assert code == 3
+        assert "the frames are not those that the calibration" in line
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turn", [np.flipud, np.fliplr, np.transpose, np.rot90])
+def test_samples_read_out_in_another_orientation_are_not_valid(run, turn):
+    sensor = CalibrationRequest(run, despite_qc=True).load().sensor
+    frames = [read.image_e for _ in range(5) for read in Replay(run, "ramp").poll(0.0)]
+    assert all(sensor.measurement(frame).valid for frame in frames)
+    assert all("mirrored" in sensor.measurement(turn(frame)).reasons for frame in frames)
+
+
+@pytest.mark.slow
+def test_a_calibration_with_frames_of_a_2x2_mode_asks_for_those_of_the_full_pupil(run, monkeypatch):
+    real = calibration_module._like_the_ramp
+
+    def two_by_two(*arguments):
+        recording, *rest = real(*arguments)
+        return replace(recording, acquisition=replace(recording.acquisition, lenslets=2)), *rest
+
+    monkeypatch.setattr(calibration_module, "_like_the_ramp", two_by_two)
+    with pytest.raises(ConfigurationError, match=r"2x2 mode.*full pupil.*--acquisition FILE"):
+        CalibrationRequest(run, despite_qc=True).load()
+
+
+def test_a_ring_that_does_not_come_is_waited_for_and_then_an_error(tmp_path):
+    ring = tmp_path / "ring"
+    result = invoke("focus", "run", "--ring", str(ring), "--output", str(tmp_path / "loop"), "--wait", "0.1")
+    assert result.exit_code == 3
+    assert f"waiting 0.1 s for the ring {ring}" in result.stdout
+    assert f"{ring}: cannot be read as a ring of frames" in result.stderr
+
+
 # -- as processes -----------------------------------------------------------------------------------
 
 
 def started(run, ring, output) -> subprocess.Popen:
-    program = [sys.executable, "-m", "irlos_pipe", "focus", run, "--ring", ring, "--output", output, "-q"]
-    return subprocess.Popen([*map(str, program), "--reads", "2"], env={**os.environ, "OMP_NUM_THREADS": "1"})
+    program = [sys.executable, "-m", "irlos_pipe", "focus", run, "--ring", ring, "--output", output]
+    return subprocess.Popen(
+        [*map(str, program), "--reads", "2", "--despite-qc"],
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 def waited_for(output, count: int) -> list[dict]:
@@ -149,10 +251,42 @@ def test_killed_at_any_moment_the_loop_goes_on_where_it_was_and_nothing_is_lost(
     loop = started(run, ring, output)
     waited_for(output, 10)
     loop.send_signal(signal.SIGTERM)
-    assert loop.wait(timeout=30) == 130
+    told, errors = loop.communicate(timeout=30)
+    assert (loop.returncode, errors) == (0, "")
+    assert told.splitlines()[-2:] == ["stopped", f"7 records in {output}"]
     found = records(output)
     assert found[:4] == before
     assert [one["sequence"] for one in found] == [*range(1, 12)]
     assert [one["exposure"] for one in found] == [*range(11)]  # the last one was cut short
     assert [one["reads"] for one in found] == [2] * 10 + [1]
     assert not any(one["reads_missing"] for one in found[:10])
+
+
+@pytest.mark.slow
+def test_the_loop_outlives_its_ring_and_an_interrupt_ends_it_as_the_contract_says(run, tmp_path):
+    frame = Replay(run, "ramp").poll(0.0)[0].image_e
+    ring, output = tmp_path / "ring", tmp_path / "loop"
+
+    def write(counters: range) -> None:
+        writer = RingWriter(ring, (64, 64))
+        for counter in counters:
+            writer.write(Read(counter, 1.7e9 + counter, frame))
+        writer.close()
+
+    loop = started(run, ring, output)
+    assert loop.stdout is not None
+    assert loop.stdout.readline() == f"waiting 60 s for the ring {ring}\n"
+    write(range(100, 104))
+    waited_for(output, 2)
+    os.truncate(ring, 0)
+    time.sleep(1.0)
+    ring.unlink()
+    write(range(4))
+    found = waited_for(output, 4)
+    assert [one["exposure"] for one in found] == [50, 51, 0, 1]
+    loop.send_signal(signal.SIGINT)
+    told, errors = loop.communicate(timeout=30)
+    assert (loop.returncode, errors) == (130, "")
+    lines = told.splitlines()
+    assert any("waiting for it" in line for line in lines) and any("made anew" in line for line in lines)
+    assert lines[-2:] == ["stopped", f"4 records in {output}"]

@@ -1,9 +1,12 @@
 """Who may look at a loop, and what is seen. Truth: requests by the standard library, and a browser."""
 
 import json
+import math
 import shutil
 import socket
 import subprocess
+import time
+from dataclasses import replace
 from http.client import HTTPConnection
 from urllib.parse import urlsplit
 
@@ -12,9 +15,11 @@ from helpers import focus_loop as made
 
 from irlos_pipe.control.exposures import Accumulator
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.focus.journal import Journal
 from irlos_pipe.focus.loop import FocusLoop, LoopSettings
 from irlos_pipe.focus.page import LivePage, PageSettings
 from irlos_pipe.focus.publisher import Publisher
+from irlos_pipe.focus.record import event_line
 
 TOKEN = "a-token-of-some-length"
 
@@ -28,7 +33,7 @@ def records(count: int = 5):
 def page():
     page = LivePage(PageSettings(0))
     for record in records():
-        page.show(record.sequence, record.line())
+        page.show(record.line())
     yield page
     page.close()
 
@@ -40,12 +45,60 @@ def answer(page: LivePage, path: str, **headers: str) -> tuple[int, bytes]:
     return response.status, response.read()
 
 
-def test_it_serves_the_page_and_the_records_after_a_number(page):
+def lines(page: LivePage, query: str = "") -> dict:
+    status, content = answer(page, f"/lines?{query}")
+    assert status == 200
+    return json.loads(content)
+
+
+def test_it_serves_the_page_and_the_lines_after_a_number(page):
     assert b"Focus loop" in answer(page, "/")[1]
-    status, content = answer(page, "/records?after=3")
-    assert (status, [one["sequence"] for one in json.loads(content)]) == (200, [4, 5])
-    assert len(json.loads(answer(page, "/records?after=rubbish")[1])) == 5
+    page.show(event_line(5, time.time(), "the star is gone"))
+    everything = lines(page)
+    name = everything["loop"]
+    assert [one.get("sequence", one.get("event")) for one in everything["lines"]] == [
+        *range(1, 6),
+        "the star is gone",
+    ]
+    assert [one.get("sequence") for one in lines(page, f"after=3&loop={name}")["lines"]] == [4, 5, None]
+    assert lines(page, f"after={everything['last']}&loop={name}")["lines"] == []
+    for rubbish in ("after=rubbish", "after=%C2%B2", f"after={'9' * 6000}"):
+        assert len(lines(page, f"{rubbish}&loop={name}")["lines"]) == 6
     assert answer(page, "/etc/passwd")[0] == 404
+
+
+def test_what_was_numbered_by_another_loop_is_sent_whole(page):
+    known = lines(page)
+    other = LivePage(PageSettings(0))
+    try:
+        other.show(records(1)[0].line())
+        assert len(lines(other, f"after={known['last']}&loop={known['loop']}")["lines"]) == 1
+    finally:
+        other.close()
+
+
+def test_an_hour_is_one_by_time_however_many_exposures_it_has():
+    fast = LivePage(PageSettings(0))
+    try:
+        for number in range(5001):  # 4000 s, five in four seconds
+            fast.show(event_line(number, 0.0, str(number)), 1.7e9 + 0.8 * number)
+        assert [one["event"] for one in lines(fast)["lines"]] == [str(number) for number in range(500, 5001)]
+    finally:
+        fast.close()
+
+
+def test_after_a_restart_the_page_has_the_hour_from_the_record(tmp_path):
+    journal = Journal(tmp_path)
+    old, *young = records(4)
+    journal.add(replace(old, recorded_unix_s=time.time() - 4000.0))
+    journal.event("frames come again")
+    for record in young:
+        journal.add(record)
+    journal.close()
+    again = Journal(tmp_path)
+    found = [json.loads(line) for _, line in again.recent(time.time() - 3600.0)]
+    again.close()
+    assert [one.get("event", one.get("sequence")) for one in found] == ["frames come again", 2, 3, 4]
 
 
 def test_it_listens_on_the_loopback_and_answers_no_other_name(page):
@@ -68,8 +121,8 @@ def test_a_name_is_no_address():
 def test_with_a_token_only_who_has_it_is_answered():
     page = LivePage(PageSettings(0, "127.0.0.1", TOKEN))
     try:
-        assert answer(page, "/")[0] == answer(page, "/records?after=0&token=wrong")[0] == 403
-        assert answer(page, f"/records?token={TOKEN}") == (200, b"[]")
+        assert answer(page, "/")[0] == answer(page, "/lines?after=0&token=wrong")[0] == 403
+        assert lines(page, f"token={TOKEN}")["lines"] == []
     finally:
         page.close()
 
@@ -82,6 +135,9 @@ def test_a_port_in_use_is_an_error_in_one_line(page):
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="no browser")
 def test_a_browser_draws_it(page):
+    page.show(event_line(5, time.time(), "the star is gone"))
+    lost = replace(records(1)[0], sequence=6, flux_e=math.nan, defocus_nm=math.nan, valid=False)
+    page.show(lost.line())
     command = [
         "chromium",
         "--headless",
@@ -92,8 +148,10 @@ def test_a_browser_draws_it(page):
     ]
     text = subprocess.run([*command, page.url], capture_output=True, text=True, timeout=120).stdout
     assert "tracking" in text
-    assert text.count("<circle") == 4 * 5
-    assert "exposures 1 to 5" in text
+    assert text.count("<circle") == 4 * 6 - 1
+    assert "exposures 1 to 6" in text
+    assert "the star is gone" in text
+    assert "<dt>star</dt><dd>–</dd>" in text  # as it was not seen
 
 
 def test_every_client_of_the_socket_gets_each_line(tmp_path):

@@ -1,6 +1,8 @@
 """From exposures to records. Truth: the defocus of the images, and the controller by itself."""
 
+import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -88,3 +90,49 @@ def test_a_shadow_measures_and_commands_nothing():
     record = loop(LoopSettings(SETTINGS.controller, shadow=True)).record(exposure(0, 300.0), 0.0)
     assert (record.mode, record.valid, record.commanded, record.offset_nm) == ("shadow", True, False, 0.0)
     assert record.defocus_nm == pytest.approx(300.0, abs=3.0)
+
+
+def test_whatever_a_measurement_raises_becomes_a_record_and_the_offset_is_held(monkeypatch):
+    running = loop()
+    before = running.record(exposure(0, 50.0), 0.0)
+
+    def broken(*_):
+        raise IndexError("list index out of range")
+
+    monkeypatch.setattr(type(made.calibration().sensor), "measurement", broken)
+    record = running.record(exposure(1, 50.0), 0.0)
+    assert (record.valid, record.reasons, record.offset_nm) == (False, ("failed",), before.offset_nm)
+    assert running.problem == "IndexError: list index out of range"
+    monkeypatch.undo()
+    assert running.record(exposure(2, 50.0), 0.0).valid
+    assert running.problem == ""
+
+
+def test_an_absurd_frame_is_a_record_and_the_next_one_is_measured():
+    running = loop()
+    absurd = running.record(exposure(0, image_e=np.full(made.WINDOW, 1e38, np.float32)), 0.0)
+    assert absurd.reasons == ("not_finite",)
+    assert running.record(exposure(1, 50.0), 0.0).valid
+
+
+def test_the_error_is_that_of_photons_with_misfit_instant_and_optics():
+    record = loop().record(exposure(0, 500.0), 0.0)
+    optics_nm = 4.0 + record.defocus_nm / 1000.0
+    expected_nm = math.sqrt(2.0 * record.sigma_photon_nm**2 + 3.0**2 + optics_nm**2)
+    assert record.sigma_nm == pytest.approx(expected_nm)
+    assert record.sigma_photon_nm < 1.0
+
+
+def test_without_a_ramp_that_tells_them_the_whole_error_is_not_known():
+    bare = FocusLoop(replace(made.calibration(), errors=None), SETTINGS)
+    record = bare.record(exposure(0, 50.0), 0.0)
+    assert math.isnan(record.sigma_nm)
+    assert record.sigma_photon_nm < 1.0
+
+
+def test_records_of_older_loops_are_read():
+    record = loop().record(exposure(3, 123.0), 0.0)
+    content = json.loads(record.line())
+    for key in ("sigma_photon_nm", "recording", "recorded_unix_s"):
+        content.pop(key)
+    assert record_of(json.dumps(content)).state == record.state

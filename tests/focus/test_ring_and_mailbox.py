@@ -1,5 +1,7 @@
 """The files between the processes. Truth: what was written; damage done by hand."""
 
+import os
+
 import numpy as np
 import pytest
 from helpers import focus_loop as made
@@ -62,8 +64,8 @@ def test_a_damaged_frame_is_named_and_the_next_one_read(path):
 
 def test_a_reader_cannot_change_the_frames(path):
     RingWriter(path, (3, 4), 8)
-    with pytest.raises(TypeError):
-        RingSource(path)._map[0:1] = b"x"
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.pwrite(RingSource(path)._descriptor, b"x", 0)
 
 
 @pytest.mark.parametrize("content", [b"", b"IRLOSRNG", b"SIMPLE  = T" * 40, b"IRLOSRNG" + b"\xff" * 200])
@@ -97,3 +99,81 @@ def test_a_damaged_command_is_none_and_another_file_is_refused(tmp_path):
     (tmp_path / "other").write_text("something else")
     with pytest.raises(InputDataError, match="not the command"):
         Mailbox(tmp_path / "other")
+
+
+# -- what can happen to the file of a ring ----------------------------------------------------------
+
+
+def looked(source: RingSource) -> list:
+    """What comes when it looks at its file."""
+    source._looked_s = -1e9
+    return list(source.poll(0.0))
+
+
+def remade(path, window=(3, 4)) -> RingWriter:
+    path.unlink()
+    return RingWriter(path, window, 8)
+
+
+def test_a_ring_that_is_cut_short_is_named_once_and_read_again_when_it_is_whole(path):
+    writer = RingWriter(path, (3, 4), 8)
+    source = RingSource(path)
+    writer.write(read(1))
+    assert [one.counter for one in source.poll(0.0)] == [1]
+    os.truncate(path, 0)
+    assert source.poll(0.0) == []  # a look has still to come, and no signal kills the process
+    (notice,) = looked(source)
+    assert str(path) in notice.text and "waiting for it" in notice.text
+    assert looked(source) == []
+    remade(path).write(read(7))
+    (notice,) = looked(source)
+    assert "made anew" in notice.text and notice.counts_anew
+    assert [one.counter for one in source.poll(0.0)] == [7]
+
+
+def test_frames_beyond_the_end_of_a_ring_are_damaged(path):
+    writer = RingWriter(path, (3, 4), 8)
+    source = RingSource(path)
+    for counter in range(4):
+        writer.write(read(counter))
+    os.truncate(path, 64 + 100)
+    first, *rest = source.poll(0.0)
+    assert first.counter == 0
+    assert all(isinstance(one, Fault) and "cut short" in one.text for one in rest)
+
+
+@pytest.mark.parametrize("window", [(3, 4), (5, 6)])
+def test_a_ring_that_is_made_anew_is_read_from_its_beginning(path, window):
+    writer = RingWriter(path, (3, 4), 8)
+    source = RingSource(path)
+    writer.write(read(100))
+    assert len(source.poll(0.0)) == 1
+    writer.write(read(101))
+    other = remade(path, window)
+    other.write(read(0, window))
+    rest, notice = looked(source)
+    assert rest.counter == 101
+    assert f"frames of {window[0]}x{window[1]} px" in notice.text and notice.counts_anew
+    (first,) = source.poll(0.0)
+    assert (first.counter, first.image_e.shape) == (0, window)
+
+
+def test_a_ring_that_is_away_for_a_while_goes_on_where_it_was(path, tmp_path):
+    writer = RingWriter(path, (3, 4), 8)
+    source = RingSource(path)
+    writer.write(read(1))
+    source.poll(0.0)
+    path.rename(tmp_path / "away")
+    (notice,) = looked(source)
+    assert "No such file" in notice.text
+    (tmp_path / "away").rename(path)
+    (notice,) = looked(source)
+    assert "there again" in notice.text and not notice.counts_anew
+    writer.write(read(2))
+    assert [one.counter for one in source.poll(0.0)] == [2]
+
+
+def test_a_pipe_in_place_of_a_ring_is_refused_without_waiting(path):
+    os.mkfifo(path)
+    with pytest.raises(InputDataError, match="ring"):
+        RingSource(path)

@@ -1,8 +1,9 @@
 """The program around the loop. Truth: the reads that were given to it, and the loop by itself."""
 
 import json
+import socket
 import sqlite3
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,10 @@ from irlos_pipe.focus.exchange import CalibrationWatch, require_exchangeable
 from irlos_pipe.focus.loop import FocusLoop, LoopSettings
 from irlos_pipe.focus.mailbox import Mailbox
 from irlos_pipe.focus.service import Service
-from irlos_pipe.focus.source import Fault
+from irlos_pipe.focus.source import Fault, Notice
 
 SETTINGS = LoopSettings(ControllerSettings(gain=0.5, delay=0), reads=2)
+CLOCKED = {"latency_ms": 0, "recorded_unix_s": 0}  # what depends on the moment
 
 
 @dataclass
@@ -40,7 +42,8 @@ class Listed:
 def service(output: Path, arrivals: list, found=None, **changes) -> Service:
     source = Listed(arrivals, changes.pop("window", made.WINDOW))
     request = made.Ready(output / "none", found or made.calibration())
-    return Service(output, request, SETTINGS, lambda *_: source, **changes)
+    settings = changes.pop("settings", SETTINGS)
+    return Service(output, request, settings, lambda *_: source, **changes)
 
 
 def reads(first: int, last: int, defocus_nm: float = 30.0) -> list[list]:
@@ -69,7 +72,7 @@ def test_records_are_those_of_the_loop_by_itself(tmp_path):
     exposures = [one for (read,) in reads(0, 8) for one in accumulator.add(read)]
     alone = [json.loads(loop.record(one, 0.0).line()) for one in exposures]
     for mine, theirs in zip(lines(tmp_path)[0], alone, strict=True):
-        assert mine | {"latency_ms": 0} == theirs | {"latency_ms": 0}
+        assert mine | CLOCKED == theirs | CLOCKED
 
 
 def test_started_again_it_goes_on_and_does_nothing_twice(tmp_path):
@@ -223,3 +226,158 @@ def test_one_that_cannot_be_used_leaves_the_loop_with_what_it_has(tmp_path, foun
 
 def test_the_same_calibration_is_exchangeable():
     require_exchangeable(made.calibration(), made.calibration("second"))
+
+
+def test_a_calibration_for_other_frames_is_not_exchangeable():
+    old = made.calibration()
+    other = replace(old, acquisition=replace(old.acquisition, pixel_scale_mas=12.0))
+    with pytest.raises(InputDataError, match=r"pixel_scale_mas 12, not 9\.7"):
+        require_exchangeable(old, other)
+
+
+def test_what_has_to_be_said_of_a_calibration_is_said(tmp_path):
+    found = replace(made.calibration(), notice="simulated sample")
+    service(tmp_path, [], found).run(lambda _: None)
+    assert lines(tmp_path)[1] == [
+        "started, calibration first",
+        "calibration first: simulated sample",
+        "stopped",
+    ]
+
+
+# -- frames ------------------------------------------------------------------------------------------
+
+
+def test_a_shadow_measures_every_exposure_however_late_it_comes(tmp_path):
+    at_once = [read for (read,) in reads(0, 8)]
+    service(tmp_path, [at_once], settings=replace(SETTINGS, shadow=True)).run(lambda _: None)
+    assert [one["valid"] for one in lines(tmp_path)[0]] == [True] * 4
+
+
+def test_a_recording_with_lower_counters_than_the_one_before_is_measured(tmp_path):
+    first = [replace(read, recording="a") for (read,) in reads(100, 104)]
+    second = [replace(read, recording="b") for (read,) in reads(0, 4)]
+    service(tmp_path, [[one] for one in (*first, *second)]).run(lambda _: None)
+    records, _ = lines(tmp_path)
+    assert [(one["recording"], one["exposure"], one["reads_late"]) for one in records] == [
+        ("a", 50, 0),
+        ("a", 51, 0),
+        ("b", 0, 0),
+        ("b", 1, 0),
+    ]
+
+
+def test_after_a_restart_a_recording_goes_on_where_it_was(tmp_path):
+    given = []
+
+    def opened(_, journal):
+        given.append(journal.earlier)
+        return Listed([[replace(read, recording="b")] for (read,) in reads(0, 4 + 4 * (len(given) - 1))])
+
+    request = made.Ready(tmp_path / "none", made.calibration())
+    for _ in range(2):
+        Service(tmp_path, request, SETTINGS, opened).run(lambda _: None)
+    assert given[0] is None
+    assert (given[1].recordings, given[1].last) == (frozenset({"b"}), "b")
+    assert given[1].since_unix_s > 1.7e9
+    assert [one["exposure"] for one in lines(tmp_path)[0]] == [0, 1, 2, 3]
+
+
+def test_a_ring_that_is_made_anew_loses_no_exposure(tmp_path):
+    anew = [Notice("made anew", counts_anew=True)]
+    service(tmp_path, [*reads(1000, 1004), anew, *reads(0, 4)]).run(lambda _: None)
+    records, events = lines(tmp_path)
+    assert [one["exposure"] for one in records] == [500, 501, 0, 1]
+    assert [one["reads_damaged"] for one in records] == [0] * 4
+    assert "made anew" in events
+
+
+def test_reads_that_no_record_tells_of_are_told_at_the_end(tmp_path):
+    service(tmp_path, [*reads(100, 104), *reads(0, 3)]).run(lambda _: None)
+    assert lines(tmp_path)[1][-1] == "stopped; 3 reads since the last record came too late or twice"
+
+
+def test_frames_that_stop_and_come_again_are_told_once_each(tmp_path, monkeypatch):
+    clock = iter(range(0, 100_000, 2))
+    monkeypatch.setattr(service_module.time, "monotonic", lambda: float(next(clock)))
+    monkeypatch.setattr(service_module, "CLOCK_STEP_S", 1e9)
+    arrivals = [*reads(0, 4), *[[]] * 60, *reads(4, 8)]
+    service(tmp_path, arrivals, silent_after_s=50.0).run(lambda _: None)
+    _, events = lines(tmp_path)
+    assert sum(event.startswith("no frames for 50 s") for event in events) == 1
+    assert sum(event.startswith("frames come again after") for event in events) == 1
+
+
+def test_of_many_faults_some_are_told_and_the_rest_counted(tmp_path):
+    junk = [[Fault(f"junk {number}")] for number in range(500)]
+    service(tmp_path, [*junk, *reads(0, 2)]).run(lambda _: None)
+    records, events = lines(tmp_path)
+    told = [event for event in events if event.startswith("junk")]
+    assert told == [f"junk {number}" for number in range(20)]
+    assert "480 more faults, the last: junk 499" in events
+    assert records[0]["reads_damaged"] == 500
+
+
+def test_what_is_unforeseen_in_a_measurement_is_an_event(tmp_path, monkeypatch):
+    def broken(*_):
+        raise IndexError("out of range")
+
+    monkeypatch.setattr(type(made.calibration().sensor), "measurement", broken)
+    service(tmp_path, reads(0, 4)).run(lambda _: None)
+    records, events = lines(tmp_path)
+    assert [one["reasons"] for one in records] == [["failed"]] * 2
+    assert "exposure 1 could not be measured: IndexError: out of range" in events
+
+
+def test_a_wild_counter_is_an_event_and_no_number_of_missing_reads(tmp_path):
+    wild = [[made.read(2**62 + number, 30.0, reads=2)] for number in range(2)]
+    service(tmp_path, [*reads(0, 2), *wild]).run(lambda _: None)
+    records, events = lines(tmp_path)
+    assert records[1]["reads_missing"] == 0
+    assert f"the counter of the recorder went on to {2**62}" in events
+
+
+def test_the_socket_gets_events_as_well_as_records(tmp_path):
+    path = tmp_path / "s"
+    heard = []
+
+    class Connected(Listed):
+        def poll(self, timeout_s):
+            if not heard:
+                client = socket.socket(socket.AF_UNIX)
+                client.connect(str(path))
+                heard.append(client)
+            return super().poll(timeout_s)
+
+    request = made.Ready(tmp_path, made.calibration())
+    source = Connected([[], [Fault("frame 5 is damaged")], *reads(0, 2)])
+    Service(tmp_path / "loop", request, SETTINGS, lambda *_: source, socket=path).run(lambda _: None)
+    sent = [json.loads(line) for line in heard[0].recv(100_000).decode().splitlines()]
+    assert [one.get("event", one.get("sequence")) for one in sent] == ["frame 5 is damaged", 1, "stopped"]
+
+
+def test_frames_that_are_not_those_of_the_calibration_are_refused(tmp_path):
+    class Foreign(Listed):
+        acquisition = replace(made.calibration().acquisition, spectrum=((2200.0, 1.0),))
+
+    class OfAnotherInstrument(Listed):
+        instrument_name = "nirc2_narrow"
+
+    request = made.Ready(tmp_path, made.calibration())
+    for source, words in ((Foreign([]), "2200 nm"), (OfAnotherInstrument([]), "nirc2_narrow, not irlos")):
+        with pytest.raises(InputDataError, match=words):
+            Service(tmp_path / "loop", request, SETTINGS, lambda *_, one=source: one).run(lambda _: None)
+
+
+def test_frames_exposed_otherwise_are_told(tmp_path):
+    class Longer(Listed):
+        acquisition = replace(made.calibration().acquisition, exposure_s=4.0)
+
+    found = made.calibration()
+    found = replace(found, acquisition=replace(found.acquisition, exposure_s=1.0))
+    request = made.Ready(tmp_path, found)
+    Service(tmp_path / "loop", request, SETTINGS, lambda *_: Longer([])).run(lambda _: None)
+    assert (
+        "frames exposed otherwise than the calibration says: exposure_s 4, not 1"
+        in lines(tmp_path / "loop")[1]
+    )

@@ -1,6 +1,7 @@
 """Recordings that appear in a folder. Truth: the counts that were written."""
 
 import os
+import re
 import time
 
 import numpy as np
@@ -8,22 +9,25 @@ import pytest
 from helpers import sparta_files as sparta
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.focus.journal import Earlier
 from irlos_pipe.focus.source import Fault
 from irlos_pipe.focus.watched import WatchedFolder
-from irlos_pipe.frames.recording import Detector
+from irlos_pipe.frames.recording import Acquisition, Detector
 from irlos_pipe.instrument.instrument import load_instrument
 
-INSTRUMENT, DETECTOR = load_instrument("irlos"), Detector(0.5, 1.0)
+INSTRUMENT = load_instrument("irlos")
+CALIBRATED = Acquisition("psf", Detector(0.5, 1.0), ((1600.0, 1.0),), {6: -170.0}, 9.7)
 DARK = np.full((32, 32), 50.0)
 
 
 def watched(tmp_path, **options) -> WatchedFolder:
-    return WatchedFolder(tmp_path, INSTRUMENT, DETECTOR, **options)
+    return WatchedFolder(tmp_path, INSTRUMENT, CALIBRATED, **options)
 
 
-def write(folder, first: int, frames: int = 3) -> np.ndarray:
+def write(folder, first: int, frames: int = 3, **keys) -> np.ndarray:
     adu = sparta.counts(sparta.star(), frames, seed=first)
-    path = sparta.write_recorder(folder, adu, maps={"DARK": DARK}, counter=np.arange(first, first + frames))
+    counter = np.arange(first, first + frames)
+    path = sparta.write_recorder(folder, adu, keys=keys, maps={"DARK": DARK}, counter=counter)
     _age(path)
     return adu
 
@@ -50,7 +54,7 @@ def test_frames_of_new_recordings_come_in_order_and_in_electrons(tmp_path):
 
 def test_what_is_there_already_is_read_when_asked_for(tmp_path):
     write(tmp_path / "before", 0)
-    assert len(arrivals(watched(tmp_path, from_start=True))) == 3
+    assert len(arrivals(watched(tmp_path, earlier=Earlier()))) == 3
 
 
 def test_a_file_that_is_still_being_written_is_waited_for(tmp_path):
@@ -91,3 +95,35 @@ def test_a_folder_that_goes_away_is_named_once_and_waited_for(tmp_path):
     (tmp_path / "elsewhere").rename(root)
     write(root / "scan", 5)
     assert len(arrivals(source)) == 3
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("spectrum", [{"wavelength_nm": 2200.0, "weight": 1.0}], "2200 nm.*not 1600 nm"),
+        ("pixel_scale_mas", 12.0, "pixel_scale_mas 12, not 9.7"),
+        ("diversity", {"source": "lens", "zernike": {6: 170.0}}, "Noll 6 170 nm, not -170"),
+        ("detector", {"e_per_adu": 2.0, "read_noise_e": 1.0}, "e_per_adu 2, not 0.5"),
+    ],
+)
+def test_a_recording_that_was_taken_otherwise_is_named_and_not_used(tmp_path, key, value, words):
+    source = watched(tmp_path)
+    write(tmp_path / "scan", 5, **{key: value})
+    (fault,) = arrivals(source)
+    assert isinstance(fault, Fault)
+    assert re.search(rf"scan/acquisition.yaml: .*{words}", fault.text)
+
+
+def test_each_recording_is_named_and_those_of_an_earlier_loop_are_not_read_again(tmp_path):
+    for name, first in (("a", 10), ("b", 0), ("c", 5)):
+        write(tmp_path / name, first)
+    found = arrivals(watched(tmp_path, earlier=Earlier()))
+    assert [(one.recording, one.counter) for one in found if one.recording != "c/c.fits"] == [
+        *(("a/a.fits", counter) for counter in (10, 11, 12)),
+        *(("b/b.fits", counter) for counter in (0, 1, 2)),
+    ]
+    half_done = Earlier(0.0, frozenset({"a/a.fits", "b/b.fits"}), "b/b.fits")
+    found = arrivals(watched(tmp_path, earlier=half_done))
+    assert [one.recording for one in found] == ["b/b.fits"] * 3 + ["c/c.fits"] * 3
+    later = Earlier(time.time() + 10.0)
+    assert arrivals(watched(tmp_path, earlier=later)) == []  # there before the first start

@@ -14,7 +14,9 @@ from helpers import optics_cases as cases
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.focus.sensor import Focus, Limits
+from irlos_pipe.estimate.ramp_quality import FrameErrors
 from irlos_pipe.focus.calibration import Calibration
+from irlos_pipe.focus.shared_errors import SharedErrors
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Detector
 from irlos_pipe.instrument.instrument import load_instrument
@@ -23,6 +25,7 @@ from irlos_pipe.optics.psf import PsfModel
 WINDOW = (32, 32)
 SETTINGS = cases.settings(WINDOW, ((1625.0, 1.0),), {6: -170.0}).for_single_frames()
 NOISE = NoiseModel(1.0, 1.0)
+ERRORS = SharedErrors(FrameErrors(3.0, 2.0, 1.0), np.array([-1000.0, 1000.0]), np.array([3.0, 5.0]))
 FLUX_E = 2e5
 MADE_UNIX_S = 1_700_000_000.0
 
@@ -37,7 +40,7 @@ def calibration(name: str = "first", instrument: str = "irlos") -> Calibration:
     sensor = Focus(model(), np.ones(WINDOW, bool), NOISE, Limits())
     detector = Detector(1.0, 1.0)
     acquisition = Acquisition("psf", detector, ((1625.0, 1.0),), {6: -170.0}, 9.7)
-    return Calibration(sensor, name, load_instrument("irlos"), instrument, acquisition, MADE_UNIX_S)
+    return Calibration(sensor, name, load_instrument("irlos"), instrument, acquisition, MADE_UNIX_S, ERRORS)
 
 
 def image_e(defocus_nm: float, seed: int, reads: int = 1, flux_e: float = FLUX_E) -> np.ndarray:

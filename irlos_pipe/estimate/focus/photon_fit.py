@@ -59,9 +59,12 @@ class PhotonFit:
     ----------
     images : FocusImages
     good : ndarray of bool, (rows, columns)
+    iterations : int
+        At most.
     """
 
-    def __init__(self, images: FocusImages, good: np.ndarray):
+    def __init__(self, images: FocusImages, good: np.ndarray, iterations: int = ITERATIONS):
+        self._iterations = iterations
         self._images, self._good = images, good.ravel().astype(np.float64)
         pixels = good.size
         self._freedom = max(1, int(good.sum()) - 5)
@@ -85,7 +88,7 @@ class PhotonFit:
         self._images(*x[:3])
         x[3:] = self._brightness(image_e)
         value = self._compare(image_e, x, noise)
-        for iteration in range(1, ITERATIONS + 1):
+        for iteration in range(1, self._iterations + 1):
             gradient, fisher = self._equations(x)
             chi2_nu = self._chi2_nu()
             step, gain = _scoring(gradient, fisher)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -23,10 +24,18 @@ from irlos_pipe.optics.focus_table import FocusTable, Reach, can_tabulate, is_fa
 REACH_NM = 1000.0  # of defocus either way: images up to 900 nm have a template and room on both sides
 ROUGHLY_DECISIVE = 60.0  # Δχ² of the scan from which another maximum needs no fit of its own
 RIVALS = 3  # maxima tried at most where the first is wrong
+# A misfit below which images are not tried in other orientations, and the part of χ²/ν to which one of these
+# must bring it. Images read out transposed or flipped have a misfit of a tenth and more, and one orientation
+# in which χ²/ν is a ninth or less. In a seeing burst right images have such a misfit, too, and no better
+# orientation; of wrong ones it then brings χ²/ν to a quarter, near the focus only to a half.
+UPRIGHT_MISFIT, UPRIGHT_PART = 0.08, 0.5
+TURNED_ITERATIONS = 3  # a fit of the right orientation is near its end, and of wrong ones there are many
+ABSURD_E = 1e12  # of a pixel, either way: no detector gives it, and single precision has room for its square
 
 # Reasons why a measurement is not to be used.
 NOT_FINITE, SATURATED, NOT_CONVERGED = "not_finite", "saturated", "not_converged"
 LOST_STAR, RANGE, CHI2, TWIN, UNCERTAIN = "lost_star", "range", "chi2", "twin", "uncertain"
+MIRRORED = "mirrored"
 
 
 @dataclass(frozen=True)
@@ -129,6 +138,10 @@ class Focus:
         self._images = FocusImages(table)
         self._scan, self._fit = FocusScan(table), PhotonFit(self._images, self._good)
         self._image = np.empty(self._good.shape)
+        self._turned = [
+            (turn, PhotonFit(self._images, turn.of(self._good), TURNED_ITERATIONS))
+            for turn in _turns(self.window)
+        ]
 
     def measure(self, image_e: np.ndarray) -> tuple[float, float, bool]:
         """Return defocus, its error [nm RMS], and whether they are to be used; see `measurement`."""
@@ -158,13 +171,13 @@ class Focus:
         self._image[...] = image_e
         flat = self._image.ravel()
         flat[self._bad] = 0.0
-        if not math.isfinite(flat.sum()):
+        if not np.abs(flat).max() < ABSURD_E:  # NaN is none, either
             return Measurement(math.nan, math.nan, False, (NOT_FINITE,)), None
         noise = Noise(
             self.noise.excess_noise_factor, self.noise.floor_e2 * reads + self.noise.shared_e2 * reads**2
         )
         best, rival = self._best(flat, noise)
-        return self._judged(best, rival, float(flat.max()) / reads), best
+        return self._judged(best, rival, float(flat.max()) / reads, noise), best
 
     def model_e(self, found: Found) -> np.ndarray:
         """Return the image of a solution, (rows, columns) [e-]."""
@@ -197,7 +210,7 @@ class Focus:
         least = candidates[0].energy_e2 - ROUGHLY_DECISIVE * variance
         return [one for one in others[:1] if one.energy_e2 > least]
 
-    def _judged(self, found: Found, rival: float, peak_e: float) -> Measurement:
+    def _judged(self, found: Found, rival: float, peak_e: float, noise: Noise) -> Measurement:
         """A solution with everything that speaks against it."""
         limits, x, sigma_nm = self.limits, found.x, _sigma_nm(found)
         low, high = self._images.limits_nm
@@ -208,6 +221,7 @@ class Focus:
             LOST_STAR: not x[3] > limits.signal_to_noise * flux_sigma_e,
             RANGE: bool(((x[:3] <= low) | (x[:3] >= high)).any()),
             CHI2: self._is_wrong(found),
+            MIRRORED: self._is_mirrored(found, noise),
             TWIN: rival < limits.evidence,
             UNCERTAIN: not sigma_nm <= limits.sigma_nm,
         }
@@ -218,6 +232,36 @@ class Focus:
 
     def _is_wrong(self, found: Found) -> bool:
         return not (found.chi2_nu <= self.limits.chi2_nu or found.misfit <= self.limits.misfit)
+
+    def _is_mirrored(self, found: Found, noise: Noise) -> bool:
+        """Whether the image, where the model does not explain it, is explained flipped or turned."""
+        if found.chi2_nu <= self.limits.chi2_nu or found.misfit <= UPRIGHT_MISFIT:
+            return False
+        for turn, fit in self._turned:
+            image = turn.of(self._image)
+            other = fit(image.ravel(), self._scan(image)[0][:3], noise)
+            if other.chi2_nu < UPRIGHT_PART * found.chi2_nu:
+                return True
+        return False
+
+
+class _Turn(NamedTuple):
+    """How a detector may be read out otherwise."""
+
+    transposed: bool
+    rows: int
+    columns: int
+
+    def of(self, image: np.ndarray) -> np.ndarray:
+        """Return an image so read out."""
+        image = image.T if self.transposed else image
+        return np.ascontiguousarray(image[:: self.rows, :: self.columns])
+
+
+def _turns(window: tuple[int, int]) -> list[_Turn]:
+    """All other orientations; only those of a square window may be transposed."""
+    transposed = (False, True) if window[0] == window[1] else (False,)
+    return [_Turn(*one) for one in product(transposed, (1, -1), (1, -1))][1:]
 
 
 def _sigma_nm(found: Found) -> float:

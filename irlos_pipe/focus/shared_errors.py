@@ -1,0 +1,56 @@
+"""The error of a loop's measurement with what photons do not tell, as the run's own ramp has shown it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from irlos_pipe.estimate.optics_error import spread_over
+from irlos_pipe.estimate.ramp_quality import FrameErrors
+from irlos_pipe.stages.lift.results import LiftResults
+
+
+@dataclass(frozen=True, eq=False)
+class SharedErrors:
+    """From the error by photons to that of the measurement, as the stage `lift` states it.
+
+    Attributes
+    ----------
+    frames : FrameErrors
+        Growth by misfit, and error of the instant.
+    defocus_nm, optics_nm : ndarray, (offsets,)
+        Error by the known wavefront at some values of defocus, in order.
+    """
+
+    frames: FrameErrors
+    defocus_nm: np.ndarray
+    optics_nm: np.ndarray
+
+    @classmethod
+    def of(cls, results: LiftResults) -> SharedErrors | None:
+        """Return those that a ramp has shown; None where it was measured without the NCPAs, or not at all.
+
+        Parameters
+        ----------
+        results : LiftResults
+            Of the ramp.
+        """
+        defocus_nm = np.array([point.defocus_nm for point in results.points])
+        chosen = spread_over(defocus_nm)
+        if not results.calibrated or not len(chosen):
+            return None
+        optics_nm = np.array([point.sigma_optics_nm for point in results.points])[chosen]
+        frames = FrameErrors(results.points[0].sigma_instant_nm, results.chi2_nu, results.nominal_chi2_nu)
+        return cls(frames, defocus_nm[chosen], optics_nm)
+
+    def sigma_nm(self, defocus_nm: float, photon_nm: float) -> float:
+        """Return the standard error of a measurement [nm].
+
+        Parameters
+        ----------
+        defocus_nm, photon_nm : float
+            The measurement, and its error by photons and read-out.
+        """
+        optics_nm = np.interp([defocus_nm], self.defocus_nm, self.optics_nm)
+        return float(self.frames.sigma_nm(np.array([photon_nm]), optics_nm)[0])
