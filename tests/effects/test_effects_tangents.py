@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from helpers.effect_cases import CONDITIONS, NOLLS, SPECTRUM, STRONG, WINDOW, made
+from helpers.effect_cases import NOLLS, SPECTRUM, STRONG, WINDOW, conditions_of, made
 from helpers.optics_cases import UT4, ncpa_nm, settings, vector
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, turned, with_sizes
@@ -230,7 +230,7 @@ def test_a_pupil_with_neither_a_hole_nor_vanes_has_no_sizes():
 
 def searched(name: str) -> list[Effect]:
     kind = IN_IMAGES[name]
-    return kind.under(CONDITIONS, **kind.options_for(**STRONG[name])).candidates(WINDOW, 9.7)
+    return kind.under(conditions_of(name), **kind.options_for(**STRONG[name])).candidates(WINDOW, 9.7)
 
 
 # High apertures and lenslets mean something only where there are any: other tests look at them there.

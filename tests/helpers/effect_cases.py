@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 
 from helpers.optics_cases import BAND, J_AND_H, RESIDUAL_LAW, settings
@@ -12,10 +14,13 @@ SPECTRUM = J_AND_H[1::3]
 WINDOW = (36, 33)
 NOLLS = tuple(range(2, 16))
 CONDITIONS = Conditions(settings(WINDOW, SPECTRUM), BAND, RESIDUAL_LAW, 0.5, NOLLS[-1])
+# The window does not show the edge of the field that IRLOS's AO corrects.
+LOW_CUTOFF = replace(CONDITIONS, band=replace(BAND, cutoff_per_m=0.5))
 STRONG = {
     "tip_tilt_jitter": {"sigma_mas": 12.0},
     "vibration": {"sigma_mas": 14.0, "angle_deg": 35.0},
     "seeing_halo": {"wfe_nm": 150.0},
+    "ao_cutoff": {"per_m": 0.62},
     "atmospheric_dispersion": {"mas_per_um": 60.0, "angle_deg": 120.0},
     "spectrum": {"wavelength_nm": 1440.0, "slope": 0.5, "width": 1.1},
     "plate_scale": {"fraction": 0.02},
@@ -46,10 +51,15 @@ STRONG = {
 }
 
 
+def conditions_of(name: str) -> Conditions:
+    """Conditions under which the effect means something."""
+    return LOW_CUTOFF if name == "ao_cutoff" else CONDITIONS
+
+
 def made(name: str) -> tuple[Effect, torch.Tensor]:
     """The effect and the solver's parameters for its strong level."""
     public, kind = STRONG[name], CATALOGUE[name]
-    effect = kind.under(CONDITIONS, **kind.options_for(**public))
+    effect = kind.under(conditions_of(name), **kind.options_for(**public))
     return effect, torch.tensor(effect.values_of(**public), dtype=torch.float64)
 
 
