@@ -16,6 +16,9 @@ from irlos_pipe.optics.focus_images import FocusImages
 
 ITERATIONS = 20
 HALVINGS = 6  # of a step that would raise the objective
+WITHIN_ROUNDING = (
+    3.0  # foretold fall over the rise that rounding may make, at which a fit that is stuck is done
+)
 
 
 class Noise(NamedTuple):
@@ -100,7 +103,8 @@ class PhotonFit:
             if trial is None:
                 break
             x, value = trial, lower
-        return Found(x, _inverse(fisher), value, chi2_nu, self._misfit(x, noise), iteration, False)
+        done = trial is None and gain < WITHIN_ROUNDING * rise  # no fall can be seen that is so small
+        return Found(x, _inverse(fisher), value, chi2_nu, self._misfit(x, noise), iteration, done)
 
     def _descend(self, image_e, x, step, highest, noise) -> tuple[np.ndarray | None, float]:
         """The point after a step, halved until the objective is not above `highest`, and the objective."""
