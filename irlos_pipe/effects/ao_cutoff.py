@@ -92,15 +92,16 @@ class AoCutoff(OtfEffect):
         cutoff = float(values[0].detach())
         lengths, place = _baselines(grid.focal)
         between = torch.as_tensor(self._between_nm2(lengths, cutoff))
+        # The quadrature is NumPy's: this carries its derivative, and adds nothing.
+        between = between + self._slope_nm2(lengths, cutoff) * (values[0] - cutoff)
         return factor * torch.exp(_scale(grid) * between[place])
 
     def slopes(
         self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
         """See `OtfEffect.slopes`: the integrand at the cut-off."""
-        cutoff = float(values[0].detach())
         lengths, place = _baselines(grid.focal)
-        slope = torch.as_tensor(-self._per_frequency_nm2(lengths, np.array([cutoff]))[:, 0])
+        slope = self._slope_nm2(lengths, float(values[0].detach()))
         return [self.apply(values, factor, grid) * _scale(grid) * slope[place] for _ in wanted]
 
     def phrase(self, public: Mapping[str, Any]) -> str:
@@ -113,6 +114,10 @@ class AoCutoff(OtfEffect):
         nodes, weights = np.polynomial.legendre.leggauss(NODES)
         frequencies = told + (cutoff_per_m - told) * (nodes + 1) / 2
         return -(cutoff_per_m - told) / 2 * self._per_frequency_nm2(lengths_m, frequencies) @ weights
+
+    def _slope_nm2(self, lengths_m: np.ndarray, cutoff_per_m: float) -> torch.Tensor:
+        """Derivative of `_between_nm2` by the cut-off."""
+        return torch.as_tensor(-self._per_frequency_nm2(lengths_m, np.array([cutoff_per_m]))[:, 0])
 
     def _per_frequency_nm2(self, lengths_m: np.ndarray, f_per_m: np.ndarray) -> np.ndarray:
         """Structure function by frequencies that are not corrected, (baselines, frequencies) [nm² m]."""

@@ -37,7 +37,7 @@ def effects_of(*entries, diversity=None):
     return model_effects(IRLOS, ModelConfig(effects=entries), recording(diversity or {6: -170.0}))
 
 
-@pytest.mark.parametrize("name", sorted(set(STRONG) - {"bad_pixels"}))
+@pytest.mark.parametrize("name", sorted(set(STRONG) - {"bad_pixels", "ao_cutoff"}))
 def test_every_effect_can_be_free_fixed_or_free_from_a_start(name):
     (free,) = effects_of(name)
     (fixed,) = effects_of({name: STRONG[name]})
@@ -46,6 +46,11 @@ def test_every_effect_can_be_free_fixed_or_free_from_a_start(name):
     assert fixed.parameters == ()
     assert [p.start for p in started.parameters] == pytest.approx(fixed.values)
     assert len(started.parameters) == len(fixed.values)
+
+
+def test_the_cut_off_of_the_ao_cannot_be_estimated_where_the_window_does_not_show_it():
+    with pytest.raises(ConfigurationError, match="outside the window"):
+        effects_of("ao_cutoff")
 
 
 @pytest.mark.parametrize("name", ["focus_stage_hysteresis", "focus_stage_offset", "focus_stage_scale"])
