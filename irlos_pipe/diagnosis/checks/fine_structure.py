@@ -37,7 +37,7 @@ class FineStructure:
     ratio : float
         Measured over what noise leaves there; 1 where the pixels are too coarse or too few to show it.
     significance : float
-        In standard deviations of single frames from their mean.
+        Of its excess, in Gaussian σ; of few frames no excess is significant, however strong it is.
     """
 
     ratio: float = 1.0
@@ -80,8 +80,21 @@ def structure_of(stack: Stack, model_e: torch.Tensor, settings: PsfSettings) -> 
     own = left + beyond.of_whole(model_e.reshape(settings.window))
     noise = (frames / scatter)[:, beyond.inside].mean(1) * len(frames) / (len(frames) - 1)
     means = [(part**2 / (scatter / len(frames) + shared))[beyond.inside].mean() for part in (left, own)]
-    ratio = float(min(means) / noise.mean())
-    return FineStructure(ratio, (ratio - 1) * float(noise.mean() / noise.std()))
+    power = float(min(means))
+    return FineStructure(power / float(noise.mean()), _significance(power, noise.numpy()))
+
+
+def _significance(power: float, of_noise: np.ndarray) -> float:
+    """Gaussian σ of a `power` beside those that noise gives frames, (frames,).
+
+    The power of noise is a χ² with few degrees, as bright pixels have most of it: its cube root is nearly
+    normal (Wilson & Hilferty 1931, PNAS 17, 684). A further draw is judged by Student's t, as the Gaussian
+    deviate of the same probability (Wallace 1959, Annals of Mathematical Statistics 30, 1121).
+    """
+    roots, degrees = np.cbrt(of_noise), len(of_noise) - 1
+    t = (np.cbrt(power) - roots.mean()) / (roots.std(ddof=1) * np.sqrt(1 + 1 / len(roots)))
+    sigma = (8 * degrees + 1) / (8 * degrees + 3) * np.sqrt(degrees * np.log1p(t**2 / degrees))
+    return float(np.copysign(sigma, t))
 
 
 def flat_rms(stack: Stack, residual_e: torch.Tensor, settings: PsfSettings) -> float:
