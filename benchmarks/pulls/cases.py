@@ -24,7 +24,7 @@ SHAPES: tuple[Shape, ...] = get_args(Shape)
 MAG_J, RAMP_MAG_J = 7.0, 12.0
 OFFSETS_NM, FRAMES_PER_OFFSET = (-200.0, -100.0, 0.0, 100.0, 200.0), 3
 NOLLS = range(4, HIGHEST_REPORTED_NOLL + 1)  # tip and tilt are the star's place, not an aberration
-HIGHEST_TRUE_NOLL = 120  # fitted to true wavefronts: with fewer modes what lies beyond falls on the last ones
+HIGHEST_TRUE_NOLL = 231  # of fits to true wavefronts: what lies beyond the last mode falls on others
 
 
 @dataclass(frozen=True)

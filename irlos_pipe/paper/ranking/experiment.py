@@ -20,7 +20,7 @@ from irlos_pipe.simulate.scene import Scene
 
 TAIL_STREAM = 3  # child of the cube's seed that the tail is drawn from
 LAST_TAIL_NOLL = 200
-HIGHEST_TRUE_NOLL = 120  # fitted to true wavefronts: with fewer modes what lies beyond falls on the last ones
+HIGHEST_TRUE_NOLL = 231  # of fits to true wavefronts: what lies beyond the last mode falls on others
 
 
 @dataclass(frozen=True)
