@@ -22,6 +22,7 @@ from irlos_pipe.frames.screening import (
     SATURATED,
     Limits,
     also,
+    core_of,
     hit_in_core,
     recorder_faults,
     saturated_frames,
@@ -124,9 +125,9 @@ def clean(
     reasons = star_faults(images, reasons, limits)
     good, images, hits = search.hits(images, good, reasons)
     hits = clipped.outside(~good).and_those(hits)
-    in_core = hit_in_core(hits, _mean(images, reasons), len(images), limits)
-    reasons = also(reasons, in_core, COSMIC)
-    reasons = also(reasons, search.odd(images, good, reasons), ODD)
+    core = core_of(_mean(images, reasons), limits)
+    reasons = also(reasons, hit_in_core(hits, core, len(images), limits), COSMIC)
+    reasons = also(reasons, search.odd(images, good, core, reasons), ODD)
     noise = search.noise(images, good, reasons)
     return Cleaned(
         images_e=images,

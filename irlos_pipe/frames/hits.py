@@ -79,6 +79,7 @@ def odd_frames(
     images_e: np.ndarray,
     frames: np.ndarray,
     good: np.ndarray,
+    core: np.ndarray,
     sampling_px: float,
     noise: NoiseModel,
     thresholds: Thresholds,
@@ -86,9 +87,12 @@ def odd_frames(
     """Return which of the `frames` have detail that no light makes and the others lack, (frames,).
 
     A damaged row of one frame is such detail. What all frames have, as where the noise is told too small, is
-    the fault of none. The arguments are those of `cosmic_hits`, whose hits are no longer in the images.
+    the fault of none. Pixels of the `core` (rows, columns) do not count: a star that moves beside clipped
+    pixels breaks their usual relation, and what hits them is counted by itself. The other arguments are those
+    of `cosmic_hits`, whose hits are no longer in the images.
     """
-    excess = _excess(images_e, frames, good, neighbour_prediction(good, sampling_px), noise, thresholds)
+    prediction = neighbour_prediction(good, sampling_px)
+    excess = _excess(images_e, frames, good & ~core, prediction, noise, thresholds)
     return excess > ODD * max(1.0, float(np.median(excess)))
 
 
@@ -107,12 +111,12 @@ def _suspicious_frames(
 def _excess(
     images_e: np.ndarray,
     frames: np.ndarray,
-    good: np.ndarray,
+    counted: np.ndarray,
     prediction: Prediction,
     noise: NoiseModel,
     thresholds: Thresholds,
 ) -> np.ndarray:
-    """By how much good pixels leave their usual relation to their neighbours: the most over the limit."""
+    """By how much `counted` pixels leave their usual relation to neighbours: the most over the limit."""
     sample = images_e[frames[sample_frames(len(frames))]]
     usual = np.median(sample - prediction.of(sample), axis=0)
     mean = sample.mean(axis=0, dtype=np.float64)
@@ -122,7 +126,7 @@ def _excess(
     for block in blocks(len(frames)):
         searched = images_e[frames[block]]
         over = np.abs(searched - prediction.of(searched) - usual) / limit
-        most.append(np.max(over, axis=(1, 2), where=good, initial=0.0))
+        most.append(np.max(over, axis=(1, 2), where=counted, initial=0.0))
     return np.concatenate(most)
 
 

@@ -86,11 +86,14 @@ class PixelSearch:
             return good, images, NO_HITS
         return self._without(images, good, cosmic_hits(images, used, good, *self._settings), len(used))
 
-    def odd(self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray) -> np.ndarray:
-        """Return which frames have detail that no light makes, (frames,); see `hits` for the arguments."""
+    def odd(self, images: np.ndarray, good: np.ndarray, core: np.ndarray, reasons: np.ndarray) -> np.ndarray:
+        """Return which frames have detail outside the `core` that no light makes, (frames,).
+
+        The `core` is that of the star, (rows, columns), other arguments are those of `hits`.
+        """
         odd, used = np.zeros(len(images), dtype=bool), np.flatnonzero(reasons == "")
         if self._well_sampled and len(used) >= LEAST_FRAMES:
-            odd[used] = odd_frames(images, used, good, *self._settings)
+            odd[used] = odd_frames(images, used, good, core, *self._settings)
         return odd
 
     def noise(self, images: np.ndarray, good: np.ndarray, reasons: np.ndarray) -> MeasuredNoise:

@@ -194,10 +194,12 @@ def flux_outliers(flux_e: np.ndarray, used: np.ndarray, limits: Limits) -> np.nd
     return (deviation > limits.flux_sigma * scatter) & (deviation > limits.flux_fraction * abs(median))
 
 
-def hit_in_core(hits: Hits, mean_e: np.ndarray, frames: int, limits: Limits) -> np.ndarray:
-    """Return which of so many `frames` have more `hits` in the core of the star than `limits` tolerates.
+def core_of(mean_e: np.ndarray, limits: Limits) -> np.ndarray:
+    """Return the core of the star in a mean image: pixels brighter than `core_fraction` of its peak."""
+    return mean_e > limits.core_fraction * mean_e.max()
 
-    The core are pixels of the mean image `mean_e` brighter than `core_fraction` of its peak.
-    """
-    in_core = mean_e[hits.row, hits.column] > limits.core_fraction * mean_e.max()
+
+def hit_in_core(hits: Hits, core: np.ndarray, frames: int, limits: Limits) -> np.ndarray:
+    """Return which of so many `frames` have more `hits` in the `core` of the star than `limits` tolerates."""
+    in_core = core[hits.row, hits.column]
     return np.bincount(hits.frame[in_core], minlength=frames) > limits.core_hits_px

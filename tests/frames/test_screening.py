@@ -7,6 +7,7 @@ from helpers.sparta_files import counts, frames_e, star
 from irlos_pipe.frames import screening
 from irlos_pipe.frames.hits import Hits
 from irlos_pipe.frames.screening import (
+    core_of,
     hit_in_core,
     no_reasons,
     recorder_faults,
@@ -139,7 +140,7 @@ def test_many_hits_reject_a_frame_only_in_the_core():
         row=np.repeat([peak[0], 0, peak[0]], [number, number, number - 1]),
         column=np.repeat([peak[1], 0, peak[1]], [number, number, number - 1]),
     )
-    assert hit_in_core(hits, IMAGE, 4, LIMITS).tolist() == [False, True, False, False]
+    assert hit_in_core(hits, core_of(IMAGE, LIMITS), 4, LIMITS).tolist() == [False, True, False, False]
 
 
 def test_reasons_are_counted():

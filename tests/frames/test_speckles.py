@@ -11,6 +11,7 @@ from helpers.speckle_cubes import SAMPLING_PX, speckle_cube
 from irlos_pipe.frames.believed_detector import EXCESS, GAIN, READ_NOISE, believed, constants
 from irlos_pipe.frames.cleaning import clean
 from irlos_pipe.frames.measured_noise import MeasuredNoise
+from irlos_pipe.frames.pixel_search import PixelSearch
 from irlos_pipe.frames.raw import RawFrames
 from irlos_pipe.frames.recording import FRAMES, PROFILE, SIDECAR, Detector
 from irlos_pipe.stages.ingest.config import Config
@@ -95,6 +96,18 @@ def test_a_clipped_peak_costs_its_pixels_and_no_frame():
     assert result.used.all()
 
 
+def test_odd_detail_in_the_core_is_no_fault_of_a_frame_and_elsewhere_it_is():
+    """Of ten frames, in which a star that moves has no usual relation to a clipped pixel."""
+    images, core, good = cube_e()[:10], np.zeros((64, 64), dtype=bool), np.ones((64, 64), dtype=bool)
+    core[28:37, 28:37] = True
+    search = PixelSearch(SAMPLING_PX, Detector(GAIN_E, 15.0), Config().thresholds())
+    for place, odd in ((33, 31), []), ((33, 45), [9]):
+        changed = images.copy()
+        changed[9, *place] += 3.0 * max(images[9, *place], 2000.0)
+        found = search.odd(changed, good, core, np.full(10, "", dtype=object))
+        assert np.flatnonzero(found).tolist() == odd
+
+
 def test_values_that_scatter_like_their_noise_are_not_clipped():
     still = np.random.default_rng(0).poisson(np.median(cube_e(), axis=0), (100, 64, 64))
     assert not cleaned(still + 0.0).clipped.any()
@@ -132,6 +145,12 @@ def test_every_frame_of_pharo_is_kept_and_what_is_masked_in_its_core_is_clipped(
     assert result.used.all()
     core = {place for place in bad(result) if max(abs(place[0] - 32), abs(place[1] - 32)) <= 4}
     assert {(32, 31), (32, 32), (33, 32)} <= core <= {(31, 32), (32, 31), (32, 32), (33, 31), (33, 32)}
+
+
+@needs_pharo
+@pytest.mark.parametrize("first", range(0, 90, 10))
+def test_ten_frames_of_pharo_are_all_kept(first):
+    assert cleaned(pharo_e()[first : first + 10], PHARO_SAMPLING_PX, 17.0).used.all()
 
 
 @needs_pharo

@@ -15,7 +15,7 @@ from irlos_pipe.stages.ingest.results import IngestResults as Results
 __all__ = ["Config", "Results", "files_of", "problems", "run"]
 
 NAME = "ingest"
-VERSION = 10
+VERSION = 11
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})
 
