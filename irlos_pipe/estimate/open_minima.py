@@ -82,7 +82,8 @@ def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) ->
         return opened
     rough = problem.with_tolerance(ROUGHLY * len(problem.layout.nolls)).reweighed(problem.root_weight)
     search = _Search(rough.hastened(), most, np.random.default_rng(SEED))
-    starts = [widened(x, closed[0].layout, problem.layout, {}) for x in task.starts(closed[0])]
+    begun, _ = task.released(problem.model.effects.effects, closed)  # the closed basis may hold some of them
+    starts = [widened(x, begun.layout, problem.layout, {}) for x in task.starts(begun)]
     best = search.best_from(starts)
     if best is None or float(best.objective[0]) >= float(opened.solution.objective[0]):
         return opened

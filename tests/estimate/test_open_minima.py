@@ -84,7 +84,11 @@ def ended(problem: OpenFit, x: torch.Tensor) -> Opened:
 
 def task(*starts: torch.Tensor) -> SimpleNamespace:
     """What the search asks of a cube."""
-    return SimpleNamespace(options=SimpleNamespace(max_iterations=60), starts=lambda problem: list(starts))
+    return SimpleNamespace(
+        options=SimpleNamespace(max_iterations=60),
+        starts=lambda problem: list(starts),
+        released=lambda effects, closed: closed,
+    )
 
 
 def closed(problem: OpenFit, chi2_nu: float) -> tuple[SimpleNamespace, SimpleNamespace]:

@@ -18,6 +18,8 @@ from irlos_pipe.estimate.calibration_options import CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.cube_fit import CubeFit
 from irlos_pipe.estimate.effect_modes import starts_as_told
+from irlos_pipe.estimate.open_fit import open_basis
+from irlos_pipe.estimate.open_minima import _Search, likelier_minimum
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 
@@ -55,6 +57,19 @@ def test_releasing_an_effect_changes_no_image(task):
     assert np.allclose(
         problem.model.effects.split(values[0, problem.layout.effect_values])["companion"], PLACE
     )
+
+
+def test_other_minima_begin_with_effects_that_the_closed_basis_held_where_they_were_told(monkeypatch, task):
+    told = FixedEffect(Companion(), PLACE, NAMES)
+    held = task.fit([told.expected()])
+    problem, values = task.released([told], held)
+    opened = open_basis(problem, values, max_iterations=1)
+    begun: list[torch.Tensor] = []
+    monkeypatch.setattr(_Search, "best_from", lambda search, starts: begun.extend(starts))
+    assert likelier_minimum(task, held, opened, most=0.0) is opened
+    layout = opened.problem.layout
+    assert [one.shape for one in begun] == [(1, layout.size)] * 2
+    assert np.allclose([one[0, layout.effect_values].numpy() for one in begun], [PLACE] * 2)
 
 
 @pytest.mark.parametrize(("other", "told_wins"), [(90.0, True), (110.0, False), (None, False)])
