@@ -42,7 +42,11 @@ class Task:
 
     def searched(self, effects: Sequence[Effect]) -> Search:
         """Add names until nothing significant is missing, or nothing explains what is."""
-        null = self._optimum(self._null(effects))
+        return self.searched_from(self._null(effects))
+
+    def searched_from(self, fitted: Fitted) -> Search:
+        """The same from a fit of the model as it is."""
+        null = self._optimum(fitted)
         drift, current = self._with_drift(null)
         accepted: list[Accepted] = []
         most_names = self.options.most_names * len(self.moments.by_number)

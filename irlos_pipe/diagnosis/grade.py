@@ -119,8 +119,11 @@ def _missed(search: Search, kind: str, sure: float) -> bool:
 def _unexplained(search: Search, left: bool) -> str:
     """What nothing explains, in words."""
     before, after = search.null.excess.chi2_nu, search.remaining.chi2_nu
-    if not search.adjusted:
+    if not search.adjusted and (left or search.all_modes is None):
         return f"nothing in the catalogue explains χ²/ν {after:.2f}"
+    if not search.adjusted:
+        last = search.final.fitted.problem.layout.nolls[-1]
+        return f"no name is sure, and modes beyond Noll {last} lower χ²/ν from {before:.2f} to {after:.2f}"
     lowered = (
         f"{', '.join(search.adjusted)}, of which none is sure, lower χ²/ν from {before:.2f} to {after:.2f}"
     )

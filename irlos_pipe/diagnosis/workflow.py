@@ -8,17 +8,21 @@ from dataclasses import replace
 
 import torch
 
+from irlos_pipe.diagnosis.acceptance import Search
 from irlos_pipe.diagnosis.checks.noise import PHOTONS, judge_all
 from irlos_pipe.diagnosis.conclude import conclude
 from irlos_pipe.diagnosis.cube import Cube
+from irlos_pipe.diagnosis.fitted import Fitted
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import Report, Task
 from irlos_pipe.diagnosis.grade import much_is_left
 from irlos_pipe.diagnosis.moments import Moments
+from irlos_pipe.diagnosis.naming import added
+from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.splitting import hold_out_of
 from irlos_pipe.diagnosis.together import together
-from irlos_pipe.diagnosis.tolerant import TolerantTask
+from irlos_pipe.diagnosis.tolerant import SETTLED, TolerantTask
 from irlos_pipe.diagnosis.verdict import UNKNOWN, Diagnosis
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.effects import Effect
@@ -59,11 +63,37 @@ def diagnose(
 
     views = [one.view(range(2, options.highest_noll + 1), device) for one in recordings]
     fitter, moments = Fitter(views, cube.training, options.drift_nm), Moments.of(recordings)
-    search = Task(cube, fitter, moments, options, report).searched(effects)
+    task = Task(cube, fitter, moments, options, report)
+    tolerant = TolerantTask(cube, fitter, moments, options, report, noise.kind)
+    search = task.searched(effects)
     if much_is_left(search, noise.kind, options.sure):
-        tolerant = TolerantTask(cube, fitter, moments, options, report, noise.kind)
         search = tolerant.beyond(search, effects)
+        if deeper := deeper_null(search, effects, fitter):
+            search = task.searched_from(deeper)
+            if much_is_left(search, noise.kind, options.sure):
+                search = tolerant.beyond(search, effects)
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
     if moments.several and diagnosis.verdict != UNKNOWN:
         diagnosis = replace(diagnosis, together=together(search, fitter, cube, moments, options))
     return replace(diagnosis, seconds=time.perf_counter() - began)
+
+
+def deeper_null(search: Search, told: Sequence[Effect], fitter: Fitter) -> Fitted | None:
+    """Return the model as it was in a far deeper minimum than that from which a search began.
+
+    What a false minimum misses is missing in no model. None if the search has added anything, or if the model
+    is no better from where the search ended.
+
+    Parameters
+    ----------
+    search : Search
+    told : sequence of Effect
+        What the model had from the start.
+    fitter : Fitter
+    """
+    null, final = search.null, search.final.fitted
+    if added(final, told):
+        return None
+    fitted = fitter.fit(final.continued(), final)
+    deeper = Optimum(null.stack, fitted).excess.chi2_nu < SETTLED * null.excess.chi2_nu
+    return fitted if deeper else None

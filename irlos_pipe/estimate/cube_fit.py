@@ -104,7 +104,7 @@ class CubeFit:
         pieces = held[0].model.effects.split(found[old.effect_values])
         starts = problem.model.effects.split(values[0, new.effect_values])
         joined = [pieces[label] if len(pieces[label]) else start for label, start in starts.items()]
-        values[0, new.effect_values] = torch.as_tensor(np.concatenate(joined))
+        values[0, new.effect_values] = torch.as_tensor(np.concatenate([np.empty(0), *joined]))
         return problem, values
 
     def _by_whole_waves(self, problem: ImageFit, solution: Solution) -> Solution:

@@ -433,7 +433,7 @@ def suite(tmp_path_factory):
     return folder, *run_all(SAMPLE, folder, jobs=1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_companion_and_an_offset_of_the_focus_stage_are_found_with_their_sizes(suite):
     _, outcomes, failed = suite
     assert failed == {}
@@ -446,7 +446,7 @@ def test_a_companion_and_an_offset_of_the_focus_stage_are_found_with_their_sizes
     assert companion["ncpa_bias_nm"]["after"] < 0.2 * companion["ncpa_bias_nm"]["before"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_truth_lies_outside_what_the_diagnosis_is_given(suite):
     folder, _, _ = suite
     given = [path.read_bytes() for path in (folder.path / "data").rglob("*") if path.is_file()]
@@ -454,7 +454,7 @@ def test_the_truth_lies_outside_what_the_diagnosis_is_given(suite):
     assert not any(b"flux_ratio" in content or b"focus_stage" in content for content in given)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_finished_cases_are_kept_and_one_that_breaks_ends_no_other(suite):
     folder, outcomes, _ = suite
     before = {path: path.stat().st_mtime_ns for path in folder.path.rglob("*.*")}
@@ -465,7 +465,7 @@ def test_finished_cases_are_kept_and_one_that_breaks_ends_no_other(suite):
     assert {path: path.stat().st_mtime_ns for path in before} == before
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_report_is_a_table_a_file_for_scripts_and_a_picture(suite, tmp_path):
     _, outcomes, _ = suite
     text = write_report(outcomes, {"clean.bench_narrow.00": "OSError: no space"}, tmp_path)

@@ -76,7 +76,7 @@ def test_nothing_is_left_where_modes_and_petals_are_those_of_the_scene():
     assert rms(wrong_nm, weight) == pytest.approx(150, rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_petals_in_the_model_take_them_out_of_the_wavefront():
     found = estimate(SAMPLE)
     key = f"{SHORT.name}/150"

@@ -118,7 +118,7 @@ def test_a_loop_with_true_estimates_is_the_mirror_that_is_told_the_truth(monkeyp
     assert found["diversity/modes_nm"] == pytest.approx(17.0 if diversity == "mirror" else 0.0, rel=0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_calibrated_loop_takes_a_bias_out():
     found = close(replace(SAMPLE, corrections=2, frames=20))
     name = LOOPS[0].name
