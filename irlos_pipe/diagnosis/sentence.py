@@ -32,8 +32,15 @@ def _found(diagnosis: Diagnosis) -> str:
         return f"Nothing significant is missing in the model{_limit(diagnosis)}."
     if diagnosis.verdict == UNKNOWN:
         return f"{_unnamed(diagnosis)}: {diagnosis.why_unknown}. {diagnosis.rest.text}."
-    lacking = " and ".join(f"{_phrase(step)}{_where(diagnosis, step)}" for step in diagnosis.steps)
+    lacking = _listed([f"{_phrase(step)}{_where(diagnosis, step)}" for step in diagnosis.steps])
     return f"Missing in the model: {lacking}{_others(diagnosis.steps)}; {_left(diagnosis)}."
+
+
+def _listed(phrases: Sequence[str]) -> str:
+    """Several phrases, which may have commas of their own, as a sentence lists them."""
+    if len(phrases) < 3:
+        return " and ".join(phrases)
+    return f"{'; '.join(phrases[:-1])}; and {phrases[-1]}"
 
 
 def _unnamed(diagnosis: Diagnosis) -> str:
