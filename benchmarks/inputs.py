@@ -39,22 +39,17 @@ from irlos_pipe.stages.model.section import ModelConfig
 RECIPE = SAMPLES.parent / "recipes" / "full_reduction.yaml"
 
 
+def reduction(output: Path) -> list[str]:
+    """Return the command that reduces the data samples as far as LIFT needs them."""
+    told = ["run", str(RECIPE), "--samples", "--output", str(output), "--to", "calibrate", "-q"]
+    return [sys.executable, "-m", "irlos_pipe", *told]
+
+
 def prepare(folder: Path, frames: int, progress) -> None:
     """Draw the frames, and reduce the data samples as far as LIFT needs them."""
     drawn = draw(frames, progress)
     np.savez(folder / "frames.npz", images_e=drawn.images_e, truth_nm=drawn.truth_nm)
-    command = [
-        sys.executable,
-        "-m",
-        "irlos_pipe",
-        "run",
-        str(RECIPE),
-        "--output",
-        str(folder / "run"),
-        "--to",
-        "calibrate",
-        "-q",
-    ]
+    command = reduction(folder / "run")
     subprocess.run(command, check=False, capture_output=True)
     if not list((folder / "run").glob("*_calibrate.h5")):
         raise SystemExit(f"the reduction of the data samples failed; repeat it with: {' '.join(command[1:])}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+
 import numpy as np
 import pytest
 import torch
@@ -10,6 +12,7 @@ from benchmarks.baseline_fft import FftModel, fit
 from benchmarks.baseline_numpy_lift import NumpyLift
 from benchmarks.focus_export import Fitted
 from benchmarks.focus_latency import NOISE, WINDOW, compare, histogram, prepared
+from benchmarks.inputs import reduction
 from irlos_pipe.estimate.focus.sensor import Focus
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
@@ -99,3 +102,10 @@ def test_what_is_exported_for_comparison_measures_the_same_focus():
         expected_nm, expected_sigma_nm, valid = sensor.measure(image_e)
         assert valid
         assert (focus_nm - expected_nm, sigma_nm) == pytest.approx((0, expected_sigma_nm), rel=1e-3, abs=5e-3)
+
+
+@pytest.mark.slow
+def test_the_reduction_that_the_benchmark_begins_with_is_one_that_the_program_accepts(tmp_path):
+    command = [*reduction(tmp_path / "run"), "--dry-run"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
