@@ -75,6 +75,7 @@ class SensitivityScan:
         modes_nm[:, 2] = torch.as_tensor(self.introduced_nm)
         flux_e = real.images_e.double().sum((1, 2)).median().expand(len(modes_nm))
         image_model = ImageModel(model, self._effects(calibrated=True))
-        mean_e = image_model.predict(modes_nm, flux_e, torch.zeros_like(flux_e)).clamp_min(0)
+        background_e = torch.zeros_like(flux_e)
+        mean_e = image_model.predict(modes_nm, flux_e, background_e, image_model.effects.starts).clamp_min(0)
         images_e = torch.poisson(mean_e, generator=torch.Generator().manual_seed(SEED)).float()
         return RampData(images_e, real.good, real.noise, self.introduced_nm)
