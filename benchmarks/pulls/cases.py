@@ -13,7 +13,7 @@ from irlos_pipe.estimate.optics_error import optics_sigma_nm
 from irlos_pipe.estimate.ramp_quality import FrameErrors, instant_error_nm, nominal_frame_chi2
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.paper.common.broad_band import COARSE
-from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
+from irlos_pipe.paper.common.cube import HIGHEST_TRUE_NOLL, CubeSample, ObservedCube
 from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, knowledge_of, observe, ramp_scene
 from irlos_pipe.paper.common.variants import DEFAULT, VARIANTS
 from irlos_pipe.simulate.atmosphere import Shape
@@ -24,7 +24,6 @@ SHAPES: tuple[Shape, ...] = get_args(Shape)
 MAG_J, RAMP_MAG_J = 7.0, 12.0
 OFFSETS_NM, FRAMES_PER_OFFSET = (-200.0, -100.0, 0.0, 100.0, 200.0), 3
 NOLLS = range(4, HIGHEST_REPORTED_NOLL + 1)  # tip and tilt are the star's place, not an aberration
-HIGHEST_TRUE_NOLL = 231  # of fits to true wavefronts: what lies beyond the last mode falls on others
 
 
 @dataclass(frozen=True)

@@ -10,18 +10,11 @@ from helpers import optics_cases as cases
 from helpers.experiment_stage import run_stage, section_of
 
 from irlos_pipe.estimate.calibration_options import OPEN
-from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
+from irlos_pipe.paper.common.cube import HIGHEST_TRUE_NOLL, CubeSample, ObservedCube
 from irlos_pipe.paper.common.results import Interval
 from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES
 from irlos_pipe.paper.ranking import stage
-from irlos_pipe.paper.ranking.experiment import (
-    HIGHEST_TRUE_NOLL,
-    RankingSample,
-    error_nm,
-    highest_nolls,
-    rank,
-    with_modes,
-)
+from irlos_pipe.paper.ranking.experiment import RankingSample, error_nm, highest_nolls, rank, with_modes
 from irlos_pipe.paper.ranking.section import section
 from irlos_pipe.simulate.exposure import expose
 

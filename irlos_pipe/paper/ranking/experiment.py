@@ -13,14 +13,13 @@ import numpy as np
 from irlos_pipe.conventions.modes import REPORTED_NOLLS
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.calibration_options import OPEN, HighestNoll
-from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
+from irlos_pipe.paper.common.cube import HIGHEST_TRUE_NOLL, CubeSample, ObservedCube
 from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES, VARIANTS, Variant
 from irlos_pipe.simulate.ncpa import draw_tail_nm
 from irlos_pipe.simulate.scene import Scene
 
 TAIL_STREAM = 3  # child of the cube's seed that the tail is drawn from
 LAST_TAIL_NOLL = 200
-HIGHEST_TRUE_NOLL = 231  # of fits to true wavefronts: what lies beyond the last mode falls on others
 
 
 @dataclass(frozen=True)
