@@ -119,15 +119,14 @@ def _missed(search: Search, kind: str, sure: float) -> bool:
 def _unexplained(search: Search, left: bool) -> str:
     """What nothing explains, in words."""
     before, after = search.null.excess.chi2_nu, search.remaining.chi2_nu
-    if not search.adjusted and (left or search.all_modes is None):
+    lower = f"lower χ²/ν from {before:.2f} to {after:.2f}"
+    if search.adjusted:
+        lowered = f"{', '.join(search.adjusted)}, of which none is sure, {lower}"
+        return f"{lowered}, and nothing explains the rest" if left else lowered
+    if left or search.all_modes is None:
         return f"nothing in the catalogue explains χ²/ν {after:.2f}"
-    if not search.adjusted:
-        last = search.final.fitted.problem.layout.nolls[-1]
-        return f"no name is sure, and modes beyond Noll {last} lower χ²/ν from {before:.2f} to {after:.2f}"
-    lowered = (
-        f"{', '.join(search.adjusted)}, of which none is sure, lower χ²/ν from {before:.2f} to {after:.2f}"
-    )
-    return f"{lowered}, and nothing explains the rest" if left else lowered
+    last = search.final.fitted.problem.layout.nolls[-1]
+    return f"no name is sure, and modes beyond Noll {last} {lower}"
 
 
 def is_left(search: Search, noise: NoiseVerdict, gap: Gap, sure: float) -> bool:

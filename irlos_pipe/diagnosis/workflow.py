@@ -65,13 +65,16 @@ def diagnose(
     fitter, moments = Fitter(views, cube.training, options.drift_nm), Moments.of(recordings)
     task = Task(cube, fitter, moments, options, report)
     tolerant = TolerantTask(cube, fitter, moments, options, report, noise.kind)
-    search = task.searched(effects)
-    if much_is_left(search, noise.kind, options.sure):
-        search = tolerant.beyond(search, effects)
-        if deeper := deeper_null(search, effects, fitter):
-            search = task.searched_from(deeper)
-            if much_is_left(search, noise.kind, options.sure):
-                search = tolerant.beyond(search, effects)
+
+    def completed(search: Search) -> Search:
+        """The search, gone on with where it leaves much."""
+        left = much_is_left(search, noise.kind, options.sure)
+        return tolerant.beyond(search, effects) if left else search
+
+    plain = task.searched(effects)
+    search = completed(plain)
+    if search is not plain and (deeper := deeper_null(search, effects, fitter)):
+        search = completed(task.searched_from(deeper))
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
     if moments.several and diagnosis.verdict != UNKNOWN:
         diagnosis = replace(diagnosis, together=together(search, fitter, cube, moments, options))
