@@ -182,13 +182,19 @@ class _State:
     def _finish(self, which: np.ndarray) -> None:
         """Close members, with the step that was found negligible: it costs nothing.
 
-        Nobody looks where it leads: damping keeps it from leaping along a direction that the data do not
-        determine.
+        Damping keeps it from leaping along a direction that the data do not determine. Where it leads is
+        looked at only if the Hessian may be a rough one, which can miss that the objective rises there.
         """
         self.status[which] = CONVERGED
-        if not self.reweighted:
-            step = self._free_step(which, self.damping[which].clip(min=DAMPING_START))
-            self.x[which] = (self.x[which] + step).clip(self.lower, self.upper)
+        if self.reweighted:
+            return
+        step = self._free_step(which, self.damping[which].clip(min=DAMPING_START))
+        ended = (self.x[which] + step).clip(self.lower, self.upper)
+        if self.cheap_gradient is not None:
+            value = self.problem.objective(torch.from_numpy(ended), torch.from_numpy(which)).numpy()
+            no_worse = value <= self.value[which] * (1 + ROUNDING)  # False for NaN as well
+            which, ended = which[no_worse], ended[no_worse]
+        self.x[which] = ended
 
     def _step(self, which: np.ndarray) -> None:
         """Try damped steps, raising the damping until the objective falls."""
