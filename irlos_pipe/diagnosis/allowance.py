@@ -21,6 +21,7 @@ from irlos_pipe.diagnosis.forward import Task
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.effects import Effect
+from irlos_pipe.estimate.tail_law import TailLaw
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 KNOWN = 1.2  # χ²/ν up to which photons still set the errors
@@ -40,12 +41,15 @@ class AllowingTask(Task):
         χ²/ν for which the variances allow.
     beyond_nm : mapping
         Modes beyond the closed basis that the light paths have; Noll index to nm RMS.
+    law : TailLaw or None
+        Of these modes, as the last fit of all has it.
     """
 
     kind: str
     flat_rms: float = np.inf
     misfit: float = np.inf
     beyond_nm: Mapping[int, float] = field(default_factory=dict)
+    law: TailLaw | None = None
 
     def with_errors(self, fitted: Fitted) -> tuple[Self, Optimum]:
         """The search that allows for what a model misses, and the model fitted again under it."""
@@ -81,13 +85,14 @@ class AllowingTask(Task):
         """A fit of all visible modes beside some effects, see `Opening.of`."""
         unknown = {noll: -nm for noll, nm in self.beyond_nm.items()}
         views = [view.with_known(unknown) for view in self.fitter.views]
-        return Opening.of(self.fitter.of(self.cube.training, views), effects, near, self.beyond_nm)
+        fitter = self.fitter.of(self.cube.training, views)
+        return Opening.of(fitter, effects, near, self.beyond_nm, self.law)
 
     def closed(self, opening: Opening) -> tuple[Self, Optimum]:
         """The search, and its model, with the modes beyond the closed basis as a fit of all has them."""
         known = opening.with_known_modes()
         fitter = self.fitter.of(self.cube.training, known.views)
-        task = replace(self, fitter=fitter, beyond_nm=opening.beyond_nm)
+        task = replace(self, fitter=fitter, beyond_nm=opening.beyond_nm, law=opening.law)
         return task.with_errors(task.fitter.at(known))
 
 

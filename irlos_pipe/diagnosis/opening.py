@@ -19,6 +19,7 @@ from irlos_pipe.diagnosis.joint_fit import JointFit
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.open_fit import open_basis
+from irlos_pipe.estimate.tail_law import TailLaw
 
 
 @dataclass(frozen=True)
@@ -31,14 +32,22 @@ class Opening:
         All modes free, those beyond the closed basis with the law that was fitted.
     closed : Fitted
         The problem of the closed basis, without the others, from which it began.
+    law : TailLaw
+        Of the modes beyond the closed basis.
     """
 
     fitted: Fitted
     closed: Fitted
+    law: TailLaw
 
     @classmethod
     def of(
-        cls, fitter: Fitter, effects: Sequence[Effect], near: Fitted, beyond_nm: Mapping[int, float]
+        cls,
+        fitter: Fitter,
+        effects: Sequence[Effect],
+        near: Fitted,
+        beyond_nm: Mapping[int, float],
+        law: TailLaw | None = None,
     ) -> Opening | None:
         """Fit all modes beside some effects; None of several recordings, or where it cannot be made.
 
@@ -51,19 +60,22 @@ class Opening:
             Where the closed basis begins.
         beyond_nm : mapping
             Where the modes beyond begin; Noll index to nm RMS.
+        law : TailLaw, optional
+            See `open_basis`.
         """
         if len(fitter.views) > 1:
             return None
         closed = fitter.begun(effects, near)
         try:
-            opened = open_basis(closed.problem.parts[0], closed.solution.values, beyond_nm=beyond_nm)
+            part, values = closed.problem.parts[0], closed.solution.values
+            opened = open_basis(part, values, beyond_nm=beyond_nm, law=law)
         except (ValueError, np.linalg.LinAlgError):
             return None
         if opened is None or not bool(opened.solution.values.isfinite().all()):
             return None
         problem = JointFit([opened.problem])
         chi2 = float(problem.chi2(opened.solution.values))
-        return cls(Fitted(problem, opened.solution, chi2, fitter.views), closed)
+        return cls(Fitted(problem, opened.solution, chi2, fitter.views), closed, opened.law)
 
     @property
     def beyond_nm(self) -> dict[int, float]:
@@ -71,11 +83,6 @@ class Opening:
         nolls = self.fitted.problem.layout.nolls
         first = len(self.closed.problem.layout.nolls)
         return dict(zip(nolls[first:], self.fitted.x[0, first : len(nolls)].tolist(), strict=True))
-
-    @property
-    def chi2(self) -> float:
-        """χ² with what the priors add."""
-        return self.fitted.chi2 + self.fitted.penalty
 
     def optimum(self, stack: Stacks) -> Optimum:
         """The residual, for score tests beside all modes.

@@ -31,7 +31,7 @@ from irlos_pipe.effects import CATALOGUE, Conditions, Effect, wider_kinds
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.numerics.parallel import ordered_map
 
-OPENINGS, TURNED = 4, 1  # of the wavefront, while χ²/ν falls; that in which other sides are tried
+OPENINGS, TURNED = 4, 1  # of the wavefront, while χ²/ν falls; that from which on other sides are tried
 SETTLED = 0.8  # of χ²/ν before
 MOST = 0.5  # of χ², that a name must explain which leaves much where it acts, while more is wrong
 LOOKED_AT, NEARLY = 2, 0.5  # effects, each fitted beside all modes; fall of χ² over that by the best
@@ -136,7 +136,7 @@ class TolerantTask(NamingTask):
         fitted = opening.fitted
         found = ordered_map(lambda turned: self.opening(fitted, turned), on_other_sides(fitted))
         self.report(len(found))
-        return min([opening, *(one for one in found if one is not None)], key=lambda one: one.chi2)
+        return min([opening, *(one for one in found if one is not None)], key=self._deviance)
 
     def _started_elsewhere(self, current: Optimum) -> tuple[TolerantTask, Optimum]:
         """The search and its model from the most plausible of several starts: this may be a false minimum."""
@@ -158,7 +158,7 @@ class TolerantTask(NamingTask):
             if opening is None:
                 return task._named(current)
             opening = task._without_imitated(opening, told)
-            opening = task._turned_beside_all_modes(opening) if number == TURNED else opening
+            opening = task._turned_beside_all_modes(opening) if number >= TURNED else opening
             opening, found = task._named_beside_all_modes(opening)
             task, current = replace(task, all_modes=opening, beside_modes=found).closed(opening)
             if number == 0 and task.misfit > FAR:
@@ -186,13 +186,17 @@ class TolerantTask(NamingTask):
 
     def _named_beside_all_modes(self, opening: Opening) -> tuple[Opening, list[Score]]:
         """All modes beside further effects that they imitate, but would rather not; scores of all others."""
-        found = self._scores(opening.optimum(self.cube.training))[0]
+        found = self._scores_beside(opening)
         for _ in range(self.options.most_names):
             further = None if copies_in_a_row(opening.fitted) else self._behind(opening, found)
             if further is None:
                 break
-            opening, found = further, self._scores(further.optimum(self.cube.training))[0]
+            opening, found = further, self._scores_beside(further)
         return opening, found
+
+    def _scores_beside(self, opening: Opening) -> list[Score]:
+        """Scores beside all modes and variances that allow for what these miss, which is often far less."""
+        return self._scores(opening.optimum(self.allowing(opening.fitted).cube.training))[0]
 
     def _behind(self, opening: Opening, found: Sequence[Score]) -> Opening | None:
         """All modes beside the further effect with which χ² and priors fall most; None if none is seen."""
@@ -204,7 +208,7 @@ class TolerantTask(NamingTask):
         best, most = None, 0.0
         for one, score in zip(with_one, likely, strict=True):
             least = threshold(len(score.usable), score.trials) * score.inflation
-            fall = 0.0 if one is None else opening.chi2 - one.chi2
+            fall = 0.0 if one is None else self._deviance(opening) - self._deviance(one)
             if one is not None and fall > max(least, most):
                 best, most = (one, score, least), fall
         return best and self._in_wider_form(*best)
@@ -222,9 +226,19 @@ class TolerantTask(NamingTask):
             wider = kind.under(self.conditions).widened(opening.fitted.values_of(found))
             one = self.opening(opening.fitted, [*others.values(), wider])
             self.report(1)
-            if one is not None and opening.chi2 - one.chi2 > least:
+            if one is not None and self._deviance(opening) - self._deviance(one) > least:
                 return one
         return opening
+
+    def _deviance(self, opening: Opening) -> float:
+        """Twice the negative logarithm of its likelihood and priors, whatever part of χ² the model misses.
+
+        Variances allow for what an earlier model missed. What a better one misses is less, but never less
+        than noise.
+        """
+        freedom, chi2 = opening.fitted.problem.freedom, opening.fitted.chi2
+        scale = max(chi2 / freedom, 1 / self.misfit)
+        return freedom * float(np.log(scale)) + chi2 / scale + opening.fitted.penalty
 
     def _price(self, fitted: Fitted) -> float:
         """What the parameters of a model have to earn of χ²."""

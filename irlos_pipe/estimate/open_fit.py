@@ -117,6 +117,7 @@ def open_basis(
     values: torch.Tensor,
     *,
     beyond_nm: Mapping[int, float] | None = None,
+    law: TailLaw | None = None,
     max_iterations: int = 60,
 ) -> Opened | None:
     """Fit all modes that the window shows, from where a fit of a closed basis is.
@@ -129,6 +130,8 @@ def open_basis(
         Where it is.
     beyond_nm : mapping, optional
         Where the modes beyond begin, Noll index to nm RMS; by default at nothing.
+    law : TailLaw, optional
+        That of a fit near by, from which its own is fitted; by default one of any instrument.
     max_iterations : int
         Of each of the two fits, before and after that of the law.
 
@@ -143,7 +146,7 @@ def open_basis(
         return None
     wider = light_path(psf.settings, nolls, device=psf.device, dtype=psf.dtype, rough_derivatives=True)
     model = ImageModel(wider, closed.model.effects.effects)
-    law = TailLaw(psf.nolls[-1] + 1)
+    law = law or TailLaw(psf.nolls[-1] + 1)
     problem = _wider(closed, model).with_law(law).with_tolerance(ROUGHLY * len(nolls))
     start = widened(values, closed.layout, problem.layout, beyond_nm or {})
     quick = problem.hastened()
