@@ -84,6 +84,22 @@ class Opening:
         first = len(self.closed.problem.layout.nolls)
         return dict(zip(nolls[first:], self.fitted.x[0, first : len(nolls)].tolist(), strict=True))
 
+    def deviance(self, misfit: float = 1.0) -> float:
+        """Twice the negative logarithm of its likelihood and priors, whatever part of χ² the model misses.
+
+        Variances allow for what an earlier model missed. What a better one misses is less, but never less
+        than noise, so that the factor on the variances is that with which χ²/ν is one:
+        ``ν ln s + χ²/s`` plus the priors, ``s = max(χ²/ν, 1 / misfit)``.
+
+        Parameters
+        ----------
+        misfit : float
+            χ²/ν for which the variances allow.
+        """
+        freedom, chi2 = self.fitted.problem.freedom, self.fitted.chi2
+        scale = max(chi2 / freedom, 1 / misfit)
+        return freedom * float(np.log(scale)) + chi2 / scale + self.fitted.penalty
+
     def optimum(self, stack: Stacks) -> Optimum:
         """The residual, for score tests beside all modes.
 

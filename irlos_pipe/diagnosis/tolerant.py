@@ -231,14 +231,8 @@ class TolerantTask(NamingTask):
         return opening
 
     def _deviance(self, opening: Opening) -> float:
-        """Twice the negative logarithm of its likelihood and priors, whatever part of χ² the model misses.
-
-        Variances allow for what an earlier model missed. What a better one misses is less, but never less
-        than noise.
-        """
-        freedom, chi2 = opening.fitted.problem.freedom, opening.fitted.chi2
-        scale = max(chi2 / freedom, 1 / self.misfit)
-        return freedom * float(np.log(scale)) + chi2 / scale + opening.fitted.penalty
+        """See `Opening.deviance`."""
+        return opening.deviance(self.misfit)
 
     def _price(self, fitted: Fitted) -> float:
         """What the parameters of a model have to earn of χ²."""

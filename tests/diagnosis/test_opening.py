@@ -5,6 +5,8 @@ Truth: what was put into the frames, and images of the same model with the modes
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -72,7 +74,7 @@ def test_modes_imitate_a_companion_but_would_rather_not(beside_a_companion):
     assert further is not None
     ratio, x_mas, y_mas = further.fitted.values_of("companion")[:3]
     assert score.significance > 5
-    assert opening.chi2 - further.chi2 > threshold(3, score.trials)
+    assert opening.deviance() - further.deviance() > threshold(3, score.trials)
     assert (x_mas, y_mas) == pytest.approx(PLACE[1:], abs=4.0)
     assert ratio == pytest.approx(PLACE[0], rel=0.15)
 
@@ -133,7 +135,7 @@ def test_modes_found_once_are_where_the_next_fit_begins_and_ends(alone):
     _, fitter, opening = alone
     again = Opening.of(fitter, [], opening.fitted, opening.beyond_nm)
     assert again is not None
-    assert again.chi2 == pytest.approx(opening.chi2, abs=5.0)
+    assert again.deviance() == pytest.approx(opening.deviance(), abs=5.0)
     change = [again.beyond_nm[noll] - nm for noll, nm in opening.beyond_nm.items()]
     assert np.abs(change).max() < 0.5
 
@@ -153,7 +155,7 @@ def test_a_stop_that_came_to_rest_begins_where_the_fit_falls():
     resting = fitter.begun([centred], fitted(training))
     (side,) = other_sides(resting, STOP.name)
     best = fitter.explored([begun_at(STOP, side)], resting)
-    assert best.chi2 < resting.chi2 - 25
+    assert best.deviance() < resting.deviance() - 25
     assert best.values_of(STOP.name)[0] == pytest.approx(distance_m, abs=0.01)
     assert np.cos(best.values_of(STOP.name)[1] - direction_rad) > 0.9
 
@@ -175,9 +177,9 @@ def test_a_stop_that_rests_beside_all_modes_is_found_on_its_side_by_all_of_them(
     assert resting is not None
     others = on_other_sides(resting.fitted)
     turned = [Opening.of(fitter, effects, resting.fitted, resting.beyond_nm) for effects in others]
-    best = min((one for one in turned if one is not None), key=lambda one: one.chi2)
+    best = min((one for one in turned if one is not None), key=Opening.deviance)
     distances, directions, _ = zip(*(one.fitted.values_of(STOP.name) for one in (resting, best)), strict=True)
-    assert best.chi2 < resting.chi2 - 25
+    assert best.deviance() < resting.deviance() - 25
     assert distances[1] == pytest.approx(distance_m, abs=0.015)
     assert np.cos(directions[1] - direction_rad) > 0.9
 
@@ -207,3 +209,17 @@ def test_an_effect_of_the_smallest_detectable_size_is_nearly_always_seen(limit, 
     size = np.sqrt(surely_exceeding(limit, directions) / directions)
     drawn = np.random.default_rng(3).normal(size, 1.0, (40_000, directions))
     assert np.mean((drawn**2).sum(1) > limit) == pytest.approx(SURELY, abs=0.005)
+
+
+def test_what_variances_allow_for_an_earlier_model_does_not_hide_how_much_better_a_later_one_is(alone):
+    """Truth: the likelihood with the factor on the variances where it is largest, by a search."""
+    opening = alone[2]
+    freedom, penalty = opening.fitted.problem.freedom, opening.fitted.penalty
+
+    def with_chi2(chi2):
+        return replace(opening, fitted=replace(opening.fitted, chi2=chi2))
+
+    for share, misfit in [(0.2, 16.0), (1.1, 16.0), (0.02, 16.0), (0.9, 1.0)]:
+        chi2, scales = share * freedom, np.geomspace(1 / misfit, 10, 100_000)
+        least = float((freedom * np.log(scales) + chi2 / scales).min()) + penalty
+        assert with_chi2(chi2).deviance(misfit) == pytest.approx(least, rel=1e-6)

@@ -55,6 +55,22 @@ class Frugal(Decays, CheapGradientProblem):
         return super().normal_equations(p, which)[:2]
 
 
+class Blind(CheapGradientProblem):
+    """A round bowl, of whose curvature along the second axis the Hessian knows a ten thousandth."""
+
+    lower, upper = (torch.full((2,), bound, dtype=torch.float64) for bound in (-np.inf, np.inf))
+
+    def negligible(self, value):
+        return torch.full_like(value, 1e-3)
+
+    def objective(self, p, which):
+        return 0.5 * (p**2).sum(1)
+
+    def normal_equations(self, p, which):
+        known = torch.diag(torch.tensor([1.0, 1e-4], dtype=torch.float64))
+        return self.objective(p, which), p, known.expand(len(p), 2, 2).clone()
+
+
 class Rough(Frugal):
     """The same with derivatives that are 1 % off wherever they make the normal equations."""
 
@@ -263,3 +279,11 @@ def test_what_does_not_depend_on_a_dead_parameter_has_its_error():
     assert inverse[1, 1] > 1e100
     assert inverse[np.ix_(alive, alive)] == pytest.approx(np.linalg.inv(hessian[0][np.ix_(alive, alive)]))
     assert np.all(np.isfinite(inverse @ hessian[0]))
+
+
+def test_a_last_step_that_a_rough_hessian_takes_for_negligible_does_not_lead_uphill():
+    """That Hessian foretells a fall of 1e-4 on the way to a place 1e8 times as high as the start."""
+    start = torch.tensor([[0.0, 1e-4]], dtype=torch.float64)
+    solution = solve(Blind(), start)
+    assert solution.status == [CONVERGED]
+    assert float(Blind().objective(solution.values, torch.arange(1))) <= 0.5e-8
