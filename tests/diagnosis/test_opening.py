@@ -155,7 +155,7 @@ def test_a_stop_that_came_to_rest_begins_where_the_fit_falls():
     resting = fitter.begun([centred], fitted(training))
     (side,) = other_sides(resting, STOP.name)
     best = fitter.explored([begun_at(STOP, side)], resting)
-    assert best.deviance() < resting.deviance() - 25
+    assert best.chi2 < resting.chi2 - 25
     assert best.values_of(STOP.name)[0] == pytest.approx(distance_m, abs=0.01)
     assert np.cos(best.values_of(STOP.name)[1] - direction_rad) > 0.9
 
