@@ -18,6 +18,7 @@ from irlos_pipe.diagnosis.refit import Refit, refits
 from irlos_pipe.diagnosis.search.placements import placed_families
 from irlos_pipe.diagnosis.search.scores import Score, families, scores
 from irlos_pipe.diagnosis.sharing import parted, sharing
+from irlos_pipe.diagnosis.starts import with_wavefront
 from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect
 
 LARGER_OF_TWO = 0.5  # effects, which explains at least as much of the excess
@@ -68,7 +69,7 @@ class Task:
     # -- steps ---------------------------------------------------------------------------------
 
     def _null(self, effects: Sequence[Effect]) -> Fitted:
-        """The fit without anything new, of it and its twins the most plausible.
+        """The fit without anything new, of it, its twins and one begun elsewhere the most plausible.
 
         A changing wavefront has many false minima: the fit with it starts from that of a constant one.
         """
@@ -78,6 +79,8 @@ class Task:
         found.append(self.fitter.twin(found[0]))
         if found[1].chi2 < found[0].chi2:  # a deeper minimum, which has a twin of its own
             found.append(self.fitter.twin(found[1]))
+        if known_nm := self.options.begin_near_nm:
+            found.append(self.fitter.fit(effects, with_wavefront(found[0], known_nm)))
         self.report(2)
         return self.fitter.most_plausible(found)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 DRIFT_NM = 10.0  # by which every mode may change from one star or night to another
 
@@ -23,6 +24,8 @@ class Options:
         Significance of a detection in Gaussian σ.
     drift_nm : float
         Prior σ of the change of every mode between stars and nights [nm RMS].
+    begin_near_nm : mapping of int to float
+        Wavefront, of another recording, from which fits begin as well; Noll index to nm RMS.
     """
 
     highest_noll: int
@@ -30,3 +33,4 @@ class Options:
     most_names: int
     sure: float
     drift_nm: float = DRIFT_NM
+    begin_near_nm: Mapping[int, float] = field(default_factory=dict)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.diagnosis.fitted import Fitted, begun_at
 from irlos_pipe.effects import Effect
 from irlos_pipe.numerics.problem import ROUNDING
@@ -18,26 +19,41 @@ DIRECTIONS = 8  # in which it is asked whether what came to rest at no distance 
 AT_REST = 1e-3  # of a distance
 
 
-def other_wavefronts(near: Fitted) -> list[Fitted]:
-    """`near` with other wavefronts: none, and some at random, less in every radial order.
+def with_wavefront(near: Fitted, zernike_nm: Mapping[int, float]) -> Fitted:
+    """`near` with another wavefront where it is known; it points as it did.
 
     Parameters
     ----------
     near : Fitted
+    zernike_nm : mapping
+        Noll index to nm RMS; its tip and tilt count for nothing.
+    """
+    x = near.x.clone()
+    for place, noll in enumerate(near.problem.layout.nolls):
+        if noll not in TIP_TILT:
+            x[0, place] = zernike_nm.get(noll, 0.0)
+    return replace(near, solution=replace(near.solution, values=x))
+
+
+def other_wavefronts(near: Fitted, known_nm: Mapping[int, float]) -> list[Fitted]:
+    """`near` with other wavefronts: none, some at random, less in every radial order, and a known one.
+
+    Parameters
+    ----------
+    near : Fitted
+    known_nm : mapping
+        Of another recording, Noll index to nm RMS; empty if there is none.
     """
     generator = torch.Generator().manual_seed(STARTS)
-    nolls, modes = near.problem.layout.nolls, near.problem.layout.modes
-    falling = [START_NM * min(1.0, 2.0 / noll_to_nm(noll)[0]) ** 1.5 for noll in nolls]
-    size = torch.tensor(falling, dtype=torch.float64)
-    size[:2] = 0.0
-    pointing = near.x[0, modes] * (size == 0)
-    found = []
-    for number in range(STARTS):
-        drawn = torch.randn(len(nolls), generator=generator, dtype=torch.float64) * size
-        x = near.x.clone()
-        x[0, modes] = pointing + (drawn if number else 0.0)
-        found.append(replace(near, solution=replace(near.solution, values=x)))
-    return found
+    nolls = near.problem.layout.nolls
+    falling = torch.tensor(
+        [min(1.0, 2.0 / noll_to_nm(noll)[0]) ** 1.5 for noll in nolls], dtype=torch.float64
+    )
+    wavefronts = [known_nm] if known_nm else []
+    for size in (0.0, *[START_NM] * (STARTS - 1)):
+        drawn = torch.randn(len(nolls), generator=generator, dtype=torch.float64) * size * falling
+        wavefronts.append(dict(zip(nolls, drawn.tolist(), strict=True)))
+    return [with_wavefront(near, one) for one in wavefronts]
 
 
 def on_other_sides(fitted: Fitted) -> list[list[Effect]]:

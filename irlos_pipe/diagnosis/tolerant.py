@@ -140,7 +140,8 @@ class TolerantTask(NamingTask):
 
     def _started_elsewhere(self, current: Optimum) -> tuple[TolerantTask, Optimum]:
         """The search and its model from the most plausible of several starts: this may be a false minimum."""
-        effects, starts = current.fitted.continued(), other_wavefronts(current.fitted)
+        effects = current.fitted.continued()
+        starts = other_wavefronts(current.fitted, self.options.begin_near_nm)
         found = [current.fitted, *(self.fitter.explored(effects, one) for one in starts)]
         self.report(len(starts))
         best = self.fitter.most_plausible([one for one in found if np.isfinite(one.chi2)])

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from irlos_pipe.diagnosis.options import DRIFT_NM
 from irlos_pipe.stages.base import StageConfig
+from irlos_pipe.stages.diagnose.begin_near import wavefront_of
+
+Noll = Annotated[int, Field(ge=2, le=231)]
+Nanometres = Annotated[float, Field(ge=-5000, le=5000)]
 
 
 class Config(StageConfig):
@@ -35,3 +39,8 @@ class Config(StageConfig):
         description="prior σ of the change of every mode between stars and nights [nm]",
     )
     sure_sigma: float = Field(5.0, ge=3, le=20, description="significance of a detection")
+    begin_near: Annotated[dict[Noll, Nanometres], BeforeValidator(wavefront_of)] = Field(
+        {},
+        description="a wavefront from which the fit begins as well, Noll index to nm RMS, or the path of a "
+        "run that found it in another recording",
+    )

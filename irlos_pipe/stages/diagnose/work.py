@@ -70,7 +70,12 @@ def _diagnose(ctx: StageContext[Config], groups: list[Alike]) -> Diagnosis:
             effects[alike.moment] = model_effects(ctx.instrument, ctx.model, alike.first, config.highest_noll)
     exposures = [_exposures(ctx, alike, effects[alike.moment]) for alike in groups]
     options = Options(
-        config.highest_noll, config.held_out, config.most_names, config.sure_sigma, config.night_drift_nm
+        config.highest_noll,
+        config.held_out,
+        config.most_names,
+        config.sure_sigma,
+        config.night_drift_nm,
+        config.begin_near,
     )
     in_images = {moment: image_effects(some) for moment, some in effects.items()}
     model = placed(in_images, Moments.of(exposures))
