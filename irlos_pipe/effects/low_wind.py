@@ -20,7 +20,8 @@ class LowWindEffect(PupilSteps):
     In calm nights the vanes cool the air beside them, and the wavefront steps from petal to petal by up to
     a micrometre; Shack–Hartmann sensors do not see the steps. Each petal has its piston and, as tip and
     tilt, Noll 2 and 3 of the whole pupil restricted to it. Petals are the connected parts of the clear
-    pupil, however many there are, counted anticlockwise from the one nearest to the +45° diagonal; gaps
+    pupil, however many there are, counted anticlockwise from the one nearest to the +45° diagonal; they turn
+    with vanes that `pupil_misregistration` turns; gaps
     between segments do not part them. Piston of the whole pupil does nothing, and common tip and tilt are
     Noll 2 and 3: the prior decides.
     """
@@ -35,17 +36,17 @@ class LowWindEffect(PupilSteps):
 
     @classmethod
     def count_in(cls, geometry: PupilGeometry) -> int:
-        """See `PupilSteps.count_in`."""
+        """See `DividedPupil.count_in`."""
         return petals_of(geometry).count
 
     @classmethod
     def amplitudes_of(cls, geometry: PupilGeometry, samples: int) -> np.ndarray:
-        """See `PupilSteps.amplitudes_of`."""
+        """See `DividedPupil.amplitudes_of`."""
         return petal_amplitudes(geometry, samples)
 
     @classmethod
     def index_in(cls, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """See `PupilSteps.index_in`."""
+        """See `DividedPupil.index_in`."""
         return petals_of(geometry).index(x_m, y_m)
 
     def phrase(self, public: Mapping[str, Any]) -> str:

@@ -9,20 +9,16 @@ from typing import Any
 import numpy as np
 
 from irlos_pipe.conventions.late import torch
-from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.effects.declaration import Conditions, Parameter, Public
-from irlos_pipe.effects.planes import PupilEffect
+from irlos_pipe.effects.divided_pupil import DividedPupil
 from irlos_pipe.optics.grids import PupilGrid
 
 UT4_PETALS = 4
 RMS_OF_PISTON, RMS_OF_SLOPES = "piston_rms_nm", "slopes_rms_nm"
 
 
-class PupilSteps(PupilEffect):
+class PupilSteps(DividedPupil):
     """Smooth wavefronts of each part of the pupil, with steps between them.
-
-    The field is the sum of the fields of the parts, each with its own band-limited amplitude: a step within
-    a vane or a gap needs no finer grid than the vane itself.
 
     Class attributes
     ----------------
@@ -40,7 +36,6 @@ class PupilSteps(PupilEffect):
     """
 
     aberration = True
-    order = 0  # adds to the field, before what multiplies it
     kinds: Mapping[str, int]
     part_name: str
     sigma_nm: float
@@ -52,21 +47,6 @@ class PupilSteps(PupilEffect):
             for kind in self.kinds
             for part in range(1, count + 1)
         )
-
-    @classmethod
-    def count_in(cls, geometry: PupilGeometry) -> int:
-        """Return the number of parts of a pupil `geometry`."""
-        raise NotImplementedError
-
-    @classmethod
-    def amplitudes_of(cls, geometry: PupilGeometry, samples: int) -> np.ndarray:
-        """Return the amplitude of each part, (parts, n, n); see `pupil.band_limited_pupil`."""
-        raise NotImplementedError
-
-    @classmethod
-    def index_in(cls, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """Return the number, from 0, of the part of a `geometry` at points (`x_m`, `y_m`)."""
-        raise NotImplementedError
 
     @classmethod
     def under(cls, conditions: Conditions, *, count: int | None = None) -> PupilSteps:
@@ -93,33 +73,23 @@ class PupilSteps(PupilEffect):
         """Positions of the pistons among the parameters: the first of the kinds."""
         return range(self.count)
 
-    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """See `PupilEffect.apply`."""
-        for amplitude, opd in zip(self._amplitudes(grid), self._opds_nm(values, grid), strict=True):
-            field = field + torch.as_tensor(amplitude) * (grid.phasor(opd) - 1)
-        return field
+    def factors(self, values: torch.Tensor, grid: PupilGrid) -> list[torch.Tensor]:
+        """See `DividedPupil.factors`."""
+        return [grid.phasor(opd) for opd in self._opds_nm(values, grid)]
 
-    def slopes(
-        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    def moved(
+        self, values: torch.Tensor, amplitudes: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
-        """See `PupilEffect.slopes`."""
-        modes, opds = torch.tensor(grid.modes([*self.kinds.values()])) * 1j, self._opds_nm(values, grid)
-        moved = [
-            torch.as_tensor(amplitude) * grid.phase_per_nm * grid.phasor(opd)
-            for amplitude, opd in zip(self._amplitudes(grid), opds, strict=True)
-        ]
+        """See `DividedPupil.moved`."""
+        modes = torch.tensor(grid.modes([*self.kinds.values()])) * 1j
+        pairs = zip(amplitudes, self.factors(values, grid), strict=True)
+        moved = [amplitude * grid.phase_per_nm * factor for amplitude, factor in pairs]
         return [moved[index % self.count] * modes[index // self.count] for index in wanted]
 
-    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """See `PupilEffect.opd_nm`."""
-        x_m, y_m = (axis * grid.radius_m for axis in grid.xy)
-        index = torch.as_tensor(self.index_in(grid.geometry, x_m, y_m))
+    def opd_where(self, values: torch.Tensor, index: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `DividedPupil.opd_where`."""
         opds = self._opds_nm(values, grid)
         return reduce(torch.add, (torch.where(index == part, opd, 0.0) for part, opd in enumerate(opds)))
-
-    def _amplitudes(self, grid: PupilGrid) -> np.ndarray:
-        """Amplitude of each part, (parts, n, n)."""
-        return np.where(grid.lit, self.amplitudes_of(grid.geometry, grid.samples), 0) * grid.light
 
     def _opds_nm(self, values: torch.Tensor, grid: PupilGrid) -> list[torch.Tensor]:
         """OPD that each part has, on the whole grid."""

@@ -61,7 +61,8 @@ class PupilMisregistration(RedrawnPupil):
         """See `RedrawnPupil.redrawn`."""
         distance_m, direction_rad, rotation_deg = values
         stop_m = (float(distance_m * np.cos(direction_rad)), float(distance_m * np.sin(direction_rad)))
-        return Drawing(turned(drawing.geometry, rotation_deg), stop_m)
+        turned_deg = drawing.turned_deg + rotation_deg
+        return Drawing(turned(drawing.geometry, rotation_deg), stop_m, turned_deg)
 
     def edge_slope(self, values: Sequence[float], index: int, edges: Edges) -> np.ndarray:
         """See `RedrawnPupil.edge_slope`."""

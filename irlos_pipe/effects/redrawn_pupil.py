@@ -1,7 +1,8 @@
 """Effects that change the drawing of the pupil: where its edges are.
 
 Edges are drawn on a grid of a few mm and band-limited. Several such effects make one drawing: the edge of a
-turned vane that is wider than told is where both say.
+turned vane that is wider than told is where both say. What gives parts of the pupil a wavefront of their own
+(`divided_pupil`) has the parts of that drawing: petals turn with the vanes.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.optics.grids import PupilGrid
 from irlos_pipe.optics.pupil import band_limited
 from irlos_pipe.optics.pupil_cover import ON_AXIS
-from irlos_pipe.optics.pupil_edges import Edges, pupil_edges
+from irlos_pipe.optics.pupil_edges import Edges, Within, pupil_edges
 
 CELL_M = 0.008  # of the drawing
 
@@ -29,13 +30,26 @@ class Drawing(NamedTuple):
 
     geometry: PupilGeometry
     stop_m: tuple[float, float] = ON_AXIS
+    turned_deg: float = 0.0  # against the pupil that was told
 
 
-class RedrawnPupil(PupilEffect):
-    """Changes the drawing of the pupil."""
+class DrawnEffect(PupilEffect):
+    """Acts on where there is light: on the drawing of the pupil, or on parts of what is drawn."""
 
     order = 0  # changes where there is light, before what multiplies it
     joins = "redrawn_pupil"
+
+    @classmethod
+    def together(cls, effects: Sequence[Effect]) -> Effect:
+        """See `Effect.together`: one drawing with all of them."""
+        from irlos_pipe.effects.divided_pupil import RedrawnAndDivided  # which needs this module
+
+        redrawing = all(isinstance(one.base, RedrawnPupil) for one in effects)
+        return RedrawnTogether(effects) if redrawing else RedrawnAndDivided(effects)
+
+
+class RedrawnPupil(DrawnEffect):
+    """Changes the drawing of the pupil."""
 
     def redrawn(self, values: Sequence[float], drawing: Drawing) -> Drawing:
         """The `drawing` with the effect at `values`."""
@@ -53,11 +67,6 @@ class RedrawnPupil(PupilEffect):
         """
         raise NotImplementedError
 
-    @classmethod
-    def together(cls, effects: Sequence[Effect]) -> Effect:
-        """See `Effect.together`: one drawing with all of them."""
-        return _Together(effects)
-
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         """See `PupilEffect.apply`."""
         change = _differentiable().apply(values, self, grid) if len(values) else _changed(values, self, grid)
@@ -68,10 +77,10 @@ class RedrawnPupil(PupilEffect):
     ) -> list[torch.Tensor]:
         """See `PupilEffect.slopes`."""
         every = torch.ones_like(grid.wavelengths_m, dtype=torch.complex128) * grid.light
-        return [every * slope for slope in _slopes(self, grid, values, wanted)]
+        return [every * slope for slope in slopes_of_drawing(self, grid, values, wanted)]
 
 
-class _Together(RedrawnPupil):
+class RedrawnTogether(RedrawnPupil):
     """Several effects that make one drawing.
 
     Parameters
@@ -124,7 +133,7 @@ def _differentiable() -> type[torch.autograd.Function]:
 
         @staticmethod
         def backward(ctx, upstream):
-            slopes = _slopes(ctx.effect, ctx.grid, ctx.values, range(len(ctx.values)))
+            slopes = slopes_of_drawing(ctx.effect, ctx.grid, ctx.values, range(len(ctx.values)))
             return torch.stack([(upstream * slope).sum() for slope in slopes]), None, None
 
     return Change
@@ -136,23 +145,27 @@ def _changed(values: torch.Tensor, effect: RedrawnPupil, grid: PupilGrid) -> tor
     return torch.tensor(_drawn(drawing, grid.samples) - _drawn(told, grid.samples))
 
 
-def _slopes(
-    effect: RedrawnPupil, grid: PupilGrid, values: torch.Tensor, wanted: Sequence[int]
+def slopes_of_drawing(
+    effect: RedrawnPupil,
+    grid: PupilGrid,
+    values: torch.Tensor,
+    wanted: Sequence[int],
+    within: Within | None = None,
 ) -> list[torch.Tensor]:
-    """Derivatives of the amplitude with respect to the parameters `wanted` of an `effect`, (n, n) each."""
+    """Derivatives of the amplitude, or of a part, by the parameters `wanted` of an `effect`, (n, n) each."""
     numbers = values.tolist()
-    geometry, stop_m = effect.redrawn(numbers, Drawing(grid.geometry))
-    edges = pupil_edges(geometry, grid.samples, _subsamples(geometry, grid.samples), stop_m)
+    geometry, stop_m, _ = effect.redrawn(numbers, Drawing(grid.geometry))
+    edges = pupil_edges(geometry, grid.samples, subsamples_of(geometry, grid.samples), stop_m, within)
     return [torch.as_tensor(effect.edge_slope(numbers, index, edges)) for index in wanted]
 
 
 @lru_cache(maxsize=16)
 def _drawn(drawing: Drawing, samples: int) -> np.ndarray:
     """Band-limited amplitude, (n, n)."""
-    geometry, stop_m = drawing
-    return band_limited(geometry, samples, stop_m=stop_m, subsamples=_subsamples(geometry, samples))
+    geometry, stop_m, _ = drawing
+    return band_limited(geometry, samples, stop_m=stop_m, subsamples=subsamples_of(geometry, samples))
 
 
-def _subsamples(geometry: PupilGeometry, samples: int) -> int:
+def subsamples_of(geometry: PupilGeometry, samples: int) -> int:
     """Even number of fine cells of about `CELL_M` per coarse cell."""
     return 2 * int(np.ceil(geometry.diameter_m / samples / CELL_M / 2))

@@ -41,17 +41,17 @@ class SegmentPiston(PupilSteps):
 
     @classmethod
     def count_in(cls, geometry: PupilGeometry) -> int:
-        """See `PupilSteps.count_in`."""
+        """See `DividedPupil.count_in`."""
         return segment_count(geometry)
 
     @classmethod
     def amplitudes_of(cls, geometry: PupilGeometry, samples: int) -> np.ndarray:
-        """See `PupilSteps.amplitudes_of`."""
+        """See `DividedPupil.amplitudes_of`."""
         return segment_amplitudes(geometry, samples)
 
     @classmethod
     def index_in(cls, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """See `PupilSteps.index_in`."""
+        """See `DividedPupil.index_in`."""
         return segment_index(geometry, x_m, y_m)
 
     def phrase(self, public: Mapping[str, Any]) -> str:

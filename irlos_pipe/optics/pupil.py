@@ -111,22 +111,30 @@ def band_limited(
     return _filtered(geometry, samples, stop_m, subsamples)
 
 
-def band_limited_parts(geometry: PupilGeometry, samples: int, count: int, shares: Shares) -> np.ndarray:
+def band_limited_parts(
+    geometry: PupilGeometry,
+    samples: int,
+    count: int,
+    shares: Shares,
+    *,
+    stop_m: tuple[float, float] = ON_AXIS,
+    subsamples: int = SUBSAMPLES,
+) -> np.ndarray:
     """Return the amplitudes of the parts of a pupil, (count, n, n); their sum is that of the pupil.
 
     Parameters
     ----------
-    geometry, samples : see `band_limited_pupil`
+    geometry, samples, stop_m, subsamples : see `band_limited`
     count : int
         Number of parts.
     shares : callable
         ``shares(x_m, y_m, step_m)`` of a row and a column of cells gives, for parts that they touch, the
         number of the part, a slice of columns, and which share of the light of each cell there is its.
     """
-    fine = fine_centres(geometry, samples, SUBSAMPLES)
-    filtering, step = filter_matrix(samples + 2 * PAD, SUBSAMPLES), float(fine[1] - fine[0])
+    fine = fine_centres(geometry, samples, subsamples)
+    filtering, step = filter_matrix(samples + 2 * PAD, subsamples), float(fine[1] - fine[0])
     found = np.zeros((count, len(filtering), len(filtering)))
-    for rows, clear in _by_rows(geometry, fine, ON_AXIS):
+    for rows, clear in _by_rows(geometry, fine, stop_m):
         for number, columns, share in shares(fine[None, :], fine[rows, None], step):
             found[number] += filtering[:, rows] @ ((clear[:, columns] * share) @ filtering[:, columns].T)
     return found

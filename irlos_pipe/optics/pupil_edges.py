@@ -7,25 +7,32 @@ are followed one by one; any other pupil is drawn twice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, turned, with_sizes
-from irlos_pipe.optics.pupil import PAD, band_limited, filter_matrix, fine_centres
+from irlos_pipe.optics.pupil import PAD, band_limited, band_limited_parts, filter_matrix, fine_centres
 from irlos_pipe.optics.pupil_cover import ON_AXIS, across_m, axis, inside, outline_cover, vane_cover
 
 WIDTH = 1.5  # fine cells
 Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
+Within = Callable[[np.ndarray, np.ndarray], np.ndarray]  # whether points (x, y) [m] belong to a part
 
 
-def pupil_edges(geometry: PupilGeometry, samples: int, subsamples: int, stop_m: tuple[float, float]) -> Edges:
-    """Return what gives the derivatives of a pupil; see `PupilEdges` for the parameters."""
-    return (PupilEdges if geometry.plain else DrawnTwice)(geometry, samples, subsamples, stop_m)
+def pupil_edges(
+    geometry: PupilGeometry,
+    samples: int,
+    subsamples: int,
+    stop_m: tuple[float, float],
+    within: Within | None = None,
+) -> Edges:
+    """Return what gives the derivatives of a pupil, or of a part of it; see `PupilEdges`."""
+    return (PupilEdges if geometry.plain else DrawnTwice)(geometry, samples, subsamples, stop_m, within)
 
 
 class _Cells(NamedTuple):
@@ -55,10 +62,19 @@ class PupilEdges:
         See `pupil.band_limited`.
     stop_m : (float, float)
         Position of the stop.
+    within : callable, optional
+        The part of the pupil in question; by default all of it. Parts meet where there is no light.
     """
 
-    def __init__(self, geometry: PupilGeometry, samples: int, subsamples: int, stop_m: tuple[float, float]):
-        self.geometry, self.stop_m, self._subsamples = geometry, stop_m, subsamples
+    def __init__(
+        self,
+        geometry: PupilGeometry,
+        samples: int,
+        subsamples: int,
+        stop_m: tuple[float, float],
+        within: Within | None = None,
+    ):
+        self.geometry, self.stop_m, self._subsamples, self._within = geometry, stop_m, subsamples, within
         self._fine = fine_centres(geometry, samples, subsamples)
         self._step = self._fine[1] - self._fine[0]
         self._filter = filter_matrix(samples + 2 * PAD, subsamples)
@@ -168,6 +184,8 @@ class PupilEdges:
             return np.zeros(self._filter.shape[:1] * 2)
         values = np.concatenate([cells.share * rate for cells, rate in zip(edges, changes, strict=True)])
         rows, columns = (np.concatenate([cells[axis] for cells in edges]) for axis in (0, 1))
+        if self._within is not None:
+            values = values * self._within(self._fine[columns], self._fine[rows])
         size = len(self._fine)
         return self._filter @ (
             scipy.sparse.csr_array((values, (rows, columns)), (size, size)) @ self._filter.T
@@ -179,12 +197,20 @@ class DrawnTwice:
 
     Parameters
     ----------
-    geometry, samples, subsamples, stop_m
+    geometry, samples, subsamples, stop_m, within
         See `PupilEdges`.
     """
 
-    def __init__(self, geometry: PupilGeometry, samples: int, subsamples: int, stop_m: tuple[float, float]):
+    def __init__(
+        self,
+        geometry: PupilGeometry,
+        samples: int,
+        subsamples: int,
+        stop_m: tuple[float, float],
+        within: Within | None = None,
+    ):
         self._geometry, self._samples, self._subsamples = geometry, samples, subsamples
+        self._within = within
         self._stop_m = stop_m
         self._step_m = WIDTH * geometry.diameter_m / samples / subsamples
 
@@ -230,7 +256,15 @@ class DrawnTwice:
         return self._drawn(self._geometry, stop_m)
 
     def _drawn(self, geometry: PupilGeometry, stop_m: tuple[float, float]) -> np.ndarray:
-        return band_limited(geometry, self._samples, stop_m=stop_m, subsamples=self._subsamples)
+        options: Any = {"stop_m": stop_m, "subsamples": self._subsamples}
+        if self._within is None:
+            return band_limited(geometry, self._samples, **options)
+        return band_limited_parts(geometry, self._samples, 1, self._only_within, **options)[0]
+
+    def _only_within(self, x_m: np.ndarray, y_m: np.ndarray, step_m: float) -> Iterator:
+        """See `pupil.Shares`: of the part in question."""
+        assert self._within is not None
+        yield 0, slice(None), self._within(x_m, y_m)
 
 
 Edges = PupilEdges | DrawnTwice

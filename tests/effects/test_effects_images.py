@@ -211,6 +211,28 @@ def test_petals_have_their_piston_tip_and_tilt():
 
 
 @pytest.mark.slow
+def test_petals_turn_with_the_vanes_of_a_redrawn_pupil():
+    stop, petals = made("pupil_misregistration"), made("low_wind_effect")
+    effects = EffectSet([FixedEffect(effect, values) for effect, values in (petals, stop)], model().grids)
+    image = model().images(vector(STATIC_NM, NOLLS), effects())[0].numpy()
+    (x, y), angle, effect = xy_m(), np.deg2rad(4.0), STRONG["low_wind_effect"]
+    petal = petal_of(np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x)
+    piston, tip, tilt = (np.array(effect[key])[petal] for key in ("piston_nm", "tip_nm", "tilt_nm"))
+    transmission = reference().misregistered((0.12, -0.08), 4.0)
+    agree(image, truth(piston + 2 / 4.0 * (tip * x + tilt * y), transmission=transmission))
+    lit, opd_nm = (
+        model().grids.pupil.amplitude > 0.9 * model().grids.pupil.light,
+        effects.opd_nm(torch.zeros(0)),
+    )
+    u, v = (axis * 4.0 for axis in model().grids.pupil.xy)
+    own = petal_of(np.cos(angle) * u + np.sin(angle) * v, np.cos(angle) * v - np.sin(angle) * u)
+    piston, tip, tilt = (np.array(effect[key])[own] for key in ("piston_nm", "tip_nm", "tilt_nm"))
+    there = np.hypot(u, v) > 0.7
+    expected = (piston + 2 / 4.0 * (tip * u + tilt * v))[lit & there]
+    assert np.mean(np.abs(opd_nm.numpy()[lit & there] - expected) < 1e-6) > 0.995
+
+
+@pytest.mark.slow
 def test_a_companion_is_a_second_image_elsewhere():
     secondary = truth(tilt_nm(*polar(90.0, 300.0)))
     agree(ours("companion"), (truth() + 0.2 * secondary) / 1.2)

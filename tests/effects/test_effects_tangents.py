@@ -97,6 +97,40 @@ def test_effects_are_differentiated_in_the_star_and_in_its_ghosts():
         assert jacobian[:, index].numpy() == pytest.approx(theirs, abs=2e-5 * np.abs(theirs).max())
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("parameter", "step"), [("distance_m", 0.01), ("direction_rad", 0.06), ("rotation_deg", 0.1)]
+)
+def test_petals_move_with_the_edges_of_the_drawing(parameter, step):
+    """Truth: differences of the images, and of what they would be if petals stayed where they were told."""
+    (stop, placed), (petals, steps) = made("pupil_misregistration"), made("low_wind_effect")
+    whole = ImageModel(psf(), [FixedEffect(stop, placed, free=(parameter,)), FixedEffect(petals, steps)])
+    at = placed[[one.name for one in stop.parameters].index(parameter)][None]
+    high, low = (whole.predict(WAVEFRONTS, FLUX, BACKGROUND, at + s * step) for s in (1, -1))
+    theirs = (high - low) / (2 * step)
+    ours = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, at)[1][:, len(NOLLS)]
+    assert float((ours - theirs).norm() / theirs.norm()) < 0.04
+    alone = ImageModel(psf(), [FixedEffect(stop, placed, free=(parameter,))])
+    without = alone.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, at)[1][:, len(NOLLS)]
+    assert float((without - theirs).norm() / theirs.norm()) > 0.2
+
+
+@pytest.mark.slow
+def test_petals_of_a_redrawn_pupil_have_the_same_derivatives_by_reverse_differentiation():
+    """Truth: the Jacobian."""
+    effects, starts = zip(made("pupil_misregistration"), made("low_wind_effect"), strict=True)
+    whole = ImageModel(psf(), effects)
+    by_name = dict(zip([one.name for one in effects], starts, strict=True))
+    values = torch.cat([by_name[one.name] for one in whole.effects.effects]).requires_grad_()
+    with torch.enable_grad():
+        images_e = whole.predict(WAVEFRONTS, FLUX, BACKGROUND, values)
+        factors = torch.linspace(-1, 1, images_e.numel()).double().view_as(images_e)
+        (slopes,) = torch.autograd.grad((images_e * factors).sum(), values)
+    jacobian = whole.predict_and_jacobian(WAVEFRONTS, FLUX, BACKGROUND, values.detach())[1]
+    expected = (jacobian[:, len(NOLLS) : -2] * factors[:, None]).sum((0, 2, 3))
+    assert slopes.numpy() == pytest.approx(expected.numpy(), rel=1e-3, abs=1e-4 * float(expected.abs().max()))
+
+
 @pytest.mark.parametrize(("defocus_nm", "error"), [(0.0, 1e-6), (120.0, 0.05)])
 def test_rough_derivatives_of_faint_ghosts_are_wrong_by_a_part_of_their_light(defocus_nm, error):
     """Truth: exact derivatives. A ghost as sharp as the star changes as the star does."""

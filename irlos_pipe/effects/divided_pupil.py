@@ -1,0 +1,234 @@
+"""Parts of the pupil with wavefronts of their own, as the pupil is drawn: petals turn with the vanes.
+
+The field is the sum of the fields of the parts, each with its own band-limited amplitude: a step within a
+vane or a gap needs no finer grid than the vane itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cache, lru_cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.pupil_drawing import PupilGeometry
+from irlos_pipe.effects.base import Effect
+from irlos_pipe.effects.redrawn_pupil import (
+    Drawing,
+    DrawnEffect,
+    RedrawnPupil,
+    RedrawnTogether,
+    slopes_of_drawing,
+    subsamples_of,
+)
+from irlos_pipe.optics.grids import PupilGrid
+from irlos_pipe.optics.pupil import band_limited_parts
+
+
+class DividedPupil(DrawnEffect):
+    """Gives parts of the pupil, as it is drawn, wavefronts of their own."""
+
+    @classmethod
+    def count_in(cls, geometry: PupilGeometry) -> int:
+        """Return the number of parts of a pupil `geometry`."""
+        raise NotImplementedError
+
+    @classmethod
+    def amplitudes_of(cls, geometry: PupilGeometry, samples: int) -> np.ndarray:
+        """Return the amplitude of each part, (parts, n, n); see `pupil.band_limited_pupil`."""
+        raise NotImplementedError
+
+    @classmethod
+    def index_in(cls, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        """Return the number, from 0, of the part of a `geometry` at points (`x_m`, `y_m`)."""
+        raise NotImplementedError
+
+    def factors(self, values: torch.Tensor, grid: PupilGrid) -> list[torch.Tensor]:
+        """Return the complex factor of each part, (wavelengths, n, n)."""
+        raise NotImplementedError
+
+    def moved(
+        self, values: torch.Tensor, amplitudes: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """Return derivatives of a field whose parts have some `amplitudes` (parts, n, n); see `slopes`."""
+        raise NotImplementedError
+
+    def opd_where(self, values: torch.Tensor, index: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """Return the OPD (n, n) [nm] where parts have the numbers `index`, (n, n)."""
+        raise NotImplementedError
+
+    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.apply`."""
+        return _added(field, _parts(type(self), grid, Drawing(grid.geometry)), self.factors(values, grid))
+
+    def slopes(
+        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `PupilEffect.slopes`."""
+        return self.moved(values, _parts(type(self), grid, Drawing(grid.geometry)), grid, wanted)
+
+    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.opd_nm`."""
+        return self.opd_where(values, _index_on(type(self), grid, 0.0), grid)
+
+
+class RedrawnAndDivided(DrawnEffect):
+    """A drawing of the pupil, and wavefronts of its parts.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        Each a `RedrawnPupil` or a `DividedPupil`, some of whose parameters may be held.
+    """
+
+    name = "redrawn_and_divided_pupil"
+
+    def __init__(self, effects: Sequence[Effect]):
+        self.parameters = tuple(p for one in effects for p in one.parameters)
+        ends = np.cumsum([0, *(len(one.parameters) for one in effects)])
+        pieces = [list(range(a, b)) for a, b in pairwise(ends.tolist())]
+        pairs = list(zip(effects, pieces, strict=True))
+        redrawing = [pair for pair in pairs if isinstance(pair[0].base, RedrawnPupil)]
+        self._redrawn = RedrawnTogether([one for one, _ in redrawing])
+        self._drawing = [place for _, piece in redrawing for place in piece]
+        self._dividing = [pair for pair in pairs if isinstance(pair[0].base, DividedPupil)]
+
+    def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.apply`."""
+        drawing = values[self._drawing]
+        field = self._redrawn.apply(drawing, field, grid)
+        for base, own in self._each(values):
+            if len(drawing):
+                parts = _differentiable_parts().apply(drawing, self._redrawn, type(base), grid)
+            else:
+                parts = _parts(type(base), grid, self._drawn(values, grid))
+            field = _added(field, parts, base.factors(own, grid))
+        return field
+
+    def slopes(
+        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `PupilEffect.slopes`."""
+        found = dict(zip(self._drawing, self._slopes_of_edges(values, field, grid), strict=True))
+        drawn = self._drawn(values, grid)
+        for (effect, piece), (base, own) in zip(self._dividing, self._each(values), strict=True):
+            moved = base.moved(own, _parts(type(base), grid, drawn), grid, effect.free)
+            found |= zip(piece, moved, strict=True)
+        return [found[index] for index in wanted]
+
+    def _slopes_of_edges(
+        self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid
+    ) -> list[torch.Tensor]:
+        """Derivatives of the field with respect to the parameters of the drawing."""
+        drawing, every = values[self._drawing], range(len(self._drawing))
+        slopes = self._redrawn.slopes(drawing, field, grid, every)
+        for base, own in self._each(values):
+            factors = base.factors(own, grid)
+            for part, moved in enumerate(_part_slopes(self._redrawn, type(base), grid, drawing)):
+                slopes = [
+                    slope + grid.light * edge * (factors[part] - 1)
+                    for slope, edge in zip(slopes, moved, strict=True)
+                ]
+        return slopes
+
+    def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
+        """See `PupilEffect.opd_nm`: parts turn with the pupil."""
+        angle_deg = self._drawn(values, grid).turned_deg
+        maps = [
+            base.opd_where(own, _index_on(type(base), grid, angle_deg), grid)
+            for base, own in self._each(values)
+        ]
+        return torch.stack(maps).sum(0)
+
+    def _drawn(self, values: torch.Tensor, grid: PupilGrid) -> Drawing:
+        return self._redrawn.redrawn(values[self._drawing].tolist(), Drawing(grid.geometry))
+
+    def _each(self, values: torch.Tensor) -> list[tuple[DividedPupil, torch.Tensor]]:
+        """Every effect of parts with all its parameters."""
+        return [(one.base, one.all_values(values[piece])) for one, piece in self._dividing]  # type: ignore[misc]
+
+
+def _added(field: torch.Tensor, parts: torch.Tensor, factors: Sequence[torch.Tensor]) -> torch.Tensor:
+    """A `field` whose `parts` (parts, n, n) have got `factors`."""
+    for part, factor in zip(parts, factors, strict=True):
+        field = field + part * (factor - 1)
+    return field
+
+
+def _parts(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> torch.Tensor:
+    """Amplitude of each part of a `drawing`, (parts, n, n)."""
+    drawn = _drawn_parts(kind, grid.geometry, drawing, grid.samples)  # type: ignore[arg-type]
+    return torch.as_tensor(np.where(grid.lit, drawn, 0) * grid.light)
+
+
+@lru_cache(maxsize=8)
+def _drawn_parts(kind: type[DividedPupil], told: PupilGeometry, drawing: Drawing, samples: int) -> np.ndarray:
+    """Band-limited amplitude of each part of a pupil that was `told`, as it is drawn, (parts, n, n)."""
+    if drawing == Drawing(told):
+        return kind.amplitudes_of(told, samples)
+
+    def shares(x_m: np.ndarray, y_m: np.ndarray, step_m: float) -> Iterator[tuple[int, slice, np.ndarray]]:
+        index = kind.index_in(told, *_before_turning(x_m, y_m, drawing.turned_deg))
+        for part in np.unique(index).tolist():
+            columns = np.flatnonzero((index == part).any(0))
+            some = slice(int(columns[0]), int(columns[-1]) + 1)
+            yield part, some, index[:, some] == part
+
+    options: Any = {"stop_m": drawing.stop_m, "subsamples": subsamples_of(told, samples)}
+    return band_limited_parts(drawing.geometry, samples, kind.count_in(told), shares, **options)
+
+
+def _part_slopes(
+    effect: RedrawnPupil, kind: type[DividedPupil], grid: PupilGrid, values: torch.Tensor
+) -> Iterator[list[torch.Tensor]]:
+    """For each part the derivatives of its amplitude with respect to all parameters, (n, n) each."""
+    turned_deg = effect.redrawn(values.tolist(), Drawing(grid.geometry)).turned_deg
+    for part in range(kind.count_in(grid.geometry)):
+
+        def within(x_m: np.ndarray, y_m: np.ndarray, part: int = part) -> np.ndarray:
+            return kind.index_in(grid.geometry, *_before_turning(x_m, y_m, turned_deg)) == part
+
+        yield slopes_of_drawing(effect, grid, values, range(len(values)), within)
+
+
+def _index_on(kind: type[DividedPupil], grid: PupilGrid, turned_deg: float) -> torch.Tensor:
+    """Number of the part of a turned pupil at the points of a `grid`, (n, n)."""
+    x_m, y_m = (axis * grid.radius_m for axis in grid.xy)
+    return torch.as_tensor(kind.index_in(grid.geometry, *_before_turning(x_m, y_m, turned_deg)))
+
+
+def _before_turning(x_m: np.ndarray, y_m: np.ndarray, turned_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where points of a turned pupil were before it turned."""
+    if turned_deg == 0:
+        return x_m, y_m
+    cosine, sine = np.cos(np.deg2rad(turned_deg)), np.sin(np.deg2rad(turned_deg))
+    return cosine * x_m + sine * y_m, cosine * y_m - sine * x_m
+
+
+@cache
+def _differentiable_parts() -> type[torch.autograd.Function]:
+    """Amplitude of each part of a drawing by an effect, (parts, n, n)."""
+
+    class Parts(torch.autograd.Function):
+        @staticmethod
+        def forward(values, effect, kind, grid):
+            return _parts(kind, grid, effect.redrawn(values.tolist(), Drawing(grid.geometry)))
+
+        @staticmethod
+        def setup_context(ctx, inputs, output):
+            values, ctx.effect, ctx.kind, ctx.grid = inputs
+            ctx.values = values.detach()
+
+        @staticmethod
+        def backward(ctx, upstream):
+            slopes = _part_slopes(ctx.effect, ctx.kind, ctx.grid, ctx.values)
+            of_parts = [
+                torch.stack([(own * slope).sum() for slope in part])
+                for own, part in zip(upstream, slopes, strict=True)
+            ]
+            return torch.stack(of_parts).sum(0) * ctx.grid.light, None, None, None
+
+    return Parts
