@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.diagnosis.acceptance import Accepted, Search, labels_in
-from irlos_pipe.diagnosis.checks.fine_structure import fine_structure
+from irlos_pipe.diagnosis.checks.fine_structure import fine_structure, flat_rms
 from irlos_pipe.diagnosis.checks.motion import motion_ratio
 from irlos_pipe.diagnosis.checks.noise import NoiseVerdict
 from irlos_pipe.diagnosis.checks.pixels import screened_step, smallest_excess
@@ -74,6 +74,7 @@ def conclude(
     steps = [*_drift_steps(cube, search, options), *_steps(search, judgement.shares, covariances)]
     final, after = (search.null, before) if why else (plain, after)
     left_fine = fine_structure(search.null) if why else fine
+    flat = 0.0 if why or fine.significance < options.sure else flat_error(final)
     gap = replace(gap, after=after.gap)
     present = {effect.name for effect in search.final.fitted.effects}
     unseen = [s for s in search.scores if s.name not in present]
@@ -96,7 +97,7 @@ def conclude(
         why_unknown=why,
         adjusted=_adjusted(search, covariances) if not why else [],
         tried=tried(search, options, hidden, named=not why),
-        rest=rest_of(after, gap.floor, left_fine, options.sure, search.final.settings),
+        rest=rest_of(after, gap.floor, left_fine, options.sure, final.settings, flat),
         gap=gap,
         mdb=_with_wider_forms({s.name: _smallest(s) for s in testable}) | _elsewhere(search, options),
         untestable=[*(s.name for s in hidden), *search.meaningless],
@@ -132,6 +133,19 @@ def _smallest(score: Score) -> dict:
     """Public size of every parameter that would surely have been seen."""
     found = (detectable(one) for one in (*score.besides, score))
     return {key: size for public in found for key, size in public.items()}
+
+
+def flat_error(final: Optimum) -> float:
+    """Return the relative error of the flat that would leave the fine structure of the first recording.
+
+    A wrong model leaves more.
+
+    Parameters
+    ----------
+    final : Optimum
+    """
+    part, pixels = final.stack.parts[0], final.fitted.problem.pixels[0]
+    return flat_rms(part, part.mean_e - final.fitted.image_e[pixels], final.settings)
 
 
 def _with_wider_forms(smallest: dict[str, dict]) -> dict[str, dict]:

@@ -41,6 +41,8 @@ class Rest:
     time : str
         Whether the two halves of the frames leave the same.
     finer_than_diffraction : bool
+    flat_rms : float
+        Relative error of the flat that would make what is finer; 0 where none is told apart.
     """
 
     light_fraction: float
@@ -51,12 +53,15 @@ class Rest:
     symmetry: Symmetry
     time: Time
     finer_than_diffraction: bool
+    flat_rms: float = 0.0
 
     @property
     def text(self) -> str:
         """One sentence for people."""
         sign = "brighter" if self.excess else "fainter"
         fine = ", partly finer than the diffraction limit" if self.finer_than_diffraction else ""
+        if fine and self.flat_rms:
+            fine += f" as an error of the flat of {self.flat_rms:.2%} RMS would make it"
         when = "" if self.time == "not seen" else f", {self.time}"
         return (
             f"{self.light_fraction:.1%} of the light is misplaced beyond noise, most of it "
@@ -66,7 +71,12 @@ class Rest:
 
 
 def rest_of(
-    judge: HeldOutEvaluation, floor: float, fine: FineStructure, sure: float, settings: PsfSettings
+    judge: HeldOutEvaluation,
+    floor: float,
+    fine: FineStructure,
+    sure: float,
+    settings: PsfSettings,
+    flat_rms: float = 0.0,
 ) -> Rest:
     """Describe what the final model leaves of the held-out frames of the first recording.
 
@@ -79,6 +89,8 @@ def rest_of(
     sure : float
         Significance from which fine structure counts, in Gaussian σ.
     settings : PsfSettings
+    flat_rms : float
+        Of the final model, see `fine_structure.flat_rms`.
     """
     pixels, window = judge.pixels[0], settings.window
     image = judge.mean_e[pixels].reshape(window).numpy()
@@ -95,6 +107,7 @@ def rest_of(
         symmetry=_symmetry(left, star_y, star_x),
         time=_time(judge),
         finer_than_diffraction=fine.significance > sure,
+        flat_rms=flat_rms,
     )
 
 

@@ -20,10 +20,9 @@ class LowWindEffect(PupilSteps):
     In calm nights the vanes cool the air beside them, and the wavefront steps from petal to petal by up to
     a micrometre; Shack–Hartmann sensors do not see the steps. Each petal has its piston and, as tip and
     tilt, Noll 2 and 3 of the whole pupil restricted to it. Petals are the connected parts of the clear
-    pupil, however many there are, counted anticlockwise from the one nearest to the +45° diagonal; they turn
-    with vanes that `pupil_misregistration` turns; gaps
-    between segments do not part them. Piston of the whole pupil does nothing, and common tip and tilt are
-    Noll 2 and 3: the prior decides.
+    pupil, however many there are, counted anticlockwise from the one nearest to the +45° diagonal; gaps
+    between segments do not part them, and they turn with vanes that `pupil_misregistration` turns. Piston of
+    the whole pupil does nothing, and common tip and tilt are Noll 2 and 3: the prior decides.
     """
 
     name = "low_wind_effect"

@@ -164,6 +164,7 @@ def _rest(rest: Rest) -> RestRow:
         symmetry=rest.symmetry,
         time=rest.time,
         finer_than_diffraction=rest.finer_than_diffraction,
+        flat_rms=rest.flat_rms,
         text=rest.text,
     )
 

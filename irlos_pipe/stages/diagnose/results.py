@@ -386,6 +386,8 @@ class RestRow(ResultsPart):
         Whether the two halves of the frames leave the same: ``static``, ``moving`` or ``not seen``.
     finer_than_diffraction : bool
         Whether a part of it is finer than the telescope can make.
+    flat_rms : float
+        Relative error of the flat that would make what is finer; 0 where none is told apart.
     text : str
         All of it in a sentence.
     """
@@ -396,6 +398,7 @@ class RestRow(ResultsPart):
     symmetry: str = ""
     time: str = ""
     finer_than_diffraction: bool = False
+    flat_rms: Number = 0.0
     text: str = ""
 
 
