@@ -159,16 +159,18 @@ def _added(field: torch.Tensor, parts: torch.Tensor, factors: Sequence[torch.Ten
 
 
 def _parts(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> torch.Tensor:
-    """Amplitude of each part of a `drawing`, (parts, n, n)."""
-    drawn = _drawn_parts(kind, grid.geometry, drawing, grid.samples)  # type: ignore[arg-type]
-    return torch.as_tensor(np.where(grid.lit, drawn, 0) * grid.light)
+    """Amplitude of each part of a `drawing`, (parts, n, n): as it was told, and what the drawing changes."""
+    geometry, samples = grid.geometry, grid.samples
+    parts, told = kind.amplitudes_of(geometry, samples), Drawing(geometry)
+    if drawing != told:
+        drawn = (_drawn_parts(kind, geometry, one, samples) for one in (drawing, told))  # type: ignore[arg-type]
+        parts = parts + next(drawn) - next(drawn)
+    return torch.as_tensor(np.where(grid.lit, parts, 0) * grid.light)
 
 
 @lru_cache(maxsize=8)
 def _drawn_parts(kind: type[DividedPupil], told: PupilGeometry, drawing: Drawing, samples: int) -> np.ndarray:
     """Band-limited amplitude of each part of a pupil that was `told`, as it is drawn, (parts, n, n)."""
-    if drawing == Drawing(told):
-        return kind.amplitudes_of(told, samples)
 
     def shares(x_m: np.ndarray, y_m: np.ndarray, step_m: float) -> Iterator[tuple[int, slice, np.ndarray]]:
         index = kind.index_in(told, *_before_turning(x_m, y_m, drawing.turned_deg))
