@@ -31,33 +31,80 @@ from irlos_pipe.optics.pupil import band_limited_parts
 class DividedPupil(DrawnEffect):
     """Gives parts of the pupil, as it is drawn, wavefronts of their own."""
 
+    order = -1  # the first of those that act on the drawing, as it joins them
+
+    @classmethod
+    def together(cls, effects: Sequence[Effect]) -> Effect:
+        """See `Effect.together`: the parts of one drawing."""
+        return RedrawnAndDivided(effects)
+
     @classmethod
     def count_in(cls, geometry: PupilGeometry) -> int:
-        """Return the number of parts of a pupil `geometry`."""
+        """Return the number of parts of a pupil.
+
+        Parameters
+        ----------
+        geometry : PupilGeometry
+        """
         raise NotImplementedError
 
     @classmethod
     def amplitudes_of(cls, geometry: PupilGeometry, samples: int) -> np.ndarray:
-        """Return the amplitude of each part, (parts, n, n); see `pupil.band_limited_pupil`."""
+        """Return the amplitude of each part, (parts, n, n).
+
+        Parameters
+        ----------
+        geometry, samples
+            See `pupil.band_limited_pupil`.
+        """
         raise NotImplementedError
 
     @classmethod
     def index_in(cls, geometry: PupilGeometry, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """Return the number, from 0, of the part of a `geometry` at points (`x_m`, `y_m`)."""
+        """Return the number, from 0, of the part at every point.
+
+        Parameters
+        ----------
+        geometry : PupilGeometry
+        x_m, y_m : ndarray, shapes that broadcast
+        """
         raise NotImplementedError
 
     def factors(self, values: torch.Tensor, grid: PupilGrid) -> list[torch.Tensor]:
-        """Return the complex factor of each part, (wavelengths, n, n)."""
+        """Return the complex factor of each part, (wavelengths, n, n).
+
+        Parameters
+        ----------
+        values : tensor, (parameters,)
+        grid : PupilGrid
+        """
         raise NotImplementedError
 
     def moved(
         self, values: torch.Tensor, amplitudes: torch.Tensor, grid: PupilGrid, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
-        """Return derivatives of a field whose parts have some `amplitudes` (parts, n, n); see `slopes`."""
+        """Return derivatives of the field, see `slopes`.
+
+        Parameters
+        ----------
+        values : tensor, (parameters,)
+        amplitudes : tensor, (parts, n, n)
+            Of the parts.
+        grid : PupilGrid
+        wanted : sequence of int
+        """
         raise NotImplementedError
 
     def opd_where(self, values: torch.Tensor, index: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
-        """Return the OPD (n, n) [nm] where parts have the numbers `index`, (n, n)."""
+        """Return the OPD, (n, n) [nm].
+
+        Parameters
+        ----------
+        values : tensor, (parameters,)
+        index : tensor, (n, n)
+            Number of the part at every point.
+        grid : PupilGrid
+        """
         raise NotImplementedError
 
     def apply(self, values: torch.Tensor, field: torch.Tensor, grid: PupilGrid) -> torch.Tensor:

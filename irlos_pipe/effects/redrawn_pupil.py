@@ -39,17 +39,14 @@ class DrawnEffect(PupilEffect):
     order = 0  # changes where there is light, before what multiplies it
     joins = "redrawn_pupil"
 
-    @classmethod
-    def together(cls, effects: Sequence[Effect]) -> Effect:
-        """See `Effect.together`: one drawing with all of them."""
-        from irlos_pipe.effects.divided_pupil import RedrawnAndDivided  # which needs this module
-
-        redrawing = all(isinstance(one.base, RedrawnPupil) for one in effects)
-        return RedrawnTogether(effects) if redrawing else RedrawnAndDivided(effects)
-
 
 class RedrawnPupil(DrawnEffect):
     """Changes the drawing of the pupil."""
+
+    @classmethod
+    def together(cls, effects: Sequence[Effect]) -> Effect:
+        """See `Effect.together`: one drawing with all of them."""
+        return RedrawnTogether(effects)
 
     def redrawn(self, values: Sequence[float], drawing: Drawing) -> Drawing:
         """The `drawing` with the effect at `values`."""
@@ -152,7 +149,18 @@ def slopes_of_drawing(
     wanted: Sequence[int],
     within: Within | None = None,
 ) -> list[torch.Tensor]:
-    """Derivatives of the amplitude, or of a part, by the parameters `wanted` of an `effect`, (n, n) each."""
+    """Return derivatives of the amplitude of the pupil, or of a part of it, (n, n) each.
+
+    Parameters
+    ----------
+    effect : RedrawnPupil
+    grid : PupilGrid
+    values : tensor, (parameters,)
+    wanted : sequence of int
+        Positions of the parameters.
+    within : callable, optional
+        The part, see `PupilEdges`.
+    """
     numbers = values.tolist()
     geometry, stop_m, _ = effect.redrawn(numbers, Drawing(grid.geometry))
     edges = pupil_edges(geometry, grid.samples, subsamples_of(geometry, grid.samples), stop_m, within)
@@ -167,5 +175,12 @@ def _drawn(drawing: Drawing, samples: int) -> np.ndarray:
 
 
 def subsamples_of(geometry: PupilGeometry, samples: int) -> int:
-    """Even number of fine cells of about `CELL_M` per coarse cell."""
+    """Return the even number of fine cells of about `CELL_M` per coarse cell.
+
+    Parameters
+    ----------
+    geometry : PupilGeometry
+    samples : int
+        Across the diameter.
+    """
     return 2 * int(np.ceil(geometry.diameter_m / samples / CELL_M / 2))
