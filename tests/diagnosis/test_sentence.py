@@ -27,7 +27,7 @@ def test_three_names_or_more_are_told_apart(phrases, said):
         (
             True,
             0.0049,
-            "static, partly finer than the diffraction limit as an error of the flat of 0.49% RMS",
+            "partly finer than the diffraction limit as an error of the flat of 0.49% RMS",
         ),
         (True, 0.0, "static, partly finer than the diffraction limit"),
         (False, 0.0049, "static"),
