@@ -74,7 +74,7 @@ def conclude(
     steps = [*_drift_steps(cube, search, options), *_steps(search, judgement.shares, covariances)]
     final, after = (search.null, before) if why else (plain, after)
     left_fine = fine_structure(search.null) if why else fine
-    flat = 0.0 if why or fine.significance < options.sure else flat_error(final)
+    flat = 0.0 if why or fine.significance < options.sure else _flat_rms(final)
     gap = replace(gap, after=after.gap)
     present = {effect.name for effect in search.final.fitted.effects}
     unseen = [s for s in search.scores if s.name not in present]
@@ -135,15 +135,8 @@ def _smallest(score: Score) -> dict:
     return {key: size for public in found for key, size in public.items()}
 
 
-def flat_error(final: Optimum) -> float:
-    """Return the relative error of the flat that would leave the fine structure of the first recording.
-
-    A wrong model leaves more.
-
-    Parameters
-    ----------
-    final : Optimum
-    """
+def _flat_rms(final: Optimum) -> float:
+    """Error of the flat that would leave the fine structure of the first recording."""
     part, pixels = final.stack.parts[0], final.fitted.problem.pixels[0]
     return flat_rms(part, part.mean_e - final.fitted.image_e[pixels], final.settings)
 

@@ -6,7 +6,7 @@ vane or a gap needs no finer grid than the vane itself.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache, lru_cache
 from itertools import pairwise
 from typing import Any
@@ -25,7 +25,7 @@ from irlos_pipe.effects.redrawn_pupil import (
     subsamples_of,
 )
 from irlos_pipe.optics.grids import PupilGrid
-from irlos_pipe.optics.pupil import band_limited_parts
+from irlos_pipe.optics.pupil import Division, band_limited_parts
 
 
 class DividedPupil(DrawnEffect):
@@ -34,9 +34,10 @@ class DividedPupil(DrawnEffect):
     order = -1  # the first of those that act on the drawing, as it joins them
 
     @classmethod
-    def together(cls, effects: Sequence[Effect]) -> Effect:
-        """See `Effect.together`: the parts of one drawing."""
-        return RedrawnAndDivided(effects)
+    def together(cls, effects: Sequence[Effect]) -> Effect | None:
+        """See `Effect.together`: the parts of one drawing, where there is one."""
+        redrawn = any(isinstance(one.base, RedrawnPupil) for one in effects)
+        return RedrawnAndDivided(effects) if redrawn else None
 
     @classmethod
     def count_in(cls, geometry: PupilGeometry) -> int:
@@ -119,7 +120,7 @@ class DividedPupil(DrawnEffect):
 
     def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         """See `PupilEffect.opd_nm`."""
-        return self.opd_where(values, _index_on(type(self), grid, 0.0), grid)
+        return self.opd_where(values, _index_on(type(self), grid, Drawing(grid.geometry)), grid)
 
 
 class RedrawnAndDivided(DrawnEffect):
@@ -173,20 +174,19 @@ class RedrawnAndDivided(DrawnEffect):
         drawing, every = values[self._drawing], range(len(self._drawing))
         slopes = self._redrawn.slopes(drawing, field, grid, every)
         for base, own in self._each(values):
-            factors = base.factors(own, grid)
-            for part, moved in enumerate(_part_slopes(self._redrawn, type(base), grid, drawing)):
-                slopes = [
-                    slope + grid.light * edge * (factors[part] - 1)
-                    for slope, edge in zip(slopes, moved, strict=True)
-                ]
+            changes = torch.stack(base.factors(own, grid)) - 1
+            moved = _part_slopes(self._redrawn, type(base), grid, drawing)
+            slopes = [
+                slope + grid.light * (changes * parts[:, None]).sum(0)
+                for slope, parts in zip(slopes, moved, strict=True)
+            ]
         return slopes
 
     def opd_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         """See `PupilEffect.opd_nm`: parts turn with the pupil."""
-        angle_deg = self._drawn(values, grid).turned_deg
+        drawn = self._drawn(values, grid)
         maps = [
-            base.opd_where(own, _index_on(type(base), grid, angle_deg), grid)
-            for base, own in self._each(values)
+            base.opd_where(own, _index_on(type(base), grid, drawn), grid) for base, own in self._each(values)
         ]
         return torch.stack(maps).sum(0)
 
@@ -218,35 +218,33 @@ def _parts(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> torch
 @lru_cache(maxsize=8)
 def _drawn_parts(kind: type[DividedPupil], told: PupilGeometry, drawing: Drawing, samples: int) -> np.ndarray:
     """Band-limited amplitude of each part of a pupil that was `told`, as it is drawn, (parts, n, n)."""
-
-    def shares(x_m: np.ndarray, y_m: np.ndarray, step_m: float) -> Iterator[tuple[int, slice, np.ndarray]]:
-        index = kind.index_in(told, *_before_turning(x_m, y_m, drawing.turned_deg))
-        for part in np.unique(index).tolist():
-            columns = np.flatnonzero((index == part).any(0))
-            some = slice(int(columns[0]), int(columns[-1]) + 1)
-            yield part, some, index[:, some] == part
-
+    division = _division(kind, told, drawing)
     options: Any = {"stop_m": drawing.stop_m, "subsamples": subsamples_of(told, samples)}
-    return band_limited_parts(drawing.geometry, samples, kind.count_in(told), shares, **options)
+    return band_limited_parts(drawing.geometry, samples, division.count, division.shares, **options)
 
 
 def _part_slopes(
     effect: RedrawnPupil, kind: type[DividedPupil], grid: PupilGrid, values: torch.Tensor
-) -> Iterator[list[torch.Tensor]]:
-    """For each part the derivatives of its amplitude with respect to all parameters, (n, n) each."""
-    turned_deg = effect.redrawn(values.tolist(), Drawing(grid.geometry)).turned_deg
-    for part in range(kind.count_in(grid.geometry)):
-
-        def within(x_m: np.ndarray, y_m: np.ndarray, part: int = part) -> np.ndarray:
-            return kind.index_in(grid.geometry, *_before_turning(x_m, y_m, turned_deg)) == part
-
-        yield slopes_of_drawing(effect, grid, values, range(len(values)), within)
+) -> list[torch.Tensor]:
+    """Derivatives of the amplitudes of all parts with respect to each parameter, (parts, n, n) each."""
+    told = Drawing(grid.geometry)
+    division = _division(kind, told.geometry, effect.redrawn(values.tolist(), told))
+    return slopes_of_drawing(effect, grid, values, range(len(values)), division)
 
 
-def _index_on(kind: type[DividedPupil], grid: PupilGrid, turned_deg: float) -> torch.Tensor:
-    """Number of the part of a turned pupil at the points of a `grid`, (n, n)."""
+def _index_on(kind: type[DividedPupil], grid: PupilGrid, drawing: Drawing) -> torch.Tensor:
+    """Number of the part of a `drawing` at the points of a `grid`, (n, n)."""
     x_m, y_m = (axis * grid.radius_m for axis in grid.xy)
-    return torch.as_tensor(kind.index_in(grid.geometry, *_before_turning(x_m, y_m, turned_deg)))
+    return torch.as_tensor(_division(kind, grid.geometry, drawing).index(x_m, y_m))
+
+
+def _division(kind: type[DividedPupil], told: PupilGeometry, drawing: Drawing) -> Division:
+    """The parts of a pupil that was `told`, turned as it is drawn."""
+
+    def index(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        return kind.index_in(told, *_before_turning(x_m, y_m, drawing.turned_deg))
+
+    return Division(index, kind.count_in(told))
 
 
 def _before_turning(x_m: np.ndarray, y_m: np.ndarray, turned_deg: float) -> tuple[np.ndarray, np.ndarray]:
@@ -274,10 +272,7 @@ def _differentiable_parts() -> type[torch.autograd.Function]:
         @staticmethod
         def backward(ctx, upstream):
             slopes = _part_slopes(ctx.effect, ctx.kind, ctx.grid, ctx.values)
-            of_parts = [
-                torch.stack([(own * slope).sum() for slope in part])
-                for own, part in zip(upstream, slopes, strict=True)
-            ]
-            return torch.stack(of_parts).sum(0) * ctx.grid.light, None, None, None
+            along = torch.stack([(upstream * slope).sum() for slope in slopes])
+            return along * ctx.grid.light, None, None, None
 
     return Parts

@@ -18,9 +18,9 @@ from irlos_pipe.conventions.pupil_drawing import PupilGeometry
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.planes import PupilEffect
 from irlos_pipe.optics.grids import PupilGrid
-from irlos_pipe.optics.pupil import band_limited
+from irlos_pipe.optics.pupil import Division, band_limited
 from irlos_pipe.optics.pupil_cover import ON_AXIS
-from irlos_pipe.optics.pupil_edges import Edges, Within, pupil_edges
+from irlos_pipe.optics.pupil_edges import Edges, pupil_edges
 
 CELL_M = 0.008  # of the drawing
 
@@ -147,9 +147,9 @@ def slopes_of_drawing(
     grid: PupilGrid,
     values: torch.Tensor,
     wanted: Sequence[int],
-    within: Within | None = None,
+    division: Division | None = None,
 ) -> list[torch.Tensor]:
-    """Return derivatives of the amplitude of the pupil, or of a part of it, (n, n) each.
+    """Return derivatives of the amplitude of the pupil, (n, n) each, or of its parts, (parts, n, n) each.
 
     Parameters
     ----------
@@ -158,12 +158,12 @@ def slopes_of_drawing(
     values : tensor, (parameters,)
     wanted : sequence of int
         Positions of the parameters.
-    within : callable, optional
-        The part, see `PupilEdges`.
+    division : Division, optional
+        Into parts.
     """
     numbers = values.tolist()
     geometry, stop_m, _ = effect.redrawn(numbers, Drawing(grid.geometry))
-    edges = pupil_edges(geometry, grid.samples, subsamples_of(geometry, grid.samples), stop_m, within)
+    edges = pupil_edges(geometry, grid.samples, subsamples_of(geometry, grid.samples), stop_m, division)
     return [torch.as_tensor(effect.edge_slope(numbers, index, edges)) for index in wanted]
 
 

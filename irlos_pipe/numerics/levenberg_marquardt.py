@@ -180,10 +180,10 @@ class _State:
             self.status[which[self.gain[which] < SLOW * negligible]] = CONVERGED
 
     def _finish(self, which: np.ndarray) -> None:
-        """Close members, with the step that was found negligible: it costs nothing.
+        """Close members, with the step that was found negligible, which is there anyway.
 
-        Damping keeps it from leaping along a direction that the data do not determine. Where it leads is
-        looked at only if the Hessian may be a rough one, which can miss that the objective rises there.
+        Damping keeps it from leaping along a direction that the data do not determine. Where it leads costs
+        an evaluation, and is looked at only if the Hessian may be a rough one, which can miss a rise there.
         """
         self.status[which] = CONVERGED
         if self.reweighted:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -18,7 +18,34 @@ NOTHING_BEFORE_IT: dict = {"obscuration_m": 0.0, "vanes": (), "obstructions": ()
 PAD = 4  # coarse cells beyond the diameter on each side: room for the filter's ringing
 PASS_BAND, STOP_BAND = 0.7, 1.4  # of the low-pass, in units of the coarse grid's Nyquist frequency
 Shares = Callable[[np.ndarray, np.ndarray, float], Iterable[tuple[int, slice, np.ndarray]]]
+Index = Callable[[np.ndarray, np.ndarray], np.ndarray]  # number of the part at points (x, y) [m]
 CLEAN_BAND = min(PASS_BAND, 2 - STOP_BAND)  # neither attenuated nor reached by what folds back
+
+
+@dataclass(frozen=True)
+class Division:
+    """Parts of a pupil that meet where there is no light.
+
+    Attributes
+    ----------
+    index : callable
+        Number of the part at, or nearest to, points; arrays that broadcast.
+    count : int
+    """
+
+    index: Index
+    count: int
+
+    def shares(
+        self, x_m: np.ndarray, y_m: np.ndarray, step_m: float
+    ) -> Iterator[tuple[int, slice, np.ndarray]]:
+        """See `band_limited_parts`: a cell belongs to one part."""
+        index = self.index(x_m, y_m)
+        for number in np.unique(index).tolist():
+            inside = index == number
+            columns = np.flatnonzero(inside.any(0))
+            touched = slice(int(columns[0]), int(columns[-1]) + 1)
+            yield number, touched, inside[:, touched]
 
 
 def grid_centres(samples: int, step_m: float) -> np.ndarray:

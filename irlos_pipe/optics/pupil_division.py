@@ -11,7 +11,7 @@ import scipy
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane
 from irlos_pipe.conventions.pupil_parts import anticlockwise_from_first
-from irlos_pipe.optics.pupil import area_weighted_pupil, band_limited_parts, grid_centres
+from irlos_pipe.optics.pupil import Division, area_weighted_pupil, band_limited_parts, grid_centres
 from irlos_pipe.optics.pupil_cover import box
 
 LABELLED = 1024  # cells across the diameter of the drawing in which connected parts are looked for
@@ -51,12 +51,6 @@ class Petals:
         row, column = (self._cell(axis) for axis in (y_m, x_m))
         return self._index[row, column]
 
-    def shares(self, x_m: np.ndarray, y_m: np.ndarray, step_m: float) -> Iterator:
-        """See `pupil.band_limited_parts`: petals meet where there is no light, and a cell belongs to one."""
-        index = self.index(x_m, y_m)
-        for number in np.unique(index):
-            yield int(number), slice(None), index == number
-
     def _cell(self, axis_m: np.ndarray) -> np.ndarray:
         return np.clip(np.rint((axis_m - self._u[0]) / self._step), 0, len(self._u) - 1).astype(int)
 
@@ -74,7 +68,7 @@ def petal_amplitudes(geometry: PupilGeometry, samples: int) -> np.ndarray:
     `geometry` and `samples` are as of `pupil.band_limited_pupil`.
     """
     petals = petals_of(geometry)
-    return band_limited_parts(geometry, samples, petals.count, petals.shares)
+    return band_limited_parts(geometry, samples, petals.count, Division(petals.index, petals.count).shares)
 
 
 def segment_count(geometry: PupilGeometry) -> int:

@@ -7,7 +7,7 @@ are followed one by one; any other pupil is drawn twice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -16,12 +16,18 @@ import numpy as np
 import scipy
 
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, turned, with_sizes
-from irlos_pipe.optics.pupil import PAD, band_limited, band_limited_parts, filter_matrix, fine_centres
+from irlos_pipe.optics.pupil import (
+    PAD,
+    Division,
+    band_limited,
+    band_limited_parts,
+    filter_matrix,
+    fine_centres,
+)
 from irlos_pipe.optics.pupil_cover import ON_AXIS, across_m, axis, inside, outline_cover, vane_cover
 
 WIDTH = 1.5  # fine cells
 Distance = Callable[[np.ndarray, np.ndarray], np.ndarray]
-Within = Callable[[np.ndarray, np.ndarray], np.ndarray]  # whether points (x, y) [m] belong to a part
 
 
 def pupil_edges(
@@ -29,10 +35,10 @@ def pupil_edges(
     samples: int,
     subsamples: int,
     stop_m: tuple[float, float],
-    within: Within | None = None,
+    division: Division | None = None,
 ) -> Edges:
-    """Return what gives the derivatives of a pupil, or of a part of it; see `PupilEdges`."""
-    return (PupilEdges if geometry.plain else DrawnTwice)(geometry, samples, subsamples, stop_m, within)
+    """Return what gives the derivatives of a pupil; see `DrawnEdges` for the parameters."""
+    return (PupilEdges if geometry.plain else DrawnTwice)(geometry, samples, subsamples, stop_m, division)
 
 
 class _Cells(NamedTuple):
@@ -52,8 +58,8 @@ class _Cells(NamedTuple):
         return self._replace(share=self.share * clear)
 
 
-class PupilEdges:
-    """Edges of a plain pupil with an internal stop, as `pupil.band_limited` draws them.
+class DrawnEdges:
+    """Edges of a pupil with an internal stop, as `pupil.band_limited` draws them.
 
     Parameters
     ----------
@@ -62,8 +68,8 @@ class PupilEdges:
         See `pupil.band_limited`.
     stop_m : (float, float)
         Position of the stop.
-    within : callable, optional
-        The part of the pupil in question; by default all of it. Parts meet where there is no light.
+    division : Division, optional
+        With one, derivatives are those of all its parts, (parts, n, n).
     """
 
     def __init__(
@@ -72,12 +78,33 @@ class PupilEdges:
         samples: int,
         subsamples: int,
         stop_m: tuple[float, float],
-        within: Within | None = None,
+        division: Division | None = None,
     ):
-        self.geometry, self.stop_m, self._subsamples, self._within = geometry, stop_m, subsamples, within
-        self._fine = fine_centres(geometry, samples, subsamples)
-        self._step = self._fine[1] - self._fine[0]
-        self._filter = filter_matrix(samples + 2 * PAD, subsamples)
+        self.geometry, self.stop_m, self.division = geometry, stop_m, division
+        self._samples, self._subsamples = samples, subsamples
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of a derivative."""
+        parts = () if self.division is None else (self.division.count,)
+        return (*parts, *(self._samples + 2 * PAD,) * 2)
+
+
+class PupilEdges(DrawnEdges):
+    """Edges of a plain pupil."""
+
+    @cached_property
+    def _fine(self) -> np.ndarray:
+        """Coordinates along either axis of the fine cells [m]."""
+        return fine_centres(self.geometry, self._samples, self._subsamples)
+
+    @property
+    def _step(self) -> float:
+        return self._fine[1] - self._fine[0]
+
+    @property
+    def _filter(self) -> np.ndarray:
+        return filter_matrix(self._samples + 2 * PAD, self._subsamples)
 
     def moved(self, along: tuple[float, float]) -> np.ndarray:
         """Return the derivative of the amplitude while the stop moves with a velocity, (n, n).
@@ -181,66 +208,56 @@ class PupilEdges:
     def _filtered(self, edges: Sequence[_Cells], changes: Sequence[np.ndarray]) -> np.ndarray:
         """Low-passed change at some edges, each with a rate at which light appears there [m], (n, n)."""
         if not edges:
-            return np.zeros(self._filter.shape[:1] * 2)
+            return np.zeros(self.shape)
         values = np.concatenate([cells.share * rate for cells, rate in zip(edges, changes, strict=True)])
         rows, columns = (np.concatenate([cells[axis] for cells in edges]) for axis in (0, 1))
-        if self._within is not None:
-            values = values * self._within(self._fine[columns], self._fine[rows])
+        if self.division is None:
+            return self._low_passed(values, rows, columns)
+        index = self.division.index(self._fine[columns], self._fine[rows])
+        parts = range(self.division.count)
+        return np.stack([self._low_passed(values * (index == part), rows, columns) for part in parts])
+
+    def _low_passed(self, values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         size = len(self._fine)
         return self._filter @ (
             scipy.sparse.csr_array((values, (rows, columns)), (size, size)) @ self._filter.T
         )
 
 
-class DrawnTwice:
-    """Any pupil with an internal stop, whose derivatives are differences of two drawings.
+class DrawnTwice(DrawnEdges):
+    """Any pupil, whose derivatives are differences of two drawings."""
 
-    Parameters
-    ----------
-    geometry, samples, subsamples, stop_m, within
-        See `PupilEdges`.
-    """
-
-    def __init__(
-        self,
-        geometry: PupilGeometry,
-        samples: int,
-        subsamples: int,
-        stop_m: tuple[float, float],
-        within: Within | None = None,
-    ):
-        self._geometry, self._samples, self._subsamples = geometry, samples, subsamples
-        self._within = within
-        self._stop_m = stop_m
-        self._step_m = WIDTH * geometry.diameter_m / samples / subsamples
+    @property
+    def _step_m(self) -> float:
+        return WIDTH * self.geometry.diameter_m / self._samples / self._subsamples
 
     def moved(self, along: tuple[float, float]) -> np.ndarray:
         """See `PupilEdges.moved`: one-sided where stop and pupil coincide."""
         speed = float(np.hypot(*along))
         if speed == 0:
-            return np.zeros((self._samples + 2 * PAD,) * 2)
+            return np.zeros(self.shape)
         ahead, behind = self._step_m / speed, -self._step_m / speed
-        if self._stop_m == ON_AXIS:
+        if self.stop_m == ON_AXIS:
             behind = 0.0
         return (self._with_stop(along, ahead) - self._with_stop(along, behind)) / (ahead - behind)
 
     def turned(self) -> np.ndarray:
         """See `PupilEdges.turned`; of a drawn aperture, the whole pupil turns."""
-        angle = self._step_m / (self._geometry.diameter_m / 2)
+        angle = self._step_m / (self.geometry.diameter_m / 2)
         later, before = (
-            self._drawn(turned(self._geometry, np.rad2deg(a)), self._stop_m) for a in (angle, -angle)
+            self._drawn(turned(self.geometry, np.rad2deg(a)), self.stop_m) for a in (angle, -angle)
         )
         return (later - before) / (2 * angle)
 
     def obscured(self) -> np.ndarray:
         """See `PupilEdges.obscured`."""
-        size_m = self._geometry.obscuration_m
-        return self._between(*(with_sizes(self._geometry, obscuration_m=size_m + s) for s in self._steps_m))
+        size_m = self.geometry.obscuration_m
+        return self._between(*(with_sizes(self.geometry, obscuration_m=size_m + s) for s in self._steps_m))
 
     def widened(self) -> np.ndarray:
         """See `PupilEdges.widened`."""
-        size_m = self._geometry.vane_width_m
-        return self._between(*(with_sizes(self._geometry, vane_width_m=size_m + s) for s in self._steps_m))
+        size_m = self.geometry.vane_width_m
+        return self._between(*(with_sizes(self.geometry, vane_width_m=size_m + s) for s in self._steps_m))
 
     @property
     def _steps_m(self) -> tuple[float, float]:
@@ -248,23 +265,20 @@ class DrawnTwice:
 
     def _between(self, larger: PupilGeometry, smaller: PupilGeometry) -> np.ndarray:
         """Difference of two drawings over twice the step."""
-        later, before = (self._drawn(one, self._stop_m) for one in (larger, smaller))
+        later, before = (self._drawn(one, self.stop_m) for one in (larger, smaller))
         return (later - before) / (2 * self._step_m)
 
     def _with_stop(self, along: tuple[float, float], time: float) -> np.ndarray:
-        stop_m = (self._stop_m[0] + time * along[0], self._stop_m[1] + time * along[1])
-        return self._drawn(self._geometry, stop_m)
+        stop_m = (self.stop_m[0] + time * along[0], self.stop_m[1] + time * along[1])
+        return self._drawn(self.geometry, stop_m)
 
     def _drawn(self, geometry: PupilGeometry, stop_m: tuple[float, float]) -> np.ndarray:
         options: Any = {"stop_m": stop_m, "subsamples": self._subsamples}
-        if self._within is None:
+        if self.division is None:
             return band_limited(geometry, self._samples, **options)
-        return band_limited_parts(geometry, self._samples, 1, self._only_within, **options)[0]
-
-    def _only_within(self, x_m: np.ndarray, y_m: np.ndarray, step_m: float) -> Iterator:
-        """See `pupil.Shares`: of the part in question."""
-        assert self._within is not None
-        yield 0, slice(None), self._within(x_m, y_m)
+        return band_limited_parts(
+            geometry, self._samples, self.division.count, self.division.shares, **options
+        )
 
 
 Edges = PupilEdges | DrawnTwice

@@ -115,6 +115,17 @@ def test_petals_move_with_the_edges_of_the_drawing(parameter, step):
     assert float((without - theirs).norm() / theirs.norm()) > 0.2
 
 
+def test_petals_and_segments_of_a_pupil_as_it_was_told_act_one_after_the_other():
+    """Truth: their fields less that of the clear pupil, added."""
+    grids, whole = psf().grids, []
+    for names in (["low_wind_effect", "segment_piston"], ["low_wind_effect"], ["segment_piston"]):
+        pairs = [made(name) for name in names]
+        whole.append(EffectSet([FixedEffect(effect, values) for effect, values in pairs], grids)().pupil)
+    clear = torch.as_tensor(grids.pupil.amplitude)
+    both, petals, segments = (field.numpy() for field in whole)
+    assert both == pytest.approx((petals + segments - clear.numpy()), abs=1e-12)
+
+
 @pytest.mark.slow
 def test_petals_of_a_redrawn_pupil_have_the_same_derivatives_by_reverse_differentiation():
     """Truth: the Jacobian."""

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from irlos_pipe.files.regular import read_regular
-
-RESULTS = "results.json"
+from irlos_pipe.product.runfolder import RunFolder
 
 
 def wavefront_of(value: Any) -> Any:
@@ -28,13 +27,15 @@ def wavefront_of(value: Any) -> Any:
     if not isinstance(value, str):
         return value
     path = Path(value)
-    path = path / RESULTS if path.is_dir() else path
+    path = RunFolder(path).results if path.is_dir() else path
     try:
         stages = json.loads(read_regular(path))["stages"]
     except OSError as error:
-        raise ValueError(f"{path}: {error.strerror or error}; give a run folder or its {RESULTS}") from None
+        raise ValueError(
+            f"{path}: {error.strerror or error}; give a run folder or its results.json"
+        ) from None
     except (ValueError, KeyError, TypeError):
-        raise ValueError(f"{path}: no results of a run; give a run folder or its {RESULTS}") from None
+        raise ValueError(f"{path}: no results of a run; give a run folder or its results.json") from None
     if "diagnose" in stages and "zernike_nm" in stages["diagnose"]:
         return stages["diagnose"]["zernike_nm"]["after"]
     if "calibrate" in stages:

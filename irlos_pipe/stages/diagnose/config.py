@@ -10,7 +10,8 @@ from irlos_pipe.diagnosis.options import DRIFT_NM
 from irlos_pipe.stages.base import StageConfig
 from irlos_pipe.stages.diagnose.begin_near import wavefront_of
 
-Noll = Annotated[int, Field(ge=2, le=231)]
+HIGHEST_NOLL = 231
+Noll = Annotated[int, Field(ge=2, le=HIGHEST_NOLL)]
 Nanometres = Annotated[float, Field(ge=-5000, le=5000)]
 
 
@@ -19,7 +20,10 @@ class Config(StageConfig):
 
     input: str = Field("cube", description="recipe input that holds the cubes, or the ramp")
     highest_noll: int = Field(
-        66, ge=4, le=231, description="modes 2 to this belong to every model; beyond: high_order_ncpa"
+        66,
+        ge=4,
+        le=HIGHEST_NOLL,
+        description="modes 2 to this belong to every model; beyond: high_order_ncpa",
     )
     held_out: float = Field(
         0.25,
