@@ -6,8 +6,8 @@ measured, as χ²/ν and as fine structure that only the flat explains, and ente
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -21,7 +21,6 @@ from irlos_pipe.diagnosis.forward import Task
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.effects import Effect
-from irlos_pipe.estimate.tail_law import TailLaw
 from irlos_pipe.optics.psf_settings import PsfSettings
 
 KNOWN = 1.2  # χ²/ν up to which photons still set the errors
@@ -39,17 +38,14 @@ class AllowingTask(Task):
         Error of the flat, the least that a model left: a wrong one makes fine structure of its own.
     misfit : float
         χ²/ν for which the variances allow.
-    beyond_nm : mapping
-        Modes beyond the closed basis that the light paths have; Noll index to nm RMS.
-    law : TailLaw or None
-        Of these modes, as the last fit of all has it.
+    all_modes : Opening or None
+        The last fit of all visible modes, of which the light paths have those beyond the closed basis.
     """
 
     kind: str
     flat_rms: float = np.inf
     misfit: float = np.inf
-    beyond_nm: Mapping[int, float] = field(default_factory=dict)
-    law: TailLaw | None = None
+    all_modes: Opening | None = None
 
     def with_errors(self, fitted: Fitted) -> tuple[Self, Optimum]:
         """The search that allows for what a model misses, and the model fitted again under it."""
@@ -83,16 +79,18 @@ class AllowingTask(Task):
 
     def opening(self, near: Fitted, effects: Sequence[Effect]) -> Opening | None:
         """A fit of all visible modes beside some effects, see `Opening.of`."""
-        unknown = {noll: -nm for noll, nm in self.beyond_nm.items()}
+        before = self.all_modes
+        known_nm, law = ({}, None) if before is None else (before.beyond_nm, before.law)
+        unknown = {noll: -nm for noll, nm in known_nm.items()}
         views = [view.with_known(unknown) for view in self.fitter.views]
         fitter = self.fitter.of(self.cube.training, views)
-        return Opening.of(fitter, effects, near, self.beyond_nm, self.law)
+        return Opening.of(fitter, effects, near, known_nm, law)
 
     def closed(self, opening: Opening) -> tuple[Self, Optimum]:
         """The search, and its model, with the modes beyond the closed basis as a fit of all has them."""
         known = opening.with_known_modes()
         fitter = self.fitter.of(self.cube.training, known.views)
-        task = replace(self, fitter=fitter, beyond_nm=opening.beyond_nm, law=opening.law)
+        task = replace(self, fitter=fitter, all_modes=opening)
         return task.with_errors(task.fitter.at(known))
 
 

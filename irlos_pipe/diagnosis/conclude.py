@@ -86,7 +86,7 @@ def conclude(
     frames = len({*cube.training.parts[0].when, *cube.held_out.parts[0].when})
     pixels = screened_step(screened, final, frames, gap)
     if pixels is not None:
-        known, gap = [*known, pixels], replace(gap, before=pixels.gap.before)
+        known, gap = _before_ordinary(known, pixels), replace(gap, before=pixels.gap.before)
     left = judgement.left or fine.significance > options.sure
     return Diagnosis(
         verdict=UNKNOWN if why else EFFECT if known else NONE,
@@ -209,6 +209,13 @@ def _steps(search: Search, shares: Sequence[float], covariances: Covariances) ->
     return [
         replace(_step(one, label, fitted, covariances.of(label)), share=share) for one, label, share in rows
     ]
+
+
+def _before_ordinary(steps: Sequence[Step], one: Step) -> list[Step]:
+    """`steps` and another one, which comes before what is to be expected of any instrument."""
+    usual = [step.effect.base.ordinary(step.effect.values) for step in steps]
+    place = usual.index(True) if any(usual) else len(steps)
+    return [*steps[:place], one, *steps[place:]]
 
 
 def _nearest(search: Search) -> Step | None:

@@ -20,7 +20,7 @@ from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, share_at_its_place
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.refit import Refit, narrower_form, quick_refits, wider_forms
 from irlos_pipe.diagnosis.search.scores import Family, Score, score_family
-from irlos_pipe.diagnosis.without import without_linearly
+from irlos_pipe.diagnosis.without import needless, without_linearly
 from irlos_pipe.effects import CATALOGUE, Effect
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.labels import label_after
@@ -88,7 +88,7 @@ class NamingTask(AllowingTask):
             Names that were not significant beside these.
         """
         named: list[Accepted] = []
-        task, waiting = self, added(current.fitted, told)
+        task, waiting = self, self._sure(current, told)
         while waiting:
             label, *waiting = waiting
             present = task._against_without(current, label)
@@ -106,6 +106,21 @@ class NamingTask(AllowingTask):
                 named = [replace(other, label=label_after(other.label, label)) for other in named]
             named.append(replace(one, label=one.refit.label))
         return task, current, sorted(named, key=lambda one: (one.ordinary, -one.refit.gain))
+
+    def _sure(self, current: Optimum, told: Sequence[Effect]) -> list[str]:
+        """Labels of the effects beyond those told that all visible modes together do not imitate.
+
+        The modes beyond the closed basis are known to a model, as a fit beside its effects has them: without
+        an effect that they imitate it fits badly, whether or not that effect is there.
+        """
+        labels = added(current.fitted, told)
+        if self.all_modes is None:
+            return labels
+        fitted = self.all_modes.fitted
+        stack = self.allowing(fitted).cube.training
+        beside = [label for label in labels if label in fitted.problem.effects.labels]
+        imitated = {one for one in beside if needless(fitted, [one], stack, self.options.sure)}
+        return [label for label in labels if label not in imitated]
 
     def _rivals(self, refit: Refit, dropped: Sequence[str]) -> list[Refit]:
         """Fits of what may explain the same: of the dropped, and where it is unusual of all effects."""

@@ -44,13 +44,10 @@ class TolerantTask(NamingTask):
 
     Attributes
     ----------
-    all_modes : Opening or None
-        The last fit of all visible modes.
     beside_modes : sequence of Score
         Of the effects that it lacked, of which the modes imitate a part.
     """
 
-    all_modes: Opening | None = None
     beside_modes: Sequence[Score] = ()
 
     def beyond(self, search: Search, effects: Sequence[Effect]) -> Search:
@@ -161,7 +158,7 @@ class TolerantTask(NamingTask):
             opening = task._without_imitated(opening, told)
             opening = task._turned_beside_all_modes(opening) if number >= TURNED else opening
             opening, found = task._named_beside_all_modes(opening)
-            task, current = replace(task, all_modes=opening, beside_modes=found).closed(opening)
+            task, current = replace(task, beside_modes=found).closed(opening)
             if number == 0 and task.misfit > FAR:
                 task, current = task._started_elsewhere(current)
             steady = task.misfit > SETTLED * misfit

@@ -6,6 +6,7 @@ Truth: what was put into the frames, and images of the same model with the modes
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from irlos_pipe.diagnosis.fitted import begun_at
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.forward import Task
 from irlos_pipe.diagnosis.moments import Moments
+from irlos_pipe.diagnosis.naming import NamingTask
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.opening import Opening
 from irlos_pipe.diagnosis.options import Options
@@ -95,7 +97,7 @@ def test_beside_the_closed_basis_alone_the_tail_would_pass_for_a_companion(alone
 
 
 def bump_beside_all_modes(mean_e):
-    """Whether a bump is needed beside the closed basis and beside all modes, its size and error there."""
+    """Whether a bump is needed beside the closed basis, beside all modes and named; its size and error."""
     training = cube(mean_e).training
     fitter = Fitter([View(model(), CONDITIONS)], training)
     null = fitted(training)
@@ -104,20 +106,23 @@ def bump_beside_all_modes(mean_e):
     opening = Opening.of(fitter, closed.continued(), closed, {})
     assert opening is not None
     both = [not needless(one, [BUMP], training, 5.0) for one in (closed, opening.fitted)]
+    search = SimpleNamespace(all_modes=opening, options=SimpleNamespace(sure=5.0))
+    search.allowing = lambda _: SimpleNamespace(cube=SimpleNamespace(training=training))
+    named = NamingTask._sure(search, Optimum(training, closed), []) == [BUMP]
     sigma = Covariances(training, [opening.fitted, closed]).of(BUMP)[0, 0] ** 0.5
-    return both, opening.fitted.values_of(BUMP)[0], sigma
+    return [*both, named], opening.fitted.values_of(BUMP)[0], sigma
 
 
 def test_a_bump_that_stands_in_for_modes_is_not_needed_beside_them():
     needed, _, _ = bump_beside_all_modes(with_tail())
-    assert needed == [True, False]
+    assert needed == [True, False, False]
 
 
 def test_a_bump_that_is_there_is_needed_beside_all_modes_and_its_error_knows_of_them():
     bump = CATALOGUE[BUMP].under(CONDITIONS)
     mean_e = with_tail([FixedEffect(bump, BUMP_VALUES)])
     needed, nm, sigma_nm = bump_beside_all_modes(mean_e)
-    assert needed == [True, True]
+    assert needed == [True, True, True]
     assert nm == pytest.approx(BUMP_VALUES[0], abs=4 * sigma_nm)
     assert TAIL_NM < sigma_nm < BUMP_VALUES[0] / 5
 

@@ -12,7 +12,7 @@ from helpers.diagnose_frames import CONDITIONS, NOLLS, cube, fitted, image
 
 from irlos_pipe.diagnosis.acceptance import Options, accepted, labels_in
 from irlos_pipe.diagnosis.allowance import errors_of
-from irlos_pipe.diagnosis.conclude import _adjusted, _nearest
+from irlos_pipe.diagnosis.conclude import _adjusted, _before_ordinary, _nearest
 from irlos_pipe.diagnosis.effect_sizes import Covariances
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.naming import added
@@ -24,6 +24,7 @@ from irlos_pipe.diagnosis.tolerant import SCALES, everyday
 from irlos_pipe.diagnosis.verdict import PARTIAL
 from irlos_pipe.diagnosis.without import without_linearly
 from irlos_pipe.effects import CATALOGUE, FixedEffect
+from irlos_pipe.effects.detector import BadPixels
 
 STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
 SCALE = CATALOGUE["plate_scale"].under(CONDITIONS)
@@ -107,6 +108,15 @@ def test_what_was_adjusted_is_handed_on_by_its_label_if_there_are_two_of_a_kind(
     assert one.public["pa_deg"] == pytest.approx(np.rad2deg(np.arctan2(40, 150)))
     assert one.significance == pytest.approx(one.public["flux_ratio"] / one.sigma["flux_ratio"])
     assert one.phrase.startswith("a second source of ")
+
+
+def test_bad_pixels_come_before_facts_that_any_instrument_has_and_after_what_is_unusual():
+    scaled = [SimpleNamespace(effect=FixedEffect(SCALE, (fraction,))) for fraction in (0.005, 0.1)]
+    pixels = SimpleNamespace(effect=FixedEffect(BadPixels([(3, 4)]), (0.0,)))
+    assert [SCALE.ordinary(one.effect.values) for one in scaled] == [True, False]
+    assert _before_ordinary(scaled[::-1], pixels) == [scaled[1], pixels, scaled[0]]
+    assert _before_ordinary(scaled[1:], pixels) == [scaled[1], pixels]
+    assert _before_ordinary([], pixels) == [pixels]
 
 
 def test_a_fact_that_is_clearly_off_is_said_where_it_is_not_named(off_centre):
