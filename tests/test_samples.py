@@ -92,7 +92,9 @@ def test_a_ramp_with_estimated_ncpas_is_straight_to_5_nm(shared):
 
 
 @needs_shared
-@pytest.mark.parametrize("name", ["calibration-bench", "calibration-odd-window"])
+@pytest.mark.parametrize(
+    "name", ["calibration-bench", pytest.param("calibration-odd-window", marks=pytest.mark.long)]
+)
 def test_a_noise_limited_cube_is_explained_down_to_the_noise(tmp_path, name):
     calibrate = reduce("ncpa_calibration", tmp_path, calibration=SHARED / name)["calibrate"]
     assert total(errors_nm(calibrate, SHARED / "truth" / f"{name}.json")) < 0.3

@@ -172,9 +172,16 @@ class TolerantTask(NamingTask):
         return [*effects.values()] if self.all_modes is None else off_rest(self.all_modes.fitted, effects)
 
     def _without_imitated(self, opening: Opening, told: Sequence[Effect]) -> Opening:
-        """All modes without those effects of the wavefront, found before, that they imitate."""
+        """All modes without those effects, found before, that they imitate.
+
+        Effects of the wavefront may be such, and the pixels where wavelengths are free as well: all that the
+        image is made of may be larger by one factor.
+        """
         effects = opening.fitted.continued_by_label()
         found = [label for label in added(opening.fitted, told) if _of_the_wavefront(effects[label])]
+        pixels, wavelength = SCALES
+        if wavelength in effects and pixels in added(opening.fitted, told):
+            found.append(pixels)
         imitated = needless(opening.fitted, found, self.cube.training, self.options.sure)
         if not imitated:
             return opening

@@ -16,6 +16,7 @@ import torch
 
 from irlos_pipe.effects.image_model import ImageModel
 from irlos_pipe.estimate.parameters import Layout
+from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse
 from irlos_pipe.numerics.loss import GAUSSIAN, Loss
 from irlos_pipe.numerics.normal_equations import Linearised, normal_equations
 from irlos_pipe.numerics.parallel import joined_map
@@ -23,6 +24,7 @@ from irlos_pipe.numerics.problem import CHI2_TOLERANCE, Problem
 
 FRAMES_PER_CHUNK = 8
 FRAMES_PER_GRADIENT = 16
+MOST_LEVERAGE = 0.9  # of a pixel on its own fit; beyond it nothing is known of its noise
 Piece = Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, ...]]
 
 
@@ -86,8 +88,19 @@ class ImageFit(Problem):
         return self._with(model=model)
 
     def with_loss(self, loss: Loss) -> Self:
-        """Return the same images and weights with another loss, whitened or not as the present one."""
-        return self._with(loss=loss, reweighted=not loss.quadratic)
+        """Return the same images with another loss, and with one in plain electrons with its weights.
+
+        Raises
+        ------
+        ValueError
+            The present loss counts in plain electrons and the other one does not: variances are forgotten.
+        """
+        if loss.whitened and not self.loss.whitened:
+            raise ValueError(f"the variances are forgotten that {loss.name} needs")
+        other = self._with(loss=loss, reweighted=not loss.quadratic)
+        if self.loss.whitened and not loss.whitened:
+            other.root_weight = other._root_weight(self.root_weight.double() ** -2)
+        return other
 
     def members(self, which: torch.Tensor) -> Self:
         """Return the fits of some members only."""
@@ -219,6 +232,30 @@ class ImageFit(Problem):
             linearised = Linearised(columns, residual, root, self.loss, precision, offset)
             gradient, hessian = linearised.normal_equations()
         return self._value(residual, model_e, which), gradient.cpu(), hessian.cpu()
+
+    @torch.no_grad()
+    def robust_covariance(self, x: torch.Tensor) -> torch.Tensor:
+        """Covariance of estimates by a loss that is not the likelihood, (batch, parameters, parameters).
+
+        ``(JᵀDJ + P)⁻¹ (JᵀSJ + P) (JᵀDJ + P)⁻¹`` with derivatives J of the images, the slope D of ψ = ρ' at
+        the residuals, the prior's precision P, and S = ψ²/(1 − h)², as a pixel of leverage h follows its own
+        noise (Huber 1967, Proc. 5th Berkeley Symp. 1, 221; MacKinnon & White 1985, J. Econom. 29, 305).
+        """
+        return self._map(self._robust_covariance, x, torch.arange(len(x)))[0]
+
+    def _robust_covariance(self, x, which):
+        model_e, columns = self.predict_and_jacobian(x)
+        residual, root = self._whitened(model_e, which)
+        prior, columns = torch.diag_embed(self.prior_precision[which]), columns.double()
+
+        def summed(weight: torch.Tensor) -> torch.Tensor:
+            return ((columns * weight[:, None]) @ columns.mT).cpu() + prior
+
+        slope = (self.loss.slope(residual) * root**2).sum(1)
+        square = ((self.loss.weight(residual) * residual * root) ** 2).sum(1)
+        inverse = scaled_inverse(summed(slope))
+        leverage = slope * (columns * (inverse.to(columns.device) @ columns)).sum(1)
+        return (inverse @ summed(square / (1 - leverage.clamp(0, MOST_LEVERAGE)) ** 2) @ inverse,)
 
     # -- quality -----------------------------------------------------------------------------
 

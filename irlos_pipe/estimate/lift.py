@@ -147,13 +147,15 @@ def _lift(model: ImageModel, images_e, good, noise, start_nm, options, report) -
         x = _finite(solve(rough, x, max_iterations=options.max_iterations, report=report), x)
         report = None
         problem = _with_model_variance(problem, x, images_e, good, noise, options)
-    solution = solve(problem, x, max_iterations=options.max_iterations, report=report)
-    model_e = problem.predict_all(_finite(solution, x))
-    modes = layout.modes
+    posed = problem if options.loss_function.quadratic else problem.with_loss(options.loss_function)
+    solution = solve(posed, x, max_iterations=options.max_iterations, report=report)
+    ended, modes = _finite(solution, x), layout.modes
+    model_e = problem.predict_all(ended)
+    covariance = solution.covariance if posed is problem else posed.robust_covariance(ended)
     return LiftResult(
         nolls,
         solution.values[:, modes],
-        solution.covariance[:, modes, modes],
+        covariance[:, modes, modes],
         solution,
         model_e.reshape(images_e.shape),
         problem.reduced_chi2_of(model_e),
@@ -163,7 +165,7 @@ def _lift(model: ImageModel, images_e, good, noise, start_nm, options, report) -
 def _with_model_variance(rough: ImageFit, x, images_e, good, noise, options: LiftOptions) -> ImageFit:
     """The problem with the variances of the model at `x`, or of the model wherever it goes."""
     model, layout = rough.model, rough.layout
-    if options.noise == "iterative":
+    if options.noise == "iterative" and options.loss_function.quadratic:
         flat = images_e[:, None].flatten(2).to(model.psf.device)
         return PhotonFit(model, layout, flat, good.flatten(), noise)
     variance = noise.variance_e2(rough.predict_all(x)).reshape(images_e.shape)

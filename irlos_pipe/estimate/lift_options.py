@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 from irlos_pipe.conventions.late import torch
+from irlos_pipe.numerics.loss import LOSSES, Loss, LossName
 
 if TYPE_CHECKING:
     from irlos_pipe.estimate.lift_problems import Alike
@@ -24,6 +25,9 @@ class LiftOptions:
         model of the very estimate.
     prior_mean_nm, prior_sigma_nm : tensor, (images, modes) and (modes,), optional
         Gaussian prior; with it the estimate is MAP, without it ML.
+    loss : {"gaussian", "huber", "l1"}
+        Of the residuals: whitened, but in electrons for "l1", the loss of the paper's DIP. Variances cannot
+        follow the very estimate of a robust loss: with "iterative" they are those of "model".
     alike : Alike, optional
         Where many images are realisations of a few frames: quicker, covariances are those of the frames.
     """
@@ -32,7 +36,13 @@ class LiftOptions:
     prior_mean_nm: torch.Tensor | None = None
     prior_sigma_nm: torch.Tensor | None = None
     max_iterations: int = 40
+    loss: LossName = "gaussian"
     alike: Alike | None = None
+
+    @property
+    def loss_function(self) -> Loss:
+        """The loss."""
+        return LOSSES[self.loss]
 
     def of(self, which: torch.Tensor) -> LiftOptions:
         """Return the same for some of the images."""

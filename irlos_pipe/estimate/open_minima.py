@@ -62,9 +62,8 @@ def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) ->
 
     It has if χ²/ν is above nominal although the modes beyond the closed basis explain most of what that
     misses; else the model lacks something that no other minimum would bring. The search ends at the first
-    nominal χ²/ν, and after four fits with softened weights and `SHAKES` shakes of each at most. In vain it
-    takes two to three times the rest of a calibration on sky; on the bench, where that takes seconds, ten
-    times.
+    nominal χ²/ν, and after four fits with softened weights and `SHAKES` shakes of each at most. In vain,
+    where the model lacks something, it takes up to ten times the rest of a calibration.
 
     Parameters
     ----------

@@ -17,6 +17,7 @@ HUBER_KNEE = 2.0  # residuals beyond this many sigma count linearly
 L1_ROUNDING = 1.0  # the kink of |r| is rounded over this many sigma: noise blurs a sharper one anyway
 
 
+STEP = 1e-4  # σ, over which ψ is differentiated: its curvature is of the order of one
 LossName = Literal["gaussian", "huber", "l1"]
 
 
@@ -50,6 +51,11 @@ class Loss:
     def quadratic(self) -> bool:
         """True for plain least squares, whose weights are all one."""
         return self.weight is _ones
+
+    def slope(self, r: torch.Tensor) -> torch.Tensor:
+        """Derivative of ``ψ = ρ'`` at residuals of any shape, by differences: exactly, where ψ is linear."""
+        ahead, behind = r + STEP, r - STEP
+        return (self.weight(ahead) * ahead - self.weight(behind) * behind) / (2 * STEP)
 
 
 def _ones(r: torch.Tensor) -> torch.Tensor:

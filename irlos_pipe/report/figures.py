@@ -51,6 +51,7 @@ def write_figures(run: RunFolder, formats: Sequence[str] = FORMATS) -> list[Path
     def keep(name: str, figure: Figure) -> None:
         drawn[_unused(name, drawn)] = {kind: _file(figure, kind) for kind in formats}
 
+    _refuse_a_link(run)
     with kept_by(keep):
         report_sections(read_run(run.path))
     _make_folder(run)
@@ -81,9 +82,13 @@ def figures(path: Path | str) -> dict[str, Figure]:
     return drawn
 
 
-def _make_folder(run: RunFolder) -> None:
+def _refuse_a_link(run: RunFolder) -> None:
+    """Before anything is drawn, which takes a while."""
     if run.figures.is_symlink():
         raise IrlosError(f"{run.figures}: a link, through which nothing is written; remove it")
+
+
+def _make_folder(run: RunFolder) -> None:
     run.set_figures_aside()
     try:
         run.figures.mkdir(exist_ok=True)

@@ -20,7 +20,7 @@ from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Family, score_family
 from irlos_pipe.diagnosis.sentence import _left
-from irlos_pipe.diagnosis.tolerant import SCALES, everyday
+from irlos_pipe.diagnosis.tolerant import SCALES, TolerantTask, everyday
 from irlos_pipe.diagnosis.verdict import PARTIAL
 from irlos_pipe.diagnosis.without import without_linearly
 from irlos_pipe.effects import CATALOGUE, FixedEffect
@@ -77,6 +77,27 @@ def test_of_two_effects_that_scale_the_image_one_is_free():
     colour = CATALOGUE["spectrum"].under(CONDITIONS)
     assert [one.name for one in everyday(CONDITIONS, []) if one.name in SCALES] == ["plate_scale"]
     assert not {"plate_scale", "spectrum"} & {one.name for one in everyday(CONDITIONS, [colour])}
+
+
+def beside_all_modes(effects):
+    """What is left of some effects, fitted to frames without any of them."""
+    training = cube(image()).training
+    model = fitted(training, effects)
+    task = SimpleNamespace(
+        cube=SimpleNamespace(training=training),
+        options=SimpleNamespace(sure=5.0),
+        report=lambda _: None,
+        opening=lambda _, left: left,
+    )
+    opening = SimpleNamespace(fitted=model)
+    found = TolerantTask._without_imitated(task, opening, [])
+    return [effect.name for effect in (effects if found is opening else found)]
+
+
+def test_pixels_stay_as_told_where_wavelengths_are_free_and_the_pixels_are_not_sure():
+    colour = CATALOGUE["spectrum"].under(CONDITIONS)
+    assert beside_all_modes([SCALE, colour]) == ["spectrum"]
+    assert beside_all_modes([SCALE]) == ["plate_scale"]
 
 
 def test_of_one_kind_the_labels_keep_their_order_when_others_have_gone():

@@ -17,6 +17,7 @@ from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp, start_from_defocus
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.numerics.loss import LOSSES
 from irlos_pipe.optics.fourier_matrices import MAS
 from irlos_pipe.optics.psf import PsfModel
 
@@ -272,3 +273,47 @@ def test_images_of_any_kind_are_fitted_by_a_model_of_double_precision(dtype):
     found = lift(ImageModel(precise), images.to(dtype), *arguments)
     assert found.solution.converged.all()
     assert ((found.zernike_nm - exact.zernike_nm).abs() < 0.03 * exact.sigma_nm).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loss", ["huber", "l1"])
+def test_errors_of_a_robust_loss_hold_and_are_not_smaller_than_those_of_the_likelihood(model, loss):
+    """Truth: Monte Carlo, and the Cramér-Rao bound that holds for every unbiased estimate."""
+    images = 300
+    true, flux = random_modes(images, seed=11), cases.photons(14)
+    data = drawn(model, true, flux, seed=12)
+    result = estimate(model, data, true[:, 2].numpy(), LiftOptions(loss=loss))
+    pull = ((result.zernike_nm - true) / result.sigma_nm).numpy()
+    bound = cramer_rao_nm(ImageModel(model), true, torch.full((images,), flux), NOISE)[:, 2]
+    assert result.solution.converged.all()
+    assert np.abs(pull.mean(0)).max() < 4 / np.sqrt(images)
+    assert np.sqrt(np.mean(pull**2)) == pytest.approx(1, abs=0.08)
+    assert float((result.sigma_nm[:, 2] / bound).median()) > 1.0
+    assert float(result.chi2_nu.mean()) == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.slow
+def test_single_wrong_pixels_hardly_disturb_a_robust_loss(model):
+    images = 60
+    true, flux = random_modes(images, seed=13), cases.photons(13)
+    data = drawn(model, true, flux, seed=14)
+    brightest = data.flatten(1).max(1).values
+    hit = np.random.default_rng(15).integers(12, 52, (images, 2))
+    data[torch.arange(images), hit[:, 0], hit[:, 1]] += 0.5 * brightest
+    found = {
+        loss: estimate(model, data, true[:, 2].numpy(), LiftOptions(loss=loss)).zernike_nm
+        for loss in ("gaussian", "huber", "l1")
+    }
+    rms_nm = {loss: float((zernike_nm - true).square().mean().sqrt()) for loss, zernike_nm in found.items()}
+    assert rms_nm["huber"] < 0.5 * rms_nm["gaussian"]
+    assert rms_nm["l1"] < 0.5 * rms_nm["gaussian"]
+
+
+def test_variances_that_a_loss_has_forgotten_do_not_come_back(model):
+    images = drawn(model, random_modes(2, seed=16), 1e5, seed=17)
+    every = cases.everything(images)
+    problem = image_problem(ImageModel(model), Layout(TTF), images, torch.ones_like(images), every)
+    in_electrons = problem.with_loss(LOSSES["l1"])
+    assert in_electrons.root_weight.unique().tolist() == [1.0]
+    with pytest.raises(ValueError, match="forgotten"):
+        in_electrons.with_loss(LOSSES["huber"])

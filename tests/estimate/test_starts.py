@@ -128,7 +128,7 @@ def petals_nm(frames: Frames) -> np.ndarray:
     return pistons - pistons.mean()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_petal_that_a_fit_left_a_wave_off_is_brought_back(frames_of_petals, monkeypatch):
     expected = PISTONS_NM - PISTONS_NM.mean()
     assert np.abs(petals_nm(frames_of_petals) - expected).max() < 3

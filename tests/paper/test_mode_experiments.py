@@ -51,19 +51,19 @@ def test_the_rms_beyond_counts_modes_not_introduced_only():
     assert beyond_nm(nolls, np.where(nolls > INTRODUCED, 3.0, 100.0)) == pytest.approx(3.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_introduced_number_beats_fewer(numbers):
     few, right = numbers["long_exposure/error_nm"][0]
     assert right < 0.5 * few
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_lift_errs_more_on_a_faint_star(numbers):
     bright, faint = numbers["lift_avg/error_nm"]
     assert faint[1] > bright[1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_unseen_frames_recommend_no_fewer_than_the_introduced_modes(numbers):
     assert numbers["recommended_noll"] == 51
     assert numbers["held_out"][0] > numbers["held_out"][1]

@@ -54,6 +54,7 @@ def test_the_truth_holds_with_a_strong_tail():
     assert [found_nm[noll] for noll in range(4, 31)] == pytest.approx(drawn_nm, abs=0.01)
 
 
+@pytest.mark.long
 def test_every_method_is_tried_with_all_modes_and_with_fewer_frames():
     found = rank(replace(SAMPLE, highest_nolls=(30,)))
     wanted = {f"{method}/{which}" for method in METHOD_NAMES for which in ("30", "first_3")}

@@ -21,7 +21,7 @@ ALLOWED = {"ingest": 2.5, "prior": 0.5, "long_exposure": 0.5, "dip_global": 0.5}
 MAPPED_BYTES = 4 * 2**20
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.long,
     pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="peak memory needs Linux"),
 ]
 

@@ -50,7 +50,14 @@ def modelled(geometry: PupilGeometry, effect: str = "", pixel_scale_mas=9.7, **p
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("geometry", [SEGMENTED, SHIFTED, MAP], ids=["segmented", "polygon", "map"])
+@pytest.mark.parametrize(
+    "geometry",
+    [
+        pytest.param(SEGMENTED, id="segmented", marks=pytest.mark.long),
+        pytest.param(SHIFTED, id="polygon"),
+        pytest.param(MAP, id="map", marks=pytest.mark.long),
+    ],
+)
 def test_simulated_images_are_those_of_the_model(geometry):
     truth = modelled(geometry)
     assert np.abs(image(geometry=geometry) - truth).max() < 1e-4 * truth.max()
@@ -60,11 +67,23 @@ def test_simulated_images_are_those_of_the_model(geometry):
 @pytest.mark.parametrize(
     ("effect", "public"),
     [
-        ("low_wind_effect", {k: [30.0, -50.0, 80.0, -20.0, 10.0, -60.0] for k in ("piston_nm", "tip_nm")}),
-        ("segment_piston", {"piston_nm": np.random.default_rng(1).normal(0, 80, 35).tolist()}),
-        ("pupil_misregistration", {"dx_m": 0.11, "dy_m": -0.07, "rotation_deg": 7.0}),
+        pytest.param(
+            "low_wind_effect",
+            {k: [30.0, -50.0, 80.0, -20.0, 10.0, -60.0] for k in ("piston_nm", "tip_nm")},
+            id="petals",
+        ),
+        pytest.param(
+            "segment_piston",
+            {"piston_nm": np.random.default_rng(1).normal(0, 80, 35).tolist()},
+            id="segments",
+        ),
+        pytest.param(
+            "pupil_misregistration",
+            {"dx_m": 0.11, "dy_m": -0.07, "rotation_deg": 7.0},
+            id="stop",
+            marks=pytest.mark.long,
+        ),
     ],
-    ids=["petals", "segments", "stop"],
 )
 def test_effects_of_pupil_parts_are_those_of_the_model(effect, public):
     if effect == "low_wind_effect":
@@ -75,7 +94,7 @@ def test_effects_of_pupil_parts_are_those_of_the_model(effect, public):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["pharo", "nirc2_narrow", "bench"])
+@pytest.mark.parametrize("name", ["pharo", pytest.param("nirc2_narrow", marks=pytest.mark.long), "bench"])
 def test_the_pupils_of_profiles_are_simulated_as_they_are_modelled(name):
     instrument = load_instrument(name)
     scale = {"pixel_scale_mas": instrument.defaults["pixel_scale_mas"]}

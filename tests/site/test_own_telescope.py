@@ -31,7 +31,7 @@ def execute(kind: str, text: str, folder: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
 def test_the_page_works_as_it_stands_and_its_result_is_the_truth(tmp_path):
     printed = [execute(kind, text, tmp_path) for kind, text in BLOCK.findall(PAGE.read_text("utf-8"))]

@@ -25,6 +25,7 @@ from irlos_pipe.estimate.ramp_fit import (
     start_from_defocus,
 )
 from irlos_pipe.estimate.starts import scan_start_nm
+from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.paper.common.broad_band import FINE, frame_settings, star_scene
@@ -55,6 +56,8 @@ class LiftVariant:
         AO residual in the model.
     kernel : {"calibrated", "fit"} or float
         Gaussian kernel of object and jitter, fixed ones in mas.
+    loss : {"gaussian", "l1"}
+        The latter is that of the paper's DIP.
     """
 
     name: str
@@ -62,6 +65,7 @@ class LiftVariant:
     ncpa: str = ""
     halo: Literal["calibrated", "off"] = "calibrated"
     kernel: str | float = "calibrated"
+    loss: LossName = "gaussian"
 
 
 # The kernel is fixed by hand as in the paper, or fitted to the ramp; the default takes what it calibrated.
@@ -70,6 +74,10 @@ _BASE = {
     "none_residual": LiftVariant("no NCPAs, AO residual expected"),
     "published": LiftVariant("NCPAs by DIP global, kernel 12 mas", TTF, PAPER_CHOICE, "off", KERNEL_MAS),
     "published_fit": LiftVariant("NCPAs by DIP global, kernel fitted", TTF, PAPER_CHOICE, "off", "fit"),
+    "published_l1": LiftVariant(
+        "NCPAs by DIP global, kernel 12 mas, DIP's loss", TTF, PAPER_CHOICE, "off", KERNEL_MAS, "l1"
+    ),
+    "default_l1": LiftVariant("default, DIP's loss", ncpa=DEFAULT, loss="l1"),
     "default": LiftVariant("default: NCPAs, AO residual, jitter as calibrated", ncpa=DEFAULT),
 }
 LIFT_VARIANTS = {
@@ -202,8 +210,8 @@ class ObservedRamp:
 
     def estimate(self, variant: LiftVariant) -> RampFit:
         """Estimate all frames by LIFT."""
-        model = self.model(variant)
-        return fit_ramp(model, self.data, self.start_nm(variant, model), LiftOptions(), self.effects(variant))
+        model, options = self.model(variant), LiftOptions(loss=variant.loss)
+        return fit_ramp(model, self.data, self.start_nm(variant, model), options, self.effects(variant))
 
 
 def observe(scene: Scene, exposed: Exposed, knowledge: Mapping[str, Knowledge]) -> ObservedRamp:

@@ -16,7 +16,7 @@ from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = FocusRampResults.stage
-VERSION = 5
+VERSION = 6
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 NUMBERS = {  # unit and what it is

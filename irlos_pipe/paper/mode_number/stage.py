@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from pydantic import Field, field_validator
 
+from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.reads import NoiseOf, Read
@@ -43,8 +44,8 @@ class Config(StageConfig):
     @field_validator("numbers")
     @classmethod
     def _rising(cls, numbers: tuple[int, ...]) -> tuple[int, ...]:
-        if list(numbers) != sorted(set(numbers)) or numbers[0] < 4 or numbers[-1] > 231:
-            raise ValueError("give rising numbers between 4 and 231")
+        if list(numbers) != sorted(set(numbers)) or numbers[0] < 4 or numbers[-1] > HIGHEST_NOLL:
+            raise ValueError(f"give rising numbers between 4 and {HIGHEST_NOLL}")
         return numbers
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from irlos_pipe.conventions.laws import NcpaLaw
+from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter, equalised_tilts, fit_mode_law, mode_scatter
 from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
@@ -40,7 +41,7 @@ class Config(StageConfig):
         20, ge=2, le=10000, description="the first frames, for the published method, which fits one by one"
     )
     highest_noll: int = Field(
-        101, ge=INTRODUCED + 10, le=231, description="modes Noll 2 to this are estimated"
+        101, ge=INTRODUCED + 10, le=HIGHEST_NOLL, description="modes Noll 2 to this are estimated"
     )
     seeing_arcsec: float = Field(0.5, gt=0, le=5, description="seeing on SPARTA's scale")
     mag_j: float = Field(7.0, ge=0, le=20, description="J magnitude of the star")

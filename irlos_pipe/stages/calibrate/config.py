@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from irlos_pipe.conventions.laws import NcpaLaw
+from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.estimate.calibration_options import (
     DEFAULT_METHOD,
     METHODS,
@@ -19,7 +20,7 @@ from irlos_pipe.estimate.ncpa_prior import NcpaPrior
 from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.stages.base import StageConfig
 
-ClosedNoll = Annotated[int, Field(ge=4, le=231)]
+ClosedNoll = Annotated[int, Field(ge=4, le=HIGHEST_NOLL)]
 
 
 class Limits(StageConfig):

@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.stages.base import StageConfig
 
 
@@ -22,7 +23,7 @@ class Config(StageConfig):
         description="rotation of the image per degree of the angle; 2 for the angle of a K-mirror",
     )
     highest_noll: int | None = Field(
-        None, ge=4, le=231, description="highest Noll mode used; null: all estimated modes"
+        None, ge=4, le=HIGHEST_NOLL, description="highest Noll mode used; null: all estimated modes"
     )
     max_chi2_nu: float = Field(
         10.0, gt=0, description="QC limit on how well the two parts explain the single estimates"

@@ -6,11 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
+from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.diagnosis.options import DRIFT_NM
 from irlos_pipe.stages.base import StageConfig
 from irlos_pipe.stages.diagnose.begin_near import wavefront_of
 
-HIGHEST_NOLL = 231
 Noll = Annotated[int, Field(ge=2, le=HIGHEST_NOLL)]
 Nanometres = Annotated[float, Field(ge=-5000, le=5000)]
 

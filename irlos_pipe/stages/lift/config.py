@@ -6,10 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.estimate.lift_options import LiftOptions, NoiseSource
+from irlos_pipe.numerics.loss import LossName
 from irlos_pipe.stages.base import StageConfig
 
-HIGHEST_NOLL = 231  # memory and time grow with their number
 Mode = Annotated[int, Field(ge=2, le=HIGHEST_NOLL)]
 # "told" is the former spelling of "commanded".
 Start = Annotated[
@@ -45,6 +46,11 @@ class Config(StageConfig):
     noise: NoiseSource = Field(
         LiftOptions.noise,
         description="variances of the pixels: from the data, from the start's model, or renewed with the fit",
+    )
+    loss: LossName = Field(
+        LiftOptions.loss,
+        description="loss function: the likelihood, huber (linear beyond 2 sigma: single wrong pixels count "
+        "little), or the l1 of the paper's DIP; these two take the variances of the start's model",
     )
     start: Start = Field(
         "elongation",
@@ -94,8 +100,10 @@ class Config(StageConfig):
     @model_validator(mode="after")
     def _singly_is_what_the_loop_does(self) -> Config:
         fitted = self.halo == "fit" or self.object_sigma_mas == "fit" or bool(self.common_modes)
-        if self.singly and (fitted or sorted(self.modes) != [2, 3, 4] or self.estimator != "ml"):
+        other = sorted(self.modes) != [2, 3, 4] or self.estimator != "ml" or self.loss != "gaussian"
+        if self.singly and (fitted or other):
             raise ValueError(
-                "'singly' takes modes 2, 3 and 4, estimator 'ml', and nothing that is fitted to the ramp"
+                "'singly' takes modes 2, 3 and 4, estimator 'ml', loss 'gaussian', and nothing that is "
+                "fitted to the ramp"
             )
         return self

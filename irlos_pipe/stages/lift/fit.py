@@ -75,9 +75,9 @@ def _with_colour_of(found: RampFit, effects: list[Effect]) -> list[Effect]:
 def _options(config: Config, ncpa_law: NcpaLaw, start_nm: torch.Tensor) -> LiftOptions:
     """ML, or MAP about the start's defocus and zero for the other modes."""
     if config.estimator == "ml":
-        return LiftOptions(config.noise, max_iterations=config.max_iterations)
+        return LiftOptions(config.noise, max_iterations=config.max_iterations, loss=config.loss)
     mean = torch.zeros_like(start_nm)
     focus = config.modes.index(4)
     mean[:, focus] = start_nm[:, focus]
     sigma_nm = NcpaPrior(ncpa_law, config.prior_scale).sigma_nm(config.modes)
-    return LiftOptions(config.noise, mean, sigma_nm, config.max_iterations)
+    return LiftOptions(config.noise, mean, sigma_nm, config.max_iterations, config.loss)

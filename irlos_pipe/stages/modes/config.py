@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field, field_validator
 
+from irlos_pipe.conventions.modes import HIGHEST_NOLL
 from irlos_pipe.stages.base import StageConfig
 
 
@@ -16,7 +17,7 @@ class Config(StageConfig):
     law_highest_noll: int | None = Field(
         None,
         ge=7,
-        le=231,
+        le=HIGHEST_NOLL,
         description="highest Noll mode that the law is fitted to, from 4 on; null: all estimated modes",
     )
     numbers: tuple[int, ...] = Field(
@@ -29,6 +30,11 @@ class Config(StageConfig):
     @field_validator("numbers")
     @classmethod
     def _rising(cls, numbers: tuple[int, ...]) -> tuple[int, ...]:
-        if len(numbers) < 2 or list(numbers) != sorted(set(numbers)) or numbers[0] < 4 or numbers[-1] > 231:
-            raise ValueError("give at least two rising numbers between 4 and 231")
+        if (
+            len(numbers) < 2
+            or list(numbers) != sorted(set(numbers))
+            or numbers[0] < 4
+            or numbers[-1] > HIGHEST_NOLL
+        ):
+            raise ValueError(f"give at least two rising numbers between 4 and {HIGHEST_NOLL}")
         return numbers
