@@ -27,7 +27,8 @@ from irlos_pipe.diagnosis.search.scores import Score
 from irlos_pipe.diagnosis.significance import threshold
 from irlos_pipe.diagnosis.starts import off_rest, on_other_sides, other_wavefronts
 from irlos_pipe.diagnosis.without import needless
-from irlos_pipe.effects import CATALOGUE, Conditions, Effect, wider_kinds
+from irlos_pipe.effects import CATALOGUE, Conditions, Effect, FixedEffect, wider_kinds
+from irlos_pipe.effects.colour import STRETCH, PlateScale, Spectrum
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.numerics.parallel import ordered_map
 
@@ -35,7 +36,7 @@ OPENINGS, TURNED = 4, 1  # of the wavefront, while χ²/ν falls; that from whic
 SETTLED = 0.8  # of χ²/ν before
 MOST = 0.5  # of χ², that a name must explain which leaves much where it acts, while more is wrong
 LOOKED_AT, NEARLY = 2, 0.5  # effects, each fitted beside all modes; fall of χ² over that by the best
-SCALES = ("plate_scale", "spectrum")  # of the image: effects that act nearly alike
+SCALES = (PlateScale.name, Spectrum.name)  # of the image: effects that act nearly alike
 
 
 @dataclass(frozen=True)
@@ -166,22 +167,19 @@ class TolerantTask(NamingTask):
                 break
         return task, current
 
+    def opening(self, near: Fitted, effects: Sequence[Effect]) -> Opening | None:
+        """See `AllowingTask.opening`; the band is as wide as told where the pixels are free."""
+        return super().opening(near, as_wide_as_told(effects))
+
     def _begun(self, fitted: Fitted) -> list[Effect]:
         """The effects from where they are, but for what rests where all modes want it to have a distance."""
         effects = fitted.continued_by_label()
         return [*effects.values()] if self.all_modes is None else off_rest(self.all_modes.fitted, effects)
 
     def _without_imitated(self, opening: Opening, told: Sequence[Effect]) -> Opening:
-        """All modes without those effects, found before, that they imitate.
-
-        Effects of the wavefront may be such, and the pixels where wavelengths are free as well: all that the
-        image is made of may be larger by one factor.
-        """
+        """All modes without those effects of the wavefront, found before, that they imitate."""
         effects = opening.fitted.continued_by_label()
         found = [label for label in added(opening.fitted, told) if _of_the_wavefront(effects[label])]
-        pixels, wavelength = SCALES
-        if wavelength in effects and pixels in added(opening.fitted, told):
-            found.append(pixels)
         imitated = needless(opening.fitted, found, self.cube.training, self.options.sure)
         if not imitated:
             return opening
@@ -281,3 +279,28 @@ def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
         except ValueError:
             continue  # it means nothing for this instrument
     return found
+
+
+def as_wide_as_told(effects: Sequence[Effect]) -> list[Effect]:
+    """The effects, the width of the band held as told if both the pixels and the wavelengths are free.
+
+    Wavefront, wavelengths and pixels may all be larger by one factor, which the image does not show, and the
+    priors of many modes would have them smaller. A filter moves, and the scale of a camera changes, more
+    easily than the width of a filter.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+    """
+    if not set(SCALES) <= {effect.name for effect in effects if effect.parameters}:
+        return [*effects]
+    return [_without_stretch(effect) if effect.name == Spectrum.name else effect for effect in effects]
+
+
+def _without_stretch(spectrum: Effect) -> Effect:
+    """The same wavelengths about their mean."""
+    names = [parameter.name for parameter in spectrum.base.parameters]
+    values = spectrum.all_values([parameter.start for parameter in spectrum.parameters]).numpy()
+    values[names.index(STRETCH)] = 0.0
+    free = [parameter.name for parameter in spectrum.parameters if parameter.name != STRETCH]
+    return FixedEffect(spectrum.base, values, free)

@@ -23,6 +23,7 @@ from irlos_pipe.optics.grids import OtfGrid, Sampling
 from irlos_pipe.optics.phasor import phasor
 
 UM = 1e-6
+STRETCH = "stretch"  # parameter of a spectrum: how much wider it is
 NOTHING_KNOWN = Refraction()
 AIR_UM2 = 3.666e-9 / 4.39108e-7  # second coefficient of the refractivity of air over the first
 
@@ -137,7 +138,7 @@ class Spectrum(SamplingEffect):
     parameters = (
         Parameter("shift_nm", "nm", 0.0, 0.0, 50.0, -200.0, 200.0, plausible=(-100.0, 100.0)),
         Parameter("slope_per_um", "1/µm", 0.0, 0.0, 1.0, -3.0, 3.0, plausible=(-2.0, 2.0)),
-        Parameter("stretch", "", 0.0, 0.0, 0.3, -0.9, 3.0, plausible=(-0.6, 1.0)),
+        Parameter(STRETCH, "", 0.0, 0.0, 0.3, -0.9, 3.0, plausible=(-0.6, 1.0)),
     )
 
     def __init__(self, mean_nm: float):

@@ -20,7 +20,7 @@ from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Family, score_family
 from irlos_pipe.diagnosis.sentence import _left
-from irlos_pipe.diagnosis.tolerant import SCALES, TolerantTask, everyday
+from irlos_pipe.diagnosis.tolerant import SCALES, as_wide_as_told, everyday
 from irlos_pipe.diagnosis.verdict import PARTIAL
 from irlos_pipe.diagnosis.without import without_linearly
 from irlos_pipe.effects import CATALOGUE, FixedEffect
@@ -79,25 +79,16 @@ def test_of_two_effects_that_scale_the_image_one_is_free():
     assert not {"plate_scale", "spectrum"} & {one.name for one in everyday(CONDITIONS, [colour])}
 
 
-def beside_all_modes(effects):
-    """What is left of some effects, fitted to frames without any of them."""
-    training = cube(image()).training
-    model = fitted(training, effects)
-    task = SimpleNamespace(
-        cube=SimpleNamespace(training=training),
-        options=SimpleNamespace(sure=5.0),
-        report=lambda _: None,
-        opening=lambda _, left: left,
-    )
-    opening = SimpleNamespace(fitted=model)
-    found = TolerantTask._without_imitated(task, opening, [])
-    return [effect.name for effect in (effects if found is opening else found)]
-
-
-def test_pixels_stay_as_told_where_wavelengths_are_free_and_the_pixels_are_not_sure():
+def test_where_pixels_and_wavelengths_are_free_the_band_is_as_wide_as_told():
     colour = CATALOGUE["spectrum"].under(CONDITIONS)
-    assert beside_all_modes([SCALE, colour]) == ["spectrum"]
-    assert beside_all_modes([SCALE]) == ["plate_scale"]
+    wider = FixedEffect(colour, (4.0, 0.1, 0.02), [parameter.name for parameter in colour.parameters])
+    pixels, held = as_wide_as_told([SCALE, wider])
+    assert pixels is SCALE
+    assert [parameter.name for parameter in held.parameters] == ["shift_nm", "slope_per_um"]
+    assert held.all_values([4.0, 0.1]).tolist() == [4.0, 0.1, 0.0]
+    assert as_wide_as_told([wider]) == [wider]
+    known = FixedEffect(SCALE, (0.01,))
+    assert as_wide_as_told([known, wider]) == [known, wider]
 
 
 def test_of_one_kind_the_labels_keep_their_order_when_others_have_gone():
