@@ -164,6 +164,6 @@ def _table(rows: list[VariantRow]) -> Table:
         )
         for row in rows
     ]
-    marks = ["good" if row.key.startswith("default") else "" for row in rows]
+    marks = ["good" if row.label.startswith("default:") else "" for row in rows]
     caption = "Medians over the ramps, 16th to 84th percentile in brackets."
     return Table(COLUMNS, body, "Variants of LIFT", caption, marks)
