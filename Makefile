@@ -72,7 +72,7 @@ test: env-test ## run the tests, one process per processor; all but those of tes
 	$(PYTEST) $(ARGS)
 
 test-quick: env-test ## run the tests that are not marked slow, in about a minute
-	$(PYTEST) -m "not slow" $(ARGS)
+	$(PYTEST) -m "not slow and not long and not measured" $(ARGS)
 
 test-long: env-test ## run the tests that take more than half a minute each
 	$(PYTEST) -m long $(ARGS)

@@ -20,7 +20,7 @@ from irlos_pipe.diagnosis.grade import AT_ITS_PLACE, share_at_its_place
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.refit import Refit, narrower_form, quick_refits, wider_forms
 from irlos_pipe.diagnosis.search.scores import Family, Score, score_family
-from irlos_pipe.diagnosis.without import needless, without_linearly
+from irlos_pipe.diagnosis.without import imitated, without_linearly
 from irlos_pipe.effects import CATALOGUE, Effect
 from irlos_pipe.effects.effect_set import labels_of
 from irlos_pipe.effects.labels import label_after
@@ -119,8 +119,8 @@ class NamingTask(AllowingTask):
         fitted = self.all_modes.fitted
         stack = self.allowing(fitted).cube.training
         beside = [label for label in labels if label in fitted.problem.effects.labels]
-        imitated = {one for one in beside if needless(fitted, [one], stack, self.options.sure)}
-        return [label for label in labels if label not in imitated]
+        unsure = imitated(fitted, beside, stack, self.options.sure)
+        return [label for label in labels if label not in unsure]
 
     def _rivals(self, refit: Refit, dropped: Sequence[str]) -> list[Refit]:
         """Fits of what may explain the same: of the dropped, and where it is unusual of all effects."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,7 +29,7 @@ def nulls_of(fitted: Fitted, label: str) -> dict[int, float]:
 
 
 def needless(fitted: Fitted, labels: Sequence[str], stack: Stacks, sure: float) -> set[str]:
-    """Those of some effects that are not significant beside all others of a model.
+    """Those of some effects that are not significant beside all others of a model, taken out one by one.
 
     Parameters
     ----------
@@ -41,22 +41,40 @@ def needless(fitted: Fitted, labels: Sequence[str], stack: Stacks, sure: float) 
     sure : float
         Significance in σ, below which an effect is not needed.
     """
-    every = {label: nulls_of(fitted, label) for label in labels}
-    nulls = {label: own for label, own in every.items() if own}
+    columns, test = _wald_test(fitted, labels, stack, sure)
+    return set(columns) - set(test(columns))
+
+
+def imitated(fitted: Fitted, labels: Sequence[str], stack: Stacks, sure: float) -> set[str]:
+    """Those of some effects that are not significant while all others of a model stay in it.
+
+    Parameters
+    ----------
+    fitted, labels, stack, sure
+        See `needless`.
+    """
+    columns, test = _wald_test(fitted, labels, stack, sure)
+    return {label for label, own in columns.items() if not test({label: own})}
+
+
+def _wald_test(
+    fitted: Fitted, labels: Sequence[str], stack: Stacks, sure: float
+) -> tuple[dict[str, list[int]], Callable[[Mapping[str, Sequence[int]]], list[str]]]:
+    """Columns of the effects that may be nothing, and a test that names those of some which are needed."""
+    nulls = {label: own for label in labels if (own := nulls_of(fitted, label))}
+    columns = {label: [*own] for label, own in nulls.items()}
     if not nulls:
-        return set()
+        return columns, lambda _: []
     null = np.zeros(fitted.problem.size)
     for own in nulls.values():
         null[[*own]] = [*own.values()]
     frames = np.inf if stack.photon_limited else stack.independent
-    kept = needed(
-        {label: [*own] for label, own in nulls.items()},
-        fitted.x[0].numpy() - null,
-        parameter_covariance(stack, fitted),
-        lambda rise, count: gaussian_sigma(max(rise, 0.0), count, frames),
-        sure,
-    )
-    return set(nulls) - set(kept)
+    apart, covariance = fitted.x[0].numpy() - null, parameter_covariance(stack, fitted)
+
+    def significance(rise: float, count: int) -> float:
+        return gaussian_sigma(max(rise, 0.0), count, frames)
+
+    return columns, lambda some: needed(some, apart, covariance, significance, sure)
 
 
 def without_linearly(fitted: Fitted, label: str) -> Fitted:
