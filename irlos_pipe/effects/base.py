@@ -206,6 +206,11 @@ class Effect:
         """Images of the star that have a focus of their own, each a `planes.CopyOfStar`; here none."""
         return ()
 
+    @property
+    def by_mode(self) -> Sequence[tuple[int, Effect]]:
+        """Modes of `Optics.by_mode`, each with the effect that stands in the place of this one there."""
+        return ()
+
     def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
         """Of a copy of the star; see `planes.CopyOfStar`."""
         raise NotImplementedError
@@ -383,8 +388,16 @@ class FixedEffect(Effect):
     @property
     def copies(self) -> Sequence[Effect]:
         """See `Effect.copies`."""
-        free = [self.base.parameters[i].name for i in self.free]
-        return [FixedEffect(one, self.values, free) for one in self.base.copies]
+        return [self._as_this(one) for one in self.base.copies]
+
+    @property
+    def by_mode(self) -> Sequence[tuple[int, Effect]]:
+        """See `Effect.by_mode`."""
+        return [(noll, self._as_this(one)) for noll, one in self.base.by_mode]
+
+    def _as_this(self, other: Effect) -> FixedEffect:
+        """Return another effect with the same parameters, and the same of them held."""
+        return FixedEffect(other, self.values, [self.base.parameters[i].name for i in self.free])
 
     def defocus_nm(self, values: torch.Tensor) -> torch.Tensor:
         """See `Effect.defocus_nm`."""

@@ -97,6 +97,7 @@ class EffectSet:
             self._pupil(values, sampling) if self.at("pupil") else None,
             self._transfer(values, sampling, self.at("otf")) if self.at("otf") else None,
             sampling if self.at("sampling") else None,
+            by_mode=tuple((noll, self._transfer(values, sampling, path)) for noll, path in self._by_mode),
         )
         copies = (self._copied(values, sampling, star, path) for path in self._copies)
         return star._replace(copies=tuple(copies))
@@ -105,7 +106,8 @@ class EffectSet:
         """Derivatives of pupil, OTF factors and sampling with respect to the parameters at these planes."""
         sampling = self._sampling(values)
         transfer = self._transfer_derivatives(values, sampling, self.at("otf"))
-        star = Tangents(self._pupil_slopes(values, sampling), transfer)
+        by_mode = [self._transfer_derivatives(values, sampling, path) for _, path in self._by_mode]
+        star = Tangents(self._pupil_slopes(values, sampling), transfer, by_mode=by_mode)
         copies = [self._copied_tangents(values, sampling, star, path) for path in self._copies]
         every = [self._resampled(values, index) for index in self.free_at("sampling")]
         star, *copies = (
@@ -214,6 +216,16 @@ class EffectSet:
                 own = effect.slopes(values[piece], clear, grid, range(len(effect.parameters)))
                 changes += [others * slope for slope in own]
         return changes
+
+    @cached_property
+    def _by_mode(self) -> list[tuple[int, list[Acting]]]:
+        """Modes of `Optics.by_mode`, and the effects on their OTF factors."""
+        pairs = self.at("otf")
+        return [
+            (noll, [*pairs[:place], (form, piece), *pairs[place + 1 :]])
+            for place, (effect, piece) in enumerate(pairs)
+            for noll, form in effect.by_mode
+        ]
 
     # -- copies of the star ------------------------------------------------------------------
 

@@ -1,18 +1,24 @@
 """`seeing_halo`: the long-exposure OTF of the AO residual, ``exp(-½ (2π/λ)² D(b))``.
 
-The structure function D is that of the residual inside the correction band (free variance,
-slope, two-fold and four-fold anisotropy; the variance, because ∂μ/∂σ vanishes at σ = 0) plus that of the
-von Kármán turbulence beyond it. The light of the latter falls mostly outside a window of 0.6", where it
-cannot be distinguished from flux and background: the seeing fixes it, and where that was not measured, the
-residual in the band.
+The structure function D is that of the residual inside the correction band (a power law with free variance,
+slope, two-fold and four-fold anisotropy, and aliased turbulence of free variance; variances, because ∂μ/∂σ
+vanishes at σ = 0) plus that of the von Kármán turbulence beyond it. The light of the latter falls mostly
+outside a window of 0.6", where it cannot be distinguished from flux and background: the seeing fixes it, and
+where that was not measured, the residual in the band.
+
+The residual has neither tip nor tilt, which go into the image motion. As these go with coma in turbulence,
+what is left is an image that moves as its coma changes: the OTF between x and x + b has a further factor
+``exp(u)``, with ``u = (2π/λ)² Σ_k (b·<a c_k>) [ψ_k(x + b) - ψ_k(x)]`` for the comas ψ_k along both axes; see
+`optics.in_band_residual`. With its mean m and variance v over all x this is about
+``exp(m + v/2) (1 + u - m)``, and the part with u is ``Σ_k i (2π/λ) (b·<a c_k>) FFT(∂I/∂c_k)``. Where the
+residual is strong and steep, it is some per cent of the image.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,16 +28,19 @@ from irlos_pipe.conventions.units import NM
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, direction, number
 from irlos_pipe.effects.planes import OtfEffect
+from irlos_pipe.optics.coma_between import coma_between
 from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.grids import OtfGrid
+from irlos_pipe.optics.in_band_residual import InBandResidual, Residual
 from irlos_pipe.optics.structure_function import (
-    InBandResidual,
     ResidualBand,
     fitting_structure_nm2,
     fitting_variance_nm2,
     seeing_to_r0_m,
 )
 
+COMA = 7, 8  # Noll, along y and along x
+VARIANCES = (0, 6)  # places of the two variances among the parameters
 FULL_HALO = 0.1  # of the expected variance, from which the shape of the halo is fitted as well
 
 
@@ -59,8 +68,8 @@ class SeeingHalo(OtfEffect):
 
     name = "seeing_halo"
     formula = (
-        "T(b) = exp(−½ (2π/λ)² D(b)); D: structure function of the residual OPD, its in-band variance "
-        "and shape fitted"
+        "T(b) = exp(−½ (2π/λ)² D(b)); D: structure function of the residual OPD without tip and tilt, its "
+        "in-band variance and shape fitted; the image moves with the coma of the residual"
     )
     belongs_to = "moment"
     usual = True
@@ -74,6 +83,7 @@ class SeeingHalo(OtfEffect):
         number("stretch", "two-fold anisotropy"),
         direction("stretch_angle_deg"),
         number("cross", "four-fold anisotropy"),
+        number("aliasing", "part of the variance inside the band"),
     )
     speckles = True
     look_alike = "tip_tilt_jitter, which broadens the core instead of feeding a halo"
@@ -96,6 +106,7 @@ class SeeingHalo(OtfEffect):
             Parameter("stretch_sin", "", 0.0, 0.0, 0.7, -3.0, 3.0, None, (-2.0, 2.0)),
             Parameter("cross_cos", "", 0.0, 0.0, 0.5, -2.0, 2.0, None, (-2.0, 2.0)),
             Parameter("cross_sin", "", 0.0, 0.0, 0.5, -2.0, 2.0, None, (-2.0, 2.0)),
+            Parameter("aliasing_nm2", "nm²", 0.0, 0.0, expected, 0.0, 1e6, None, (0.0, 400.0**2)),
         )
 
     @classmethod
@@ -114,8 +125,14 @@ class SeeingHalo(OtfEffect):
     def handed_on(self, values: np.ndarray, now: Conditions, then: Calibrated) -> FixedEffect:
         """See `Effect.handed_on`: the residual inside the band follows the seeing."""
         now_nm, then_nm = (in_band_wfe_nm(self.band, self.law, one.seeing_arcsec) for one in (now, then))
-        variance, *shape = values
-        return FixedEffect(self, [variance * (now_nm / then_nm) ** 2, *shape])
+        variance, *shape, aliasing = values
+        stronger = (now_nm / then_nm) ** 2
+        return FixedEffect(self, [variance * stronger, *shape, aliasing * stronger])
+
+    @property
+    def by_mode(self) -> Sequence[tuple[int, Effect]]:
+        """See `Effect.by_mode`: motion that goes with coma."""
+        return [(noll, _MovesWithComa(self, noll)) for noll in COMA]
 
     def phrase(self, public: Mapping[str, Any]) -> str:
         """See `Effect.phrase`."""
@@ -123,36 +140,50 @@ class SeeingHalo(OtfEffect):
 
     def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """``½ (2π/λ)² D(b)`` at `values` on `grid`, D in nm²."""
-        on = self._on(grid)
-        structure = on.in_band.structure_nm2(*values) + self._beyond(values[0]) * on.fitting_nm2
-        return 0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2 * structure[on.place]
+        on = self.on(grid)
+        structure = on.residual(values).structure + self._beyond(values) * on.fitting_nm2
+        return 0.5 * _per_nm2(grid) * structure[on.place]
+
+    def mean_factor(self, values: torch.Tensor, grid: OtfGrid) -> _MeanFactor:
+        """Return the mean of the OTF factor over the pupil, of a flat wavefront, at `values` on `grid`."""
+        mean, variance = self.on(grid).moves(self.on(grid).residual(values).tilt_with_coma, grid)
+        return _MeanFactor(mean + variance / 2 - self.exponent(values, grid), mean)
+
+    def rates(self, values: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[_MeanFactor]:
+        """Return the derivatives of `mean_factor`."""
+        on, (residual, slopes) = self.on(grid), self.on(grid).with_slopes(values)
+        found = []
+        for index in wanted:
+            mean, variance = on.moves_change(residual.tilt_with_coma, slopes.tilt_with_coma[index], grid)
+            structure = slopes.structure[index] + self._per_nm2 * (index in VARIANCES) * on.fitting_nm2
+            found.append(_MeanFactor(mean + variance / 2 - 0.5 * _per_nm2(grid) * structure[on.place], mean))
+        return found
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
-        return factor * torch.exp(-self.exponent(values, grid))
+        log, mean = self.mean_factor(values, grid)
+        return factor * torch.exp(log) * (1 - mean)
 
     def slopes(
         self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
         """See `OtfEffect.slopes`."""
-        on = self._on(grid)
-        structure, slopes = on.in_band.structure_and_slopes(*values)
-        slopes[0] += self._per_nm2 * on.fitting_nm2
-        structure = structure + self._beyond(values[0]) * on.fitting_nm2
-        scale = -0.5 * (2 * np.pi * NM / grid.wavelengths_m) ** 2
-        with_halo = scale * factor * torch.exp(scale * structure[on.place])
-        return [with_halo * slopes[index][on.place] for index in wanted]
+        log, mean = self.mean_factor(values, grid)
+        light = factor * torch.exp(log)
+        return [light * (rate.log * (1 - mean) - rate.mean) for rate in self.rates(values, grid, wanted)]
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
-        """In-band WFE, total WFE, PSD slope, strength and direction of the elongation, four-fold strength."""
-        variance, slope, cos2, sin2, cos4, sin4 = (float(v) for v in values)
+        """Total and in-band WFE, slope of the PSD, two-fold and four-fold strength, share of aliasing."""
+        variance, slope, cos2, sin2, cos4, sin4, aliasing = (float(v) for v in values)
+        in_band = max(variance + aliasing, 0.0)
         return {
-            "wfe_nm": float(np.sqrt(max(variance + self._beyond(variance) * self.fitting_nm2, 0.0))),
-            "in_band_wfe_nm": float(np.sqrt(max(variance, 0.0))),
+            "wfe_nm": float(np.sqrt(in_band + self._beyond(values) * self.fitting_nm2)),
+            "in_band_wfe_nm": float(np.sqrt(in_band)),
             "slope": slope,
             "stretch": float(np.hypot(cos2, sin2)),
             "stretch_angle_deg": float(np.rad2deg(np.arctan2(sin2, cos2)) / 2 % 180),
             "cross": float(np.hypot(cos4, sin4)),
+            "aliasing": aliasing / in_band if in_band > 0 else 0.0,
         }
 
     def values_of(self, wfe_nm: float | None = None, scale: float | None = None) -> list[float]:
@@ -178,43 +209,147 @@ class SeeingHalo(OtfEffect):
         """See `Effect.candidates`: the whole halo scaled, as there is no turbulence without the effect."""
         return [ScaledHalo(self)]
 
-    def _beyond(self, variance_nm2):
+    def _beyond(self, values):
         """Turbulence beyond the cut-off, of what the seeing gives."""
-        return self._fixed + self._per_nm2 * variance_nm2
+        return self._fixed + self._per_nm2 * (values[VARIANCES[0]] + values[VARIANCES[1]])
 
-    def _on(self, grid: OtfGrid) -> _Baselines:
+    def on(self, grid: OtfGrid) -> _Baselines:
+        """Return what of the residual depends on the baselines of `grid`."""
         return _baselines(self.band, self.r0_m, grid.focal)
 
 
-@dataclass(frozen=True)
-class _Baselines:
-    """What depends on the baselines only.
+class _MeanFactor(NamedTuple):
+    """OTF factor of the residual with the mean motion that goes with coma, or its derivatives.
 
     Attributes
     ----------
-    in_band : InBandResidual
-        On the baselines within the pupil.
+    log : tensor, (wavelengths, p, p//2 + 1)
+        Logarithm of the factor: ``m + v/2 - ½ (2π/λ)² D``.
+    mean : tensor, (wavelengths, p, p//2 + 1)
+        The m in it.
+    """
+
+    log: torch.Tensor
+    mean: torch.Tensor
+
+
+class _MovesWithComa(OtfEffect):
+    """The factor ``exp(m + v/2 - ½ (2π/λ)² D) i (2π/λ) b·<a c>`` of the derivative by the coma on one axis.
+
+    Parameters
+    ----------
+    halo : SeeingHalo
+        With the same parameters.
+    noll : int
+        Of the coma c.
+    """
+
+    name = SeeingHalo.name
+
+    def __init__(self, halo: SeeingHalo, noll: int):
+        self.halo, self.parameters = halo, halo.parameters
+        y, x = COMA
+        self._tilts = {x: slice(0, 2), y: slice(1, 3)}[noll]  # covariances with those along x and y
+
+    def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+        """See `OtfEffect.apply`."""
+        light = factor * torch.exp(self.halo.mean_factor(values, grid).log)
+        return light * self._moving(self.halo.on(grid).residual(values).tilt_with_coma, grid)
+
+    def slopes(
+        self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
+    ) -> list[torch.Tensor]:
+        """See `OtfEffect.slopes`."""
+        residual, slopes = self.halo.on(grid).with_slopes(values)
+        light = factor * torch.exp(self.halo.mean_factor(values, grid).log)
+        moving = self._moving(residual.tilt_with_coma, grid)
+        changes = [self._moving(slopes.tilt_with_coma[index], grid) for index in wanted]
+        rates = self.halo.rates(values, grid, wanted)
+        return [light * (change + rate.log * moving) for change, rate in zip(changes, rates, strict=True)]
+
+    def _moving(self, with_coma: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
+        """Phase per coma [1/nm], (wavelengths, p, p//2 + 1), that goes with it at these covariances."""
+        return 1j * _per_nm2(grid).sqrt() * grid.path_m(*with_coma[self._tilts])
+
+
+class _Baselines:
+    """The residual on one set of baselines.
+
+    Parameters
+    ----------
+    band : ResidualBand
+    r0_m : float
+    focal : FocalGrid
+
+    Attributes
+    ----------
     fitting_nm2 : tensor, (baselines,)
-        Structure function beyond the cut-off.
+        Structure function beyond the cut-off, on the baselines within the pupil.
     place : tensor of int, (p, p//2 + 1)
         Of every baseline of the grid among these.
     """
 
-    in_band: InBandResidual
-    fitting_nm2: torch.Tensor
-    place: torch.Tensor
+    def __init__(self, band: ResidualBand, r0_m: float, focal: FocalGrid):
+        bx, by = np.broadcast_arrays(focal.baseline_x_m[None, :], focal.baseline_y_m[:, None])
+        lengths = np.hypot(bx, by)
+        within = lengths <= focal.longest_m
+        self.fitting_nm2 = torch.as_tensor(fitting_structure_nm2(lengths[within], band, r0_m))
+        self.place = torch.as_tensor(np.where(within, np.cumsum(within).reshape(within.shape) - 1, 0))
+        bx, by = bx[within], by[within]
+        self._in_band = InBandResidual(bx, by, band)
+        self._coma = [torch.as_tensor(one) for one in coma_between(lengths[within], 1 / band.low_per_m)]
+        b = np.maximum(lengths[within], 1e-9)
+        self._along = torch.as_tensor(np.stack([bx * bx, 2 * bx * by, by * by]) / b)
+        self._across = torch.as_tensor(np.stack([-bx * by, bx * bx - by * by, bx * by]) / b)
+        self._last: dict[tuple[str, tuple[float, ...]], Any] = {}
+
+    def residual(self, values: torch.Tensor) -> Residual:
+        """Return that inside the band at the parameters `values` of the effect."""
+        if values.requires_grad:
+            return self._in_band.at(*values)
+        return self._kept("at", values, lambda: self._in_band.at(*values))
+
+    def with_slopes(self, values: torch.Tensor) -> tuple[Residual, Residual]:
+        """Return the same and its derivatives."""
+        return self._kept("slopes", values, lambda: self._in_band.with_slopes(values))
+
+    def moves(self, with_coma: torch.Tensor, grid: OtfGrid) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return mean and variance of u, (wavelengths, p, p//2 + 1) each, at covariances of tilt and coma."""
+        mean, along, across = self._coma
+        lengthwise, crosswise = with_coma @ self._along, with_coma @ self._across
+        variance = along * lengthwise**2 + across * crosswise**2
+        per_nm2 = _per_nm2(grid)
+        return per_nm2 * (mean * lengthwise)[self.place], per_nm2**2 * variance[self.place]
+
+    def moves_change(
+        self, with_coma: torch.Tensor, change: torch.Tensor, grid: OtfGrid
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return how both change with the covariances."""
+        mean, along, across = self._coma
+        lengthwise, crosswise = change @ self._along, change @ self._across
+        variance = along * (with_coma @ self._along) * lengthwise
+        variance = 2 * (variance + across * (with_coma @ self._across) * crosswise)
+        per_nm2 = _per_nm2(grid)
+        return per_nm2 * (mean * lengthwise)[self.place], per_nm2**2 * variance[self.place]
+
+    def _kept(self, what: str, values: torch.Tensor, compute: Callable[[], Any]) -> Any:
+        """What was computed last, if it was for these `values`: star and modes ask for the same."""
+        key = what, tuple(values.tolist())
+        kept = self._last.get(key)
+        if kept is None:
+            self._last = {one: value for one, value in self._last.items() if one[1] == key[1]}
+            kept = self._last[key] = compute()
+        return kept
+
+
+def _per_nm2(grid: OtfGrid) -> torch.Tensor:
+    """``(2π/λ)²`` [rad²/nm²], (wavelengths, 1, 1)."""
+    return (2 * np.pi * NM / grid.wavelengths_m) ** 2
 
 
 @lru_cache(maxsize=4)
 def _baselines(band: ResidualBand, r0_m: float, focal: FocalGrid) -> _Baselines:
-    bx, by = np.broadcast_arrays(focal.baseline_x_m[None, :], focal.baseline_y_m[:, None])
-    lengths = np.hypot(bx, by)
-    within = lengths <= focal.longest_m
-    return _Baselines(
-        InBandResidual(bx[within], by[within], band),
-        torch.as_tensor(fitting_structure_nm2(lengths[within], band, r0_m)),
-        torch.as_tensor(np.where(within, np.cumsum(within).reshape(within.shape) - 1, 0)),
-    )
+    return _Baselines(band, r0_m, focal)
 
 
 class ScaledHalo(OtfEffect):

@@ -186,12 +186,16 @@ class Optics(NamedTuple):
     sampling : Sampling
     copies : tuple of Optics
         Further images of the star with a wavefront of their own, without further copies; all add.
+    by_mode : tuple of (int, tensor)
+        Zernike modes (Noll) whose derivative of the focal intensity [1/nm] adds to it, behind OTF factors
+        (wavelengths, p, p//2 + 1) of their own [nm].
     """
 
     pupil: torch.Tensor | None = None
     transfer: torch.Tensor | None = None
     sampling: Sampling | None = None
     copies: tuple[Optics, ...] = ()
+    by_mode: tuple[tuple[int, torch.Tensor], ...] = ()
 
 
 Change: TypeAlias = "tuple[torch.Tensor | None, torch.Tensor | None, Sampling]"
@@ -210,6 +214,8 @@ class Tangents(NamedTuple):
         With respect to parameters of the sampling: of pupil and OTF, None without a change, and of it.
     copies : tuple of Tangents
         Of each of the copies, with respect to the same parameters.
+    by_mode : sequence of sequence of tensor
+        Of every factor in `Optics.by_mode`, with respect to the parameters of `transfer`.
     """
 
     pupil: Sequence[torch.Tensor] = ()
@@ -217,6 +223,7 @@ class Tangents(NamedTuple):
     pupil_too: Sequence[tuple[int, torch.Tensor]] = ()
     sampling: Sequence[Change] = ()
     copies: tuple[Tangents, ...] = ()
+    by_mode: Sequence[Sequence[torch.Tensor]] = ()
 
 
 class Grids(NamedTuple):

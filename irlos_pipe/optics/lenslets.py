@@ -111,7 +111,7 @@ class LensletArray:
         return [self._own(optics, lenslet) for lenslet in range(len(self.paths))]
 
     def _own(self, optics: Optics, lenslet: int) -> Optics:
-        """What effects make of the light path of one lenslet."""
+        """What effects make of the light path of one lenslet; the modes of the pupil are none of its own."""
         return Optics(
             None if optics.pupil is None else self._through(optics.pupil, lenslet),
             None if optics.transfer is None else _of(optics.transfer, lenslet),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,8 @@ class Colour(NamedTuple):
         p, samples per axis of that FFT, and m of the focal grid.
     strained : Strained or None
         Of a strained image, instead of the pixel matrices.
+    by_mode : tuple of (tensor, tensor)
+        See `Optics.by_mode`: phase of a mode, (n, n) in mirrored order [rad/nm], and its OTF factor.
     """
 
     wavelength_m: float | torch.Tensor
@@ -39,6 +42,7 @@ class Colour(NamedTuple):
     padded: int
     samples: int
     strained: Strained | None = None
+    by_mode: tuple[tuple[torch.Tensor, torch.Tensor], ...] = ()
 
     def field(self, opd_nm: torch.Tensor) -> torch.Tensor:
         """Return the field ``P exp(2πi OPD/λ)`` of `opd_nm`, (frames, 2, n, n): real and imaginary part."""
@@ -52,38 +56,53 @@ class Colour(NamedTuple):
     @property
     def single(self) -> Colour:
         """The same in single precision: enough for derivatives, at less than half of the cost."""
-        factor = self.transfer
-        if factor is not None:
-            factor = factor.to(torch.complex64 if factor.is_complex() else torch.float32)
+        factor = None if self.transfer is None else _single(self.transfer)
         matrix = torch.complex64 if self.to_rows.is_complex() else torch.float32
         return self._replace(
             transfer=factor,
             to_rows=self.to_rows.to(matrix),
             to_columns=self.to_columns.to(matrix),
             strained=self.strained and self.strained.single,
+            by_mode=tuple((phase, _single(one)) for phase, one in self.by_mode),
         )
 
     def image(self, intensity: torch.Tensor) -> torch.Tensor:
-        """Return the weighted pixel flux of a focal `intensity`, (..., m, m)."""
+        """Return the weighted pixel flux of a focal `intensity`, (..., m, m), without what modes add."""
         if self.strained is None and self.transfer is None:
             return self.to_rows @ (intensity @ self.to_columns.mT)
         return self._seen(self.waves(intensity))
 
+    def whole_image(self, intensity: torch.Tensor, changes: Sequence[torch.Tensor]) -> torch.Tensor:
+        """Return the same with what modes add: `changes` of the intensity by those of `by_mode` [1/nm]."""
+        if not changes:
+            return self.image(intensity)
+        waves = self.waves(intensity)
+        for change, (_, factor) in zip(changes, self.by_mode, strict=True):
+            waves = waves + self._unfiltered(change) * factor
+        return self._seen(waves)
+
     def images_through(
-        self, intensity: torch.Tensor, transfers: Sequence[torch.Tensor | None]
+        self, intensities: Sequence[torch.Tensor], transfers: Sequence[Sequence[torch.Tensor | None]]
     ) -> list[torch.Tensor]:
-        """Return images as of `image`, each with another factor of the OTF: None of none at all."""
+        """Return sums of images of `intensities`, each sum with other factors of the OTF: None of none."""
         if not transfers:
             return []
-        waves = torch.fft.rfft2(intensity, s=(self.padded,) * 2)
-        shape = *intensity.shape[:-2], len(self.to_rows), len(self.to_columns)
-        dark = intensity.new_zeros(())
-        return [dark.expand(shape) if one is None else self._seen(waves * one) for one in transfers]
+        waves = [self._unfiltered(one) for one in intensities]
+        shape = *intensities[0].shape[:-2], len(self.to_rows), len(self.to_columns)
+
+        def image(factors: Sequence[torch.Tensor | None]) -> torch.Tensor:
+            lit = [wave * one for wave, one in zip(waves, factors, strict=True) if one is not None]
+            return self._seen(reduce(torch.add, lit)) if lit else intensities[0].new_zeros(()).expand(shape)
+
+        return [image(factors) for factors in transfers]
 
     def waves(self, intensity: torch.Tensor) -> torch.Tensor:
         """Real FFT of a focal `intensity` times the OTF factor, (..., p, p//2 + 1)."""
-        waves = torch.fft.rfft2(intensity, s=(self.padded,) * 2)
+        waves = self._unfiltered(intensity)
         return waves if self.transfer is None else waves * self.transfer
+
+    def _unfiltered(self, intensity: torch.Tensor) -> torch.Tensor:
+        return torch.fft.rfft2(intensity, s=(self.padded,) * 2)
 
     def _seen(self, waves: torch.Tensor) -> torch.Tensor:
         """Weighted pixel flux of the `waves` of a focal intensity."""
@@ -106,6 +125,11 @@ class Colour(NamedTuple):
             waves = waves * self.transfer.conj()
         spread = torch.fft.irfft2(waves, s=(self.padded,) * 2, norm="forward")
         return spread[..., : self.samples, : self.samples]
+
+
+def _single(factor: torch.Tensor) -> torch.Tensor:
+    """An OTF factor in single precision."""
+    return factor.to(torch.complex64 if factor.is_complex() else torch.float32)
 
 
 def behind(pupil: torch.Tensor, phasor: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:

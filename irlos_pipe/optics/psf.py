@@ -9,7 +9,9 @@ One pass along the light path, shapes ``(frame, wavelength, y, x)``::
     image      Σ_λ w(λ) G(λ) O G(λ)ᵀ                 exactly the detector's pixels: colours, plate scale
 
 A copy of the star that has a wavefront of its own, such as a ghost out of focus, goes along a second path
-like this one, and both images add.
+like this one, and both images add. Where an effect in the plane of the OTF asks for it, ``T_k FFT(∂I/∂a_k)``
+adds to O for some modes k; derivatives by modes, pupil and sampling leave out how that sum changes with them,
+as it is some per cent of the light.
 What physical effects make of P, T, and of the sampling (λ, w, pixel scale in G) arrives as one
 `Optics`. Flux, background and the detector follow in `image_model`. Derivatives are hand-written:
 ``∂I/∂a_k = -(4π/λ) Im(U* F[Z_k E])``, and because a Zernike polynomial of degree n is a sum of
@@ -167,7 +169,22 @@ class PsfModel:
         pupil, grid = self._pupil(optics.pupil, index), plane.grids[index]
         pupil = self.amplitude if pupil is None else pupil
         strained = plane.strained(index, sampling) if sampling is not None and sampling.strains else None
-        return Colour(wavelength_m, pupil, transfer, to_rows, to_columns, grid.padded, grid.samples, strained)
+        per_nm = 2 * np.pi * NM / wavelength_m
+        by_mode = [
+            (per_nm * self._map(self.pupil_grid.modes([noll])[0].copy()), self._factor(factors, index))
+            for noll, factors in optics.by_mode
+        ]
+        return Colour(
+            wavelength_m,
+            pupil,
+            transfer,
+            to_rows,
+            to_columns,
+            grid.padded,
+            grid.samples,
+            strained,
+            tuple(by_mode),
+        )
 
     def _pupil(self, pupils: torch.Tensor | None, index: int) -> torch.Tensor | None:
         return None if pupils is None else self._amplitudes(pupils[index])
@@ -177,8 +194,9 @@ class PsfModel:
         return mirrored(self._complex(pupils))
 
     def _transfer(self, factors: torch.Tensor | None, index: int) -> torch.Tensor | None:
-        if factors is None:
-            return None
+        return None if factors is None else self._factor(factors, index)
+
+    def _factor(self, factors: torch.Tensor, index: int) -> torch.Tensor:
         return (self._complex if factors.is_complex() else self._real)(factors[index])
 
     def images(self, modes_nm: torch.Tensor, optics: Optics = AS_BUILT) -> torch.Tensor:
@@ -196,8 +214,11 @@ class PsfModel:
 
     def _one_path(self, opd: torch.Tensor, path: _Path) -> torch.Tensor:
         """Weighted images at one wavelength."""
-        colour, index = self._colour(path.colour, path.optics), path.colour
-        return colour.image(_intensity(self.focal_plane.dfts[index].amplitude(colour.field(opd))))
+        colour, dft = self._colour(path.colour, path.optics), self.focal_plane.dfts[path.colour]
+        field = colour.field(opd)
+        amplitude, *turned = _amplitudes(colour, dft, field)
+        changes = [_change(amplitude, one) for one in turned]
+        return colour.whole_image(_intensity(amplitude), changes)
 
     @torch.no_grad()
     def images_and_jacobian(
@@ -235,32 +256,36 @@ class PsfModel:
             colour if path.alike is None else colour._replace(transfer=self._transfer(path.alike, index))
         )
         if modal and not path.follows:
-            amplitude, changes = self._amplitude_and_modal(dft, field, float(colour.wavelength_m))
-            columns = [self._derivatives(changing, changes)]
+            (amplitude, *turned), (changes, *more) = self._amplitudes_and_modal(colour, dft, field)
+            columns = [self._derivatives(changing, changes, more)]
         else:
-            amplitude, columns = dft.amplitude(field), []
+            (amplitude, *turned), columns = _amplitudes(colour, dft, field), []
 
         def by_pupil(slopes: Sequence[torch.Tensor]) -> list[torch.Tensor]:
             """Derivatives (slopes, frames, rows, columns), in pieces."""
             pupils, many = [one[index] for one in slopes], max(1, SLOPES_AT_ONCE // len(opd))
             pieces = [torch.stack(pupils[i : i + many]) for i in range(0, len(pupils), many)]
             changes = (self._changes(dft, some, phasor) for some in pieces)
-            return [self._derivatives(changing, 2 * (amplitude * one).sum(2)) for one in changes]
+            return [self._derivatives(changing, _change(amplitude, one)) for one in changes]
 
         intensity = _intensity(amplitude)
+        by_mode = [_change(amplitude, one) for one in turned]
         if path.follows:
             known = len(tangents.pupil) + (len(self.nolls) if modal else 0)
             columns = [intensity.new_zeros(known, len(opd), *self.settings.window)]
         else:
             columns += by_pupil(tangents.pupil)
-        factors = [self._transfer(one, index) for one in tangents.transfer]
-        by_transfer = colour.images_through(intensity, factors)
+        factors = [
+            [self._transfer(one, index) for one in parameter]
+            for parameter in zip(tangents.transfer, *tangents.by_mode, strict=True)
+        ]
+        by_transfer = colour.images_through([intensity, *by_mode], factors)
         for place, one in tangents.pupil_too:
             by_transfer[place] = by_transfer[place] + by_pupil([one])[0][0]
         columns += [one[None] for one in by_transfer]
         if tangents.sampling:
             columns.append(self._resampled(colour, opd, path))
-        image = colour.image(intensity)
+        image = colour.whole_image(intensity, by_mode)
         if not columns:
             return image, image.new_empty(0, *image.shape)
         return image, columns[0] if len(columns) == 1 else torch.cat(columns)
@@ -286,11 +311,14 @@ class PsfModel:
         fields = behind(self._amplitudes(pupils)[:, None], phasor)
         return dft.amplitude(fields.flatten(0, 1)).unflatten(0, fields.shape[:2])
 
-    def _derivatives(self, colour: Colour, changes: torch.Tensor) -> torch.Tensor:
-        """Weighted pixel flux of the derivatives of the focal intensity, in the precision wanted of them."""
+    def _derivatives(self, colour: Colour, changes: torch.Tensor, more: Sequence[torch.Tensor] = ()):
+        """Weighted pixel flux of the derivatives of the focal intensity, in the precision wanted of them.
+
+        Those of its changes by the modes of `Optics.by_mode` are `more`.
+        """
         if not self.rough_derivatives or self.dtype == torch.float32:
-            return colour.image(changes)
-        return colour.single.image(changes.float()).to(changes)
+            return colour.whole_image(changes, more)
+        return colour.single.whole_image(changes.float(), [one.float() for one in more]).to(changes)
 
     @torch.no_grad()
     def images_and_pullback(
@@ -309,25 +337,35 @@ class PsfModel:
         """Weighted images at one wavelength, and their pullback to the OPD, (frames, n · n)."""
         colour, dft = self._colour(path.colour, path.optics), self.focal_plane.dfts[path.colour]
         field = colour.field(opd)
-        amplitude = dft.amplitude(field)
+        amplitude, *turned = _amplitudes(colour, dft, field)
         scale = 4 * np.pi * NM / float(colour.wavelength_m)
 
         def pullback(factors: torch.Tensor) -> torch.Tensor:
-            change = dft.adjoint(amplitude * (scale * colour.adjoint(factors))[:, None])
-            return (field[:, 0] * change[:, 1] - field[:, 1] * change[:, 0]).flatten(1)
+            through = [colour._replace(transfer=factor).adjoint(factors) for _, factor in colour.by_mode]
+            beats = [amplitude * colour.adjoint(factors)[:, None]]
+            beats += [change * one[:, None] for change, one in zip(turned, through, strict=True)]
+            change = dft.adjoint(reduce(torch.add, beats))
+            by_phase = field[:, 0] * change[:, 1] - field[:, 1] * change[:, 0]
+            for (phase, _), one in zip(colour.by_mode, through, strict=True):
+                by_phase = by_phase - phase * (field * dft.adjoint(amplitude * one[:, None])).sum(1)
+            return scale * by_phase.flatten(1)
 
-        return colour.image(_intensity(amplitude)), pullback
+        changes = [_change(amplitude, one) for one in turned]
+        return colour.whole_image(_intensity(amplitude), changes), pullback
 
-    def _amplitude_and_modal(self, dft: MatrixDft, field: torch.Tensor, wavelength_m: float):
-        """Focal amplitude (frames, 2, m, m) and intensity derivatives (modes, frames, m, m)."""
-        even, odd = dft.products(field)
-        amplitude = even[0]  # T_0(x) T_0(y) = 1
-        real, imag = amplitude[:, 0], amplitude[:, 1]
-        beat = torch.cat([even[:, :, 1], odd[:, :, 0]]) * real
-        beat[: len(even)].addcmul_(even[:, :, 0], imag, value=-1)
-        beat[len(even) :].addcmul_(odd[:, :, 1], imag)
-        scale = -4 * np.pi * NM / wavelength_m
-        return amplitude, ((scale * self.combine) @ beat.flatten(1)).unflatten(1, beat.shape[1:])
+    def _amplitudes_and_modal(self, colour: Colour, dft: MatrixDft, field: torch.Tensor):
+        """Focal amplitudes of `_amplitudes`, and derivatives (modes, frames, m, m) of what they make.
+
+        These are those of the intensity, and of its changes by the modes of `Optics.by_mode`.
+        """
+        fields = [field, *_turned(colour, field)]
+        products = [dft.products(one) for one in fields]
+        amplitudes = [even[0] for even, _ in products]  # T_0(x) T_0(y) = 1
+        (amplitude, *turned), (own, *others) = amplitudes, products
+        beats = [_beat(amplitude, own)]
+        beats += [_beat(amplitude, one) + _beat(by, own) for one, by in zip(others, turned, strict=True)]
+        combine = -4 * np.pi * NM / float(colour.wavelength_m) * self.combine
+        return amplitudes, [(combine @ one.flatten(1)).unflatten(1, one.shape[1:]) for one in beats]
 
 
 def pupil_grid(settings: PsfSettings) -> PupilGrid:
@@ -371,3 +409,28 @@ def _together(optics: Optics, follow: Sequence[bool]) -> torch.Tensor | None:
 def _intensity(amplitude: torch.Tensor) -> torch.Tensor:
     """``|U|²``, (frames, m, m)."""
     return amplitude.square().sum(1)
+
+
+def _change(amplitude: torch.Tensor, by: torch.Tensor) -> torch.Tensor:
+    """Change ``2 Re(U* ∂U)`` of the intensity, (..., frames, m, m), by that of an `amplitude`."""
+    return 2 * (amplitude * by).sum(-3)
+
+
+def _amplitudes(colour: Colour, dft: MatrixDft, field: torch.Tensor) -> list[torch.Tensor]:
+    """Focal amplitude, (frames, 2, m, m), and its derivatives by the modes of `Optics.by_mode` [1/nm]."""
+    return [dft.amplitude(one) for one in (field, *_turned(colour, field))]
+
+
+def _turned(colour: Colour, field: torch.Tensor) -> list[torch.Tensor]:
+    """Derivatives ``i φ_k E`` of the field by the modes of `Optics.by_mode`."""
+    turned = torch.stack([-field[:, 1], field[:, 0]], dim=1)
+    return [phase * turned for phase, _ in colour.by_mode]
+
+
+def _beat(amplitude: torch.Tensor, products: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
+    """``Im(U* F[T_a T_b E])`` of an amplitude and of `MatrixDft.products`, (products, frames, m, m)."""
+    (even, odd), real, imag = products, amplitude[:, 0], amplitude[:, 1]
+    beat = torch.cat([even[:, :, 1], odd[:, :, 0]]) * real
+    beat[: len(even)].addcmul_(even[:, :, 0], imag, value=-1)
+    beat[len(even) :].addcmul_(odd[:, :, 1], imag)
+    return beat

@@ -141,6 +141,6 @@ def resampled(
         if rates.wavelength or rates.pupil is not None:
             slope = slope + colour.image(2 * (amplitude * dft.amplitude(moved)).sum(1))
         if rates.transfer is not None:
-            slope = slope + colour.images_through(intensity, [rates.transfer])[0]
+            slope = slope + colour.images_through([intensity], [[rates.transfer]])[0]
         found.append(slope)
     return torch.stack(found)

@@ -1,0 +1,230 @@
+"""AO residual inside the correction band, without tip and tilt over the pupil.
+
+Truth: adaptive quadrature and dense sums of the spectrum; covariances of a random process on the points of
+a disc, from which tip and tilt are projected out; a Shack–Hartmann sensor simulated wave by wave; random
+points; and a Monte Carlo average of HCIPy images through screens drawn by FFT (independent code).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from helpers.optics_cases import BAND, NARROW_H, RESIDUAL_LAW, settings
+from helpers.reference_psf import DIAMETER_M, reference
+from scipy.integrate import quad
+from scipy.special import j0, j1, jv
+
+from irlos_pipe.effects import EffectSet, SeeingHalo
+from irlos_pipe.optics.coma_between import coma_between
+from irlos_pipe.optics.in_band_residual import LOWEST, InBandResidual, Residual, aliased_turbulence
+from irlos_pipe.optics.psf import PsfModel
+
+LENGTHS_M = np.array([0.05, 0.2, 0.5, 1.0, 2.0, 3.0, 4.0, 5.5, 7.0, 8.0])
+VARIANCE_NM2 = 100.0**2
+RADIUS_M, LOW_PER_M = DIAMETER_M / 2, LOWEST * BAND.low_per_m
+
+
+def in_band(bx_m, by_m, slope, *more: float) -> Residual:
+    residual = InBandResidual(np.asarray(bx_m), np.asarray(by_m), BAND)
+    return Residual(*(one.numpy() for one in residual.at(VARIANCE_NM2, torch.tensor(float(slope)), *more)))
+
+
+def kept(f_per_m: float) -> float:
+    """Variance of a wave over a clear circle that is not piston, tip or tilt (Noll 1976)."""
+    z = 2 * np.pi * f_per_m * RADIUS_M
+    return 1 - (2 * j1(z) / z) ** 2 - 4 * (2 * jv(2, z) / z) ** 2
+
+
+@pytest.mark.parametrize("angle_deg", [0, 17, 90])
+@pytest.mark.parametrize("slope", [-1, 0, 2, 11 / 3, 6])
+def test_the_isotropic_residual_agrees_with_adaptive_quadrature(slope, angle_deg):
+    def integral(weight):
+        return quad(lambda f: f ** (1 - slope) * weight(f), LOW_PER_M, BAND.cutoff_per_m, limit=500)[0]
+
+    def without_tilt(f, b):
+        z = 2 * np.pi * f * RADIUS_M
+        return 2 * (1 - j0(2 * np.pi * f * b)) - 2 * (2 * jv(2, z) / z) ** 2 * (2 / RADIUS_M * b) ** 2
+
+    total = integral(kept)
+    exact = [VARIANCE_NM2 * integral(lambda f, b=b: without_tilt(f, b)) / total for b in LENGTHS_M]
+    angle = np.deg2rad(angle_deg)
+    ours = in_band(LENGTHS_M * np.cos(angle), LENGTHS_M * np.sin(angle), slope).structure
+    assert ours == pytest.approx(np.array(exact), abs=2e-6 * VARIANCE_NM2)
+
+
+@pytest.mark.parametrize(
+    ("cos2", "sin2", "cos4", "sin4"),
+    [(1, 0.5, 0, 0), (-2, 0, 0, 0), (0, 3, 0, 0), (0.8, -0.6, -0.5, 0.4), (3, -3, 2, 2)],
+)
+def test_a_stretched_residual_agrees_with_a_dense_sum(cos2, sin2, cos4, sin4):
+    edges = np.geomspace(LOW_PER_M, BAND.cutoff_per_m, 3001)
+    f, width = np.sqrt(edges[1:] * edges[:-1])[:, None], np.diff(edges)[:, None]
+    theta = (np.arange(720) + 0.5) * np.pi / 720
+    power = f * width * f**-2 * np.exp(cos2 * np.cos(2 * theta) + sin2 * np.sin(2 * theta))
+    power = power * np.exp(cos4 * np.cos(4 * theta) + sin4 * np.sin(4 * theta))
+    power *= VARIANCE_NM2 / np.sum(power * kept(f))
+    z = 2 * np.pi * f * RADIUS_M
+    tilt, coma = 2 * 2 * jv(2, z) / z * 2 / RADIUS_M, -np.sqrt(8) * 2 * jv(4, z) / z
+    bx, by = np.array([0.3, 1.0, -2.0, 4.0, 0.0]), np.array([0.1, 1.0, 3.0, -4.0, 7.5])
+    along = [x * np.cos(theta) + y * np.sin(theta) for x, y in zip(bx, by, strict=True)]
+    exact = [np.sum(power * (2 - 2 * np.cos(2 * np.pi * f * b) - (tilt * b) ** 2)) for b in along]
+    ours = in_band(bx, by, 2.0, cos2, sin2, cos4, sin4)
+    assert ours.structure == pytest.approx(np.array(exact), abs=3e-5 * VARIANCE_NM2)
+    squares = (np.cos(theta) ** 2, np.cos(theta) * np.sin(theta), np.sin(theta) ** 2)
+    with_coma = [np.sum(power * tilt * coma * square) for square in squares]
+    assert ours.tilt_with_coma == pytest.approx(np.array(with_coma), abs=1e-4 * np.abs(with_coma).max())
+
+
+def test_the_stretch_lies_along_its_angle():
+    """Power at frequencies along x decorrelates along x first."""
+    along_x, along_y = in_band([0.3, 0.0], [0.0, 0.3], 2.0, 1.0).structure
+    assert along_x > 1.5 * along_y
+
+
+def test_a_process_without_tip_and_tilt_is_what_is_left_of_one_with_them():
+    """Covariance matrix of the power law on a disc; the projection is a matrix, no polynomial's transform."""
+    u = (np.arange(30) + 0.5) / 30 * DIAMETER_M - RADIUS_M
+    x, y = (axis.ravel() for axis in np.meshgrid(u, u))
+    x, y = (axis[np.hypot(x, y) < RADIUS_M] for axis in (x, y))
+    edges = np.geomspace(LOW_PER_M, BAND.cutoff_per_m, 401)
+    f = np.sqrt(edges[1:] * edges[:-1])
+    power = np.diff(edges) * f**-2.0
+    bx, by = x[:, None] - x, y[:, None] - y
+    lengths, place = np.unique(np.round(np.hypot(bx, by), 6), return_inverse=True)
+    structure = (2 * (1 - j0(2 * np.pi * np.outer(lengths, f))) @ power)[place].reshape(bx.shape)
+    tilts = np.stack([np.ones_like(x), x, y])
+    to_tilts = np.linalg.solve(tilts @ tilts.T, tilts)
+    left = np.eye(len(x)) - tilts.T @ to_tilts
+    covariance = left @ (-structure / 2) @ left.T
+    scale = VARIANCE_NM2 / np.diag(covariance).mean()
+    differences = scale * (np.diag(covariance)[:, None] + np.diag(covariance) - 2 * covariance)
+    pairs = np.arange(0, bx.size, 997)
+    ours = in_band(bx.ravel()[pairs], by.ravel()[pairs], 3.0)
+    # The coma of the tilts, as a part of c, is what makes differences depend on the place.
+    r2 = (x**2 + y**2) / RADIUS_M**2
+    comas = np.sqrt(8) * np.stack([(3 * r2 - 2) * x, (3 * r2 - 2) * y]) / RADIUS_M
+    xx, xy, yy = ours.tilt_with_coma
+    c = np.array([[xx, xy], [xy, yy]]) @ comas
+    place_dependent = 2 * sum(b * (one[:, None] - one) for b, one in zip((bx, by), c, strict=True))
+    exact, stationary = differences.ravel()[pairs], ours.structure
+    with_coma = stationary - place_dependent.ravel()[pairs]
+    assert np.abs(exact - with_coma).mean() < 0.02 * 2 * VARIANCE_NM2  # c is not all coma
+    assert np.abs(exact - stationary).mean() > 0.1 * 2 * VARIANCE_NM2
+
+
+def test_moments_of_the_coma_between_two_points_are_those_of_random_pairs():
+    rng = np.random.default_rng(4)
+    b = np.array([1.0, 4.0, 6.5])
+    mean, along, across = coma_between(b, DIAMETER_M)
+    for index, length in enumerate(b / RADIUS_M):
+        x, y = rng.uniform(-1, 1, (2, 1_000_000))
+        inside = (np.hypot(x, y) < 1) & (np.hypot(x + length, y) < 1)
+        x, y = x[inside], y[inside]
+        r2, moved2 = x**2 + y**2, (x + length) ** 2 + y**2
+        own = np.sqrt(8) * ((3 * moved2 - 2) * (x + length) - (3 * r2 - 2) * x)
+        other = np.sqrt(8) * ((3 * moved2 - 2) * y - (3 * r2 - 2) * y)
+        assert mean[index] == pytest.approx(own.mean(), abs=5 * own.std() / len(x) ** 0.5)
+        assert along[index] == pytest.approx(own.var(), rel=0.02)
+        assert across[index] == pytest.approx(other.var(), rel=0.02)
+
+
+@pytest.mark.parametrize("turns", [(3, 1), (2, 5), (0, 4)])
+def test_aliased_turbulence_is_what_a_simulated_sensor_takes_it_for(turns):
+    """Waves beyond the cut-off through sub-apertures on a periodic square, reconstructed by least squares."""
+    subapertures, fine = 16, 16
+    pitch_m = 0.5 / BAND.cutoff_per_m
+    size = subapertures * fine
+    u = (np.arange(size) + 0.5) / size * subapertures
+    fx, fy = np.array(turns) / subapertures  # of the wave that is seen, per sub-aperture
+    total = 0.0
+    for kx in range(-3, 4):
+        for ky in range(-3, 4):
+            if (kx, ky) == (0, 0):
+                continue
+            gx, gy = fx + kx, fy + ky
+            wave = np.exp(2j * np.pi * (gx * u[None, :] + gy * u[:, None]))
+            cells = wave.reshape(subapertures, fine, subapertures, fine).mean((1, 3))
+            measured = [2j * np.pi * g * np.fft.fft2(cells)[turns[1], turns[0]] for g in (gx, gy)]
+            seen = np.exp(2j * np.pi * (fx * u[None, :] + fy * u[:, None]))
+            own = seen.reshape(subapertures, fine, subapertures, fine).mean((1, 3))
+            expected = [2j * np.pi * f * np.fft.fft2(own)[turns[1], turns[0]] for f in (fx, fy)]
+            fit = np.vdot(expected, measured) / np.vdot(expected, expected)
+            total += abs(fit) ** 2 * np.hypot(gx, gy) ** (-11 / 3)
+    ours = aliased_turbulence(np.array(fx / pitch_m), np.array(fy / pitch_m), BAND.cutoff_per_m)
+    assert ours == pytest.approx(total * pitch_m ** (11 / 3), rel=0.02)
+
+
+def test_aliasing_adds_its_variance_to_the_residual():
+    distant = np.linspace(20, 25, 400)
+    bx, by = distant * np.cos(distant), distant * np.sin(distant)
+    residual = InBandResidual(bx, by, BAND)
+    lone = residual.at(0.0, torch.tensor(2.0), aliasing_nm2=VARIANCE_NM2).structure.numpy()
+    level = InBandResidual(bx, by, BAND).at(VARIANCE_NM2, torch.tensor(-0.5)).structure.numpy()
+    assert lone.mean() == pytest.approx(level.mean(), rel=0.02)
+
+
+def test_slopes_of_the_in_band_residual_are_differences():
+    residual = InBandResidual(LENGTHS_M * 0.6, LENGTHS_M * -0.8, BAND)
+    at = torch.tensor([VARIANCE_NM2, 2.3, 0.8, -0.6, -0.5, 0.4, 50.0**2]).double()
+    value, slopes = residual.with_slopes(at)
+    for one, exact in zip(value, residual.at(*at), strict=True):
+        assert one.numpy() == pytest.approx(exact.numpy(), rel=1e-12)
+    for index, step in enumerate([1.0, *[1e-4] * 5, 1.0]):
+        move = torch.zeros(7).double()
+        move[index] = step
+        high, low = (residual.at(*(at + s * move)) for s in (1, -1))
+        for slope, above, below in zip(slopes, high, low, strict=True):
+            difference = ((above - below) / (2 * step)).numpy()
+            assert slope[index].numpy() == pytest.approx(difference, rel=1e-5, abs=1e-3)
+
+
+# -- Monte Carlo -------------------------------------------------------------------------------
+
+PERIOD_M, SCREENS, SAMPLES = 32.0, 800, 96
+STEEP, RMS_NM = 3.0, 130.0
+ABERRATED = {5: 60.0, 6: -170.0, 7: 40.0, 9: 50.0}
+
+
+def screens_nm(imager, seed: int):
+    """Residual screens on the pupil grid, drawn from a power law by FFT, without tip and tilt."""
+    size = round(SAMPLES * PERIOD_M / DIAMETER_M)
+    f = np.fft.fftfreq(size, PERIOD_M / size)
+    radius = np.maximum(np.hypot(f[:, None], f[None]), 1e-9)
+    covered = np.clip((radius - LOW_PER_M) * PERIOD_M + 0.5, 0, 1)  # part of each cell inside the band
+    covered *= np.clip((BAND.cutoff_per_m - radius) * PERIOD_M + 0.5, 0, 1)
+    power = covered * radius**-STEEP
+    amplitude = np.sqrt(power * RMS_NM**2 / np.sum(power * kept(radius)))
+    weight = imager.transmission / imager.transmission.sum()
+    tilts = np.stack([np.ones(imager.grid.size), imager.grid.x, imager.grid.y])
+    to_tilts = np.linalg.solve((tilts * weight) @ tilts.T, tilts * weight)
+    rng = np.random.default_rng(seed)
+    for _ in range(SCREENS // 2):
+        noise = rng.standard_normal((2, size, size))
+        pair = np.fft.fft2(amplitude * (noise[0] + 1j * noise[1]))[:SAMPLES, :SAMPLES]
+        for screen in (pair.real.ravel(), pair.imag.ravel()):
+            yield screen - (to_tilts @ screen) @ tilts
+
+
+@pytest.mark.slow
+def test_the_long_exposure_is_the_mean_of_images_through_random_screens():
+    wavelength_nm, window = NARROW_H[0][0], (32, 32)
+    imager = reference(SAMPLES)
+    still_nm = imager.opd_nm(ABERRATED)
+    screens = screens_nm(imager, seed=11)
+    drawn = np.array([imager.image(still_nm + one, wavelength_nm, window, 9.7) for one in screens])
+    model = PsfModel(settings(window, diversity=ABERRATED), (4,), dtype=torch.float64)
+    # Good seeing leaves next to nothing beyond the cut-off, as in the screens.
+    good_seeing = SeeingHalo(BAND, RESIDUAL_LAW, 0.01)
+    halo = EffectSet((good_seeing,), model.grids)
+    values = torch.tensor([RMS_NM**2, STEEP, *[0.0] * 5], dtype=torch.float64)
+    error = drawn.std(0, ddof=1) / np.sqrt(SCREENS)
+
+    def mean_square_pull(optics) -> float:
+        ours = model.images(torch.zeros(1, 1), optics)[0].numpy()
+        return np.mean(((ours - drawn.mean(0)) / error) ** 2)
+
+    optics = halo(values)
+    assert 0.3 < mean_square_pull(optics) < 2
+    assert mean_square_pull(optics._replace(by_mode=())) > 3 * mean_square_pull(optics)
+    assert mean_square_pull(optics._replace(transfer=None, by_mode=())) > 20
