@@ -16,30 +16,24 @@ residual is strong and steep, it is some per cent of the image.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from irlos_pipe.conventions.late import torch
 from irlos_pipe.conventions.laws import ResidualLaw
-from irlos_pipe.conventions.units import NM
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, direction, number
 from irlos_pipe.effects.planes import OtfEffect
-from irlos_pipe.optics.coma_between import coma_between
-from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.grids import OtfGrid
-from irlos_pipe.optics.in_band_residual import InBandResidual, Residual
+from irlos_pipe.optics.residual_otf import COMA, MeanFactor, ResidualOtf, residual_otf
 from irlos_pipe.optics.structure_function import (
     ResidualBand,
-    fitting_structure_nm2,
     fitting_variance_nm2,
     seeing_to_r0_m,
 )
 
-COMA = 7, 8  # Noll, along y and along x
 VARIANCES = (0, 6)  # places of the two variances among the parameters
 FULL_HALO = 0.1  # of the expected variance, from which the shape of the halo is fitted as well
 
@@ -87,7 +81,10 @@ class SeeingHalo(OtfEffect):
     )
     speckles = True
     look_alike = "tip_tilt_jitter, which broadens the core instead of feeding a halo"
-    reference = "Fétick et al. 2019, A&A 628, A99; Roddier 1981, Prog. Opt. 19, 281"
+    reference = (
+        "Fétick et al. 2019, A&A 628, A99; Roddier 1981, Prog. Opt. 19, 281; "
+        "Rigaut et al. 1998, Proc. SPIE 3353, 1038; Noll 1976, J. Opt. Soc. Am. 66, 207"
+    )
 
     def __init__(self, band: ResidualBand, law: ResidualLaw, seeing_arcsec: float, measured: bool = True):
         self.band, self.law, self.measured = band, law, measured
@@ -140,24 +137,16 @@ class SeeingHalo(OtfEffect):
 
     def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """``½ (2π/λ)² D(b)`` at `values` on `grid`, D in nm²."""
-        on = self.on(grid)
-        structure = on.residual(values).structure + self._beyond(values) * on.fitting_nm2
-        return 0.5 * _per_nm2(grid) * structure[on.place]
+        return self._on(grid).exponent(values, self._beyond(values), grid)
 
-    def mean_factor(self, values: torch.Tensor, grid: OtfGrid) -> _MeanFactor:
-        """Return the mean of the OTF factor over the pupil, of a flat wavefront, at `values` on `grid`."""
-        mean, variance = self.on(grid).moves(self.on(grid).residual(values).tilt_with_coma, grid)
-        return _MeanFactor(mean + variance / 2 - self.exponent(values, grid), mean)
+    def mean_factor(self, values: torch.Tensor, grid: OtfGrid) -> MeanFactor:
+        """Return the mean of the OTF factor over the pupil at `values` on `grid`."""
+        return self._on(grid).mean_factor(values, self._beyond(values), grid)
 
-    def rates(self, values: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[_MeanFactor]:
-        """Return the derivatives of `mean_factor`."""
-        on, (residual, slopes) = self.on(grid), self.on(grid).with_slopes(values)
-        found = []
-        for index in wanted:
-            mean, variance = on.moves_change(residual.tilt_with_coma, slopes.tilt_with_coma[index], grid)
-            structure = slopes.structure[index] + self._per_nm2 * (index in VARIANCES) * on.fitting_nm2
-            found.append(_MeanFactor(mean + variance / 2 - 0.5 * _per_nm2(grid) * structure[on.place], mean))
-        return found
+    def rates(self, values: torch.Tensor, grid: OtfGrid) -> list[MeanFactor]:
+        """Return its derivatives by all parameters."""
+        by_beyond = [self._per_nm2 * (index in VARIANCES) for index in range(len(self.parameters))]
+        return self._on(grid).rates(values, by_beyond, grid)
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
@@ -169,8 +158,8 @@ class SeeingHalo(OtfEffect):
     ) -> list[torch.Tensor]:
         """See `OtfEffect.slopes`."""
         log, mean = self.mean_factor(values, grid)
-        light = factor * torch.exp(log)
-        return [light * (rate.log * (1 - mean) - rate.mean) for rate in self.rates(values, grid, wanted)]
+        light, rates = factor * torch.exp(log), self.rates(values, grid)
+        return [light * (rates[index].log * (1 - mean) - rates[index].mean) for index in wanted]
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """Total and in-band WFE, slope of the PSD, two-fold and four-fold strength, share of aliasing."""
@@ -213,24 +202,8 @@ class SeeingHalo(OtfEffect):
         """Turbulence beyond the cut-off, of what the seeing gives."""
         return self._fixed + self._per_nm2 * (values[VARIANCES[0]] + values[VARIANCES[1]])
 
-    def on(self, grid: OtfGrid) -> _Baselines:
-        """Return what of the residual depends on the baselines of `grid`."""
-        return _baselines(self.band, self.r0_m, grid.focal)
-
-
-class _MeanFactor(NamedTuple):
-    """OTF factor of the residual with the mean motion that goes with coma, or its derivatives.
-
-    Attributes
-    ----------
-    log : tensor, (wavelengths, p, p//2 + 1)
-        Logarithm of the factor: ``m + v/2 - ½ (2π/λ)² D``.
-    mean : tensor, (wavelengths, p, p//2 + 1)
-        The m in it.
-    """
-
-    log: torch.Tensor
-    mean: torch.Tensor
+    def _on(self, grid: OtfGrid) -> ResidualOtf:
+        return residual_otf(self.band, self.r0_m, grid.focal)
 
 
 class _MovesWithComa(OtfEffect):
@@ -247,109 +220,21 @@ class _MovesWithComa(OtfEffect):
     name = SeeingHalo.name
 
     def __init__(self, halo: SeeingHalo, noll: int):
-        self.halo, self.parameters = halo, halo.parameters
-        y, x = COMA
-        self._tilts = {x: slice(0, 2), y: slice(1, 3)}[noll]  # covariances with those along x and y
+        self.halo, self.noll, self.parameters = halo, noll, halo.parameters
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
-        light = factor * torch.exp(self.halo.mean_factor(values, grid).log)
-        return light * self._moving(self.halo.on(grid).residual(values).tilt_with_coma, grid)
+        moving = residual_otf(self.halo.band, self.halo.r0_m, grid.focal).moving(values, self.noll, grid)
+        return factor * torch.exp(self.halo.mean_factor(values, grid).log) * moving
 
     def slopes(
         self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
         """See `OtfEffect.slopes`."""
-        residual, slopes = self.halo.on(grid).with_slopes(values)
+        on, rates = residual_otf(self.halo.band, self.halo.r0_m, grid.focal), self.halo.rates(values, grid)
         light = factor * torch.exp(self.halo.mean_factor(values, grid).log)
-        moving = self._moving(residual.tilt_with_coma, grid)
-        changes = [self._moving(slopes.tilt_with_coma[index], grid) for index in wanted]
-        rates = self.halo.rates(values, grid, wanted)
-        return [light * (change + rate.log * moving) for change, rate in zip(changes, rates, strict=True)]
-
-    def _moving(self, with_coma: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
-        """Phase per coma [1/nm], (wavelengths, p, p//2 + 1), that goes with it at these covariances."""
-        return 1j * _per_nm2(grid).sqrt() * grid.path_m(*with_coma[self._tilts])
-
-
-class _Baselines:
-    """The residual on one set of baselines.
-
-    Parameters
-    ----------
-    band : ResidualBand
-    r0_m : float
-    focal : FocalGrid
-
-    Attributes
-    ----------
-    fitting_nm2 : tensor, (baselines,)
-        Structure function beyond the cut-off, on the baselines within the pupil.
-    place : tensor of int, (p, p//2 + 1)
-        Of every baseline of the grid among these.
-    """
-
-    def __init__(self, band: ResidualBand, r0_m: float, focal: FocalGrid):
-        bx, by = np.broadcast_arrays(focal.baseline_x_m[None, :], focal.baseline_y_m[:, None])
-        lengths = np.hypot(bx, by)
-        within = lengths <= focal.longest_m
-        self.fitting_nm2 = torch.as_tensor(fitting_structure_nm2(lengths[within], band, r0_m))
-        self.place = torch.as_tensor(np.where(within, np.cumsum(within).reshape(within.shape) - 1, 0))
-        bx, by = bx[within], by[within]
-        self._in_band = InBandResidual(bx, by, band)
-        self._coma = [torch.as_tensor(one) for one in coma_between(lengths[within], 1 / band.low_per_m)]
-        b = np.maximum(lengths[within], 1e-9)
-        self._along = torch.as_tensor(np.stack([bx * bx, 2 * bx * by, by * by]) / b)
-        self._across = torch.as_tensor(np.stack([-bx * by, bx * bx - by * by, bx * by]) / b)
-        self._last: dict[tuple[str, tuple[float, ...]], Any] = {}
-
-    def residual(self, values: torch.Tensor) -> Residual:
-        """Return that inside the band at the parameters `values` of the effect."""
-        if values.requires_grad:
-            return self._in_band.at(*values)
-        return self._kept("at", values, lambda: self._in_band.at(*values))
-
-    def with_slopes(self, values: torch.Tensor) -> tuple[Residual, Residual]:
-        """Return the same and its derivatives."""
-        return self._kept("slopes", values, lambda: self._in_band.with_slopes(values))
-
-    def moves(self, with_coma: torch.Tensor, grid: OtfGrid) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return mean and variance of u, (wavelengths, p, p//2 + 1) each, at covariances of tilt and coma."""
-        mean, along, across = self._coma
-        lengthwise, crosswise = with_coma @ self._along, with_coma @ self._across
-        variance = along * lengthwise**2 + across * crosswise**2
-        per_nm2 = _per_nm2(grid)
-        return per_nm2 * (mean * lengthwise)[self.place], per_nm2**2 * variance[self.place]
-
-    def moves_change(
-        self, with_coma: torch.Tensor, change: torch.Tensor, grid: OtfGrid
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return how both change with the covariances."""
-        mean, along, across = self._coma
-        lengthwise, crosswise = change @ self._along, change @ self._across
-        variance = along * (with_coma @ self._along) * lengthwise
-        variance = 2 * (variance + across * (with_coma @ self._across) * crosswise)
-        per_nm2 = _per_nm2(grid)
-        return per_nm2 * (mean * lengthwise)[self.place], per_nm2**2 * variance[self.place]
-
-    def _kept(self, what: str, values: torch.Tensor, compute: Callable[[], Any]) -> Any:
-        """What was computed last, if it was for these `values`: star and modes ask for the same."""
-        key = what, tuple(values.tolist())
-        kept = self._last.get(key)
-        if kept is None:
-            self._last = {one: value for one, value in self._last.items() if one[1] == key[1]}
-            kept = self._last[key] = compute()
-        return kept
-
-
-def _per_nm2(grid: OtfGrid) -> torch.Tensor:
-    """``(2π/λ)²`` [rad²/nm²], (wavelengths, 1, 1)."""
-    return (2 * np.pi * NM / grid.wavelengths_m) ** 2
-
-
-@lru_cache(maxsize=4)
-def _baselines(band: ResidualBand, r0_m: float, focal: FocalGrid) -> _Baselines:
-    return _Baselines(band, r0_m, focal)
+        moving, changes = on.moving(values, self.noll, grid), on.moving_rates(values, self.noll, grid)
+        return [light * (changes[index] + rates[index].log * moving) for index in wanted]
 
 
 class ScaledHalo(OtfEffect):

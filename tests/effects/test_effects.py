@@ -93,7 +93,7 @@ def test_an_asymmetric_kernel_is_convolved_not_correlated(model, wavefront):
 
 def test_a_residual_stretched_along_x_widens_the_image_along_x(model):
     effects = EffectSet((SeeingHalo(BAND, RESIDUAL_LAW, 0.5),), model.grids)
-    factor = effects(torch.tensor([150.0**2, 2.0, 1.5, 0.0, 0.0, 0.0], dtype=torch.float64)).transfer
+    factor = effects(torch.tensor([150.0**2, 2.0, 1.5, *[0.0] * 4], dtype=torch.float64)).transfer
     along_x, along_y = float(factor[0, 0, 2]), float(factor[0, 2, 0])
     assert along_x < along_y < 1
 
@@ -102,11 +102,12 @@ def test_the_residual_is_described_by_its_total_and_its_direction():
     halo = SeeingHalo(BAND, RESIDUAL_LAW, 0.5)
     variance = 120.0**2 - halo.fitting_nm2
     stretch = [0.8 * np.cos(2 * np.deg2rad(70)), 0.8 * np.sin(2 * np.deg2rad(70))]
-    described = halo.describe(np.array([variance, 2.2, *stretch, 0.3, -0.4]))
+    described = halo.describe(np.array([0.9 * variance, 2.2, *stretch, 0.3, -0.4, 0.1 * variance]))
     assert described["wfe_nm"] == pytest.approx(120)
     assert described["slope"] == 2.2
     assert (described["stretch"], described["stretch_angle_deg"]) == pytest.approx((0.8, 70))
     assert described["cross"] == pytest.approx(0.5)
+    assert described["aliasing"] == pytest.approx(0.1)
     assert halo.describe(np.array(halo.values_of(wfe_nm=120.0)))["wfe_nm"] == pytest.approx(120)
 
 
@@ -124,7 +125,8 @@ def test_without_a_measured_seeing_the_whole_halo_grows_with_the_residual(model)
     for measured in (True, False):
         halo = SeeingHalo(BAND, RESIDUAL_LAW, 0.5, measured)
         weak, strong = (
-            halo.exponent(torch.tensor([share * 80.0**2, 2, 0, 0, 0, 0]).double(), grid) for share in (1, 3)
+            halo.exponent(share * torch.tensor([80.0**2, *[0.0] * 5, 30.0**2]).double(), grid)
+            for share in (1, 3)
         )
         exponents[measured] = weak.numpy(), strong.numpy()
     assert exponents[False][1] == pytest.approx(3 * exponents[False][0])

@@ -1,0 +1,141 @@
+"""OTF of the AO residual: its mean over the pupil, and the motion that goes with coma."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from irlos_pipe.conventions.late import torch
+from irlos_pipe.conventions.units import NM
+from irlos_pipe.optics.coma_between import coma_between
+from irlos_pipe.optics.fourier_matrices import FocalGrid
+from irlos_pipe.optics.grids import OtfGrid
+from irlos_pipe.optics.in_band_residual import InBandResidual, Residual
+from irlos_pipe.optics.structure_function import ResidualBand, fitting_structure_nm2
+
+COMA = 7, 8  # Noll, along y and along x
+
+
+class MeanFactor(NamedTuple):
+    """OTF factor of the residual with the mean motion that goes with coma, or a derivative of it.
+
+    Attributes
+    ----------
+    log : tensor, (wavelengths, p, p//2 + 1)
+        Logarithm of the factor: ``m + v/2 - ½ (2π/λ)² D``.
+    mean : tensor, (wavelengths, p, p//2 + 1)
+        The m in it.
+    """
+
+    log: torch.Tensor
+    mean: torch.Tensor
+
+
+class ResidualOtf:
+    """The residual on one set of baselines.
+
+    Its parameters are the arguments of `InBandResidual.at`, and beside them how much turbulence is beyond the
+    cut-off, as a share of what the Fried parameter gives.
+
+    Parameters
+    ----------
+    band : ResidualBand
+    r0_m : float
+    focal : FocalGrid
+    """
+
+    def __init__(self, band: ResidualBand, r0_m: float, focal: FocalGrid):
+        bx, by = np.broadcast_arrays(focal.baseline_x_m[None, :], focal.baseline_y_m[:, None])
+        lengths = np.hypot(bx, by)
+        within = lengths <= focal.longest_m
+        self._fitting_nm2 = torch.as_tensor(fitting_structure_nm2(lengths[within], band, r0_m))
+        # Of every baseline of the grid among those within the pupil.
+        self._place = torch.as_tensor(np.where(within, np.cumsum(within).reshape(within.shape) - 1, 0))
+        bx, by = bx[within], by[within]
+        self._in_band = InBandResidual(bx, by, band)
+        self._coma = [torch.as_tensor(one) for one in coma_between(lengths[within], 1 / band.low_per_m)]
+        b = np.maximum(lengths[within], 1e-9)
+        self._along = torch.as_tensor(np.stack([bx * bx, 2 * bx * by, by * by]) / b)
+        self._across = torch.as_tensor(np.stack([-bx * by, bx * bx - by * by, bx * by]) / b)
+        self._last: dict[tuple[str, tuple[float, ...]], Any] = {}
+
+    def exponent(self, values: torch.Tensor, beyond, grid: OtfGrid) -> torch.Tensor:
+        """Return ``½ (2π/λ)² D``, (wavelengths, p, p//2 + 1); `beyond` is the share of turbulence there."""
+        structure = self._residual(values).structure + beyond * self._fitting_nm2
+        return 0.5 * _per_nm2(grid) * structure[self._place]
+
+    def mean_factor(self, values: torch.Tensor, beyond, grid: OtfGrid) -> MeanFactor:
+        """Return the mean of the OTF factor over the pupil, for a flat wavefront."""
+        mean, along, across = self._coma
+        lengthwise, crosswise = self._ways(self._residual(values).tilt_with_coma)
+        variance = along * lengthwise**2 + across * crosswise**2
+        log, mean = self._of_moments(mean * lengthwise, variance, grid)
+        return MeanFactor(log - self.exponent(values, beyond, grid), mean)
+
+    def rates(self, values: torch.Tensor, by_beyond: Sequence[float], grid: OtfGrid) -> list[MeanFactor]:
+        """Return the derivatives of `mean_factor`; `by_beyond` are those of the share."""
+        residual, slopes = self._with_slopes(values)
+        mean, along, across = self._coma
+        lengthwise, crosswise = self._ways(residual.tilt_with_coma)
+        found = []
+        for structure, change, share in zip(*slopes, by_beyond, strict=True):
+            longer, wider = self._ways(change)
+            variance = 2 * (along * lengthwise * longer + across * crosswise * wider)
+            log, shift = self._of_moments(mean * longer, variance, grid)
+            structure = (structure + share * self._fitting_nm2)[self._place]
+            found.append(MeanFactor(log - 0.5 * _per_nm2(grid) * structure, shift))
+        return found
+
+    def moving(self, values: torch.Tensor, noll: int, grid: OtfGrid) -> torch.Tensor:
+        """Return the phase per coma [1/nm], (wavelengths, p, p//2 + 1), that goes with the coma `noll`."""
+        return _moving(self._residual(values).tilt_with_coma, noll, grid)
+
+    def moving_rates(self, values: torch.Tensor, noll: int, grid: OtfGrid) -> list[torch.Tensor]:
+        """Return its derivatives."""
+        return [_moving(one, noll, grid) for one in self._with_slopes(values)[1].tilt_with_coma]
+
+    def _ways(self, with_coma: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """``b·<a c>`` for the coma along every baseline and for that across it [nm²]."""
+        return with_coma @ self._along, with_coma @ self._across
+
+    def _of_moments(self, mean_nm2: torch.Tensor, variance_nm4: torch.Tensor, grid: OtfGrid) -> MeanFactor:
+        """The factor ``exp(m + v/2)``."""
+        mean = _per_nm2(grid) * mean_nm2[self._place]
+        return MeanFactor(mean + _per_nm2(grid) ** 2 * variance_nm4[self._place] / 2, mean)
+
+    def _residual(self, values: torch.Tensor) -> Residual:
+        if values.requires_grad:
+            return self._in_band.at(*values)
+        return self._kept("at", values, lambda: self._in_band.at(*values))
+
+    def _with_slopes(self, values: torch.Tensor) -> tuple[Residual, Residual]:
+        return self._kept("slopes", values, lambda: self._in_band.with_slopes(values))
+
+    def _kept(self, what: str, values: torch.Tensor, compute: Callable[[], Any]) -> Any:
+        """What was computed last, if it was for these `values`: star and modes ask for the same."""
+        key = what, tuple(values.tolist())
+        kept = self._last.get(key)
+        if kept is None:
+            self._last = {one: value for one, value in self._last.items() if one[1] == key[1]}
+            kept = self._last[key] = compute()
+        return kept
+
+
+@lru_cache(maxsize=4)
+def residual_otf(band: ResidualBand, r0_m: float, focal: FocalGrid) -> ResidualOtf:
+    """Return the residual on the baselines of `focal`, made once."""
+    return ResidualOtf(band, r0_m, focal)
+
+
+def _moving(with_coma: torch.Tensor, noll: int, grid: OtfGrid) -> torch.Tensor:
+    """``i (2π/λ) b·<a c>`` for the coma `noll`, whose covariances are with the tilts along x and along y."""
+    tilts = {COMA[0]: slice(1, 3), COMA[1]: slice(0, 2)}[noll]
+    return 1j * _per_nm2(grid).sqrt() * grid.path_m(*with_coma[tilts])
+
+
+def _per_nm2(grid: OtfGrid) -> torch.Tensor:
+    """``(2π/λ)²`` [rad²/nm²], (wavelengths, 1, 1)."""
+    return (2 * np.pi * NM / grid.wavelengths_m) ** 2
