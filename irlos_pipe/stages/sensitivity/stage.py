@@ -9,7 +9,7 @@ from irlos_pipe.stages.sensitivity.results import SensitivityResults as Results
 __all__ = ["Config", "Results", "run"]
 
 NAME = "sensitivity"
-VERSION = 8
+VERSION = 9
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 
