@@ -7,7 +7,7 @@ import pytest
 import torch
 from helpers.effect_cases import STRONG
 
-from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.effects.public_values import mean_of, rows_of
 from irlos_pipe.frames.recording import Acquisition, Detector, Recording
 from irlos_pipe.instrument.instrument import load_instrument
@@ -139,3 +139,11 @@ def test_the_mean_over_estimates_is_taken_number_by_number():
 def test_a_fixed_effect_has_the_values_of_the_recipe():
     (companion,) = effects_of({"companion": {"flux_ratio": 0.1, "sep_mas": 100.0, "pa_deg": 90.0}})
     assert companion.all_values(torch.zeros(0)).tolist() == pytest.approx([0.1, 0.0, 100.0])
+
+
+def test_a_calibration_with_other_parameters_than_the_present_effect_has_is_refused():
+    model, cube = ModelConfig(effects=("seeing_halo",)), recording({6: -170.0})
+    fewer = {"seeing_halo": np.array([8000.0, 2.0, 0.0, 0.0, 0.0, 0.0])}
+    product = Product("calibrate", effect_arrays(fewer), {"effects": {}})
+    with pytest.raises(InputDataError, match="calibrate: seeing_halo has 6 parameters.*calibrate again"):
+        calibrated_effects(product, IRLOS, model, cube, 0.8)

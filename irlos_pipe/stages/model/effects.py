@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.conventions.modes import HIGHEST_REPORTED_NOLL
 from irlos_pipe.effects import CATALOGUE, Calibrated, Conditions, Effect, FixedEffect
 from irlos_pipe.effects.labels import labels_of
@@ -198,4 +198,10 @@ def _measured(product: Product, label: str, entry: EffectEntry, conditions: Cond
     if key not in product.arrays or not len(product.arrays[key].value):
         return None
     effect = _under(entry, conditions, results_of(CalibrateResults, product).effects.get(label, {}))
-    return FixedEffect(effect, np.array(product.arrays[key].value, float))
+    values, wanted = np.array(product.arrays[key].value, float), len(effect.base.parameters)
+    if len(values) != wanted:
+        raise InputDataError(
+            f"{product.stage}: {label} has {len(values)} parameters, where this version has {wanted}; calibrate "
+            "again with it"
+        )
+    return FixedEffect(effect, values)
