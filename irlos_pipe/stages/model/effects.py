@@ -201,7 +201,7 @@ def _measured(product: Product, label: str, entry: EffectEntry, conditions: Cond
     values, wanted = np.array(product.arrays[key].value, float), len(effect.base.parameters)
     if len(values) != wanted:
         raise InputDataError(
-            f"{product.stage}: {label} has {len(values)} parameters, where this version has {wanted}; calibrate "
-            "again with it"
+            f"{product.stage}: {label} has {len(values)} parameters, where this version has {wanted}; "
+            "calibrate again with it"
         )
     return FixedEffect(effect, values)
