@@ -145,5 +145,5 @@ def test_a_calibration_with_other_parameters_than_the_present_effect_has_is_refu
     model, cube = ModelConfig(effects=("seeing_halo",)), recording({6: -170.0})
     fewer = {"seeing_halo": np.array([8000.0, 2.0, 0.0, 0.0, 0.0, 0.0])}
     product = Product("calibrate", effect_arrays(fewer), {"effects": {}})
-    with pytest.raises(InputDataError, match="calibrate: seeing_halo has 6 parameters.*calibrate again"):
+    with pytest.raises(InputDataError, match=r"seeing_halo has 6 parameters.*calibrate again"):
         calibrated_effects(product, IRLOS, model, cube, 0.8)
