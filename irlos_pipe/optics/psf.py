@@ -35,6 +35,13 @@ from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.numerics.parallel import ordered_map
 from irlos_pipe.optics.defocus import defocus_series, shaped_modes
+from irlos_pipe.optics.focal_intensity import (
+    amplitudes_of,
+    beat_of,
+    change_of,
+    intensity_of,
+    turned_fields,
+)
 from irlos_pipe.optics.focal_plane import COMPLEX, FocalPlane
 from irlos_pipe.optics.grids import Grids, Optics, PupilGrid, Sampling, Tangents
 from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, Pullback
@@ -216,9 +223,9 @@ class PsfModel:
         """Weighted images at one wavelength."""
         colour, dft = self._colour(path.colour, path.optics), self.focal_plane.dfts[path.colour]
         field = colour.field(opd)
-        amplitude, *turned = _amplitudes(colour, dft, field)
-        changes = [_change(amplitude, one) for one in turned]
-        return colour.whole_image(_intensity(amplitude), changes)
+        amplitude, *turned = amplitudes_of(colour, dft, field)
+        changes = [change_of(amplitude, one) for one in turned]
+        return colour.whole_image(intensity_of(amplitude), changes)
 
     @torch.no_grad()
     def images_and_jacobian(
@@ -259,17 +266,17 @@ class PsfModel:
             (amplitude, *turned), (changes, *more) = self._amplitudes_and_modal(colour, dft, field)
             columns = [self._derivatives(changing, changes, more)]
         else:
-            (amplitude, *turned), columns = _amplitudes(colour, dft, field), []
+            (amplitude, *turned), columns = amplitudes_of(colour, dft, field), []
 
         def by_pupil(slopes: Sequence[torch.Tensor]) -> list[torch.Tensor]:
             """Derivatives (slopes, frames, rows, columns), in pieces."""
             pupils, many = [one[index] for one in slopes], max(1, SLOPES_AT_ONCE // len(opd))
             pieces = [torch.stack(pupils[i : i + many]) for i in range(0, len(pupils), many)]
             changes = (self._changes(dft, some, phasor) for some in pieces)
-            return [self._derivatives(changing, _change(amplitude, one)) for one in changes]
+            return [self._derivatives(changing, change_of(amplitude, one)) for one in changes]
 
-        intensity = _intensity(amplitude)
-        by_mode = [_change(amplitude, one) for one in turned]
+        intensity = intensity_of(amplitude)
+        by_mode = [change_of(amplitude, one) for one in turned]
         if path.follows:
             known = len(tangents.pupil) + (len(self.nolls) if modal else 0)
             columns = [intensity.new_zeros(known, len(opd), *self.settings.window)]
@@ -337,7 +344,7 @@ class PsfModel:
         """Weighted images at one wavelength, and their pullback to the OPD, (frames, n · n)."""
         colour, dft = self._colour(path.colour, path.optics), self.focal_plane.dfts[path.colour]
         field = colour.field(opd)
-        amplitude, *turned = _amplitudes(colour, dft, field)
+        amplitude, *turned = amplitudes_of(colour, dft, field)
         scale = 4 * np.pi * NM / float(colour.wavelength_m)
 
         def pullback(factors: torch.Tensor) -> torch.Tensor:
@@ -350,20 +357,20 @@ class PsfModel:
                 by_phase = by_phase - phase * (field * dft.adjoint(amplitude * one[:, None])).sum(1)
             return scale * by_phase.flatten(1)
 
-        changes = [_change(amplitude, one) for one in turned]
-        return colour.whole_image(_intensity(amplitude), changes), pullback
+        changes = [change_of(amplitude, one) for one in turned]
+        return colour.whole_image(intensity_of(amplitude), changes), pullback
 
     def _amplitudes_and_modal(self, colour: Colour, dft: MatrixDft, field: torch.Tensor):
-        """Focal amplitudes of `_amplitudes`, and derivatives (modes, frames, m, m) of what they make.
+        """Focal amplitudes of `amplitudes_of`, and derivatives (modes, frames, m, m) of what they make.
 
         These are those of the intensity, and of its changes by the modes of `Optics.by_mode`.
         """
-        fields = [field, *_turned(colour, field)]
+        fields = [field, *turned_fields(colour, field)]
         products = [dft.products(one) for one in fields]
         amplitudes = [even[0] for even, _ in products]  # T_0(x) T_0(y) = 1
         (amplitude, *turned), (own, *others) = amplitudes, products
-        beats = [_beat(amplitude, own)]
-        beats += [_beat(amplitude, one) + _beat(by, own) for one, by in zip(others, turned, strict=True)]
+        beats = [beat_of(amplitude, own)]
+        beats += [beat_of(amplitude, one) + beat_of(by, own) for one, by in zip(others, turned, strict=True)]
         combine = -4 * np.pi * NM / float(colour.wavelength_m) * self.combine
         return amplitudes, [(combine @ one.flatten(1)).unflatten(1, one.shape[1:]) for one in beats]
 
@@ -404,33 +411,3 @@ def _together(optics: Optics, follow: Sequence[bool]) -> torch.Tensor | None:
     factors = [one.transfer for one, so in zip(optics.copies, follow, strict=True) if so]
     alike = [one for one in (optics.transfer, *factors) if one is not None]
     return reduce(torch.add, alike) if factors else None
-
-
-def _intensity(amplitude: torch.Tensor) -> torch.Tensor:
-    """``|U|²``, (frames, m, m)."""
-    return amplitude.square().sum(1)
-
-
-def _change(amplitude: torch.Tensor, by: torch.Tensor) -> torch.Tensor:
-    """Change ``2 Re(U* ∂U)`` of the intensity, (..., frames, m, m), by that of an `amplitude`."""
-    return 2 * (amplitude * by).sum(-3)
-
-
-def _amplitudes(colour: Colour, dft: MatrixDft, field: torch.Tensor) -> list[torch.Tensor]:
-    """Focal amplitude, (frames, 2, m, m), and its derivatives by the modes of `Optics.by_mode` [1/nm]."""
-    return [dft.amplitude(one) for one in (field, *_turned(colour, field))]
-
-
-def _turned(colour: Colour, field: torch.Tensor) -> list[torch.Tensor]:
-    """Derivatives ``i φ_k E`` of the field by the modes of `Optics.by_mode`."""
-    turned = torch.stack([-field[:, 1], field[:, 0]], dim=1)
-    return [phase * turned for phase, _ in colour.by_mode]
-
-
-def _beat(amplitude: torch.Tensor, products: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
-    """``Im(U* F[T_a T_b E])`` of an amplitude and of `MatrixDft.products`, (products, frames, m, m)."""
-    (even, odd), real, imag = products, amplitude[:, 0], amplitude[:, 1]
-    beat = torch.cat([even[:, :, 1], odd[:, :, 0]]) * real
-    beat[: len(even)].addcmul_(even[:, :, 0], imag, value=-1)
-    beat[len(even) :].addcmul_(odd[:, :, 1], imag)
-    return beat

@@ -1,0 +1,41 @@
+"""Intensity in the focal plane, and its derivatives by phases in the pupil.
+
+Fields and amplitudes are real arrays, (frames, 2, rows, columns), see `matrix_dft`.
+"""
+
+from __future__ import annotations
+
+import torch
+
+from irlos_pipe.optics.matrix_dft import MatrixDft
+from irlos_pipe.optics.monochromatic import Colour
+
+
+def intensity_of(amplitude: torch.Tensor) -> torch.Tensor:
+    """Return ``|U|²``, (frames, m, m)."""
+    return amplitude.square().sum(1)
+
+
+def change_of(amplitude: torch.Tensor, by: torch.Tensor) -> torch.Tensor:
+    """Return the change ``2 Re(U* ∂U)`` of the intensity, (..., frames, m, m), by that of an `amplitude`."""
+    return 2 * (amplitude * by).sum(-3)
+
+
+def amplitudes_of(colour: Colour, dft: MatrixDft, field: torch.Tensor) -> list[torch.Tensor]:
+    """Return the focal amplitude, (frames, 2, m, m), and its derivatives by modes of `Optics.by_mode`."""
+    return [dft.amplitude(one) for one in (field, *turned_fields(colour, field))]
+
+
+def turned_fields(colour: Colour, field: torch.Tensor) -> list[torch.Tensor]:
+    """Return the derivatives ``i φ_k E`` of the field by the modes of `Optics.by_mode`."""
+    turned = torch.stack([-field[:, 1], field[:, 0]], dim=1)
+    return [phase * turned for phase, _ in colour.by_mode]
+
+
+def beat_of(amplitude: torch.Tensor, products: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
+    """Return ``Im(U* F[T_a T_b E])``, (products, frames, m, m), of U and of `MatrixDft.products` of E."""
+    (even, odd), real, imag = products, amplitude[:, 0], amplitude[:, 1]
+    beat = torch.cat([even[:, :, 1], odd[:, :, 0]]) * real
+    beat[: len(even)].addcmul_(even[:, :, 0], imag, value=-1)
+    beat[len(even) :].addcmul_(odd[:, :, 1], imag)
+    return beat
