@@ -73,7 +73,14 @@ class Colour(NamedTuple):
         return self._seen(self.waves(intensity))
 
     def whole_image(self, intensity: torch.Tensor, changes: Sequence[torch.Tensor]) -> torch.Tensor:
-        """Return the same with what modes add: `changes` of the intensity by those of `by_mode` [1/nm]."""
+        """Return the same of an `intensity` with what modes add.
+
+        Parameters
+        ----------
+        intensity : tensor, (..., m, m)
+        changes : sequence of tensor, (..., m, m)
+            Derivatives of the intensity by the modes of `by_mode` [1/nm].
+        """
         if not changes:
             return self.image(intensity)
         waves = self.waves(intensity)
@@ -84,7 +91,14 @@ class Colour(NamedTuple):
     def images_through(
         self, intensities: Sequence[torch.Tensor], transfers: Sequence[Sequence[torch.Tensor | None]]
     ) -> list[torch.Tensor]:
-        """Return sums of images of `intensities`, each sum with other factors of the OTF: None of none."""
+        """Return sums of the images of some intensities.
+
+        Parameters
+        ----------
+        intensities : sequence of tensor, (..., m, m)
+        transfers : sequence of sequence of tensor or None
+            Their factors of the OTF in every sum; None of a factor that is zero.
+        """
         if not transfers:
             return []
         waves = [self._unfiltered(one) for one in intensities]

@@ -63,12 +63,24 @@ class ResidualOtf:
         self._last: dict[tuple[str, tuple[float, ...]], Any] = {}
 
     def exponent(self, values: torch.Tensor, beyond, grid: OtfGrid) -> torch.Tensor:
-        """Return ``½ (2π/λ)² D``, (wavelengths, p, p//2 + 1); `beyond` is the share of turbulence there."""
+        """Return ``½ (2π/λ)² D``, (wavelengths, p, p//2 + 1).
+
+        Parameters
+        ----------
+        values : tensor, (7,)
+        beyond : tensor or float
+            The share of the turbulence beyond the cut-off.
+        grid : OtfGrid
+            Of the wavelengths; the baselines are those of the object.
+        """
         structure = self._residual(values).structure + beyond * self._fitting_nm2
         return 0.5 * _per_nm2(grid) * structure[self._place]
 
     def mean_factor(self, values: torch.Tensor, beyond, grid: OtfGrid) -> MeanFactor:
-        """Return the mean of the OTF factor over the pupil, for a flat wavefront."""
+        """Return the mean of the OTF factor over the pupil, for a flat wavefront.
+
+        `values`, `beyond` and `grid` are as of `exponent`.
+        """
         mean, along, across = self._coma
         lengthwise, crosswise = self._ways(self._residual(values).tilt_with_coma)
         variance = along * lengthwise**2 + across * crosswise**2
@@ -76,7 +88,15 @@ class ResidualOtf:
         return MeanFactor(log - self.exponent(values, beyond, grid), mean)
 
     def rates(self, values: torch.Tensor, by_beyond: Sequence[float], grid: OtfGrid) -> list[MeanFactor]:
-        """Return the derivatives of `mean_factor`; `by_beyond` are those of the share."""
+        """Return the derivatives of `mean_factor`.
+
+        Parameters
+        ----------
+        values, grid
+            As of `exponent`.
+        by_beyond : sequence of float
+            Derivatives of the share of the turbulence beyond the cut-off.
+        """
         residual, slopes = self._with_slopes(values)
         mean, along, across = self._coma
         lengthwise, crosswise = self._ways(residual.tilt_with_coma)
@@ -90,11 +110,19 @@ class ResidualOtf:
         return found
 
     def moving(self, values: torch.Tensor, noll: int, grid: OtfGrid) -> torch.Tensor:
-        """Return the phase per coma [1/nm], (wavelengths, p, p//2 + 1), that goes with the coma `noll`."""
+        """Return ``i (2π/λ) b·<a c>``, (wavelengths, p, p//2 + 1): the phase per coma that goes with it [1/nm].
+
+        Parameters
+        ----------
+        values, grid
+            As of `exponent`.
+        noll : int
+            Of the coma c, see `COMA`.
+        """
         return _moving(self._residual(values).tilt_with_coma, noll, grid)
 
     def moving_rates(self, values: torch.Tensor, noll: int, grid: OtfGrid) -> list[torch.Tensor]:
-        """Return its derivatives."""
+        """Return the derivatives of `moving`, with the same `values`, `noll` and `grid`."""
         return [_moving(one, noll, grid) for one in self._with_slopes(values)[1].tilt_with_coma]
 
     def _ways(self, with_coma: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -126,7 +154,7 @@ class ResidualOtf:
 
 @lru_cache(maxsize=4)
 def residual_otf(band: ResidualBand, r0_m: float, focal: FocalGrid) -> ResidualOtf:
-    """Return the residual on the baselines of `focal`, made once."""
+    """Return the residual on the baselines of `focal`, made once; `band` and `r0_m` as of `ResidualOtf`."""
     return ResidualOtf(band, r0_m, focal)
 
 
