@@ -17,17 +17,32 @@ def intensity_of(amplitude: torch.Tensor) -> torch.Tensor:
 
 
 def change_of(amplitude: torch.Tensor, by: torch.Tensor) -> torch.Tensor:
-    """Return the change ``2 Re(U* ∂U)`` of the intensity, (..., frames, m, m), by that of an `amplitude`."""
+    """Return the change ``2 Re(U* ∂U)`` of the intensity, (..., frames, m, m).
+
+    Parameters
+    ----------
+    amplitude : tensor, (frames, 2, m, m)
+    by : tensor, (..., frames, 2, m, m)
+        Its change.
+    """
     return 2 * (amplitude * by).sum(-3)
 
 
 def amplitudes_of(colour: Colour, dft: MatrixDft, field: torch.Tensor) -> list[torch.Tensor]:
-    """Return the focal amplitude, (frames, 2, m, m), and its derivatives by modes of `Optics.by_mode`."""
+    """Return the focal amplitude, (frames, 2, m, m), and its derivatives by modes of `Optics.by_mode`.
+
+    Parameters
+    ----------
+    colour : Colour
+        Has these modes.
+    dft : MatrixDft
+    field : tensor, (frames, 2, n, n)
+    """
     return [dft.amplitude(one) for one in (field, *turned_fields(colour, field))]
 
 
 def turned_fields(colour: Colour, field: torch.Tensor) -> list[torch.Tensor]:
-    """Return the derivatives ``i φ_k E`` of the field by the modes of `Optics.by_mode`."""
+    """Return the derivatives ``i φ_k E`` of a `field` E by the modes of `Optics.by_mode` in a `colour`."""
     turned = torch.stack([-field[:, 1], field[:, 0]], dim=1)
     return [phase * turned for phase, _ in colour.by_mode]
 
