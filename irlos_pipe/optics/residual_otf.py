@@ -110,7 +110,7 @@ class ResidualOtf:
         return found
 
     def moving(self, values: torch.Tensor, noll: int, grid: OtfGrid) -> torch.Tensor:
-        """Return ``i (2π/λ) b·<a c>``, the phase per coma that goes with it, (wavelengths, p, p//2 + 1) [1/nm].
+        """Return ``i (2π/λ) b·<a c>``, phase per coma that goes with it, (wavelengths, p, p//2 + 1) [1/nm].
 
         Parameters
         ----------
