@@ -113,7 +113,8 @@ class TolerantTask(NamingTask):
         near = search.final.fitted
         plain = near.continued()
         sets = [told, plain] if len(plain) > len(told) else [told]
-        whole = [[*some, *everyday(self.conditions, some)] for some in sets]
+        conditions = [view.conditions for view in self.fitter.views]
+        whole = [[*some, *everyday(conditions, some)] for some in sets]
         first = ordered_map(lambda effects: self.fitter.explored(effects, near), whole)
         self.report(len(first))
         best = min(first, key=lambda one: one.chi2 + self._price(one))
@@ -256,15 +257,16 @@ def _of_the_wavefront(effect: Effect) -> bool:
     return effect.plane == "pupil" and not (effect.base.fact or effect.base.mild)
 
 
-def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
-    """Facts of the instrument and mild effects, their values free.
+def everyday(recordings: Sequence[Conditions], present: Sequence[Effect]) -> list[Effect]:
+    """Facts of the instrument and mild effects, their values free, but for those that a mode imitates.
 
     Of the two that scale the image one is free, the pixels unless the model has the wavelength: together they
     drift far from what is true, a little here and a little there. The other is a rival in the end.
 
     Parameters
     ----------
-    conditions : Conditions
+    recordings : sequence of Conditions
+        Effects are stated for the first of them.
     present : sequence of Effect
         What a model has already.
     """
@@ -275,9 +277,11 @@ def everyday(conditions: Conditions, present: Sequence[Effect]) -> list[Effect]:
         if not (kind.fact or kind.mild) or name in model or name == held:
             continue
         try:
-            found.append(kind.under(conditions))
+            effect = kind.under(recordings[0])
         except ValueError:
             continue  # it means nothing for this instrument
+        if not effect.imitated_in(recordings):
+            found.append(effect)
     return found
 
 

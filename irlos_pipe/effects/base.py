@@ -231,6 +231,10 @@ class Effect:
         """Whether `recordings` taken under these conditions can tell it from the static wavefront."""
         return True
 
+    def imitated_in(self, recordings: Sequence[Conditions]) -> bool:
+        """Whether a mode of the wavefront is exactly like it in `recordings` taken under these conditions."""
+        return False
+
     def handed_on(self, values: np.ndarray, now: Conditions, then: Calibrated) -> FixedEffect:
         """The effect for a recording taken under `now`, as a calibration found its `values` under `then`."""
         return FixedEffect(self, values)

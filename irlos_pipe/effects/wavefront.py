@@ -81,6 +81,10 @@ class DiversityError(OpdMap):
         """See `Effect.seen_in`: the same fraction of another diversity."""
         return _SameFraction(here.diversity_nm, self.diversity_nm)
 
+    def imitated_in(self, recordings: Sequence[Conditions]) -> bool:
+        """See `Effect.imitated_in`: unless their diversities differ."""
+        return all(one.diversity_nm == recordings[0].diversity_nm for one in recordings)
+
     def _map_nm(self, values: torch.Tensor, grid: PupilGrid) -> torch.Tensor:
         shape = np.array(list(self.diversity_nm.values()))
         direction = shape / np.linalg.norm(shape)

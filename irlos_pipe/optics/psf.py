@@ -10,8 +10,8 @@ One pass along the light path, shapes ``(frame, wavelength, y, x)``::
 
 A copy of the star that has a wavefront of its own, such as a ghost out of focus, goes along a second path
 like this one, and both images add. Where an effect in the plane of the OTF asks for it, ``T_k FFT(∂I/∂a_k)``
-adds to O for some modes k; derivatives by modes, pupil and sampling leave out how that sum changes with them,
-as it is some per cent of the light.
+adds to O for some modes k; derivatives by pupil and sampling leave out how that sum changes with them, as it
+is some per cent of the light.
 What physical effects make of P, T, and of the sampling (λ, w, pixel scale in G) arrives as one
 `Optics`. Flux, background and the detector follow in `image_model`. Derivatives are hand-written:
 ``∂I/∂a_k = -(4π/λ) Im(U* F[Z_k E])``, and because a Zernike polynomial of degree n is a sum of
@@ -71,7 +71,8 @@ class PsfModel:
         Take the derivatives of the modes from the focal plane to the pixels in float32 whatever `dtype`
         is: this halves their cost, and they are exact to 1e-6 of the largest. Faint copies of the star
         change with modes and pupil as the star does, as if they were as sharp, which spares each the cost
-        of another star; this is wrong by a part of their flux.
+        of another star; this is wrong by a part of their flux. How what `Optics.by_mode` adds changes with
+        modes is left out, which is wrong by some per cent of a derivative.
     grid : PupilGrid, optional
         Of a part of the pupil, if no other light makes the image; light is counted of the whole pupil.
     """
@@ -363,16 +364,17 @@ class PsfModel:
     def _amplitudes_and_modal(self, colour: Colour, dft: MatrixDft, field: torch.Tensor):
         """Focal amplitudes of `amplitudes_of`, and derivatives (modes, frames, m, m) of what they make.
 
-        These are those of the intensity, and of its changes by the modes of `Optics.by_mode`.
+        These are those of the intensity, and of its changes by the modes of `Optics.by_mode` unless rough
+        ones suffice.
         """
-        fields = [field, *turned_fields(colour, field)]
-        products = [dft.products(one) for one in fields]
-        amplitudes = [even[0] for even, _ in products]  # T_0(x) T_0(y) = 1
-        (amplitude, *turned), (own, *others) = amplitudes, products
+        turned_by, own = turned_fields(colour, field), dft.products(field)
+        others = [] if self.rough_derivatives else [dft.products(one) for one in turned_by]
+        amplitude = own[0][0]  # T_0(x) T_0(y) = 1
+        turned = [even[0] for even, _ in others] or [dft.amplitude(one) for one in turned_by]
         beats = [beat_of(amplitude, own)]
-        beats += [beat_of(amplitude, one) + beat_of(by, own) for one, by in zip(others, turned, strict=True)]
+        beats += [beat_of(amplitude, one) + beat_of(by, own) for one, by in zip(others, turned, strict=False)]
         combine = -4 * np.pi * NM / float(colour.wavelength_m) * self.combine
-        return amplitudes, [(combine @ one.flatten(1)).unflatten(1, one.shape[1:]) for one in beats]
+        return [amplitude, *turned], [(combine @ one.flatten(1)).unflatten(1, one.shape[1:]) for one in beats]
 
 
 def pupil_grid(settings: PsfSettings) -> PupilGrid:

@@ -25,6 +25,7 @@ from irlos_pipe.diagnosis.verdict import PARTIAL
 from irlos_pipe.diagnosis.without import without_linearly
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.detector import BadPixels
+from irlos_pipe.optics.psf_settings import KnownWavefront
 
 STOP = CATALOGUE["pupil_misregistration"].under(CONDITIONS)
 SCALE = CATALOGUE["plate_scale"].under(CONDITIONS)
@@ -70,13 +71,20 @@ def test_a_wrong_model_never_makes_the_flat_worse_than_a_better_one_left_it(off_
 def test_what_a_model_was_told_is_not_added_to_it(off_centre):
     _, full = off_centre
     assert added(full, [STOP]) == [SCALE.name]
-    assert not {STOP.name, SCALE.name} & {effect.name for effect in everyday(CONDITIONS, [STOP, SCALE])}
+    assert not {STOP.name, SCALE.name} & {effect.name for effect in everyday([CONDITIONS], [STOP, SCALE])}
 
 
 def test_of_two_effects_that_scale_the_image_one_is_free():
     colour = CATALOGUE["spectrum"].under(CONDITIONS)
-    assert [one.name for one in everyday(CONDITIONS, []) if one.name in SCALES] == ["plate_scale"]
-    assert not {"plate_scale", "spectrum"} & {one.name for one in everyday(CONDITIONS, [colour])}
+    assert [one.name for one in everyday([CONDITIONS], []) if one.name in SCALES] == ["plate_scale"]
+    assert not {"plate_scale", "spectrum"} & {one.name for one in everyday([CONDITIONS], [colour])}
+
+
+def test_a_diversity_error_is_free_only_beside_a_recording_with_another_diversity():
+    settings = replace(CONDITIONS.settings, known=KnownWavefront({6: 100.0}))
+    other = replace(CONDITIONS, settings=settings)
+    names = [{one.name for one in everyday(some, [])} for some in ([CONDITIONS] * 2, [CONDITIONS, other])]
+    assert ["diversity_error" in some for some in names] == [False, True]
 
 
 def test_where_pixels_and_wavelengths_are_free_the_band_is_as_wide_as_told():

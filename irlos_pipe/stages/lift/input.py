@@ -114,7 +114,7 @@ def ramp_model(ctx: StageContext, ramp: Ramp, nolls: tuple[int, ...], ncpa_nm: d
         NCPAs in the known wavefront (Noll: nm RMS).
     """
     settings = psf_settings(ctx.instrument, ctx.model, ramp.recordings[0], ncpa_nm=ncpa_nm)
-    return light_path(settings.for_single_frames(), nolls, device=ctx.device)
+    return light_path(settings.for_single_frames(), nolls, device=ctx.device, rough_derivatives=True)
 
 
 def effects_for_lift(
