@@ -13,7 +13,7 @@ from benchmarks.random_instrument.table import tables, write_page
 from benchmarks.random_instrument.working import work
 from irlos_pipe.files.processes import in_processes
 
-REPORTED_SEED = 57721566  # of the reported run; whoever changes anything tries it with another one
+REPORTED_SEED = 17320508  # of the reported run; whoever changes anything tries it with another one
 
 
 @click.command()
