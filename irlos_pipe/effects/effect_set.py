@@ -220,23 +220,27 @@ class EffectSet:
     @cached_property
     def _by_mode(self) -> list[tuple[int, list[Acting]]]:
         """Modes of `Optics.by_mode`, and the effects on their OTF factors."""
-        pairs = self.at("otf")
         return [
-            (noll, [*pairs[:place], (form, piece), *pairs[place + 1 :]])
-            for place, (effect, piece) in enumerate(pairs)
+            (noll, self._with(form, place))
+            for place, (effect, _) in enumerate(self.at("otf"))
             for noll, form in effect.by_mode
         ]
+
+    def _with(self, other: Effect, place: int) -> list[Acting]:
+        """Effects of the OTF with another one, of the same parameters, in one `place`."""
+        pairs = self.at("otf")
+        return [*pairs[:place], (other, pairs[place][1]), *pairs[place + 1 :]]
 
     # -- copies of the star ------------------------------------------------------------------
 
     @cached_property
     def _copies(self) -> list[tuple[list[Acting], Acting]]:
         """Effects of the OTF on the light path of every copy of the star, and the copy itself among them."""
-        pairs, found = self.at("otf"), []
-        for place, (effect, piece) in enumerate(pairs):
-            for copy in effect.copies:
-                found.append(([*pairs[:place], (copy, piece), *pairs[place + 1 :]], (copy, piece)))
-        return found
+        return [
+            (self._with(copy, place), (copy, piece))
+            for place, (effect, piece) in enumerate(self.at("otf"))
+            for copy in effect.copies
+        ]
 
     def defocus_nm(self, values: torch.Tensor) -> list[torch.Tensor]:
         """Defocus of every copy of the star beyond that of the star, scalars [nm RMS]."""

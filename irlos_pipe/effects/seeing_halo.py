@@ -137,16 +137,16 @@ class SeeingHalo(OtfEffect):
 
     def exponent(self, values: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """``½ (2π/λ)² D(b)`` at `values` on `grid`, D in nm²."""
-        return self._on(grid).exponent(values, self._beyond(values), grid)
+        return self.on(grid).exponent(values, self._beyond(values), grid)
 
     def mean_factor(self, values: torch.Tensor, grid: OtfGrid) -> MeanFactor:
         """Return the mean of the OTF factor over the pupil at `values` on `grid`."""
-        return self._on(grid).mean_factor(values, self._beyond(values), grid)
+        return self.on(grid).mean_factor(values, self._beyond(values), grid)
 
-    def rates(self, values: torch.Tensor, grid: OtfGrid) -> list[MeanFactor]:
-        """Return its derivatives by all parameters."""
-        by_beyond = [self._per_nm2 * (index in VARIANCES) for index in range(len(self.parameters))]
-        return self._on(grid).rates(values, by_beyond, grid)
+    def rates(self, values: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]) -> list[MeanFactor]:
+        """Return the derivatives of `mean_factor` at `values` on `grid` by the parameters `wanted`."""
+        by_beyond = {index: self._per_nm2 * (index in VARIANCES) for index in wanted}
+        return self.on(grid).rates(values, by_beyond, grid)
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
@@ -158,8 +158,8 @@ class SeeingHalo(OtfEffect):
     ) -> list[torch.Tensor]:
         """See `OtfEffect.slopes`."""
         log, mean = self.mean_factor(values, grid)
-        light, rates = factor * torch.exp(log), self.rates(values, grid)
-        return [light * (rates[index].log * (1 - mean) - rates[index].mean) for index in wanted]
+        light = factor * torch.exp(log)
+        return [light * (rate.log * (1 - mean) - rate.mean) for rate in self.rates(values, grid, wanted)]
 
     def describe(self, values: np.ndarray) -> dict[str, float]:
         """Total and in-band WFE, slope of the PSD, two-fold and four-fold strength, share of aliasing."""
@@ -202,7 +202,8 @@ class SeeingHalo(OtfEffect):
         """Turbulence beyond the cut-off, of what the seeing gives."""
         return self._fixed + self._per_nm2 * (values[VARIANCES[0]] + values[VARIANCES[1]])
 
-    def _on(self, grid: OtfGrid) -> ResidualOtf:
+    def on(self, grid: OtfGrid) -> ResidualOtf:
+        """Return the residual on the baselines of `grid`."""
         return residual_otf(self.band, self.r0_m, grid.focal)
 
 
@@ -224,17 +225,17 @@ class _MovesWithComa(OtfEffect):
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
-        moving = residual_otf(self.halo.band, self.halo.r0_m, grid.focal).moving(values, self.noll, grid)
+        moving = self.halo.on(grid).moving(values, self.noll, grid)
         return factor * torch.exp(self.halo.mean_factor(values, grid).log) * moving
 
     def slopes(
         self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid, wanted: Sequence[int]
     ) -> list[torch.Tensor]:
         """See `OtfEffect.slopes`."""
-        on, rates = residual_otf(self.halo.band, self.halo.r0_m, grid.focal), self.halo.rates(values, grid)
-        light = factor * torch.exp(self.halo.mean_factor(values, grid).log)
+        on, light = self.halo.on(grid), factor * torch.exp(self.halo.mean_factor(values, grid).log)
         moving, changes = on.moving(values, self.noll, grid), on.moving_rates(values, self.noll, grid)
-        return [light * (changes[index] + rates[index].log * moving) for index in wanted]
+        pairs = zip(wanted, self.halo.rates(values, grid, wanted), strict=True)
+        return [light * (changes[index] + rate.log * moving) for index, rate in pairs]
 
 
 class ScaledHalo(OtfEffect):

@@ -26,7 +26,8 @@ def coma_between(lengths_m: np.ndarray, diameter_m: float) -> tuple[np.ndarray, 
     along, across : ndarray, (n,)
         Variance of the coma along the baseline, and across it.
     """
-    b = np.minimum(2 * lengths_m / diameter_m, 2 - 1e-9)[:, None, None]
+    lengths, inverse = np.unique(np.round(lengths_m, 9), return_inverse=True)
+    b = np.minimum(2 * lengths / diameter_m, 2 - 1e-9)[:, None, None]
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     angle = np.pi / 2 * nodes[:, None]
     y = np.sqrt(1 - b**2 / 4) * np.sin(angle)
@@ -36,7 +37,8 @@ def coma_between(lengths_m: np.ndarray, diameter_m: float) -> tuple[np.ndarray, 
     along, across = _coma(middle + b / 2, y) - _coma(middle - b / 2, y)
     weight = weight / weight.sum((1, 2), keepdims=True)
     mean = np.sum(weight * along, (1, 2))
-    return mean, np.sum(weight * along**2, (1, 2)) - mean**2, np.sum(weight * across**2, (1, 2))
+    variances = np.sum(weight * along**2, (1, 2)) - mean**2, np.sum(weight * across**2, (1, 2))
+    return mean[inverse], variances[0][inverse], variances[1][inverse]
 
 
 def _coma(x: np.ndarray, y: np.ndarray) -> np.ndarray:

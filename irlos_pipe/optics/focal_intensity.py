@@ -43,8 +43,12 @@ def amplitudes_of(colour: Colour, dft: MatrixDft, field: torch.Tensor) -> list[t
 
 def turned_fields(colour: Colour, field: torch.Tensor) -> list[torch.Tensor]:
     """Return the derivatives ``i φ_k E`` of a `field` E by the modes of `Optics.by_mode` in a `colour`."""
-    turned = torch.stack([-field[:, 1], field[:, 0]], dim=1)
-    return [phase * turned for phase, _ in colour.by_mode]
+    return [phase * times_i(field) for phase, _ in colour.by_mode]
+
+
+def times_i(field: torch.Tensor) -> torch.Tensor:
+    """Return ``i E`` of a field E, (frames, 2, n, n)."""
+    return torch.stack([-field[:, 1], field[:, 0]], dim=1)
 
 
 def beat_of(amplitude: torch.Tensor, products: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:

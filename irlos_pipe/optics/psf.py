@@ -127,10 +127,17 @@ class PsfModel:
         return FocalPlane(settings, self._sampling(), self.pupil_grid, self.polynomials, self.amplitude)
 
     def _set_pupil(self, grid: PupilGrid) -> None:
+        self._mode_maps: dict[int, torch.Tensor] = {}
         self.amplitude = self._map(grid.amplitude)
         self.basis = self._map(self._modes(grid, self.nolls)).flatten(1)
         known = self.settings.known.total_nm
         self.known_nm = self._map(np.tensordot(np.array([*known.values()]), self._modes(grid, [*known]), 1))
+
+    def _mode_map(self, noll: int) -> torch.Tensor:
+        """Map of a mode of `Optics.by_mode`, made once."""
+        if noll not in self._mode_maps:
+            self._mode_maps[noll] = self._map(self.pupil_grid.modes([noll])[0].copy())
+        return self._mode_maps[noll]
 
     def _modes(self, grid: PupilGrid, nolls: Sequence[int]) -> np.ndarray:
         """Modes as maps (modes, n, n), defocus in its shape."""
@@ -179,8 +186,7 @@ class PsfModel:
         strained = plane.strained(index, sampling) if sampling is not None and sampling.strains else None
         per_nm = 2 * np.pi * NM / wavelength_m
         by_mode = [
-            (per_nm * self._map(self.pupil_grid.modes([noll])[0].copy()), self._factor(factors, index))
-            for noll, factors in optics.by_mode
+            (per_nm * self._mode_map(noll), self._factor(factors, index)) for noll, factors in optics.by_mode
         ]
         return Colour(
             wavelength_m,

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.conventions.units import NM
+from irlos_pipe.optics.focal_intensity import change_of, intensity_of, times_i
 from irlos_pipe.optics.grids import Sampling
 from irlos_pipe.optics.matrix_dft import MatrixDft
 from irlos_pipe.optics.monochromatic import Colour, behind
@@ -128,9 +129,9 @@ def resampled(
     phasor = colour.phasor(opd_nm)
     field = behind(colour.pupil, phasor)
     amplitude = dft.amplitude(field)
-    intensity = amplitude.square().sum(1)
+    intensity = intensity_of(amplitude)
     image = colour.image(intensity)
-    turned = torch.stack([-field[:, 1], field[:, 0]], dim=1)  # i E
+    turned = times_i(field)
     phase = (opd_nm * (2 * np.pi * NM / colour.wavelength_m))[:, None]
     found = []
     for rates, pixels in zip(every, by_pixels(intensity, image, every), strict=True):
@@ -139,7 +140,7 @@ def resampled(
         if rates.pupil is not None:
             moved = moved + behind(rates.pupil, phasor)
         if rates.wavelength or rates.pupil is not None:
-            slope = slope + colour.image(2 * (amplitude * dft.amplitude(moved)).sum(1))
+            slope = slope + colour.image(change_of(amplitude, dft.amplitude(moved)))
         if rates.transfer is not None:
             slope = slope + colour.images_through([intensity], [[rates.transfer]])[0]
         found.append(slope)

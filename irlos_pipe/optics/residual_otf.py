@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -60,7 +60,9 @@ class ResidualOtf:
         b = np.maximum(lengths[within], 1e-9)
         self._along = torch.as_tensor(np.stack([bx * bx, 2 * bx * by, by * by]) / b)
         self._across = torch.as_tensor(np.stack([-bx * by, bx * bx - by * by, bx * by]) / b)
-        self._last: dict[tuple[str, tuple[float, ...]], Any] = {}
+        # Star and modes ask for the same one after the other.
+        self._at = lru_cache(maxsize=1)(lambda *values: self._in_band.at(*_tensor(values)))
+        self._slopes_at = lru_cache(maxsize=1)(lambda *values: self._in_band.with_slopes(_tensor(values)))
 
     def exponent(self, values: torch.Tensor, beyond, grid: OtfGrid) -> torch.Tensor:
         """Return ``½ (2π/λ)² D``, (wavelengths, p, p//2 + 1).
@@ -87,25 +89,25 @@ class ResidualOtf:
         log, mean = self._of_moments(mean * lengthwise, variance, grid)
         return MeanFactor(log - self.exponent(values, beyond, grid), mean)
 
-    def rates(self, values: torch.Tensor, by_beyond: Sequence[float], grid: OtfGrid) -> list[MeanFactor]:
-        """Return the derivatives of `mean_factor`.
+    def rates(self, values: torch.Tensor, by_beyond: Mapping[int, float], grid: OtfGrid) -> list[MeanFactor]:
+        """Return derivatives of `mean_factor`.
 
         Parameters
         ----------
         values, grid
             As of `exponent`.
-        by_beyond : sequence of float
-            Derivatives of the share of the turbulence beyond the cut-off.
+        by_beyond : mapping of int to float
+            Derivatives of the share of the turbulence beyond the cut-off, by the parameters that are wanted.
         """
         residual, slopes = self._with_slopes(values)
         mean, along, across = self._coma
         lengthwise, crosswise = self._ways(residual.tilt_with_coma)
         found = []
-        for structure, change, share in zip(*slopes, by_beyond, strict=True):
-            longer, wider = self._ways(change)
+        for index, share in by_beyond.items():
+            longer, wider = self._ways(slopes.tilt_with_coma[index])
             variance = 2 * (along * lengthwise * longer + across * crosswise * wider)
             log, shift = self._of_moments(mean * longer, variance, grid)
-            structure = (structure + share * self._fitting_nm2)[self._place]
+            structure = (slopes.structure[index] + share * self._fitting_nm2)[self._place]
             found.append(MeanFactor(log - 0.5 * _per_nm2(grid) * structure, shift))
         return found
 
@@ -135,21 +137,10 @@ class ResidualOtf:
         return MeanFactor(mean + _per_nm2(grid) ** 2 * variance_nm4[self._place] / 2, mean)
 
     def _residual(self, values: torch.Tensor) -> Residual:
-        if values.requires_grad:
-            return self._in_band.at(*values)
-        return self._kept("at", values, lambda: self._in_band.at(*values))
+        return self._in_band.at(*values) if values.requires_grad else self._at(*values.tolist())
 
     def _with_slopes(self, values: torch.Tensor) -> tuple[Residual, Residual]:
-        return self._kept("slopes", values, lambda: self._in_band.with_slopes(values))
-
-    def _kept(self, what: str, values: torch.Tensor, compute: Callable[[], Any]) -> Any:
-        """What was computed last, if it was for these `values`: star and modes ask for the same."""
-        key = what, tuple(values.tolist())
-        kept = self._last.get(key)
-        if kept is None:
-            self._last = {one: value for one, value in self._last.items() if one[1] == key[1]}
-            kept = self._last[key] = compute()
-        return kept
+        return self._slopes_at(*values.tolist())
 
 
 @lru_cache(maxsize=4)
@@ -162,6 +153,10 @@ def _moving(with_coma: torch.Tensor, noll: int, grid: OtfGrid) -> torch.Tensor:
     """``i (2π/λ) b·<a c>`` for the coma `noll`, whose covariances are with the tilts along x and along y."""
     tilts = {COMA[0]: slice(1, 3), COMA[1]: slice(0, 2)}[noll]
     return 1j * _per_nm2(grid).sqrt() * grid.path_m(*with_coma[tilts])
+
+
+def _tensor(values: Sequence[float]) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.float64)
 
 
 def _per_nm2(grid: OtfGrid) -> torch.Tensor:
