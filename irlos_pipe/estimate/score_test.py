@@ -169,17 +169,27 @@ def _null_model(problem: ImageFit, x: torch.Tensor) -> NullModel:
 
 
 class _FrozenTransfer(OtfEffect):
-    """OTF factors that do not change while candidates are tried, computed once, and copies of the star."""
+    """OTF factors that do not change while candidates are tried, computed once, with what hangs on them."""
 
     name = "frozen"
 
-    def __init__(self, factor: torch.Tensor, copies: Sequence[Effect] = ()):
-        self.factor, self._copies = factor, copies
+    def __init__(
+        self,
+        factor: torch.Tensor,
+        copies: Sequence[Effect] = (),
+        by_mode: Sequence[tuple[int, Effect]] = (),
+    ):
+        self.factor, self._copies, self._by_mode = factor, copies, by_mode
 
     @property
     def copies(self) -> Sequence[Effect]:
         """See `Effect.copies`."""
         return self._copies
+
+    @property
+    def by_mode(self) -> Sequence[tuple[int, Effect]]:
+        """See `Effect.by_mode`."""
+        return self._by_mode
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""
@@ -228,4 +238,5 @@ def frozen_effects(effects: EffectSet, values: torch.Tensor) -> list[Effect]:
         return fixed
     pairs = zip(optics.copies, held.defocus_nm(NOTHING), strict=True)
     copies = [_FrozenCopy(one.transfer, nm) for one, nm in pairs if one.transfer is not None]
-    return [*fixed, _FrozenTransfer(optics.transfer, copies)]
+    by_mode = [(noll, _FrozenTransfer(factor)) for noll, factor in optics.by_mode]
+    return [*fixed, _FrozenTransfer(optics.transfer, copies, by_mode)]

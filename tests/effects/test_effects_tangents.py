@@ -205,6 +205,17 @@ def test_ghosts_are_there_in_the_pullback_and_among_frozen_effects():
     assert theirs.numpy() == pytest.approx(images.numpy(), rel=1e-9)
 
 
+def test_the_residual_s_motion_that_goes_with_coma_is_among_frozen_effects():
+    """Truth: the model itself; without the motion the image would be another one."""
+    halo, values = made("seeing_halo")
+    whole = EffectSet([halo], psf().grids)
+    assert whole(values).by_mode
+    images = ImageModel(psf(), whole).predict(WAVEFRONTS, FLUX, BACKGROUND, values)
+    frozen = frozen_effects(whole, values)
+    theirs = ImageModel(psf(), frozen).predict(WAVEFRONTS, FLUX, BACKGROUND)
+    assert theirs.numpy() == pytest.approx(images.numpy(), rel=1e-9)
+
+
 @pytest.mark.parametrize("name", SMOOTH)
 @pytest.mark.slow
 def test_modes_flux_and_background_are_differentiated_through_the_effect(name):

@@ -95,6 +95,13 @@ def test_a_distribution_quotes_the_normal_distributions_one_sigma():
     assert (found.p16_nm, found.median_nm, found.p84_nm) == pytest.approx((45, 50, 55), abs=0.2)
 
 
+def test_the_range_of_a_median_is_that_of_its_standard_error():
+    """Truth: the median of n normal values scatters by 1.2533 σ/√n; 90 % lie within ±1.645 of that."""
+    found = Distribution.of(np.random.default_rng(3).normal(50.0, 5.0, 400))
+    assert found.low_nm < found.median_nm < found.high_nm
+    assert found.high_nm - found.low_nm == pytest.approx(2 * 1.645 * 1.2533 * 5 / 20, rel=0.3)
+
+
 def test_the_sharpest_half_is_the_half_with_less_blur():
     y, x = np.mgrid[-8:9, -8:9]
     widths = (1.0, 3.0, 1.2, 2.5)

@@ -8,14 +8,24 @@ from typing import ClassVar
 
 import numpy as np
 
-from irlos_pipe.paper.common.results import ONE_SIGMA
+from irlos_pipe.paper.common.results import ONE_SIGMA, Interval
 from irlos_pipe.product.results import Number, ResultsPart, StageResults
 
 
 class Distribution(ResultsPart):
-    """Δ-WFE of one variant over the samples of one condition [nm RMS]."""
+    """Δ-WFE of one variant over the samples of one condition [nm RMS].
+
+    Attributes
+    ----------
+    low_nm, high_nm : float
+        Range in which the median lies, 90 %, by bootstrap over the samples.
+    p16_nm, p84_nm, worst_nm : float
+        Scatter of the samples.
+    """
 
     median_nm: Number = math.nan
+    low_nm: Number = math.nan
+    high_nm: Number = math.nan
     p16_nm: Number = math.nan
     p84_nm: Number = math.nan
     worst_nm: Number = math.nan
@@ -25,8 +35,16 @@ class Distribution(ResultsPart):
     def of(cls, values_nm: Sequence[float] | np.ndarray) -> Distribution:
         """Return the percentiles of a list of values."""
         p16, median, p84 = map(float, np.percentile(values_nm, ONE_SIGMA))
-        worst = float(np.max(values_nm))
-        return cls(median_nm=median, p16_nm=p16, p84_nm=p84, worst_nm=worst, samples=len(values_nm))
+        between = Interval.of_median(values_nm)
+        return cls(
+            median_nm=median,
+            low_nm=between.low,
+            high_nm=between.high,
+            p16_nm=p16,
+            p84_nm=p84,
+            worst_nm=float(np.max(values_nm)),
+            samples=len(values_nm),
+        )
 
 
 class ConditionRow(ResultsPart):

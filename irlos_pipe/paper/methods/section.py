@@ -126,11 +126,12 @@ def _method_table(rows: list[ConditionRow]) -> Table:
     for row in rows:
         columns += [f'{row.seeing_arcsec:g}", 29 modes', f'{row.seeing_arcsec:g}", full pupil']
     body = [
-        [NAMES[name]] + [_spread(found.get(name)) for row in rows for found in (row.modes, row.pupil)]
+        [NAMES[name]]
+        + [_median_in_range(found.get(name)) for row in rows for found in (row.modes, row.pupil)]
         for name in DRAWN
     ]
     sizes = ", ".join(f'{row.samples} at {row.seeing_arcsec:g}"' for row in rows)
-    caption = f"Median Δ-WFE [nm RMS] and 16th to 84th percentile over cubes ({sizes})."
+    caption = f"Median Δ-WFE [nm RMS] and its range of 90 % by bootstrap over the cubes ({sizes})."
     return Table(columns, body, "Δ-WFE of every method", caption, ["good"] + [""] * len(PUBLISHED))
 
 
@@ -162,10 +163,10 @@ def _shape_table(conditions: list[ConditionRow]) -> Table:
         [
             SHAPES.get(row.shape, row.shape),
             f'{row.seeing_arcsec:g}"',
-            _spread(row.modes.get(DEFAULT)),
+            _median_in_range(row.modes.get(DEFAULT)),
             _median(row.parts or row.modes, "elliptic_residual"),
             _median(row.parts or row.modes, "round_residual"),
-            _spread(row.modes.get(PAPER_CHOICE)),
+            _median_in_range(row.modes.get(PAPER_CHOICE)),
             number(row.ratio_to_dip_global, ".2f"),
             str(row.samples),
         ]
@@ -183,7 +184,8 @@ def _shape_table(conditions: list[ConditionRow]) -> Table:
     )
     marks = ["good" if row.ratio_to_dip_global <= 0.25 else "bad" for row in conditions]
     caption = (
-        "Δ-WFE in Noll 2–30, also where the residual's power spectrum is not of the modelled family; "
+        "Median Δ-WFE in Noll 2–30 and its range of 90 % by bootstrap over the cubes, also where the "
+        "residual's power spectrum is not of the modelled family; "
         "the default's residual has two axes and four arms of free strength and direction."
     )
     return Table(columns, body, "Other AO residuals", caption, marks)
@@ -193,7 +195,7 @@ def _median(found: dict[str, Distribution], name: str) -> str:
     return number(found[name].median_nm) if name in found else MISSING
 
 
-def _spread(found: Distribution | None) -> str:
+def _median_in_range(found: Distribution | None) -> str:
     if found is None:
         return MISSING
-    return f"{found.median_nm:.1f} ({found.p16_nm:.1f}–{found.p84_nm:.1f})"
+    return f"{found.median_nm:.1f} ({found.low_nm:.1f}–{found.high_nm:.1f})"
