@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from simulator.closed_loop import ClosedLoop
-from simulator.end_to_end import scenes
+from simulator.end_to_end import SEED, scenes
 from simulator.exposure import record
 from simulator.files import write_recorder_folder, write_truth
 from simulator.pool import make_all
@@ -32,8 +32,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, required=True, help="folder to write to")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="recordings made at the same time")
+    parser.add_argument("--seed", type=int, default=SEED, help="of turbulence, noise and NCPAs")
     options = parser.parse_args()
-    make_all(make_recording, scenes(), options.output, options.jobs)
+    make_all(make_recording, scenes(options.seed), options.output, options.jobs)
 
 
 if __name__ == "__main__":

@@ -14,21 +14,21 @@ SEEINGS_ARCSEC = (0.5, 1.0)
 OFFSETS_NM = (-300.0, -150.0, 0.0, 150.0, 300.0)
 
 
-def scenes() -> list[Scene]:
-    """Return every scene, the longest first; each seeing has NCPAs of its own."""
-    cubes = [_cube(index) for index in range(len(SEEINGS_ARCSEC))]
+def scenes(seed: int = SEED) -> list[Scene]:
+    """Return every scene, the longest first; each seeing has NCPAs of its own, drawn from `seed`."""
+    cubes = [_cube(index, seed) for index in range(len(SEEINGS_ARCSEC))]
     ramps = [_step(cube, step) for cube in cubes for step in range(len(OFFSETS_NM))]
     return [*cubes, *ramps]
 
 
-def _cube(index: int) -> Scene:
+def _cube(index: int, seed: int) -> Scene:
     seeing = SEEINGS_ARCSEC[index]
     return replace(
         CALIBRATION,
         name=f"seeing_{seeing:.2f}/calibration",
-        seed=(SEED, index, 0),
+        seed=(seed, index, 0),
         seeing_arcsec=seeing,
-        ncpa_nm=draw_ncpa_nm(np.random.default_rng((SEED, index))),
+        ncpa_nm=draw_ncpa_nm(np.random.default_rng((seed, index))),
         detector=CLEAN_DETECTOR,
         lost_frame=None,
         cosmic=None,

@@ -21,7 +21,7 @@ from irlos_pipe.effects.declaration import (
     Public,
     Role,
 )
-from irlos_pipe.optics.grids import PupilGrid
+from irlos_pipe.optics.grids import PupilGrid, PupilMode
 
 Values: TypeAlias = "Sequence[float] | np.ndarray | torch.Tensor"
 
@@ -207,7 +207,7 @@ class Effect:
         return ()
 
     @property
-    def by_mode(self) -> Sequence[tuple[int, Effect]]:
+    def by_mode(self) -> Sequence[tuple[PupilMode, Effect]]:
         """Modes of `Optics.by_mode`, each with the effect that stands in the place of this one there."""
         return ()
 
@@ -395,9 +395,9 @@ class FixedEffect(Effect):
         return [self._as_this(one) for one in self.base.copies]
 
     @property
-    def by_mode(self) -> Sequence[tuple[int, Effect]]:
+    def by_mode(self) -> Sequence[tuple[PupilMode, Effect]]:
         """See `Effect.by_mode`."""
-        return [(noll, self._as_this(one)) for noll, one in self.base.by_mode]
+        return [(mode, self._as_this(one)) for mode, one in self.base.by_mode]
 
     def _as_this(self, other: Effect) -> FixedEffect:
         """Return another effect with the same parameters, and the same of them held."""

@@ -33,6 +33,7 @@ from irlos_pipe.effects.pupil_places import PhaseBump, PupilSpot
 from irlos_pipe.effects.pupil_stop import AmplitudeAberration, PupilMisregistration
 from irlos_pipe.effects.seeing_halo import SeeingHalo
 from irlos_pipe.effects.segment_piston import SegmentPiston
+from irlos_pipe.effects.uneven_residual import UnevenResidual
 from irlos_pipe.effects.wavefront import DiversityError, HighOrderNcpa
 
 CATALOGUE: dict[str, type[Effect]] = {
@@ -41,6 +42,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         TipTiltJitter,
         Vibration,
         SeeingHalo,
+        UnevenResidual,
         AoCutoff,
         AtmosphericDispersion,
         Spectrum,

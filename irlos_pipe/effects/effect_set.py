@@ -15,7 +15,7 @@ from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Parameter, Plane
 from irlos_pipe.effects.labels import labels_of
 from irlos_pipe.numerics.directional import along_all
-from irlos_pipe.optics.grids import Change, Grids, Optics, OtfGrid, Sampling, Tangents
+from irlos_pipe.optics.grids import Change, Grids, Optics, OtfGrid, PupilMode, Sampling, Tangents
 
 PLANES: tuple[Plane, ...] = get_args(Plane)
 Acting = tuple[Effect, slice]  # and its part of the parameter vector
@@ -97,7 +97,7 @@ class EffectSet:
             self._pupil(values, sampling) if self.at("pupil") else None,
             self._transfer(values, sampling, self.at("otf")) if self.at("otf") else None,
             sampling if self.at("sampling") else None,
-            by_mode=tuple((noll, self._transfer(values, sampling, path)) for noll, path in self._by_mode),
+            by_mode=tuple((mode, self._transfer(values, sampling, path)) for mode, path in self._by_mode),
         )
         copies = (self._copied(values, sampling, star, path) for path in self._copies)
         return star._replace(copies=tuple(copies))
@@ -218,12 +218,12 @@ class EffectSet:
         return changes
 
     @cached_property
-    def _by_mode(self) -> list[tuple[int, list[Acting]]]:
+    def _by_mode(self) -> list[tuple[PupilMode, list[Acting]]]:
         """Modes of `Optics.by_mode`, and the effects on their OTF factors."""
         return [
-            (noll, self._with(form, place))
+            (mode, self._with(form, place))
             for place, (effect, _) in enumerate(self.at("otf"))
-            for noll, form in effect.by_mode
+            for mode, form in effect.by_mode
         ]
 
     def _with(self, other: Effect, place: int) -> list[Acting]:

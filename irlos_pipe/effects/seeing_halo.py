@@ -26,7 +26,7 @@ from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.effects.base import Effect, FixedEffect
 from irlos_pipe.effects.declaration import Calibrated, Conditions, Parameter, direction, number
 from irlos_pipe.effects.planes import OtfEffect
-from irlos_pipe.optics.grids import OtfGrid
+from irlos_pipe.optics.grids import OtfGrid, PupilMode
 from irlos_pipe.optics.residual_otf import COMA, MeanFactor, ResidualOtf, residual_otf
 from irlos_pipe.optics.structure_function import (
     ResidualBand,
@@ -127,9 +127,9 @@ class SeeingHalo(OtfEffect):
         return FixedEffect(self, [variance * stronger, *shape, aliasing * stronger])
 
     @property
-    def by_mode(self) -> Sequence[tuple[int, Effect]]:
+    def by_mode(self) -> Sequence[tuple[PupilMode, Effect]]:
         """See `Effect.by_mode`: motion that goes with coma."""
-        return [(noll, _MovesWithComa(self, noll)) for noll in COMA]
+        return [(PupilMode(noll), _MovesWithComa(self, noll)) for noll in COMA]
 
     def phrase(self, public: Mapping[str, Any]) -> str:
         """See `Effect.phrase`."""

@@ -90,7 +90,7 @@ class MeanImage(Scheme):
 
     def psf_model(self, settings: PsfSettings, nolls: Sequence[int], device: str) -> LightPath:
         """See `Scheme.psf_model`."""
-        return light_path(settings, nolls, device=device, dtype=torch.float64)
+        return light_path(settings, nolls, device=device, dtype=torch.float64, rough_derivatives=True)
 
     def twin(self, problem: ImageFit, solution: Solution, law: NcpaLaw | None) -> TwinCheck | None:
         """See `Scheme.twin`."""

@@ -20,7 +20,7 @@ from irlos_pipe.effects import Effect, EffectSet, FixedEffect
 from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.effects.planes import CopyOfStar, OtfEffect, PupilEffect
 from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.optics.grids import OtfGrid, PupilGrid
+from irlos_pipe.optics.grids import OtfGrid, PupilGrid, PupilMode
 
 ABSORBED = 0.003  # part of a derivative's power below which the fitted parameters imitate the effect
 MEANINGLESS = 1e-9  # of the largest derivative: a parameter without meaning here, a colour of one wavelength
@@ -177,7 +177,7 @@ class _FrozenTransfer(OtfEffect):
         self,
         factor: torch.Tensor,
         copies: Sequence[Effect] = (),
-        by_mode: Sequence[tuple[int, Effect]] = (),
+        by_mode: Sequence[tuple[PupilMode, Effect]] = (),
     ):
         self.factor, self._copies, self._by_mode = factor, copies, by_mode
 
@@ -187,7 +187,7 @@ class _FrozenTransfer(OtfEffect):
         return self._copies
 
     @property
-    def by_mode(self) -> Sequence[tuple[int, Effect]]:
+    def by_mode(self) -> Sequence[tuple[PupilMode, Effect]]:
         """See `Effect.by_mode`."""
         return self._by_mode
 
@@ -238,5 +238,5 @@ def frozen_effects(effects: EffectSet, values: torch.Tensor) -> list[Effect]:
         return fixed
     pairs = zip(optics.copies, held.defocus_nm(NOTHING), strict=True)
     copies = [_FrozenCopy(one.transfer, nm) for one, nm in pairs if one.transfer is not None]
-    by_mode = [(noll, _FrozenTransfer(factor)) for noll, factor in optics.by_mode]
+    by_mode = [(mode, _FrozenTransfer(factor)) for mode, factor in optics.by_mode]
     return [*fixed, _FrozenTransfer(optics.transfer, copies, by_mode)]

@@ -1,4 +1,4 @@
-"""Intensity in the focal plane, and its derivatives by phases in the pupil.
+"""Intensity in the focal plane, and its derivatives by phases and amplitudes in the pupil.
 
 Fields and amplitudes are real arrays, (frames, 2, rows, columns), see `matrix_dft`.
 """
@@ -42,13 +42,21 @@ def amplitudes_of(colour: Colour, dft: MatrixDft, field: torch.Tensor) -> list[t
 
 
 def turned_fields(colour: Colour, field: torch.Tensor) -> list[torch.Tensor]:
-    """Return the derivatives ``i φ_k E`` of a `field` E by the modes of `Optics.by_mode` in a `colour`."""
-    return [phase * times_i(field) for phase, _ in colour.by_mode]
+    """Return the derivatives of a `field` E by the modes of `Optics.by_mode` in a `colour`.
+
+    They are ``i φ_k E`` for a mode of the phase, and ``φ_k E`` for one of the amplitude's logarithm.
+    """
+    return [one.map * (field if one.of_amplitude else times_i(field)) for one in colour.by_mode]
 
 
 def times_i(field: torch.Tensor) -> torch.Tensor:
     """Return ``i E`` of a field E, (frames, 2, n, n)."""
     return torch.stack([-field[:, 1], field[:, 0]], dim=1)
+
+
+def by_phase(field: torch.Tensor, change: torch.Tensor) -> torch.Tensor:
+    """Return ``Re(A* i E)``, (frames, n, n), of a `field` E and the adjoint A of what it makes."""
+    return field[:, 0] * change[:, 1] - field[:, 1] * change[:, 0]
 
 
 def beat_of(amplitude: torch.Tensor, products: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:

@@ -174,6 +174,13 @@ class OtfGrid:
         return along_x[None, :] * x_rad + along_y[:, None] * y_rad
 
 
+class PupilMode(NamedTuple):
+    """A Zernike mode of the wavefront [nm], or of the logarithm of the amplitude in the pupil."""
+
+    noll: int
+    of_amplitude: bool = False
+
+
 class Optics(NamedTuple):
     """What effects make of the light path; None where they leave it as it is.
 
@@ -186,16 +193,16 @@ class Optics(NamedTuple):
     sampling : Sampling
     copies : tuple of Optics
         Further images of the star with a wavefront of their own, without further copies; all add.
-    by_mode : tuple of (int, tensor)
-        Zernike modes (Noll) whose derivative of the focal intensity [1/nm] adds to it, behind OTF factors
-        (wavelengths, p, p//2 + 1) of their own [nm].
+    by_mode : tuple of (PupilMode, tensor)
+        Modes whose derivative of the focal intensity [1/nm or 1] adds to it, behind OTF factors
+        (wavelengths, p, p//2 + 1) of their own [nm or 1].
     """
 
     pupil: torch.Tensor | None = None
     transfer: torch.Tensor | None = None
     sampling: Sampling | None = None
     copies: tuple[Optics, ...] = ()
-    by_mode: tuple[tuple[int, torch.Tensor], ...] = ()
+    by_mode: tuple[tuple[PupilMode, torch.Tensor], ...] = ()
 
 
 Change: TypeAlias = "tuple[torch.Tensor | None, torch.Tensor | None, Sampling]"

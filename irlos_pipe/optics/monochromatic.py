@@ -14,6 +14,23 @@ from irlos_pipe.optics.fourier_matrices import half_plane_counts
 from irlos_pipe.optics.strained import Strained
 
 
+class ByMode(NamedTuple):
+    """A mode of `Optics.by_mode` at one wavelength.
+
+    Attributes
+    ----------
+    map : tensor, (n, n)
+        In mirrored order, see `matrix_dft`: phase [rad/nm], or logarithm of the amplitude.
+    of_amplitude : bool
+    factor : tensor, (p, p//2 + 1)
+        Of the OTF.
+    """
+
+    map: torch.Tensor
+    of_amplitude: bool
+    factor: torch.Tensor
+
+
 class Colour(NamedTuple):
     """What light of one wavelength meets.
 
@@ -30,8 +47,7 @@ class Colour(NamedTuple):
         p, samples per axis of that FFT, and m of the focal grid.
     strained : Strained or None
         Of a strained image, instead of the pixel matrices.
-    by_mode : tuple of (tensor, tensor)
-        See `Optics.by_mode`: phase of a mode, (n, n) in mirrored order [rad/nm], and its OTF factor.
+    by_mode : tuple of ByMode
     """
 
     wavelength_m: float | torch.Tensor
@@ -42,7 +58,7 @@ class Colour(NamedTuple):
     padded: int
     samples: int
     strained: Strained | None = None
-    by_mode: tuple[tuple[torch.Tensor, torch.Tensor], ...] = ()
+    by_mode: tuple[ByMode, ...] = ()
 
     def field(self, opd_nm: torch.Tensor) -> torch.Tensor:
         """Return the field ``P exp(2πi OPD/λ)`` of `opd_nm`, (frames, 2, n, n): real and imaginary part."""
@@ -63,7 +79,7 @@ class Colour(NamedTuple):
             to_rows=self.to_rows.to(matrix),
             to_columns=self.to_columns.to(matrix),
             strained=self.strained and self.strained.single,
-            by_mode=tuple((phase, _single(one)) for phase, one in self.by_mode),
+            by_mode=tuple(one._replace(factor=_single(one.factor)) for one in self.by_mode),
         )
 
     def image(self, intensity: torch.Tensor) -> torch.Tensor:
@@ -79,13 +95,13 @@ class Colour(NamedTuple):
         ----------
         intensity : tensor, (..., m, m)
         changes : sequence of tensor, (..., m, m)
-            Derivatives of the intensity by the modes of `by_mode` [1/nm].
+            Derivatives of the intensity by the modes of `by_mode`.
         """
         if not changes:
             return self.image(intensity)
         waves = self.waves(intensity)
-        for change, (_, factor) in zip(changes, self.by_mode, strict=True):
-            waves = waves + self._unfiltered(change) * factor
+        for change, one in zip(changes, self.by_mode, strict=True):
+            waves = waves + self._unfiltered(change) * one.factor
         return self._seen(waves)
 
     def images_through(

@@ -38,15 +38,16 @@ from irlos_pipe.optics.defocus import defocus_series, shaped_modes
 from irlos_pipe.optics.focal_intensity import (
     amplitudes_of,
     beat_of,
+    by_phase,
     change_of,
     intensity_of,
     turned_fields,
 )
 from irlos_pipe.optics.focal_plane import COMPLEX, FocalPlane
-from irlos_pipe.optics.grids import Grids, Optics, PupilGrid, Sampling, Tangents
+from irlos_pipe.optics.grids import Grids, Optics, PupilGrid, PupilMode, Sampling, Tangents
 from irlos_pipe.optics.light_path import AS_BUILT, NO_TANGENTS, Pullback
 from irlos_pipe.optics.matrix_dft import MatrixDft, mirrored, products_up_to
-from irlos_pipe.optics.monochromatic import Colour, behind
+from irlos_pipe.optics.monochromatic import ByMode, Colour, behind
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.optics.resampled import PixelSlopes, Rates, SkewPixels, SquarePixels, resampled
 from irlos_pipe.optics.zernike import in_products, noll_to_nm
@@ -133,11 +134,12 @@ class PsfModel:
         known = self.settings.known.total_nm
         self.known_nm = self._map(np.tensordot(np.array([*known.values()]), self._modes(grid, [*known]), 1))
 
-    def _mode_map(self, noll: int) -> torch.Tensor:
-        """Map of a mode of `Optics.by_mode`, made once."""
-        if noll not in self._mode_maps:
-            self._mode_maps[noll] = self._map(self.pupil_grid.modes([noll])[0].copy())
-        return self._mode_maps[noll]
+    def _mode_map(self, mode: PupilMode, wavelength_m: float | torch.Tensor) -> torch.Tensor:
+        """Map of a mode of `Optics.by_mode` at a wavelength; that in nm is made once."""
+        if mode.noll not in self._mode_maps:
+            self._mode_maps[mode.noll] = self._map(self.pupil_grid.modes([mode.noll])[0].copy())
+        found = self._mode_maps[mode.noll]
+        return found if mode.of_amplitude else 2 * np.pi * NM / wavelength_m * found
 
     def _modes(self, grid: PupilGrid, nolls: Sequence[int]) -> np.ndarray:
         """Modes as maps (modes, n, n), defocus in its shape."""
@@ -184,9 +186,9 @@ class PsfModel:
         pupil, grid = self._pupil(optics.pupil, index), plane.grids[index]
         pupil = self.amplitude if pupil is None else pupil
         strained = plane.strained(index, sampling) if sampling is not None and sampling.strains else None
-        per_nm = 2 * np.pi * NM / wavelength_m
         by_mode = [
-            (per_nm * self._mode_map(noll), self._factor(factors, index)) for noll, factors in optics.by_mode
+            ByMode(self._mode_map(mode, wavelength_m), mode.of_amplitude, self._factor(factors, index))
+            for mode, factors in optics.by_mode
         ]
         return Colour(
             wavelength_m,
@@ -355,14 +357,13 @@ class PsfModel:
         scale = 4 * np.pi * NM / float(colour.wavelength_m)
 
         def pullback(factors: torch.Tensor) -> torch.Tensor:
-            through = [colour._replace(transfer=factor).adjoint(factors) for _, factor in colour.by_mode]
+            through = [colour._replace(transfer=one.factor).adjoint(factors) for one in colour.by_mode]
             beats = [amplitude * colour.adjoint(factors)[:, None]]
             beats += [change * one[:, None] for change, one in zip(turned, through, strict=True)]
-            change = dft.adjoint(reduce(torch.add, beats))
-            by_phase = field[:, 0] * change[:, 1] - field[:, 1] * change[:, 0]
-            for (phase, _), one in zip(colour.by_mode, through, strict=True):
-                by_phase = by_phase - phase * (field * dft.adjoint(amplitude * one[:, None])).sum(1)
-            return scale * by_phase.flatten(1)
+            found = by_phase(field, dft.adjoint(reduce(torch.add, beats)))
+            for own, one in zip(turned_fields(colour, field), through, strict=True):
+                found = found + by_phase(own, dft.adjoint(amplitude * one[:, None]))
+            return scale * found.flatten(1)
 
         changes = [change_of(amplitude, one) for one in turned]
         return colour.whole_image(intensity_of(amplitude), changes), pullback

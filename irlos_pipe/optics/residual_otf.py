@@ -64,19 +64,28 @@ class ResidualOtf:
         self._at = lru_cache(maxsize=1)(lambda *values: self._in_band.at(*_tensor(values)))
         self._slopes_at = lru_cache(maxsize=1)(lambda *values: self._in_band.with_slopes(_tensor(values)))
 
-    def exponent(self, values: torch.Tensor, beyond, grid: OtfGrid) -> torch.Tensor:
-        """Return ``½ (2π/λ)² D``, (wavelengths, p, p//2 + 1).
+    def structure_nm2(self, values: torch.Tensor, beyond) -> torch.Tensor:
+        """Return the structure function D, (p, p//2 + 1) [nm²].
 
         Parameters
         ----------
         values : tensor, (7,)
         beyond : tensor or float
             The share of the turbulence beyond the cut-off.
+        """
+        return (self._residual(values).structure + beyond * self._fitting_nm2)[self._place]
+
+    def exponent(self, values: torch.Tensor, beyond, grid: OtfGrid) -> torch.Tensor:
+        """Return ``½ (2π/λ)² D``, (wavelengths, p, p//2 + 1).
+
+        Parameters
+        ----------
+        values, beyond
+            As of `structure_nm2`.
         grid : OtfGrid
             Of the wavelengths; the baselines are those of the object.
         """
-        structure = self._residual(values).structure + beyond * self._fitting_nm2
-        return 0.5 * _per_nm2(grid) * structure[self._place]
+        return 0.5 * per_nm2(grid) * self.structure_nm2(values, beyond)
 
     def mean_factor(self, values: torch.Tensor, beyond, grid: OtfGrid) -> MeanFactor:
         """Return the mean of the OTF factor over the pupil, for a flat wavefront.
@@ -108,7 +117,7 @@ class ResidualOtf:
             variance = 2 * (along * lengthwise * longer + across * crosswise * wider)
             log, shift = self._of_moments(mean * longer, variance, grid)
             structure = (slopes.structure[index] + share * self._fitting_nm2)[self._place]
-            found.append(MeanFactor(log - 0.5 * _per_nm2(grid) * structure, shift))
+            found.append(MeanFactor(log - 0.5 * per_nm2(grid) * structure, shift))
         return found
 
     def moving(self, values: torch.Tensor, noll: int, grid: OtfGrid) -> torch.Tensor:
@@ -133,8 +142,8 @@ class ResidualOtf:
 
     def _of_moments(self, mean_nm2: torch.Tensor, variance_nm4: torch.Tensor, grid: OtfGrid) -> MeanFactor:
         """The factor ``exp(m + v/2)``."""
-        mean = _per_nm2(grid) * mean_nm2[self._place]
-        return MeanFactor(mean + _per_nm2(grid) ** 2 * variance_nm4[self._place] / 2, mean)
+        mean = per_nm2(grid) * mean_nm2[self._place]
+        return MeanFactor(mean + per_nm2(grid) ** 2 * variance_nm4[self._place] / 2, mean)
 
     def _residual(self, values: torch.Tensor) -> Residual:
         return self._in_band.at(*values) if values.requires_grad else self._at(*values.tolist())
@@ -149,16 +158,16 @@ def residual_otf(band: ResidualBand, r0_m: float, focal: FocalGrid) -> ResidualO
     return ResidualOtf(band, r0_m, focal)
 
 
+def per_nm2(grid: OtfGrid) -> torch.Tensor:
+    """``(2π/λ)²`` [rad²/nm²], (wavelengths, 1, 1)."""
+    return (2 * np.pi * NM / grid.wavelengths_m) ** 2
+
+
 def _moving(with_coma: torch.Tensor, noll: int, grid: OtfGrid) -> torch.Tensor:
     """``i (2π/λ) b·<a c>`` for the coma `noll`, whose covariances are with the tilts along x and along y."""
     tilts = {COMA[0]: slice(1, 3), COMA[1]: slice(0, 2)}[noll]
-    return 1j * _per_nm2(grid).sqrt() * grid.path_m(*with_coma[tilts])
+    return 1j * per_nm2(grid).sqrt() * grid.path_m(*with_coma[tilts])
 
 
 def _tensor(values: Sequence[float]) -> torch.Tensor:
     return torch.tensor(values, dtype=torch.float64)
-
-
-def _per_nm2(grid: OtfGrid) -> torch.Tensor:
-    """``(2π/λ)²`` [rad²/nm²], (wavelengths, 1, 1)."""
-    return (2 * np.pi * NM / grid.wavelengths_m) ** 2

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -41,6 +42,9 @@ class Sky:
         Of the loop; sets the servo lag.
     drift_rms, drift_s : float
         Relative RMS of the residual's size in the shape ``non_stationary``, and its correlation time.
+    variance_zernike : mapping
+        Noll modes of the variance inside the correction band over the pupil, beside one; none where it is
+        everywhere alike.
     """
 
     seeing_arcsec: float
@@ -52,6 +56,7 @@ class Sky:
     delay_s: float = 0.003
     drift_rms: float = 0.25
     drift_s: float = 5.0
+    variance_zernike: Mapping[int, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require_known("sky.shape", [self.shape], get_args(Shape))

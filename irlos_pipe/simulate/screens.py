@@ -44,15 +44,28 @@ class ResidualScreens:
         self._amplitude_nm = np.sqrt(self._variance_nm2(telescope.step_m))
         self._steps: dict[float, tuple[np.ndarray, np.ndarray]] = {}
         self._modes = self._amplitude_nm.astype(np.float32) * self._noise()
+        self._in_band = np.hypot(self._fx, self._fy) < facility.cutoff_per_m
+        variance = sum((part * telescope.mode(noll) for noll, part in sky.variance_zernike.items()), 1.0)
+        self._local = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
         self._strength = _Strength(sky, rng)
 
     def next_nm(self, step_s: float) -> np.ndarray:
         """Return the wavefront after one step of `step_s`, (n, n) float32 [nm]."""
         self.skip(step_s)
-        periodic = scipy.fft.irfft2(self._modes, s=(self._size, self._size), norm="forward")
-        screen = periodic[: self._n, : self._n].ravel()
+        screen = self._screen_nm().ravel()
         flat = screen - (self._projector @ screen) @ self._basis
         return flat.reshape(self._n, self._n) * np.float32(self._strength.factor)
+
+    def _screen_nm(self) -> np.ndarray:
+        """The wavefront with piston, tip and tilt, (n, n)."""
+        if not self._sky.variance_zernike:
+            return self._on_pupil(self._modes)
+        inside = np.where(self._in_band, self._modes, 0)
+        return self._on_pupil(self._modes - inside) + self._local * self._on_pupil(inside)
+
+    def _on_pupil(self, modes: np.ndarray) -> np.ndarray:
+        periodic = scipy.fft.irfft2(modes, s=(self._size, self._size), norm="forward")
+        return periodic[: self._n, : self._n]
 
     def skip(self, time_s: float) -> None:
         """Let `time_s` pass unobserved."""
@@ -68,8 +81,7 @@ class ResidualScreens:
     def _step(self, step_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Factor of every mode from one step to the next, and the size of its fresh noise."""
         if step_s not in self._steps:
-            in_band = np.hypot(self._fx, self._fy) < self._facility.cutoff_per_m
-            lifetime_s = np.where(in_band, IN_BAND_LIFETIME_S, FITTING_LIFETIME_S)
+            lifetime_s = np.where(self._in_band, IN_BAND_LIFETIME_S, FITTING_LIFETIME_S)
             drift_hz = self._fx * self._sky.wind[0] + self._fy * self._sky.wind[1]
             memory = np.exp((-2j * np.pi * drift_hz - 1 / lifetime_s) * step_s)
             fresh_nm = self._amplitude_nm * np.sqrt(1 - np.abs(memory) ** 2)

@@ -20,7 +20,7 @@ from irlos_pipe.numerics.directional import Directional
 
 CONTRACT = {
     "tip_tilt_jitter", "vibration", "seeing_halo", "atmospheric_dispersion", "spectrum", "plate_scale",
-    "anamorphism", "pupil_spot", "ao_cutoff",
+    "anamorphism", "pupil_spot", "ao_cutoff", "uneven_residual",
     "diversity_error", "pupil_misregistration", "pupil_geometry", "amplitude_aberration", "low_wind_effect",
     "segment_piston", "high_order_ncpa",
     "phase_bump", "ncpa_drift", "companion", "ghost", "interpixel_crosstalk", "detector_nonlinearity",

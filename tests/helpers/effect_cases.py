@@ -20,6 +20,7 @@ STRONG = {
     "tip_tilt_jitter": {"sigma_mas": 12.0},
     "vibration": {"sigma_mas": 14.0, "angle_deg": 35.0},
     "seeing_halo": {"wfe_nm": 150.0},
+    "uneven_residual": {"edge": 0.35, "side_x": -0.15, "side_y": 0.1},
     "ao_cutoff": {"per_m": 0.62},
     "atmospheric_dispersion": {"mas_per_um": 60.0, "angle_deg": 120.0},
     "spectrum": {"wavelength_nm": 1440.0, "slope": 0.5, "width": 1.1},

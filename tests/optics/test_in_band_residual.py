@@ -12,8 +12,9 @@ import pytest
 import torch
 from helpers.optics_cases import BAND, NARROW_H, RESIDUAL_LAW, settings
 from helpers.reference_psf import DIAMETER_M, reference
+from helpers.residual_screens import kept, screens_nm
 from scipy.integrate import quad
-from scipy.special import j0, j1, jv
+from scipy.special import j0, jv
 
 from irlos_pipe.effects import EffectSet, SeeingHalo
 from irlos_pipe.optics.coma_between import coma_between
@@ -28,12 +29,6 @@ RADIUS_M, LOW_PER_M = DIAMETER_M / 2, LOWEST * BAND.low_per_m
 def in_band(bx_m, by_m, slope, *more: float) -> Residual:
     residual = InBandResidual(np.asarray(bx_m), np.asarray(by_m), BAND)
     return Residual(*(one.numpy() for one in residual.at(VARIANCE_NM2, torch.tensor(float(slope)), *more)))
-
-
-def kept(f_per_m: float) -> float:
-    """Variance of a wave over a clear circle that is not piston, tip or tilt (Noll 1976)."""
-    z = 2 * np.pi * f_per_m * RADIUS_M
-    return 1 - (2 * j1(z) / z) ** 2 - 4 * (2 * jv(2, z) / z) ** 2
 
 
 @pytest.mark.parametrize("angle_deg", [0, 17, 90])
@@ -181,37 +176,17 @@ def test_slopes_of_the_in_band_residual_are_differences():
 
 # -- Monte Carlo -------------------------------------------------------------------------------
 
-PERIOD_M, SCREENS, SAMPLES = 32.0, 800, 96
+SCREENS = 800
 STEEP, RMS_NM = 3.0, 130.0
 ABERRATED = {5: 60.0, 6: -170.0, 7: 40.0, 9: 50.0}
-
-
-def screens_nm(imager, seed: int):
-    """Residual screens on the pupil grid, drawn from a power law by FFT, without tip and tilt."""
-    size = round(SAMPLES * PERIOD_M / DIAMETER_M)
-    f = np.fft.fftfreq(size, PERIOD_M / size)
-    radius = np.maximum(np.hypot(f[:, None], f[None]), 1e-9)
-    covered = np.clip((radius - LOW_PER_M) * PERIOD_M + 0.5, 0, 1)  # part of each cell inside the band
-    covered *= np.clip((BAND.cutoff_per_m - radius) * PERIOD_M + 0.5, 0, 1)
-    power = covered * radius**-STEEP
-    amplitude = np.sqrt(power * RMS_NM**2 / np.sum(power * kept(radius)))
-    weight = imager.transmission / imager.transmission.sum()
-    tilts = np.stack([np.ones(imager.grid.size), imager.grid.x, imager.grid.y])
-    to_tilts = np.linalg.solve((tilts * weight) @ tilts.T, tilts * weight)
-    rng = np.random.default_rng(seed)
-    for _ in range(SCREENS // 2):
-        noise = rng.standard_normal((2, size, size))
-        pair = np.fft.fft2(amplitude * (noise[0] + 1j * noise[1]))[:SAMPLES, :SAMPLES]
-        for screen in (pair.real.ravel(), pair.imag.ravel()):
-            yield screen - (to_tilts @ screen) @ tilts
 
 
 @pytest.mark.slow
 def test_the_long_exposure_is_the_mean_of_images_through_random_screens():
     wavelength_nm, window = NARROW_H[0][0], (32, 32)
-    imager = reference(SAMPLES)
+    imager = reference(96)
     still_nm = imager.opd_nm(ABERRATED)
-    screens = screens_nm(imager, seed=11)
+    screens = screens_nm(imager, STEEP, RMS_NM, SCREENS, seed=11)
     drawn = np.array([imager.image(still_nm + one, wavelength_nm, window, 9.7) for one in screens])
     model = PsfModel(settings(window, diversity=ABERRATED), (4,), dtype=torch.float64)
     # Good seeing leaves next to nothing beyond the cut-off, as in the screens.

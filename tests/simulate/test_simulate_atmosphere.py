@@ -94,6 +94,23 @@ def test_a_given_total_replaces_the_law():
     assert np.isclose(np.sqrt(pupil_variance(telescope, stack).mean()), 300.0, rtol=0.03)
 
 
+def test_an_uneven_residual_has_the_variance_asked_for_in_every_place():
+    """Truth: the same with a residual that is everywhere alike, times the variance asked for."""
+    parts = {4: 0.35, 2: -0.15}
+    telescope, stack = screens(Sky(0.8, variance_zernike=parts), 1500)
+    even = screens(Sky(0.8), 1500)[1]
+    expected = 1 + sum(part * telescope.mode(noll) for noll, part in parts.items())
+    y_m, x_m = np.meshgrid(telescope.u_m, telescope.u_m, indexing="ij")
+    for place in (np.hypot(x_m, y_m) < 1.5, x_m < -2.5, x_m > 2.5):
+        lit = place & (telescope.transmission > 0.99)
+        ratio = (stack**2).mean(0)[lit].mean() / (even**2).mean(0)[lit].mean()
+        # Turbulence beyond the cut-off is a tenth of the variance.
+        assert np.isclose(ratio, expected[lit].mean(), atol=0.1)
+    assert np.isclose(
+        pupil_variance(telescope, stack).mean(), pupil_variance(telescope, even).mean(), rtol=0.05
+    )
+
+
 def test_piston_tip_and_tilt_are_removed_over_the_pupil():
     pupil = pupil_of(scene(sky=Sky(1.0)))
     screen = ResidualScreens(Sky(1.0), FACILITY, pupil, np.random.default_rng(1)).next_nm(0.01).astype(float)

@@ -27,6 +27,7 @@ CONTRACT = {
     "tip_tilt_jitter",
     "vibration",
     "seeing_halo",
+    "uneven_residual",
     "atmospheric_dispersion",
     "chromatic_ncpa",
     "filter_ncpa",

@@ -28,6 +28,7 @@ from irlos_pipe.simulate.effects.pupil_stop import (
     PupilSpot,
 )
 from irlos_pipe.simulate.effects.seeing_halo import SeeingHalo
+from irlos_pipe.simulate.effects.uneven_residual import UnevenResidual
 from irlos_pipe.simulate.effects.wavefront import (
     ChromaticNcpa,
     DiversityError,
@@ -45,6 +46,7 @@ EFFECTS: dict[str, type[SimulatedEffect]] = {
         TipTiltJitter,
         Vibration,
         SeeingHalo,
+        UnevenResidual,
         Spectrum,
         AtmosphericDispersion,
         PlateScale,

@@ -18,6 +18,7 @@ SIZES = {
     "tip_tilt_jitter": {"sigma_mas": 8},
     "vibration": {"sigma_mas": 8, "angle_deg": 70, "frequency_hz": 48.3, "shape": "gaussian"},
     "seeing_halo": {"wfe_nm": 90},
+    "uneven_residual": {"edge": 0.4},
     "atmospheric_dispersion": {"mas_per_um": 300, "angle_deg": 45},
     "spectrum": {"wavelength_nm": 1630, "slope": 0.5},
     "plate_scale": {"fraction": 0.02},

@@ -1,0 +1,114 @@
+"""An AO residual that is stronger in some places of the pupil.
+
+Truth: a Monte Carlo average of HCIPy images through screens whose variance differs from place to place
+(independent code), and finite differences.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from helpers.effect_cases import CONDITIONS
+from helpers.optics_cases import BAND, J_AND_H, NARROW_H, RESIDUAL_LAW, settings
+from helpers.reference_psf import reference
+from helpers.residual_screens import screens_nm
+
+from irlos_pipe.conventions.laws import ResidualLaw
+from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo
+from irlos_pipe.effects.seeing_halo import in_band_wfe_nm
+from irlos_pipe.effects.uneven_residual import NOLLS, UnevenResidual
+from irlos_pipe.optics.psf import PsfModel
+
+MODES = (2, 4, 5, 7, 8, 9, 22)
+SEEING_ARCSEC, SCREENS = 0.8, 800
+UNEVEN = {"edge": 0.35, "side_x": -0.15, "side_y": 0.1}
+VALUES = torch.tensor(list(UNEVEN.values()), dtype=torch.float64)
+ABERRATED = {5: 60.0, 6: -170.0, 7: 40.0, 9: 50.0}
+RESIDUAL = [120.0**2, 2.5, 0.6, -0.3, 0.2, 0.1, 60.0**2]
+
+
+@pytest.mark.slow
+def test_the_long_exposure_is_the_mean_of_images_through_uneven_screens():
+    wavelength_nm, window = NARROW_H[0][0], (32, 32)
+    imager = reference(96)
+    rms_nm = in_band_wfe_nm(BAND, RESIDUAL_LAW, SEEING_ARCSEC)
+    variance = 1 + imager.opd_nm({noll: UNEVEN[name] for name, noll in NOLLS.items()})
+    screens = screens_nm(imager, 2.0, rms_nm, SCREENS, seed=5, variance=np.maximum(variance, 0))
+    still_nm = imager.opd_nm(ABERRATED)
+    drawn = np.array([imager.image(still_nm + one, wavelength_nm, window, 9.7) for one in screens])
+    error = drawn.std(0, ddof=1) / np.sqrt(SCREENS)
+    model = PsfModel(settings(window, diversity=ABERRATED), (4,), dtype=torch.float64)
+    # Good seeing leaves next to nothing beyond the cut-off, as in the screens.
+    halo = FixedEffect(SeeingHalo(BAND, RESIDUAL_LAW, 0.01), [rms_nm**2, 2.0, *[0.0] * 5])
+
+    def mean_square_pull(effects, values=None) -> float:
+        ours = model.images(torch.zeros(1, 1), EffectSet(effects, model.grids)(values))[0].numpy()
+        return np.mean(((ours - drawn.mean(0)) / error) ** 2)
+
+    uneven = mean_square_pull([halo, UnevenResidual(BAND, RESIDUAL_LAW, SEEING_ARCSEC)], VALUES)
+    assert 0.3 < uneven < 2
+    assert mean_square_pull([halo]) > 5 * uneven
+
+
+@pytest.fixture(scope="module")
+def model() -> PsfModel:
+    return PsfModel(settings(32, J_AND_H[::3], pupil_samples=64), MODES, dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def effects(model) -> EffectSet:
+    halo = FixedEffect(SeeingHalo(BAND, RESIDUAL_LAW, SEEING_ARCSEC), RESIDUAL)
+    return EffectSet((halo, UnevenResidual(BAND, RESIDUAL_LAW, SEEING_ARCSEC)), model.grids)
+
+
+@pytest.fixture(scope="module")
+def modes() -> torch.Tensor:
+    draw = torch.randn(2, len(MODES), generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    return 40 * draw
+
+
+def difference(images, at: torch.Tensor, index: int, step: float) -> torch.Tensor:
+    move = torch.zeros(at.shape[-1], dtype=torch.float64)
+    move[index] = step
+    return (images(at + move) - images(at - move)) / (2 * step)
+
+
+def test_derivatives_by_unevenness_and_modes_are_differences(model, effects, modes):
+    jacobian = model.images_and_jacobian(modes, effects(VALUES), effects.tangents(VALUES))[1]
+    for index in range(len(MODES)):
+        slope = difference(lambda at: model.images(at, effects(VALUES)), modes, index, 1e-2)
+        assert float((jacobian[:, index] - slope).norm() / slope.norm()) < 1e-6
+    for index in range(len(UNEVEN)):
+        slope = difference(lambda at: model.images(modes, effects(at)), VALUES, index, 1e-3)
+        assert float((jacobian[:, len(MODES) + index] - slope).norm() / slope.norm()) < 1e-6
+
+
+def test_the_pullback_is_the_gradient_of_a_weighted_sum(model, effects, modes):
+    images, pullback = model.images_and_pullback(modes, effects(VALUES))
+    factors = torch.randn(images.shape, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
+    gradient = pullback(factors)
+    for index in range(len(MODES)):
+        slope = difference(lambda at: model.images(at, effects(VALUES)), modes, index, 1e-2)
+        assert gradient[:, index] == pytest.approx((slope * factors).sum((1, 2)), rel=1e-5, abs=1e-9)
+
+
+def test_the_light_of_the_star_stays_whole(model, effects, modes):
+    """The transform's zero frequency: there D is 0, whatever the places."""
+    wide = PsfModel(settings(96, NARROW_H, pupil_samples=64), MODES, dtype=torch.float64)
+    image = wide.images(modes, EffectSet(effects.effects, wide.grids)(VALUES))
+    alike = wide.images(modes, EffectSet(effects.effects, wide.grids)(0 * VALUES))
+    assert image.sum((1, 2)) == pytest.approx(alike.sum((1, 2)), rel=0.01)
+
+
+def test_it_means_nothing_on_a_bench():
+    with pytest.raises(ValueError, match="no AO residual"):
+        UnevenResidual.under(replace(CONDITIONS, residual_law=ResidualLaw(0.0, 0.0)))
+
+
+def test_a_sentence_says_where_the_residual_is_stronger():
+    effect = UnevenResidual.under(CONDITIONS)
+    assert "at the edge of the pupil (35% RMS" in effect.phrase(effect.describe(np.array([0.35, 0.0, 0.0])))
+    assert "in the middle of the pupil" in effect.phrase(effect.describe(np.array([-0.2, 0.0, 0.0])))
