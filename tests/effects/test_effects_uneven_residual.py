@@ -1,7 +1,7 @@
 """An AO residual that is stronger in some places of the pupil.
 
 Truth: a Monte Carlo average of HCIPy images through screens whose variance differs from place to place
-(independent code), and finite differences.
+(independent code); finite differences; the simulator, whose screens are scaled place by place.
 """
 
 from __future__ import annotations
@@ -20,7 +20,10 @@ from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.effects import EffectSet, FixedEffect, SeeingHalo
 from irlos_pipe.effects.seeing_halo import in_band_wfe_nm
 from irlos_pipe.effects.uneven_residual import NOLLS, UnevenResidual
+from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
+from irlos_pipe.paper.common.variants import DEFAULT, VARIANTS
 
 MODES = (2, 4, 5, 7, 8, 9, 22)
 SEEING_ARCSEC, SCREENS = 0.8, 800
@@ -101,6 +104,23 @@ def test_the_light_of_the_star_stays_whole(model, effects, modes):
     image = wide.images(modes, EffectSet(effects.effects, wide.grids)(VALUES))
     alike = wide.images(modes, EffectSet(effects.effects, wide.grids)(0 * VALUES))
     assert image.sum((1, 2)) == pytest.approx(alike.sum((1, 2)), rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_calibration_finds_what_the_simulated_screens_have():
+    facility = load_instrument("irlos").facility
+    scene = CubeSample("cube", (5, 0), facility, SEEING_ARCSEC, 80, 7.0).scene()
+    sky = replace(scene.sky, variance_zernike={noll: UNEVEN[name] for name, noll in NOLLS.items()})
+    cube = ObservedCube.of(replace(scene, sky=sky))
+    halo, *others = cube.effects
+    uneven = UnevenResidual(halo.band, facility.residual_law, SEEING_ARCSEC)
+    found = VARIANTS[DEFAULT].calibrate(
+        cube.frames, cube.settings, [halo, uneven, *others], facility.ncpa_law
+    )
+    values, sigma = found.effects["uneven_residual"], found.effects_sigma["uneven_residual"]
+    for name, true in UNEVEN.items():
+        assert sigma[name] < 0.08
+        assert values[name] == pytest.approx(true, abs=3 * sigma[name])
 
 
 def test_it_means_nothing_on_a_bench():
