@@ -5,6 +5,8 @@ Fields and amplitudes are real arrays, (frames, 2, rows, columns), see `matrix_d
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 
 from irlos_pipe.optics.matrix_dft import MatrixDft
@@ -38,7 +40,12 @@ def amplitudes_of(colour: Colour, dft: MatrixDft, field: torch.Tensor) -> list[t
     dft : MatrixDft
     field : tensor, (frames, 2, n, n)
     """
-    return [dft.amplitude(one) for one in (field, *turned_fields(colour, field))]
+    return amplitudes(dft, [field, *turned_fields(colour, field)])
+
+
+def amplitudes(dft: MatrixDft, fields: Sequence[torch.Tensor]) -> list[torch.Tensor]:
+    """Return the focal amplitudes of some `fields`, each (frames, 2, n, n), transformed at once."""
+    return list(dft.amplitude(torch.cat(list(fields))).split(len(fields[0]))) if fields else []
 
 
 def turned_fields(colour: Colour, field: torch.Tensor) -> list[torch.Tensor]:

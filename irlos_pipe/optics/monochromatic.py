@@ -99,9 +99,10 @@ class Colour(NamedTuple):
         """
         if not changes:
             return self.image(intensity)
-        waves = self.waves(intensity)
-        for change, one in zip(changes, self.by_mode, strict=True):
-            waves = waves + self._unfiltered(change) * one.factor
+        star, *others = self._unfiltered(torch.stack([intensity, *changes]))
+        waves = star if self.transfer is None else star * self.transfer
+        for other, one in zip(others, self.by_mode, strict=True):
+            waves = waves + other * one.factor
         return self._seen(waves)
 
     def images_through(

@@ -36,6 +36,7 @@ from irlos_pipe.conventions.units import NM
 from irlos_pipe.numerics.parallel import ordered_map
 from irlos_pipe.optics.defocus import defocus_series, shaped_modes
 from irlos_pipe.optics.focal_intensity import (
+    amplitudes,
     amplitudes_of,
     beat_of,
     by_phase,
@@ -377,7 +378,7 @@ class PsfModel:
         turned_by, own = turned_fields(colour, field), dft.products(field)
         others = [] if self.rough_derivatives else [dft.products(one) for one in turned_by]
         amplitude = own[0][0]  # T_0(x) T_0(y) = 1
-        turned = [even[0] for even, _ in others] or [dft.amplitude(one) for one in turned_by]
+        turned = [even[0] for even, _ in others] or amplitudes(dft, turned_by)
         beats = [beat_of(amplitude, own)]
         beats += [beat_of(amplitude, one) + beat_of(by, own) for one, by in zip(others, turned, strict=False)]
         combine = -4 * np.pi * NM / float(colour.wavelength_m) * self.combine
