@@ -141,7 +141,7 @@ def calibrate(
     start_nm : ndarray, (modes,), optional
         Start from Noll 2 on, for as many modes as there are; else the fit starts from none, and once more
         from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from others,
-        for up to three times as long again (see `open_minima`).
+        for up to two minutes (see `open_minima`).
     device : str
     report : callable, optional
         Called with the number of finished frames, for a progress bar.

@@ -10,8 +10,7 @@ times too large. The image has many such minima, each a little better than the n
 - *Shakes.* The best minimum so far is disturbed at random and fitted again; a better one takes its place
   (basin hopping; Wales & Doye 1997, J. Phys. Chem. A 101, 5111).
 
-A fit of 230 modes from nearby costs about a second, as its steps share Hessians: thirty take as long as the
-calibration of a cube on sky without them.
+A fit of 230 modes from nearby costs about a second, as its steps share Hessians.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) ->
     It has if χ²/ν is above nominal although the modes beyond the closed basis explain most of what that
     misses; else the model lacks something that no other minimum would bring. The search ends at the first
     nominal χ²/ν, and after four fits with softened weights and `SHAKES` shakes of each at most. In vain,
-    where the model lacks something, it takes up to ten times the rest of a calibration.
+    where the model lacks something, it takes up to two minutes of processor time.
 
     Parameters
     ----------
