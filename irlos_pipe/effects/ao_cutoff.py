@@ -14,7 +14,7 @@ from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.conventions.units import MAS, NM
 from irlos_pipe.effects.declaration import Conditions, Parameter, number
 from irlos_pipe.effects.planes import OtfEffect
-from irlos_pipe.effects.seeing_halo import in_band_wfe_nm
+from irlos_pipe.effects.seeing_halo import in_band_wfe_nm, require_residual
 from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.grids import OtfGrid
 from irlos_pipe.optics.structure_function import ResidualBand, seeing_to_r0_m, von_karman_nm2
@@ -76,16 +76,15 @@ class AoCutoff(OtfEffect):
     @classmethod
     def under(cls, conditions: Conditions) -> AoCutoff:
         """See `Effect.under`: it means nothing without AO residual, or with the edge outside the window."""
-        band, seeing = conditions.band, conditions.seeing_arcsec
+        band = conditions.band
         edge_mas = conditions.settings.mean_nm * NM * band.cutoff_per_m / MAS
         if edge_mas > conditions.reach_mas:
             raise ValueError(
                 f"the corrected field ends {edge_mas:.0f} mas from the star, outside the window "
                 f"({conditions.reach_mas:.0f} mas)"
             )
-        if in_band_wfe_nm(band, conditions.residual_law, seeing) == 0:
-            raise ValueError("by the residual law of the instrument's profile there is no AO residual")
-        return cls(band, conditions.residual_law, seeing)
+        require_residual(conditions)
+        return cls(band, conditions.residual_law, conditions.seeing_arcsec)
 
     def apply(self, values: torch.Tensor, factor: torch.Tensor, grid: OtfGrid) -> torch.Tensor:
         """See `OtfEffect.apply`."""

@@ -45,6 +45,12 @@ def in_band_wfe_nm(band: ResidualBand, law: ResidualLaw, seeing_arcsec: float) -
     return float(np.sqrt(max(total**2 - fitting, (0.3 * total) ** 2)))
 
 
+def require_residual(conditions: Conditions) -> None:
+    """Raise ValueError where the profile of the instrument states no AO residual: on a bench."""
+    if in_band_wfe_nm(conditions.band, conditions.residual_law, conditions.seeing_arcsec) == 0:
+        raise ValueError("by the residual law of the instrument's profile there is no AO residual")
+
+
 class SeeingHalo(OtfEffect):
     """Averaged speckle and halo of the residual wavefront.
 
@@ -109,8 +115,7 @@ class SeeingHalo(OtfEffect):
     @classmethod
     def under(cls, conditions: Conditions) -> SeeingHalo:
         """See `Effect.under`: it means nothing on a bench without atmosphere."""
-        if in_band_wfe_nm(conditions.band, conditions.residual_law, conditions.seeing_arcsec) == 0:
-            raise ValueError("by the residual law of the instrument's profile there is no AO residual")
+        require_residual(conditions)
         return cls(
             conditions.band, conditions.residual_law, conditions.seeing_arcsec, conditions.seeing_measured
         )

@@ -26,7 +26,7 @@ from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.declaration import Conditions, Parameter, number
 from irlos_pipe.effects.planes import OtfEffect
-from irlos_pipe.effects.seeing_halo import SeeingHalo, in_band_wfe_nm
+from irlos_pipe.effects.seeing_halo import SeeingHalo, require_residual
 from irlos_pipe.optics.fourier_matrices import FocalGrid
 from irlos_pipe.optics.grids import OtfGrid, PupilMode
 from irlos_pipe.optics.residual_otf import per_nm2, residual_otf
@@ -69,8 +69,7 @@ class UnevenResidual(OtfEffect):
     @classmethod
     def under(cls, conditions: Conditions) -> UnevenResidual:
         """See `Effect.under`: it means nothing on a bench without atmosphere."""
-        if in_band_wfe_nm(conditions.band, conditions.residual_law, conditions.seeing_arcsec) == 0:
-            raise ValueError("by the residual law of the instrument's profile there is no AO residual")
+        require_residual(conditions)
         return cls(conditions.band, conditions.residual_law, conditions.seeing_arcsec)
 
     def seen_in(self, here: Conditions, first: Conditions) -> Effect:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.effect_cases import CONDITIONS
+from helpers.light_path_derivatives import assert_jacobian, assert_pullback, random_modes
 from helpers.optics_cases import BAND, J_AND_H, NARROW_H, RESIDUAL_LAW, settings
 from helpers.reference_psf import reference
 from helpers.residual_screens import screens_nm
@@ -69,33 +70,15 @@ def effects(model) -> EffectSet:
 
 @pytest.fixture(scope="module")
 def modes() -> torch.Tensor:
-    draw = torch.randn(2, len(MODES), generator=torch.Generator().manual_seed(3), dtype=torch.float64)
-    return 40 * draw
-
-
-def difference(images, at: torch.Tensor, index: int, step: float) -> torch.Tensor:
-    move = torch.zeros(at.shape[-1], dtype=torch.float64)
-    move[index] = step
-    return (images(at + move) - images(at - move)) / (2 * step)
+    return random_modes(len(MODES))
 
 
 def test_derivatives_by_unevenness_and_modes_are_differences(model, effects, modes):
-    jacobian = model.images_and_jacobian(modes, effects(VALUES), effects.tangents(VALUES))[1]
-    for index in range(len(MODES)):
-        slope = difference(lambda at: model.images(at, effects(VALUES)), modes, index, 1e-2)
-        assert float((jacobian[:, index] - slope).norm() / slope.norm()) < 1e-6
-    for index in range(len(UNEVEN)):
-        slope = difference(lambda at: model.images(modes, effects(at)), VALUES, index, 1e-3)
-        assert float((jacobian[:, len(MODES) + index] - slope).norm() / slope.norm()) < 1e-6
+    assert_jacobian(model, effects, modes, VALUES, [1e-3] * len(UNEVEN))
 
 
 def test_the_pullback_is_the_gradient_of_a_weighted_sum(model, effects, modes):
-    images, pullback = model.images_and_pullback(modes, effects(VALUES))
-    factors = torch.randn(images.shape, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
-    gradient = pullback(factors)
-    for index in range(len(MODES)):
-        slope = difference(lambda at: model.images(at, effects(VALUES)), modes, index, 1e-2)
-        assert gradient[:, index] == pytest.approx((slope * factors).sum((1, 2)), rel=1e-5, abs=1e-9)
+    assert_pullback(model, effects, modes, VALUES)
 
 
 def test_the_light_of_the_star_stays_whole(model, effects, modes):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from helpers.light_path_derivatives import assert_jacobian, assert_pullback, random_modes
 from helpers.optics_cases import BAND, J_AND_H, RESIDUAL_LAW, settings
 
 from irlos_pipe.effects import EffectSet, SeeingHalo
@@ -26,14 +27,7 @@ def effects(model) -> EffectSet:
 
 @pytest.fixture(scope="module")
 def modes() -> torch.Tensor:
-    draw = torch.randn(2, len(NOLLS), generator=torch.Generator().manual_seed(3), dtype=torch.float64)
-    return 40 * draw
-
-
-def difference(images, at: torch.Tensor, index: int, step: float) -> torch.Tensor:
-    move = torch.zeros(at.shape[-1], dtype=torch.float64)
-    move[index] = step
-    return (images(at + move) - images(at - move)) / (2 * step)
+    return random_modes(len(NOLLS))
 
 
 def test_the_motion_is_a_part_of_the_image_that_none_of_the_other_factors_has(model, effects, modes):
@@ -43,21 +37,8 @@ def test_the_motion_is_a_part_of_the_image_that_none_of_the_other_factors_has(mo
 
 
 def test_derivatives_by_residual_and_modes_are_differences(model, effects, modes):
-    images, jacobian = model.images_and_jacobian(modes, effects(RESIDUAL), effects.tangents(RESIDUAL))
-    assert images == pytest.approx(model.images(modes, effects(RESIDUAL)), rel=1e-12)
-    for index in range(len(NOLLS)):
-        slope = difference(lambda at: model.images(at, effects(RESIDUAL)), modes, index, 1e-2)
-        assert float((jacobian[:, index] - slope).norm() / slope.norm()) < 1e-6
-    for index, step in enumerate(STEPS):
-        slope = difference(lambda at: model.images(modes, effects(at)), RESIDUAL, index, step)
-        assert float((jacobian[:, len(NOLLS) + index] - slope).norm() / slope.norm()) < 1e-6
+    assert_jacobian(model, effects, modes, RESIDUAL, STEPS)
 
 
 def test_the_pullback_is_the_gradient_of_a_weighted_sum(model, effects, modes):
-    images, pullback = model.images_and_pullback(modes, effects(RESIDUAL))
-    factors = torch.randn(images.shape, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
-    gradient = pullback(factors)
-    for index in range(len(NOLLS)):
-        slope = difference(lambda at: model.images(at, effects(RESIDUAL)), modes, index, 1e-2)
-        exact = (slope * factors).sum((1, 2))
-        assert gradient[:, index] == pytest.approx(exact, rel=1e-5, abs=1e-9)
+    assert_pullback(model, effects, modes, RESIDUAL)

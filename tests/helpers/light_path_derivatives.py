@@ -1,0 +1,54 @@
+"""Derivatives of a light path against finite differences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+import torch
+
+from irlos_pipe.effects import EffectSet
+from irlos_pipe.optics.psf import PsfModel
+
+MODE_STEP_NM = 1e-2
+
+
+def random_modes(count: int) -> torch.Tensor:
+    """Two wavefronts of 40 nm RMS in each of some modes."""
+    generator = torch.Generator().manual_seed(3)
+    return 40 * torch.randn(2, count, generator=generator, dtype=torch.float64)
+
+
+def difference(images, at: torch.Tensor, index: int, step: float) -> torch.Tensor:
+    """Central difference of `images` by one of the values `at`, (..., values)."""
+    move = torch.zeros(at.shape[-1], dtype=torch.float64)
+    move[index] = step
+    return (images(at + move) - images(at - move)) / (2 * step)
+
+
+def assert_jacobian(
+    model: PsfModel, effects: EffectSet, modes: torch.Tensor, values: torch.Tensor, steps: Sequence[float]
+) -> None:
+    """The Jacobian by modes and effect parameters, these with a step each, to 1e-6 of every column."""
+    images, jacobian = model.images_and_jacobian(modes, effects(values), effects.tangents(values))
+    assert images == pytest.approx(model.images(modes, effects(values)), rel=1e-12)
+    count = modes.shape[1]
+    slopes = [
+        *(
+            difference(lambda at: model.images(at, effects(values)), modes, i, MODE_STEP_NM)
+            for i in range(count)
+        ),
+        *(difference(lambda at: model.images(modes, effects(at)), values, i, s) for i, s in enumerate(steps)),
+    ]
+    for column, slope in zip(jacobian.unbind(1), slopes, strict=True):
+        assert float((column - slope).norm() / slope.norm()) < 1e-6
+
+
+def assert_pullback(model: PsfModel, effects: EffectSet, modes: torch.Tensor, values: torch.Tensor) -> None:
+    """The pullback of random factors is the gradient by the modes of the images' sum with them."""
+    images, pullback = model.images_and_pullback(modes, effects(values))
+    factors = torch.randn(images.shape, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
+    gradient = pullback(factors)
+    for index in range(modes.shape[1]):
+        slope = difference(lambda at: model.images(at, effects(values)), modes, index, MODE_STEP_NM)
+        assert gradient[:, index] == pytest.approx((slope * factors).sum((1, 2)), rel=1e-5, abs=1e-9)
