@@ -36,6 +36,15 @@ class Check:
         below = self.high is None or self.value <= self.high
         return bool(above and below and not np.isnan(self.value))
 
+    @property
+    def limits(self) -> str:
+        """The limits as text, empty if there are none."""
+        if self.low is not None and self.high is not None:
+            return f"{self.low:g} … {self.high:g}"
+        if self.low is not None:
+            return f"≥ {self.low:g}"
+        return f"≤ {self.high:g}" if self.high is not None else ""
+
     def as_dict(self) -> dict[str, Any]:
         """Return the check as it stands in qc.json."""
         return {

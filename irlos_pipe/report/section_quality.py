@@ -49,12 +49,4 @@ def _row(stage: str, check: Check) -> tuple[str, ...]:
     unit = "" if check.unit == "1" else check.unit
     verdict = "passed" if check.passed else "FAILED"
     name = check.name.removeprefix(f"{stage}/")
-    return verdict, stage, name, number(check.value, ".4g", unit), _limits(check), check.message
-
-
-def _limits(check: Check) -> str:
-    if check.low is not None and check.high is not None:
-        return f"{check.low:g} … {check.high:g}"
-    if check.low is not None:
-        return f"≥ {check.low:g}"
-    return f"≤ {check.high:g}" if check.high is not None else ""
+    return verdict, stage, name, number(check.value, ".4g", unit), check.limits, check.message

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 from pydantic import BaseModel, ConfigDict
 
 from irlos_pipe.product.product import Check, Product, Quantity
-from irlos_pipe.product.results import StageResults
+from irlos_pipe.product.results import StageResults, results_of
 from irlos_pipe.product.table import Table
 
 if TYPE_CHECKING:
@@ -115,7 +115,9 @@ class Stage(Protocol):
     - ``problems(inputs, config, instrument)``: a line for everything that is wrong with the files of the
       inputs, found without running the stage;
     - ``DEPENDS_ON``: the parts of `KEY_PARTS` it depends on (default all of them). A change of
-      any other part does not redo it.
+      any other part does not redo it;
+    - ``checks_of(results)``: the checks of its results, by which an experiment's numbers are judged again
+      where they are collected: they may be older than the checks.
     """
 
     NAME: str
@@ -143,6 +145,12 @@ def reads(stage: Stage, earlier: Sequence[str]) -> tuple[str, ...]:
 def files_of(stage: Stage) -> Callable[[Path], list[Path]] | None:
     """Return the function of a `stage` that lists the files it reads of an input, if it has one."""
     return getattr(stage, "files_of", None)
+
+
+def judged(stage: Stage, product: Product) -> Sequence[Check]:
+    """Return the checks of the `product` of a `stage`, as the stage makes them today if it says how."""
+    checks_of = getattr(stage, "checks_of", None)
+    return product.checks if checks_of is None else checks_of(results_of(stage.Results, product))
 
 
 def depends_on(stage: Stage) -> frozenset[str]:

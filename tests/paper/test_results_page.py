@@ -26,6 +26,7 @@ from irlos_pipe.paper.run.tables import TableLayout, cell, find, render_table
 EXPERIMENTS = {
     "methods": {
         "seed": 5,
+        "checks": {},
         "sizes": {"methods": {"samples": 20}},
         "results": {
             "methods": {
@@ -143,7 +144,7 @@ def test_a_mistake_in_the_layout_is_reported_with_its_line(tmp_path):
 
 def make_tree(root: Path, rows: str) -> None:
     (root / "docs").mkdir()
-    blocks = "\n".join(f"<!-- paper:{name} -->\n<!-- /paper -->" for name in ("one", "code"))
+    blocks = "\n".join(f"<!-- paper:{name} -->\n<!-- /paper -->" for name in ("one", "code", "checks"))
     (root / PAGE).write_text(f"# x\n{blocks}\n")
     (root / RESULTS).write_text(json.dumps(results(methods="1.0")))
     (root / "docs/paper_tables.yaml").write_text(f"one: {{columns: [a], rows: {rows}}}\n")

@@ -7,15 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import Field
 
+from irlos_pipe.paper.capture.checks import checks_of
 from irlos_pipe.paper.capture.experiment import CaptureSample, capture
 from irlos_pipe.paper.capture.outcome import WRONG_NM, Estimates, success_per_bin
-from irlos_pipe.paper.capture.results import CaptureResults, StartRow
+from irlos_pipe.paper.capture.results import CaptureResults as Results
+from irlos_pipe.paper.capture.results import StartRow
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.ramps import STARTS
-from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = CaptureResults.stage
+NAME = Results.stage
 VERSION = 5
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -48,7 +50,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     config = ctx.config
     edges_nm = np.linspace(-config.reach_nm, config.reach_nm, round(2 * config.reach_nm / config.bin_nm) + 1)
     rows = [_row(name, one, config, edges_nm) for name, one in estimates.items()]
-    results = CaptureResults(
+    results = Results(
         cases=len(true_nm),
         wrong_limit_nm=WRONG_NM,
         required_nm=config.required_nm,
@@ -57,7 +59,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         bin_edges_nm=edges_nm.tolist(),
         starts=rows,
     )
-    return StageOutput(_arrays(true_nm, found), results, [_check(rows[-1])], summary=_summary(rows))
+    return StageOutput(_arrays(true_nm, found), results, checks_of(results), summary=_summary(rows))
 
 
 def _samples(ctx: StageContext[Config]) -> list[CaptureSample]:
@@ -105,20 +107,6 @@ def _arrays(true_nm: np.ndarray, found: Sequence[Arrays]) -> dict[str, Quantity]
         for key, unit in UNITS.items():
             arrays[f"{name}/{key}"] = Quantity(_all(found, name, key), unit, f"{key} of LIFT, start: {name}")
     return arrays
-
-
-def _check(default: StartRow) -> Check:
-    """The last start is the pipeline's."""
-    cases = default.required.cases
-    missed = cases - default.required.captured
-    return Check(
-        "defocus not found within the required range",
-        missed,
-        "",
-        None,
-        0,
-        f"{missed} of {cases} cases were not found by the default",
-    )
 
 
 def _summary(rows: Sequence[StartRow]) -> list[str]:

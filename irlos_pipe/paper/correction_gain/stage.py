@@ -8,12 +8,14 @@ from pydantic import Field
 from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
+from irlos_pipe.paper.correction_gain.checks import checks_of
 from irlos_pipe.paper.correction_gain.experiment import COMPARED, STATES, Star, correct
-from irlos_pipe.paper.correction_gain.results import CorrectionGainResults, SeeingRow
+from irlos_pipe.paper.correction_gain.results import CorrectionGainResults as Results
+from irlos_pipe.paper.correction_gain.results import SeeingRow
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = CorrectionGainResults.stage
+NAME = Results.stage
 VERSION = 2
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -40,7 +42,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     }
     rows = [_row(seeing, of_it) for seeing, of_it in by_seeing.items()]
     arrays = _arrays({seeing: of_it[0] for seeing, of_it in by_seeing.items()})
-    return StageOutput(arrays, CorrectionGainResults(seeings=rows), summary=[_line(row) for row in rows])
+    results = Results(seeings=rows)
+    return StageOutput(arrays, results, checks_of(results), summary=[_line(row) for row in rows])
 
 
 def _star(ctx: StageContext[Config], seeing: float, index: int) -> Star:

@@ -10,6 +10,7 @@ from pydantic import Field
 from irlos_pipe.estimate.derotator import Series, try_both_senses, usable_modes
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.variants import frames_per_method
+from irlos_pipe.paper.derotator_series.checks import checks_of
 from irlos_pipe.paper.derotator_series.experiment import (
     AngleSample,
     Truth,
@@ -18,12 +19,13 @@ from irlos_pipe.paper.derotator_series.experiment import (
     rms_beyond_tilt_nm,
     split_errors,
 )
-from irlos_pipe.paper.derotator_series.results import DerotatorSeriesResults, MethodRow, PartsWfe
+from irlos_pipe.paper.derotator_series.results import DerotatorSeriesResults as Results
+from irlos_pipe.paper.derotator_series.results import MethodRow, PartsWfe
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.derotator.output import SplitOutput, map_of
 
-NAME = DerotatorSeriesResults.stage
+NAME = Results.stage
 VERSION = 2
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -63,7 +65,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         own = split.arrays(ctx.instrument.pupil)
         arrays |= {f"{method}/{name}": quantity for name, quantity in own.items()}
     rows = {method: _row(split, truth, found, method) for method, split in splits.items()}
-    results = DerotatorSeriesResults(
+    results = Results(
         angles_deg=list(config.angles_deg),
         frames=config.method_frames,
         truth=PartsWfe(
@@ -72,7 +74,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         methods=rows,
     )
     lines = [line for method, row in rows.items() for line in _lines(method, row)]
-    return StageOutput(arrays, results, summary=lines)
+    return StageOutput(arrays, results, checks_of(results), summary=lines)
 
 
 def _samples(ctx: StageContext[Config], truth: Truth) -> Iterator[AngleSample]:

@@ -10,13 +10,15 @@ from pydantic import Field
 from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.results import Percentiles
-from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES
+from irlos_pipe.paper.common.variants import METHOD_NAMES
+from irlos_pipe.paper.exposures.checks import checks_of
 from irlos_pipe.paper.exposures.experiment import ExposuresSample, compare
-from irlos_pipe.paper.exposures.results import ExposuresResults, MethodRow
-from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.paper.exposures.results import ExposuresResults as Results
+from irlos_pipe.paper.exposures.results import MethodRow
+from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = ExposuresResults.stage
+NAME = Results.stage
 VERSION = 1
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -54,14 +56,15 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         for s in config.seeings_arcsec
         for m in config.methods
     ]
-    results = ExposuresResults(
+    results = Results(
         cubes=config.samples,
         exposures_s=config.exposures_s,
         total_s=config.shortest_s * config.frames,
         rows=rows,
     )
-    checks = [_check(row) for row in rows if row.method == DEFAULT]
-    return StageOutput(_arrays(samples, found), results, checks, summary=[_line(row) for row in rows])
+    return StageOutput(
+        _arrays(samples, found), results, checks_of(results), summary=[_line(row) for row in rows]
+    )
 
 
 def _sample(ctx: StageContext[Config], seeing_arcsec: float, index: int) -> ExposuresSample:
@@ -88,19 +91,6 @@ def _row(config: Config, found: Sequence[Arrays], seeing_arcsec: float, method: 
         label=METHOD_NAMES.get(method, method),
         modes_nm=by_exposure,
         best_s=config.exposures_s[best],
-    )
-
-
-def _check(row: MethodRow) -> Check:
-    medians = [one.median for one in row.modes_nm]
-    ratio = max(medians) / min(medians)
-    return Check(
-        f"default's worst over its best exposure, {row.seeing_arcsec:g} arcsec",
-        ratio,
-        "",
-        None,
-        STEADY,
-        f"medians from {min(medians):.1f} to {max(medians):.1f} nm",
     )
 
 

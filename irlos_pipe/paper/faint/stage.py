@@ -9,6 +9,7 @@ from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, Curve
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.ramps import LIFT_VARIANTS
 from irlos_pipe.paper.common.reads import NoiseOf, Read
+from irlos_pipe.paper.faint.checks import checks_of
 from irlos_pipe.paper.faint.experiment import (
     COMPARED,
     Exposures,
@@ -17,12 +18,13 @@ from irlos_pipe.paper.faint.experiment import (
     pooled,
     residual_floor_nm,
 )
-from irlos_pipe.paper.faint.results import ExposureGroup, FaintCriterion, FaintResults, VariantCurve
+from irlos_pipe.paper.faint.results import ExposureGroup, FaintCriterion, VariantCurve
+from irlos_pipe.paper.faint.results import FaintResults as Results
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.sensitivity.work import UNITS
 
-NAME = FaintResults.stage
+NAME = Results.stage
 VERSION = 7
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -77,7 +79,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     found = run_samples(dim_and_estimate, samples, ctx, "samples")
     criterion = Criterion(config.limit_nm, config.limit_failures)
     groups = [_group(found, exposures, criterion) for exposures in config.scans()]
-    results = FaintResults(
+    results = Results(
         samples=len(found),
         exposures=groups,
         criterion=FaintCriterion(
@@ -87,7 +89,9 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         ),
         crb_note=f"1 sigma; the median |error| of an efficient estimate is {MEDIAN_OF_NORMAL} of it",
     )
-    return StageOutput(_arrays(groups), results, summary=[_line(group) for group in groups])
+    return StageOutput(
+        _arrays(groups), results, checks_of(results), summary=[_line(group) for group in groups]
+    )
 
 
 def _sample(ctx: StageContext[Config], index: int) -> FaintSample:

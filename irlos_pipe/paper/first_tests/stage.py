@@ -9,6 +9,7 @@ from pydantic import Field
 
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.ramps import STARTS
+from irlos_pipe.paper.first_tests.checks import checks_of
 from irlos_pipe.paper.first_tests.experiment import (
     STARTED,
     TARGETS,
@@ -20,11 +21,12 @@ from irlos_pipe.paper.first_tests.experiment import (
     target_errors,
     variants_of,
 )
-from irlos_pipe.paper.first_tests.results import FirstTestsResults, StartRow, TargetRow, VariantRow
+from irlos_pipe.paper.first_tests.results import FirstTestsResults as Results
+from irlos_pipe.paper.first_tests.results import StartRow, TargetRow, VariantRow
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = FirstTestsResults.stage
+NAME = Results.stage
 VERSION = 4
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -55,7 +57,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         for key, of_it in by_target.items()
         for name, quantity in _arrays(of_it[0]).items()
     }
-    return StageOutput(arrays, FirstTestsResults(targets=rows), summary=[_line(row) for row in rows])
+    results = Results(targets=rows)
+    return StageOutput(arrays, results, checks_of(results), summary=[_line(row) for row in rows])
 
 
 def _sample(ctx: StageContext[Config], place: int, index: int) -> TargetSample:

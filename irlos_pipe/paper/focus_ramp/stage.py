@@ -10,12 +10,14 @@ from pydantic import Field, field_validator
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.ramps import LIFT_VARIANTS
 from irlos_pipe.paper.common.results import Percentiles
+from irlos_pipe.paper.focus_ramp.checks import checks_of
 from irlos_pipe.paper.focus_ramp.experiment import RampErrors, RampSample, estimate, ramp_errors
-from irlos_pipe.paper.focus_ramp.results import FocusRampResults, VariantRow
+from irlos_pipe.paper.focus_ramp.results import FocusRampResults as Results
+from irlos_pipe.paper.focus_ramp.results import VariantRow
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = FocusRampResults.stage
+NAME = Results.stage
 VERSION = 6
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -57,8 +59,10 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     found = run_samples(estimate, samples, ctx, "ramps")
     errors = {key: [ramp_errors(one, key) for one in found] for key in ctx.config.ways}
     rows = [_row(key, of_it) for key, of_it in errors.items()]
-    results = FocusRampResults(samples=len(found), ways=rows)
-    return StageOutput(_arrays(found[0], errors), results, summary=[_line(row) for row in rows])
+    results = Results(samples=len(found), ways=rows)
+    return StageOutput(
+        _arrays(found[0], errors), results, checks_of(results), summary=[_line(row) for row in rows]
+    )
 
 
 def _sample(ctx: StageContext[Config], index: int) -> RampSample:

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.results import Percentiles
+from irlos_pipe.paper.low_wind.checks import checks_of
 from irlos_pipe.paper.low_wind.experiment import (
     BROAD,
     NARROW,
@@ -18,11 +19,12 @@ from irlos_pipe.paper.low_wind.experiment import (
     Recording,
     estimate,
 )
-from irlos_pipe.paper.low_wind.results import LowWindResults, LowWindRow
-from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.paper.low_wind.results import LowWindResults as Results
+from irlos_pipe.paper.low_wind.results import LowWindRow
+from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = LowWindResults.stage
+NAME = Results.stage
 VERSION = 2
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -63,9 +65,10 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         for size_nm in ctx.config.sizes_nm
         for model in (WITHOUT, WITH)
     ]
-    checks = [_check(row) for row in rows if np.isfinite(row.asked_nm)]
-    results = LowWindResults(samples=len(samples), rows=rows)
-    return StageOutput(_arrays(samples, found), results, checks, summary=[_line(row) for row in rows])
+    results = Results(samples=len(samples), rows=rows)
+    return StageOutput(
+        _arrays(samples, found), results, checks_of(results), summary=[_line(row) for row in rows]
+    )
 
 
 def _sample(ctx: StageContext[Config], index: int) -> LowWindSample:
@@ -101,18 +104,6 @@ def _row(
         asked_nm=ASKED_NM if model == WITH else float("nan"),
         worst_nm=float(limited.max()),
         **{name: Percentiles.of(of_it) for name, of_it in values.items()},
-    )
-
-
-def _check(row: LowWindRow) -> Check:
-    waves = ", whole waves of a petal apart" if row.recording.startswith(NARROW) else ""
-    return Check(
-        f"wavefront left with petals in the model, {row.recording}, {row.size_nm:g} nm",
-        row.worst_nm,
-        "nm",
-        None,
-        row.asked_nm,
-        f"{row.worst_nm:.1f} nm RMS in the worst cube{waves}, asked {row.asked_nm:g} nm",
     )
 
 

@@ -11,13 +11,15 @@ from pydantic import Field
 from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE, PUBLISHED, VARIANTS
+from irlos_pipe.paper.methods.checks import checks_of
 from irlos_pipe.paper.methods.experiment import Sample, compare, speckle_floor_nm
-from irlos_pipe.paper.methods.results import ConditionRow, Distribution, MethodsResults
+from irlos_pipe.paper.methods.results import ConditionRow, Distribution
+from irlos_pipe.paper.methods.results import MethodsResults as Results
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.simulate.atmosphere import Shape
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = MethodsResults.stage
+NAME = Results.stage
 VERSION = 5
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -52,8 +54,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     found = run_samples(compare, samples, ctx, "cubes")
     conditions = _conditions(samples, found)
     labels = {name: variant.label for name, variant in VARIANTS.items()}
-    results = MethodsResults(conditions=conditions, labels=labels)
-    return StageOutput(_arrays(samples, found), results, summary=_summary(conditions))
+    results = Results(conditions=conditions, labels=labels)
+    return StageOutput(_arrays(samples, found), results, checks_of(results), summary=_summary(conditions))
 
 
 def _samples(ctx: StageContext[Config]) -> Iterator[Sample]:

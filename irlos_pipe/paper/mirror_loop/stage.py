@@ -10,6 +10,7 @@ from pydantic import Field
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.results import Percentiles
 from irlos_pipe.paper.common.variants import DEFAULT
+from irlos_pipe.paper.mirror_loop.checks import checks_of
 from irlos_pipe.paper.mirror_loop.experiment import (
     LOOPS,
     PARTS,
@@ -20,11 +21,12 @@ from irlos_pipe.paper.mirror_loop.experiment import (
     close,
     improves,
 )
-from irlos_pipe.paper.mirror_loop.results import AloneRow, LoopRow, MirrorLoopResults, StateRow
-from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.paper.mirror_loop.results import AloneRow, LoopRow, StateRow
+from irlos_pipe.paper.mirror_loop.results import MirrorLoopResults as Results
+from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = MirrorLoopResults.stage
+NAME = Results.stage
 VERSION = 1
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -69,10 +71,8 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         for pitch_m in config.pitches_m
         for error in config.errors.alone()
     ]
-    checks = [_ended(row) for row in rows if row.method == DEFAULT]
-    checks += [_left(row) for row in rows if np.isfinite(row.asked_nm)]
-    results = MirrorLoopResults(samples=config.samples, rows=rows, alone=alone)
-    return StageOutput(_arrays(found), results, checks, summary=[_line(row) for row in rows])
+    results = Results(samples=config.samples, rows=rows, alone=alone)
+    return StageOutput(_arrays(found), results, checks_of(results), summary=[_line(row) for row in rows])
 
 
 def _sample(ctx: StageContext[Config], bias_nm: float, index: int) -> MirrorSample:
@@ -147,28 +147,6 @@ def _alone(sample: MirrorSample, found: Sequence[Arrays], pitch_m: float, error:
         error=error,
         modes_nm=np.median([one[f"{key}/modes_nm"] for one in found], axis=0).tolist(),
         beyond_nm=float(np.median([one[f"{key}/beyond_nm"][-1] for one in found])),
-    )
-
-
-def _ended(row: LoopRow) -> Check:
-    return Check(
-        f"loops cut off, {row.diversity} diversity, bias {row.bias_nm:g} nm",
-        row.cut_off,
-        "",
-        None,
-        0,
-        f"loops in which the estimate still fell at the last correction that is allowed: {row.cut_off}",
-    )
-
-
-def _left(row: LoopRow) -> Check:
-    return Check(
-        f"Noll 4–30 left, bias {row.bias_nm:g} nm",
-        row.worst_nm,
-        "nm",
-        None,
-        row.asked_nm,
-        f"{row.worst_nm:.1f} nm RMS in the worst sample, asked {row.asked_nm:g} nm",
     )
 
 

@@ -12,12 +12,14 @@ from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.reads import NoiseOf, Read
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE, frames_per_method
+from irlos_pipe.paper.mode_number.checks import checks_of
 from irlos_pipe.paper.mode_number.experiment import LIFT, NumberSample, errors_by_number
-from irlos_pipe.paper.mode_number.results import ModeNumberResults, NumberCurve
+from irlos_pipe.paper.mode_number.results import ModeNumberResults as Results
+from irlos_pipe.paper.mode_number.results import NumberCurve
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = ModeNumberResults.stage
+NAME = Results.stage
 VERSION = 4
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -57,14 +59,14 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         for method, magnitudes in _magnitudes(ctx.config).items()
         for place, mag_j in enumerate(magnitudes)
     ]
-    results = ModeNumberResults(
+    results = Results(
         cubes=len(found),
         modes_introduced=MODES_INTRODUCED,
         highest_noll=list(ctx.config.numbers),
         curves=curves,
         recommended_noll=[int(one["recommended_noll"]) for one in found],
     )
-    return StageOutput(_arrays(ctx.config, found), results, summary=_lines(results))
+    return StageOutput(_arrays(ctx.config, found), results, checks_of(results), summary=_lines(results))
 
 
 def _magnitudes(config: Config) -> dict[str, tuple[float, ...]]:
@@ -119,7 +121,7 @@ def _arrays(config: Config, found: Sequence[Arrays]) -> dict[str, Quantity]:
     }
 
 
-def _lines(results: ModeNumberResults) -> list[str]:
+def _lines(results: Results) -> list[str]:
     lines = ["Best number of modes (Δ-WFE in Noll 2–30, median over cubes):"]
     lines += [
         f"  {one.method:14s} m_J {one.mag_j:4.1f}: Noll 2–{one.best_noll}, {one.best_nm:.1f} nm"

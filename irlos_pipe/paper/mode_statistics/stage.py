@@ -13,6 +13,7 @@ from irlos_pipe.estimate.mode_law import ModeLaw, ModeScatter, equalised_tilts, 
 from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.variants import PAPER_CHOICE, frames_per_method
+from irlos_pipe.paper.mode_statistics.checks import checks_of
 from irlos_pipe.paper.mode_statistics.experiment import (
     FIRST_FITTED,
     INTRODUCED,
@@ -20,12 +21,12 @@ from irlos_pipe.paper.mode_statistics.experiment import (
     beyond_nm,
     estimate_modes,
 )
-from irlos_pipe.paper.mode_statistics.results import ModeStatisticsResults
+from irlos_pipe.paper.mode_statistics.results import ModeStatisticsResults as Results
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.modes.results import LawRow
 
-NAME = ModeStatisticsResults.stage
+NAME = Results.stage
 VERSION = 2
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -60,7 +61,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     start = ctx.instrument.facility.ncpa_law
     laws = {method: _law(scatters[method], start, last=None) for method in methods}
     introduced = {name: _law(scatter, start, last=INTRODUCED) for name, scatter in scatters.items()}
-    results = ModeStatisticsResults(
+    results = Results(
         cubes=len(found),
         modes_introduced=INTRODUCED - 1,
         modes_estimated=len(nolls),
@@ -69,7 +70,9 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         beyond_nm={name: beyond_nm(nolls, scatter.std_nm) for name, scatter in scatters.items()},
         error_nm={method: _errors_nm(found, method) for method in methods},
     )
-    return StageOutput(_arrays(nolls, scatters, laws, introduced), results, summary=_lines(results))
+    return StageOutput(
+        _arrays(nolls, scatters, laws, introduced), results, checks_of(results), summary=_lines(results)
+    )
 
 
 def _samples(ctx: StageContext[Config]) -> Iterator[StatisticsSample]:
@@ -126,7 +129,7 @@ def _arrays(
     return arrays
 
 
-def _lines(results: ModeStatisticsResults) -> list[str]:
+def _lines(results: Results) -> list[str]:
     lines = [f"Modes           {results.modes_estimated} estimated, {results.modes_introduced} introduced"]
     for name, law in results.laws_of_introduced_modes.items():
         lines.append(

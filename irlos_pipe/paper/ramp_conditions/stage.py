@@ -9,14 +9,16 @@ from pydantic import Field, field_validator
 
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.results import Interval
+from irlos_pipe.paper.ramp_conditions.checks import checks_of
 from irlos_pipe.paper.ramp_conditions.conditions import CONDITIONS, WAYS
 from irlos_pipe.paper.ramp_conditions.experiment import ConditionsSample, estimate
 from irlos_pipe.paper.ramp_conditions.outcome import RampErrors, errors_of
-from irlos_pipe.paper.ramp_conditions.results import ModeRow, RampConditionsResults, WayRow
-from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.paper.ramp_conditions.results import ModeRow, WayRow
+from irlos_pipe.paper.ramp_conditions.results import RampConditionsResults as Results
+from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = RampConditionsResults.stage
+NAME = Results.stage
 VERSION = 1
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -51,9 +53,10 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     samples = [_sample(ctx, index) for index in range(ctx.config.samples)]
     found = run_samples(estimate, samples, ctx, "sets of NCPAs")
     rows = [_row(found, *pair) for pair in _pairs(ctx.config.conditions)]
-    results = RampConditionsResults(samples=len(found), rows=rows)
-    checks = [_check(row) for row in rows if np.isfinite(row.asked_nm)]
-    return StageOutput(_arrays(found, ctx.config), results, checks, summary=[_line(row) for row in rows])
+    results = Results(samples=len(found), rows=rows)
+    return StageOutput(
+        _arrays(found, ctx.config), results, checks_of(results), summary=[_line(row) for row in rows]
+    )
 
 
 def _sample(ctx: StageContext[Config], index: int) -> ConditionsSample:
@@ -111,18 +114,6 @@ def _mode(errors: Sequence[RampErrors], place: int, noll: int) -> ModeRow:
         scatter_nm=rms("scatter_nm"),
         true_scatter_nm=rms("true_scatter_nm"),
         leak=rms("leak"),
-    )
-
-
-def _check(row: WayRow) -> Check:
-    error = row.true_rms_nm
-    return Check(
-        f"defocus error, ramp with {row.condition_label}",
-        error.value,
-        "nm",
-        None,
-        row.asked_nm,
-        f"{error.value:.1f} nm RMS (90 %: {error.low:.1f} to {error.high:.1f}), asked {row.asked_nm:g} nm",
     )
 
 

@@ -10,13 +10,15 @@ from pydantic import Field
 from irlos_pipe.paper.common.cube import CubeSample
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.results import Interval
-from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES
+from irlos_pipe.paper.common.variants import METHOD_NAMES
+from irlos_pipe.paper.ranking.checks import checks_of
 from irlos_pipe.paper.ranking.experiment import RankingSample, highest_nolls, rank
-from irlos_pipe.paper.ranking.results import RankingResults, RankingRow
-from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.paper.ranking.results import RankingResults as Results
+from irlos_pipe.paper.ranking.results import RankingRow
+from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = RankingResults.stage
+NAME = Results.stage
 VERSION = 1
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -54,14 +56,15 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         for method in METHOD_NAMES
     ]
     drawn_nm = [_drawn_nm(sample) for sample in samples if not sample.tail_nm]
-    results = RankingResults(
+    results = Results(
         frames=ctx.config.frames,
         introduced_nm=float(np.mean(drawn_nm)),
         introduced_scatter_nm=float(np.std(drawn_nm)),
         rows=rows,
     )
-    checks = [_check(condition, rows) for condition in by_condition]
-    return StageOutput(_arrays(samples, found), results, checks, summary=[_line(row) for row in rows])
+    return StageOutput(
+        _arrays(samples, found), results, checks_of(results), summary=[_line(row) for row in rows]
+    )
 
 
 def _samples(ctx: StageContext[Config]) -> Iterator[RankingSample]:
@@ -118,23 +121,6 @@ def _medians(keys: Mapping[str, str], found: Sequence[Arrays]) -> dict[str, Inte
     """Return the median over the cubes that have a number, by the name it goes by."""
     values = {name: [float(one[key]) for one in found if key in one] for name, key in keys.items()}
     return {name: Interval.of_median(of_it) for name, of_it in values.items() if of_it}
-
-
-def _check(condition: Condition, rows: Sequence[RankingRow]) -> Check:
-    """Whether the default is better than the best of the others with any number of modes."""
-    seeing, tail_nm = condition
-    of_it = [row for row in rows if (row.seeing_arcsec, row.tail_nm) == condition]
-    (default,) = (row for row in of_it if row.method == DEFAULT)
-    best = min((row for row in of_it if row.method != DEFAULT), key=lambda row: row.best_nm)
-    own_nm = list(default.modes.values())[-1].value
-    return Check(
-        f"default over the best of the others, {seeing:g} arcsec, tail {tail_nm:g} nm",
-        own_nm / best.best_nm,
-        "",
-        None,
-        1.0,
-        f"medians {own_nm:.1f} nm, {best.label} {best.best_nm:.1f} nm",
-    )
 
 
 def _arrays(samples: Sequence[RankingSample], found: Sequence[Arrays]) -> dict[str, Quantity]:

@@ -17,9 +17,11 @@ from irlos_pipe.product.runfolder import RunFolder, existing_run
 from irlos_pipe.product.storage import read_product
 from irlos_pipe.report.chapter import Chapter, read_chapter
 from irlos_pipe.report.collection import write_collection
+from irlos_pipe.stages import STAGES
+from irlos_pipe.stages.base import judged
 
 RESULTS_NAME = "paper_results.json"
-SCHEMA = {"schema": "irlos-paper", "schema_version": 1}
+SCHEMA = {"schema": "irlos-paper", "schema_version": 2}
 TIMING = "seconds"
 MADE_BY = ("finished", "seconds", "jobs", "device", "software")
 TITLE = "The experiments of the paper"
@@ -122,12 +124,10 @@ def _experiment(products: Mapping[str, Product]) -> dict[str, Any]:
         "seed": last.provenance["seed"],
         "sizes": {stage: product.config for stage, product in products.items()},
         "results": {stage: _without_timings(product.results) for stage, product in products.items()},
-        "checks_failed": [
-            f"{stage}: {check.name}"
+        "checks": {
+            stage: [check.as_dict() for check in judged(STAGES[stage], product)]
             for stage, product in products.items()
-            for check in product.checks
-            if not check.passed
-        ],
+        },
     }
 
 

@@ -1,8 +1,8 @@
 """Renew the tables of docs/results.md: ``python -m irlos_pipe.paper.run.results_page``.
 
 The numbers are those of docs/paper_results.json. A table that docs/paper_tables.yaml lays out stands between
-``<!-- paper:NAME -->`` and ``<!-- /paper -->``, the one of the states of the code under the name ``code``;
-the text around the tables is kept.
+``<!-- paper:NAME -->`` and ``<!-- /paper -->``, those of the states of the code and of the checks under the
+names ``code`` and ``checks``; the text around the tables is kept.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from irlos_pipe.files.atomic import write_if_changed
 from irlos_pipe.files.json import json_text
 from irlos_pipe.files.validation import Origins, ValidationErrors
 from irlos_pipe.files.yaml import load_yaml
+from irlos_pipe.paper.run.checks import table_of_checks
 from irlos_pipe.paper.run.states import beside, require_one_state, table_of_states
 from irlos_pipe.paper.run.tables import TableLayout, render_table
 
@@ -28,7 +29,7 @@ PAGE, RESULTS, LAYOUT = (
     Path("docs/paper_results.json"),
     Path("docs/paper_tables.yaml"),
 )
-CODE = "code"  # name of the table that says which experiments are of which state of the code
+OF_ALL = {"code": table_of_states, "checks": table_of_checks}  # tables of all experiments, by name
 BLOCK = re.compile(r"(<!-- paper:(\S+) -->\n).*?(<!-- /paper -->)", re.DOTALL)
 
 
@@ -99,7 +100,8 @@ def renewed(root: Path) -> str:
     results = json.loads((root / RESULTS).read_text(encoding="utf-8"))
     text = (root / PAGE).read_text(encoding="utf-8")
     tables = rendered(read_layouts(root / LAYOUT), results["experiments"])
-    return with_tables(text, tables | {CODE: table_of_states(results)})
+    of_all = {name: table(results) for name, table in OF_ALL.items()}
+    return with_tables(text, tables | of_all)
 
 
 def take(root: Path, source: Path, others_stay: bool) -> None:

@@ -13,12 +13,14 @@ from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.conventions.laws import ResidualLaw
 from irlos_pipe.conventions.seeing import SPARTA, SeeingScale
 from irlos_pipe.paper.common.results import Percentiles
+from irlos_pipe.paper.seeing_scales.checks import checks_of
 from irlos_pipe.paper.seeing_scales.experiment import Draws, Site, condition, draw_seeing
-from irlos_pipe.paper.seeing_scales.results import Distributions, Relation, SeeingScalesResults
+from irlos_pipe.paper.seeing_scales.results import Distributions, Relation
+from irlos_pipe.paper.seeing_scales.results import SeeingScalesResults as Results
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = SeeingScalesResults.stage
+NAME = Results.stage
 VERSION = 3
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -52,7 +54,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             f"seeing_scales.offset_arcsec = {scale.offset_arcsec:g}: makes good seeing "
             "negative on SPARTA's scale; raise it"
         )
-    results = SeeingScalesResults(
+    results = Results(
         monitor=config.monitor,
         relation=_relation(ctx, scale),
         residual_law=law,
@@ -61,7 +63,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         ],
         distributions=_distributions(draws, law),
     )
-    return StageOutput(_arrays(draws), results, summary=_summary(results))
+    return StageOutput(_arrays(draws), results, checks_of(results), summary=_summary(results))
 
 
 def _scale(ctx: StageContext[Config]) -> SeeingScale:
@@ -113,7 +115,7 @@ def _arrays(draws: Draws) -> dict[str, Quantity]:
     }
 
 
-def _summary(results: SeeingScalesResults) -> list[str]:
+def _summary(results: Results) -> list[str]:
     relation, monitor = results.relation, results.monitor
     lines = [
         f"SPARTA = {relation.ratio:.2f} x {monitor} {relation.offset_arcsec:+.2f} arcsec ({relation.status})"

@@ -14,6 +14,7 @@ from irlos_pipe.control.linear_theory import Integrator, best_gain
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.reads import NoiseOf, Read
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
+from irlos_pipe.paper.slow_loop.checks import checks_of
 from irlos_pipe.paper.slow_loop.experiment import (
     UNCALIBRATED,
     Conditions,
@@ -25,11 +26,12 @@ from irlos_pipe.paper.slow_loop.experiment import (
 )
 from irlos_pipe.paper.slow_loop.loops import Loop
 from irlos_pipe.paper.slow_loop.outcome import LoopOutcome, outcome_of
-from irlos_pipe.paper.slow_loop.results import LoopRow, SlowLoopResults
-from irlos_pipe.product.product import Check, Quantity
+from irlos_pipe.paper.slow_loop.results import LoopRow
+from irlos_pipe.paper.slow_loop.results import SlowLoopResults as Results
+from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
-NAME = SlowLoopResults.stage
+NAME = Results.stage
 VERSION = 6
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
@@ -74,7 +76,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     found = run_samples(run_loops, _samples(ctx, conditions, loops), ctx, "skies")
     rows = [_row(ctx.config, conditions, loop, index, found) for index, loop in enumerate(loops)]
     open_loop_nm = _stacked(found, "drift_nm")[:, :, ctx.config.settle :]
-    results = SlowLoopResults(
+    results = Results(
         drift=conditions.drift,
         sky_focus_nm=_sky_focus_nm(found),
         open_loop_nm=float(np.sqrt(np.mean(open_loop_nm**2))),
@@ -83,7 +85,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         delay=ctx.config.delay,
         loops=rows,
     )
-    return StageOutput(_arrays(found), results, _checks(rows), summary=_summary(rows))
+    return StageOutput(_arrays(found), results, checks_of(results), summary=_summary(rows))
 
 
 # -- what is run -----------------------------------------------------------------------------------
@@ -171,17 +173,6 @@ def _arrays(found: Sequence[Arrays]) -> dict[str, Quantity]:
             _stacked(found, "sky_focus_nm"), "nm", "defocus of the AO residual (sky, frame)"
         ),
     }
-
-
-def _checks(rows: Sequence[LoopRow]) -> list[Check]:
-    """Whether the brightest star with the default calibration, at its best gain, meets theory."""
-    default = [row for row in rows if row.sensor == DEFAULT]
-    if not default:
-        return []
-    bright = min(default, key=lambda row: row.mag_j)
-    ratio = bright.residual_nm / bright.predicted_nm
-    text = f"bright star: {ratio:.2f} of the prediction"
-    return [Check("residual over prediction", ratio, "", None, 1.5, text)]
 
 
 def _summary(rows: Sequence[LoopRow]) -> list[str]:
