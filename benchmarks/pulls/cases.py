@@ -13,7 +13,7 @@ from irlos_pipe.estimate.optics_error import optics_sigma_nm
 from irlos_pipe.estimate.ramp_quality import FrameErrors, instant_error_nm, nominal_frame_chi2
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.paper.common.broad_band import COARSE
-from irlos_pipe.paper.common.cube import HIGHEST_TRUE_NOLL, CubeSample, ObservedCube
+from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
 from irlos_pipe.paper.common.ramps import LIFT_VARIANTS, knowledge_of, observe, ramp_scene
 from irlos_pipe.paper.common.variants import DEFAULT, VARIANTS
 from irlos_pipe.simulate.atmosphere import Shape
@@ -69,7 +69,7 @@ def _of_cube(cube: ObservedCube, calibration: Calibration) -> dict:
         calibration.zernike_nm[own],
         np.array([cube.scene.ncpa_nm.get(n, 0.0) for n in NOLLS]),
     )
-    mean_nm = cube.exposed.mean_zernike_nm(HIGHEST_TRUE_NOLL)
+    mean_nm = cube.exposed.mean_zernike_nm()
     covariance = calibration.covariance_nm2[np.ix_(own, own)]
     error_nm = found_nm - static_nm
     return {

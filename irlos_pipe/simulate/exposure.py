@@ -29,10 +29,13 @@ class Exposure:
         Mean photo-electrons.
     opd_nm : ndarray, (n, n)
         Time-mean wavefront, the declared diversity and introduced defocus excluded [nm].
+    stated_nm : dict of int to float
+        Modes of the wavefront that the scene states as such, Noll: nm RMS.
     """
 
     mean_e: np.ndarray
     opd_nm: np.ndarray
+    stated_nm: dict[int, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +49,8 @@ class Exposed:
     mean_opd_nm : ndarray, (n, n)
         Wavefront averaged over all frames, the declared diversity and introduced defocus excluded [nm].
     zernike_nm : ndarray, (frames, 30)
-        Least-squares coefficients of Noll 2..31 of every frame's wavefront [nm RMS].
+        Noll 2..31 of every frame's wavefront: modes that the scene states as such, and a least-squares
+        fit of the rest [nm RMS].
     telescope : Telescope
     """
 
@@ -60,10 +64,9 @@ class Exposed:
         """Return the clear fraction of every cell of the pupil, (n, n)."""
         return self.telescope.transmission
 
-    def mean_zernike_nm(self, last_noll: int = LAST_NOLL) -> dict[int, float]:
-        """Return least-squares coefficients of the average wavefront, Noll 2..`last_noll`: nm RMS."""
-        values = self.telescope.fit_zernike_nm(self.mean_opd_nm, last_noll)
-        return dict(enumerate(values.tolist(), start=2))
+    def mean_zernike_nm(self) -> dict[int, float]:
+        """Return Noll 2..31 of the average wavefront: nm RMS."""
+        return dict(enumerate(self.zernike_nm.mean(axis=0).tolist(), start=2))
 
 
 def expose(scene: Scene, report: Callable[[int], None] | None = None) -> Exposed:
@@ -86,7 +89,7 @@ def expose(scene: Scene, report: Callable[[int], None] | None = None) -> Exposed
     opd_sum_nm = np.zeros(telescope.transmission.shape)
     for index, exposure in enumerate(exposures(scene)):
         mean_e[index] = exposure.mean_e
-        zernike_nm[index] = telescope.fit_zernike_nm(exposure.opd_nm, LAST_NOLL)
+        zernike_nm[index] = telescope.fit_zernike_nm(exposure.opd_nm, LAST_NOLL, exposure.stated_nm)
         opd_sum_nm += exposure.opd_nm
         if report is not None:
             report(index + 1)
@@ -127,7 +130,8 @@ class _LightPath:
         tilt_nm = self._pupil.tilts_nm((moving.mean_position_mas + blur.mean_mas)[None])[0]
         opd_nm = self._wavefront.truth_nm(frame) + self._steps_nm + moving.mean_screen_nm + tilt_nm
         image = self._camera.frame(images, moving.positions_mas, blur)
-        return Exposure(image * self._scene.photons, self._pupil.inside(opd_nm))
+        stated_nm = self._wavefront.truth_zernike_nm(frame)
+        return Exposure(image * self._scene.photons, self._pupil.inside(opd_nm), stated_nm)
 
     def _next_blur(self) -> MotionBlur:
         """Motion within the next frame by all effects together."""

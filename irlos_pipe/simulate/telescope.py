@@ -61,20 +61,31 @@ class Telescope:
         slopes = tilt_nm(1.0) * np.asarray(motion_mas)[:, :, None] * self.u_m
         return slopes[:, 0, None, :] + slopes[:, 1, :, None]
 
-    def fit_zernike_nm(self, opd_nm: np.ndarray, last_noll: int) -> np.ndarray:
+    def fit_zernike_nm(
+        self, opd_nm: np.ndarray, last_noll: int, stated_nm: Mapping[int, float] | None = None
+    ) -> np.ndarray:
         """Fit least-squares coefficients of Noll 2..`last_noll` over the pupil beside piston [nm RMS].
+
+        Over an obscured pupil the polynomials are not orthogonal: what a wavefront has beyond the fitted
+        modes falls on them. Where it is made of polynomials, these are better stated.
 
         Parameters
         ----------
         opd_nm : ndarray, (..., n, n)
         last_noll : int
+        stated_nm : mapping of int to float, optional
+            Coefficients of polynomials, Noll: nm RMS, that `opd_nm` contains. They are exact in the result,
+            and only the rest is fitted.
 
         Returns
         -------
         ndarray, (..., last_noll - 1)
         """
-        flat = np.reshape(opd_nm, (*np.shape(opd_nm)[:-2], -1))
-        return flat[..., self._lit] @ self._fitter(last_noll).T
+        stated_nm = stated_nm or {}
+        rest_nm = opd_nm - self.opd_nm(stated_nm)
+        flat = np.reshape(rest_nm, (*np.shape(rest_nm)[:-2], -1))
+        fitted_nm = flat[..., self._lit] @ self._fitter(last_noll).T
+        return fitted_nm + [stated_nm.get(noll, 0.0) for noll in range(2, last_noll + 1)]
 
     @cached_property
     def _lit(self) -> np.ndarray:

@@ -38,20 +38,27 @@ class StaticWavefront:
         self._defocus = shapes[0] if shapes else self._declared_defocus
         self._diversity_nm = telescope.opd_nm(scene.diversity_nm)
         effects = scene.acting(WavefrontEffect)
-        self._static_nm = telescope.opd_nm(static_zernike_nm(scene))
+        self._static_zernike_nm = static_zernike_nm(scene)
+        self._static_nm = telescope.opd_nm(self._static_zernike_nm)
         for effect in effects:
             self._static_nm = self._static_nm + effect.static_opd_nm(telescope)
         if scene.mirror:
             self._static_nm = self._static_nm + scene.mirror.opd_nm(telescope)
-        drift = _sum_nm(effect.drift_zernike_nm() for effect in effects)
-        self._drift_nm = telescope.opd_nm(drift)
-        self._elapsed = np.linspace(0, 1 if drift else 0, scene.frames)
+        self._drift_zernike_nm = _sum_nm(effect.drift_zernike_nm() for effect in effects)
+        self._drift_nm = telescope.opd_nm(self._drift_zernike_nm)
+        self._elapsed = np.linspace(0, 1 if self._drift_zernike_nm else 0, scene.frames)
 
     def truth_nm(self, frame: int) -> np.ndarray:
         """Return the wavefront of a `frame` beyond diversity and introduced defocus as declared [nm]."""
         missed_nm = self._missed_nm[frame] * self._defocus
         shape_nm = self._commanded_nm[frame] * (self._defocus - self._declared_defocus)
         return self._static_nm + self._elapsed[frame] * self._drift_nm + missed_nm + shape_nm
+
+    def truth_zernike_nm(self, frame: int) -> dict[int, float]:
+        """Return the modes of `truth_nm` that the scene states as such, Noll: nm RMS; it may have more."""
+        elapsed = self._elapsed[frame]
+        drift_nm = {noll: elapsed * value_nm for noll, value_nm in self._drift_zernike_nm.items()}
+        return _sum_nm([self._static_zernike_nm, drift_nm])
 
     def total_nm(self, frame: int) -> np.ndarray:
         """Return the whole wavefront of a `frame`, (n, n) [nm]."""

@@ -26,6 +26,27 @@ QUICK = {
 }
 
 
+BENCH = QUICK | {"sky": None, "motion": None}
+
+
+def test_modes_of_the_truth_are_those_of_the_scene_whatever_lies_beyond_them():
+    """Over an obscured pupil Noll 37 looks like spherical aberration, of which this scene has none."""
+    ncpa_nm = {5: 20.0, 37: 60.0, 56: 40.0}
+    exposed = expose(scene(**BENCH, ncpa_nm=ncpa_nm))
+    stated_nm = [20.0 if noll == 5 else 0.0 for noll in range(2, 32)]
+    assert exposed.zernike_nm == pytest.approx(np.tile(stated_nm, (3, 1)), abs=1e-6)
+    assert list(exposed.mean_zernike_nm().values()) == pytest.approx(stated_nm, abs=1e-6)
+    fitted_nm = exposed.telescope.fit_zernike_nm(exposed.mean_opd_nm, 31)
+    assert abs(fitted_nm[11 - 2]) > 1.0  # of the same wavefront, had the scene not stated its modes
+
+
+def test_a_drift_is_in_the_truth_of_every_frame():
+    effects = {"ncpa_drift": {"zernike_nm": {6: 30.0, 37: 50.0}}}
+    exposed = expose(scene(**BENCH, effects=effects, ncpa_nm={}))
+    assert exposed.zernike_nm[:, 6 - 2] == pytest.approx([0.0, 15.0, 30.0], abs=1e-6)
+    assert np.delete(exposed.zernike_nm, 6 - 2, axis=1) == pytest.approx(0.0, abs=1e-6)
+
+
 def test_the_same_seed_gives_the_same_bits():
     first, second = expose(scene(**QUICK)), expose(scene(**QUICK))
     assert np.array_equal(first.mean_e, second.mean_e)

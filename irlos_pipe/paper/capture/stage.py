@@ -18,7 +18,7 @@ from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = Results.stage
-VERSION = 5
+VERSION = 6
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 PAPER_NM = 410.0  # capture range that the paper states, started from zero

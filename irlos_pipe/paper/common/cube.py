@@ -31,7 +31,6 @@ MIRROR_DIVERSITY_NM = {6: 170.0}  # of the deformable mirror, where the lens can
 NCPA_NM, NCPA_SCATTER_NM = 142.0, 30.0
 BRIGHT_MAG_J = 7.0  # of the star of a calibration cube, where it is not a setting
 JITTER_MAS = 7.0  # RMS residual motion
-HIGHEST_TRUE_NOLL = 231  # of fits to true wavefronts: what lies beyond the last mode falls on others
 LOW_GAIN = DetectorModel(e_per_adu=3.0)  # a star of m_J 7 must not saturate the converter in 0.1 s
 
 

@@ -26,7 +26,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.derotator.output import SplitOutput, map_of
 
 NAME = Results.stage
-VERSION = 2
+VERSION = 3
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 

@@ -27,7 +27,7 @@ from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = Results.stage
-VERSION = 4
+VERSION = 5
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 MONITOR = "mass_dimm"  # the paper's scale of the seeing on sky

@@ -18,7 +18,7 @@ from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = Results.stage
-VERSION = 6
+VERSION = 7
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 NUMBERS = {  # unit and what it is

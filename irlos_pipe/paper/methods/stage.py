@@ -20,7 +20,7 @@ from irlos_pipe.simulate.atmosphere import Shape
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = Results.stage
-VERSION = 5
+VERSION = 6
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 MODEL_SHAPE: Shape = "power_law"  # what the model assumes, up to slope and direction

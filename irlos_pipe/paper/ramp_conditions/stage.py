@@ -19,7 +19,7 @@ from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = Results.stage
-VERSION = 1
+VERSION = 2
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 

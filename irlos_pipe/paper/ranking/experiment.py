@@ -10,10 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from irlos_pipe.conventions.modes import REPORTED_NOLLS
-from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.calibration_options import OPEN, HighestNoll
-from irlos_pipe.paper.common.cube import HIGHEST_TRUE_NOLL, CubeSample, ObservedCube
+from irlos_pipe.paper.common.cube import CubeSample, ObservedCube
 from irlos_pipe.paper.common.variants import DEFAULT, METHOD_NAMES, VARIANTS, Variant
 from irlos_pipe.simulate.ncpa import draw_tail_nm
 from irlos_pipe.simulate.scene import Scene
@@ -70,7 +68,7 @@ def rank(sample: RankingSample) -> dict[str, float]:
     found: dict[str, float] = {}
     for method in METHOD_NAMES:
         for last in highest_nolls(method, sample.highest_nolls):
-            found[f"{method}/{last}"] = error_nm(cube, cube.calibrated(with_modes(method, last)))
+            found[f"{method}/{last}"] = cube.modes_delta_nm(cube.calibrated(with_modes(method, last)))
         for count in sample.parts:
             fewer = cube.first(count)
             calibration = fewer.calibrated(VARIANTS[method])
@@ -94,18 +92,3 @@ def with_modes(method: str, highest_noll: HighestNoll) -> Variant:
     """
     variant = VARIANTS[method]
     return replace(variant, options=replace(variant.options, highest_noll=highest_noll))
-
-
-def error_nm(cube: ObservedCube, calibration: Calibration) -> float:
-    """Return the RMS error of Noll 2–30 against the wavefront averaged over a whole cube [nm].
-
-    Parameters
-    ----------
-    cube : ObservedCube
-    calibration : Calibration
-        Has Noll 2–30 at least.
-    """
-    true_nm = cube.exposed.mean_zernike_nm(HIGHEST_TRUE_NOLL)
-    found_nm = dict(zip(calibration.nolls, calibration.zernike_nm, strict=True))
-    errors_nm = [found_nm[noll] - true_nm[noll] for noll in REPORTED_NOLLS]
-    return float(np.linalg.norm(errors_nm))

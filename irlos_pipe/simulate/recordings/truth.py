@@ -17,7 +17,7 @@ from irlos_pipe.simulate.recordings.planned import Planned
 from irlos_pipe.simulate.scene import Scene
 from irlos_pipe.simulate.zernikes import rotated_nm
 
-VERSION = 1  # of the simulator; raised when the same spec and seed give other data
+VERSION = 2  # of the simulator; raised when the same spec and seed give other data or another truth
 
 
 class WavefrontTruth:
@@ -39,7 +39,7 @@ class WavefrontTruth:
         introduced_nm = self._scene.introduced_per_frame_nm[len(self._zernike_nm)]
         opd_nm = exposure.opd_nm + introduced_nm * self._telescope.mode(DEFOCUS)
         self._sum_nm += opd_nm
-        self._zernike_nm.append(self._telescope.fit_zernike_nm(opd_nm, LAST_NOLL))
+        self._zernike_nm.append(self._telescope.fit_zernike_nm(opd_nm, LAST_NOLL, exposure.stated_nm))
 
     @property
     def mean_opd_nm(self) -> np.ndarray:
@@ -47,9 +47,8 @@ class WavefrontTruth:
         return self._sum_nm / len(self._zernike_nm)
 
     def mean_zernike_nm(self) -> dict[int, float]:
-        """Least-squares coefficients of the average, Noll 2..31: nm RMS."""
-        values = self._telescope.fit_zernike_nm(self.mean_opd_nm, LAST_NOLL)
-        return dict(enumerate(values.tolist(), start=2))
+        """Noll 2..31 of the average, see `Exposed.zernike_nm`: nm RMS."""
+        return dict(enumerate(np.mean(self._zernike_nm, axis=0).tolist(), start=2))
 
     def fits_bytes(self) -> bytes:
         """FITS file: mean OPD (NaN outside the pupil), transmission, coefficients per frame."""
