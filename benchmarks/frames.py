@@ -76,6 +76,7 @@ class _Simulator:
         motion_mas = jitter.jitter_mas(scene.jitter_mas, step_s, count * SUBEXPOSURES, self.rng)
         self.tilts_nm = iter([[telescope.tilt_nm(angle) for angle in pair] for pair in motion_mas])
         self.static_nm = self.telescope.opd_nm(scene.ncpa_nm)
+        self.stated_nm = np.array([scene.ncpa_nm.get(noll, 0.0) for noll in NOLLS])
         self.diversity_nm = self.telescope.opd_nm(DIVERSITY_NM)
 
     def frame(self) -> tuple[np.ndarray, np.ndarray]:
@@ -83,16 +84,17 @@ class _Simulator:
         opds_nm = [self._next_opd_nm() for _ in range(SUBEXPOSURES)]
         clean = np.mean([self.imager.image(opd + self.diversity_nm) for opd in opds_nm], axis=0) * self.flux_e
         noisy = self.rng.poisson(clean) + self.rng.normal(0.0, READ_NOISE_E, clean.shape)
-        return noisy.astype(np.float32), self._fit_nm(np.mean(opds_nm, axis=0))
+        return noisy.astype(np.float32), self._true_nm(np.mean(opds_nm, axis=0))
 
     def _next_opd_nm(self) -> np.ndarray:
         tilt_nm = np.tensordot(next(self.tilts_nm), self.telescope.modes[1:3], axes=1)
         return self.static_nm + self.screens.next_nm() + tilt_nm
 
-    def _fit_nm(self, opd_nm: np.ndarray) -> np.ndarray:
-        """What `Telescope.fit_zernike_nm` returns, with the normal matrix kept."""
+    def _true_nm(self, opd_nm: np.ndarray) -> np.ndarray:
+        """What `Telescope.fit_zernike_nm` of the simulator returns, with the normal matrix kept."""
         if not hasattr(self, "_normal"):
             modes = self.telescope.modes[: NOLLS[-1] + 1].reshape(NOLLS[-1] + 1, -1)
             self._weighted = modes * self.telescope.transmission.ravel()
             self._normal = self._weighted @ modes.T
-        return np.linalg.solve(self._normal, self._weighted @ opd_nm.ravel())[1 : NOLLS[-1]]
+        rest_nm = (opd_nm - self.static_nm).ravel()
+        return self.stated_nm + np.linalg.solve(self._normal, self._weighted @ rest_nm)[1 : NOLLS[-1]]

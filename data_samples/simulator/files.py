@@ -69,7 +69,7 @@ def write_truth(
         "hidden": {},
         "ncpa_nm": scene.ncpa_nm,
         "introduced_defocus_nm": scene.introduced_defocus_nm,
-        "mean_zernike_nm": telescope.fit_zernike_nm(raw.mean_opd_nm),
+        "mean_zernike_nm": telescope.fit_zernike_nm(raw.mean_opd_nm, scene.ncpa_nm),
         "simulation": _simulation(scene) | residual,
     }
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -65,16 +65,24 @@ class Telescope:
             coefficients[noll - 1] = value_nm
         return np.tensordot(coefficients, self.modes, axes=1)
 
-    def fit_zernike_nm(self, opd_nm: np.ndarray, last_noll: int = 31) -> dict[int, float]:
-        """Return the least-squares coefficients [nm RMS] of Noll 2..last_noll over the pupil.
+    def fit_zernike_nm(
+        self, opd_nm: np.ndarray, stated_nm: dict[int, float], last_noll: int = 31
+    ) -> dict[int, float]:
+        """Return the coefficients [nm RMS] of Noll 2..last_noll of a wavefront over the pupil.
 
-        Piston is fitted along and left out; every sample counts with its transmission.
+        Of the wavefront, stated_nm are known coefficients, Noll: nm RMS, and exact in the result; the rest is
+        a least-squares fit. Piston is fitted along and left out; every sample counts with its transmission.
+        Were all of it fitted, stated modes beyond the last would fall on the others, because over an obscured
+        pupil they are not orthogonal.
         """
         lit = self.transmission > 0
         weight = np.sqrt(self.transmission[lit])
         design = self.modes[:last_noll, lit].T * weight[:, None]
-        solution = np.linalg.lstsq(design, opd_nm[lit] * weight, rcond=None)[0]
-        return {noll: float(solution[noll - 1]) for noll in range(2, last_noll + 1)}
+        rest_nm = opd_nm - self.opd_nm(stated_nm)
+        solution = np.linalg.lstsq(design, rest_nm[lit] * weight, rcond=None)[0]
+        return {
+            noll: stated_nm.get(noll, 0.0) + float(solution[noll - 1]) for noll in range(2, last_noll + 1)
+        }
 
 
 def build_telescope(samples: int = 240, supersampling: int = 12) -> Telescope:
