@@ -13,7 +13,7 @@ from benchmarks.pulls.table import table, write_page
 from benchmarks.pulls.working import work
 from irlos_pipe.files.processes import in_processes
 
-REPORTED_SEED = 14142135  # of the reported run; what counts as the instant's error was chosen on its cubes
+REPORTED_SEED = 17724539  # of the reported run; by 14142135 the instant's error was defined
 
 
 @click.command()

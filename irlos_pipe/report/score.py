@@ -145,11 +145,7 @@ def _calibration_score(run: _Scored, truths: Truths) -> CalibrationScore | None:
 
 
 def _method_score(estimate: Estimate, true_nm: np.ndarray, static_nm: np.ndarray | None) -> MethodScore:
-    """Errors against the mean wavefront fitted by the reported modes, and against the static modes.
-
-    A fit of more modes returns the coefficients that were put in; the mean wavefront fitted by the reported
-    ones alone has a part of the higher ones in some of them.
-    """
+    """Errors in the reported modes against the mean wavefront, and against the static modes."""
     error_nm = _vector(estimate.zernike_nm) - true_nm
     static_error_nm, pull_rms = _against_static(estimate, static_nm)
     return MethodScore(

@@ -22,6 +22,7 @@ from irlos_pipe.paper.low_wind.experiment import (
     Recording,
     estimate,
     folded,
+    in_reported_modes,
     left_of,
     rms,
 )
@@ -74,6 +75,14 @@ def test_nothing_is_left_where_modes_and_petals_are_those_of_the_scene():
     assert len(np.unique(petal)) == 4
     wrong_nm, *_ = left_of(cube, SimpleNamespace(**(vars(right) | {"effects": {}})))
     assert rms(wrong_nm, weight) == pytest.approx(150, rel=0.1)
+
+
+def test_what_is_left_in_the_reported_modes_does_not_grow_by_modes_beyond_them():
+    cube = ObservedCube.of(replace(SAMPLE.scene(SHORT, 0.0), sky=None, motion=None, frames=1))
+    lit, telescope = cube.exposed.transmission > 0, cube.exposed.telescope
+    left_nm = (3.0 * telescope.mode(11) + 20.0 * telescope.mode(37))[lit]
+    found_nm = in_reported_modes(cube, SimpleNamespace(nolls=range(2, 46)), left_nm)
+    assert found_nm == pytest.approx(3.0 * telescope.mode(11)[lit], abs=0.01)
 
 
 @pytest.mark.long

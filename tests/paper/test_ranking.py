@@ -76,6 +76,16 @@ def test_the_interval_of_a_median_holds_where_values_are_normal():
     assert Interval.of_median([1.0, 2.0, 9.0]).value == 2.0
 
 
+def test_the_interval_of_few_samples_reaches_to_their_ends_and_that_of_one_is_unknown():
+    # Smallest and largest of four values hold the median with 1 − 2 · 2⁻⁴ = 87.5 %; plain percentiles less.
+    rng = np.random.default_rng(4)
+    found = [Interval.of_median(rng.standard_normal(4)) for _ in range(400)]
+    assert np.mean([one.low <= 0 <= one.high for one in found]) == pytest.approx(0.875, abs=0.05)
+    one = Interval.of_median([1.0, 2.0, 9.0])
+    assert (one.low, one.high) == pytest.approx((1.0, 9.0))
+    assert np.isnan(Interval.of_rms([2.0]).low) and Interval.of_rms([2.0]).value == 2.0
+
+
 @pytest.mark.parametrize(("open_nm", "kept"), [(2.0, True), (19.0, False)])
 def test_a_default_that_another_method_beats_fails_its_check(monkeypatch, open_nm, kept):
     config = stage.Config(

@@ -79,12 +79,18 @@ class FaintSample:
 
 
 def scenes_of(sample: FaintSample) -> tuple[Scene, list[Scene]]:
-    """Return the calibration cube, and a ramp of every length of exposure with one frame per offset."""
+    """Return the calibration cube, and a ramp of every length of exposure with one frame per offset.
+
+    The NCPAs have no defocus of their own: a sensor that does not know them measures it rightly, but errors
+    count against the introduced defocus.
+    """
     conditions = CubeSample(
         sample.name, sample.seed, sample.facility, sample.seeing_arcsec, sample.cube_frames, sample.mag_j
     )
+    scene = conditions.scene()
+    ncpa_nm = {noll: value_nm for noll, value_nm in scene.ncpa_nm.items() if noll != DEFOCUS}
     cube = replace(
-        conditions.scene(), diversity_nm=MIRROR_DIVERSITY_NM, diversity_source="mirror", sampling=FINE
+        scene, ncpa_nm=ncpa_nm, diversity_nm=MIRROR_DIVERSITY_NM, diversity_source="mirror", sampling=FINE
     )
     ramps = [
         replace(
@@ -117,7 +123,7 @@ def dim_and_estimate(sample: FaintSample) -> dict[str, np.ndarray]:
     found: dict[str, np.ndarray] = {}
     for ramp, exposures in zip(ramps, sample.exposures, strict=True):
         exposed = expose(ramp)
-        residual = exposed.zernike_nm[:, DEFOCUS - 2] - ramp.ncpa_nm[DEFOCUS]
+        residual = exposed.zernike_nm[:, DEFOCUS - 2]
         observed = observe(ramp, exposed, knowledge)
         curves = _scans(observed, exposures.magnitudes, sample, sample.noise_of(ramp))
         found |= {f"{exposures.exposure_s:g}/{key}": values for key, values in curves.items()}

@@ -25,7 +25,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.sensitivity.work import UNITS
 
 NAME = Results.stage
-VERSION = 8
+VERSION = 9
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 MONITOR = "mass_dimm"  # the paper's scale of the seeing on sky

@@ -55,7 +55,7 @@ def section(run: RunData) -> Section:
 def _lead(results: FocusRampResults) -> str:
     rows = {row.key: row for row in results.ways}
     errors = [
-        f"{rows[key].rms_nm.median:.1f} nm {text}"
+        f"{rows[key].true_rms_nm.median:.1f} nm {text}"
         for key, text in (
             ("none_9", "without NCPAs (nine modes)"),
             ("published_3", "with those of DIP global (three modes)"),
@@ -63,7 +63,8 @@ def _lead(results: FocusRampResults) -> str:
         )
         if key in rows
     ]
-    return f"Median error over {plural(results.samples, 'ramp')}: {', '.join(errors)}."
+    ramps = plural(results.samples, "ramp")
+    return f"Median error against the defocus there was, over {ramps}: {', '.join(errors)}."
 
 
 # -- one ramp, all modes -------------------------------------------------------------------------

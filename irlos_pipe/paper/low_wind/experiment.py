@@ -14,6 +14,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from irlos_pipe.conventions.facility import Facility
+from irlos_pipe.conventions.modes import REPORTED_NOLLS
 from irlos_pipe.effects.low_wind import LowWindEffect
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.optics.wavefront import modes_at
@@ -127,7 +128,7 @@ def estimate(sample: LowWindSample) -> dict[str, float]:
                 found |= {
                     f"{key}/{model}/pupil_nm": rms(left_nm, weight),
                     f"{key}/{model}/folded_nm": rms(folded_nm, weight),
-                    f"{key}/{model}/modes_nm": cube.modes_delta_nm(calibration),
+                    f"{key}/{model}/modes_nm": rms(in_reported_modes(cube, calibration, left_nm), weight),
                     f"{key}/{model}/chi2_nu": calibration.chi2_nu,
                 }
     return found
@@ -162,6 +163,18 @@ def left_of(cube: ObservedCube, calibration: Calibration) -> tuple[np.ndarray, n
         slope = 2 / (geometry.diameter_m / 2)
         estimated_nm = estimated_nm + piston[petal] + slope * (tip[petal] * x_m + tilt[petal] * y_m)
     return exposed.mean_opd_nm[lit] - estimated_nm, petal, exposed.transmission[lit]
+
+
+def in_reported_modes(cube: ObservedCube, calibration: Calibration, left_nm: np.ndarray) -> np.ndarray:
+    """Return the part of `left_nm`, (points,), in Noll 2–30, fitted beside all other modes of a calibration.
+
+    Petals are no polynomials: fitted alone, these modes would take over what petals have beyond them.
+    """
+    telescope, lit = cube.exposed.telescope, cube.exposed.transmission > 0
+    on_grid_nm = np.zeros(lit.shape)
+    on_grid_nm[lit] = left_nm
+    found_nm = telescope.fit_zernike_nm(on_grid_nm, max(calibration.nolls))
+    return found_nm[: len(REPORTED_NOLLS)] @ modes_at(REPORTED_NOLLS, lit)
 
 
 def folded(values_nm: np.ndarray, petal: np.ndarray, weight: np.ndarray, wave_nm: float) -> np.ndarray:

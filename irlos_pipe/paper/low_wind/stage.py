@@ -25,7 +25,7 @@ from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = Results.stage
-VERSION = 3
+VERSION = 4
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 ASKED_NM = 10.0  # of a calibration that has the petals in its model

@@ -19,7 +19,7 @@ from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = Results.stage
-VERSION = 2
+VERSION = 3
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 

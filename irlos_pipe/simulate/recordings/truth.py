@@ -67,8 +67,9 @@ class WavefrontTruth:
 def truth_content(planned: Planned, wavefront: WavefrontTruth) -> dict[str, Any]:
     """Return the content of the truth file of a `planned` recording with its `wavefront`.
 
-    ``ncpa_nm`` is what was static, ``mean_zernike_nm`` what an estimate is compared with: the
-    time-averaged wavefront, introduced defocus included as the stage reached it, diversity excluded.
+    ``ncpa_nm`` are the static NCPAs without what effects add to them, ``mean_zernike_nm`` what an estimate is
+    compared with: the time-averaged wavefront, introduced defocus included as the stage reached it, diversity
+    excluded.
     """
     scene = planned.scene
     return {
