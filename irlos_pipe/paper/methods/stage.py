@@ -25,7 +25,6 @@ READS = ()
 DEPENDS_ON = ("instrument", "seed")
 MODEL_SHAPE: Shape = "power_law"  # what the model assumes, up to slope and direction
 OTHER_SHAPES: tuple[Shape, ...] = ("servo_lag", "aliasing", "non_stationary")
-DIRECTIONS = ("elliptic_residual", "round_residual")
 PARTS = tuple(name for name in VARIANTS if name not in PUBLISHED)
 
 
@@ -73,7 +72,7 @@ def _samples(ctx: StageContext[Config]) -> Iterator[Sample]:
     for shape in config.shapes:
         for seeing in config.seeings_arcsec:
             for cube in _cubes(ctx, seeing, shape, config.samples_of_shapes):
-                yield Sample(cube, (DEFAULT, PAPER_CHOICE, *DIRECTIONS))
+                yield Sample(cube, (DEFAULT, PAPER_CHOICE))
 
 
 def _cubes(ctx: StageContext[Config], seeing: float, shape: Shape, count: int) -> Iterator[CubeSample]:

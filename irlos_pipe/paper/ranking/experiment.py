@@ -1,8 +1,8 @@
 """All calibration methods on the same cubes, with the same modes and the same frames (paper, Sect. 5).
 
 Published methods have 29 modes and the default an open basis; here every method has every number of modes.
-Starts are those of the stage `calibrate`: none knows more than the diversity. The default has the law that the
-NCPAs are drawn from as prior, which makes no difference at m_J 7 (`methods`, without prior).
+Starts are those of the stage `calibrate`: none knows more than the diversity. The default has the law that
+the NCPAs are drawn from as prior, which makes no difference at m_J 7 (`methods`, without prior).
 """
 
 from __future__ import annotations
