@@ -15,7 +15,7 @@ from irlos_pipe.files.json import json_text, jsonable
 from irlos_pipe.simulate.exposure import LAST_NOLL, Exposure, telescope_of
 from irlos_pipe.simulate.recordings.planned import Planned
 from irlos_pipe.simulate.scene import Scene
-from irlos_pipe.simulate.zernikes import rotated_nm
+from irlos_pipe.simulate.wavefront import static_zernike_nm
 
 VERSION = 2  # of the simulator; raised when the same spec and seed give other data or another truth
 
@@ -67,14 +67,14 @@ class WavefrontTruth:
 def truth_content(planned: Planned, wavefront: WavefrontTruth) -> dict[str, Any]:
     """Return the content of the truth file of a `planned` recording with its `wavefront`.
 
-    ``ncpa_nm`` are the static NCPAs without what effects add to them, ``mean_zernike_nm`` what an estimate is
-    compared with: the time-averaged wavefront, introduced defocus included as the stage reached it, diversity
-    excluded.
+    ``ncpa_nm`` are the static modes that the scene states, with those of its effects and the error of the
+    diversity; ``mean_zernike_nm`` is what an estimate is compared with: the time-averaged wavefront, introduced
+    defocus included as the stage reached it, diversity excluded.
     """
     scene = planned.scene
     return {
         "hidden": planned.hidden,
-        "ncpa_nm": static_nm(scene),
+        "ncpa_nm": dict(sorted(static_zernike_nm(scene).items())),
         "introduced_defocus_nm": planned.commanded_nm,
         "reached_defocus_nm": scene.introduced_nm,
         "mean_zernike_nm": wavefront.mean_zernike_nm(),
@@ -87,14 +87,6 @@ def truth_content(planned: Planned, wavefront: WavefrontTruth) -> dict[str, Any]
 def made_from(planned: Planned) -> dict[str, Any]:
     """Return all that a `planned` recording depends on, in JSON types."""
     return jsonable({"version": VERSION, "recording": planned})
-
-
-def static_nm(scene: Scene) -> dict[int, float]:
-    """Return the NCPAs at the derotator angle of a `scene`, Noll: nm RMS."""
-    total = dict(scene.ncpa_nm)
-    for noll, value_nm in rotated_nm(scene.rotating_nm, scene.derotator_angle_deg).items():
-        total[noll] = total.get(noll, 0.0) + value_nm
-    return dict(sorted(total.items()))
 
 
 def write_truth(path: Path, content: dict[str, Any], wavefront_fits: bytes) -> None:

@@ -92,4 +92,5 @@ def test_errors_of_the_wavefront_are_part_of_the_true_one(tmp_path, plain, name)
     own = {"diversity_error": {"6"}, "focus_stage_offset": {"4"}, "high_order_ncpa": set()}
     only = own.get(name, modes)
     assert changed <= only and bool(changed) == bool(only)
-    assert told["ncpa_nm"] == plain[2]["ncpa_nm"]
+    stated = {noll for noll, value in told["ncpa_nm"].items() if value != plain[2]["ncpa_nm"].get(noll, 0.0)}
+    assert stated == {"diversity_error": {"6"}, "high_order_ncpa": {"60"}}.get(name, set())
