@@ -68,8 +68,8 @@ def truth_content(planned: Planned, wavefront: WavefrontTruth) -> dict[str, Any]
     """Return the content of the truth file of a `planned` recording with its `wavefront`.
 
     ``ncpa_nm`` are the static modes that the scene states, with those of its effects and the error of the
-    diversity; ``mean_zernike_nm`` is what an estimate is compared with: the time-averaged wavefront, introduced
-    defocus included as the stage reached it, diversity excluded.
+    diversity; ``mean_zernike_nm`` is what an estimate is compared with: the time-averaged wavefront,
+    introduced defocus included as the stage reached it, diversity excluded.
     """
     scene = planned.scene
     return {
