@@ -81,11 +81,22 @@ class Telescope:
         -------
         ndarray, (..., last_noll - 1)
         """
-        stated_nm = stated_nm or {}
-        rest_nm = opd_nm - self.opd_nm(stated_nm)
-        flat = np.reshape(rest_nm, (*np.shape(rest_nm)[:-2], -1))
+        flat = np.reshape(opd_nm, (*np.shape(opd_nm)[:-2], -1))
         fitted_nm = flat[..., self._lit] @ self._fitter(last_noll).T
-        return fitted_nm + [stated_nm.get(noll, 0.0) for noll in range(2, last_noll + 1)]
+        # The fit is linear and returns modes up to the last as they are.
+        beyond_nm = {noll: value for noll, value in (stated_nm or {}).items() if noll > last_noll}
+        return fitted_nm - sum(value * self._taken_up(last_noll, noll) for noll, value in beyond_nm.items())
+
+    def _taken_up(self, last_noll: int, beyond: int) -> np.ndarray:
+        """What a fit of Noll 2..`last_noll` makes of a unit of the mode `beyond`, (last_noll - 1,)."""
+        key = last_noll, beyond
+        if key not in self._shares:
+            self._shares[key] = self._fitter(last_noll) @ self.mode(beyond).ravel()[self._lit]
+        return self._shares[key]
+
+    @cached_property
+    def _shares(self) -> dict[tuple[int, int], np.ndarray]:
+        return {}
 
     @cached_property
     def _lit(self) -> np.ndarray:
