@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
+from irlos_pipe.paper.run.tables import plain_table
 from irlos_pipe.product.product import Check
 
 COLUMNS = ("experiment", "kept", "missed")
@@ -21,7 +22,7 @@ def table_of_checks(results: Mapping[str, Any]) -> str:
         Content of paper_results.json.
     """
     rows = [_row(name, _checks(experiment)) for name, experiment in results["experiments"].items()]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (COLUMNS, ["---"] * len(COLUMNS), *rows))
+    return plain_table(COLUMNS, rows)
 
 
 def _checks(experiment: Mapping[str, Any]) -> list[Check]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from irlos_pipe.conventions.errors import ConfigurationError
+from irlos_pipe.paper.run.tables import plain_table
 
 OWN = "irlos_pipe"
 COLUMNS = ("code", "finished", "experiments")
@@ -56,7 +57,7 @@ def table_of_states(results: Mapping[str, Any]) -> str:
         (code, max(_days(results["runs"][name]) for name in names), ", ".join(f"`{one}`" for one in names))
         for code, names in states_of(results).items()
     ]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (COLUMNS, ["---"] * len(COLUMNS), *rows))
+    return plain_table(COLUMNS, rows)
 
 
 def _days(stages: Mapping[str, Any]) -> str:

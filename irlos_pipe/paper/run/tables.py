@@ -18,7 +18,7 @@ of them separated by commas) for the first member that has these values.
 from __future__ import annotations
 
 import string
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -62,6 +62,11 @@ def render_table(layout: TableLayout, experiments: Mapping[str, Any]) -> str:
     rules = ["---", *["---:"] * (len(layout.columns) - 1)]
     lines = [_line(row, len(layout.columns)) for row in (layout.columns, rules, *rows)]
     return "\n".join([*lines, *(["", cell(layout.note, root)] if layout.note else [])])
+
+
+def plain_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return `rows` of finished cells under their `columns` as Markdown."""
+    return "\n".join(_line(cells, len(columns)) for cells in (columns, ["---"] * len(columns), *rows))
 
 
 def cell(text: str, root: Any) -> str:
