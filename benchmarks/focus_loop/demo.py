@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import webbrowser
+from collections.abc import Mapping
 from pathlib import Path
 
 import click
@@ -46,13 +48,23 @@ def main(output: Path, exposures: int, speed: float, mag_j: float, start_nm: flo
     print("", *lines_of(trial.outcome()), sep="\n")
 
 
-def calibrated(output: Path) -> Path:
-    """Return a run folder with a calibration, made from a simulated recording if it is not there yet."""
+def calibrated(output: Path, ncpa_nm: Mapping[int, float] | None = None) -> Path:
+    """Return a run folder with a calibration, made from a simulated recording if it is not there yet.
+
+    Parameters
+    ----------
+    output : Path
+    ncpa_nm : mapping, optional
+        Noll: nm RMS; those of `on_sky` if left out.
+    """
     run, data = output / "calibration", output / "simulation"
     if not (run / "results.json").exists():
         print("simulating a calibration and reducing it, a minute or two", flush=True)
         irlos = [sys.executable, "-m", "irlos_pipe"]
-        subprocess.run([*irlos, "simulate", "on_sky", "--output", data, *RECORDINGS, "-q"], check=True)
+        given = [] if ncpa_nm is None else ["--set", "ncpa=" + json.dumps({"zernike_nm": dict(ncpa_nm)})]
+        subprocess.run(
+            [*irlos, "simulate", "on_sky", "--output", data, *RECORDINGS, *given, "-q"], check=True
+        )
         inputs = [f"--input={name}={data / 'data' / name}" for name in ("calibration", "ramp")]
         subprocess.run([*irlos, "run", "defocus_ramp", *inputs, "--output", run, "-q"], check=False)
     if not (run / "results.json").exists():

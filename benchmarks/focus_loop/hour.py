@@ -9,11 +9,13 @@ from pathlib import Path
 import click
 import numpy as np
 
+from benchmarks.focus_loop.ageing import Ageing
 from benchmarks.focus_loop.run import Outcome, Trial
-from benchmarks.focus_loop.telescope import Night
+from benchmarks.focus_loop.telescope import Night, scene_of
 
 HOUR = 3600
 SETTLED = 60  # exposures after the start, and after a fault, that do not count as undisturbed
+SPAN = 600  # exposures over which the residual is averaged, to see it change
 # First and last exposure of what goes wrong with the light and the frames.
 FAULTS = {
     "burst": [(400, 430)],
@@ -55,11 +57,26 @@ EVENTS = [
 @click.option("--reads", type=int, default=4, show_default=True, help="Of an exposure of a second.")
 @click.option("--start-nm", type=float, default=850.0, show_default=True, help="Defocus at the beginning.")
 @click.option("--exposures", type=int, default=HOUR, show_default=True, help="Fewer leave later faults out.")
+@click.option(
+    "--turn-deg", type=float, default=0.0, help="By which half of the NCPAs have turned at the end."
+)
+@click.option("--drift-nm", type=float, default=0.0, help="RMS by which the NCPAs have drifted at the end.")
 def main(
-    calibration: Path, other: Path, output: Path, mag_j: float, reads: int, start_nm: float, exposures: int
+    calibration: Path,
+    other: Path,
+    output: Path,
+    mag_j: float,
+    reads: int,
+    start_nm: float,
+    exposures: int,
+    turn_deg: float,
+    drift_nm: float,
 ) -> None:
-    """Run the hour with the run folder CALIBRATION, which is replaced by OTHER."""
-    night = Night(mag_j=mag_j, reads=reads, exposures=exposures, start_nm=start_nm, faults=FAULTS)
+    """Run the hour with the run folder CALIBRATION, which is replaced by OTHER after forty minutes."""
+    ageing = Ageing(turn_deg, drift_nm=drift_nm)
+    night = Night(
+        mag_j=mag_j, reads=reads, exposures=exposures, start_nm=start_nm, faults=FAULTS, ageing=ageing
+    )
     trial = Trial(output, calibration, night, actions_of(other))
     trial.run()
     summary = summary_of(trial.outcome())
@@ -90,7 +107,8 @@ def summary_of(outcome: Outcome) -> dict:
         "exposures": exposures,
         "records": len(outcome.records),
         "closed_after": outcome.closed_at,
-        "residual_nm": _undisturbed_nm(outcome),
+        "residual_nm": _rms_nm(outcome, _undisturbed(outcome)),
+        "course": _course(outcome),
         "predicted_nm": outcome.predicted_nm(),
         "sigma_nm": float(np.median([one["sigma_photon_nm"] for one in valid])),
         "valid": len(valid) / len(outcome.records),
@@ -104,13 +122,39 @@ def summary_of(outcome: Outcome) -> dict:
     }
 
 
-def _undisturbed_nm(outcome: Outcome) -> float:
-    """RMS residual of all exposures but those of the start, of faults and shortly after."""
+def _undisturbed(outcome: Outcome) -> list[int]:
+    """All exposures but those of the start, of faults and shortly after."""
     quiet = set(range(outcome.closed_at + SETTLED, outcome.night.exposures))
     for event in EVENTS:
         quiet -= set(range(event.first, event.last + SETTLED))
-    squares = [outcome.truth[i]["residual_nm"] ** 2 for i in sorted(quiet)]
+    return sorted(quiet)
+
+
+def _rms_nm(outcome: Outcome, exposures: list[int]) -> float:
+    """RMS residual of some exposures, what wanders within one included."""
+    squares = [outcome.truth[i]["residual_nm"] ** 2 for i in exposures]
     return float(np.sqrt(np.mean(squares) + outcome.night.drift.wander_within_nm2(1.0)))
+
+
+def _course(outcome: Outcome) -> list[dict]:
+    """Mean and RMS residual of undisturbed exposures, and the change of the NCPAs, by ten minutes."""
+    night, quiet = outcome.night, _undisturbed(outcome)
+    scene = scene_of(night)
+    rows = []
+    for first in range(0, night.exposures, SPAN):
+        inside = [i for i in quiet if first <= i < first + SPAN]
+        if not inside:
+            continue
+        changed_nm = night.ageing.change_nm(scene, (first + SPAN / 2) / HOUR, night.seed)
+        rows.append(
+            {
+                "first_min": first / 60,
+                "ncpa_changed_nm": float(np.linalg.norm(list(changed_nm.values()))),
+                "mean_nm": float(np.mean([outcome.truth[i]["residual_nm"] for i in inside])),
+                "rms_nm": _rms_nm(outcome, inside),
+            }
+        )
+    return rows
 
 
 def _recovery(outcome: Outcome, event: Event) -> dict:

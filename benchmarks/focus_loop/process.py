@@ -13,6 +13,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+from pydantic import TypeAdapter
 from threadpoolctl import threadpool_limits
 
 from benchmarks.focus_loop.telescope import Exposed, Night, Telescope
@@ -34,7 +35,7 @@ POLL_S = 0.0002
 def main(night: Path, ring: Path, command: Path, truth: Path, speed: float) -> None:
     """Run the NIGHT, a JSON file."""
     with threadpool_limits(1):
-        telescope = Telescope(Night(**json.loads(night.read_text())), night.parent)
+        telescope = Telescope(TypeAdapter(Night).validate_json(night.read_text()), night.parent)
         first = len(truth.read_text().splitlines()) if truth.exists() else 0
         Feed(telescope, RingWriter(ring, (64, 64), SLOTS), Mailbox(command), truth, speed).run(first)
 

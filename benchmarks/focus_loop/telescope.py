@@ -6,6 +6,7 @@ tabulated over the defocus and drawn from in random order, so that an hour takes
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.focus_loop.ageing import Ageing
 from irlos_pipe.control.disturbance import Drift, SodiumLayer
 from irlos_pipe.control.exposures import Read
 from irlos_pipe.files.atomic import atomic_file
@@ -24,6 +26,7 @@ from irlos_pipe.simulate.recordings.spec import load_spec
 from irlos_pipe.simulate.scene import Sampling, Scene
 
 REACH_NM, NODES = 1100.0, 44  # of the tables: beyond the largest defocus of a bootstrap
+CLOSED_REACH_NM, CLOSED_NODES = 400.0, 18  # of those of a loop that has been closed long since
 SKY_READS, BURST_READS = 24, 8  # tabulated
 DRIFT_STEPS = 10  # per exposure
 START_UNIX_S = 1_707_620_000.0
@@ -51,6 +54,8 @@ class Night:
         Seeing of a burst.
     faults : dict of str to list of (first, last)
         Exposures with each fault, see `faults`.
+    ageing : Ageing
+        How NCPAs change; an exposure is a second.
     """
 
     spec: str = "on_sky"
@@ -63,6 +68,7 @@ class Night:
     seed: int = 1
     burst_arcsec: float = 1.3
     faults: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
+    ageing: Ageing = field(default_factory=Ageing)
 
     def has(self, fault: str, exposure: int) -> bool:
         """Return whether an `exposure` has a `fault`."""
@@ -94,8 +100,8 @@ class Telescope:
 
     def __init__(self, night: Night, folder: Path):
         self.night = night
-        scene = _scene(night)
-        self._calm = _table(scene, folder / "calm.npz")
+        scene = scene_of(night)
+        self._calm = [_table(scene, folder / "calm.npz"), *_later_tables(night, scene, folder)]
         self._scene, self._burst = scene, None
         if night.faults.get("burst"):
             stormy = replace(scene, frames=BURST_READS, sky=Sky(night.burst_arcsec))
@@ -110,14 +116,15 @@ class Telescope:
         night, drift_nm = self.night, float(self._drift_nm[index].mean())
         residual_nm = drift_nm - self.queue_nm[0]
         rng = np.random.default_rng([night.seed, NOISE_STREAM, index])
-        table = self._burst if self._burst is not None and night.has("burst", index) else self._calm
+        calm = self._calm[min(int(index // night.ageing.step_s), len(self._calm) - 1)]
+        table = self._burst if self._burst is not None and night.has("burst", index) else calm
         flux = 0.0 if night.has("lost", index) else 1.0
         reads = [self._read(index, one, table, flux, residual_nm, rng) for one in range(night.reads)]
         return Exposed(reads, drift_nm, residual_nm)
 
     def _read(self, index: int, one: int, table: FrameTable, flux: float, residual_nm: float, rng) -> Read:
         frame = int(rng.integers(table.series_e.shape[1]))
-        bounded = np.clip([residual_nm], -REACH_NM, REACH_NM)
+        bounded = np.clip([residual_nm], -table.reach_nm, table.reach_nm)
         mean_e = flux * np.maximum(table.images_e(frame, bounded), 0.0)
         image_e = electrons(self._scene, mean_e, rng)[0]
         number = index * self.night.reads + one
@@ -125,18 +132,34 @@ class Telescope:
         return Read(FIRST_COUNTER + number, START_UNIX_S + clock_s + number / self.night.reads, image_e)
 
 
-def _table(scene: Scene, kept: Path) -> FrameTable:
+def _later_tables(night: Night, scene: Scene, folder: Path) -> list[FrameTable]:
+    """Reads with the NCPAs of the middle of every later step; none where nothing changes."""
+    if night.ageing.none:
+        return []
+    step_s = night.ageing.step_s
+    return [
+        _table(
+            night.ageing.aged(scene, (step + 0.5) * step_s / 3600, night.seed),
+            folder / f"calm_{step}.npz",
+            CLOSED_REACH_NM,
+            CLOSED_NODES,
+        )
+        for step in range(1, math.ceil(night.exposures / step_s))
+    ]
+
+
+def _table(scene: Scene, kept: Path, reach_nm: float = REACH_NM, nodes: int = NODES) -> FrameTable:
     """Reads of a scene at any defocus; they take a while to simulate."""
     if not kept.exists():
-        table = frame_table(scene, REACH_NM, NODES)
+        table = frame_table(scene, reach_nm, nodes)
         with atomic_file(kept) as stream:
             np.savez(stream, series_e=table.series_e, sky_focus_nm=table.sky_focus_nm)
     with np.load(kept) as found:
-        return FrameTable(REACH_NM, found["series_e"], found["sky_focus_nm"])
+        return FrameTable(reach_nm, found["series_e"], found["sky_focus_nm"])
 
 
-def _scene(night: Night) -> Scene:
-    """Reads of the recording of the specification, of another star."""
+def scene_of(night: Night) -> Scene:
+    """Return the reads of the recording of the specification, of another star."""
     spec = load_spec(night.spec, [], None)
     scene = base_scene(spec, night.section, spec.recordings[night.section])
     return replace(

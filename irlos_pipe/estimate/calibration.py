@@ -140,8 +140,8 @@ def calibrate(
         Of the model; methods of the paper leave them out.
     start_nm : ndarray, (modes,), optional
         Start from Noll 2 on, for as many modes as there are; else the fit starts from none, and once more
-        from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from others,
-        for up to two minutes (see `open_minima`).
+        from single frames if it ends in a wrong minimum. A fit of all modes that does so goes on from others
+        (see `open_minima`).
     device : str
     report : callable, optional
         Called with the number of finished frames, for a progress bar.

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.focus_loop import telescope as telescopes
+from benchmarks.focus_loop.ageing import Ageing
 from benchmarks.focus_loop.process import Feed
 from benchmarks.focus_loop.run import Outcome
 from benchmarks.focus_loop.telescope import FIRST_COUNTER, Exposed, Night, Telescope
@@ -155,5 +156,50 @@ def test_residuals_hold_what_wanders_within_an_exposure():
 
 def test_the_night_is_one_that_the_simulator_knows():
     night = Night(exposures=1)
-    scene = telescopes._scene(night)
+    scene = telescopes.scene_of(night)
     assert (scene.mag_j, scene.exposure_s, scene.frames) == (12.0, 0.25, telescopes.SKY_READS)
+
+
+def test_an_ageing_instrument_keeps_its_focus_and_the_size_of_what_turns():
+    """A turn conserves the RMS of all modes of one order; steps of a drift add up to what is asked."""
+    scene = telescopes.scene_of(Night(exposures=1))
+    turned = Ageing(turn_deg=40.0, turning=1.0).aged(scene, 0.5, seed=1)
+    assert [turned.ncpa_nm[noll] for noll in (2, 3, 4, 11)] == [scene.ncpa_nm[noll] for noll in (2, 3, 4, 11)]
+    angle = np.deg2rad(2 * 20.0)
+    before = scene.ncpa_nm[6] + 1j * scene.ncpa_nm[5]  # of cos 2θ and sin 2θ
+    assert turned.ncpa_nm[6] + 1j * turned.ncpa_nm[5] == pytest.approx(before * np.exp(1j * angle))
+    sizes = [np.linalg.norm([one.ncpa_nm[noll] for noll in range(5, 16)]) for one in (scene, turned)]
+    assert sizes[0] == pytest.approx(sizes[1])
+    drift = Ageing(drift_nm=30.0)
+    after = [drift.change_nm(scene, hours, seed=1) for hours in (0.25, 1.0)]
+    assert np.linalg.norm(list(after[1].values())) == pytest.approx(30.0)
+    assert after[0] == pytest.approx({noll: nm / 4 for noll, nm in after[1].items()})
+    assert min(after[1]) == 5
+
+
+def test_nothing_changes_without_ageing():
+    scene = telescopes.scene_of(Night(exposures=1))
+    assert Ageing().none
+    assert Ageing().aged(scene, 1.0, seed=1).ncpa_nm == pytest.approx(dict(scene.ncpa_nm))
+    assert not Ageing(drift_nm=1.0).none
+
+
+def test_light_of_a_later_step_has_the_ncpas_of_its_middle(monkeypatch, tmp_path):
+    made: dict[str, dict[int, float]] = {}
+
+    def table(scene, kept, *size):
+        made[kept.stem] = dict(scene.ncpa_nm)
+        return kept.stem
+
+    monkeypatch.setattr(telescopes, "_table", table)
+    night = Night(reads=1, exposures=700, ageing=Ageing(drift_nm=36.0, step_s=300.0))
+    telescope = Telescope(night, tmp_path)
+    assert telescope._calm == ["calm", "calm_1", "calm_2"]
+    scene = telescopes.scene_of(night)
+    assert made["calm"] == dict(scene.ncpa_nm)
+    assert made["calm_2"] == pytest.approx(night.ageing.aged(scene, 750 / 3600, night.seed).ncpa_nm)
+    used = []
+    monkeypatch.setattr(telescope, "_read", lambda index, one, table, *rest: used.append(table))
+    for index in (0, 299, 300, 699):
+        telescope.expose(index)
+    assert used == ["calm", "calm", "calm_1", "calm_2"]

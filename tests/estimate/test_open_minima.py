@@ -117,11 +117,27 @@ def test_a_wrong_minimum_gives_way_to_the_right_one(problem):
 @pytest.mark.slow
 def test_the_fit_stays_where_no_likelier_minimum_is_found(problem, monkeypatch):
     monkeypatch.setattr(open_minima, "SHAKES", 1)
-    from_here = likelier_minimum(task(place()), closed(problem, 1e6), ended(problem, place()), 0.0)
-    best = ended(problem, from_here.solution.values)
+    wrong = place()
+    wrong[0, 5:9] += 150.0
+    right = likelier_minimum(task(place()), closed(problem, 1e6), ended(problem, wrong), 0.0)
+    best = ended(problem, right.solution.values)
     assert likelier_minimum(task(place() + 400), closed(problem, 1e6), best, 0.0).solution.objective <= (
         best.solution.objective
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("off_nm", "shaken"), [(0.0, 0), (150.0, 2)])
+def test_minima_are_disturbed_only_if_there_are_others_than_the_known_one(
+    problem, monkeypatch, off_nm, shaken
+):
+    """Softened weights lead from the truth back to it, also where χ²/ν cannot fall below the limit."""
+    tried = []
+    monkeypatch.setattr(open_minima._Search, "_shaken", lambda search, best: tried.append(best) or best)
+    known = place()
+    known[0, 5:9] += off_nm
+    likelier_minimum(task(place()), closed(problem, 1e6), ended(problem, known), 0.0)
+    assert len(tried) == shaken
 
 
 @pytest.mark.slow

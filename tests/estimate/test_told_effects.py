@@ -65,7 +65,7 @@ def test_other_minima_begin_with_effects_that_the_closed_basis_held_where_they_w
     problem, values = task.released([told], held)
     opened = open_basis(problem, values, max_iterations=1)
     begun: list[torch.Tensor] = []
-    monkeypatch.setattr(_Search, "best_from", lambda search, starts: begun.extend(starts))
+    monkeypatch.setattr(_Search, "best_from", lambda search, starts, known: begun.extend(starts))
     assert likelier_minimum(task, held, opened, most=0.0) is opened
     layout = opened.problem.layout
     assert [one.shape for one in begun] == [(1, layout.size)] * 2
