@@ -66,6 +66,14 @@ def test_every_frame_has_its_own_sky_and_pointing():
 
 
 @pytest.mark.slow
+def test_h_alone_has_the_light_and_the_wavelength_of_h():
+    both, alone = (simulate_ramp(replace(SAMPLE, frames=1, h_alone=h)) for h in (False, True))
+    assert alone.scene.photons == pytest.approx(both.scene.photons / 2)
+    assert [wavelength for wavelength, _ in alone.scene.spectrum(1)] == [1625.0]
+    assert float(alone.data.images_e.sum() / both.data.images_e.sum()) == pytest.approx(0.5, rel=0.03)
+
+
+@pytest.mark.slow
 def test_the_ncpas_given_to_lift_err_as_asked():
     ramps = [
         simulate_ramp(replace(SAMPLE, seed=(seed,), frames=1, calibration_error_nm=20.0)) for seed in range(8)
@@ -116,7 +124,7 @@ def test_success_is_counted_in_bins_of_true_defocus():
 
 @pytest.fixture
 def output(found, monkeypatch):
-    config = stage.Config(ramps=2, frames=6, reach_nm=800.0, required_nm=800.0)
+    config = stage.Config(ramps=2, h_ramps=1, frames=6, reach_nm=800.0, required_nm=800.0)
     return run_stage(monkeypatch, stage, config, lambda sample: found)
 
 
@@ -131,8 +139,9 @@ def test_the_stage_reports_every_start_and_passes_when_the_default_misses_nothin
 
 @pytest.mark.slow
 def test_the_section_shows_starts_and_their_estimates(output):
-    success, scatter, table = section_of(output, "capture", capture_section).blocks
+    success, scatter, table, h_table = section_of(output, "capture", capture_section).blocks
     assert success.title == "Success against defocus"
     assert [figure.title for figure in scatter.blocks] == ["Where the iteration starts", "Where it ends"]
     assert table.marks[-1] == "good" and table.marks[0] == "bad"
     assert table.rows[-1][:4] == ("this pipeline's default", "12 of 12", "0", "0")
+    assert h_table.rows[-1][:4] == ("this pipeline's default", "6 of 6", "0", "0")

@@ -21,12 +21,13 @@ from irlos_pipe.estimate.lift import LiftResult
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, start_from_defocus
 from irlos_pipe.optics.psf import PsfModel
-from irlos_pipe.paper.common.broad_band import frame_settings, star_scene
+from irlos_pipe.paper.common.broad_band import J_AND_H, frame_settings, star_scene
 from irlos_pipe.paper.common.cube import NCPA_NM
 from irlos_pipe.paper.common.observation import images_of, model_effects_of, noise_of
 from irlos_pipe.paper.common.ramps import TTF, elongation_defocus_nm, from_every_start
 from irlos_pipe.paper.common.variants import DEFAULT
 from irlos_pipe.simulate.exposure import expose
+from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.ncpa import draw_ncpa_nm
 from irlos_pipe.simulate.scene import Scene
 
@@ -45,6 +46,8 @@ class CaptureSample:
         The star lies within ± this of the window's centre, along x and y.
     calibration_error_nm : float
         Of the NCPAs, over all calibrated modes.
+    h_alone : bool
+        Whether the light is that of H, half of that of J and H.
     """
 
     name: str
@@ -56,6 +59,7 @@ class CaptureSample:
     mag_j: float
     seeing_arcsec: float
     calibration_error_nm: float
+    h_alone: bool = False
 
 
 @dataclass(frozen=True)
@@ -143,7 +147,11 @@ def _frame_scene(
     )
     pixel_nm = tilt_nm(scene.pixel_scale_mas, sample.facility.pupil.diameter_m)
     tilts_nm = {noll: ncpa_nm[noll] + float(px) * pixel_nm for noll, px in zip((2, 3), shift_px, strict=True)}
-    return replace(scene, ncpa_nm={**ncpa_nm, **tilts_nm})
+    scene = replace(scene, ncpa_nm={**ncpa_nm, **tilts_nm})
+    if not sample.h_alone:
+        return scene
+    h = J_AND_H[-1]
+    return replace(scene, bands=(Band.of(h),), throughput=scene.throughput * h.share)
 
 
 def _known_ncpa_nm(rng: np.random.Generator, ncpa_nm: dict[int, float], error_nm: float) -> dict[int, float]:

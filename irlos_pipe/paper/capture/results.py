@@ -57,6 +57,9 @@ class CaptureResults(StageResults):
         Capture range that is asked for, and the one that the paper states.
     bin_edges_nm : list of float
         Of true defocus.
+    h_cases : int
+    h_starts : list of StartRow
+        In H alone with the NCPAs known exactly, the conditions for which the paper states a range.
     """
 
     stage: ClassVar[str] = "capture"
@@ -67,3 +70,5 @@ class CaptureResults(StageResults):
     mag_j: Number = math.nan
     bin_edges_nm: list[Number] = []
     starts: list[StartRow] = []
+    h_cases: int = 0
+    h_starts: list[StartRow] = []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
@@ -62,6 +64,7 @@ def section(run: RunData) -> Section:
         Figure(_success(results), "Success against defocus", SUCCESS_CAPTION, "half"),
         Stack([Figure(starts, TITLES[0], START_CAPTION), Figure(estimates, TITLES[1], ESTIMATE_CAPTION)]),
         _table(results),
+        *([_table_in_h(results)] if results.h_starts else []),
     ]
     return Section(STAGE, "Capture range of LIFT", _lead(results), blocks)
 
@@ -81,8 +84,20 @@ def _table(results: CaptureResults) -> Table:
         f"Captured: converged, and within {results.wrong_limit_nm:.0f} nm of the truth. Wrong: converged "
         "elsewhere. Flagged: not converged, and says so. ≥: no case was missed."
     )
-    marks = ["good" if row.required.captured == row.required.cases else "bad" for row in rows]
-    return Table(COLUMNS, [_row(row) for row in rows], "Starts compared", caption, marks)
+    return Table(COLUMNS, [_row(row) for row in rows], "Starts compared", caption, _marks(rows))
+
+
+def _table_in_h(results: CaptureResults) -> Table:
+    rows = results.h_starts
+    caption = (
+        f"The same with light in H alone, {results.h_cases} cases, their NCPAs known exactly: for H the "
+        f"paper states ±{results.paper_nm:.0f} nm from zero."
+    )
+    return Table(COLUMNS, [_row(row) for row in rows], "Starts compared in H", caption, _marks(rows))
+
+
+def _marks(rows: Sequence[StartRow]) -> list[str]:
+    return ["good" if row.required.captured == row.required.cases else "bad" for row in rows]
 
 
 def _row(row: StartRow) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = Results.stage
-VERSION = 6
+VERSION = 7
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 PAPER_NM = 410.0  # capture range that the paper states, started from zero
@@ -29,6 +29,7 @@ class Config(StageConfig):
     """Sizes and conditions of the experiment."""
 
     ramps: int = Field(30, ge=1, le=10000, description="sets of NCPAs")
+    h_ramps: int = Field(10, ge=0, le=10000, description="further sets, known exactly, in H alone")
     frames: int = Field(50, ge=1, le=1000, description="frames with each set of NCPAs")
     reach_nm: float = Field(900.0, gt=0, le=1500, description="defocus is uniform within ± this [nm RMS]")
     required_nm: float = Field(600.0, gt=0, description="capture range that is asked for [nm RMS]")
@@ -41,15 +42,14 @@ class Config(StageConfig):
 
 def run(ctx: StageContext[Config]) -> StageOutput:
     """Draw all frames and estimate them from every start."""
-    found = run_samples(capture, _samples(ctx), ctx, "ramps")
-    true_nm = np.concatenate([one["true_nm"] for one in found])
-    estimates = {
-        name: Estimates(true_nm, *(_all(found, name, key) for key in ("defocus_nm", "converged")))
-        for name in STARTS
-    }
     config = ctx.config
     edges_nm = np.linspace(-config.reach_nm, config.reach_nm, round(2 * config.reach_nm / config.bin_nm) + 1)
-    rows = [_row(name, one, config, edges_nm) for name, one in estimates.items()]
+    samples = _samples(ctx, config.ramps, config.calibration_error_nm)
+    h_samples = _samples(ctx, config.h_ramps, 0.0, h_alone=True)
+    found = run_samples(capture, samples, ctx, "ramps")
+    alone = run_samples(capture, h_samples, ctx, "ramps in H")
+    rows, h_rows = (_rows(some, config, edges_nm) if some else [] for some in (found, alone))
+    true_nm = _true_nm(found)
     results = Results(
         cases=len(true_nm),
         wrong_limit_nm=WRONG_NM,
@@ -58,11 +58,15 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         mag_j=config.mag_j,
         bin_edges_nm=edges_nm.tolist(),
         starts=rows,
+        h_cases=config.h_ramps * config.frames,
+        h_starts=h_rows,
     )
-    return StageOutput(_arrays(true_nm, found), results, checks_of(results), summary=_summary(rows))
+    return StageOutput(_arrays(true_nm, found), results, checks_of(results), summary=_summary(rows, h_rows))
 
 
-def _samples(ctx: StageContext[Config]) -> list[CaptureSample]:
+def _samples(
+    ctx: StageContext[Config], ramps: int, error_nm: float, *, h_alone: bool = False
+) -> list[CaptureSample]:
     config = ctx.config
     return [
         CaptureSample(
@@ -74,14 +78,33 @@ def _samples(ctx: StageContext[Config]) -> list[CaptureSample]:
             config.shift_px,
             config.mag_j,
             config.seeing_arcsec,
-            config.calibration_error_nm,
+            error_nm,
+            h_alone,
         )
-        for index in range(config.ramps)
+        for index in range(ramps)
     ]
+
+
+def _true_nm(found: Sequence[Arrays]) -> np.ndarray:
+    return np.concatenate([one["true_nm"] for one in found])
 
 
 def _all(found: Sequence[Arrays], start: str, key: str) -> np.ndarray:
     return np.concatenate([one[f"{start}/{key}"] for one in found])
+
+
+def _rows(found: Sequence[Arrays], config: Config, edges_nm: np.ndarray) -> list[StartRow]:
+    """What came of every start."""
+    true_nm = _true_nm(found)
+    return [
+        _row(
+            name,
+            Estimates(true_nm, *(_all(found, name, key) for key in ("defocus_nm", "converged"))),
+            config,
+            edges_nm,
+        )
+        for name in STARTS
+    ]
 
 
 def _row(name: str, estimates: Estimates, config: Config, edges_nm: np.ndarray) -> StartRow:
@@ -109,12 +132,13 @@ def _arrays(true_nm: np.ndarray, found: Sequence[Arrays]) -> dict[str, Quantity]
     return arrays
 
 
-def _summary(rows: Sequence[StartRow]) -> list[str]:
+def _summary(rows: Sequence[StartRow], h_rows: Sequence[StartRow]) -> list[str]:
     lines = ["start           captured / cases, wrong within the required range; range without a miss"]
-    for row in rows:
-        inside = row.required
-        lines.append(
-            f"  {row.start:13s} {inside.captured} / {inside.cases}, {inside.wrong}; "
-            f"±{row.range_nm:.0f} nm, error {row.rms_nm:.1f} nm RMS"
-        )
+    for band, some in (("", rows), (" (H)", h_rows)):
+        for row in some:
+            inside = row.required
+            lines.append(
+                f"  {row.start + band:13s} {inside.captured} / {inside.cases}, {inside.wrong}; "
+                f"±{row.range_nm:.0f} nm, error {row.rms_nm:.1f} nm RMS"
+            )
     return lines

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from irlos_pipe.estimate.derotator import Series, try_both_senses, usable_modes
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
+from irlos_pipe.paper.common.seeing import on_spartas_scale
 from irlos_pipe.paper.common.variants import frames_per_method
 from irlos_pipe.paper.derotator_series.checks import checks_of
 from irlos_pipe.paper.derotator_series.experiment import (
@@ -26,7 +27,7 @@ from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 from irlos_pipe.stages.derotator.output import SplitOutput, map_of
 
 NAME = Results.stage
-VERSION = 3
+VERSION = 4
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 
@@ -41,9 +42,7 @@ class Config(StageConfig):
     published_frames: int = Field(
         100, ge=2, le=10000, description="the first frames, for the published method, which fits one by one"
     )
-    seeing_arcsec: float = Field(
-        1.2, gt=0, le=5, description="seeing on SPARTA's scale; the paper's 1.2 arcsec by MASS-DIMM are 0.96"
-    )
+    seeing_arcsec: float = Field(1.2, gt=0, le=5, description="seeing by MASS-DIMM, as the paper has it")
     mag_j: float = Field(8.0, ge=0, le=20, description="J magnitude of the star")
     rotating_nm: float = Field(50.0, ge=0, description="random NCPAs before the derotator, beside the bump")
     fixed_nm: float = Field(100.0, ge=0, description="random NCPAs behind it")
@@ -86,7 +85,7 @@ def _samples(ctx: StageContext[Config], truth: Truth) -> Iterator[AngleSample]:
             truth,
             angle,
             ctx.config.method_frames,
-            ctx.config.seeing_arcsec,
+            on_spartas_scale(ctx.instrument, ctx.config.seeing_arcsec),
             ctx.config.mag_j,
         )
 

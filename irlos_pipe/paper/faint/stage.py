@@ -9,6 +9,7 @@ from irlos_pipe.estimate.sensitivity import MEDIAN_OF_NORMAL, Criterion, Curve
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.ramps import LIFT_VARIANTS
 from irlos_pipe.paper.common.reads import NoiseOf, Read
+from irlos_pipe.paper.common.seeing import on_spartas_scale
 from irlos_pipe.paper.faint.checks import checks_of
 from irlos_pipe.paper.faint.experiment import (
     COMPARED,
@@ -28,7 +29,6 @@ NAME = Results.stage
 VERSION = 9
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
-MONITOR = "mass_dimm"  # the paper's scale of the seeing on sky
 
 
 class Config(StageConfig):
@@ -105,7 +105,7 @@ def _sample(ctx: StageContext[Config], index: int) -> FaintSample:
         tuple(offsets.tolist()),
         config.realisations,
         config.cube_frames,
-        float(ctx.instrument.seeing_scales[MONITOR].to_sparta(config.seeing_arcsec)),
+        on_spartas_scale(ctx.instrument, config.seeing_arcsec),
         config.mag_j,
         Read.of(ctx.instrument, config.noise, NAME),
     )

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from irlos_pipe.paper.common.ensemble import Arrays, run_samples
 from irlos_pipe.paper.common.ramps import STARTS
+from irlos_pipe.paper.common.seeing import on_spartas_scale
 from irlos_pipe.paper.first_tests.checks import checks_of
 from irlos_pipe.paper.first_tests.experiment import (
     STARTED,
@@ -30,7 +31,6 @@ NAME = Results.stage
 VERSION = 5
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
-MONITOR = "mass_dimm"  # the paper's scale of the seeing on sky
 NUMBERS = ("slope", "rms_nm", "line_rms_nm", "converged")
 
 
@@ -80,7 +80,7 @@ def _sample(ctx: StageContext[Config], place: int, index: int) -> TargetSample:
 
 def _seeing_arcsec(ctx: StageContext[Config], target: Target) -> float:
     """On SPARTA's scale."""
-    return float(ctx.instrument.seeing_scales[MONITOR].to_sparta(target.seeing_arcsec))
+    return on_spartas_scale(ctx.instrument, target.seeing_arcsec)
 
 
 # -- results ---------------------------------------------------------------------------------------
