@@ -8,5 +8,13 @@ MONITOR = "mass_dimm"
 
 
 def on_spartas_scale(instrument: Instrument, seeing_arcsec: float) -> float:
-    """Return the seeing on SPARTA's scale for one by MASS-DIMM [arcsec]."""
+    """Return the seeing on SPARTA's scale [arcsec].
+
+    Parameters
+    ----------
+    instrument : Instrument
+        With the relation of the two scales.
+    seeing_arcsec : float
+        By MASS-DIMM.
+    """
     return float(instrument.seeing_scales[MONITOR].to_sparta(seeing_arcsec))
