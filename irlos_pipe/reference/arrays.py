@@ -76,6 +76,7 @@ ARRAYS: dict[str, tuple[str, str, str]] = {
     "sensitivity.curves/<n>/failures": ("", "magnitude", "estimates that failed"),
     "correct.noll": ("", "mode", "Noll index"),
     "correct.offset_nm": ("nm ±", "mode", "offset = −NCPA, to be added to the reference; RMS"),
+    "correct.mirror_offset": ("±", "mode", "offset of each mode of a mirror, in the unit of their table"),
     "correct.wavefront_before_nm": ("nm", "y, x", "estimated wavefront without tip and tilt"),
     "correct.wavefront_after_nm": ("nm", "y, x", "what the offsets leave of it"),
     "correct.before": ("", "y, x", "unit-flux image without correction"),

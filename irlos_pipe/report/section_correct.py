@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.figure import Figure as Canvas
 
 from irlos_pipe.product.results import provenance_of
 from irlos_pipe.report.content import Figure, Section, Table, Text
-from irlos_pipe.report.drawing import BLUE, ORANGE
+from irlos_pipe.report.drawing import BLUE, ORANGE, svg
 from irlos_pipe.report.images import PANEL_IN, image_panel, log_scale
 from irlos_pipe.report.quality_plots import PREDICTED, energy_figures, otf_figures
 from irlos_pipe.report.radial import profile_plot
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, mode_name, number
-from irlos_pipe.stages.correct.results import CorrectResults
+from irlos_pipe.stages.correct.results import CorrectResults, MirrorRow
 
 STAGE = "correct"
 ROWS_PER_TABLE = 10
@@ -36,6 +37,7 @@ def correct_section(run: RunData) -> Section:
         *energy_figures(run, STAGE, "correct-energy", PREDICTED, ENERGY, results.resolution_mas),
         *_budget(results),
         *_offsets(run, results.sign),
+        *_mirror(run, results.mirror),
     ]
     return Section(STAGE, "Correction", _lead(run, results), blocks)
 
@@ -114,3 +116,24 @@ def _offsets(run: RunData, sign: str) -> list[Table | Text]:
         Table(OFFSET_COLUMNS, part, f"Modal offsets, Noll {part[0][0]}–{part[-1][0]}") for part in parts
     ]
     return [*tables, Text(f"{sign}. {MISSING} as error: mode not estimated, offset 0.")]
+
+
+def _mirror(run: RunData, row: MirrorRow | None) -> list[Figure]:
+    """Offsets of a mirror's modes, and what they cannot make."""
+    offsets = run.array(STAGE, "mirror_offset")
+    if row is None or offsets is None:
+        return []
+
+    def draw(figure: Canvas) -> None:
+        axes = figure.subplots()
+        axes.errorbar(range(len(offsets)), offsets, run.error_of(STAGE, "mirror_offset"), fmt=".", color=BLUE)
+        axes.axhline(0, color=ORANGE, linewidth=0.8)
+        axes.set(xlabel="mode of the mirror", ylabel="offset [unit of the table]")
+
+    caption = (
+        f"Of {number(row.before_nm, '.1f')} nm RMS over the clear pupil, without piston, tip and tilt, these "
+        f"modes cannot make {number(row.after_nm, '.1f')} nm. The values are in mirror.csv and mirror.fits."
+    )
+    return [
+        Figure(svg("mirror-offsets", (5.2, 2.75), draw), "Offsets of the mirror's modes", caption, "half")
+    ]

@@ -42,6 +42,26 @@ class MapRow(ResultsPart):
     pv_nm: Number = math.nan
 
 
+class MirrorRow(ResultsPart):
+    """The correction in the modes of a mirror, see `estimate.mirror_modes.MirrorOffsets`.
+
+    Attributes
+    ----------
+    modes : int
+        Number of modes of its table.
+    offset : list of float
+        Offset of each, in the unit of the table.
+    before_nm, after_nm : float
+        RMS over the clear pupil without piston, tip and tilt: of the estimated wavefront, and of what
+        the modes cannot make of it [nm].
+    """
+
+    modes: int = 0
+    offset: list[Number] = []
+    before_nm: Number = math.nan
+    after_nm: Number = math.nan
+
+
 class CorrectResults(StageResults):
     """Offsets to add to the reference [nm RMS], and the Strehl ratio predicted without and with them.
 
@@ -59,6 +79,8 @@ class CorrectResults(StageResults):
         RMS and peak to valley of the maps of the wavefront, without tip and tilt.
     resolution_mas : float
         λ/D at the mean wavelength.
+    mirror : MirrorRow or None
+        The same correction in the modes of a mirror, where their table was given.
     """
 
     stage: ClassVar[str] = "correct"
@@ -70,3 +92,4 @@ class CorrectResults(StageResults):
     wavefront_before: MapRow = MapRow()
     wavefront_after: MapRow = MapRow()
     resolution_mas: Number = math.nan
+    mirror: MirrorRow | None = None

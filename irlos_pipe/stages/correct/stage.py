@@ -9,7 +9,7 @@ from irlos_pipe.stages.correct.results import CorrectResults as Results
 __all__ = ["Config", "Results", "run"]
 
 NAME = "correct"
-VERSION = 5
+VERSION = 6
 NEEDS = ("ingest", "calibrate")
 READS = ("ingest", "calibrate")
 

@@ -26,6 +26,7 @@ from irlos_pipe.product.table import Column, Table
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.correct.config import Config
+from irlos_pipe.stages.correct.mirror import in_mirror_modes
 from irlos_pipe.stages.correct.results import CorrectResults, MapRow, StrehlRow
 from irlos_pipe.stages.ingest.recording_arrays import recordings_from_product
 from irlos_pipe.stages.model.effects import calibrated_effects
@@ -49,7 +50,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     table = _table(ctx, offsets, prediction)
     maps = _maps(ctx, nolls, zernike)
     scale_mas = recording.acquisition.pixel_scale_mas or math.nan
-    return StageOutput(
+    output = StageOutput(
         maps | _arrays(offsets, prediction) | quality_arrays(prediction, scale_mas),
         _results(offsets, prediction, budget, maps, scale_mas),
         _checks(ctx, recording, prediction),
@@ -59,6 +60,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             f"predicted, {len(offsets.nolls)} offsets in correction.csv and correction.fits"
         ],
     )
+    return output if ctx.config.mirror_modes is None else in_mirror_modes(ctx, output)
 
 
 def _table(ctx: StageContext[Config], offsets: Offsets, prediction: Prediction) -> Table:
