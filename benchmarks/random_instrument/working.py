@@ -13,6 +13,7 @@ from benchmarks.random_instrument.cases import Case
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.files.json import json_text
 from irlos_pipe.pipeline import run_recipe
+from irlos_pipe.pipeline.provenance import software_versions
 from irlos_pipe.recipe import load_recipe
 from irlos_pipe.simulate.effects.base import WavefrontEffect
 from irlos_pipe.simulate.effects.wavefront import DiversityError
@@ -47,6 +48,7 @@ def outcome_of(case: Case, scratch: Path) -> dict[str, Any]:
         "diversity_error_nm": _diversity_error_nm(planned.scene),
     }
     return {
+        "code": software_versions()["irlos_pipe"],
         "seed": case.seed,
         "index": case.index,
         "frames": case.frames,

@@ -8,9 +8,10 @@ from click.testing import CliRunner
 
 from benchmarks.diagnose_suite.__main__ import main
 from benchmarks.diagnose_suite.cases import all_cases
-from benchmarks.diagnose_suite.kept import keep, lay_out, read_kept
+from benchmarks.diagnose_suite.kept import keep, lay_out
 from benchmarks.diagnose_suite.scoring import score
 from benchmarks.diagnose_suite.working import Folder
+from benchmarks.jsonl import read_lines
 
 SEED = 5
 CASES = {case.name: case for case in all_cases(SEED)}
@@ -64,7 +65,7 @@ def table(outcomes):
 
 def test_what_is_kept_has_the_same_scores_without_what_none_needs(tmp_path):
     keep(tmp_path / "kept.jsonl", OUTCOMES)
-    kept = read_kept(tmp_path / "kept.jsonl")
+    kept = read_lines(tmp_path / "kept.jsonl")
     assert table(kept) == table(OUTCOMES)
     assert not any(
         {"tried", "phrase"}
@@ -78,7 +79,7 @@ def test_further_outcomes_stand_beside_those_of_before_and_of_other_seeds(tmp_pa
     keep(file, OUTCOMES[:1])
     keep(file, [outcome(CLEAN, seed=6)])
     keep(file, OUTCOMES)
-    assert sorted((one["truth"]["suite_seed"], one["case"]) for one in read_kept(file)) == [
+    assert sorted((one["truth"]["suite_seed"], one["case"]) for one in read_lines(file)) == [
         (5, CLEAN.name),
         (5, SINGLE.name),
         (6, CLEAN.name),

@@ -12,6 +12,7 @@ import pytest
 
 from benchmarks.random_instrument import table as tables
 from benchmarks.random_instrument.cases import Case, all_cases
+from benchmarks.random_instrument.kept import keep, lay_out
 from benchmarks.random_instrument.scoring import SHAPES, judged
 from benchmarks.random_instrument.tolerances import ERRORS, FILTER_NOLLS
 from benchmarks.random_instrument.working import work
@@ -166,6 +167,23 @@ def test_the_tables_stand_between_their_marks(tmp_path, monkeypatch):
     assert page.read_text() == (
         "before\n<!-- random instrument -->\n\nnew\n\n<!-- /random instrument -->\nafter\n"
     )
+
+
+def test_what_is_kept_is_not_drawn_again_and_has_the_same_tables(tmp_path):
+    file, folder = tmp_path / "kept.jsonl", tmp_path / "run"
+    some = [made(2.0, 1.0, 0, 0, True), made(4.0, 1.0, 4, 1)]
+    some = [{**one, "seed": 1, "frames": 20, "without": ""} for one in some]
+    some[0]["truth"] = {**some[0]["truth"], "mean_nm": {"4": 0.0, "31": 9.0}}
+    keep(file, some[:1])
+    keep(file, [{**some[0], "seed": 2}])
+    keep(file, some[1:])
+    folder.mkdir()
+    cases = all_cases(1, 3, 1, 20)
+    lay_out(file, cases, folder)
+    assert sorted(path.stem for path in folder.iterdir()) == sorted(one.name for one in cases[:2])
+    kept = [work(case, folder) for case in cases[:2]]
+    assert tables.tables(kept) == tables.tables(some)
+    assert kept[0]["truth"]["mean_nm"] == {"4": 0.0}
 
 
 @pytest.mark.slow
