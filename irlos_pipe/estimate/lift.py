@@ -108,8 +108,7 @@ def lift(
     -------
     LiftResult
     """
-    images_e = images_e if images_e.is_floating_point() else images_e.double()
-    result = _in_pieces(model, images_e, good, noise, start_nm, options, report)
+    result = lift_within(model, images_e, good, noise, start_nm, options, report=report)
     stuck = _at_limit(model, result.zernike_nm)
     if not stuck.any():
         return result
@@ -117,8 +116,21 @@ def lift(
     return result.updated(stuck, again, torch.ones(len(again.zernike_nm), dtype=torch.bool))
 
 
-def _in_pieces(model: ImageModel, images_e, good, noise, start_nm, options, report) -> LiftResult:
-    """Fits of any number of images, of which few are worked on at a time."""
+def lift_within(
+    model: ImageModel,
+    images_e: torch.Tensor,
+    good: torch.Tensor,
+    noise: NoiseModel,
+    start_nm: torch.Tensor,
+    options: LiftOptions = DEFAULTS,
+    *,
+    report: Callable[[int], None] | None = None,
+) -> LiftResult:
+    """Estimate as `lift` does, but leave what has run into the limits of the model there.
+
+    Few images are worked on at a time.
+    """
+    images_e = images_e if images_e.is_floating_point() else images_e.double()
     if len(images_e) <= IMAGES_AT_ONCE:
         return _lift(model, images_e, good, noise, start_nm, options, report)
     return LiftResult.joined(

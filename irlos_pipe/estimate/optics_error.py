@@ -50,7 +50,7 @@ def optics_sigma_nm(
     if not len(chosen):
         return np.full(len(defocus_nm), np.nan)
     general, own = model.general, tuple(sorted({*nolls, *result.nolls}))
-    wide = ImageModel(light_path(general.psf.settings, own), general.effects.effects)
+    wide = ImageModel(light_path(general.psf.settings, own, rough_derivatives=True), general.effects.effects)
     known = [own.index(noll) for noll in nolls]
     slopes = [defocus_slopes(wide, result, int(frame), good, noise)[known] for frame in chosen]
     sigma_nm = [float(np.sqrt(slope @ covariance_nm2 @ slope)) for slope in slopes]
