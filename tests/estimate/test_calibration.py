@@ -54,6 +54,18 @@ def test_both_optimisers_reach_the_same_minimum(cube):
     assert np.abs(lm.zernike_nm - lbfgs.zernike_nm).max() < 0.02
 
 
+@pytest.mark.slow
+def test_both_optimisers_reach_the_same_minimum_of_the_paper_s_loss(cube):
+    """DIP global: its L1 loss is nearly kinked, and L-BFGS ends where it cannot lower it any more."""
+    frames, _ = cube
+    some = Frames(frames.images_e[:4], frames.good, frames.noise)
+    both = [CalibrationOptions("dip_global", "l1", name, 15, None) for name in ("lm", "lbfgs")]
+    lm, lbfgs = (calibrate(some, cases.settings(), options) for options in both)
+    assert lm.options.loss == lbfgs.options.loss == "l1"
+    assert np.abs(lm.frames_nm - lbfgs.frames_nm).max() < 0.1
+    assert np.abs(lm.zernike_nm - lbfgs.zernike_nm).max() < 0.05
+
+
 def test_one_invalid_frame_is_flagged_and_left_out(cube):
     frames, true = cube
     images = frames.images_e.clone()

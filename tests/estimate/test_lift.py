@@ -106,6 +106,25 @@ def test_map_lies_between_the_prior_and_the_maximum_likelihood(model):
     assert abs(float(between / ml) - 0.5) < 0.15  # equal precision of prior and data: half way
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("mag_j", [12, 18, 19])
+def test_a_wrong_prior_biases_map_by_its_share_of_the_information(model, mag_j):
+    """Truth: the normal distribution, whose mean given data and prior is that of both, weighted by precision.
+
+    The prior of the defocus is 100 nm off and 50 nm wide, where 0 is true.
+    """
+    frames, off_nm, width_nm = 200, 100.0, 50.0
+    flux = cases.photons(mag_j)
+    images = drawn(model, torch.zeros(frames, 3, dtype=torch.float64), flux, seed=mag_j)
+    mean = torch.tensor([[0.0, 0.0, off_nm]], dtype=torch.float64).repeat(frames, 1)
+    sigma = torch.tensor([torch.inf, torch.inf, width_nm], dtype=torch.float64)
+    found = estimate(model, images, np.zeros(frames), LiftOptions("model", mean, sigma)).zernike_nm[:, 2]
+    bound = float(cramer_rao_nm(ImageModel(model), mean[:1] * 0, torch.tensor([flux]), NOISE)[0, 2])
+    share = bound**2 / (bound**2 + width_nm**2)
+    scatter = bound * (1 - share) / np.sqrt(frames)
+    assert float(found.mean()) == pytest.approx(share * off_nm, abs=4 * scatter + 0.1 * share * off_nm)
+
+
 def test_a_frame_of_nan_is_flagged_and_the_others_are_estimated(model):
     true = random_modes(3, seed=5)
     images = drawn(model, true, cases.photons(12), seed=6)
