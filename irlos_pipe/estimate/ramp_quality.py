@@ -36,6 +36,12 @@ class FrameErrors:
     nominal_chi2_nu: float
 
     @property
+    def excess(self) -> float:
+        """By how much χ²/ν exceeds its nominal value; all of it where that is not known."""
+        nominal = self.nominal_chi2_nu if np.isfinite(self.nominal_chi2_nu) else 0.0
+        return max(0.0, self.chi2_nu - nominal)
+
+    @property
     def growth(self) -> float:
         """Factor on errors of photon noise by what the model misfits, at least 1."""
         ratio = self.chi2_nu / self.nominal_chi2_nu

@@ -39,6 +39,11 @@ class Config(StageConfig):
         description="width of the kernel of object and jitter: a number [mas], as calibrated, or "
         "fitted to the ramp",
     )
+    own_wavefront: Literal["auto", "always", "never"] = Field(
+        "auto",
+        description="fit what another filter or lens than the calibration's adds to the wavefront, by "
+        "wavelength (chromatic_ncpa) and by itself (filter_ncpa): where the frames misfit, always or never",
+    )
     estimator: Literal["ml", "map"] = Field("ml", description="maximum likelihood, or with a Gaussian prior")
     prior_scale: float = Field(
         3.0, gt=0, le=1000, description="width of the prior of MAP over that of the NCPA law"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -16,6 +18,7 @@ from irlos_pipe.estimate.ramp_fit import RampFit, fit_ramp
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.lift.config import Config
 from irlos_pipe.stages.lift.input import Ramp, calibrated_ncpa_nm, effects_for_lift, ramp_model, ramp_start
+from irlos_pipe.stages.lift.own_wavefront import OWN
 from irlos_pipe.stages.lift.singly import fit_singly
 from irlos_pipe.stages.model.colour import colour_warning
 
@@ -26,6 +29,7 @@ def fit_frames(
     *,
     calibrated: bool,
     halo: str,
+    own_wavefront: bool = False,
     seen: np.ndarray | None = None,
     after: RampFit | None = None,
 ) -> RampFit:
@@ -39,19 +43,26 @@ def fit_frames(
         Whether the NCPAs of `calibrate` are a part of the known wavefront.
     halo : {"calibrated", "fit", "off"}
         AO residual in the model.
+    own_wavefront : bool
+        Whether that of the ramp's light is fitted to all frames, see `own_wavefront`.
     seen : ndarray of bool, (frames,), optional
         Frames that determine what all frames share; by default all of them.
     after : RampFit, optional
-        Another fit of the ramp, whose dispersion and colour are taken over and not fitted once more.
+        Another fit of the ramp, whose dispersion, colour and own wavefront are taken over and not fitted
+        once more.
     """
     if ctx.config.singly:
         return fit_singly(ctx, ramp, calibrated=calibrated, halo=halo)
     ncpa_nm = calibrated_ncpa_nm(ctx) if calibrated else {}
     model = ramp_model(ctx, ramp, ctx.config.modes, ncpa_nm)
     recording, kernel = ramp.recordings[0], ctx.config.object_sigma_mas
-    effects = effects_for_lift(ctx, recording, halo, kernel, calibrated=calibrated)
-    effects = effects if after is None else _with_colour_of(after, effects)
-    if after is None and (warning := colour_warning(effects, ramp.recordings)):
+    own_wavefront |= after is not None and any(isinstance(one.base, OWN) for one in _effects_of(after))
+    effects = effects_for_lift(
+        ctx, recording, halo, kernel, calibrated=calibrated, own_wavefront=own_wavefront
+    )
+    effects = effects if after is None else _with_light_of(after, effects)
+    first = after is None and (not own_wavefront or ctx.config.own_wavefront == "always")
+    if first and (warning := colour_warning(effects, ramp.recordings)):
         ctx.log.warning(warning)
     if ctx.config.common_modes:
         effects.append(HighOrderNcpa(ctx.config.common_modes))
@@ -61,13 +72,16 @@ def fit_frames(
         return fit_ramp(model, ramp.data, start, options, effects, seen=seen, report=bar.update)
 
 
-def _with_colour_of(found: RampFit, effects: list[Effect]) -> list[Effect]:
-    """Effects with dispersion and colour held as another fit `found` them."""
-    known = found.model.general.effects
-    held = dict(zip(known.labels, known.effects, strict=True))
-    colour = (AtmosphericDispersion, Spectrum)
+def _effects_of(fit: RampFit) -> Sequence[Effect]:
+    return fit.model.general.effects.effects
+
+
+def _with_light_of(found: RampFit, effects: list[Effect]) -> list[Effect]:
+    """Effects with dispersion, colour and own wavefront held as another fit `found` them."""
+    held = dict(zip(found.model.general.effects.labels, _effects_of(found), strict=True))
+    light = (AtmosphericDispersion, Spectrum, *OWN)
     return [
-        held.get(label, effect) if isinstance(effect.base, colour) else effect
+        held.get(label, effect) if isinstance(effect.base, light) else effect
         for label, effect in zip(labels_of(effects), effects, strict=True)
     ]
 

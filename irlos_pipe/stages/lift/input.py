@@ -19,6 +19,7 @@ from irlos_pipe.optics.light_path import LightPath
 from irlos_pipe.product.results import results_of
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.calibrate.results import CalibrateResults
+from irlos_pipe.stages.lift.own_wavefront import with_own_wavefront
 from irlos_pipe.stages.model.colour import with_colour
 from irlos_pipe.stages.model.effects import (
     calibrated_effects,
@@ -124,6 +125,7 @@ def effects_for_lift(
     object_sigma_mas: str | float,
     *,
     calibrated: bool = True,
+    own_wavefront: bool = False,
 ) -> list[Effect]:
     """Return the effects for LIFT, see `ramp_effects`.
 
@@ -140,12 +142,15 @@ def effects_for_lift(
         Kernel of object and jitter.
     calibrated : bool
         False leaves effects out that are a part of the NCPAs.
+    own_wavefront : bool
+        Adds those that its own light makes of it, see `own_wavefront`.
     """
     reference = _calibrated_at_nm(ctx) if calibrated else None
     arguments = ctx.instrument, ctx.model, recording
     listed = model_effects(*arguments, ncpa_wavelength_nm=reference)
     conditions = conditions_of(*arguments, ncpa_wavelength_nm=reference)
     listed = [e for e in listed if not isinstance(e, FilterNcpa) or e.lies_in(conditions)]
+    listed = with_own_wavefront(listed, conditions) if own_wavefront else listed
     available = image_effects(with_colour(listed, ctx.model, conditions))
     available = [e for e in available if e.plane != "time" and (calibrated or not e.aberration)]
     return ramp_effects(available, _known(ctx, recording, reference), halo, object_sigma_mas)

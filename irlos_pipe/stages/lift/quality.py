@@ -100,6 +100,18 @@ def _error(config: Config, summary: RampSummary) -> Check:
     return Check("error", summary.rms_nm, "nm", None, config.max_error_nm, message)
 
 
+def misfits(config: Config, errors: FrameErrors) -> bool:
+    """Return whether χ²/ν of the frames is above its limit.
+
+    Parameters
+    ----------
+    config : Config
+        Its limits.
+    errors : FrameErrors
+    """
+    return not _misfit(config, errors).passed
+
+
 def _misfit(config: Config, errors: FrameErrors) -> Check:
     """χ²/ν of the frames, over its nominal value where that is known."""
     known = math.isfinite(errors.nominal_chi2_nu)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -24,7 +25,8 @@ from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.lift.config import Config
 from irlos_pipe.stages.lift.fit import fit_frames
 from irlos_pipe.stages.lift.input import Ramp, read_ramp
-from irlos_pipe.stages.lift.quality import WITHOUT_NCPAS, checks_of
+from irlos_pipe.stages.lift.own_wavefront import explains, has_other_light, own_lines
+from irlos_pipe.stages.lift.quality import WITHOUT_NCPAS, checks_of, misfits
 from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point, Twin
 from irlos_pipe.stages.model.effects import model_effects
 from irlos_pipe.stages.model.untested import BY_RAMP
@@ -37,7 +39,7 @@ def run(ctx: StageContext[Config]) -> StageOutput:
             f"lift.modes {list(ctx.config.modes)} lacks 4 (defocus), which is what LIFT is for"
         )
     ramp = read_ramp(ctx, ctx.config.input)
-    fit = fit_frames(ctx, ramp, calibrated=ctx.config.calibrated, halo=ctx.config.halo)
+    fit = _fitted(ctx, ramp)
     focus = _focus_stage(ctx, ramp, fit)
     ramp = replace(ramp, data=replace(ramp.data, introduced_nm=focus.introduced_nm))
     summary = _summarise(ramp, fit)
@@ -56,6 +58,24 @@ def run(ctx: StageContext[Config]) -> StageOutput:
         checks_of(ctx.config, converged, summary, others, errors, _wavefront_nm(ctx), len(ramp.names)),
         summary=_lines(ctx, fit, summary, others),
     )
+
+
+def _fitted(ctx: StageContext[Config], ramp: Ramp) -> RampFit:
+    """The ramp with the calibrated wavefront, or with one of its own light beside that."""
+    config = ctx.config
+    own = config.own_wavefront != "never" and has_other_light(ctx, ramp.acquisition)
+    fit_with = partial(fit_frames, ctx, ramp, calibrated=config.calibrated, halo=config.halo)
+    if own and config.own_wavefront == "always":
+        return fit_with(own_wavefront=True)
+    fit = fit_with()
+    errors = _frame_errors(ramp, fit)
+    if not own or not misfits(config, errors):
+        return fit
+    ctx.log.info(
+        "median χ²/ν of the frames is %.2f: a wavefront of the ramp's own light is fitted", errors.chi2_nu
+    )
+    other = fit_with(own_wavefront=True)
+    return other if explains(errors, _frame_errors(ramp, other)) else fit
 
 
 def _frame_errors(ramp: Ramp, fit: RampFit) -> FrameErrors:
@@ -276,6 +296,7 @@ def _lines(
         f"offset {summary.offset_nm:+.1f} nm, "
         f"error {summary.rms_nm:.1f} nm RMS, about the line {summary.residual_rms_nm:.1f} nm ({label})"
     ]
+    lines += own_lines(fit.effects)
     lines += [
         f"  {name}: slope {other.slope:.4f}, error {other.rms_nm:.1f} nm RMS"
         for name, other in others.items()

@@ -1,0 +1,131 @@
+"""A wavefront of the ramp's own light: when it is tried, when it is kept, and what it is made of.
+
+Truth: recordings, fits and qualities written down by hand.
+"""
+
+from __future__ import annotations
+
+import logging
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers import optics_cases as cases
+from helpers.effect_cases import BAND, RESIDUAL_LAW
+
+from irlos_pipe.effects.chromatic import ChromaticNcpa
+from irlos_pipe.effects.declaration import Conditions
+from irlos_pipe.effects.motion import TipTiltJitter
+from irlos_pipe.estimate.ramp_quality import FrameErrors
+from irlos_pipe.product.product import Product
+from irlos_pipe.stages.lift import work
+from irlos_pipe.stages.lift.config import Config
+from irlos_pipe.stages.lift.own_wavefront import explains, has_other_light, own_lines, with_own_wavefront
+
+NOMINAL, MISFIT = FrameErrors(4.0, 2.3, 2.2), FrameErrors(4.0, 9.2, 2.2)
+
+
+def context(config: Config | None = None, wavelength_nm: float = 1600.0, source: str = "lens"):
+    inputs = [
+        {"name": "cube", "input": "cubes", "observed": {"diversity_source": source}},
+        {"name": "ramp", "input": "ramp", "observed": {"diversity_source": "lens"}},
+    ]
+    products = {
+        "ingest": Product("ingest", {}, {"inputs": inputs}),
+        "calibrate": Product("calibrate", {}, {"wavelength_nm": wavelength_nm}, config={"input": "cubes"}),
+    }
+    return SimpleNamespace(config=config or Config(), products=products, log=logging.getLogger("own"))
+
+
+def ramp(wavelength_nm: float = 1600.0):
+    return SimpleNamespace(acquisition=SimpleNamespace(wavelength_nm=wavelength_nm, diversity_source="lens"))
+
+
+@pytest.mark.parametrize(
+    ("ctx", "wavelength_nm", "other"),
+    [
+        (context(), 1600.0, False),
+        (context(), 1420.0, True),
+        (context(source="mirror"), 1600.0, True),
+        (context(Config(calibrated=False)), 1420.0, False),
+        (context(Config(common_modes=(5, 6))), 1420.0, False),
+        (context(Config(singly=True)), 1420.0, False),
+    ],
+)
+def test_the_light_is_another_one_by_its_wavelength_or_its_lens(ctx, wavelength_nm, other):
+    assert has_other_light(ctx, ramp(wavelength_nm).acquisition) is other
+
+
+@pytest.mark.parametrize(
+    ("spectrum", "names"),
+    [
+        (((1215.0, 1.0), (1625.0, 1.0)), ["tip_tilt_jitter", "chromatic_ncpa", "filter_ncpa"]),
+        (((1600.0, 1.0),), ["tip_tilt_jitter", "filter_ncpa"]),
+    ],
+)
+def test_what_depends_on_wavelength_is_added_in_a_broad_band_alone(spectrum, names):
+    conditions = Conditions(cases.settings(32, spectrum), BAND, RESIDUAL_LAW, 0.5, 30)
+    found = with_own_wavefront([TipTiltJitter()], conditions)
+    assert [effect.name for effect in found] == names
+
+
+def test_what_the_recipe_lists_itself_stays():
+    conditions = Conditions(cases.settings(32, ((1215.0, 1.0), (1625.0, 1.0))), BAND, RESIDUAL_LAW, 0.5, 30)
+    own = ChromaticNcpa.under(conditions, range(4, 12))
+    found = with_own_wavefront([own], conditions)
+    assert found[0] is own and [effect.name for effect in found] == ["chromatic_ncpa", "filter_ncpa"]
+
+
+@pytest.mark.parametrize(
+    ("after", "kept"),
+    [(NOMINAL, True), (FrameErrors(4.0, 5.6, 2.2), True), (FrameErrors(4.0, 5.9, 2.2), False)],
+)
+def test_half_of_the_excess_has_to_be_explained(after, kept):
+    assert explains(MISFIT, after) is kept
+
+
+@pytest.mark.parametrize(
+    ("mode", "before", "after", "tried", "kept"),
+    [
+        ("auto", NOMINAL, NOMINAL, [False], "calibrated"),
+        ("auto", MISFIT, NOMINAL, [False, True], "own"),
+        ("auto", MISFIT, FrameErrors(4.0, 8.0, 2.2), [False, True], "calibrated"),
+        ("never", MISFIT, NOMINAL, [False], "calibrated"),
+        ("always", NOMINAL, NOMINAL, [True], "own"),
+    ],
+)
+def test_it_is_tried_where_frames_misfit_and_kept_where_it_explains_that(
+    monkeypatch, mode, before, after, tried, kept
+):
+    seen = []
+
+    def fit_frames(ctx, ramp, *, own_wavefront=False, **rest):
+        seen.append(own_wavefront)
+        return "own" if own_wavefront else "calibrated"
+
+    monkeypatch.setattr(work, "fit_frames", fit_frames)
+    monkeypatch.setattr(work, "_frame_errors", lambda ramp, fit: after if fit == "own" else before)
+    assert work._fitted(context(Config(own_wavefront=mode)), ramp(1420.0)) == kept
+    assert seen == tried
+
+
+def test_a_ramp_in_the_light_of_its_calibration_is_left_alone(monkeypatch):
+    monkeypatch.setattr(work, "fit_frames", lambda ctx, ramp, *, own_wavefront=False, **rest: own_wavefront)
+    monkeypatch.setattr(work, "_frame_errors", lambda ramp, fit: MISFIT)
+    assert work._fitted(context(), ramp(1600.0)) is False
+
+
+def test_the_excess_is_all_of_chi2_where_nothing_is_nominal():
+    assert FrameErrors(4.0, 9.0, np.nan).excess == 9.0
+    assert FrameErrors(4.0, 2.0, 2.2).excess == 0.0
+
+
+def test_the_line_states_sizes_as_root_sums_of_squares():
+    effects = {
+        "chromatic_ncpa": {"zernike_nm_per_um": {"4": 30.0, "5": -40.0}},
+        "filter_ncpa": {"zernike_nm": {"5": 12.0, "6": 5.0}},
+        "seeing_halo": {"wfe_nm": 110.0},
+    }
+    (line,) = own_lines(effects)
+    assert "50 nm RMS per µm" in line and "13 nm RMS of filter or lens" in line
+    assert own_lines({"seeing_halo": {"wfe_nm": 110.0}}) == []
