@@ -18,6 +18,7 @@ from irlos_pipe.report.misfit_plots import chi2_figures
 from irlos_pipe.report.quality_plots import SIZE_IN
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import number, plural, with_error
+from irlos_pipe.stages.lift.own_wavefront import own_text
 from irlos_pipe.stages.lift.results import DECISIVE, LiftResults, Line, Offset, Point, Twin
 
 STAGE = "lift"
@@ -68,7 +69,9 @@ def lift_section(run: RunData) -> Section:
 def _lead(results: LiftResults) -> str:
     modes = ", ".join(map(str, results.modes))
     ncpas = "in the known wavefront" if results.calibrated else "left out"
-    return f"Noll {modes} of {plural(len(results.points), 'frame')}; NCPAs {ncpas}."
+    own = own_text(results.effects)
+    frames = plural(len(results.points), "frame")
+    return f"Noll {modes} of {frames}; NCPAs {ncpas}{f', to which {own}' if own else ''}."
 
 
 def _ramp(frames: Sequence[Point]) -> list[Figure]:

@@ -27,7 +27,7 @@ from irlos_pipe.product.product import Product
 from irlos_pipe.recipe import load_recipe
 from irlos_pipe.stages.lift import work
 from irlos_pipe.stages.lift.config import Config
-from irlos_pipe.stages.lift.own_wavefront import explains, has_other_light, own_lines, with_own_wavefront
+from irlos_pipe.stages.lift.own_wavefront import explains, has_other_light, own_text, with_own_wavefront
 
 NOMINAL, MISFIT = FrameErrors(4.0, 2.3, 2.2), FrameErrors(4.0, 9.2, 2.2)
 
@@ -127,15 +127,15 @@ def test_the_excess_is_all_of_chi2_where_nothing_is_nominal():
     assert FrameErrors(4.0, 2.0, 2.2).excess == 0.0
 
 
-def test_the_line_states_sizes_as_root_sums_of_squares():
+def test_the_text_states_sizes_as_root_sums_of_squares():
     effects = {
         "chromatic_ncpa": {"zernike_nm_per_um": {"4": 30.0, "5": -40.0}},
         "filter_ncpa": {"zernike_nm": {"5": 12.0, "6": 5.0}},
         "seeing_halo": {"wfe_nm": 110.0},
     }
-    (line,) = own_lines(effects)
-    assert "50 nm RMS per µm" in line and "13 nm RMS of filter or lens" in line
-    assert own_lines({"seeing_halo": {"wfe_nm": 110.0}}) == []
+    text = own_text(effects)
+    assert "50 nm RMS per µm" in text and "13 nm RMS of filter or lens" in text
+    assert own_text({"seeing_halo": {"wfe_nm": 110.0}}) == ""
 
 
 # -- the whole stage, on the bench -------------------------------------------------------------------
@@ -198,3 +198,5 @@ def test_a_ramp_through_another_lens_shows_the_lens_and_errs_less(folder):
     assert np.abs(errors).max() < 3
     assert never["summary"]["rms_nm"] > 3 * auto["summary"]["rms_nm"]
     assert auto["summary"]["rms_nm"] < 2
+    shown = [(folder / mode / "report.html").read_text() for mode in ("never", "auto")]
+    assert ["to which its own light adds" in one for one in shown] == [False, True]

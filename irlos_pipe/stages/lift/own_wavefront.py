@@ -77,8 +77,8 @@ def explains(before: FrameErrors, after: FrameErrors) -> bool:
     return after.excess <= EXPLAINED * before.excess
 
 
-def own_lines(effects: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return the line for the terminal on a wavefront of the ramp's own light; none without one.
+def own_text(effects: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return in words how large a wavefront of the ramp's own light is; empty without one.
 
     Parameters
     ----------
@@ -92,4 +92,4 @@ def own_lines(effects: Mapping[str, Mapping[str, Any]]) -> list[str]:
     }
     units = {ChromaticNcpa.name: "nm RMS per µm of wavelength", FilterNcpa.name: "nm RMS of filter or lens"}
     texts = [f"{size:.0f} {units[name]}" for name, size in sizes.items()]
-    return [f"  its own light adds {' and '.join(texts)}"] if texts else []
+    return f"its own light adds {' and '.join(texts)}" if texts else ""

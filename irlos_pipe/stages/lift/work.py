@@ -25,7 +25,7 @@ from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.lift.config import Config
 from irlos_pipe.stages.lift.fit import fit_frames
 from irlos_pipe.stages.lift.input import Ramp, read_ramp
-from irlos_pipe.stages.lift.own_wavefront import explains, has_other_light, own_lines
+from irlos_pipe.stages.lift.own_wavefront import explains, has_other_light, own_text
 from irlos_pipe.stages.lift.quality import WITHOUT_NCPAS, checks_of, misfits
 from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point, Twin
 from irlos_pipe.stages.model.effects import model_effects
@@ -296,7 +296,7 @@ def _lines(
         f"offset {summary.offset_nm:+.1f} nm, "
         f"error {summary.rms_nm:.1f} nm RMS, about the line {summary.residual_rms_nm:.1f} nm ({label})"
     ]
-    lines += own_lines(fit.effects)
+    lines += [f"  {own}"] if (own := own_text(fit.effects)) else []
     lines += [
         f"  {name}: slope {other.slope:.4f}, error {other.rms_nm:.1f} nm RMS"
         for name, other in others.items()
