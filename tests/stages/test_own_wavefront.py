@@ -18,15 +18,19 @@ from helpers import sparta_files
 from helpers.effect_cases import BAND, RESIDUAL_LAW
 from helpers.simulated_scenes import image
 
-from irlos_pipe.effects.chromatic import ChromaticNcpa
+from irlos_pipe.effects import FixedEffect
+from irlos_pipe.effects.chromatic import ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.declaration import Conditions
+from irlos_pipe.effects.effect_set import EffectSet
 from irlos_pipe.effects.motion import TipTiltJitter
 from irlos_pipe.estimate.ramp_quality import FrameErrors
+from irlos_pipe.optics.psf import PsfModel
 from irlos_pipe.pipeline import run_recipe
 from irlos_pipe.product.product import Product
 from irlos_pipe.recipe import load_recipe
 from irlos_pipe.stages.lift import work
 from irlos_pipe.stages.lift.config import Config
+from irlos_pipe.stages.lift.fit import _with_light_of
 from irlos_pipe.stages.lift.own_wavefront import explains, has_other_light, own_text, with_own_wavefront
 
 NOMINAL, MISFIT = FrameErrors(4.0, 2.3, 2.2), FrameErrors(4.0, 9.2, 2.2)
@@ -136,6 +140,15 @@ def test_the_text_states_sizes_as_root_sums_of_squares():
     text = own_text(effects)
     assert "50 nm RMS per µm" in text and "13 nm RMS of filter or lens" in text
     assert own_text({"seeing_halo": {"wfe_nm": 110.0}}) == ""
+
+
+def test_a_comparison_has_the_own_wavefront_of_the_fit_before_and_no_more():
+    conditions = Conditions(cases.settings(32, ((1215.0, 1.0), (1625.0, 1.0))), BAND, RESIDUAL_LAW, 0.5, 30)
+    own = [kind.under(conditions, range(5, 8)) for kind in (ChromaticNcpa, FilterNcpa)]
+    found = EffectSet([FixedEffect(own[1], [1.0, 2.0, 3.0])], PsfModel(cases.settings(32), (2, 3, 4)).grids)
+    fit = SimpleNamespace(model=SimpleNamespace(general=SimpleNamespace(effects=found)))
+    (only,) = _with_light_of(fit, own)
+    assert only is found.effects[0]
 
 
 # -- the whole stage, on the bench -------------------------------------------------------------------

@@ -83,6 +83,7 @@ def _with_light_of(found: RampFit, effects: list[Effect]) -> list[Effect]:
     return [
         held.get(label, effect) if isinstance(effect.base, light) else effect
         for label, effect in zip(labels_of(effects), effects, strict=True)
+        if label in held or not isinstance(effect.base, OWN)
     ]
 
 
