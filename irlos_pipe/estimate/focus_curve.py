@@ -14,7 +14,7 @@ import torch
 
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects.image_model import ImageModel
-from irlos_pipe.estimate.lift import lift_within
+from irlos_pipe.estimate.lift import lift
 from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.lift_problems import PhotonFit
 from irlos_pipe.estimate.parameters import Layout
@@ -85,7 +85,7 @@ def focus_curve(
     sigma_nm[column] = HELD_NM
     options = LiftOptions(prior_mean_nm=starts, prior_sigma_nm=sigma_nm)
     # Far from the focus, tip and tilt may run to the end of the table: a curve needs no more than that.
-    held = lift_within(quick, image_e.repeat(len(starts), 1, 1), good, noise, starts, options)
+    held = lift(quick, image_e.repeat(len(starts), 1, 1), good, noise, starts, options, beyond=False)
     chi2_nu = held.chi2_nu[:-1].numpy()
     images = image_e.double().flatten().repeat(MOST_MINIMA + 1, 1, 1).to(quick.psf.device)
     begin = held.solution.values[[-1, *_minima(chi2_nu)]]

@@ -87,6 +87,7 @@ def lift(
     start_nm: torch.Tensor,
     options: LiftOptions = DEFAULTS,
     *,
+    beyond: bool = True,
     report: Callable[[int], None] | None = None,
 ) -> LiftResult:
     """Estimate the modes of `model` in every image.
@@ -101,6 +102,8 @@ def lift(
     noise : NoiseModel
     start_nm : tensor, (images, modes)
     options : LiftOptions
+    beyond : bool
+        Whether images whose estimate has run into the limits of a table are estimated again without it.
     report : callable, optional
         See `solve`.
 
@@ -108,29 +111,17 @@ def lift(
     -------
     LiftResult
     """
-    result = lift_within(model, images_e, good, noise, start_nm, options, report=report)
+    images_e = images_e if images_e.is_floating_point() else images_e.double()
+    result = _in_pieces(model, images_e, good, noise, start_nm, options, report)
     stuck = _at_limit(model, result.zernike_nm)
-    if not stuck.any():
+    if not (beyond and stuck.any()):
         return result
     again = lift(model.general, images_e[stuck], good, noise, start_nm[stuck], options.of(stuck))
     return result.updated(stuck, again, torch.ones(len(again.zernike_nm), dtype=torch.bool))
 
 
-def lift_within(
-    model: ImageModel,
-    images_e: torch.Tensor,
-    good: torch.Tensor,
-    noise: NoiseModel,
-    start_nm: torch.Tensor,
-    options: LiftOptions = DEFAULTS,
-    *,
-    report: Callable[[int], None] | None = None,
-) -> LiftResult:
-    """Estimate as `lift` does, but leave what has run into the limits of the model there.
-
-    Few images are worked on at a time.
-    """
-    images_e = images_e if images_e.is_floating_point() else images_e.double()
+def _in_pieces(model: ImageModel, images_e, good, noise, start_nm, options, report) -> LiftResult:
+    """Fits of any number of images, of which few are worked on at a time."""
     if len(images_e) <= IMAGES_AT_ONCE:
         return _lift(model, images_e, good, noise, start_nm, options, report)
     return LiftResult.joined(
