@@ -14,8 +14,7 @@ from irlos_pipe.conventions.placement import Flip, Placement
 from irlos_pipe.conventions.pupil_drawing import PupilGeometry, Vane, placed
 from irlos_pipe.conventions.pupil_parts import PARTS, AmplitudeMap, Part, Samples
 from irlos_pipe.conventions.text import suggestion
-from irlos_pipe.files.late import fits
-from irlos_pipe.files.regular import open_regular
+from irlos_pipe.files.first_image import first_image
 from irlos_pipe.instrument.status import Status
 
 PLACEMENT_KEYS = ("rotation_deg", "flip", "centre_m")
@@ -203,14 +202,10 @@ def read_map(path: Path, metres_per_sample: float | None = None) -> AmplitudeMap
         For a file that cannot be read, a scale that is nowhere stated, and samples that are no amplitudes.
     """
     try:
-        with open_regular(path) as stream, fits.open(stream, memmap=False) as hdus:
-            image = next((hdu for hdu in hdus if hdu.is_image and hdu.data is not None), None)
-            values = None if image is None else np.asarray(image.data, dtype=np.float64)
-            scale = metres_per_sample or (None if image is None else image.header.get(SCALE_KEYWORD))
-    except (OSError, TypeError, ValueError) as error:
-        raise ValueError(f"map {path.name} cannot be read: {str(error).splitlines()[0]}") from None
-    if values is None:
-        raise ValueError(f"map {path.name} holds no image")
+        values, header = first_image(path)
+    except ValueError as error:
+        raise ValueError(f"map {path.name} {error}") from None
+    scale = metres_per_sample or header.get(SCALE_KEYWORD)
     if not isinstance(scale, (int, float)) or not np.isfinite(scale):
         raise ValueError(
             f"map {path.name} has no scale; give map.metres_per_sample, or {SCALE_KEYWORD} in its header"

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.files.late import fits
+from irlos_pipe.files.first_image import first_image
 from irlos_pipe.files.regular import open_regular
 
 LEAST_SAMPLES, MOST_SAMPLES, MOST_MODES = 16, 512, 2000
@@ -58,14 +58,12 @@ def read_modes(path: Path) -> np.ndarray:
         If it is none, or its shape is not that.
     """
     try:
-        with open_regular(path) as stream, fits.open(stream, memmap=False) as hdus:
-            image = next((hdu for hdu in hdus if hdu.is_image and hdu.data is not None), None)
-            maps = None if image is None else np.asarray(image.data, dtype=np.float64)
-    except (OSError, TypeError, ValueError) as error:
-        raise InputDataError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
-    if maps is None or maps.ndim != 3 or maps.shape[1] != maps.shape[2]:
-        found = "no image" if maps is None else f"an image of {' × '.join(map(str, maps.shape))}"
-        raise InputDataError(f"{path}: {found}; modes are a cube of n × n maps across the pupil")
+        maps, _ = first_image(path)
+    except ValueError as error:
+        raise InputDataError(f"{path}: {error}; modes are a cube of n × n maps across the pupil") from None
+    if maps.ndim != 3 or maps.shape[1] != maps.shape[2]:
+        found = " × ".join(map(str, maps.shape))
+        raise InputDataError(f"{path}: an image of {found}; modes are a cube of n × n maps across the pupil")
     count, samples = maps.shape[:2]
     if not (LEAST_SAMPLES <= samples <= MOST_SAMPLES and 1 <= count <= MOST_MODES):
         raise InputDataError(

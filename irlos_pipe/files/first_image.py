@@ -1,0 +1,40 @@
+"""The first image of a FITS file, for what people draw themselves: pupils, modes of a mirror."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from irlos_pipe.files.late import fits
+from irlos_pipe.files.regular import open_regular
+
+
+def first_image(path: Path) -> tuple[np.ndarray, Mapping[str, Any]]:
+    """Return the first image of a FITS file that has data, and its header.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    image : ndarray
+        In float64.
+    header : mapping
+
+    Raises
+    ------
+    ValueError
+        Where the file cannot be read, or holds no image; names the reason and not the file.
+    """
+    try:
+        with open_regular(path) as stream, fits.open(stream, memmap=False) as hdus:
+            image = next((hdu for hdu in hdus if hdu.is_image and hdu.data is not None), None)
+            if image is not None:
+                return np.asarray(image.data, dtype=np.float64), image.header
+    except (OSError, TypeError, ValueError) as error:
+        raise ValueError(f"cannot be read: {str(error).splitlines()[0]}") from None
+    raise ValueError("holds no image")
