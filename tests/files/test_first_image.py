@@ -10,7 +10,7 @@ from irlos_pipe.files.first_image import first_image
 
 
 def test_image_behind_a_table_is_found(tmp_path):
-    """What astropy wrote comes back with its header, although the primary is empty and a table comes first."""
+    """What astropy wrote comes back with its header, behind an empty primary and a table."""
     table = fits.BinTableHDU.from_columns([fits.Column("a", "E", array=np.zeros(3))])
     drawn = fits.ImageHDU(np.arange(12, dtype=">i2").reshape(3, 4))
     drawn.header["PUPLSCAL"] = 0.125

@@ -211,6 +211,25 @@ def test_a_loop_that_leaves_more_than_theory_is_missed():
     assert missed(loop(16.0)) == ["residual over prediction"]
 
 
+def test_a_loop_that_leaves_more_than_the_2x2_mode_on_any_star_is_missed():
+    def loops(faint_nm, diverged=0):
+        one = {"runs": 4, "predicted_nm": 10.0}
+        default = {**one, "sensor": "long_exposure"}
+        classical = {**one, "sensor": "centroids_2x2"}
+        rows = [
+            {**default, "mag_j": 12.0, "residual_nm": 10.0},
+            {**classical, "mag_j": 12.0, "residual_nm": 12.0},
+            {**default, "mag_j": 19.0, "residual_nm": faint_nm},
+            {**classical, "mag_j": 19.0, "residual_nm": 20.0, "diverged": diverged},
+        ]
+        return SlowLoopResults(default="long_exposure", loops=rows)
+
+    assert missed(loops(19.0)) == []
+    assert missed(loops(21.0)) == ["residual over that of the 2x2 centroids"]
+    assert missed(loops(math.nan)) == ["residual over that of the 2x2 centroids"]
+    assert missed(loops(99.0, diverged=4)) == []
+
+
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_every_experiment_says_what_its_results_have_to_keep(name):
     assert callable(STAGES[name].checks_of) and STAGES[name].Results.stage == name

@@ -10,14 +10,16 @@ from helpers.experiment_stage import run_stage, section_of
 
 from irlos_pipe.control.disturbance import Drift, SodiumLayer
 from irlos_pipe.control.linear_theory import Integrator, best_gain
-from irlos_pipe.paper.common.broad_band import star_scene
-from irlos_pipe.paper.common.reads import Read
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.paper.common.broad_band import in_four_images, star_scene
+from irlos_pipe.paper.common.reads import Read, sky_e_per_s
 from irlos_pipe.paper.slow_loop import stage
 from irlos_pipe.paper.slow_loop.experiment import Conditions, LoopSample, noise_law, run_loops
 from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
 from irlos_pipe.paper.slow_loop.loops import Loop, close_loops
 from irlos_pipe.paper.slow_loop.outcome import outcome_of, sensor_of
 from irlos_pipe.paper.slow_loop.section import section as slow_loop_section
+from irlos_pipe.paper.slow_loop.two_by_two import TWO_BY_TWO, two_by_two_sensors, with_their_zero
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.scene import Sampling
 
@@ -319,3 +321,80 @@ def test_stage_and_section_show_what_the_loops_left(found, monkeypatch):
     section = section_of(output, "slow_loop", slow_loop_section)
     table = section.blocks[-1]
     assert table.title == "Uncalibrated" and [row[0] for row in table.rows] == ["12", "25"]
+
+
+# -- the 2x2 mode ------------------------------------------------------------------------------------
+
+FOUR_LOOPS = (Loop("lift_2x2", 12.0, 0.4), Loop("uncalibrated", 12.0, 0.4), Loop("centroids_2x2", 12.0, 0.2))
+
+
+def bench_in_four(**changes):
+    """The 2x2 mode without sky and motion: nothing but NCPAs lies between star and sensor."""
+    return replace(in_four_images(scene(5)), sky=None, motion=None, **changes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TWO_BY_TWO)
+def test_four_images_show_the_defocus_that_the_simulator_put_in(name):
+    """The simulator shares no optics with the sensors. Centroids above a threshold have a gain of their own,
+    7 % off without NCPAs (docs/two_by_two.md); a fit has none."""
+    defocus = np.array([-60.0, -20.0, 0.0, 20.0, 60.0])
+    star = bench_in_four(introduced_nm=tuple(defocus))
+    images_e = expose(star).mean_e
+    sensor = two_by_two_sensors(star)[name]
+    fit = np.polyfit(defocus, sensor.measure(images_e, NoiseModel(1.0, 1.0)), 1)
+    assert fit[0] == pytest.approx(1, abs=0.03 if name == "lift_2x2" else 0.2)
+
+
+@pytest.mark.slow
+def test_their_zero_is_that_of_the_star_without_defocus():
+    """The star's NCPAs have 21 nm of defocus, and others that displace the images as defocus does."""
+    star = bench_in_four()
+    table = frame_table(star, 120.0, 4)
+    raw = two_by_two_sensors(star)
+    noise, images_e = NoiseModel(1.0, 1.0), table.images_e(0, np.zeros(1))
+    for name, sensor in with_their_zero(raw, table).items():
+        assert sensor.measure(images_e, noise) == pytest.approx(0.0, abs=0.5)
+        assert abs(raw[name].measure(images_e, noise)[0]) > 10.0
+
+
+@pytest.mark.slow
+def test_centroids_scatter_as_drawn_images_do_and_no_less_than_the_bound():
+    """Monte Carlo with Poisson noise, where the sensor draws Gaussian noise of the same variance."""
+    star = replace(in_four_images(scene(60)), ncpa_nm={})
+    sensor = two_by_two_sensors(star)["centroids_2x2"]
+    mean_e = expose(star).mean_e.astype(float).mean(axis=0)
+    mean_e *= 2e4 / mean_e.sum()
+    rng = np.random.default_rng(8)
+    images_e = rng.poisson(mean_e, (400, *mean_e.shape)) + rng.standard_normal((400, *mean_e.shape))
+    noise = NoiseModel(1.0, 1.0)
+    scatter = np.nanstd(sensor.measure(images_e, noise))
+    assert sensor.photon_noise_nm(2e4, noise) == pytest.approx(scatter, rel=0.15)  # each to 4 %
+    assert scatter > sensor.bound_nm(2e4, noise)
+
+
+def test_a_lenslet_has_its_quarter_of_the_sky():
+    """The same area of the sky, of a quarter of the pupil, in a pixel (78 / 9.7)² times as large."""
+    star = scene()
+    ratio = sky_e_per_s(in_four_images(star)) / sky_e_per_s(star)
+    assert ratio == pytest.approx((78.0 / star.pixel_scale_mas) ** 2 / 4)
+
+
+@pytest.mark.slow
+def test_loops_of_both_modes_run_on_one_drift_in_the_order_asked_for():
+    """Of every loop: drift less the sum of gain times measurement, one frame late."""
+
+    def run(loops):
+        sensors = tuple(loop.sensor for loop in loops)
+        return run_loops(LoopSample("test", (3, 1), CONDITIONS, sensors, loops, 4, 1, 120.0, 4))
+
+    found = run(FOUR_LOOPS)
+    for loop, residual, measured in zip(
+        FOUR_LOOPS, found["residual_nm"][0], found["measured_nm"][0], strict=True
+    ):
+        command = loop.gain * np.concatenate([[0, 0], np.cumsum(measured)[:-2]])
+        assert residual == pytest.approx(found["drift_nm"][0] - command)
+    alone = run(FOUR_LOOPS[1:2])
+    for name in ("measured_nm", "residual_nm"):
+        assert found[name][0, 1] == pytest.approx(alone[name][0, 0])
+    assert found["photon_noise_nm"][2] > found["bound_nm"][2]

@@ -27,6 +27,8 @@ COARSE = Sampling(points_per_band=2, step_s=0.05)
 FINE = Sampling(points_per_band=3, step_s=0.02)
 
 FRAME_MARGIN_MAS = 100.0  # field beyond the window, enough for single frames
+# The 2x2 mode at its small scale: 18 pixels across an image.
+LENSLET_WINDOW, LENSLET_SCALE_MAS = (36, 36), 78.0
 
 
 def star_scene(
@@ -66,6 +68,13 @@ def star_scene(
         motion=Motion(JITTER_MAS),
         detector=COADDED,
         sampling=COARSE,
+    )
+
+
+def in_four_images(star: Scene) -> Scene:
+    """Return the same frames of a `star` in the 2x2 mode, which has no lens for the diversity."""
+    return replace(
+        star, window=LENSLET_WINDOW, pixel_scale_mas=LENSLET_SCALE_MAS, lenslets=2, diversity_nm={}
     )
 
 

@@ -30,7 +30,9 @@ def settings_of(scene: Scene, ncpa_nm: Mapping[int, float] | None = None) -> Psf
     """Return the settings of the PSF model of a `scene` with known NCPAs `ncpa_nm` (Noll: nm RMS)."""
     known = KnownWavefront(diversity_nm=scene.diversity_nm, ncpa_nm=ncpa_nm or {})
     spectrum = tuple(scene.spectrum(SIDE_CAR_POINTS))
-    return PsfSettings(scene.geometry, scene.window, scene.pixel_scale_mas, spectrum, known)
+    return PsfSettings(
+        scene.geometry, scene.window, scene.pixel_scale_mas, spectrum, known, lenslets=scene.lenslets
+    )
 
 
 def seeing_of(scene: Scene) -> float:

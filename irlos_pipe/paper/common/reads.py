@@ -86,7 +86,11 @@ def as_read(scene: Scene, read: Read | None) -> Scene:
 
 
 def sky_e_per_s(scene: Scene) -> float:
-    """Return the light of the sky in a pixel by the profile, for the bands and optics of a `scene`."""
+    """Return the light of the sky in a pixel by the profile, for the bands and optics of a `scene`.
+
+    A lenslet has its part of the pupil and of this light.
+    """
     photons_per_s_m0 = scene.photons / scene.exposure_s * 10 ** (0.4 * scene.mag_j)
     spectrum = [(band.centre_nm, band.share) for band in scene.bands]
-    return scene.facility.sky_photons_per_s(spectrum, photons_per_s_m0, scene.pixel_scale_mas)
+    of_pupil = scene.facility.sky_photons_per_s(spectrum, photons_per_s_m0, scene.pixel_scale_mas)
+    return of_pupil / scene.lenslets**2

@@ -3,33 +3,45 @@
 One sample is one sky with its own NCPAs, calibrated on a narrow-band cube as an observer would, and a
 few drifts. All loops of a sample (configurations, stars, gains) run on the same sky and drifts. The NCPAs
 have no tip, tilt and defocus: a loop drives those to zero by itself, and its own zero is what counts here.
+The 2x2 mode that the full pupil replaces runs on the same drifts, with the same star and sky.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
 from irlos_pipe.control.disturbance import Drift
 from irlos_pipe.control.linear_theory import best_gain
 from irlos_pipe.conventions.facility import Facility
-from irlos_pipe.paper.common.broad_band import FINE, star_scene
+from irlos_pipe.frames.noise import NoiseModel
+from irlos_pipe.paper.common.broad_band import FINE, in_four_images, star_scene
 from irlos_pipe.paper.common.cube import BRIGHT_MAG_J, CubeSample
 from irlos_pipe.paper.common.observation import noise_of
 from irlos_pipe.paper.common.ramps import TTF, Knowledge, calibrated
 from irlos_pipe.paper.common.reads import Read, as_read
 from irlos_pipe.paper.slow_loop.frames import FrameTable, frame_table
-from irlos_pipe.paper.slow_loop.loops import Loop, close_loops
-from irlos_pipe.paper.slow_loop.sensor import FocusSensor, focus_sensor
+from irlos_pipe.paper.slow_loop.loops import Loop, LoopRecord, close_loops
+from irlos_pipe.paper.slow_loop.sensor import focus_sensor
+from irlos_pipe.paper.slow_loop.two_by_two import (
+    TWO_BY_TWO,
+    Sensor,
+    two_by_two_sensors,
+    with_their_zero,
+)
 from irlos_pipe.simulate.scene import Scene
 
 Noise = Callable[[float, int], float]
 """Noise of a measurement [nm RMS] of a star of some magnitude, from a number of one-second frames."""
 
 UNCALIBRATED = "uncalibrated"
-SKY_STREAM, CUBE_STREAM, DRIFT_STREAM, NOISE_STREAM = range(4)  # children of a sample's seed
+# Children of a sample's seed; the last two are of the noise in the full-pupil and in the 2x2 mode.
+SKY_STREAM, CUBE_STREAM, DRIFT_STREAM, *NOISE_STREAMS = range(5)
+# Of the arrays that have one.
+LOOP_AXIS = dict.fromkeys(LoopRecord.__annotations__, 1) | {"bound_nm": 0, "photon_noise_nm": 0}
 DRIFT_STEPS = 10  # per frame
 SEEN = 0.85  # part of the aperture's photons in the window: hole, spider and halo take the rest
 SKY_FOCUS_NM = 5.0  # defocus of the AO residual in a frame of a second, as simulated
@@ -60,7 +72,7 @@ class LoopSample:
     Attributes
     ----------
     configurations : tuple of str
-        The sensors that the loops name: calibration methods, or `UNCALIBRATED`.
+        The sensors that the loops name: calibration methods, `UNCALIBRATED`, or those of the 2x2 mode.
     frames, drifts : int
         Frames of a second per drift, and drifts.
     reach_nm, nodes
@@ -85,28 +97,57 @@ def run_loops(sample: LoopSample) -> dict[str, np.ndarray]:
     -------
     dict of str to ndarray
         The fields of `LoopRecord`, (drifts, loops, frames); ``drift_nm`` (drifts, frames);
-        ``sky_focus_nm`` (frames,); ``bound_nm`` (loops,), the Cramér–Rao bound of one measurement.
+        ``sky_focus_nm`` (frames,); ``bound_nm`` (loops,), the Cramér–Rao bound of one measurement;
+        ``photon_noise_nm`` (loops,), see `FocusSensor.photon_noise_nm`.
     """
     cube = _cube(sample)
-    bare = _star(sample, cube.ncpa_nm)
-    scenes = {loop.exposures: _exposed_for(bare, loop.exposures, sample.conditions) for loop in sample.loops}
-    methods = [name for name in sample.configurations if name != UNCALIBRATED]
-    known = calibrated(cube, methods) if methods else {}
-    sensors = {name: focus_sensor(bare, known.get(name, Knowledge())) for name in sample.configurations}
-    table = frame_table(bare, sample.reach_nm, sample.nodes)
+    star = _star(sample, cube.ncpa_nm)
     drift_nm = np.array([_drift_nm(sample, index) for index in range(sample.drifts)])
-    records = [
-        close_loops(
-            sample.loops, sensors, scenes, table, one, sample.conditions.delay, _noise_rng(sample, index)
-        )
-        for index, one in enumerate(drift_nm)
+    in_four = np.array([loop.sensor in TWO_BY_TWO for loop in sample.loops])
+    modes = ((star, ~in_four), (in_four_images(star), in_four))
+    parts = [
+        _in_mode(sample, list(compress(sample.loops, chosen)), scene, cube, drift_nm, stream)
+        for (scene, chosen), stream in zip(modes, NOISE_STREAMS, strict=True)
+        if chosen.any()
     ]
+    order = np.argsort(np.concatenate([np.flatnonzero(chosen) for _, chosen in modes]))
+    joined = {
+        name: np.concatenate([part[name] for part in parts], axis).take(order, axis)
+        for name, axis in LOOP_AXIS.items()
+    }
+    return {**joined, "drift_nm": drift_nm, "sky_focus_nm": parts[0]["sky_focus_nm"]}
+
+
+def _in_mode(
+    sample: LoopSample, loops: Sequence[Loop], star: Scene, cube: Scene, drift_nm: np.ndarray, stream: int
+) -> dict[str, np.ndarray]:
+    """The `loops` of one mode of the sensor, which sees a `star`."""
+    scenes = {loop.exposures: _exposed_for(star, loop.exposures, sample.conditions) for loop in loops}
+    table = frame_table(star, sample.reach_nm, sample.nodes)
+    sensors = _sensors(sample, star, cube, table)
+    rngs = [np.random.default_rng([*sample.seed, stream, index]) for index in range(sample.drifts)]
+    records = [
+        close_loops(loops, sensors, scenes, table, one, sample.conditions.delay, rng)
+        for one, rng in zip(drift_nm, rngs, strict=True)
+    ]
+    own = [sensors[loop.sensor] for loop in loops]
+    seeing = list(zip(own, _photons(loops, scenes, table), strict=True))
     return {
         **{name: np.array([getattr(one, name) for one in records]) for name in vars(records[0])},
-        "drift_nm": drift_nm,
         "sky_focus_nm": table.sky_focus_nm,
-        "bound_nm": _bounds_nm(sample.loops, sensors, scenes, table),
+        "bound_nm": np.array([sensor.bound_nm(*seen) for sensor, seen in seeing]),
+        "photon_noise_nm": np.array([sensor.photon_noise_nm(*seen) for sensor, seen in seeing]),
     }
+
+
+def _sensors(sample: LoopSample, star: Scene, cube: Scene, table: FrameTable) -> dict[str, Sensor]:
+    """What measures the defocus of a `star`, by name, the NCPAs calibrated on a `cube`."""
+    if star.lenslets > 1:
+        return with_their_zero(two_by_two_sensors(star), table)
+    names = [name for name in sample.configurations if name not in TWO_BY_TWO]
+    methods = [name for name in names if name != UNCALIBRATED]
+    known = calibrated(cube, methods) if methods else {}
+    return {name: focus_sensor(star, known.get(name, Knowledge())) for name in names}
 
 
 def _cube(sample: LoopSample) -> Scene:
@@ -151,41 +192,43 @@ def _drift_nm(sample: LoopSample, index: int) -> np.ndarray:
     return steps.reshape(sample.frames, DRIFT_STEPS).mean(1)
 
 
-def _noise_rng(sample: LoopSample, index: int) -> np.random.Generator:
-    return np.random.default_rng([*sample.seed, NOISE_STREAM, index])
-
-
-def _bounds_nm(
-    loops: Sequence[Loop],
-    sensors: Mapping[str, FocusSensor],
-    scenes: Mapping[int, Scene],
-    table: FrameTable,
-) -> np.ndarray:
-    """Cramér–Rao bound of one measurement of every loop, with its own sensor's model."""
+def _photons(
+    loops: Sequence[Loop], scenes: Mapping[int, Scene], table: FrameTable
+) -> list[tuple[float, NoiseModel]]:
+    """Electrons in the window and noise of an exposure of every loop."""
     seen_e = float(table.images_e(0, np.zeros(1)).sum())
-    return np.array(
-        [
-            sensors[loop.sensor].bound_nm(
-                seen_e * loop.brightness(scenes[loop.exposures].mag_j) * loop.exposures,
-                noise_of(scenes[loop.exposures]),
-            )
-            for loop in loops
-        ]
-    )
+    return [
+        (
+            seen_e * loop.brightness(scenes[loop.exposures].mag_j) * loop.exposures,
+            noise_of(scenes[loop.exposures]),
+        )
+        for loop in loops
+    ]
 
 
 # -- which loops are worth running -----------------------------------------------------------------
 
 
-def noise_law(conditions: Conditions) -> Noise:
-    """Return the expected noise of a measurement, for the choice of gains: photons, and the sky's defocus."""
+def noise_law(conditions: Conditions, sensor: str = UNCALIBRATED) -> Noise:
+    """Return the expected noise of a measurement, for the choice of gains: photons, and the sky's defocus.
+
+    Parameters
+    ----------
+    conditions : Conditions
+    sensor : str
+        Of the 2x2 mode, or any of the full pupil.
+    """
     scene = star_scene("noise", conditions.facility, (0,), 1, 0.0, {}, seeing_arcsec=conditions.seeing_arcsec)
-    sensor = focus_sensor(scene, Knowledge())
+    if sensor in TWO_BY_TWO:
+        scene = in_four_images(scene)
+        measuring = two_by_two_sensors(scene)[sensor]
+    else:
+        measuring = focus_sensor(scene, Knowledge())
 
     def noise_nm(mag_j: float, exposures: int) -> float:
         seen_e = SEEN * scene.photons * 10 ** (-0.4 * mag_j) * exposures
         noise = noise_of(_exposed_for(scene, exposures, conditions))
-        return float(np.hypot(sensor.bound_nm(seen_e, noise), SKY_FOCUS_NM / np.sqrt(exposures)))
+        return float(np.hypot(measuring.photon_noise_nm(seen_e, noise), SKY_FOCUS_NM / np.sqrt(exposures)))
 
     return noise_nm
 

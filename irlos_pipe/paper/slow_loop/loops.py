@@ -9,7 +9,7 @@ import numpy as np
 
 from irlos_pipe.paper.common.observation import noise_of, recorded_e
 from irlos_pipe.paper.slow_loop.frames import FrameTable
-from irlos_pipe.paper.slow_loop.sensor import FocusSensor
+from irlos_pipe.paper.slow_loop.two_by_two import Sensor
 from irlos_pipe.simulate.scene import Scene
 
 
@@ -62,7 +62,7 @@ class LoopRecord:
 
 def close_loops(
     loops: Sequence[Loop],
-    sensors: Mapping[str, FocusSensor],
+    sensors: Mapping[str, Sensor],
     scenes: Mapping[int, Scene],
     table: FrameTable,
     drift_nm: np.ndarray,
@@ -74,7 +74,7 @@ def close_loops(
     Parameters
     ----------
     loops : sequence of Loop
-    sensors : mapping of str to FocusSensor
+    sensors : mapping of str to Sensor
         By the names that the loops use.
     scenes : mapping of int to Scene
         The sky in exposures of so many frames.

@@ -18,7 +18,7 @@ class LoopRow(LoopOutcome):
     bound_nm : float
         Cramér–Rao bound of a measurement [nm RMS].
     expected_noise_nm : float
-        With the AO residual's own defocus.
+        Noise of a measurement by photons and detector, with the AO residual's own defocus.
     predicted_nm : float
         Residual by linear theory with this noise.
     best_gain : float

@@ -15,8 +15,9 @@ from irlos_pipe.paper.common.section import array_of
 from irlos_pipe.paper.common.variants import DEFAULT, PAPER_CHOICE
 from irlos_pipe.paper.slow_loop.experiment import UNCALIBRATED
 from irlos_pipe.paper.slow_loop.results import LoopRow, SlowLoopResults
+from irlos_pipe.paper.slow_loop.two_by_two import CENTROIDS, LIFT
 from irlos_pipe.report.content import Figure, Section, Table
-from irlos_pipe.report.drawing import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, svg
+from irlos_pipe.report.drawing import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, SKY, svg
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.text import MISSING, number, plural, with_error
 
@@ -27,12 +28,16 @@ CONFIGURATIONS = {
     (DEFAULT, 2): "default calibration, 2 s at 0.5 Hz",
     (PAPER_CHOICE, 1): "NCPAs by DIP global",
     (UNCALIBRATED, 1): "uncalibrated",
+    (CENTROIDS, 1): "2x2 mode, centroids",
+    (LIFT, 1): "2x2 mode, fit of the four images",
 }
 LOOKS = {
     (DEFAULT, 1): (BLUE, "o"),
     (DEFAULT, 2): (PURPLE, "D"),
     (PAPER_CHOICE, 1): (GREEN, "s"),
     (UNCALIBRATED, 1): (ORANGE, "^"),
+    (CENTROIDS, 1): (INK, "x"),
+    (LIFT, 1): (SKY, "v"),
 }
 STAR_COLOURS = (BLUE, ORANGE, GREEN)
 SERIES_CAPTION = (
@@ -51,8 +56,8 @@ GAIN_CAPTION = (
 )
 TABLE_CAPTION = (
     "Sensor noise: measured minus true residual, the AO residual's own defocus included. Bias: RMS over "
-    "skies of the mean residual. Lost: measurements that LIFT could not give. Gain margin: factor to "
-    "oscillation."
+    "skies of the mean residual. Lost: measurements that the sensor could not give. Gain margin: factor to "
+    "oscillation. The 2x2 mode is told its own zero without error."
 )
 COLUMNS = (
     "m_J",
@@ -78,7 +83,7 @@ def section(run: RunData) -> Section:
     if best:
         series = _series(run, results, best)
         figures.insert(0, Figure(series, "Bright and faint star", SERIES_CAPTION))
-    figures.append(Figure(_sensor_noise(results), "LIFT as the loop's sensor", NOISE_CAPTION))
+    figures.append(Figure(_sensor_noise(results), "The loop's sensor", NOISE_CAPTION))
     if results.scanned_stars():
         figures.append(Figure(_against_gain(results), "Residual against gain", GAIN_CAPTION))
     return Section(STAGE, "Slow focus loop on LIFT", _lead(results, best), [*figures, *_tables(results)])

@@ -35,9 +35,12 @@ class FocusSensor:
     ----------
     model : ImageModel
         With AO residual and jitter.
+    zero_nm : float
+        What it measures where there is no defocus, if that is known [nm RMS].
     """
 
     model: ImageModel
+    zero_nm: float = 0.0
 
     def measure(self, images_e: np.ndarray, noise: NoiseModel) -> np.ndarray:
         """Return the defocus of every image, (images,) [nm RMS]; NaN where none is to be used.
@@ -54,7 +57,8 @@ class FocusSensor:
         result = lift(self.model, images, good, noise, start, LiftOptions("model"))
         defocus, sigma = result.mode(DEFOCUS)
         credible = (sigma < LARGEST_SIGMA_NM) & (defocus.abs() < FARTHEST_NM)
-        return torch.where(result.solution.converged & credible, defocus, torch.nan).numpy()
+        measured = torch.where(result.solution.converged & credible, defocus, torch.nan)
+        return measured.numpy() - self.zero_nm
 
     def bound_nm(self, seen_e: float, noise: NoiseModel) -> float:
         """Return the Cramér–Rao bound at zero defocus [nm RMS].
@@ -69,6 +73,13 @@ class FocusSensor:
         in_window = self.model.psf.images(zero, self.model.optics).double().sum().cpu()
         flux = seen_e / in_window[None]
         return float(cramer_rao_nm(self.model, zero, flux, noise)[0, FOCUS])
+
+    def photon_noise_nm(self, seen_e: float, noise: NoiseModel) -> float:
+        """Return the noise of a measurement without an AO residual [nm RMS]: the bound, which LIFT reaches.
+
+        `seen_e` and `noise` are as of `bound_nm`.
+        """
+        return self.bound_nm(seen_e, noise)
 
 
 def focus_sensor(scene: Scene, knowledge: Knowledge) -> FocusSensor:

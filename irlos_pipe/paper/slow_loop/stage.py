@@ -28,11 +28,12 @@ from irlos_pipe.paper.slow_loop.loops import Loop
 from irlos_pipe.paper.slow_loop.outcome import LoopOutcome, outcome_of
 from irlos_pipe.paper.slow_loop.results import LoopRow
 from irlos_pipe.paper.slow_loop.results import SlowLoopResults as Results
+from irlos_pipe.paper.slow_loop.two_by_two import TWO_BY_TWO
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageConfig, StageContext, StageOutput
 
 NAME = Results.stage
-VERSION = 7
+VERSION = 8
 READS = ()
 DEPENDS_ON = ("instrument", "seed")
 
@@ -56,7 +57,8 @@ class Config(StageConfig):
     settle: int = Field(20, ge=0, description="frames left out of the statistics")
     magnitudes: tuple[float, ...] = Field((12, 16, 17, 18, 19, 20), min_length=1, description="J mag")
     configurations: tuple[str, ...] = Field(
-        (UNCALIBRATED, PAPER_CHOICE, DEFAULT), description="calibration methods, or `uncalibrated`"
+        (UNCALIBRATED, PAPER_CHOICE, DEFAULT, *TWO_BY_TWO),
+        description="calibration methods, `uncalibrated`; of the 2x2 mode `centroids_2x2`, `lift_2x2`",
     )
     scan_magnitudes: tuple[float, ...] = Field((12, 18), description="stars of the scan of gains")
     scan_gains: tuple[float, ...] = Field((0.05, 0.1, 0.2, 0.6, 0.8), description="gains of the scan")
@@ -101,13 +103,15 @@ def _conditions(ctx: StageContext[Config]) -> Conditions:
 def _loops(ctx: StageContext[Config]) -> tuple[Loop, ...]:
     """Every star in every configuration at its best gain, and the scans; each loop once."""
     config, conditions = ctx.config, _conditions(ctx)
-    noise = noise_law(conditions)
     loops = [
         loop
         for name in config.configurations
-        for loop in at_best_gain(name, config.magnitudes, conditions.drift, config.delay, noise)
+        for loop in at_best_gain(
+            name, config.magnitudes, conditions.drift, config.delay, noise_law(conditions, name)
+        )
     ]
     if config.half_rate:
+        noise = noise_law(conditions)
         loops += at_best_gain(DEFAULT, config.magnitudes, conditions.drift, config.delay, noise, exposures=2)
     loops += gain_scan(DEFAULT, config.scan_magnitudes, config.scan_gains)
     return tuple(dict.fromkeys(loops))
@@ -137,18 +141,19 @@ def _row(config: Config, conditions: Conditions, loop: Loop, index: int, found: 
         _stacked(found, name)[:, :, index] for name in ("residual_nm", "measured_nm", "true_nm", "due")
     )
     outcome = outcome_of(residual_nm, measured_nm, true_nm, due, conditions.drift, config.settle)
-    bound_nm = float(np.median(_stacked(found, "bound_nm")[:, index]))
-    theory = _theory(conditions, loop, outcome, bound_nm, _sky_focus_nm(found))
-    return LoopRow(**asdict(loop), **outcome.model_dump(), **theory)
+    bound_nm, photon_noise_nm = (
+        float(np.median(_stacked(found, name)[:, index])) for name in ("bound_nm", "photon_noise_nm")
+    )
+    theory = _theory(conditions, loop, outcome, photon_noise_nm, _sky_focus_nm(found))
+    return LoopRow(**asdict(loop), **outcome.model_dump(), **theory, bound_nm=bound_nm)
 
 
 def _theory(
-    conditions: Conditions, loop: Loop, outcome: LoopOutcome, bound_nm: float, sky_focus_nm: float
+    conditions: Conditions, loop: Loop, outcome: LoopOutcome, photon_noise_nm: float, sky_focus_nm: float
 ) -> dict[str, Any]:
     integrator = Integrator(loop.gain, float(loop.exposures), conditions.delay)
-    noise_nm = float(np.hypot(bound_nm, sky_focus_nm / np.sqrt(loop.exposures)))
+    noise_nm = float(np.hypot(photon_noise_nm, sky_focus_nm / np.sqrt(loop.exposures)))
     return {
-        "bound_nm": bound_nm,
         "expected_noise_nm": noise_nm,
         "predicted_nm": integrator.residual_nm(conditions.drift, noise_nm),
         "best_gain": best_gain(conditions.drift, noise_nm, float(loop.exposures), conditions.delay),
