@@ -132,6 +132,11 @@ class Fitter:
 
         return found[most_plausible([one.chi2 for one in found], [one.penalty for one in found], worth)]
 
+    def rise_between(self, one: Fitted, other: Fitted) -> float:
+        """By how much χ² and priors of `other` exceed those of `one`, χ² in units of its scatter."""
+        chi2 = (other.chi2 - one.chi2) / self._scatter_between(one, other)
+        return chi2 + other.penalty - one.penalty
+
     def _scatter_between(self, one: Fitted, other: Fitted) -> float:
         """Variance of the mean image along the difference of two models, in units of that of known noise."""
         if self.stack.photon_limited:

@@ -84,7 +84,7 @@ def other_sides(fitted: Fitted, label: str) -> list[np.ndarray]:
     label : str
         Of the effect.
     """
-    angle = _direction(fitted, label)
+    angle = direction_of(fitted, label)
     if angle is None:
         return []
     other = fitted.x[0, fitted.columns_of(label)].numpy().copy()
@@ -114,8 +114,15 @@ def off_rest(fitted: Fitted, effects: Mapping[str, Effect]) -> list[Effect]:
     return [*({**effects} | released).values()]
 
 
-def _direction(fitted: Fitted, label: str) -> int | None:
-    """Which parameter of an effect is its direction; None of an effect without a distance and a direction."""
+def direction_of(fitted: Fitted, label: str) -> int | None:
+    """Which free parameter of an effect is its direction; None of one without a distance and a direction.
+
+    Parameters
+    ----------
+    fitted : Fitted
+    label : str
+        Of the effect.
+    """
     free = fitted.effect(label).parameters
     angles = [i for i, one in enumerate(free) if one.null is None and one.unit == "rad"]
     if not angles or free[0].null is None or free[0].null > free[0].lower:
@@ -125,7 +132,7 @@ def _direction(fitted: Fitted, label: str) -> int | None:
 
 def _rests(fitted: Fitted, label: str) -> bool:
     """Whether an effect with a direction is at no distance."""
-    if _direction(fitted, label) is None:
+    if direction_of(fitted, label) is None:
         return False
     distance = float(fitted.x[0, fitted.columns_of(label)[0]])
     return distance <= fitted.effect(label).parameters[0].lower + AT_REST

@@ -14,6 +14,7 @@ from irlos_pipe.diagnosis.checks.noise import NoiseVerdict
 from irlos_pipe.diagnosis.cube import HeldOutKind
 from irlos_pipe.diagnosis.held_out import Gap
 from irlos_pipe.diagnosis.moments import Moments
+from irlos_pipe.diagnosis.opposite import OppositeSide
 from irlos_pipe.diagnosis.rest import Rest
 from irlos_pipe.diagnosis.second_recording import Advice
 from irlos_pipe.diagnosis.sharing import Together
@@ -65,6 +66,8 @@ class Sized:
         Parameters and standard errors under public names.
     shown, shown_sigma : dict
         What a reader is told of its size, see `Effect.shown`, and standard errors.
+    opposite : OppositeSide or None
+        Where these data do not exclude it.
     """
 
     effect: FixedEffect
@@ -72,12 +75,15 @@ class Sized:
     sigma: dict[str, Any]
     shown: dict[str, Any] = field(default_factory=dict, kw_only=True)
     shown_sigma: dict[str, Any] = field(default_factory=dict, kw_only=True)
+    opposite: OppositeSide | None = field(default=None, kw_only=True)
 
     @property
     def phrase(self) -> str:
-        """The effect with its size and error, as a sentence names it."""
+        """The effect with its size and error, as a sentence names it, and its opposite side."""
         sizes = measured(self.public, self.sigma) | measured(self.shown, self.shown_sigma)
-        return self.effect.phrase(sizes)
+        phrase = self.effect.phrase(sizes)
+        other = self.opposite
+        return phrase if other is None else f"{phrase} (or {other.phrase}, which these data do not exclude)"
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from irlos_pipe.diagnosis.grade import much_is_left
 from irlos_pipe.diagnosis.moments import Moments
 from irlos_pipe.diagnosis.naming import added
 from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.opposite import opposite_side
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.splitting import hold_out_of
 from irlos_pipe.diagnosis.together import together
@@ -76,6 +77,11 @@ def diagnose(
     if search is not plain and (deeper := deeper_null(search, effects, fitter)):
         search = completed(task.searched_from(deeper))
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
+    steps, adjusted = (
+        [replace(one, opposite=opposite_side(fitter, search.final, one.label, options.sure)) for one in found]
+        for found in (diagnosis.steps, diagnosis.adjusted)
+    )
+    diagnosis = replace(diagnosis, steps=steps, adjusted=adjusted)
     if moments.several and diagnosis.verdict != UNKNOWN:
         diagnosis = replace(diagnosis, together=together(search, fitter, cube, moments, options))
     return replace(diagnosis, seconds=time.perf_counter() - began)

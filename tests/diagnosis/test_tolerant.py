@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.diagnose_frames import CONDITIONS, NOLLS, cube, fitted, image
+from helpers.diagnose_frames import CASE, CONDITIONS, NOLLS, cube, fitted, image
 
 from irlos_pipe.diagnosis.acceptance import Options, accepted, labels_in
 from irlos_pipe.diagnosis.allowance import errors_of
@@ -17,11 +17,12 @@ from irlos_pipe.diagnosis.effect_sizes import Covariances
 from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.naming import added
 from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.opposite import opposite_side
 from irlos_pipe.diagnosis.refit import Refit
 from irlos_pipe.diagnosis.search.scores import Family, score_family
 from irlos_pipe.diagnosis.sentence import _left
 from irlos_pipe.diagnosis.tolerant import SCALES, as_wide_as_told, everyday
-from irlos_pipe.diagnosis.verdict import PARTIAL
+from irlos_pipe.diagnosis.verdict import PARTIAL, Adjusted
 from irlos_pipe.diagnosis.without import without_linearly
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.effects.detector import BadPixels
@@ -58,6 +59,33 @@ def test_where_the_others_cannot_stand_in_for_it_the_linear_model_is_no_worse_th
     near = without_linearly(full, STOP.name)
     assert float(full.problem.chi2(near.x)) <= float(full.problem.chi2(x))
     assert near.values_of(STOP.name)[[0, 2]] == pytest.approx(0.0, abs=1e-9)  # a direction has no null
+
+
+def test_the_opposite_side_is_said_where_nothing_tells_the_sides_apart():
+    """Without any wavefront the image is |FT|² of a real pupil, which is even: both sides make the same."""
+    flat_nm = {6: -CASE.known.total_nm[6]}
+    training = cube(image(flat_nm, STOP, TRUE)).training
+    model = fitted(training, [FixedEffect(STOP, TRUE, FREE)])
+    side = opposite_side(Fitter(model.views, training), Optimum(training, model), STOP.name, 5.0)
+    true, found = (
+        STOP.describe(np.array(TRUE)),
+        model.effect(STOP.name).base.describe(model.values_of(STOP.name)),
+    )
+    assert abs(side.chi2_rise) < 4.0
+    for key in ("dx_m", "dy_m"):
+        assert side.public[key] == pytest.approx(-true[key], abs=0.01)
+        assert found[key] == pytest.approx(true[key], abs=0.01)
+    assert side.public["rotation_deg"] == pytest.approx(true["rotation_deg"], abs=0.5)
+    sized = Adjusted(FixedEffect(STOP, TRUE), true, {}, opposite=side, label=STOP.name, significance=9.0)
+    assert sized.phrase.startswith("vanes turned by +1.0°") and side.phrase in sized.phrase
+
+
+def test_the_opposite_side_is_not_said_where_the_diversity_excludes_it_or_there_is_none(off_centre):
+    training, model = off_centre
+    fitter, final = Fitter(model.views, training), Optimum(training, model)
+    assert opposite_side(fitter, final, STOP.name, 5.0) is None
+    assert opposite_side(fitter, final, SCALE.name, 5.0) is None
+    assert opposite_side(fitter, final, "drift", 5.0) is None  # which no fit of the mean image has
 
 
 def test_a_wrong_model_never_makes_the_flat_worse_than_a_better_one_left_it(off_centre):

@@ -14,7 +14,7 @@ from irlos_pipe.diagnosis.held_out import Gap
 from irlos_pipe.diagnosis.rest import Rest
 from irlos_pipe.diagnosis.sentence import sentence
 from irlos_pipe.diagnosis.sharing import Sharing, Together
-from irlos_pipe.diagnosis.verdict import Diagnosis, Step
+from irlos_pipe.diagnosis.verdict import Diagnosis, Sized, Step
 from irlos_pipe.effects import CATALOGUE, FixedEffect
 from irlos_pipe.optics.wavefront import rms_and_pv
 from irlos_pipe.product.product import Quantity
@@ -30,6 +30,7 @@ from irlos_pipe.stages.diagnose.results import (
     MapRow,
     ModesChange,
     NoiseRow,
+    OppositeRow,
     OwnValueRow,
     RankedRow,
     RestRow,
@@ -71,7 +72,13 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
         why_unknown=result.why_unknown,
         rest=_rest(result.rest),
         adjusted=[
-            AdjustedRow(effect=one.label, phrase=one.phrase, parameters=one.public, sigma=one.sigma)
+            AdjustedRow(
+                effect=one.label,
+                phrase=one.phrase,
+                parameters=one.public,
+                sigma=one.sigma,
+                opposite=_opposite(one),
+            )
             for one in result.adjusted
         ],
         tried=[
@@ -153,6 +160,18 @@ def _step(step: Step, together: Together | None = None) -> StepRow:
         share=step.share,
         unusual=step.unusual,
         recordings=[] if together is None else step.found_in(together.moments),
+        opposite=_opposite(step),
+    )
+
+
+def _opposite(one: Sized) -> OppositeRow | None:
+    """The opposite side of an effect, where it is not excluded."""
+    side = one.opposite
+    return side and OppositeRow(
+        parameters=dict(side.public),
+        phrase=side.phrase,
+        chi2_rise=side.chi2_rise,
+        wavefront_change_nm=side.wavefront_change_nm,
     )
 
 

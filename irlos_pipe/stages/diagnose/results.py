@@ -102,6 +102,27 @@ class TriedRow(ResultsPart):
     reason: str = ""
 
 
+class OppositeRow(ResultsPart):
+    """A fit with the effect on its opposite side, see `diagnosis.opposite.OppositeSide`.
+
+    Attributes
+    ----------
+    parameters : dict
+        Values there by name of the parameter.
+    phrase : str
+        The effect there, as a sentence names it.
+    chi2_rise : float
+        χ² and priors there over those of the model, in units of their scatter.
+    wavefront_change_nm : float
+        RMS by which the wavefronts of both fits differ, tip and tilt apart.
+    """
+
+    parameters: EffectValues = {}
+    phrase: str = ""
+    chi2_rise: Number = math.nan
+    wavefront_change_nm: Number = math.nan
+
+
 class AdjustedRow(ResultsPart):
     """An effect that makes the final model fit better and is not named.
 
@@ -113,12 +134,15 @@ class AdjustedRow(ResultsPart):
         The effect with its size and error, as a sentence names it.
     parameters, sigma : dict
         Values and standard errors by name of the parameter.
+    opposite : OppositeRow or None
+        Its opposite side, where these data do not exclude that.
     """
 
     effect: str = ""
     phrase: str = ""
     parameters: EffectValues = {}
     sigma: EffectValues = {}
+    opposite: OppositeRow | None = None
 
 
 class StepRow(ResultsPart):
@@ -154,6 +178,8 @@ class StepRow(ResultsPart):
         Parameters beyond what is usual for the effect.
     recordings : list of str
         Where it was found; empty: in all.
+    opposite : OppositeRow or None
+        Its opposite side, where these data do not exclude that.
     """
 
     effect: str = ""
@@ -173,6 +199,7 @@ class StepRow(ResultsPart):
     share: Number = math.nan
     unusual: list[str] = []
     recordings: list[str] = []
+    opposite: OppositeRow | None = None
 
 
 class OwnValueRow(ResultsPart):

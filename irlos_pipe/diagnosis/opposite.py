@@ -1,0 +1,90 @@
+"""Whether an effect fits as well on its opposite side, which a standard error does not say.
+
+A stop that is moved one way and one that is moved the other way make the same image to first order, but for
+the even part of the wavefront. Odd modes imitate the rest: behind a strong AO residual both sides may fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from irlos_pipe.diagnosis.fitted import Fitted, begun_at
+from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.starts import direction_of, other_sides
+
+POINTING = 2  # modes at the beginning, tip and tilt
+
+
+@dataclass(frozen=True)
+class OppositeSide:
+    """A fit with an effect on its opposite side that these data do not exclude.
+
+    Attributes
+    ----------
+    public : dict
+        Its parameters there, under public names.
+    phrase : str
+        The effect there, as a sentence names it.
+    chi2_rise : float
+        χ² and priors there over those of the model, in units of their scatter; negative if it fits better.
+    wavefront_change_nm : float
+        RMS by which the wavefronts of both fits differ, tip and tilt apart.
+    """
+
+    public: Mapping[str, Any]
+    phrase: str
+    chi2_rise: float
+    wavefront_change_nm: float
+
+
+def opposite_side(fitter: Fitter, final: Optimum, label: str, sure: float) -> OppositeSide | None:
+    """The fit with an effect of the pupil on its opposite side, unless the data exclude it.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    final : Optimum
+        Of the model with the effect.
+    label : str
+        Of the effect there.
+    sure : float
+        Significance from which that side is excluded, in Gaussian σ.
+
+    Returns
+    -------
+    OppositeSide or None
+        None as well for effects without a direction in the pupil, and where the fit leads back.
+    """
+    fitted = final.fitted
+    if label not in fitted.problem.effects.labels or fitted.effect(label).plane != "pupil":
+        return None
+    own = fitter.of(final.stack, fitted.views)
+    for side in [] if direction_of(fitted, label) is None else other_sides(fitted, label):
+        other = _from(own, fitted, label, side)
+        rise = own.rise_between(fitted, other)
+        if _is_opposite(fitted, other, label) and rise < sure**2:
+            base, values = other.effect(label).base, other.values_of(label)
+            public = base.describe(values)
+            change_nm = float(np.linalg.norm((other.modes_nm - fitted.modes_nm)[POINTING:]))
+            return OppositeSide(public, base.phrase(public), rise, change_nm)
+    return None
+
+
+def _from(fitter: Fitter, fitted: Fitted, label: str, values: np.ndarray) -> Fitted:
+    """The fit in which an effect begins with other `values`."""
+    effects = fitted.continued_by_label()
+    effects[label] = begun_at(effects[label], values)
+    return fitter.finished(fitter.explored([*effects.values()], fitted))
+
+
+def _is_opposite(fitted: Fitted, other: Fitted, label: str) -> bool:
+    """Whether an effect points more away from where it was than towards it."""
+    if not np.isfinite(other.chi2):
+        return False
+    column = fitted.columns_of(label)[direction_of(fitted, label)]
+    return bool(np.cos(float(other.x[0, column] - fitted.x[0, column])) < 0)
