@@ -63,11 +63,14 @@ def opposite_side(fitter: Fitter, final: Optimum, label: str, sure: float) -> Op
     fitted = final.fitted
     if label not in fitted.problem.effects.labels or fitted.effect(label).plane != "pupil":
         return None
+    angle = direction_of(fitted, label)
+    if angle is None:
+        return None
     own = fitter.of(final.stack, fitted.views)
-    for side in [] if direction_of(fitted, label) is None else other_sides(fitted, label):
+    for side in other_sides(fitted, label):
         other = _from(own, fitted, label, side)
         rise = own.rise_between(fitted, other)
-        if _is_opposite(fitted, other, label) and rise < sure**2:
+        if _is_opposite(fitted, other, fitted.columns_of(label)[angle]) and rise < sure**2:
             base, values = other.effect(label).base, other.values_of(label)
             public = base.describe(values)
             change_nm = float(np.linalg.norm((other.modes_nm - fitted.modes_nm)[POINTING:]))
@@ -82,9 +85,7 @@ def _from(fitter: Fitter, fitted: Fitted, label: str, values: np.ndarray) -> Fit
     return fitter.finished(fitter.explored([*effects.values()], fitted))
 
 
-def _is_opposite(fitted: Fitted, other: Fitted, label: str) -> bool:
-    """Whether an effect points more away from where it was than towards it."""
-    if not np.isfinite(other.chi2):
-        return False
-    column = fitted.columns_of(label)[direction_of(fitted, label)]
-    return bool(np.cos(float(other.x[0, column] - fitted.x[0, column])) < 0)
+def _is_opposite(fitted: Fitted, other: Fitted, column: int) -> bool:
+    """Whether the direction in a `column` points more away from where it was than towards it."""
+    turned = float(other.x[0, column] - fitted.x[0, column])
+    return bool(np.isfinite(other.chi2) and np.cos(turned) < 0)

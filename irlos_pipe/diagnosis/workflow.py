@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import torch
 
@@ -24,9 +25,11 @@ from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.splitting import hold_out_of
 from irlos_pipe.diagnosis.together import together
 from irlos_pipe.diagnosis.tolerant import SETTLED, TolerantTask
-from irlos_pipe.diagnosis.verdict import UNKNOWN, Diagnosis
+from irlos_pipe.diagnosis.verdict import UNKNOWN, Adjusted, Diagnosis, Step
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.effects import Effect
+
+Named = TypeVar("Named", Step, Adjusted)
 
 
 def silent(count: int) -> None:
@@ -77,14 +80,26 @@ def diagnose(
     if search is not plain and (deeper := deeper_null(search, effects, fitter)):
         search = completed(task.searched_from(deeper))
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
-    steps, adjusted = (
-        [replace(one, opposite=opposite_side(fitter, search.final, one.label, options.sure)) for one in found]
-        for found in (diagnosis.steps, diagnosis.adjusted)
-    )
-    diagnosis = replace(diagnosis, steps=steps, adjusted=adjusted)
+    diagnosis = with_opposite_sides(diagnosis, fitter, search.final, options.sure)
     if moments.several and diagnosis.verdict != UNKNOWN:
         diagnosis = replace(diagnosis, together=together(search, fitter, cube, moments, options))
     return replace(diagnosis, seconds=time.perf_counter() - began)
+
+
+def with_opposite_sides(diagnosis: Diagnosis, fitter: Fitter, final: Optimum, sure: float) -> Diagnosis:
+    """The diagnosis with the opposite sides of what is named or adjusted that these data do not exclude.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    fitter, final, sure : see `opposite_side`
+    """
+
+    def completed(one: Named) -> Named:
+        return replace(one, opposite=opposite_side(fitter, final, one.label, sure))
+
+    steps, adjusted = map(completed, diagnosis.steps), map(completed, diagnosis.adjusted)
+    return replace(diagnosis, steps=list(steps), adjusted=list(adjusted))
 
 
 def deeper_null(search: Search, told: Sequence[Effect], fitter: Fitter) -> Fitted | None:

@@ -167,7 +167,9 @@ def _step(step: Step, together: Together | None = None) -> StepRow:
 def _opposite(one: Sized) -> OppositeRow | None:
     """The opposite side of an effect, where it is not excluded."""
     side = one.opposite
-    return side and OppositeRow(
+    if side is None:
+        return None
+    return OppositeRow(
         parameters=dict(side.public),
         phrase=side.phrase,
         chi2_rise=side.chi2_rise,
