@@ -28,6 +28,7 @@ from irlos_pipe.optics.lenslets import light_path
 LEAST_FRAMES = 4
 SIGNIFICANT = 4.0  # standard errors
 LARGEST_SIGMA = 0.25
+LEAST_EFFECT = 1e-100  # of a parameter on the image, instead of none
 MIRROR = Placement(mirrored=True)
 
 
@@ -72,9 +73,7 @@ def mirrored(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Mirrore
     variance = mean_variance_e2(frames).flatten()
     root = torch.where(frames.good.flatten() & torch.isfinite(variance), variance**-0.5, 0.0)
     columns = (jacobian[0].double().cpu() * root).mT
-    normal = columns.mT @ columns + torch.diag(problem.prior_precision[0].double().cpu())
-    along = difference * root
-    along = along - columns @ torch.linalg.solve(normal, columns.mT @ along)
+    along = _not_followed(difference * root, columns, problem.prior_precision[0].double().cpu())
     length = float(along @ along)
     if not length > 0:
         return None
@@ -83,6 +82,18 @@ def mirrored(frames: Frames, problem: ImageFit, values: torch.Tensor) -> Mirrore
     whole = torch.where(root > 0, (frames.mean_e.flatten() - image[0].cpu()) * root, 0.0)
     independent = len(amplitudes) / float(autocorrelation_time(amplitudes[:, None])[0])
     return Mirrored(float(whole @ along / length), float(amplitudes.std(ddof=1) / np.sqrt(independent)))
+
+
+def _not_followed(change: torch.Tensor, columns: torch.Tensor, precision: torch.Tensor) -> torch.Tensor:
+    """What is left of a `change` of the image (pixels,) when the parameters have followed it.
+
+    Some parameters may have no effect where the fit ended: the direction of a stop at no distance.
+    """
+    both = torch.cat([columns, torch.diag(precision.sqrt())])
+    scale = both.norm(dim=0).clamp_min(LEAST_EFFECT)
+    sought = torch.cat([change, torch.zeros(len(precision), dtype=torch.float64)])
+    steps = torch.linalg.lstsq(both / scale, sought[:, None], driver="gelsd").solution[:, 0]
+    return change - columns @ (steps / scale)
 
 
 def _mirrored_problem(problem: ImageFit) -> ImageFit:

@@ -9,10 +9,15 @@ import pytest
 import torch
 from helpers import optics_cases as cases
 
+from irlos_pipe.effects import FixedEffect
+from irlos_pipe.effects.image_model import ImageModel
+from irlos_pipe.effects.pupil_stop import PupilMisregistration
 from irlos_pipe.estimate.calibration import calibrate
 from irlos_pipe.estimate.calibration_options import CalibrationOptions
-from irlos_pipe.estimate.cube import Frames
-from irlos_pipe.estimate.orientation import Mirrored
+from irlos_pipe.estimate.cube import Frames, mean_variance_e2
+from irlos_pipe.estimate.image_fit import ImageFit
+from irlos_pipe.estimate.orientation import Mirrored, mirrored
+from irlos_pipe.estimate.parameters import Layout
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.optics.psf import PsfModel
 
@@ -42,6 +47,22 @@ def test_a_mirrored_image_shows_the_mirrored_pupil(change, amplitude):
     result = found(change)
     assert result.tells and abs(result.amplitude - amplitude) < 5 * result.sigma + 0.1
     assert result.seen == (amplitude == 1.0)
+
+
+def test_a_parameter_without_effect_changes_nothing():
+    """A stop at no distance has no direction: its derivative is zero, and the normal matrix is singular."""
+    stop = FixedEffect(PupilMisregistration(), [0.0, 0.3, 0.0], free=("distance_m", "direction_rad"))
+    model = ImageModel(PsfModel(cases.settings(), NOLLS, dtype=torch.float64), [stop])
+    true, flux = cases.vector(cases.ncpa_nm(4, highest_noll=15, total_nm=100.0), NOLLS), 3e6
+    image = PsfModel(cases.settings(), NOLLS).images(true)[0].double().numpy() * flux
+    images = torch.as_tensor(cases.draw_frames(image, 24, seed=5))
+    frames = Frames(images, cases.everything(images), NoiseModel(1.0, 1.0))
+    mean, variance = frames.mean_e.flatten(), mean_variance_e2(frames).flatten()
+    layout = Layout(NOLLS, model.effects.parameters)
+    problem = ImageFit(model, layout, mean[None, None], variance[None, None])
+    values = torch.cat([true[0], torch.tensor([0.0, 0.3, flux, 0.0], dtype=torch.float64)])[None]
+    result = mirrored(frames, problem, values)
+    assert result is not None and result.tells and abs(result.amplitude) < 5 * result.sigma
 
 
 def test_a_faint_star_tells_nothing():
