@@ -45,11 +45,12 @@ SERIES_CAPTION = (
 )
 MAGNITUDE_CAPTION = (
     "Every star at the gain that theory calls best. Dashed: prediction from the spectrum of the drift, the "
-    "Cramér–Rao bound and the AO residual's own defocus; nothing is fitted. Bars: standard error over runs."
+    "noise of photons and detector, and the AO residual's own defocus; nothing is fitted. Bars: standard error "
+    "over runs."
 )
 NOISE_CAPTION = (
-    "Measured minus true residual, symbols as above. Dashed: Cramér–Rao bound with the AO residual's own "
-    "defocus; dotted: that alone."
+    "Measured minus true residual, symbols as above. Dashed: Cramér–Rao bound, of centroids the scatter of "
+    "drawn images, with the AO residual's own defocus; dotted: that alone."
 )
 GAIN_CAPTION = (
     "Default calibration, frames of 1 s. Dashed: prediction; dotted: gain at which the loop oscillates."
