@@ -45,8 +45,8 @@ SERIES_CAPTION = (
 )
 MAGNITUDE_CAPTION = (
     "Every star at the gain that theory calls best. Dashed: prediction from the spectrum of the drift, the "
-    "noise of photons and detector, and the AO residual's own defocus; nothing is fitted. Bars: standard error "
-    "over runs."
+    "noise of photons and detector, and the AO residual's own defocus; nothing is fitted. Bars: standard "
+    "error over runs."
 )
 NOISE_CAPTION = (
     "Measured minus true residual, symbols as above. Dashed: Cramér–Rao bound, of centroids the scatter of "
