@@ -22,6 +22,7 @@ from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.instrument.instrument import load_instrument
 from irlos_pipe.optics.lenslets import light_path
 from irlos_pipe.optics.psf_settings import KnownWavefront, PsfSettings
+from irlos_pipe.paper.common.broad_band import in_four_images
 from irlos_pipe.simulate.charge import multiplied
 from irlos_pipe.simulate.exposure import expose
 from irlos_pipe.simulate.light import Band
@@ -57,7 +58,7 @@ def compared(mags: list[float], realisations: int, exposure_s: float, seed: int)
     full = Scene(
         "full", irlos.facility, BANDS, (seed,), 1, exposure_s, ncpa_nm={4: TRUE_NM}, diversity_nm=DIVERSITY_NM
     )
-    four = replace(full, name="four", window=(36, 36), pixel_scale_mas=78.0, lenslets=2, diversity_nm={})
+    four = replace(in_four_images(full), name="four")
     sides = [_Side(scene, realisations, rng) for scene in (full, four)]
     return [_point(mag_j, *sides) for mag_j in mags]
 

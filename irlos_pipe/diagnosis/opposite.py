@@ -14,10 +14,9 @@ import numpy as np
 
 from irlos_pipe.diagnosis.fitted import Fitted, begun_at
 from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.joint_fit import POINTING
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.starts import direction_of, other_sides
-
-POINTING = 2  # modes at the beginning, tip and tilt
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ def checks_of(results: SlowLoopResults) -> list[Check]:
     held = {row.mag_j: row.residual_nm for row in results.best_loops(CENTROIDS) if row.diverged < row.runs}
     if held:
         pairs = [(row.residual_nm / held[row.mag_j], row.mag_j) for row in default if row.mag_j in held]
-        worst, mag_j = max((ratio if ratio == ratio else math.inf, mag_j) for ratio, mag_j in pairs)
+        worst, mag_j = max((math.inf if math.isnan(ratio) else ratio, mag_j) for ratio, mag_j in pairs)
         text = f"{worst:.2f} at m_J {mag_j:g}, where it is largest"
         checks.append(Check("residual over that of the 2x2 centroids", worst, "", None, 1.0, text))
     return checks
