@@ -66,8 +66,7 @@ class ImageFit(Problem):
             int((self.root_weight[0] > 0).sum()) * images_e.shape[1] // self.root_weight.shape[1]
             - layout.size,
         )
-        self.lower, self.upper = layout.bounds
-        self.lower[layout.modes], self.upper[layout.modes] = model.psf.limits_nm
+        self.lower, self.upper = self._bounds(model)
         self.prior_mean, self.prior_precision = layout.prior(len(images_e))
         self.has_prior = bool(self.prior_precision.any())
         if layout.effects and len(images_e) > 1:
@@ -83,9 +82,16 @@ class ImageFit(Problem):
             root = torch.where(good, root[good].median(), 0.0)
         return root.to(self.images.dtype).expand(self.images.shape[0], -1, self.images.shape[2])
 
+    def _bounds(self, model: ImageModel) -> tuple[torch.Tensor, torch.Tensor]:
+        """Least and largest parameters, those of the layout and of the model."""
+        lower, upper = self.layout.bounds
+        lower[self.layout.modes], upper[self.layout.modes] = model.psf.limits_nm
+        return lower, upper
+
     def with_model(self, model: ImageModel) -> Self:
         """Return the same images with another `model` of the same parameters."""
-        return self._with(model=model)
+        lower, upper = self._bounds(model)
+        return self._with(model=model, lower=lower, upper=upper)
 
     def with_loss(self, loss: Loss) -> Self:
         """Return the same images with another loss, and with one in plain electrons with its weights.

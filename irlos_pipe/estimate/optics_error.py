@@ -50,9 +50,9 @@ def optics_sigma_nm(
     if not len(chosen):
         return np.full(len(defocus_nm), np.nan)
     general, own = model.general, tuple(sorted({*nolls, *result.nolls}))
-    wide = ImageModel(light_path(general.psf.settings, own, rough_derivatives=True), general.effects.effects)
+    wide = ImageModel(light_path(general.psf.settings, own), general.effects.effects)
     known = [own.index(noll) for noll in nolls]
-    slopes = [defocus_slopes(wide, result, int(frame), good, noise)[known] for frame in chosen]
+    slopes = [defocus_slopes(general, wide, result, int(frame), good, noise)[known] for frame in chosen]
     sigma_nm = [float(np.sqrt(slope @ covariance_nm2 @ slope)) for slope in slopes]
     return np.interp(defocus_nm, defocus_nm[chosen], sigma_nm)
 
@@ -73,27 +73,40 @@ def spread_over(defocus_nm: np.ndarray) -> np.ndarray:
 
 
 def defocus_slopes(
-    wide: ImageModel, result: LiftResult, frame: int, good: torch.Tensor, noise: NoiseModel
+    model: ImageModel,
+    wide: ImageModel,
+    result: LiftResult,
+    frame: int,
+    good: torch.Tensor,
+    noise: NoiseModel,
 ) -> np.ndarray:
     """Return by how much one frame's estimate of defocus errs per error of each known mode, (modes,).
 
+    ``(JᵀWJ)⁻¹ JᵀW`` is one factor per pixel for the defocus; K is applied to it backwards, so that its
+    many columns are never computed.
+
     Parameters
     ----------
+    model : ImageModel
+        With the modes that LIFT fits.
     wide : ImageModel
-        With the known modes as parameters.
+        The same with the known modes as parameters.
     result : LiftResult
     frame : int
     good : tensor of bool, (rows, columns)
     noise : NoiseModel
     """
-    values, own = result.solution.values[frame : frame + 1], wide.psf.nolls
-    modes_nm = torch.zeros(1, len(own), dtype=torch.float64)
-    fitted = [own.index(noll) for noll in result.nolls]
-    modes_nm[:, fitted] = result.zernike_nm[frame].double()
-    image, columns = wide.predict_and_jacobian(modes_nm, values[:, -2], values[:, -1])
+    fitted_nm, values = result.zernike_nm[frame : frame + 1].double(), result.solution.values[frame, -2:]
+    flux_e, background_e = values[:, None]
+    image, columns = model.predict_and_jacobian(fitted_nm, flux_e, background_e)
     weight = torch.where(good, 1 / noise.variance_e2(image[0].double()), 0.0).flatten()
-    known = columns[0].double().flatten(1).cpu()
-    free = torch.cat([known[fitted], known[-2:]])
-    fisher = (free * weight) @ free.mT
-    response = scaled_inverse(fisher[None])[0] @ ((free * weight) @ known[: len(own)].mT)
-    return response[result.nolls.index(DEFOCUS)].numpy()
+    free = columns[0].double().flatten(1).cpu()
+    inverse = scaled_inverse(((free * weight) @ free.mT)[None])[0]
+    factors = inverse[result.nolls.index(DEFOCUS)] @ (free * weight)
+    modes_nm = torch.zeros(1, len(wide.psf.nolls), dtype=torch.float64)
+    modes_nm[:, [wide.psf.nolls.index(noll) for noll in result.nolls]] = fitted_nm
+    with torch.enable_grad():
+        modes_nm.requires_grad_()
+        seen = wide.predict(modes_nm, flux_e, background_e).flatten().cpu() @ factors
+    (slopes,) = torch.autograd.grad(seen, modes_nm)
+    return slopes[0].numpy()

@@ -9,16 +9,19 @@ variances grow by χ²/ν, as in `few_frames`, so that priors keep their weight.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 
+from irlos_pipe.effects.image_model import NOTHING, ImageModel
 from irlos_pipe.estimate.image_fit import ImageFit
-from irlos_pipe.numerics.levenberg_marquardt import solve
+from irlos_pipe.estimate.tabulated import tabulated
+from irlos_pipe.numerics.levenberg_marquardt import scaled_inverse, solve
 from irlos_pipe.numerics.solution import CONVERGED, MAX_ITERATIONS
 
 OUTER_ITERATIONS = 12
-STEP_SIGMA = 0.02  # converged when no shared parameter moves by more than this part of its error
+STEP_SIGMA = 0.02  # converged when no shared parameter will move by more than this part of its error
 # Fall of χ² per image that does not matter on the way: what it leaves of the per-image parameters, the
 # elimination takes to first order.
 ON_THE_WAY = 1.0
@@ -59,21 +62,34 @@ def fit_shared(problem: ImageFit, x: torch.Tensor) -> SharedFit:
     """
     parameters = problem.model.effects.parameters
     limits = torch.tensor([[p.lower, p.upper] for p in parameters], dtype=torch.float64)
-    values = problem.held
+    values, before = problem.held, math.inf
     status = MAX_ITERATIONS
     for _ in range(OUTER_ITERATIONS):
-        x = solve(problem.with_tolerance(ON_THE_WAY), x, max_iterations=20).values
-        misfit = problem.reduced_chi2(x).mean().clamp_min(1.0)
-        gradient, information = (one / misfit for one in _reduced(problem, x))
-        gradient, information = _with_prior(parameters, values, gradient, information)
+        x = _own_parameters(problem, x)
+        gradient, information = _with_prior(parameters, values, *_reduced(problem, x))
         covariance = torch.linalg.inv(information)
         trial = (values - covariance @ gradient).clamp(limits[:, 0], limits[:, 1])
-        small = ((trial - values).abs() / torch.diagonal(covariance).sqrt()).max() < STEP_SIGMA
+        step = float(((trial - values).abs() / torch.diagonal(covariance).sqrt()).max())
         values, problem = trial, problem.holding(trial)
-        if small:
+        if _still_ahead(step, before) < STEP_SIGMA:
             status = CONVERGED
             break
+        before = step
     return SharedFit(values, covariance, x, status)
+
+
+def _own_parameters(problem: ImageFit, x: torch.Tensor) -> torch.Tensor:
+    """Per-image parameters where the shared ones are held, from a table of images if there can be one."""
+    model, modes = problem.model, problem.layout.modes
+    held = tabulated(ImageModel(model.psf, model.effects.held(problem.held)), x[:, modes])
+    alone = problem.with_model(held).holding(NOTHING).with_tolerance(ON_THE_WAY)
+    found = solve(alone, x, max_iterations=20).values
+    return torch.where(torch.isfinite(found), found, x)
+
+
+def _still_ahead(step: float, before: float) -> float:
+    """What further steps will add up to, if they go on to shrink as the last one did; else the last one."""
+    return step**2 / (before - step) if step < before < math.inf else step
 
 
 def _with_prior(parameters, values, gradient, information):
@@ -84,22 +100,25 @@ def _with_prior(parameters, values, gradient, information):
 
 
 def _reduced(problem: ImageFit, x: torch.Tensor):
-    """Gradient and information of the shared parameters with the per-image ones eliminated."""
+    """Gradient and information of the shared parameters with the per-image ones eliminated.
+
+    Both in units of the misfit, χ²/ν where it is above 1.
+    """
     size = len(problem.held)
     gradient = torch.zeros(size, dtype=torch.float64)
     information = torch.zeros(size, size, dtype=torch.float64)
-    own = problem.layout.size
+    chi2, own = 0.0, problem.layout.size
     for part, which in zip(x.split(8), torch.arange(len(x)).split(8), strict=True):
         columns, residual = _whitened_columns(problem, part, which)
-        force, normal = columns @ residual[..., None], columns @ columns.mT
-        normal[:, :own, :own] += torch.diag_embed(problem.prior_precision[which]).to(normal.device)
-        inner = torch.linalg.solve(
-            normal[:, :own, :own], torch.cat([normal[:, :own, own:], force[:, :own]], dim=2)
-        )
-        eliminated = normal[:, own:, :own] @ inner
-        gradient -= (force[:, own:, 0] - eliminated[..., -1]).sum(0).cpu()
-        information += (normal[:, own:, own:] - eliminated[..., :-1]).sum(0).cpu()
-    return gradient, information
+        force, normal = (columns @ residual[..., None]).cpu(), (columns @ columns.mT).cpu()
+        normal[:, :own, :own] += torch.diag_embed(problem.prior_precision[which])
+        right = torch.cat([normal[:, :own, own:], force[:, :own]], dim=2)
+        eliminated = normal[:, own:, :own] @ (scaled_inverse(normal[:, :own, :own]) @ right)
+        gradient -= (force[:, own:, 0] - eliminated[..., -1]).sum(0)
+        information += (normal[:, own:, own:] - eliminated[..., :-1]).sum(0)
+        chi2 += float(residual.square().sum())
+    misfit = max(1.0, chi2 / (problem.freedom * len(x)))
+    return gradient / misfit, information / misfit
 
 
 def _whitened_columns(problem: ImageFit, x: torch.Tensor, which: torch.Tensor):

@@ -55,6 +55,9 @@ from irlos_pipe.optics.zernike import in_products, noll_to_nm
 
 FAINT = 0.1  # part of the light, of a copy whose derivatives may be rough
 CHUNK_ELEMENTS = 6_000_000  # complex numbers held per batch of frames
+# Zernike modes of high degree have huge coefficients of either sign in products of polynomials. In float32
+# their derivatives err by 1e-3 at degree 10 (Noll 66), by a tenth at 13, and by many times their size at 20.
+SINGLE_DEGREE = 10
 SLOPES_AT_ONCE = 8  # changes of the pupil times frames: they fit into the processor's cache
 
 
@@ -68,7 +71,8 @@ class PsfModel:
         Zernike modes that the coefficients refer to.
     device : str
     dtype : torch.float32 or torch.float64
-        Of the propagation; sums over pixels are left to the caller, in float64.
+        Of the propagation; sums over pixels are left to the caller, in float64. Modes of a degree above
+        `SINGLE_DEGREE` have float64 whatever is asked for.
     rough_derivatives : bool
         Take the derivatives of the modes from the focal plane to the pixels in float32 whatever `dtype`
         is: this halves their cost, and they are exact to 1e-6 of the largest. Faint copies of the star
@@ -89,7 +93,9 @@ class PsfModel:
         rough_derivatives: bool = False,
         grid: PupilGrid | None = None,
     ):
-        self.settings, self.nolls, self.device, self.dtype = settings, tuple(nolls), device, dtype
+        self.settings, self.nolls, self.device = settings, tuple(nolls), device
+        high = any(noll_to_nm(noll)[0] > SINGLE_DEGREE for noll in nolls)
+        self.dtype = torch.float64 if high else dtype
         self.rough_derivatives = rough_derivatives
         wavelengths, weights = np.array(settings.spectrum, float).T
         self.wavelengths_m = wavelengths * NM

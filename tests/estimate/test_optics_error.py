@@ -43,7 +43,7 @@ def right():
 def test_the_slopes_are_those_of_estimates_with_a_slightly_wrong_ncpa(right):
     model, result = right
     wide = ImageModel(PsfModel(model.psf.settings, KNOWN, dtype=torch.float64))
-    slopes = np.array([defocus_slopes(wide, result, frame, GOOD, NOISE) for frame in range(3)])
+    slopes = np.array([defocus_slopes(model, wide, result, frame, GOOD, NOISE) for frame in range(3)])
     for noll in (4, 5, 6, 8, 11, 14):
         step = 2.0
         found = [estimated(images_e({noll: sign * step}))[1].mode(4)[0].numpy() for sign in (1, -1)]
@@ -63,7 +63,7 @@ def test_errors_add_up_by_their_covariance(right):
     rng = np.random.default_rng(1)
     root = rng.normal(0, 2, (len(KNOWN), len(KNOWN)))
     wide = ImageModel(PsfModel(model.psf.settings, KNOWN, dtype=torch.float64))
-    slopes = np.array([defocus_slopes(wide, result, frame, GOOD, NOISE) for frame in range(3)])
+    slopes = np.array([defocus_slopes(model, wide, result, frame, GOOD, NOISE) for frame in range(3)])
     drawn = rng.normal(size=(40_000, len(KNOWN))) @ root.T @ slopes.T
     sigma_nm = optics_sigma_nm(model, result, GOOD, NOISE, KNOWN, root @ root.T)
     assert sigma_nm == pytest.approx(drawn.std(axis=0), rel=0.02)

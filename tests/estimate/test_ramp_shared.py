@@ -29,14 +29,16 @@ def wavefronts() -> torch.Tensor:
     return torch.cat([vector({2: 20.0, 3: -15.0, 4: nm}, NOLLS) for nm in DEFOCUS_NM])
 
 
-def joint_fit(model: PsfModel, effects: EffectSet, true: float, seed: int) -> SharedFit:
-    """Fit of a ramp drawn with the only free parameter of `effects` at `true`."""
+def joint_fit(model: PsfModel, effects: EffectSet, true: float, seed: int, dark_frames: int = 0) -> SharedFit:
+    """Fit of a ramp drawn with the only free parameter of `effects` at `true`; the last frames are dark."""
     optics = effects(torch.tensor([true], dtype=torch.float64))
     means = model.images(wavefronts(), optics).double().clamp_min(0).numpy() * FLUX_E
     frames = torch.cat([draw_frames(mean, 1, seed + i) for i, mean in enumerate(means)])
+    frames = torch.cat([frames, torch.zeros(dark_frames, *frames.shape[1:])])
     layout, variance = Layout(model.nolls), READ_NOISE.variance_e2(smooth(frames))
     problem = image_problem(ImageModel(model, effects), layout, frames, variance, everything(frames))
-    return fit_shared(problem, layout.start(frames.flatten(1), 0.8 * wavefronts()))
+    start_nm = torch.cat([0.8 * wavefronts(), torch.zeros(dark_frames, len(NOLLS))])
+    return fit_shared(problem, layout.start(frames.flatten(1), start_nm))
 
 
 def jitter_fit(model: PsfModel, seed: int, start_mas: float = 7.0, sigma_mas: float = SIGMA_MAS) -> SharedFit:
@@ -81,3 +83,12 @@ def test_the_residual_can_be_scaled_on_a_ramp(model):
     fit = joint_fit(model, effects, true, seed=80)
     assert fit.status == "converged"
     assert abs(fit.values.item() - true) < 4 * fit.covariance.item() ** 0.5
+
+
+def test_a_frame_without_light_tells_nothing_and_stops_nothing(model):
+    effects = EffectSet((TipTiltJitter(7.0),), model.grids)
+    bright, one_dark = (joint_fit(model, effects, SIGMA_MAS**2, seed=90, dark_frames=n) for n in (0, 1))
+    assert one_dark.status == "converged"
+    assert one_dark.values.item() == pytest.approx(
+        bright.values.item(), abs=0.1 * bright.covariance.item() ** 0.5
+    )

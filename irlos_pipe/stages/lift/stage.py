@@ -9,7 +9,7 @@ from irlos_pipe.stages.lift.results import LiftResults as Results
 __all__ = ["Config", "Results", "run"]
 
 NAME = "lift"
-VERSION = 14
+VERSION = 15
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 
