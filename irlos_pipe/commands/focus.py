@@ -8,8 +8,9 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,9 +19,11 @@ from irlos_pipe.commands.options import FOLDER
 from irlos_pipe.conventions.errors import ConfigurationError, ExitCode
 
 if TYPE_CHECKING:
-    from irlos_pipe.focus.calibration import CalibrationRequest
+    from irlos_pipe.focus.calibration import Calibration, CalibrationRequest
+    from irlos_pipe.focus.journal import Journal
     from irlos_pipe.focus.loop import LoopSettings
     from irlos_pipe.focus.page import PageSettings
+    from irlos_pipe.focus.source import Source
 
 DAY_S = 86400.0
 TOKEN = "IRLOS_FOCUS_TOKEN"
@@ -163,35 +166,7 @@ def _finite(ctx: click.Context, option: click.Parameter, value: float | None) ->
 )
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 @click.pass_context
-def focus(
-    ctx: click.Context,
-    run: Path,
-    output: Path,
-    ring: Path | None,
-    folder: Path | None,
-    zeromq: str | None,
-    replay: Path | None,
-    input_name: str,
-    speed: float,
-    acquisition: Path | None,
-    reads: int,
-    counter_step: int,
-    gain: float,
-    leak: float,
-    delay: int,
-    limit_nm: float,
-    jump_nm: float,
-    max_misfit: float,
-    stale_after: float | None,
-    despite_qc: bool,
-    wait: float,
-    silent_after: float | None,
-    shadow: bool,
-    socket: Path | None,
-    page_port: int | None,
-    page_address: str,
-    quiet: bool,
-) -> None:
+def focus(ctx: click.Context, run: Path, output: Path, **given: Any) -> None:
     """Close the slow focus loop with the calibration of the folder RUN.
 
     Frames come from --ring, --folder, --zeromq or --replay. Of every exposure the loop measures tip, tilt and
@@ -218,29 +193,26 @@ def focus(
     from irlos_pipe.focus.service import Service, Stopped
     from irlos_pipe.pipeline.resources import limited_threads
 
-    if sum(one is not None for one in (ring, folder, zeromq, replay)) != 1:
-        raise click.UsageError("give one of --ring, --folder, --zeromq and --replay")
-    settings = _settings(
-        gain, leak, delay, limit_nm, jump_nm, reads, counter_step, shadow or replay is not None, stale_after
-    )
+    options = FocusOptions(**given)
+    settings = options.settings
 
     def say(text: str) -> None:
-        if not quiet:
+        if not options.quiet:
             click.echo(text)
 
     with _ended_by_signals() as signals, limited_threads(1):
         try:
-            if ring is not None:
-                _await(ring, wait, say)
+            if options.ring is not None:
+                _await(options.ring, options.wait, say)
             records = Service(
                 output,
-                _request(run, acquisition, ring, max_misfit, despite_qc),
+                options.request(run),
                 settings,
-                _opener(ring, folder, zeromq, replay, input_name, speed),
-                silent_after_s=_silent_after_s(silent_after, folder, replay),
-                every_exposure_counts=replay is not None,
-                page=_page(page_port, page_address),
-                socket=socket,
+                options.source,
+                silent_after_s=options.silent_after_s,
+                every_exposure_counts=options.replay is not None,
+                page=options.page,
+                socket=options.socket,
             ).run(say)
         except Stopped as stop:
             say(f"{stop.records} records in {output}")
@@ -249,6 +221,112 @@ def focus(
             say("stopped before it began")
             ctx.exit(_code_of(signals))
     say(f"{records} records in {output}")
+
+
+@dataclass(frozen=True)
+class FocusOptions:
+    """Options of `irlos focus` by their names, and what the service wants of them.
+
+    Raises
+    ------
+    click.UsageError
+        Unless there is one source of frames.
+    """
+
+    ring: Path | None
+    folder: Path | None
+    zeromq: str | None
+    replay: Path | None
+    input_name: str
+    speed: float
+    acquisition: Path | None
+    reads: int
+    counter_step: int
+    gain: float
+    leak: float
+    delay: int
+    limit_nm: float
+    jump_nm: float
+    max_misfit: float
+    stale_after: float | None
+    despite_qc: bool
+    wait: float
+    silent_after: float | None
+    shadow: bool
+    socket: Path | None
+    page_port: int | None
+    page_address: str
+    quiet: bool
+
+    def __post_init__(self) -> None:
+        if sum(one is not None for one in (self.ring, self.folder, self.zeromq, self.replay)) != 1:
+            raise click.UsageError("give one of --ring, --folder, --zeromq and --replay")
+
+    @property
+    def silent_after_s(self) -> float:
+        """A replay comes as fast as it is measured, and recordings minutes apart."""
+        if self.replay is not None:
+            return math.inf
+        return self.silent_after or (SILENT_AFTER_S if self.folder is None else FOLDER_SILENT_AFTER_S)
+
+    @property
+    def settings(self) -> LoopSettings:
+        """What the loop does with a measurement.
+
+        Raises
+        ------
+        ConfigurationError
+            The controller cannot work with them.
+        """
+        from irlos_pipe.control.controller import ControllerSettings
+        from irlos_pipe.focus.loop import LoopSettings
+
+        try:
+            controller = ControllerSettings(
+                gain=self.gain, leak=self.leak, delay=self.delay, limit_nm=self.limit_nm, jump_nm=self.jump_nm
+            )
+        except ValueError as problem:
+            raise ConfigurationError(str(problem)) from None
+        shadow = self.shadow or self.replay is not None
+        stale_after_s = math.inf if self.stale_after is None else self.stale_after * DAY_S
+        return LoopSettings(controller, self.reads, self.counter_step, shadow, stale_after_s)
+
+    def request(self, run: Path) -> CalibrationRequest:
+        """The calibration of a `run`, for the frames that will come."""
+        from irlos_pipe.estimate.focus.sensor import Limits
+        from irlos_pipe.focus.calibration import CalibrationRequest
+        from irlos_pipe.focus.ring import window_of
+
+        window = None if self.ring is None else window_of(self.ring)
+        limits = Limits(misfit=self.max_misfit)
+        return CalibrationRequest(run, self.acquisition, window, limits, self.despite_qc)
+
+    def source(self, calibration: Calibration, journal: Journal) -> Source:
+        """Where frames come from."""
+        from irlos_pipe.focus.replay import Replay
+        from irlos_pipe.focus.ring import RingSource
+        from irlos_pipe.focus.watched import WatchedFolder
+        from irlos_pipe.focus.zeromq import ZeroMqSource
+
+        if self.ring is not None:
+            return RingSource(self.ring)
+        if self.folder is not None:
+            return WatchedFolder(
+                self.folder, calibration.instrument, calibration.acquisition, journal.earlier
+            )
+        if self.zeromq is not None:
+            return ZeroMqSource(self.zeromq, os.environ.get(TOKEN, ""))
+        assert self.replay is not None, "one of the four was given"
+        return Replay(self.replay, self.input_name, self.speed)
+
+    @property
+    def page(self) -> PageSettings | None:
+        """Of the live page, if one is wanted."""
+        from irlos_pipe.focus.page import PageSettings
+
+        if self.page_port is None:
+            return None
+        return PageSettings(self.page_port, self.page_address, os.environ.get(TOKEN, ""))
 
 
 @contextmanager
@@ -283,66 +361,3 @@ def _await(ring: Path, wait_s: float, say: Callable[[str], None]) -> None:
     until = time.monotonic() + wait_s
     while not ring.exists() and time.monotonic() < until:
         time.sleep(min(LOOK_S, wait_s))
-
-
-def _silent_after_s(given: float | None, folder: Path | None, replay: Path | None) -> float:
-    """A replay comes as fast as it is measured, and recordings minutes apart."""
-    if replay is not None:
-        return math.inf
-    return given or (SILENT_AFTER_S if folder is None else FOLDER_SILENT_AFTER_S)
-
-
-def _settings(gain, leak, delay, limit_nm, jump_nm, reads, counter_step, shadow, stale_after) -> LoopSettings:
-    from irlos_pipe.control.controller import ControllerSettings
-    from irlos_pipe.focus.loop import LoopSettings
-
-    try:
-        controller = ControllerSettings(gain=gain, leak=leak, delay=delay, limit_nm=limit_nm, jump_nm=jump_nm)
-    except ValueError as problem:
-        raise ConfigurationError(str(problem)) from None
-    stale_after_s = math.inf if stale_after is None else stale_after * DAY_S
-    return LoopSettings(controller, reads, counter_step, shadow, stale_after_s)
-
-
-def _request(
-    run: Path, acquisition: Path | None, ring: Path | None, max_misfit: float, despite_qc: bool
-) -> CalibrationRequest:
-    from irlos_pipe.estimate.focus.sensor import Limits
-    from irlos_pipe.focus.calibration import CalibrationRequest
-    from irlos_pipe.focus.ring import window_of
-
-    window = None if ring is None else window_of(ring)
-    return CalibrationRequest(run, acquisition, window, Limits(misfit=max_misfit), despite_qc)
-
-
-def _opener(
-    ring: Path | None,
-    folder: Path | None,
-    zeromq: str | None,
-    replay: Path | None,
-    input_name: str,
-    speed: float,
-):
-    """What makes the source."""
-    from irlos_pipe.focus.replay import Replay
-    from irlos_pipe.focus.ring import RingSource
-    from irlos_pipe.focus.watched import WatchedFolder
-    from irlos_pipe.focus.zeromq import ZeroMqSource
-
-    def opened(calibration, journal):
-        if ring is not None:
-            return RingSource(ring)
-        if folder is not None:
-            return WatchedFolder(folder, calibration.instrument, calibration.acquisition, journal.earlier)
-        if zeromq is not None:
-            return ZeroMqSource(zeromq, os.environ.get(TOKEN, ""))
-        assert replay is not None, "one of the four was given"
-        return Replay(replay, input_name, speed)
-
-    return opened
-
-
-def _page(port: int | None, address: str) -> PageSettings | None:
-    from irlos_pipe.focus.page import PageSettings
-
-    return None if port is None else PageSettings(port, address, os.environ.get(TOKEN, ""))

@@ -14,7 +14,7 @@ from irlos_pipe.simulate.atmosphere import Sky
 from irlos_pipe.simulate.detector import DetectorModel
 from irlos_pipe.simulate.light import Band
 from irlos_pipe.simulate.motion import Motion
-from irlos_pipe.simulate.scene import Sampling, Scene
+from irlos_pipe.simulate.scene import LENSLET_WINDOW, Sampling, Scene
 
 J_AND_H = tuple(Band(band.centre_nm, band.half_width_nm, 0.5) for band in (bands.J, bands.H))
 # A second is the sum of short exposures, added where numbers do not end at 16 bits.
@@ -27,8 +27,7 @@ COARSE = Sampling(points_per_band=2, step_s=0.05)
 FINE = Sampling(points_per_band=3, step_s=0.02)
 
 FRAME_MARGIN_MAS = 100.0  # field beyond the window, enough for single frames
-# The 2x2 mode at its small scale: 18 pixels across an image.
-LENSLET_WINDOW, LENSLET_SCALE_MAS = (36, 36), 78.0
+LENSLET_SCALE_MAS = 78.0  # the small one of the 2x2 mode
 
 
 def star_scene(

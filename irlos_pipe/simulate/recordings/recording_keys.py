@@ -30,6 +30,7 @@ from irlos_pipe.simulate.recordings.section_keys import (
     Section,
     SkyKeys,
 )
+from irlos_pipe.simulate.scene import LENSLET_WINDOW
 
 
 def _kind(value: Any) -> str:
@@ -59,7 +60,6 @@ Mode = Literal[
     "20x20_LargeScale_500Hz_LowGain",
     "20x20_LargeScale_200Hz_LowGain",
 ]
-LENSLET_WINDOW = (36, 36)  # of four images of 18 px
 
 
 class Shared(Section):
