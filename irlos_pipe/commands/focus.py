@@ -302,7 +302,7 @@ class FocusOptions:
         return CalibrationRequest(run, self.acquisition, window, limits, self.despite_qc)
 
     def source(self, calibration: Calibration, journal: Journal) -> Source:
-        """Where frames come from."""
+        """Where frames come from, given the `calibration` and the `journal` of what was recorded before."""
         from irlos_pipe.focus.replay import Replay
         from irlos_pipe.focus.ring import RingSource
         from irlos_pipe.focus.watched import WatchedFolder

@@ -90,6 +90,8 @@ class Search:
         The name that comes nearest, where none was found after all.
     all_modes : Opening or None
         The last fit of all visible modes; None where the wavefront was not opened.
+    tolerant : bool
+        Whether the facts of the instrument were free, as more was wrong than single names could tell.
     """
 
     null: Optimum
@@ -101,6 +103,7 @@ class Search:
     adjusted: Sequence[str] = ()
     nearest: Accepted | None = None
     all_modes: Opening | None = None
+    tolerant: bool = False
 
     @cached_property
     def remaining(self) -> Excess:

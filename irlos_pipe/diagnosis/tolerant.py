@@ -83,7 +83,16 @@ class TolerantTask(NamingTask):
         adjusted = sorted(set(added(current.fitted, told)) - {one.label for one in named})
         nearest = None if named else next(iter(search.accepted), None)
         return Search(
-            search.null, current, search.drift, named, found, meaningless, adjusted, nearest, task.all_modes
+            search.null,
+            current,
+            search.drift,
+            named,
+            found,
+            meaningless,
+            adjusted,
+            nearest,
+            task.all_modes,
+            tolerant=True,
         )
 
     def _moving(self, search: Search) -> list[Effect]:

@@ -217,6 +217,8 @@ class Diagnosis:
         What the final model misses.
     adjusted : sequence of Adjusted
         Of the final model beside the steps: it fits better with them, but none is sure enough to be named.
+    open_facts : sequence of FixedEffect
+        Facts of the instrument beside them that further fits should leave free, see `open_facts`.
     tried : sequence of Tried
         Every effect of the catalogue, and what became of it.
     mdb : dict
@@ -263,6 +265,7 @@ class Diagnosis:
     pictures: Pictures
     advice: dict[str, Advice] = field(default_factory=dict)
     adjusted: Sequence[Adjusted] = ()
+    open_facts: Sequence[FixedEffect] = ()
     tried: Sequence[Tried] = ()
     together: Together | None = None
     seconds: float = 0.0

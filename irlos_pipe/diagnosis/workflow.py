@@ -20,6 +20,7 @@ from irlos_pipe.diagnosis.grade import much_is_left
 from irlos_pipe.diagnosis.moments import Moments
 from irlos_pipe.diagnosis.naming import added
 from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.open_facts import open_facts
 from irlos_pipe.diagnosis.opposite import opposite_side
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.splitting import hold_out_of
@@ -81,6 +82,9 @@ def diagnose(
         search = completed(task.searched_from(deeper))
     diagnosis = conclude(cube, search, noise, options, recordings[0].screened)
     diagnosis = with_opposite_sides(diagnosis, fitter, search.final, options.sure)
+    if search.tolerant:
+        known = [*(one.label for one in diagnosis.steps), *(one.label for one in diagnosis.adjusted)]
+        diagnosis = replace(diagnosis, open_facts=open_facts(fitter, search.final, known))
     if moments.several and diagnosis.verdict != UNKNOWN:
         diagnosis = replace(diagnosis, together=together(search, fitter, cube, moments, options))
     return replace(diagnosis, seconds=time.perf_counter() - began)

@@ -71,6 +71,7 @@ def diagnose_results(result: Diagnosis, diversity_nm: Mapping[int, float]) -> Di
         unexplained=result.unexplained,
         why_unknown=result.why_unknown,
         rest=_rest(result.rest),
+        open_facts={one.name: one.base.describe(one.values) for one in result.open_facts},
         adjusted=[
             AdjustedRow(
                 effect=one.label,
@@ -262,9 +263,9 @@ def _with_one_list_of_pixels(effects: list[Any]) -> list[Any]:
 
 
 def model_entries(result: Diagnosis) -> list[dict[str, Any]]:
-    """Return what a diagnosis found and adjusted, common to its recordings, as entries of the section."""
-    found = [*(step.effect for step in result.steps), *(one.effect for one in result.adjusted)]
-    return [recipe_entry(one) for one in found if one.acts_in is None]
+    """Return what a diagnosis found, adjusted or leaves free, common to its recordings, as entries."""
+    found = [one.effect for one in (*result.steps, *result.adjusted)]
+    return [recipe_entry(one) for one in (*found, *result.open_facts) if one.acts_in is None]
 
 
 def recipe_entry(effect: FixedEffect) -> dict[str, Any]:

@@ -450,6 +450,9 @@ class DiagnoseResults(StageResults):
         Why nothing is named; empty where something is, or nothing is missing.
     rest : RestRow or None
         What the model with the effects still misses.
+    open_facts : dict
+        Facts of the instrument that `model` leaves free beside the steps and what is adjusted, where they
+        fit best; only where all had to be free. Their values, by effect.
     adjusted : list of AdjustedRow
         Effects in the final model that are not named.
     tried : list of TriedRow
@@ -495,6 +498,7 @@ class DiagnoseResults(StageResults):
     why_unknown: str = ""
     rest: RestRow | None = None
     adjusted: list[AdjustedRow] = []
+    open_facts: dict[str, EffectValues] = {}
     tried: list[TriedRow] = []
     untestable: list[str] = []
     recordings: list[StarRow] = []

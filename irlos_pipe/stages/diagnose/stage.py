@@ -9,7 +9,7 @@ from irlos_pipe.stages.diagnose.results import DiagnoseResults as Results
 __all__ = ["Config", "Results", "run"]
 
 NAME = "diagnose"
-VERSION = 27
+VERSION = 28
 NEEDS = ("ingest",)
 READS = ("ingest", "calibrate", "lift")
 

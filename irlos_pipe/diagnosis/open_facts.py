@@ -1,0 +1,54 @@
+"""Facts of the instrument that further fits should leave free, although none of them is named.
+
+A name needs evidence; an estimate needs none. A calibration that takes for exact what was only told errs by
+all that this is wrong, up to the five standard errors from which an effect is named, and one that frees it
+within its prior by no more than its error. Where a diagnosis had to free all facts at once, all of them stay
+free in the model that it leaves, from where they fit best: a displaced stop is begun on every side of the
+pupil, as the image has a kink where it is not displaced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from irlos_pipe.diagnosis.fitted import Fitted
+from irlos_pipe.diagnosis.fitting import Fitter
+from irlos_pipe.diagnosis.null_model import Optimum
+from irlos_pipe.diagnosis.starts import all_around, on_other_sides
+from irlos_pipe.diagnosis.tolerant import everyday
+from irlos_pipe.effects import Effect, FixedEffect
+
+
+def open_facts(fitter: Fitter, final: Optimum, known: Sequence[str]) -> list[FixedEffect]:
+    """Return the facts of a model, and those that it lacks, where all of them fit best.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    final : Optimum
+        With which a diagnosis ended.
+    known : sequence of str
+        Labels of what is named or adjusted there: these are left out.
+
+    Returns
+    -------
+    list of FixedEffect
+        Nothing free; empty where the fit fails.
+    """
+    fitted = final.fitted
+    own = fitter.of(final.stack, fitted.views)
+    conditions = [view.conditions for view in fitted.views]
+    missing = [effect for effect in everyday(conditions, fitted.effects) if effect.base.fact]
+    best = _best(own, all_around([*fitted.continued(), *missing]), fitted)
+    best = _best(own, [best.continued(), *on_other_sides(best)], best) if np.isfinite(best.chi2) else best
+    if not np.isfinite(best.chi2):
+        return []
+    labels = [label for label in best.problem.effects.labels if best.effect(label).base.fact]
+    return [FixedEffect(best.effect(one).base, best.values_of(one)) for one in labels if one not in known]
+
+
+def _best(fitter: Fitter, starts: Sequence[Sequence[Effect]], near: Fitted) -> Fitted:
+    """The best fit of effects from some starts."""
+    return min((fitter.explored(effects, near) for effects in starts), key=lambda one: one.chi2)
