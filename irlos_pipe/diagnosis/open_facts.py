@@ -1,10 +1,11 @@
 """Facts of the instrument that further fits should leave free, although none of them is named.
 
 A name needs evidence; an estimate needs none. A calibration that takes for exact what was only told errs by
-all that this is wrong, up to the five standard errors from which an effect is named, and one that frees it
-within its prior by no more than its error. Where a diagnosis had to free all facts at once, all of them stay
-free in the model that it leaves, from where they fit best: a displaced stop is begun on every side of the
-pupil, as the image has a kink where it is not displaced.
+all that this is wrong, up to the five standard errors from which an effect is named. To free it costs the
+variance that it adds to all else, and pays where it is off by more than some √2 standard errors (Akaike 1974,
+IEEE Trans. Autom. Control 19, 716). Where a diagnosis had to free all facts at once, those stay free in the
+model that it leaves, from where they fit best: a displaced stop is begun on every side of the pupil, as the
+image has a kink where it is not displaced.
 """
 
 from __future__ import annotations
@@ -18,7 +19,10 @@ from irlos_pipe.diagnosis.fitting import Fitter
 from irlos_pipe.diagnosis.null_model import Optimum
 from irlos_pipe.diagnosis.starts import all_around, on_other_sides
 from irlos_pipe.diagnosis.tolerant import everyday
+from irlos_pipe.diagnosis.without import needless
 from irlos_pipe.effects import Effect, FixedEffect
+
+WORTH = 1.5  # standard errors
 
 
 def open_facts(fitter: Fitter, final: Optimum, known: Sequence[str]) -> list[FixedEffect]:
@@ -45,8 +49,10 @@ def open_facts(fitter: Fitter, final: Optimum, known: Sequence[str]) -> list[Fix
     best = _best(own, [best.continued(), *on_other_sides(best)], best) if np.isfinite(best.chi2) else best
     if not np.isfinite(best.chi2):
         return []
-    labels = [label for label in best.problem.effects.labels if best.effect(label).base.fact]
-    return [FixedEffect(best.effect(one).base, best.values_of(one)) for one in labels if one not in known]
+    facts = [label for label in best.problem.effects.labels if best.effect(label).base.fact]
+    exact = needless(best, facts, own.stack, WORTH)
+    open_ = [label for label in facts if label not in exact and label not in known]
+    return [FixedEffect(best.effect(label).base, best.values_of(label)) for label in open_]
 
 
 def _best(fitter: Fitter, starts: Sequence[Sequence[Effect]], near: Fitted) -> Fitted:

@@ -10,12 +10,12 @@ import torch
 
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.diagnosis.fitted import Fitted, begun_at
-from irlos_pipe.effects import Effect, Parameter
+from irlos_pipe.effects import Effect
+from irlos_pipe.effects.directions import direction_among, on_every_side
 from irlos_pipe.numerics.problem import ROUNDING
 from irlos_pipe.optics.zernike import noll_to_nm
 
 STARTS, START_NM = 2, 60.0  # further wavefronts: RMS of the first radial order, falling
-SIDES = 4  # of the pupil, on which what has a direction may begin
 DIRECTIONS = 8  # in which it is asked whether what came to rest at no distance would rather have one
 AT_REST = 1e-3  # of a distance
 
@@ -124,14 +124,7 @@ def direction_of(fitted: Fitted, label: str) -> int | None:
     label : str
         Of the effect.
     """
-    return _direction_among(fitted.effect(label).parameters)
-
-
-def _direction_among(free: Sequence[Parameter]) -> int | None:
-    angles = [i for i, one in enumerate(free) if one.null is None and one.unit == "rad"]
-    if not angles or free[0].null is None or free[0].null > free[0].lower:
-        return None
-    return angles[0]
+    return direction_among(fitted.effect(label).parameters)
 
 
 def all_around(effects: Sequence[Effect]) -> list[list[Effect]]:
@@ -142,17 +135,12 @@ def all_around(effects: Sequence[Effect]) -> list[list[Effect]]:
     effects : sequence of Effect
         Where a fit would begin.
     """
-    starts = [[*effects]]
-    for place, effect in enumerate(effects):
-        angle = _direction_among(effect.parameters)
-        if angle is None:
-            continue
-        declared = {one.name: one.start for one in effect.base.parameters}
-        values = np.array([declared[one.name] for one in effect.parameters])
-        for side in np.arange(SIDES) * 2 * np.pi / SIDES:
-            values[angle] = side
-            starts.append([*effects[:place], begun_at(effect, values), *effects[place + 1 :]])
-    return starts
+    turned = [
+        [*effects[:place], begun_at(effect, values), *effects[place + 1 :]]
+        for place, effect in enumerate(effects)
+        for values in on_every_side(effect)
+    ]
+    return [[*effects], *turned]
 
 
 def _rests(fitted: Fitted, label: str) -> bool:

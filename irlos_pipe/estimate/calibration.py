@@ -28,6 +28,7 @@ from irlos_pipe.estimate.methods import (
 from irlos_pipe.estimate.nominal_chi2 import NominalChi2
 from irlos_pipe.estimate.open_fit import Opened, open_basis
 from irlos_pipe.estimate.open_minima import likelier_minimum
+from irlos_pipe.estimate.open_sides import likelier_side
 from irlos_pipe.estimate.orientation import Mirrored, mirrored
 from irlos_pipe.estimate.score_test import best_start
 from irlos_pipe.estimate.tail_law import TailLaw
@@ -173,6 +174,8 @@ def calibrate(
     closed, opened = fit, _opened(options, effects, fit)
     if opened is not None and any(starts_as_told(effect) for effect in steady):
         closed, opened = _from_told(task, closed, opened)
+    if opened is not None:
+        opened = likelier_side(opened, options.max_iterations)
     nominal = None
     if opened is not None and start_nm is None:
         opened, nominal = _likelier(task, closed, opened)

@@ -451,8 +451,8 @@ class DiagnoseResults(StageResults):
     rest : RestRow or None
         What the model with the effects still misses.
     open_facts : dict
-        Facts of the instrument that `model` leaves free beside the steps and what is adjusted, where they
-        fit best; only where all had to be free. Their values, by effect.
+        Facts of the instrument that `model` leaves free beside the steps and what is adjusted, as they are
+        off by more than 1.5 standard errors; only where all had to be free. Their values, by effect.
     adjusted : list of AdjustedRow
         Effects in the final model that are not named.
     tried : list of TriedRow
