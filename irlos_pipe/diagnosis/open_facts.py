@@ -5,7 +5,8 @@ all that this is wrong, up to the five standard errors from which an effect is n
 variance that it adds to all else, and pays where it is off by more than some √2 standard errors (Akaike 1974,
 IEEE Trans. Autom. Control 19, 716). Where a diagnosis had to free all facts at once, those stay free in the
 model that it leaves, from where they fit best: a displaced stop is begun on every side of the pupil, as the
-image has a kink where it is not displaced.
+image has a kink where it is not displaced. Facts of a design, such as square pixels, are left as they are:
+what the model of the AO residual misses imitates them.
 """
 
 from __future__ import annotations
@@ -44,12 +45,12 @@ def open_facts(fitter: Fitter, final: Optimum, known: Sequence[str]) -> list[Fix
     fitted = final.fitted
     own = fitter.of(final.stack, fitted.views)
     conditions = [view.conditions for view in fitted.views]
-    missing = [effect for effect in everyday(conditions, fitted.effects) if effect.base.fact]
+    missing = [effect for effect in everyday(conditions, fitted.effects) if effect.base.varies]
     best = _best(own, all_around([*fitted.continued(), *missing]), fitted)
     best = _best(own, [best.continued(), *on_other_sides(best)], best) if np.isfinite(best.chi2) else best
     if not np.isfinite(best.chi2):
         return []
-    facts = [label for label in best.problem.effects.labels if best.effect(label).base.fact]
+    facts = [label for label in best.problem.effects.labels if best.effect(label).base.varies]
     exact = needless(best, facts, own.stack, WORTH)
     open_ = [label for label in facts if label not in exact and label not in known]
     return [FixedEffect(best.effect(label).base, best.values_of(label)) for label in open_]

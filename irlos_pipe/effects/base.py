@@ -57,6 +57,8 @@ class Effect:
         Of recordings that are diagnosed together, the moments in which this one acts; None: all.
     fact : bool
         Whether it corrects what the profile of the instrument states, which is never exact.
+    varies : bool
+        Of a fact: whether it changes with every mounting; others are those of a design.
     mild : bool
         Whether a little of it may be in any recording, and it needs no search: facts apart.
     aberration : bool
@@ -98,6 +100,7 @@ class Effect:
     belongs_to: Belongs = "instrument"
     acts_in: frozenset[int] | None = None
     fact: bool = False
+    varies: bool = False
     mild: bool = False
     aberration: bool = False
     in_image: bool = True

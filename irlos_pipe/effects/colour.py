@@ -207,7 +207,7 @@ class PlateScale(SamplingEffect):
 
     name = "plate_scale"
     formula = "pixel scale × (1 + fraction)"
-    fact = True
+    fact = varies = True
     public = (number("fraction", "of the assumed scale", -0.05, 0.05),)
     look_alike = "spectrum in a narrow band; two stars of known distance distinguish them"
     reference = "Goodman 2005, Introduction to Fourier Optics, section 5.2"

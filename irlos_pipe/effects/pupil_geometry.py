@@ -36,7 +36,7 @@ class PupilSizes(RedrawnPupil):
 
     name = "pupil_geometry"
     formula = "P(u) drawn with the hole obscuration_m wide and vanes of mean width vane_width_m"
-    fact = True
+    fact = varies = True
     public = (
         number("obscuration_m", "m, diameter, not its change", 0.0, 50.0, required=False),
         number("vane_width_m", "m, mean of all vanes, not its change", 0.0, 5.0, required=False),

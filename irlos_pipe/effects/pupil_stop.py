@@ -40,7 +40,7 @@ class PupilMisregistration(RedrawnPupil):
     formula = (
         "P(u) → P(u; vanes turned by rotation_deg) · S(u − (dx_m, dy_m)); S: stop with outline and hole of P"
     )
-    fact = True
+    fact = varies = True
     public = (
         number("dx_m", "m", -1.0, 1.0, role="component"),
         number("dy_m", "m", -1.0, 1.0, role="component"),

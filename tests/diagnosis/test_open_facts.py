@@ -41,7 +41,7 @@ def test_facts_that_the_model_takes_for_exact_are_left_free_where_they_fit_best(
 
 
 def test_they_are_facts_of_the_instrument_and_nothing_else(found):
-    assert all(effect.base.fact for effect in found.values())
+    assert all(effect.base.fact and effect.base.varies for effect in found.values())
     assert "spectrum" not in found  # one factor for pixels and wavelengths is what no image shows
 
 
