@@ -11,13 +11,12 @@ import torch
 from irlos_pipe.conventions.modes import TIP_TILT
 from irlos_pipe.diagnosis.fitted import Fitted, begun_at
 from irlos_pipe.effects import Effect
-from irlos_pipe.effects.directions import direction_among, on_every_side
+from irlos_pipe.effects.directions import AT_REST, direction_among, on_every_side
 from irlos_pipe.numerics.problem import ROUNDING
 from irlos_pipe.optics.zernike import noll_to_nm
 
 STARTS, START_NM = 2, 60.0  # further wavefronts: RMS of the first radial order, falling
 DIRECTIONS = 8  # in which it is asked whether what came to rest at no distance would rather have one
-AT_REST = 1e-3  # of a distance
 
 
 def with_wavefront(near: Fitted, zernike_nm: Mapping[int, float]) -> Fitted:

@@ -13,6 +13,7 @@ from irlos_pipe.effects.base import Effect
 from irlos_pipe.effects.declaration import Parameter
 
 SIDES = 4  # on which a fit may begin
+AT_REST = 1e-3  # of a distance: less is none
 
 
 def direction_among(parameters: Sequence[Parameter]) -> int | None:

@@ -12,12 +12,10 @@ from collections.abc import Iterator
 import numpy as np
 import torch
 
-from irlos_pipe.effects.directions import direction_among, on_every_side
+from irlos_pipe.effects.directions import AT_REST, direction_among, on_every_side
 from irlos_pipe.estimate.open_fit import ROUGHLY, Opened, OpenFit, settled
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import INVALID
-
-AT_REST = 1e-3  # of a distance
 
 
 def likelier_side(opened: Opened, max_iterations: int) -> Opened:

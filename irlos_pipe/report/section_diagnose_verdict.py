@@ -77,6 +77,7 @@ def verdict_table(results: DiagnoseResults) -> list[Table]:
         *(("runner-up", _lost(step)) for step in _shown(results)[:1]),
         ("left", _left(results)),
         ("adjusted, not named", "; ".join(one.phrase or one.effect for one in results.adjusted)),
+        (f"free in {results.model} as well", ", ".join(results.open_facts)),
         ("tried", _tried(results)),
     ]
     known = [row for row in rows if row[1]]

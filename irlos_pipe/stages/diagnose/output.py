@@ -235,6 +235,8 @@ def summary_lines(result: Diagnosis) -> list[str]:
     for step in result.steps:
         if step.unusual:
             lines.append(f"  unusual         {step.label}: {', '.join(step.unusual)} beyond what is usual")
+    if result.open_facts:
+        lines.append(f"  free as well    {', '.join(one.name for one in result.open_facts)} in {MODEL_FILE}")
     lines.append(f"  noise           {result.noise.text}")
     fine = result.fine
     lines.append(f"  finer than D/λ  {fine.ratio:.2f} × what noise leaves there, {fine.significance:.1f} σ")
