@@ -84,6 +84,10 @@ class OpenFit(CheapGradientProblem, ImageFit):
         coarse = light_path(settings, psf.nolls, **options)
         return self._with(coarse=ImageModel(coarse, self.model.effects.effects))
 
+    def roughly(self) -> OpenFit:
+        """Return the same fit to a loose tolerance, nothing kept of it."""
+        return self.with_tolerance(ROUGHLY * len(self.layout.nolls)).reweighed(self.root_weight)
+
     def with_law(self, law: TailLaw) -> OpenFit:
         """Return the same fit with the modes beyond the closed basis as a `law` expects."""
         known = self.layout.prior_sigma_nm
@@ -147,7 +151,7 @@ def open_basis(
     wider = light_path(psf.settings, nolls, device=psf.device, dtype=psf.dtype, rough_derivatives=True)
     model = ImageModel(wider, closed.model.effects.effects)
     law = law or TailLaw(psf.nolls[-1] + 1)
-    problem = _wider(closed, model).with_law(law).with_tolerance(ROUGHLY * len(nolls))
+    problem = _wider(closed, model).with_law(law).roughly()
     start = widened(values, closed.layout, problem.layout, beyond_nm or {})
     quick = problem.hastened()
     rough = solve(quick, start, max_iterations=max_iterations)

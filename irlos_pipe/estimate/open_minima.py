@@ -26,7 +26,7 @@ import torch
 
 from irlos_pipe.conventions.modes import CORRECTED_NOLLS, DEFOCUS
 from irlos_pipe.estimate.cube_fit import FIRST, CubeFit, Fit
-from irlos_pipe.estimate.open_fit import ROUGHLY, Opened, OpenFit, settled, widened
+from irlos_pipe.estimate.open_fit import Opened, OpenFit, settled, widened
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import INVALID, Solution
 
@@ -81,7 +81,7 @@ def likelier_minimum(task: CubeFit, closed: Fit, opened: Opened, most: float) ->
     chi2_nu = float(problem.reduced_chi2(values)[0])
     if chi2_nu <= most or chi2_nu > LEFT * float(closed[0].reduced_chi2(closed[1].values[:1])[0]):
         return opened
-    rough = problem.with_tolerance(ROUGHLY * len(problem.layout.nolls)).reweighed(problem.root_weight)
+    rough = problem.roughly()
     search = _Search(rough.hastened(), most, np.random.default_rng(SEED))
     begun, _ = task.released(problem.model.effects.effects, closed)  # the closed basis may hold some of them
     starts = [widened(x, begun.layout, problem.layout, {}) for x in task.starts(begun)]

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from irlos_pipe.effects.directions import AT_REST, direction_among, on_every_side
-from irlos_pipe.estimate.open_fit import ROUGHLY, Opened, OpenFit, settled
+from irlos_pipe.estimate.open_fit import Opened, OpenFit, settled
 from irlos_pipe.numerics.levenberg_marquardt import solve
 from irlos_pipe.numerics.solution import INVALID
 
@@ -31,7 +31,7 @@ def likelier_side(opened: Opened, max_iterations: int) -> Opened:
     starts = list(_other_sides(problem, opened.solution.values[:1]))
     if not starts:
         return opened
-    rough = problem.with_tolerance(ROUGHLY * len(problem.layout.nolls)).reweighed(problem.root_weight)
+    rough = problem.roughly()
     quick = rough.hastened()
     for start in starts:
         near = solve(quick, start, max_iterations=max_iterations)
