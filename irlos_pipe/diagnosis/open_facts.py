@@ -23,11 +23,11 @@ from irlos_pipe.diagnosis.tolerant import everyday
 from irlos_pipe.diagnosis.without import needless
 from irlos_pipe.effects import Effect, FixedEffect
 
-WORTH = 1.5  # standard errors
+WORTH = 1.5  # standard errors by which a fact must be off
 
 
 def open_facts(fitter: Fitter, final: Optimum, known: Sequence[str]) -> list[FixedEffect]:
-    """Return the facts of a model, and those that it lacks, where all of them fit best.
+    """Return those facts, of a model or lacking in it, that are off by more than `WORTH`, as they fit best.
 
     Parameters
     ----------
@@ -46,14 +46,16 @@ def open_facts(fitter: Fitter, final: Optimum, known: Sequence[str]) -> list[Fix
     own = fitter.of(final.stack, fitted.views)
     conditions = [view.conditions for view in fitted.views]
     missing = [effect for effect in everyday(conditions, fitted.effects) if effect.base.varies]
-    best = _best(own, all_around([*fitted.continued(), *missing]), fitted)
-    best = _best(own, [best.continued(), *on_other_sides(best)], best) if np.isfinite(best.chi2) else best
-    if not np.isfinite(best.chi2):
+    begun = _best(own, all_around([*fitted.continued(), *missing]), fitted)
+    if not np.isfinite(begun.chi2):
         return []
+    best = _best(own, [begun.continued(), *on_other_sides(begun)], begun)
+    if not np.isfinite(best.chi2):
+        best = begun
     facts = [label for label in best.problem.effects.labels if best.effect(label).base.varies]
     exact = needless(best, facts, own.stack, WORTH)
-    open_ = [label for label in facts if label not in exact and label not in known]
-    return [FixedEffect(best.effect(label).base, best.values_of(label)) for label in open_]
+    free = [label for label in facts if label not in exact and label not in known]
+    return [FixedEffect(best.effect(label).base, best.values_of(label)) for label in free]
 
 
 def _best(fitter: Fitter, starts: Sequence[Sequence[Effect]], near: Fitted) -> Fitted:

@@ -49,7 +49,7 @@ def test_what_is_named_or_adjusted_is_told_there(behind_a_stop):
     assert STOP.name not in {effect.name for effect in open_facts(*behind_a_stop, [STOP.name])}
 
 
-def test_a_fit_that_fails_leaves_nothing_free(behind_a_stop, monkeypatch):
+def test_a_fit_that_fails_leaves_nothing_free(behind_a_stop):
     _, final = behind_a_stop
     failed = SimpleNamespace(chi2=np.inf)
     fitter = SimpleNamespace(of=lambda *_: SimpleNamespace(explored=lambda *_: failed))
