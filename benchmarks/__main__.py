@@ -21,7 +21,7 @@ from benchmarks.docs import breakdown
 from benchmarks.docs import write_docs as put_into_docs
 from benchmarks.inputs import Inputs, prepare
 from benchmarks.measure import in_own_process
-from benchmarks.plan import CUBE, CUDA, CUDA_60, LIFT, NCPA, NCPA_60, OTHERS, Entry
+from benchmarks.plan import CUBE, LIFT, NCPA, NCPA_60, OTHERS, Entry
 from benchmarks.table import render
 
 RESULTS = Path(__file__).parent / "results.json"
@@ -46,7 +46,7 @@ def measure_all(folder: Path, quick: bool) -> dict:
     drawn = max(entry.quick_frames if quick else entry.frames for entry in NCPA)
     prepare(folder, drawn, lambda frames: tqdm(frames, desc="drawing frames", disable=None))
     cuda = torch.cuda.is_available()
-    groups = (NCPA + CUDA * cuda, NCPA_60 + CUDA_60 * cuda, LIFT, OTHERS)
+    groups = [[one for one in group if cuda or not one.gpu] for group in (NCPA, NCPA_60, LIFT, OTHERS)]
     bar = tqdm(total=sum(map(len, groups)) + 1, disable=None)
     ncpa, more, ramp, others = ([_measure(entry, folder, quick, bar) for entry in group] for group in groups)
     common = _compare(ncpa, Inputs(folder))

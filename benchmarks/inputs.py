@@ -63,9 +63,12 @@ class Inputs:
     ----------
     folder : Path
         Where `prepare` left them.
+    device : str
+        Where this project's code computes.
     """
 
     folder: Path
+    device: str = "cpu"
 
     @cached_property
     def frames(self) -> BenchFrames:
@@ -106,7 +109,7 @@ class Inputs:
             load_instrument("irlos"),
             {},
             self._products,
-            "cpu",
+            self.device,
             0,
             1,
             _silent,

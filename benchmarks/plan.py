@@ -17,6 +17,10 @@ class Entry:
         A function of `cases`.
     frames, quick_frames : int
         Frames that are really worked on, by default and with ``--quick``.
+    threads : int
+        Workers of irlos_pipe.
+    gpu : bool
+        Run only where PyTorch finds a CUDA device.
     """
 
     case: str
@@ -24,6 +28,7 @@ class Entry:
     frames: int
     quick_frames: int
     threads: int = 1
+    gpu: bool = False
 
 
 NCPA = (
@@ -32,10 +37,12 @@ NCPA = (
     Entry("dip_global", "irlos dip_global, L1", CUBE, 30),
     Entry("dip_global", "irlos dip_global, L1", CUBE, 30, threads=2),
     Entry("lift_slices", "irlos lift_slices, weighted", CUBE, 30),
+    Entry("dip_global_cuda", "irlos dip_global, L1, CUDA", CUBE, 30, gpu=True),
 )
 NCPA_60 = (
     Entry("fft_lbfgs_60", "padded FFT, autograd, L-BFGS, L1", 12, 3),
     Entry("dip_global_60", "irlos dip_global, L1", CUBE, 30),
+    Entry("dip_global_60_cuda", "irlos dip_global, L1, CUDA", CUBE, 30, gpu=True),
 )
 LIFT = (
     Entry("lift_numpy", "NumPy FFT, Gauss-Newton per frame", 7, 2),
@@ -43,12 +50,11 @@ LIFT = (
     Entry("lift_bare", "irlos lift, the ramp once", 42, 42),
     Entry("lift_bare", "irlos lift, ten realisations", 420, 84),
     Entry("lift_halo", "irlos lift, ten realisations, halo", 420, 84),
+    Entry("lift_halo_cuda", "irlos lift, ten realisations, halo, CUDA", 420, 84, gpu=True),
 )
-# Run where PyTorch finds a CUDA device.
-CUDA = (Entry("dip_global_cuda", "irlos dip_global, L1, CUDA", CUBE, 30),)
-CUDA_60 = (Entry("dip_global_60_cuda", "irlos dip_global, L1, CUDA", CUBE, 30),)
 OTHERS = (
     Entry("long_exposure", "irlos long_exposure, calibration-sky, 65 modes", 200, 200),
+    Entry("long_exposure_cuda", "irlos long_exposure, the same, CUDA", 200, 200, gpu=True),
     Entry("lift_latency", "irlos lift, single frames, 2 wavelengths", 50, 20),
     Entry("sensitivity_scan", "irlos sensitivity scan, 3 and 9 modes, halo", 924, 88, threads=2),
     Entry("model_images", "irlos model, images, 1 wavelength", 480, 64),

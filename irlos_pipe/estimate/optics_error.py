@@ -50,7 +50,9 @@ def optics_sigma_nm(
     if not len(chosen):
         return np.full(len(defocus_nm), np.nan)
     general, own = model.general, tuple(sorted({*nolls, *result.nolls}))
-    wide = ImageModel(light_path(general.psf.settings, own), general.effects.effects)
+    wide = ImageModel(
+        light_path(general.psf.settings, own, device=general.psf.device), general.effects.effects
+    )
     known = [own.index(noll) for noll in nolls]
     slopes = [defocus_slopes(general, wide, result, int(frame), good, noise)[known] for frame in chosen]
     sigma_nm = [float(np.sqrt(slope @ covariance_nm2 @ slope)) for slope in slopes]
@@ -99,7 +101,7 @@ def defocus_slopes(
     fitted_nm, values = result.zernike_nm[frame : frame + 1].double(), result.solution.values[frame, -2:]
     flux_e, background_e = values[:, None]
     image, columns = model.predict_and_jacobian(fitted_nm, flux_e, background_e)
-    weight = torch.where(good, 1 / noise.variance_e2(image[0].double()), 0.0).flatten()
+    weight = torch.where(good, 1 / noise.variance_e2(image[0].double().cpu()), 0.0).flatten()
     free = columns[0].double().flatten(1).cpu()
     inverse = scaled_inverse(((free * weight) @ free.mT)[None])[0]
     factors = inverse[result.nolls.index(DEFOCUS)] @ (free * weight)

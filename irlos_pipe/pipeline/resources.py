@@ -55,6 +55,8 @@ def resolve_device(wanted: str) -> str:
     import torch
 
     if torch.cuda.is_available():
+        # PyTorch loads a GPU's linear algebra on first use, and fails where two threads do so at once.
+        torch.linalg.inv(torch.eye(1, device="cuda"))
         return "cuda"
     if wanted == "cuda":
         raise ConfigurationError(

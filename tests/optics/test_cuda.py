@@ -6,6 +6,9 @@ counts that the propagation was asked of the device; the tests on a real one are
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -33,6 +36,7 @@ from irlos_pipe.estimate.lift_options import LiftOptions
 from irlos_pipe.estimate.ramp_fit import RampData, fit_ramp
 from irlos_pipe.estimate.starts import scan_start_nm
 from irlos_pipe.optics.psf import PsfModel
+from irlos_pipe.pipeline.resources import resolve_device
 
 SMALL, HIGHEST_NOLL, TTF = cases.settings(16, pupil_samples=48), 7, (2, 3, 4)
 TRUE_NM = cases.ncpa_nm(4, HIGHEST_NOLL, 60.0)
@@ -144,6 +148,31 @@ def test_a_gpu_gives_the_results_of_the_cpu(name):
     """Within the rounding of float32 products, of which fits make a hundredth of their errors."""
     expected = CALCULATIONS[name]("cpu")
     assert CALCULATIONS[name]("cuda") == pytest.approx(expected, rel=1e-3, abs=1e-3 * np.abs(expected).max())
+
+
+@pytest.mark.slow
+def test_no_stage_mixes_tensors_of_two_devices(monkeypatch, tmp_path):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    told = ["run", "diagnose_ramp", "--samples", "--output", str(tmp_path), "--device", "cuda", "--jobs", "1"]
+    with StandInDevice() as device:
+        result = invoke(*told)
+    assert result.exit_code == 0, result.stderr
+    assert device.operations > 10_000
+
+
+def test_the_linear_algebra_is_loaded_before_there_are_threads(monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    with StandInDevice() as device:
+        assert resolve_device("auto") == "cuda"
+    assert device.operations > 0
+
+
+@needs_gpu
+def test_a_recipe_runs_with_several_threads_on_a_gpu(tmp_path):
+    """In a process of its own, where nothing has used the GPU's linear algebra before."""
+    told = ["run", "defocus_ramp", "--samples", "--output", str(tmp_path), "--device", "cuda", "--jobs", "4"]
+    done = subprocess.run([sys.executable, "-m", "irlos_pipe", *told], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_stand_in_refuses_what_a_gpu_would():

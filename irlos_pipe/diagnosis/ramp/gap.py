@@ -78,13 +78,14 @@ def _refitted(
     own = [model.psf.nolls.index(2), model.psf.nolls.index(3), -2, -1]
     modes, light = modes_nm.clone(), torch.stack([images.sum((1, 2)), torch.zeros(len(images))], dim=1)
     for _ in range(STEPS):
-        image, columns = model.predict_and_jacobian(modes, light[:, 0], light[:, 1], held=True)
+        found = model.predict_and_jacobian(modes, light[:, 0], light[:, 1], held=True)
+        image, columns = (one.cpu() for one in found)
         design = columns[:, own].double().flatten(2).mT * root[:, :, None]
         misfit = (images.flatten(1) - image.flatten(1)) * root
         step = torch.linalg.lstsq(design, misfit[:, :, None]).solution[..., 0]
         modes[:, own[:2]] += step[:, :2]
         light = light + step[:, 2:]
-    return model.predict(modes, light[:, 0], light[:, 1])
+    return model.predict(modes, light[:, 0], light[:, 1]).cpu()
 
 
 def _noise_e(data: RampData, at_offset: torch.Tensor, averaged: int) -> float:
