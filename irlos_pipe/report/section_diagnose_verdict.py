@@ -77,11 +77,20 @@ def verdict_table(results: DiagnoseResults) -> list[Table]:
         *(("runner-up", _lost(step)) for step in _shown(results)[:1]),
         ("left", _left(results)),
         ("adjusted, not named", "; ".join(one.phrase or one.effect for one in results.adjusted)),
-        (f"free in {results.model} as well", ", ".join(results.open_facts)),
+        (f"free in {results.model} as well", _left_free(results)),
         ("tried", _tried(results)),
     ]
     known = [row for row in rows if row[1]]
     return [Table(("", ""), known, "In short", prose=True)] if known else []
+
+
+def _left_free(results: DiagnoseResults) -> str:
+    """Facts of the instrument from which a calibration with the model begins."""
+    rows = {name: parameter_rows(values) for name, values in results.open_facts.items()}
+    values = {
+        name: ", ".join(" ".join(filter(None, row)) for row in its_rows) for name, its_rows in rows.items()
+    }
+    return "; ".join(f"{name.replace('_', ' ')}, from {begin}" for name, begin in values.items())
 
 
 def _ramp_error(results: DiagnoseResults) -> str:

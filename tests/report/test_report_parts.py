@@ -16,7 +16,7 @@ from irlos_pipe.report.effect_words import parameter_rows, worded
 from irlos_pipe.report.images import asinh_ticks, brightness_scale, image_panel, log_scale, thumbnail
 from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_diagnose_names import separation_tables
-from irlos_pipe.report.section_diagnose_verdict import verdict_numbers
+from irlos_pipe.report.section_diagnose_verdict import verdict_numbers, verdict_table
 from irlos_pipe.report.section_lift import RampPoints, image_strip, ramp_plot, residual_limit
 from irlos_pipe.report.section_prior import prior_section
 from irlos_pipe.report.section_sensitivity import limit_text
@@ -318,3 +318,11 @@ def test_tables_of_sentences_are_broken_into_lines():
     other = AlternativeRow(name="spectrum", reason="they change the image alike")
     (table,) = separation_tables(DiagnoseResults(steps=[StepRow(effect="plate_scale", alternatives=[other])]))
     assert table.title == "Not distinguished" and table.prose
+
+
+def test_a_diagnosis_shows_the_values_of_facts_that_it_leaves_free():
+    """A scale that differs by a thousandth is a different one, and is shown so."""
+    facts = {"plate_scale": {"scale": 1.0032, "rotation_deg": -0.4}, "pupil_misregistration": {"x_m": 0.03}}
+    (table,) = verdict_table(DiagnoseResults(open_facts=facts, model="model.yaml"))
+    shown = dict(table.rows)["free in model.yaml as well"]
+    assert "plate scale" in shown and "1.003" in shown and "-0.4 °" in shown and "0.03 m" in shown
