@@ -53,7 +53,7 @@ LIFT = (
     Entry("lift_halo_cuda", "irlos lift, ten realisations, halo, CUDA", 420, 84, gpu=True),
 )
 OTHERS = (
-    Entry("long_exposure", "irlos long_exposure, calibration-sky, 65 modes", 200, 200),
+    Entry("long_exposure", "irlos long_exposure, calibration-sky, 230 modes", 200, 200),
     Entry("long_exposure_cuda", "irlos long_exposure, the same, CUDA", 200, 200, gpu=True),
     Entry("lift_latency", "irlos lift, single frames, 2 wavelengths", 50, 20),
     Entry("sensitivity_scan", "irlos sensitivity scan, 3 and 9 modes, halo", 924, 88, threads=2),
