@@ -65,7 +65,11 @@ def worded(name: str) -> tuple[str, str]:
 
 def sizes(public: Mapping[str, Any]) -> str:
     """Return `public` values without errors in one line."""
-    rows = [Row(*_plain(name, value)) for name, value in rows_of(public)]
+    return in_one_line([Row(*_plain(name, value)) for name, value in rows_of(public)])
+
+
+def in_one_line(rows: Sequence[Row]) -> str:
+    """Return names, values and units of `rows`, with commas between the rows."""
     return ", ".join(" ".join(filter(None, row)) for row in rows)
 
 

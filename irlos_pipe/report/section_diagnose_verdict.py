@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from irlos_pipe.report.content import KeyNumber, Table
-from irlos_pipe.report.effect_words import parameter_rows
+from irlos_pipe.report.effect_words import in_one_line, parameter_rows
 from irlos_pipe.report.text import is_known, number, plural
 from irlos_pipe.stages.diagnose.results import DiagnoseResults, RankedRow, StepRow
 
@@ -86,11 +86,10 @@ def verdict_table(results: DiagnoseResults) -> list[Table]:
 
 def _left_free(results: DiagnoseResults) -> str:
     """Facts of the instrument from which a calibration with the model begins."""
-    rows = {name: parameter_rows(values) for name, values in results.open_facts.items()}
-    values = {
-        name: ", ".join(" ".join(filter(None, row)) for row in its_rows) for name, its_rows in rows.items()
-    }
-    return "; ".join(f"{name.replace('_', ' ')}, from {begin}" for name, begin in values.items())
+    facts = results.open_facts.items()
+    return "; ".join(
+        f"{name.replace('_', ' ')}, from {in_one_line(parameter_rows(at))}" for name, at in facts
+    )
 
 
 def _ramp_error(results: DiagnoseResults) -> str:
@@ -127,7 +126,7 @@ def _name(label: str, step: StepRow) -> KeyNumber:
         return KeyNumber(head, step.phrase or step.effect)
     if len(rows) > 1 and all(row.name == rows[0].name for row in rows):  # pixels
         return KeyNumber(head, plural(len(rows), rows[0].name), "; ".join(row.value for row in rows))
-    others = ", ".join(" ".join(filter(None, row)) for row in rows[1 : 1 + NUMBERS_IN_NOTE])
+    others = in_one_line(rows[1 : 1 + NUMBERS_IN_NOTE])
     value = " ".join(filter(None, (rows[0].value, rows[0].unit)))
     return KeyNumber(head, value, "; ".join(filter(None, [rows[0].name, others])))
 
