@@ -42,6 +42,14 @@ SEEN = (
     "frames twice",
     "half of another star",
     "core clipped",
+    "jump of 1 px half way",
+    "jump of 2 px half way",
+    "jump of 3 px half way",
+    "two pointings by turns",
+    "jumps of 1.5 px",
+    "seeing twice as strong half way",
+    "defocus of 60 nm more half way",
+    "half as bright half way",
 )
 HIDDEN: dict[str, Change] = {
     "companion 20 %": {"companion": {"flux_ratio": 0.2, "sep_mas": 60.0, "pa_deg": 40.0}},
@@ -50,6 +58,8 @@ HIDDEN: dict[str, Change] = {
     "non-linearity 30 %": {"detector_nonlinearity": {"fraction_at_peak": 0.3}},
     "vibration 15 mas": {"vibration": {"sigma_mas": 15.0, "angle_deg": 30.0}},
     "low wind": {"low_wind_effect": {"piston_nm": [90.0, -60.0, 40.0, -70.0]}},
+    "drift of 8 px": {"ncpa_drift": {"zernike_nm": {2: 750.0, 3: -380.0}}},
+    "drift of 3 px": {"ncpa_drift": {"zernike_nm": {2: 280.0}}},
 }
 # Right recordings: changes of the usual one. None is so bright that its sharpest image would saturate.
 RIGHTS: dict[str, Change] = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,27 @@ USUAL: dict[str, Any] = {
 }
 RAMP_USUAL: dict[str, Any] = {"frames": 4, "mag_j": 9.0, "exposure_s": 0.5}
 SMALL_PX = 24
+ASIDE_PX = 6  # by which frames are displaced at most
+FOCUS_STEP, FOCUS_STEP_NM = "defocus of 60 nm more half way", 60.0
+# Displacement of the frames along x [px] by their time, 0 to 1.
+STEPS_PX: dict[str, Callable[[np.ndarray, np.random.Generator], np.ndarray]] = {
+    "jump of 1 px half way": lambda time, rng: np.where(time < 0.5, 0, 1),
+    "jump of 2 px half way": lambda time, rng: np.where(time < 0.5, 0, 2),
+    "jump of 3 px half way": lambda time, rng: np.where(time < 0.5, 0, 3),
+    "two pointings by turns": lambda time, rng: 2 * (np.arange(len(time)) % 2),
+    "jumps of 1.5 px": lambda time, rng: np.rint(rng.normal(0, 1.5, len(time))).astype(int),
+}
+# Scenes of the frames that are not like the others.
+SECOND: dict[str, Callable[[Scene], Scene]] = {
+    "half of another star": lambda scene: replace(
+        scene, ncpa_nm={noll: -nm for noll, nm in scene.ncpa_nm.items()}
+    ),
+    "seeing twice as strong half way": lambda scene: replace(
+        scene, sky=scene.sky and replace(scene.sky, seeing_arcsec=2 * scene.sky.seeing_arcsec)
+    ),
+    FOCUS_STEP: lambda scene: replace(scene, ncpa_nm=scene.ncpa_nm | {4: scene.ncpa_nm[4] + FOCUS_STEP_NM}),
+    "half as bright half way": lambda scene: replace(scene, mag_j=scene.mag_j + 0.75),
+}
 
 
 @dataclass(frozen=True)
@@ -73,7 +95,13 @@ def make_case(case: Case, folder: Path) -> Made:
 
 
 def ncpa_of(case: Case, taken: Taken) -> dict[int, float]:
-    """Return the static modes with which something was `taken`, Noll: nm RMS."""
+    """Return the mean static modes with which something was `taken`, Noll: nm RMS."""
+    return _drawn_nm(case, taken) | (
+        {4: _drawn_nm(case, taken)[4] + FOCUS_STEP_NM / 2} if taken.seen == FOCUS_STEP else {}
+    )
+
+
+def _drawn_nm(case: Case, taken: Taken) -> dict[int, float]:
     rng = np.random.default_rng(case.seed + int(taken.foreign))
     return draw_ncpa_nm(rng, FACILITY.ncpa_law, TOTAL_NM)
 
@@ -137,7 +165,7 @@ def _scene(case: Case, taken: Taken, usual: Change, stream: int, offset_nm: floa
         throughput=THROUGHPUT,
         frame_rate_hz=1 / of["exposure_s"],
         window=of["window"],
-        ncpa_nm=ncpa_of(case, taken),
+        ncpa_nm=_drawn_nm(case, taken),
         diversity_nm={6: DIVERSITY_NM},
         introduced_nm=offset_nm,
         sky=Sky(of["seeing_arcsec"], shape=of["shape"]) if sky else None,
@@ -150,6 +178,9 @@ def _scene(case: Case, taken: Taken, usual: Change, stream: int, offset_nm: floa
 
 def _images(case: Case, taken: Taken, usual: Change, stream: int, offset_nm: float = 0.0) -> np.ndarray:
     """Frames in electrons, (frames, rows, columns)."""
+    if taken.seen in STEPS_PX:
+        rows, columns = usual.get("window", USUAL["window"])
+        usual = dict(usual) | {"window": (rows, columns + 2 * ASIDE_PX)}
     return _spoilt(case, taken, usual, _frames(_scene(case, taken, usual, stream, offset_nm)))
 
 
@@ -160,10 +191,20 @@ def _frames(scene: Scene) -> np.ndarray:
 def _spoilt(case: Case, taken: Taken, usual: Change, images: np.ndarray) -> np.ndarray:
     """What is wrong with the images themselves."""
     rows, columns = images.shape[1:]
-    if taken.seen == "half of another star":
-        scene = _scene(case, Taken(0), usual, 9, 0.0)
-        turned = replace(scene, ncpa_nm={noll: -nm for noll, nm in scene.ncpa_nm.items()})
-        return np.concatenate([images[::2], _frames(turned)[1::2]])
+    half = len(images) // 2
+    if taken.seen in SECOND:
+        change = SECOND[taken.seen](_scene(case, Taken(0), usual, 9, 0.0))
+        second = _frames(change)
+        if taken.seen == "half of another star":
+            return np.concatenate([images[::2], second[1::2]])
+        return np.concatenate([images[:half], second[half:]])
+    if taken.seen in STEPS_PX:
+        rng = np.random.default_rng([case.seed, 8])
+        steps = np.clip(STEPS_PX[taken.seen](np.arange(len(images)) / len(images), rng), -ASIDE_PX, ASIDE_PX)
+        first = ASIDE_PX - steps
+        return np.stack(
+            [one[:, at : at + columns - 2 * ASIDE_PX] for one, at in zip(images, first, strict=True)]
+        )
     top, left = (rows - SMALL_PX) // 2, (columns - SMALL_PX) // 2
     return {
         "": lambda: images,

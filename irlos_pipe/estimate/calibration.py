@@ -31,6 +31,7 @@ from irlos_pipe.estimate.open_minima import likelier_minimum
 from irlos_pipe.estimate.open_sides import likelier_side
 from irlos_pipe.estimate.orientation import Mirrored, mirrored
 from irlos_pipe.estimate.score_test import best_start
+from irlos_pipe.estimate.steady import Motion
 from irlos_pipe.estimate.tail_law import TailLaw
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.optics.image_quality import Curve, power_spectrum
@@ -86,6 +87,8 @@ class Calibration:
         Power spectrum of the residual over its standard error, see `image_quality.power_spectrum`.
     mirrored : Mirrored or None
         How much of a mirrored pupil the mean image shows, where that was looked at.
+    motion : Motion or None
+        Of the star from frame to frame, where the frames were `steadied`.
     """
 
     options: CalibrationOptions
@@ -113,6 +116,7 @@ class Calibration:
     effects_sigma: dict[str, dict] = field(default_factory=dict)
     left: Curve | None = None
     mirrored: Mirrored | None = None
+    motion: Motion | None = None
 
     @property
     def sigma_nm(self) -> np.ndarray:
@@ -297,6 +301,7 @@ def _result(
         effect_errors(frames, problem, solution, misfit),
         power_spectrum(left, problem.model.psf.settings.resolution_px),
         mirrored(frames, problem, found.values) if METHODS[options.method].effects else None,
+        frames.motion,
     )
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 import torch
 
+from irlos_pipe.estimate.steady import Motion
 from irlos_pipe.frames.blocks import frame_flux, frame_variance, mean_frame
 from irlos_pipe.frames.noise import NoiseModel
 
@@ -27,12 +28,15 @@ class Frames:
     noise : NoiseModel
     misfit : float
         By which the variance of the mean is larger than that, because a model misfits (see `few_frames`).
+    motion : Motion or None
+        Of the star before the frames were `steadied`; None where it did not move.
     """
 
     images_e: torch.Tensor
     good: torch.Tensor
     noise: NoiseModel
     misfit: float = 1.0
+    motion: Motion | None = None
 
     @cached_property
     def mean_e(self) -> torch.Tensor:

@@ -25,6 +25,11 @@ CHECKS = {
         "",
     ),
     "calibrate.window": ("smaller side of the window in λ/D", "calibrate.min_window"),
+    "calibrate.motion of the star": (
+        "how far the star moves from frame to frame, over the smaller side of the window; the frames are moved "
+        "back before they are averaged",
+        "calibrate.max_motion",
+    ),
     "calibrate.frames": ("number of frames, where they scatter by more than noise", "calibrate.min_frames"),
     "calibrate.frames of one kind": (
         "kurtosis of the frames along what they differ by most: small where two stars or pointings are mixed",

@@ -2,12 +2,14 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from helpers import made_run
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.estimate.nominal_chi2 import NominalChi2
 from irlos_pipe.estimate.orientation import Mirrored
+from irlos_pipe.estimate.steady import Motion
 from irlos_pipe.estimate.twin import TwinCheck
 from irlos_pipe.stages.calibrate.input import require_calibration
 from irlos_pipe.stages.calibrate.quality import Limits, checks_of
@@ -23,6 +25,8 @@ GOOD = {
     "frames_nm": [None] * 200,
     "twin": TwinCheck(7.5, 100.0, 330.0, 310.0, 60.0),
     "mirrored": Mirrored(0.05, 0.1),
+    "motion": None,
+    "mean_image_e": np.zeros((40, 48)),
 }
 
 
@@ -70,6 +74,12 @@ def test_noise_told_larger_than_the_frames_show_fails():
 def test_frames_of_two_stars_fail():
     assert "two kinds" in _failed(kurtosis=1.05)["frames of one kind"]
     assert not _failed(kurtosis=float("nan"))
+
+
+def test_a_star_that_moves_through_more_than_a_quarter_of_the_window_fails():
+    drift_px = np.linspace(-1, 1, 20)[:, None] * [1.0, 0.5]
+    assert _failed(motion=Motion(4.9 * drift_px, 0.01)) == {}
+    assert "drifts, by 10.2 px" in _failed(motion=Motion(5.1 * drift_px, 0.01))["motion of the star"]
 
 
 def test_a_small_window_fails():

@@ -19,8 +19,8 @@ from irlos_pipe.report.run_data import RunData
 from irlos_pipe.report.section_diagnose import diagnose_section
 from irlos_pipe.stages.diagnose.output import diagnose_arrays, diagnose_results, model_yaml, recipe_entry
 from irlos_pipe.stages.diagnose.quality_curves import quality_arrays
-from irlos_pipe.stages.diagnose.work import pooled_frames
 from irlos_pipe.stages.model.effect_entry import EffectEntry
+from irlos_pipe.stages.model.recording_settings import pooled_frames
 from irlos_pipe.stages.model.section import ModelConfig
 
 STEP_KEYS = {
@@ -135,7 +135,7 @@ def test_a_recording_without_frames_is_refused_with_its_name():
         acquisition,
     )
     with pytest.raises(InputDataError, match="short: no used frame is left"):
-        pooled_frames([recording], good)
+        pooled_frames([recording], good, CONDITIONS.settings)
 
 
 def test_bad_pixels_of_the_model_and_those_found_make_one_list():

@@ -36,6 +36,9 @@ class Limits(StageConfig):
     min_frames: int = Field(
         8, ge=1, description="QC limit on the frames where they scatter by more than noise"
     )
+    max_motion: float = Field(
+        0.25, gt=0, le=1, description="QC limit on how far the star moves, over the smaller window side"
+    )
     min_window: float = Field(8.0, ge=0, description="QC limit on the smaller side of the window, in λ/D")
 
 

@@ -6,19 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.conventions.modes import DEFOCUS
 from irlos_pipe.effects import Effect
-from irlos_pipe.estimate.calibration_options import CalibrationOptions
+from irlos_pipe.estimate.calibration_options import METHODS, CalibrationOptions
 from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.optics.psf_settings import PsfSettings
 from irlos_pipe.stages.base import StageContext
 from irlos_pipe.stages.model.colour import colour_warning, with_colour
 from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects, shown
-from irlos_pipe.stages.model.recording_settings import pooled_images, psf_settings
+from irlos_pipe.stages.model.recording_settings import pooled_frames, psf_settings
 
 ROLES = ("ncpa_calibration", "psf", "derotator")
 
@@ -73,8 +72,8 @@ def cube_input(ctx: StageContext, recordings: Sequence[Recording], options: Cali
     effects = with_colour(effects, ctx.model, conditions)
     if warning := colour_warning(effects, recordings):
         ctx.log.warning(warning)
-    images_e, good, noise = pooled_images(recordings)
-    good = good & torch.as_tensor(good_pixels(effects, first.window))
     introduced_nm = {DEFOCUS: float(first.introduced_defocus_nm[0])}
     settings = psf_settings(ctx.instrument, ctx.model, first, introduced_nm=introduced_nm)
-    return CubeInput(Frames(images_e, good, noise), settings, image_effects(effects))
+    steady = METHODS[options.method].effects
+    frames = pooled_frames(recordings, good_pixels(effects, first.window), settings, steady=steady)
+    return CubeInput(frames, settings, image_effects(effects))

@@ -15,7 +15,7 @@ from irlos_pipe.frames.recording import Acquisition
 from irlos_pipe.optics.image_quality import correlations
 from irlos_pipe.product.product import Quantity
 from irlos_pipe.stages.base import StageOutput
-from irlos_pipe.stages.calibrate.quality import Limits, checks_of
+from irlos_pipe.stages.calibrate.quality import Limits, checks_of, motion_line
 from irlos_pipe.stages.calibrate.results import CalibrateResults, Estimate, Tail, Twin
 from irlos_pipe.stages.model.effects import effect_arrays
 from irlos_pipe.stages.model.untested import CUBES_IN_SHORT, FAINT_VANES, untested_by_cubes
@@ -176,6 +176,7 @@ def _summary(result: Calibration, others: Sequence[Calibration]) -> list[str]:
         f"({result.options.method}, {result.seconds:.1f} s, χ²/ν {result.chi2_nu:.2f}, "
         f"nominal {result.nominal.value:.2f})",
         *(few if result.errors_from != "frames" else []),
+        *([] if result.motion is None else [f"  {motion_line(result.motion)}"]),
         *_tail_lines(result),
         *effect_lines(result.effects, result.effects_sigma),
         *(

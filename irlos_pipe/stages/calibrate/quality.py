@@ -7,6 +7,7 @@ import math
 from irlos_pipe.estimate.calibration import Calibration
 from irlos_pipe.estimate.nominal_chi2 import LEAST_FRAMES
 from irlos_pipe.estimate.orientation import Mirrored
+from irlos_pipe.estimate.steady import Motion
 from irlos_pipe.product.product import Check
 from irlos_pipe.stages.calibrate.config import Limits
 
@@ -21,6 +22,8 @@ def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Che
         checks.append(_noise(result))
     if math.isfinite(result.kurtosis):
         checks.append(kinds_check(result.kurtosis))
+    if result.motion is not None:
+        checks.append(_moves(limits, result))
     if result.errors_from == "few_frames":
         checks.append(_frames(limits, result))
     if result.twin is not None:
@@ -86,6 +89,19 @@ def _window(limits: Limits, result: Calibration) -> Check:
     size = result.window_resolutions
     why = ": too much of the light lies outside" if size < limits.min_window else ""
     return Check("window", size, "", limits.min_window, None, f"the window is {size:.1f} λ/D wide{why}")
+
+
+def _moves(limits: Limits, result: Calibration) -> Check:
+    assert result.motion is not None
+    part = result.motion.largest_px / min(result.mean_image_e.shape)
+    why = ": too much of the light leaves the window" if part > limits.max_motion else ""
+    message = f"{motion_line(result.motion)}, {part:.2f} of the window{why}"
+    return Check("motion of the star", part, "", None, limits.max_motion, message)
+
+
+def motion_line(motion: Motion) -> str:
+    """Return how the star moves, and what was done about it."""
+    return f"the star {motion.course}, by {motion.largest_px:.1f} px in all; the frames are recentred"
 
 
 def _frames(limits: Limits, result: Calibration) -> Check:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.effects import Conditions, Effect
 from irlos_pipe.effects.chromatic import FilterNcpa
 from irlos_pipe.estimate.calibration_options import DEFAULT_METHOD, CalibrationOptions
-from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.setups import Setup, is_common
 from irlos_pipe.frames.recording import Recording
 from irlos_pipe.stages.base import StageContext
@@ -24,7 +22,7 @@ from irlos_pipe.stages.model.effects import (
     model_effects,
     shown,
 )
-from irlos_pipe.stages.model.recording_settings import differences, pooled_images
+from irlos_pipe.stages.model.recording_settings import differences, pooled_frames
 
 COMMON = {
     "pixel_scale_mas": "pixel scale",
@@ -138,6 +136,5 @@ def _setup(
     own = [e for e in image_effects(with_colour(listed, ctx.model, conditions)) if not is_common(e)]
     if warning := colour_warning(own, group):
         ctx.log.warning(warning)
-    images_e, good, noise = pooled_images(group)
-    good = good & torch.as_tensor(good_pixels(listed, group[0].window))
-    return Setup(Frames(images_e, good, noise), conditions.settings, common, own)
+    frames = pooled_frames(group, good_pixels(listed, group[0].window), conditions.settings)
+    return Setup(frames, conditions.settings, common, own)

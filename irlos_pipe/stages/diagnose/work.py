@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import torch
 
-from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.diagnosis.moments import Moments, placed
 from irlos_pipe.diagnosis.options import Options
 from irlos_pipe.diagnosis.verdict import Diagnosis
 from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import Effect
-from irlos_pipe.estimate.cube import Frames
 from irlos_pipe.estimate.frame_kinds import kurtosis_of_frames
-from irlos_pipe.frames.recording import Recording
 from irlos_pipe.stages.base import StageContext, StageOutput
 from irlos_pipe.stages.diagnose.config import Config
 from irlos_pipe.stages.diagnose.input import Alike, by_setting, introduced_nm, screened_pixels
@@ -33,7 +28,7 @@ from irlos_pipe.stages.diagnose.quality import checks_of
 from irlos_pipe.stages.diagnose.quality_curves import quality_arrays
 from irlos_pipe.stages.diagnose.ramp import run_on_ramp
 from irlos_pipe.stages.model.effects import conditions_of, good_pixels, image_effects, model_effects
-from irlos_pipe.stages.model.recording_settings import pooled_images, psf_settings
+from irlos_pipe.stages.model.recording_settings import pooled_frames, psf_settings
 
 EXPECTED_FITS = 11  # of one cube, for the progress bar
 APART = {"auto": None, "together": False, "apart": True}
@@ -52,14 +47,15 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     return StageOutput(
         diagnose_arrays(result) | quality_arrays(result.pictures, settings),
         results,
-        checks_of(results, [_kurtosis(alike) for alike in groups]),
+        checks_of(results, [_kurtosis(ctx, alike) for alike in groups]),
         files={MODEL_FILE: model},
         summary=summary_lines(result),
     )
 
 
-def _kurtosis(alike: Alike) -> float:
-    return kurtosis_of_frames(pooled_frames(alike.recordings, np.ones(alike.first.window, bool)))
+def _kurtosis(ctx: StageContext[Config], alike: Alike) -> float:
+    settings = psf_settings(ctx.instrument, ctx.model, alike.first)
+    return kurtosis_of_frames(pooled_frames(alike.recordings, np.ones(alike.first.window, bool), settings))
 
 
 def _diagnose(ctx: StageContext[Config], groups: list[Alike]) -> Diagnosis:
@@ -86,31 +82,14 @@ def _diagnose(ctx: StageContext[Config], groups: list[Alike]) -> Diagnosis:
 def _exposures(ctx: StageContext[Config], alike: Alike, effects: list[Effect]) -> Exposures:
     """Recordings of one setting and moment, the introduced defocus in the known wavefront."""
     first = alike.first
+    conditions = conditions_of(
+        ctx.instrument, ctx.model, first, ctx.config.highest_noll, introduced_nm={4: introduced_nm(first)}
+    )
     return Exposures(
-        pooled_frames(alike.recordings, good_pixels(effects, first.window)),
-        conditions_of(
-            ctx.instrument,
-            ctx.model,
-            first,
-            ctx.config.highest_noll,
-            introduced_nm={4: introduced_nm(first)},
-        ),
+        pooled_frames(alike.recordings, good_pixels(effects, first.window), conditions.settings),
+        conditions,
         screened_pixels(ctx.products["ingest"], first),
         alike.moment,
         first.name,
         alike.star,
     )
-
-
-def pooled_frames(recordings: Sequence[Recording], good: np.ndarray) -> Frames:
-    """Return the frames of `recordings` of one setting; pixels that are not `good` are masked.
-
-    Raises
-    ------
-    InputDataError
-        Without a frame.
-    """
-    images_e, recorded_good, noise = pooled_images(recordings)
-    if not len(images_e):
-        raise InputDataError(f"{recordings[0].name}: no used frame is left to diagnose")
-    return Frames(images_e, recorded_good & torch.as_tensor(good), noise)

@@ -13,6 +13,8 @@ from irlos_pipe.conventions.pupil_drawing import turned
 from irlos_pipe.conventions.units import NM
 from irlos_pipe.effects import CATALOGUE
 from irlos_pipe.effects.planes import LensEffect
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.steady import steadied
 from irlos_pipe.frames.noise import NoiseModel
 from irlos_pipe.frames.recording import Acquisition, Recording
 from irlos_pipe.instrument.instrument import Instrument
@@ -142,6 +144,35 @@ def used_in_time_order(ingest: Product, input_name: str) -> list[Recording]:
     recordings = [r.accepted() for r in in_time_order(recordings_from_product(ingest, input_name))]
     require_one_setup(recordings)
     return recordings
+
+
+def pooled_frames(
+    recordings: Sequence[Recording], listed: np.ndarray, settings: PsfSettings, *, steady: bool = True
+) -> Frames:
+    """Return the frames of recordings of one set-up, of a star that moves `steadied`.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    listed : ndarray of bool, (rows, columns)
+        Pixels that are good by the model.
+    settings : PsfSettings
+    steady : bool
+        Whether to take the motion out.
+
+    Raises
+    ------
+    InputDataError
+        Without a frame.
+    """
+    images_e, good, noise = pooled_images(recordings)
+    if not len(images_e):
+        raise InputDataError(f"{recordings[0].name}: no used frame is left")
+    good = good & torch.as_tensor(listed)
+    if not steady or settings.lenslets > 1:
+        return Frames(images_e, good, noise)
+    still_e, seen, motion = steadied(images_e.numpy(), good.numpy(), noise, settings.resolution_px)
+    return Frames(torch.as_tensor(still_e), torch.as_tensor(seen), noise, motion=motion)
 
 
 def pooled_images(recordings: Sequence[Recording]) -> tuple[torch.Tensor, torch.Tensor, NoiseModel]:

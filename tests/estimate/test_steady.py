@@ -1,0 +1,107 @@
+"""A star that moves between frames: an Airy pattern, displaced exactly, with photon noise."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.special import j1
+
+from irlos_pipe.estimate.cube import Frames
+from irlos_pipe.estimate.steady import steadied
+from irlos_pipe.frames.noise import NoiseModel
+
+SIDE, RESOLUTION_PX, READ_E = 40, 4.25, 5.0
+DRIFT = np.linspace(-1, 1, 20)[:, None] * [4.0, -2.0]
+NOISE = NoiseModel(1.0, READ_E**2)
+
+
+def _airy(places_px: np.ndarray, flux_e: float, resolution_px: float = RESOLUTION_PX) -> np.ndarray:
+    """Images of a round pupil at (x, y) from the window's centre, sampled at the pixels' centres."""
+    axis = np.arange(SIDE) - (SIDE - 1) / 2
+    x, y = (axis - places_px[:, k, None] for k in (0, 1))
+    u = np.pi * np.hypot(x[:, None, :], y[:, :, None]) / resolution_px + 1e-9
+    return flux_e * np.pi / (4 * resolution_px**2) * (2 * j1(u) / u) ** 2
+
+
+def _steadied(places_px, flux_e=2e6, *, good=None, seed=1, noise=True, resolution_px=RESOLUTION_PX) -> Frames:
+    rng = np.random.default_rng(seed)
+    images = _airy(np.asarray(places_px, float), flux_e, resolution_px)
+    if noise:
+        images = rng.poisson(images) + rng.normal(0, READ_E, images.shape)
+    good = np.ones((SIDE, SIDE), bool) if good is None else good
+    still, seen, motion = steadied(images, good, NOISE, resolution_px)
+    return Frames(torch.as_tensor(still), torch.as_tensor(seen), NOISE, motion=motion)
+
+
+def _at_rest(found: Frames, places_px: np.ndarray, flux_e: float = 2e6) -> np.ndarray:
+    """The true image of the star where the frames were steadied."""
+    return _airy((places_px.mean(axis=0) + found.motion.rest_px)[None], flux_e)[0]
+
+
+def test_frames_of_a_star_that_hardly_moves_stay_as_they_are():
+    images, good = _airy(np.random.default_rng(2).normal(0, 0.2, (30, 2)), 2e6), np.ones((SIDE, SIDE), bool)
+    still, seen, motion = steadied(images, good, NOISE, RESOLUTION_PX)
+    assert still is images and seen is good and motion is None
+
+
+def test_a_drift_over_two_resolution_elements_is_taken_out_to_a_thousandth_of_the_peak():
+    found = _steadied(DRIFT, noise=False)
+    true, good = _at_rest(found, DRIFT), found.good.numpy()
+    assert np.abs(found.mean_e.numpy() - true)[good].max() < 1e-3 * true.max()
+    assert np.abs(found.motion.places_px - (DRIFT - DRIFT.mean(axis=0))).max() < 2e-3
+
+
+def test_the_noise_of_the_mean_is_that_of_the_frames_at_rest():
+    squares = []
+    for seed in range(20):
+        found = _steadied(DRIFT, seed=seed)
+        whole = np.rint(DRIFT - DRIFT.mean(axis=0) - found.motion.rest_px)
+        variance_e2 = (_airy(DRIFT - whole, 2e6).mean(axis=0) + READ_E**2) / len(DRIFT)
+        pull = (found.mean_e.numpy() - _at_rest(found, DRIFT)) / np.sqrt(variance_e2)
+        squares.append(np.mean(pull[found.good.numpy()] ** 2))
+    assert 0.95 < np.mean(squares) < 1.15
+
+
+def test_motion_is_no_scatter_of_the_frames():
+    assert 0.8 < _steadied(DRIFT).noise_ratio < 1.1
+
+
+@pytest.mark.parametrize(
+    ("places", "course"),
+    [
+        (DRIFT, "drifts"),
+        (np.repeat([[0.0, 0.0], [3.0, 0.0]], [12, 18], axis=0), "jumps after frame 12"),
+        (np.tile([[-6.0, -6.0], [6.0, 6.0]], (10, 1)), "moves from frame to frame"),
+        (np.random.default_rng(3).normal(0, 1.5, (20, 2)), "moves from frame to frame"),
+    ],
+)
+def test_motion_is_measured_and_named(places, course):
+    motion = _steadied(places).motion
+    assert motion.course == course
+    assert motion.largest_px == pytest.approx(np.ptp(places, axis=0).max(), abs=0.02)
+    assert motion.rms_px == pytest.approx(places.std(axis=0).max(), abs=0.01)
+    truth = places - places.mean(axis=0)
+    assert np.std(motion.places_px - truth) == pytest.approx(motion.error_px, rel=0.3)
+
+
+def test_a_star_too_faint_to_be_placed_is_left_alone():
+    assert _steadied(DRIFT, flux_e=150.0).motion is None
+
+
+def test_pixels_that_most_frames_saw_beyond_the_edge_or_as_bad_are_masked():
+    good = np.ones((SIDE, SIDE), bool)
+    good[10, 12] = False
+    found = _steadied(np.repeat([[0.0, 0.0], [3.0, 0.0]], 20, axis=0), good=good)
+    bad = {tuple(pixel) for pixel in np.argwhere(~found.good.numpy()).tolist()}
+    inner = {pixel for pixel in bad if 3 < pixel[1] < SIDE - 3}
+    assert len(inner) == 2 and {row for row, _ in inner} == {10}
+    assert np.ptp([column for _, column in inner]) == 3
+    assert len(bad - inner) == 3 * SIDE
+
+
+def test_pixels_too_coarse_for_interpolation_are_moved_whole():
+    found = _steadied(DRIFT / 2, resolution_px=1.6, noise=False)
+    recorded = _airy(DRIFT / 2, 2e6, 1.6)
+    assert found.motion is not None
+    middle = slice(10, -10)
+    values = set(np.round(recorded, 6).ravel().tolist())
+    assert set(np.round(found.images_e.numpy()[:, middle, middle], 6).ravel().tolist()) <= values
