@@ -3,7 +3,7 @@
 A mixture scatters by more than its parts, so that its scatter excuses what a single model misfits. But it
 does not scatter as noise does: along the direction in which most of the variance lies, frames of two kinds
 sit at two values. Their kurtosis is 1 for halves, 3 for Gaussian scatter and 1.5 for a sinusoidal
-vibration.
+vibration. Differences in brightness do not count.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ def kurtosis_of_frames(frames: Frames) -> float:
     variance = mean_variance_e2(frames).flatten()
     usable = frames.good.flatten() & torch.isfinite(variance) & torch.isfinite(some).all(0)
     whitened = ((some - some.mean(0)) * variance**-0.5)[:, usable]
+    star = (some.mean(0) * variance**-0.5)[usable]
+    whitened -= (whitened @ star)[:, None] * (star / (star @ star))  # clouds dim the star, which stays the same
     values, vectors = np.linalg.eigh((whitened @ whitened.mT).numpy())
     if not values[-1] > LEADING * values.sum():
         return float("nan")

@@ -24,6 +24,14 @@ def test_two_kinds_of_frames_sit_at_two_values():
     assert _kurtosis(np.repeat([50.0, -50.0], [16, 24])) < 1.3
 
 
+def test_a_star_that_is_dimmed_half_way_is_one_kind():
+    rng, image = np.random.default_rng(3), np.full((SIDE, SIDE), 20.0)
+    image[4:8, 4:8] = 2000.0
+    images = rng.poisson(np.repeat([1.0, 0.5], COUNT // 2)[:, None, None] * image).astype(float)
+    good = torch.ones(SIDE, SIDE, dtype=torch.bool)
+    assert not kurtosis_of_frames(Frames(torch.as_tensor(images), good, NoiseModel(1.0, 1.0))) < 2
+
+
 def test_speckles_and_vibrations_are_one_kind():
     assert _kurtosis(50 * np.random.default_rng(2).normal(size=COUNT)) > 2
     assert 1.4 < _kurtosis(70 * np.sin(2.4 * np.arange(COUNT))) < 1.7
