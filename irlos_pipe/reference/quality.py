@@ -26,8 +26,8 @@ CHECKS = {
     ),
     "calibrate.window": ("smaller side of the window in λ/D", "calibrate.min_window"),
     "calibrate.motion of the star": (
-        "how far the star moves from frame to frame, over the smaller side of the window; the frames are moved "
-        "back before they are averaged",
+        "how far the star moves from frame to frame, over the smaller side of the window; before they are "
+        "averaged, the frames are moved back",
         "calibrate.max_motion",
     ),
     "calibrate.frames": ("number of frames, where they scatter by more than noise", "calibrate.min_frames"),
@@ -57,6 +57,7 @@ CHECKS = {
     ),
     "correct.predicted Strehl": ("predicted Strehl against the best that the AO residual leaves", ""),
     "diagnose.frames of one kind": ("as that of `calibrate`", ""),
+    "diagnose.motion of the star": ("as that of `calibrate`", ""),
     "diagnose.everything explained": ("whether the verdict leaves nothing significant unexplained", ""),
     "derotator.chi2 of the split": (
         "how well a part before and a part behind the derotator explain the estimates",

@@ -6,15 +6,6 @@ from irlos_pipe.stages.diagnose.quality import checks_of
 from irlos_pipe.stages.diagnose.results import DiagnoseResults
 
 
-def test_frames_of_two_kinds_need_a_look_whatever_the_verdict():
-    results = DiagnoseResults(verdict="none", grade="none")
-    checks = {one.name: one.passed for one in checks_of(results, [1.05])}
-    assert checks == {"everything explained": True, "frames of one kind": False}
-    assert len(checks_of(results, [float("nan")])) == 1 and all(
-        one.passed for one in checks_of(results, [2.9])
-    )
-
-
 @pytest.mark.parametrize(
     ("verdict", "grade", "unexplained", "passed"),
     [

@@ -20,10 +20,7 @@ def checks_of(limits: Limits, result: Calibration, prefix: str = "") -> list[Che
     checks = [_converged(limits, result), _misfit(limits, result), _window(limits, result)]
     if math.isfinite(result.noise_ratio):
         checks.append(_noise(result))
-    if math.isfinite(result.kurtosis):
-        checks.append(kinds_check(result.kurtosis))
-    if result.motion is not None:
-        checks.append(_moves(limits, result))
+    checks += frame_checks(result.kurtosis, result.motion, result.mean_image_e.shape, limits.max_motion)
     if result.errors_from == "few_frames":
         checks.append(_frames(limits, result))
     if result.twin is not None:
@@ -72,14 +69,31 @@ def _noise(result: Calibration) -> Check:
     return Check("noise as told", ratio, "", LOWEST_NOISE_RATIO, None, message)
 
 
-def kinds_check(kurtosis: float) -> Check:
-    """Return the check for frames of two stars, pointings or wavefronts, whose scatter excuses any misfit.
+def frame_checks(
+    kurtosis: float,
+    motion: Motion | None,
+    window: tuple[int, ...],
+    max_motion: float = Limits.model_fields["max_motion"].default,
+) -> list[Check]:
+    """Return the checks of frames that are averaged: of one star, pointing and wavefront, and its motion.
 
     Parameters
     ----------
     kurtosis : float
-        Of the frames, see `estimate.frame_kinds`.
+        Of the frames, see `estimate.frame_kinds`; NaN where it tells nothing.
+    motion : Motion or None
+        See `estimate.steady`.
+    window : tuple of int
+        Rows and columns.
+    max_motion : float
+        Over the smaller side of the window.
     """
+    checks = [_kinds(kurtosis)] if math.isfinite(kurtosis) else []
+    return checks if motion is None else [*checks, _moves(motion, window, max_motion)]
+
+
+def _kinds(kurtosis: float) -> Check:
+    """Frames of two kinds scatter, which excuses any misfit."""
     why = ": they are of two kinds, as of two stars" if kurtosis < LOWEST_KURTOSIS else ""
     message = f"the frames have a kurtosis of {kurtosis:.2f} where they differ most{why}"
     return Check("frames of one kind", kurtosis, "", LOWEST_KURTOSIS, None, message)
@@ -91,12 +105,17 @@ def _window(limits: Limits, result: Calibration) -> Check:
     return Check("window", size, "", limits.min_window, None, f"the window is {size:.1f} λ/D wide{why}")
 
 
-def _moves(limits: Limits, result: Calibration) -> Check:
-    assert result.motion is not None
-    part = result.motion.largest_px / min(result.mean_image_e.shape)
-    why = ": too much of the light leaves the window" if part > limits.max_motion else ""
-    message = f"{motion_line(result.motion)}, {part:.2f} of the window{why}"
-    return Check("motion of the star", part, "", None, limits.max_motion, message)
+def _moves(motion: Motion, window: tuple[int, ...], most: float) -> Check:
+    part = motion.largest_px / min(window)
+    why = ": too much of the light leaves the window" if part > most else ""
+    return Check(
+        "motion of the star",
+        part,
+        "",
+        None,
+        most,
+        f"{motion_line(motion)}, by {part:.2f} of the window{why}",
+    )
 
 
 def motion_line(motion: Motion) -> str:

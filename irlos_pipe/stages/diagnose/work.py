@@ -13,7 +13,9 @@ from irlos_pipe.diagnosis.view import Exposures
 from irlos_pipe.diagnosis.workflow import diagnose
 from irlos_pipe.effects import Effect
 from irlos_pipe.estimate.frame_kinds import kurtosis_of_frames
+from irlos_pipe.product.product import Check
 from irlos_pipe.stages.base import StageContext, StageOutput
+from irlos_pipe.stages.calibrate.quality import frame_checks
 from irlos_pipe.stages.diagnose.config import Config
 from irlos_pipe.stages.diagnose.input import Alike, by_setting, introduced_nm, screened_pixels
 from irlos_pipe.stages.diagnose.output import (
@@ -47,15 +49,17 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     return StageOutput(
         diagnose_arrays(result) | quality_arrays(result.pictures, settings),
         results,
-        checks_of(results, [_kurtosis(ctx, alike) for alike in groups]),
+        [*checks_of(results), *(check for alike in groups for check in _frame_checks(ctx, alike))],
         files={MODEL_FILE: model},
         summary=summary_lines(result),
     )
 
 
-def _kurtosis(ctx: StageContext[Config], alike: Alike) -> float:
+def _frame_checks(ctx: StageContext[Config], alike: Alike) -> list[Check]:
+    window = alike.first.window
     settings = psf_settings(ctx.instrument, ctx.model, alike.first)
-    return kurtosis_of_frames(pooled_frames(alike.recordings, np.ones(alike.first.window, bool), settings))
+    frames = pooled_frames(alike.recordings, np.ones(window, bool), settings)
+    return frame_checks(kurtosis_of_frames(frames), frames.motion, window)
 
 
 def _diagnose(ctx: StageContext[Config], groups: list[Alike]) -> Diagnosis:
