@@ -13,6 +13,7 @@ from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.calibration_files import PREFIX, calibration_files, read_calibration_maps
 from irlos_pipe.readers.eso_header import plain_header_keys
 from irlos_pipe.readers.fitsfile import (
+    file_header,
     has_fits_name,
     hdu_label,
     native,
@@ -72,7 +73,7 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
     folders = _folders(path)
     maps, notes = read_calibration_maps(calibration_files(folders), (adu.shape[1], adu.shape[2]))
     times, time_notes = _times(path, hdus, folders, counter)
-    header, header_notes = plain_header_keys(path, hdus[0].header, instrument)
+    header, header_notes = plain_header_keys(path, file_header(hdus), instrument)
     return [
         RawRecording(
             name=stem(path),

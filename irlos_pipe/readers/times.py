@@ -8,10 +8,12 @@ import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.readers.fitsfile import header_number
 
 SECONDS_COLUMNS = ("Seconds", "Sec")
 MICROSECONDS_COLUMNS = ("USeconds", "USec")
 LATEST_UNIX_S = 4102444800  # the year 2100
+MJD_OF_1970, DAY_S = 40587, 86400
 
 
 def column(table: fits.BinTableHDU, *names: str) -> np.ndarray | None:
@@ -48,6 +50,31 @@ def require_times(times_s: np.ndarray, where: str) -> None:
     if wrong.size or times_s.ndim != 1:
         row = wrong[0] if wrong.size else 0
         raise InputDataError(f"{where}: {times_s[row]!r} s in row {row + 1} is no time from 1970 to 2100")
+
+
+def start_of(header: fits.Header) -> float:
+    """Return when the recording of a `header` began [s since 1970]; NaN where it does not say so.
+
+    DATE-OBS, else MJD-OBS. A DATE-OBS that is only a day gives way to MJD-OBS, or takes the time of the day
+    from TIME-OBS, UT or UTC.
+    """
+    stamp = str(header.get("DATE-OBS", "")).strip()
+    mjd = header_number(header, "MJD-OBS")
+    by_mjd = float("nan") if mjd is None else (mjd - MJD_OF_1970) * DAY_S
+    times = [str(header.get(key, "")).strip() for key in ("TIME-OBS", "UT", "UTC")]
+    stamps = [_unix(f"{stamp}T{time}") for time in times if ":" in time] + [_unix(stamp)]
+    found = [_unix(stamp), by_mjd] if ":" in stamp else [by_mjd, *stamps]
+    return next((time for time in found if 0 < time < LATEST_UNIX_S), float("nan"))
+
+
+def _unix(stamp: str) -> float:
+    """Seconds since 1970 of a UTC date; NaN of what is none."""
+    from astropy.time import Time
+
+    try:
+        return float(Time(stamp, scale="utc").unix)
+    except ValueError:
+        return float("nan")
 
 
 def iso_time(unix_s: float) -> str:

@@ -176,7 +176,7 @@ def _source(
     resolved = resolve(raw, keys, _instrument_then(instrument, raw.start_unix_s))
     for note in raw.notes:
         log.info(note)
-    for line in resolved.warnings:
+    for line in (*raw.warnings, *resolved.warnings):
         log.warning(line)
     return Source(input_name, raw, resolved)
 
