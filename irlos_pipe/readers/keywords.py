@@ -1,4 +1,4 @@
-"""What keywords of common use say of a recording, by the convention of those who write them; only proposals."""
+"""What keywords of common use say of a recording, by the convention of their authors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ESO_DIT, ESO_NDIT = ("ESO DET SEQ1 DIT", "ESO DET DIT"), "ESO DET NDIT"
 ELECTRONS_PER_COUNT = re.compile(r"\be(lectrons?|l)?-?s?\s*(/|per)\s*(adu|dn|count)", re.IGNORECASE)
 GAIN_DOUBT = "GAIN may be e-/ADU, ADU/e- or a setting of the camera: remove the # only in the first case"
 NDIT_DOUBT = (
-    "ESO's frames are the mean of NDIT exposures, or each of them: if the mean, set coadds_averaged as well"
+    "a frame of ESO is the mean of NDIT exposures, or one of them; if their mean, set coadds_averaged too"
 )
 
 
@@ -72,7 +72,7 @@ def _of_coadds(header: fits.Header, found: dict[str, Proposal]) -> dict[str, Pro
 
 
 def _of_ndit(header: fits.Header, planes: int) -> dict[str, Proposal]:
-    """ESO's convention: DIT is the time of one exposure; a cube has NDIT of them, and often their mean at its end."""
+    """ESO's convention: a cube has NDIT exposures of DIT, and may end with their mean."""
     name, dit_s = _first(header, ESO_DIT)
     ndit = header_number(header, ESO_NDIT)
     if dit_s is None or ndit is None or ndit <= 1 or planes in (ndit, ndit + 1):

@@ -22,7 +22,7 @@ INPUTS_OF = {
     "PSF": ("cube", "calibration"),
 }
 LINE = re.compile(
-    r"""\s*((["'])(?P<quoted>[^#]+?)\2|(?P<plain>([^\s#]|(?<=\\)\s)+))\s+(?P<tag>[^\s#]+)"""
+    r"""\s*((["'])(?P<quoted>[^#]+?)\2|(?P<plain>(?!["'])([^\s#]|(?<=\\)\s)+))\s+(?P<tag>[^\s#]+)"""
     r"""(\s+(NONE|RAW|CALIB|PRODUCT))?\s*(#.*)?|\s*(#.*)?""",
     re.IGNORECASE,
 )  # the third word is the group of ESO's tools
