@@ -123,7 +123,7 @@ def _recording(path: Path, images: list[_Image]) -> list[_Image]:
     for one in cubes or usable:
         alike.setdefault((one.index,) if cubes else (one.series, one.shape), []).append(one)
     found = _only([one for one in alike.values() if len(one) > 1]) or _only(list(alike.values()))
-    if found is None or _is_doubtful(found, usable):
+    if found is None or _is_doubtful(found, cubes or usable):
         several, what = (cubes, "cubes of frames") if cubes else (usable, "images")
         shown = ", ".join([one.label for one in several[:SHOWN]] + ["..."] * (len(several) > SHOWN))
         raise InputDataError(
@@ -138,9 +138,9 @@ def _only(groups: list[list[_Image]]) -> list[_Image] | None:
     return next((choice[0] for choice in (groups, science) if len(choice) == 1), None)
 
 
-def _is_doubtful(frames: list[_Image], usable: list[_Image]) -> bool:
+def _is_doubtful(frames: list[_Image], choice: list[_Image]) -> bool:
     """Whether images are parts of a mosaic, or others of their name have another window."""
-    others = [one for one in usable if one not in frames and one.index > 0 and one.series == frames[0].series]
+    others = [one for one in choice if one not in frames and one.index > 0 and one.series == frames[0].series]
     return bool(others) or (len(frames) > 1 and MOSAIC.fullmatch(frames[0].series) is not None)
 
 

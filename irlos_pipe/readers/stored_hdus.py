@@ -32,7 +32,7 @@ ASKED = re.compile(
 # Cards whose values every reader understands: text, truth values, numbers, none.
 SOUND = re.compile(
     rb"(?:.{8}= |HIERARCH [^=]+=) *"
-    rb"(?:'(?:[^']|'')*'|[TF]|[+-]?(?:\d+\.?\d*|\.\d+)(?:[ED][+-]?\d+)?|) *(?:/.*)?"
+    rb"(?:'(?:[^']|'')*'|[TF]|[+-]?(?:\d+\.?\d*|\.\d+)(?:[ED][+-]?\d+)?|) *(?:/.*)?|CONTINUE +'.*"
 )
 OF_THE_DATA = re.compile(
     r"SIMPLE|XTENSION|Z?BITPIX|Z?NAXIS\d*|[PG]COUNT|GROUPS|TFIELDS|THEAP|BSCALE|BZERO|Z?BLANK|"
@@ -138,11 +138,13 @@ def unreadable_cards(stored: Sequence[StoredHdu]) -> dict[int, str]:
 
 
 def _has_value(card: bytes) -> bool:
-    commentary = card.startswith((b"COMMENT ", b"HISTORY ", b"        ", b"CONTINUE"))
-    return not commentary and (card[8:10] == b"= " or card.startswith(b"HIERARCH "))
+    commentary = card.startswith((b"COMMENT ", b"HISTORY ", b"        "))
+    return not commentary and (card[8:9] == b"=" or card.startswith((b"HIERARCH ", b"CONTINUE ")))
 
 
 def _is_understood(card: bytes) -> bool:
+    if card[8:10] != b"= " and not card.startswith(b"HIERARCH "):
+        return False
     try:
         fits.Card.fromstring(card).value  # noqa: B018 (parsed when it is asked for)
     except (ValueError, fits.VerifyError):
