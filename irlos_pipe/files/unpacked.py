@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, BinaryIO
+from typing import BinaryIO
 
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.files.memory import require_memory
@@ -23,7 +23,7 @@ MAX_LAYERS = 2  # a browser may pack what is packed already
 MAX_UNPACKED_BYTES = 2**29  # 60 000 frames of 64x64 px in 16 bit
 USUAL_COMPRESSION = 8  # what real images stay below by far; a file may unpack to so much more than it holds
 
-Opener = Callable[[BinaryIO], IO[bytes]]
+Opener = Callable[[BinaryIO], io.BufferedIOBase]
 PACKED: dict[bytes, Opener] = {
     b"\x1f\x8b": lambda stream: gzip.GzipFile(fileobj=stream),
     b"BZh": bz2.BZ2File,
