@@ -29,6 +29,7 @@ LAYOUT = "sparta_recorder"
 PIXEL_TABLE = "IRPIXELFRAME"
 LOOP_TABLE = "IRLOOPFRAME"
 PIXELS = "Pixels"
+NOT_READ = (".z", ".zip")  # what nobody can unpack here is no reason to refuse the recording beside it
 PIXEL_FOLDER_SUFFIX = "_PIX"  # GALACSI keeps NAME_IR (loop, calibration) beside NAME_IR_PIX (pixels)
 
 
@@ -200,6 +201,7 @@ def _loop_candidates(path: Path, folders: list[Path]) -> list[Path]:
         for other in others
         if other != path
         and has_fits_name(other)
+        and other.suffix.lower() not in NOT_READ
         and not other.name.startswith((PREFIX, "."))
         and other.is_file()
     ]

@@ -55,16 +55,23 @@ def require_times(times_s: np.ndarray, where: str) -> None:
 def start_of(header: fits.Header) -> float:
     """Return when the recording of a `header` began [s since 1970]; NaN where it does not say so.
 
-    DATE-OBS, else MJD-OBS. A DATE-OBS that is only a day gives way to MJD-OBS, or takes the time of the day
-    from TIME-OBS, UT or UTC.
+    DATE-OBS (DATE-BEG), else MJD-OBS (MJD-BEG). A date that is only a day gives way to MJD-OBS, or takes the
+    time of the day from TIME-OBS, UT or UTC.
     """
-    stamp = str(header.get("DATE-OBS", "")).strip()
-    mjd = header_number(header, "MJD-OBS")
-    by_mjd = float("nan") if mjd is None else (mjd - MJD_OF_1970) * DAY_S
-    times = [str(header.get(key, "")).strip() for key in ("TIME-OBS", "UT", "UTC")]
-    stamps = [_unix(f"{stamp}T{time}") for time in times if ":" in time] + [_unix(stamp)]
-    found = [_unix(stamp), by_mjd] if ":" in stamp else [by_mjd, *stamps]
+    dates = _texts(header, "DATE-OBS", "DATE-BEG")
+    days = [date for date in dates if ":" not in date]
+    by_mjd = [header_number(header, key) for key in ("MJD-OBS", "MJD-BEG")]
+    found = [
+        *(_unix(date) for date in dates if ":" in date),
+        *((mjd - MJD_OF_1970) * DAY_S for mjd in by_mjd if mjd is not None),
+        *(_unix(f"{day}T{time}") for day in days for time in _texts(header, "TIME-OBS", "UT", "UTC")),
+        *map(_unix, days),
+    ]
     return next((time for time in found if 0 < time < LATEST_UNIX_S), float("nan"))
+
+
+def _texts(header: fits.Header, *keys: str) -> list[str]:
+    return [str(header.get(key, "")).strip().removesuffix("Z") for key in keys]
 
 
 def _unix(stamp: str) -> float:

@@ -20,6 +20,8 @@ MJD = Time(STAMP, scale="utc").mjd
     [
         {"DATE-OBS": STAMP},
         {"DATE-OBS": STAMP, "MJD-OBS": 50000.0},
+        {"DATE-OBS": f"{STAMP}Z"},
+        {"DATE-BEG": STAMP},
         {"MJD-OBS": MJD},
         {"DATE-OBS": "2021-05-01", "MJD-OBS": MJD},
         {"DATE-OBS": "2021-05-01", "UTC": "05:00:00"},
