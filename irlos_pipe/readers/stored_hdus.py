@@ -81,7 +81,14 @@ class StoredHdu:
 
 
 def stored_hdus(stream: BinaryIO, path: object) -> list[StoredHdu]:
-    """Return the HDUs of an open file, unpacked, whose messages begin with its `path`.
+    """Return the HDUs of a file.
+
+    Parameters
+    ----------
+    stream : file
+        Open, and unpacked.
+    path : object
+        Begins the messages.
 
     Raises
     ------
