@@ -9,7 +9,16 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
-from fuzz import fits_kinds, judge, name_kinds, pristine, product_kinds, tree_kinds, yaml_kinds  # noqa: F401
+from fuzz import (  # noqa: F401
+    fits_kinds,
+    judge,
+    name_kinds,
+    pristine,
+    product_kinds,
+    transport_kinds,
+    tree_kinds,
+    yaml_kinds,
+)
 from fuzz.case import KINDS, Case
 
 SEEDS = range(5)

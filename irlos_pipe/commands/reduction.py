@@ -277,8 +277,10 @@ def _problems(recipe: Recipe, stages: Collection[str] | None = None) -> list[str
     if not any(recipe.inputs.values()):
         return []
     from irlos_pipe.pipeline.problems import input_problems
+    from irlos_pipe.pipeline.terminal import messages
 
-    return input_problems(recipe, stages)
+    with messages(0):
+        return input_problems(recipe, stages)
 
 
 def _exit_if_any(problems: list[str]) -> None:

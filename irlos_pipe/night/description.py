@@ -36,6 +36,8 @@ class Description:
         False for the images of a 2x2 mode.
     content : str
         Checksum of the frames, the same for a copy.
+    night_by : str
+        What the night was taken from where the recording states no time; else empty.
     """
 
     path: Path
@@ -53,6 +55,7 @@ class Description:
     derotator_angle_deg: float = 0.0
     full_pupil: bool = True
     content: str = ""
+    night_by: str = ""
 
     def same_frames(self, other: Description) -> bool:
         """Whether `other` holds the same frames, taken at the same time as far as that is known."""

@@ -27,8 +27,9 @@ from irlos_pipe.readers.sidecar import AcquisitionKeys
 from irlos_pipe.stages.ingest.sources import Source, read_sources
 
 DATED = re.compile(r"(?<!\d)(20\d\d)-?([01]\d)-?([0-3]\d)(?!\d)")
-DESCRIPTION_VERSION = 2  # of what a description holds; those of an earlier one are read anew
+DESCRIPTION_VERSION = 3  # of what a description holds; those of an earlier one are read anew
 UNPRINTABLE = "{!r}: the name holds characters that cannot be shown; rename it"
+BY_PATH, BY_FILE = "the date in its path", "the date of its file"
 # Warnings of the readers are reported when the recording is reduced.
 SILENT = logging.Logger("describe", logging.CRITICAL + 1)
 
@@ -178,6 +179,7 @@ def _described(file: Path, source: Source, single: bool) -> Description:
         name=raw.name,
         role=acquisition.role,
         night=_night_of_file(file) if start is None else night_of(start),
+        night_by="" if start is not None else BY_PATH if date_in_path(file) else BY_FILE,
         start_unix_s=start,
         mode=raw.mode,
         configuration=", ".join(filter(None, optics)),

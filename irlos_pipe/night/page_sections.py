@@ -250,7 +250,7 @@ def _recording_row(one: Description) -> tuple[str, ...]:
     return (
         one.name,
         one.role,
-        utc_time(one.start_unix_s) or MISSING,
+        utc_time(one.start_unix_s) or f"not stated; night by {one.night_by}",
         one.target or MISSING,
         str(one.frames),
         f"{rows}x{columns}",

@@ -87,7 +87,7 @@ def run_night(request: Request, runner: Runner) -> RunState:
     return state
 
 
-def plan_night(request: Request) -> tuple[list[tuple[Job, list[Step] | None]], list[str]]:
+def plan_night(request: Request) -> tuple[list[tuple[Job, list[Step] | None]], list[str], list[str]]:
     """Return every job of a `request` with the plan of its stages; nothing is written.
 
     Returns
@@ -96,6 +96,8 @@ def plan_night(request: Request) -> tuple[list[tuple[Job, list[Step] | None]], l
         None where there are no products: all stages would be run.
     failures : list of str
         What could not be reduced, one line each.
+    guessed : list of str
+        Recordings that state no time, and what their night was taken from.
 
     Raises
     ------
@@ -108,7 +110,9 @@ def plan_night(request: Request) -> tuple[list[tuple[Job, list[Step] | None]], l
         _find(request, state, database)
     jobs = [job for night in state.nights.values() for job in night.jobs]
     plan = [(job, planned(job.task, job.task.load())) for job in jobs]
-    return plan, [line for night in state.nights.values() for line in night.failures]
+    nights = state.nights.values()
+    failures = [line for night in nights for line in night.failures]
+    return plan, failures, [line for night in nights for line in night.guessed]
 
 
 def _require_usable(request: Request) -> None:
@@ -135,6 +139,9 @@ def _find(request: Request, state: RunState, database: Database) -> None:
             left = _left_out(copy)
             RUN.info("%s: %s", copy.recording.path, left.reason)
             state.night(copy.recording.night).left_out.append(left)
+    for night in state.nights.values():
+        for line in night.guessed:
+            RUN.info(line)
     _assign(request, state, _grouped(request, recordings, database))
     if not any(night.jobs or night.failures or night.known for night in state.nights.values()):
         raise NothingToDo(_nothing_text(request, state))

@@ -53,6 +53,15 @@ class Night:
         return [job for job in self.jobs if job.task.name not in self.reduced]
 
     @property
+    def guessed(self) -> list[str]:
+        """Recordings that state no time, and what their night was taken from, one line each."""
+        return [
+            f"{one.path}: states no time; taken for one of {self.date} by {one.night_by}"
+            for one in self.recordings
+            if one.night_by
+        ]
+
+    @property
     def changed(self) -> bool:
         """Whether anything was done or is wrong, so that the page has to be written again."""
         worked = any(one.action != UNCHANGED for one in self.reduced.values())

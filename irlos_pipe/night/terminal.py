@@ -91,21 +91,28 @@ def _night(night: Night, tree: Path) -> dict[str, Any]:
         "failures": night.failures,
         "doubts": night.doubts,
         "known": night.known,
+        "guessed": night.guessed,
     }
 
 
-def plan_text(plan: Sequence[tuple[Job, list[Step] | None]], failures: Sequence[str], as_json: bool) -> str:
+def plan_text(
+    plan: Sequence[tuple[Job, list[Step] | None]],
+    failures: Sequence[str],
+    guessed: Sequence[str],
+    as_json: bool,
+) -> str:
     """Return what a run would do, one line per stage, and why.
 
     Parameters
     ----------
-    plan, failures :
+    plan, failures, guessed :
         From `plan_night`.
     as_json : bool
         Return a JSON list instead of a table.
     """
     rows = [(job.task.name, *row) for job, steps in plan for row in _step_rows(steps)]
     rows += [("left out", "", "", failure) for failure in failures]
+    rows += [("night guessed", "", "", line) for line in guessed]
     if as_json:
         return json_text(
             [dict(zip(("run", "stage", "action", "reason"), row, strict=True)) for row in rows]

@@ -11,7 +11,7 @@ import numpy as np
 from irlos_pipe.conventions.errors import InputDataError
 from irlos_pipe.frames.measured_noise import mean_variance
 from irlos_pipe.frames.raw import CalibrationMaps
-from irlos_pipe.readers.fitsfile import first_image, hdu_label, native, open_fits
+from irlos_pipe.readers.fitsfile import first_image, has_fits_name, hdu_label, native, open_fits, stem
 
 PREFIX = "IRAcq.DET1."
 KINDS = ("DARK", "BACKGROUND", "FLAT", "DEAD", "WEIGHT")
@@ -20,9 +20,12 @@ MAX_BAD_FRACTION = 0.5  # a map that excludes more than this means something els
 
 def calibration_files(folders: Sequence[Path]) -> dict[str, Path]:
     """Return the calibration images by kind; the first of the `folders` that has an image wins."""
-    candidates = {kind: [folder / f"{PREFIX}{kind}.fits" for folder in folders] for kind in KINDS}
-    found = {kind: next(filter(Path.is_file, paths), None) for kind, paths in candidates.items()}
-    return {kind: path for kind, path in found.items() if path is not None}
+    found: dict[str, Path] = {}
+    for folder in folders:
+        for path in sorted(folder.glob(f"{PREFIX}*")):  # X.fits before X.fits.gz
+            if has_fits_name(path) and path.is_file():
+                found.setdefault(stem(path).removeprefix(PREFIX), path)
+    return {kind: found[kind] for kind in KINDS if kind in found}
 
 
 def read_calibration_maps(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -14,11 +15,13 @@ from astropy.io import fits
 from irlos_pipe.conventions.errors import InputDataError, NothingToDo
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers import aot, cube, muse_raw, recorder
-from irlos_pipe.readers.fitsfile import has_fits_name, open_fits
+from irlos_pipe.readers.fitsfile import file_header, has_fits_name, open_fits
 from irlos_pipe.readers.inherited import inherited_cards
+from irlos_pipe.readers.lone_sidecars import is_sidecar, lone_sidecars, what_lies_beside
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.search import Refused, each_once, files_by_folder
 from irlos_pipe.readers.sidecar import FOLDER_SIDECAR, own_sidecar, sidecar_path
+from irlos_pipe.readers.times import start_of
 
 
 class Reader(Protocol):
@@ -60,7 +63,8 @@ def recording_files(paths: Sequence[Path], refused: Refused | None = None) -> li
 
     Folders are searched through all their depth, in the natural order of names (2 before 10); a file
     that several names and links lead to counts once. A damaged FITS file counts as a recording, and so
-    does one without frames that a side-car describes: reading it will say what is wrong.
+    does one without frames that a side-car describes, and a side-car without a data file: reading it will say
+    what is wrong.
 
     Parameters
     ----------
@@ -102,11 +106,23 @@ def read_recordings(path: Path, instrument: Instrument) -> list[RawRecording]:
     InputDataError
         No layout is recognised, or the file cannot be read.
     """
-    with open_fits(path) as hdus:
+    if is_sidecar(path):
+        raise InputDataError(what_lies_beside(path))
+    notes: list[str] = []
+    with open_fits(path, notes=notes) as hdus:
         reader = _recognised(hdus)
         if reader is not None:
-            cards = inherited_cards(hdus[0].header)
-            return [replace(raw, cards=cards) for raw in reader.read(path, hdus, instrument)]
+            header = file_header(hdus)
+            cards, start = inherited_cards(header), start_of(header)
+            return [
+                replace(
+                    raw,
+                    cards=cards,
+                    warnings=(*notes, *raw.warnings),
+                    start_unix_s=raw.start_unix_s if math.isfinite(raw.start_unix_s) else start,
+                )
+                for raw in reader.read(path, hdus, instrument)
+            ]
     raise InputDataError(
         f"{path}: no recording in it; expected a table IRPixelFrame, an image SPARTA_TT_CUBE, "
         "a plain cube (frames, y, x), or an AOT file"
@@ -131,11 +147,16 @@ def _files_under(path: Path, refused: Refused) -> Iterator[Path]:
     if not path.exists():
         raise InputDataError(f"{path}: no such file or folder")
     if path.is_dir():
-        yield from chain.from_iterable(map(_data_files, files_by_folder(path, refused)))
-    elif not has_fits_name(path):
-        raise InputDataError(f"{path}: not a FITS file; give a FITS file, or a folder to search")
-    else:
-        yield path
+        folders = [(_data_files(named), named, yaml) for named, yaml in files_by_folder(path, refused)]
+        with_data = {folder for files, _, _ in folders for file in files for folder in file.parents}
+        for files, named, yaml in folders:
+            yield from files
+            yield from lone_sidecars(yaml, named, with_data)
+        return
+    if not has_fits_name(path) and not is_sidecar(path):
+        with open_fits(path, verify=False):  # whatever its name, if it is one
+            pass
+    yield path
 
 
 def _data_files(candidates: list[Path]) -> list[Path]:

@@ -2,51 +2,44 @@
 
 from __future__ import annotations
 
-import gzip
+import io
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError
 from irlos_pipe.files.late import fits
-from irlos_pipe.files.memory import require_memory
-from irlos_pipe.files.regular import open_regular
+from irlos_pipe.files.unpacked import open_unpacked, what_else
+from irlos_pipe.readers.stored_hdus import CARD_BYTES, require_sums, stored_hdus, unreadable_cards
 
-FITS_SUFFIXES = (".fits", ".fit", ".fts", ".fits.gz", ".fits.fz")
-FITS_BEGIN, GZIP_BEGIN = b"SIMPLE", b"\x1f\x8b"
-MAX_REST_BYTES = 2**20  # looked at behind the last HDU
-CARD_BYTES = 80
-PIECE_BYTES = 2880 * 364  # whole blocks, about a megabyte
-# What astropy would count up to, or step back over for ever.
-COUNTS = re.compile(rb"(Z?NAXIS {2,3}|TFIELDS )= *([0-9]{4,})")
-NEGATIVE = re.compile(rb"(Z?NAXIS[0-9 ]{2,3}|TFIELDS |[PG]COUNT  )= *(-[0-9]+)")
+# Packers, archives and browsers add to a name: cube.fits.fz, cube.fits.bz2, cube.fits (1), cube.fits.1
+FITS_NAME = re.compile(
+    r"(?P<stem>.*)\.(fits?|fts)(\.(fz|gz|bz2|xz|z|zip))*( ?\(\d+\)|\.\d+)?", re.IGNORECASE | re.DOTALL
+)
+FITS_BEGIN = b"SIMPLE"
 MIN_WINDOW_PX = 5
 MAX_WINDOW_PX = 4096
-MAX_UNPACKED_BYTES = 2**29  # of an HDU in a compressed file: 30 000 frames of 64x64 px
-MAX_COMPRESSION = 1100  # deflate makes no more of less
+SHOWN_CARDS = 3
 
 
 def has_fits_name(path: Path) -> bool:
-    """Return whether a file is named like a FITS file."""
-    return path.name.lower().endswith(FITS_SUFFIXES)
+    """Return whether a file is named like a FITS file, packed or not."""
+    return FITS_NAME.fullmatch(path.name) is not None
 
 
 def stem(path: Path) -> str:
-    """Return the name of a FITS file without its suffix; other dots belong to the name."""
-    suffix = next(
-        (end for end in sorted(FITS_SUFFIXES, key=len, reverse=True) if path.name.lower().endswith(end)), ""
-    )
-    return path.name[: len(path.name) - len(suffix)]
+    """Return the name of a FITS file without its suffixes; other dots belong to the name."""
+    found = FITS_NAME.fullmatch(path.name)
+    return found["stem"] if found else path.name
 
 
 @contextmanager
-def open_fits(path: Path, *, verify: bool = True) -> Iterator[fits.HDUList]:
+def open_fits(path: Path, *, verify: bool = True, notes: list[str] | None = None) -> Iterator[fits.HDUList]:
     """Open a FITS file whose HDUs all fit into it.
 
     Parameters
@@ -55,6 +48,8 @@ def open_fits(path: Path, *, verify: bool = True) -> Iterator[fits.HDUList]:
         The file.
     verify : bool
         Compare the data with their checksums, which reads all of them.
+    notes : list of str, optional
+        Gets a line that names the cards that cannot be read; they are left out.
 
     Raises
     ------
@@ -64,18 +59,20 @@ def open_fits(path: Path, *, verify: bool = True) -> Iterator[fits.HDUList]:
     """
     try:
         before = _stamp(path)
-        _require_content(path)
-        _require_countable(path)
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), open_unpacked(path) as stream:
             warnings.simplefilter("ignore")
-            # opened here, for astropy leaves its own stream open when a header is damaged
-            # and one HDU after the other, so that a size is checked before what follows is sought
-            with open_regular(path) as stream, fits.open(stream, memmap=False, lazy_load_hdus=True) as hdus:
-                _require_complete(hdus, path)
-                _require_end(hdus, path)
-                if verify:
-                    _require_sums(hdus, path)
-                yield hdus
+            _require_fits(stream, path)
+            stored = stored_hdus(stream, path)
+            if verify:
+                require_sums(stream, stored)
+            if unreadable := unreadable_cards(stored):
+                stream = _without(stream, unreadable)
+                if notes is not None:
+                    notes.append(_note(path, list(unreadable.values())))
+            stream.seek(0)
+            # what follows the last HDU is not for astropy, nor are more of them than there are
+            with fits.open(stream, memmap=False, lazy_load_hdus=True) as opened:
+                yield fits.HDUList([opened[index] for index in range(len(stored))])
         _require_unchanged(path, before)
     except IrlosError:
         raise
@@ -93,6 +90,18 @@ def open_fits(path: Path, *, verify: bool = True) -> Iterator[fits.HDUList]:
 def has_image(hdu: fits.hdu.base._BaseHDU) -> bool:
     """Return whether an HDU holds an image with pixels."""
     return hdu.is_image and hdu.header.get("NAXIS", 0) > 0
+
+
+def file_header(hdus: fits.HDUList) -> fits.Header:
+    """Return the header of HDU 0, and where that has no image what only HDU 1 says.
+
+    There fpack leaves the header of an image that it packs.
+    """
+    header = hdus[0].header
+    if len(hdus) > 1 and not has_image(hdus[0]):
+        header = header.copy()
+        header.extend(hdus[1].header, unique=True)
+    return header
 
 
 def first_image(path: Path, hdus: fits.HDUList) -> tuple[int, fits.hdu.base._BaseHDU]:
@@ -123,13 +132,19 @@ def image_array(hdu: fits.hdu.base._BaseHDU, where: str) -> np.ndarray:
     InputDataError
         Wrong number of axes, no frames, or a window of absurd size; `where` begins the message.
     """
-    shape = tuple(hdu.header.get(f"NAXIS{axis}", 0) for axis in range(hdu.header.get("NAXIS", 0), 0, -1))
+    shape = image_shape(hdu)
     if len(shape) not in (2, 3):
         raise InputDataError(f"{where}: axes {shape or 'none'}, expected (frames, y, x) or (y, x)")
     if 0 in shape:
         raise InputDataError(f"{where}: axes {shape}: no pixels in it")
-    data = native(hdu.data)
+    data = native(hdu.data).reshape(shape)
     return require_cube(data if data.ndim == 3 else data[None], where)
+
+
+def image_shape(hdu: fits.hdu.base._BaseHDU) -> tuple[int, ...]:
+    """Return the axes that an image has by its header; of more than three without those of length one."""
+    shape = tuple(hdu.header.get(f"NAXIS{axis}", 0) for axis in range(hdu.header.get("NAXIS", 0), 0, -1))
+    return shape if len(shape) <= 3 else tuple(length for length in shape if length != 1)
 
 
 def require_cube(data: np.ndarray, where: str) -> np.ndarray:
@@ -186,103 +201,27 @@ def _no_file(path: Path) -> str:
     return "not a regular file" if path.exists() else "no such file"
 
 
-def _require_content(path: Path) -> None:
-    with open_regular(path) as stream:
-        begin = stream.read(len(FITS_BEGIN))
-    if not begin:
-        raise InputDataError(f"{path}: the file is empty (0 bytes)")
-    if begin != FITS_BEGIN and not begin.startswith(GZIP_BEGIN):
-        raise InputDataError(f"{path}: not a FITS file, for it does not begin with '{FITS_BEGIN.decode()}'")
+def _require_fits(stream: BinaryIO, path: Path) -> None:
+    begin = stream.read(len(FITS_BEGIN))
+    if begin != FITS_BEGIN:
+        what = what_else(stream) or f"not a FITS file, for it does not begin with '{FITS_BEGIN.decode()}'"
+        raise InputDataError(f"{path}: {what}")
 
 
-def _require_countable(path: Path) -> None:
-    """Refuse headers with more axes or columns than FITS allows, or with sizes below zero."""
-    for piece in _pieces(path):
-        # Looking at the beginnings of cards only is a hundred times faster than a search through all bytes.
-        first_letters = np.frombuffer(piece, np.uint8)[::CARD_BYTES]
-        for card in np.flatnonzero(np.isin(first_letters, list(b"NTZPG"))):
-            place = int(card) * CARD_BYTES
-            for pattern, allowed in ((COUNTS, "999"), (NEGATIVE, "nothing below 0")):
-                if found := pattern.match(piece, place):
-                    key, number = (group.decode().strip() for group in found.groups())
-                    raise InputDataError(
-                        f"{path}: {key} = {number} in a header, FITS allows {allowed}: damaged"
-                    )
+def _without(stream: BinaryIO, cards: Mapping[int, str]) -> BinaryIO:
+    """The same file with blank cards at these places."""
+    stream.seek(0)
+    content = io.BytesIO(stream.read())
+    for place in cards:
+        content.seek(place)
+        content.write(b" " * CARD_BYTES)
+    return content
 
 
-def _pieces(path: Path) -> Iterator[bytes]:
-    """Yield all of a plain file, piece by piece; of a compressed one what holds its first headers."""
-    with open_regular(path) as stream:
-        packed = stream.read(len(GZIP_BEGIN)) == GZIP_BEGIN
-        stream.seek(0)
-        if packed:
-            yield gzip.GzipFile(fileobj=stream).read(MAX_REST_BYTES)
-        else:
-            yield from iter(partial(stream.read, PIECE_BYTES), b"")
-
-
-def _require_complete(hdus: fits.HDUList, path: Path) -> None:
-    """Compare the sizes the headers announce with the file, before anything is allocated."""
-    file_bytes, previous = path.stat().st_size, -1
-    for index, hdu in enumerate(hdus):
-        info = hdu.fileinfo()
-        if info is None:
-            continue
-        if hdu.size < 0 or info["datLoc"] <= previous:  # astropy would go back and read it for ever
-            raise InputDataError(f"{hdu_label(path, index, hdu)}: the header announces a size below zero")
-        previous = info["datLoc"]
-        stored = info["datSpan"] if _is_plain(path) else file_bytes
-        if _is_plain(path) and info["datLoc"] + min(hdu.size, stored) > file_bytes:
-            raise InputDataError(
-                f"{hdu_label(path, index, hdu)}: the header announces {hdu.size} bytes of data, the "
-                f"file holds {max(0, file_bytes - info['datLoc'])}: truncated, or a wrong header"
-            )
-        if hdu.size > stored:
-            _require_unpackable(hdu.size, stored, hdu_label(path, index, hdu))
-        require_memory(2.0 * hdu.size, hdu_label(path, index, hdu), InputDataError, "cut it into parts")
-
-
-def _require_unpackable(size: int, stored: int, where: str) -> None:
-    """Refuse compressed data that announce more than they can hold, or than should be unpacked unseen."""
-    if size > MAX_COMPRESSION * stored:
-        raise InputDataError(
-            f"{where}: the header announces {size} bytes of data, more than {stored} compressed bytes can "
-            "hold: truncated, or a wrong header"
-        )
-    if size > MAX_UNPACKED_BYTES:
-        raise InputDataError(
-            f"{where}: {size} bytes when unpacked, more than {MAX_UNPACKED_BYTES} are not unpacked in "
-            "memory; unpack the file"
-        )
-
-
-def _require_end(hdus: fits.HDUList, path: Path) -> None:
-    """Astropy passes in silence over an extension whose header is damaged, and all that follows it."""
-    last = hdus[-1].fileinfo()
-    if not _is_plain(path) or last is None:
-        return
-    with open_regular(path) as stream:
-        stream.seek(last["datLoc"] + last["datSpan"])
-        if stream.read(MAX_REST_BYTES).strip(b"\0 "):
-            raise InputDataError(
-                f"{path}: HDU {len(hdus)}: its header is cut off or damaged: something follows HDU "
-                f"{len(hdus) - 1} that is no extension"
-            )
-
-
-def _require_sums(hdus: fits.HDUList, path: Path) -> None:
-    """Compare the data with their checksum where the file gives one."""
-    for index, hdu in enumerate(hdus):
-        if "DATASUM" in hdu.header and not hdu.verify_datasum():
-            raise InputDataError(
-                f"{hdu_label(path, index, hdu)}: the data do not fit their DATASUM: damaged, or changed "
-                "without a new one"
-            )
-
-
-def _is_plain(path: Path) -> bool:
-    """Return whether positions in the file are those of its headers and data."""
-    return not path.name.lower().endswith((".gz", ".fz"))
+def _note(path: Path, cards: Sequence[str]) -> str:
+    more = f" and {len(cards) - SHOWN_CARDS} more" if len(cards) > SHOWN_CARDS else ""
+    shown = ", ".join(f"'{card}'" for card in cards[:SHOWN_CARDS])
+    return f"{path}: cards that cannot be read are left out: {shown}{more}"
 
 
 def _one_line(error: Exception) -> str:

@@ -1,4 +1,4 @@
-"""Cards of a recording's primary header that its products inherit."""
+"""Cards of a recording's header that its products inherit."""
 
 from __future__ import annotations
 
@@ -24,13 +24,10 @@ MAX_CARDS = 100  # a header may say the same many times
 
 
 def inherited_cards(header: fits.Header) -> dict[str, str | bool | int | float]:
-    """Return keyword and value of what products inherit of a primary `header`; damaged cards are left out."""
+    """Return keyword and value of what products inherit of the `header` of a recording."""
     found: dict[str, str | bool | int | float] = {}
     for card in header.cards:
-        try:
-            keyword, value = card.keyword, card.value
-        except (ValueError, fits.VerifyError):
-            continue
+        keyword, value = card.keyword, card.value
         if len(found) == MAX_CARDS:
             break
         if (keyword in PLAIN or GROUPS.fullmatch(keyword)) and _can_be_handed_on(value):

@@ -17,7 +17,7 @@ from irlos_pipe.readers.eso_header import header_keys
 from irlos_pipe.readers.fitsfile import hdu_label, image_array, require_one, stem
 from irlos_pipe.readers.raw_file import RawRecording
 from irlos_pipe.readers.sidecar import AcquisitionKeys, read_sidecar, sidecar_path
-from irlos_pipe.readers.times import require_times, unix_seconds
+from irlos_pipe.readers.times import iso_time, require_times, start_of, unix_seconds
 
 LAYOUT = "muse_raw"
 CUBE = "SPARTA_TT_CUBE"
@@ -71,20 +71,20 @@ def _mode(header: fits.Header, instrument: Instrument, path: Path) -> Mode:
     name = str(header.get(MODE_KEY, "")).strip() or told.mode or ""
     if not name:
         raise InputDataError(
-            f"{path}: HDU 0: header key {MODE_KEY} is missing, so the read-out mode is not known; "
-            "add mode to the side-car"
+            f"{path}: HDU 0: header key {MODE_KEY} is missing or cannot be read, so the read-out "
+            "mode is not known; add mode to the side-car"
         )
-    day = str(header.get("DATE-OBS", ""))[:10]
-    modes = (instrument.on(day) if _unix(day) is not None else instrument).modes
+    day = iso_time(start_of(header))[:10]
+    modes = (instrument.on(day) if day else instrument).modes
     if name not in modes:
         raise InputDataError(
             f"{path}: HDU 0: {MODE_KEY} = '{name}' is no mode of {instrument.name}"
             f"{suggestion(name, modes)} (a new mode goes into the instrument profile)"
         )
-    if modes[name].lenslets > 1 and _unix(day) is None and not _says_what_changed(told):
+    if modes[name].lenslets > 1 and not day and not _says_what_changed(told):
         raise InputDataError(
-            f"{path}: HDU 0: DATE-OBS is missing, and with it the pixel scale and the gain of {name}, which "
-            "have changed; add pixel_scale_mas and detector.e_per_adu to the side-car"
+            f"{path}: HDU 0: DATE-OBS is missing or cannot be read, and with it the pixel scale and the gain "
+            f"of {name}, which have changed; add pixel_scale_mas and detector.e_per_adu to the side-car"
         )
     return modes[name]
 
@@ -92,16 +92,6 @@ def _mode(header: fits.Header, instrument: Instrument, path: Path) -> Mode:
 def _says_what_changed(told: AcquisitionKeys) -> bool:
     """Whether a side-car states what of the 2x2 modes depends on the date."""
     return {"pixel_scale_mas", "detector.e_per_adu"} <= told.flat().keys()
-
-
-def _unix(stamp: str) -> float | None:
-    """Seconds since 1970 of a UTC `stamp`; None of what is no date."""
-    from astropy.time import Time
-
-    try:
-        return float(Time(stamp, scale="utc").unix)
-    except ValueError:
-        return None
 
 
 def _from_mode(mode: Mode, instrument: Instrument) -> dict[str, Any]:
@@ -133,9 +123,9 @@ def _from_atmosphere(hdus: fits.HDUList) -> dict[str, Any]:
 
 
 def _start(hdus: fits.HDUList, header: fits.Header, path: Path) -> float:
-    """Begin of the exposure [s since 1970]: DATE-OBS, else the first row of the atmosphere table."""
-    told = _unix(str(header.get("DATE-OBS", "")))
-    if told is not None:
+    """Begin of the exposure [s since 1970]: of the header, else the first row of the atmosphere table."""
+    told = start_of(header)
+    if np.isfinite(told):
         return told
     times = unix_seconds(hdus[ATMOSPHERE]) if ATMOSPHERE in hdus else None
     if times is None or not times.size:

@@ -36,6 +36,8 @@ class RawRecording(RawFrames):
         Begin of the recording, NaN if not known [s since 1970].
     notes : tuple of str
         Remarks for the log.
+    warnings : tuple of str
+        Remarks that people should see.
     cards : mapping
         What products inherit of the file's primary header, by keyword.
     """
@@ -49,4 +51,5 @@ class RawRecording(RawFrames):
     of_mode: Mapping[str, Any] = field(default_factory=dict)
     start_unix_s: float = float("nan")
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     cards: Mapping[str, Any] = field(default_factory=dict)

@@ -13,6 +13,7 @@ from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.calibration_files import PREFIX, calibration_files, read_calibration_maps
 from irlos_pipe.readers.eso_header import plain_header_keys
 from irlos_pipe.readers.fitsfile import (
+    file_header,
     has_fits_name,
     hdu_label,
     native,
@@ -28,6 +29,7 @@ LAYOUT = "sparta_recorder"
 PIXEL_TABLE = "IRPIXELFRAME"
 LOOP_TABLE = "IRLOOPFRAME"
 PIXELS = "Pixels"
+NOT_READ = (".z", ".zip")  # what nobody can unpack here is no reason to refuse the recording beside it
 PIXEL_FOLDER_SUFFIX = "_PIX"  # GALACSI keeps NAME_IR (loop, calibration) beside NAME_IR_PIX (pixels)
 
 
@@ -72,7 +74,7 @@ def read(path: Path, hdus: fits.HDUList, instrument: Instrument) -> list[RawReco
     folders = _folders(path)
     maps, notes = read_calibration_maps(calibration_files(folders), (adu.shape[1], adu.shape[2]))
     times, time_notes = _times(path, hdus, folders, counter)
-    header, header_notes = plain_header_keys(path, hdus[0].header, instrument)
+    header, header_notes = plain_header_keys(path, file_header(hdus), instrument)
     return [
         RawRecording(
             name=stem(path),
@@ -199,6 +201,7 @@ def _loop_candidates(path: Path, folders: list[Path]) -> list[Path]:
         for other in others
         if other != path
         and has_fits_name(other)
+        and other.suffix.lower() not in NOT_READ
         and not other.name.startswith((PREFIX, "."))
         and other.is_file()
     ]

@@ -8,16 +8,16 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import InputDataError
-from irlos_pipe.readers.fitsfile import has_fits_name
+from irlos_pipe.readers.fitsfile import has_fits_name, stem
 
 Refused = Callable[[Path, InputDataError], None]
 Identity = tuple[int, int]  # device and inode
 # Files of the real-time computer beside the frames: IRAcq.DET1.DARK.fits, IRCtr.SENSOR_2_MODES.fits
-COMPUTER_FILE = re.compile(r"\w*(Acq|Ctr|Monitor|RTC|Recn)\.[\w.]+\.fits", re.ASCII)
+COMPUTER_FILE = re.compile(r"\w*(Acq|Ctr|Monitor|RTC|Recn)\.[\w.]+", re.ASCII)
 
 
-def files_by_folder(root: Path, refused: Refused) -> Iterator[list[Path]]:
-    """Yield the FITS files of a folder, then those of each folder below it, in the natural order of names.
+def files_by_folder(root: Path, refused: Refused) -> Iterator[tuple[list[Path], list[Path]]]:
+    """Yield the FITS and YAML files of a folder, then of each folder below it, in the natural order of names.
 
     Hidden files and folders, and those of the real-time computer, are left out. What is named like a FITS
     file is listed whatever it is; opening it says what is wrong.
@@ -30,8 +30,9 @@ def files_by_folder(root: Path, refused: Refused) -> Iterator[list[Path]]:
         Called with each folder that may not be read, and the error.
     """
     for folder in sorted(_folders(root, refused), key=lambda folder: _place(folder, root)):
-        files = (entry for entry in _entries(folder) if has_fits_name(entry) and not entry.is_dir())
-        yield [file for file in files if not COMPUTER_FILE.fullmatch(file.name)]
+        files = [entry for entry in _entries(folder) if not entry.is_dir()]
+        named = [file for file in files if has_fits_name(file) and not COMPUTER_FILE.fullmatch(stem(file))]
+        yield named, [file for file in files if file.suffix == ".yaml" and file.is_file()]
 
 
 def each_once(files: Iterable[Path]) -> list[Path]:

@@ -7,31 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from astropy.io import fits
 from pydantic import BaseModel
 
 from irlos_pipe.conventions.errors import ConfigurationError
 from irlos_pipe.files.atomic import write_bytes
 from irlos_pipe.instrument.instrument import Instrument
 from irlos_pipe.readers.find import read_recordings
-from irlos_pipe.readers.fitsfile import open_fits, stem
+from irlos_pipe.readers.fitsfile import file_header, open_fits, stem
+from irlos_pipe.readers.keywords import Proposal, proposals
 from irlos_pipe.readers.sidecar import FOLDER_SIDECAR, AcquisitionKeys, DetectorKeys
 
-# Keywords of common use; what they mean differs between instruments, so the template names them.
-KEYWORDS = {
-    "target": ("OBJECT", "TARGNAME"),
-    "exposure_s": ("EXPTIME", "ITIME", "ESO DET SEQ1 DIT", "ESO DET DIT"),
-    "seeing_arcsec": ("ESO TEL AMBI FWHM START", "SEEING"),
-    "mag_j": ("ESO SEQ NGS MAG",),
-    "derotator_angle_deg": ("ESO INS DROT START",),
-    "parallactic_angle_deg": ("PARANG", "ESO TEL PARANG START"),
-    "altitude_deg": ("EL", "ESO TEL ALT"),
-    "airmass": ("AIRMASS",),
-    "filter": ("FILTER",),
-    "detector.e_per_adu": ("GAIN", "EGAIN", "ESO DET OUT1 CONAD"),
-    "detector.read_noise_e": ("RDNOISE", "READNOIS", "ESO DET OUT1 RON"),
-    "detector.coadds": ("COADDS", "COADDONE", "ESO DET NDIT"),
-}
 FORMS = {
     "role": "ncpa_calibration, defocus_ramp, derotator, psf or dark",
     "spectrum": "[{wavelength_nm: 1600, weight: 1.0}], any number of points",
@@ -63,11 +48,13 @@ def sidecar_template(path: Path, instrument: Instrument) -> str:
     """
     recordings = read_recordings(path, instrument)
     first = recordings[0]
-    told = _from_keywords(path)
-    told |= {key: (value, PROFILE) for key, value in first.of_mode.items()}
-    told |= {key: (value, HEADER) for key, value in first.header.items()}
+    with open_fits(path, verify=False) as hdus:
+        told = proposals(file_header(hdus), first.frames)
+    told |= {key: Proposal(value, PROFILE) for key, value in first.of_mode.items()}
+    told |= {key: Proposal(value, HEADER) for key, value in first.header.items()}
     lines = _lines(AcquisitionKeys, "", told, instrument.defaults)
-    return HEAD.format(name=path.name) + "\n".join(lines) + "\n"
+    remarks = "".join(f"# {line}\n" for line in first.warnings)
+    return HEAD.format(name=path.name) + remarks + "\n".join(lines) + "\n"
 
 
 def write_template(text: str, data_file: Path, path: Path | None = None, *, replace: bool = False) -> Path:
@@ -105,7 +92,7 @@ def write_template(text: str, data_file: Path, path: Path | None = None, *, repl
 
 
 def _lines(
-    model: type[BaseModel], above: str, told: Mapping[str, tuple[Any, str]], assumed: Mapping[str, Any]
+    model: type[BaseModel], above: str, told: Mapping[str, Proposal], assumed: Mapping[str, Any]
 ) -> list[str]:
     lines = []
     for key, field in model.model_fields.items():
@@ -119,45 +106,17 @@ def _lines(
     return lines
 
 
-def _line(name: str, meaning: str, told: Mapping[str, tuple[Any, str]], assumed: Mapping[str, Any]) -> str:
+def _line(name: str, meaning: str, told: Mapping[str, Proposal], assumed: Mapping[str, Any]) -> str:
     if name in REQUIRED:
         return f"{name}:  # {FORMS[name]}"
-    value, source = told.get(name, (assumed.get(name), PROFILE))
-    origin = "" if value is None else f"; from {source}"
-    mark = "# " if value is None or source in (HEADER, PROFILE) else ""
+    one = told.get(name, Proposal(assumed.get(name), PROFILE))
+    origin = "" if one.value is None else f"; from {one.source}" + (f". {one.doubt}" if one.doubt else "")
+    mark = "# " if one.value is None or one.doubt or one.source in (HEADER, PROFILE) else ""
     indent = "  " if "." in name else ""
-    return f"{mark}{indent}{name.rpartition('.')[2]}:{_written(value)}  # {meaning}{origin}"
+    return f"{mark}{indent}{name.rpartition('.')[2]}:{_written(one.value)}  # {meaning}{origin}"
 
 
 def _written(value: Any) -> str:
     if value is None:
         return ""
     return " " + yaml.safe_dump(value, default_flow_style=True, allow_unicode=True).splitlines()[0]
-
-
-def _from_keywords(path: Path) -> dict[str, tuple[Any, str]]:
-    """Values of the keywords of common use, and their names."""
-    with open_fits(path, verify=False) as hdus:
-        header = fits.Header()
-        for hdu in hdus[:2]:
-            header.extend(hdu.header, update=True)
-    found = {}
-    for key, names in KEYWORDS.items():
-        name = next((one for one in names if _valid(key, header.get(one))), None)
-        if name is not None:
-            found[key] = (header[name], name)
-    if (
-        "altitude_deg" in found
-    ):  # one of the two says it; of different moments they would contradict each other
-        found.pop("airmass", None)
-    return found
-
-
-def _valid(key: str, value: Any) -> bool:
-    """Whether a value of the header is one that the key can have."""
-    section, _, inner = key.rpartition(".")
-    try:
-        AcquisitionKeys.model_validate({section: {inner: value}} if section else {key: value})
-    except ValueError:
-        return False
-    return value is not None and value != ""

@@ -8,10 +8,12 @@ import numpy as np
 from astropy.io import fits
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.readers.fitsfile import header_number
 
 SECONDS_COLUMNS = ("Seconds", "Sec")
 MICROSECONDS_COLUMNS = ("USeconds", "USec")
 LATEST_UNIX_S = 4102444800  # the year 2100
+MJD_OF_1970, DAY_S = 40587, 86400
 
 
 def column(table: fits.BinTableHDU, *names: str) -> np.ndarray | None:
@@ -48,6 +50,38 @@ def require_times(times_s: np.ndarray, where: str) -> None:
     if wrong.size or times_s.ndim != 1:
         row = wrong[0] if wrong.size else 0
         raise InputDataError(f"{where}: {times_s[row]!r} s in row {row + 1} is no time from 1970 to 2100")
+
+
+def start_of(header: fits.Header) -> float:
+    """Return when the recording of a `header` began [s since 1970]; NaN where it does not say so.
+
+    DATE-OBS (DATE-BEG), else MJD-OBS (MJD-BEG). A date that is only a day gives way to MJD-OBS, or takes the
+    time of the day from TIME-OBS, UT or UTC.
+    """
+    dates = _texts(header, "DATE-OBS", "DATE-BEG")
+    days = [date for date in dates if ":" not in date]
+    by_mjd = [header_number(header, key) for key in ("MJD-OBS", "MJD-BEG")]
+    found = [
+        *(_unix(date) for date in dates if ":" in date),
+        *((mjd - MJD_OF_1970) * DAY_S for mjd in by_mjd if mjd is not None),
+        *(_unix(f"{day}T{time}") for day in days for time in _texts(header, "TIME-OBS", "UT", "UTC")),
+        *map(_unix, days),
+    ]
+    return next((time for time in found if 0 < time < LATEST_UNIX_S), float("nan"))
+
+
+def _texts(header: fits.Header, *keys: str) -> list[str]:
+    return [str(header.get(key, "")).strip().removesuffix("Z") for key in keys]
+
+
+def _unix(stamp: str) -> float:
+    """Seconds since 1970 of a UTC date; NaN of what is none."""
+    from astropy.time import Time
+
+    try:
+        return float(Time(stamp, scale="utc").unix)
+    except ValueError:
+        return float("nan")
 
 
 def iso_time(unix_s: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from os.path import expandvars
 from pathlib import Path
@@ -20,6 +21,11 @@ INPUTS_OF = {
     "DEROTATOR": ("cube",),
     "PSF": ("cube", "calibration"),
 }
+LINE = re.compile(
+    r"""\s*((["'])(?P<quoted>[^#]+?)\2|(?P<plain>(?!["'])([^\s#]|(?<=\\)\s)+))\s+(?P<tag>[^\s#]+)"""
+    r"""(\s+(NONE|RAW|CALIB|PRODUCT))?\s*(#.*)?|\s*(#.*)?""",
+    re.IGNORECASE,
+)  # the third word is the group of ESO's tools
 DARK = "DARK"  # goes to every input; ingest takes the one that fits
 
 
@@ -29,8 +35,9 @@ def read_sof(path: Path) -> list[Frame]:
     Parameters
     ----------
     path : Path
-        Lines ``PATH TAG``; ``#`` begins a comment, ``$NAME`` is taken from the environment. Paths count from
-        the current folder.
+        Lines ``PATH TAG`` or ``PATH TAG GROUP``; ``#`` begins a comment, ``$NAME`` is taken from the
+        environment. A path with blanks stands in quotes, or has a backslash before each. Paths count from the
+        current folder.
 
     Raises
     ------
@@ -43,10 +50,15 @@ def read_sof(path: Path) -> list[Frame]:
         raise InputDataError(f"{path}: cannot be read: {getattr(error, 'strerror', '') or error}") from error
     frames = []
     for number, line in enumerate(text.splitlines(), 1):
-        words = line.partition("#")[0].split()
-        if len(words) not in (0, 2):
-            raise InputDataError(f"{path}:{number}: expected PATH TAG, found '{printable(line.strip())}'")
-        frames += [(expandvars(words[0]), words[1])] if words else []
+        found = LINE.fullmatch(line)
+        if found is None:
+            raise InputDataError(
+                f"{path}:{number}: expected PATH TAG, found '{printable(line.strip())}'; a path with blanks "
+                "stands in quotes"
+            )
+        if found["tag"]:
+            name = found["quoted"] or re.sub(r"\\(\s)", r"\1", found["plain"])
+            frames.append((expandvars(name), found["tag"]))
     if not frames:
         raise InputDataError(f"{path}: no frames in it; give lines of PATH TAG")
     return frames

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from helpers.journal import Journal
 
-from fuzz import fits_kinds, name_kinds, pristine, product_kinds, tree_kinds, yaml_kinds  # noqa: F401 (they enter their kinds)
+from fuzz import fits_kinds, name_kinds, pristine, product_kinds, transport_kinds, tree_kinds, yaml_kinds  # noqa: F401 (they enter their kinds)
 from fuzz.case import KINDS, draw
 from fuzz.judge import TIME_S, Verdict, judged
 

@@ -61,6 +61,7 @@ def test_a_recording_without_times_has_the_date_of_its_folder_or_else_of_its_fil
     os.utime(path, (1700000000, 1700000000))  # 2023-11-14 22:13 UTC
     (one,) = found(tmp_path / name).recordings
     assert (one.start_unix_s, one.night) == (None, night or "2023-11-14")
+    assert one.night_by == ("the date in its path" if night else "the date of its file")
 
 
 def test_an_unreadable_recording_does_not_hide_the_others(tmp_path):

@@ -253,12 +253,12 @@ def test_a_changed_recording_redoes_its_group_only(bench):
 
 def test_a_dry_run_lists_stages_with_reasons_and_writes_nothing(bench, monkeypatch):
     bench.record(MORNING)
-    plan, failures = plan_night(bench.request())
+    plan, failures, _ = plan_night(bench.request())
     assert [steps for _, steps in plan] == [None] and failures == [] and not bench.tree.exists()
     bench.run()
     before = contents(bench.run_folder())
     change_model(monkeypatch)
-    ((job, steps),), _ = plan_night(bench.request())
+    ((job, steps),), *_ = plan_night(bench.request())
     assert job.task.name == "2024-02-10/030000_cube/cube"
     assert [(step.name, step.reason) for step in steps if not step.current] == [
         ("calibrate", "stage version 1 -> 2")

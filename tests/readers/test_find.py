@@ -91,7 +91,7 @@ def test_equal_names_are_reported_apart_by_their_folders(tmp_path):
     [
         ("empty.fits", b"", r"the file is empty \(0 bytes\)"),
         ("text.fits", b"these are not the data", "not a FITS file"),
-        ("cube.npy", b"\x93NUMPY", "not a FITS file; give a FITS file, or a folder"),
+        ("cube.npy", b"\x93NUMPY", "not a FITS file"),
     ],
 )
 def test_a_file_of_another_kind_is_refused(tmp_path, name, content, message):
@@ -170,6 +170,6 @@ def test_a_file_that_may_not_be_read_is_named(tmp_path, monkeypatch):
         def refuse(*_, **__):
             raise PermissionError(13, "Permission denied")
 
-        monkeypatch.setattr("irlos_pipe.readers.fitsfile.open_regular", refuse)
+        monkeypatch.setattr("irlos_pipe.files.unpacked.open_regular", refuse)
     with pytest.raises(InputDataError, match=r"c\.fits: no permission to read it"):
         read_recordings(tmp_path / "c.fits", IRLOS)

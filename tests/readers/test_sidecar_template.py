@@ -19,7 +19,8 @@ FILLED = {
 @pytest.fixture
 def cube(tmp_path):
     path = tmp_path / "star.fits"
-    header = fits.Header({"OBJECT": "HD 1", "EXPTIME": 0.5, "GAIN": 2.0, "RDNOISE": -1.0})
+    header = fits.Header({"OBJECT": "HD 1", "EXPTIME": 0.5, "RDNOISE": -1.0})
+    header["GAIN"] = (2.0, "[e-/ADU]")
     fits.PrimaryHDU(np.random.default_rng(0).poisson(50.0, (3, 16, 16)), header).writeto(path)
     return path
 

@@ -36,6 +36,20 @@ def test_a_file_may_have_comments_blanks_and_variables(tmp_path, monkeypatch):
     assert read_sof(path) == [("/raw/a.fits", "NCPA_CALIBRATION"), ("b.fits", "DARK")]
 
 
+@pytest.mark.parametrize(
+    "line", ['"a b.fits" PSF', "'a b.fits' PSF RAW", "a\\ b.fits PSF # best", '"a b.fits"\tPSF  calib']
+)
+def test_a_path_may_have_blanks_and_a_line_a_group(tmp_path, line):
+    (tmp_path / "n.sof").write_text(line)
+    assert read_sof(tmp_path / "n.sof") == [("a b.fits", "PSF")]
+
+
+def test_a_path_with_blanks_and_no_quotes_is_told_to_have_some(tmp_path):
+    (tmp_path / "n.sof").write_text("a b.fits PSF")
+    with pytest.raises(InputDataError, match="a path with blanks stands in quotes"):
+        read_sof(tmp_path / "n.sof")
+
+
 @pytest.mark.parametrize("text", ["", "# nothing\n", "a.fits\n", "a b c\n"])
 def test_a_file_without_frames_or_tags_is_bad_data(tmp_path, text):
     path = tmp_path / "n.sof"

@@ -148,6 +148,8 @@ def source_problems(
             found += [(name, line) for line in wrong]
             with failing_alone(found, name, file, logging.getLogger(__name__)):
                 for raw in () if wrong else read_recordings(file, instrument):
+                    for line in raw.warnings:
+                        logging.getLogger(__name__).warning(line)
                     resolve(raw, keys_for(name), _instrument_then(instrument, raw.start_unix_s))
     return list(dict.fromkeys(line for _, line in found))  # recordings may share a side-car
 
@@ -176,7 +178,7 @@ def _source(
     resolved = resolve(raw, keys, _instrument_then(instrument, raw.start_unix_s))
     for note in raw.notes:
         log.info(note)
-    for line in resolved.warnings:
+    for line in (*raw.warnings, *resolved.warnings):
         log.warning(line)
     return Source(input_name, raw, resolved)
 

@@ -1,0 +1,276 @@
+"""Files as packers, archives and browsers leave them are read or named. Truth: what was packed."""
+
+import bz2
+import gzip
+import io
+import lzma
+import shutil
+import subprocess
+import zipfile
+from pathlib import Path
+
+import astropy
+import numpy as np
+import pytest
+from astropy.io import fits
+from helpers.sparta_files import counts, pixel_table, star, write_muse, write_sidecar
+
+from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.instrument.instrument import load_instrument
+from irlos_pipe.readers.find import read_recordings, recording_files
+from irlos_pipe.readers.fitsfile import has_fits_name, open_fits, stem
+from irlos_pipe.readers.sidecar import sidecar_path
+from irlos_pipe.readers.stored_hdus import stored_hdus
+
+IRLOS = load_instrument("irlos")
+CUBE = np.rint(counts(star(24, 20), 3)).astype(np.uint16)
+BLOCK = 2880
+TILED = Path(astropy.__file__).parent / "io" / "fits" / "hdu" / "compressed" / "tests" / "data"
+FPACK = pytest.mark.skipif(shutil.which("fpack") is None, reason="fpack is not installed")
+
+
+def one(path):
+    (raw,) = read_recordings(path, IRLOS)
+    return raw
+
+
+def written(*hdus, checksum=True) -> bytes:
+    stream = io.BytesIO()
+    fits.HDUList(list(hdus)).writeto(stream, checksum=checksum)
+    return stream.getvalue()
+
+
+WHOLE = written(fits.PrimaryHDU(CUBE))
+
+
+def as_fpack_leaves_it(how: str) -> bytes:
+    """Tiles whose header holds the sums of the original in ZDATASUM."""
+    original = fits.ImageHDU(CUBE, name="CUBE")
+    original.add_checksum()
+    tiles = fits.CompImageHDU(CUBE, name="CUBE", compression_type=how)
+    tiles.header["CHECKSUM"], tiles.header["DATASUM"] = (
+        original.header[key] for key in ("CHECKSUM", "DATASUM")
+    )
+    return written(fits.PrimaryHDU(), tiles, checksum=False)
+
+
+@pytest.mark.parametrize("how", ["RICE_1", "GZIP_1", "GZIP_2", "HCOMPRESS_1"])
+def test_sums_of_the_original_are_not_those_of_its_tiles(tmp_path, how):
+    path = tmp_path / "c.fits.fz"
+    path.write_bytes(as_fpack_leaves_it(how))
+    assert np.array_equal(one(path).adu, CUBE)
+
+
+@pytest.mark.parametrize("name", ["m13_rice", "m13_gzip", "m13_hcomp", "m13_plio"])
+def test_images_that_the_tools_themselves_packed_are_read(name):
+    path = TILED / f"{name}.fits"
+    if not path.is_file():
+        pytest.skip("astropy comes without its test data")
+    assert np.array_equal(one(path).adu[0], fits.getdata(path, 1))
+
+
+@FPACK
+def test_a_packed_raw_file_is_the_same_recording_and_damage_of_its_tiles_is_seen(tmp_path):
+    path = write_muse(tmp_path / "m.fits", CUBE, seeing=[0.6, 0.7])
+    with fits.open(path) as hdus:
+        hdus.writeto(tmp_path / "n.fits", checksum=True)
+    shutil.move(tmp_path / "n.fits", path)
+    write_sidecar(tmp_path / "m.yaml")
+    whole = one(path)
+    subprocess.run(["fpack", "-D", "-Y", path], check=True)
+    (packed,) = recording_files([tmp_path])
+    raw = one(packed)
+    assert packed.name == "m.fits.fz" and sidecar_path(packed) == tmp_path / "m.yaml"
+    assert np.array_equal(raw.adu, whole.adu) and raw.adu.dtype == whole.adu.dtype
+    assert (raw.name, raw.header, raw.cards, raw.start_unix_s, raw.mode) == (
+        whole.name,
+        whole.header,
+        whole.cards,
+        whole.start_unix_s,
+        whole.mode,
+    )
+    with packed.open("r+b") as stream:
+        cube = next(hdu for hdu in stored_hdus(stream, packed) if "SPARTA_TT_CUBE" in hdu.label)
+        stream.seek(cube.begin + cube.size - 1)
+        last = stream.read(1)
+        stream.seek(cube.begin + cube.size - 1)
+        stream.write(bytes([last[0] ^ 1]))
+    with pytest.raises(InputDataError, match="do not fit their DATASUM"):
+        read_recordings(packed, IRLOS)
+
+
+@FPACK
+@pytest.mark.parametrize("options", [["-r"], ["-g1"], ["-g2"], ["-h"]])
+def test_the_header_of_a_packed_primary_image_is_found(tmp_path, options):
+    header = fits.Header({"OBJECT": "HD 1", "DATE-OBS": "2021-05-01T05:00:00", "HIERARCH ESO TEL ALT": 60.5})
+    fits.writeto(tmp_path / "c.fits", CUBE, header, checksum=True)
+    whole = one(tmp_path / "c.fits")
+    subprocess.run(["fpack", "-Y", *options, tmp_path / "c.fits"], check=True)
+    raw = one(tmp_path / "c.fits.fz")
+    assert np.array_equal(raw.adu, CUBE) and raw.header == whole.header == {"altitude_deg": 60.5}
+    assert raw.cards == whole.cards and raw.start_unix_s == whole.start_unix_s
+
+
+@FPACK
+def test_a_packed_table_is_named_with_what_to_do(tmp_path):
+    path = tmp_path / "t.fits"
+    path.write_bytes(written(fits.PrimaryHDU(), pixel_table(np.float32(CUBE).repeat(20, axis=0))))
+    subprocess.run(["fpack", "-D", "-Y", "-table", path], check=True)
+    with pytest.raises(InputDataError, match=r"a table packed by fpack.*unpack the file with funpack"):
+        read_recordings(tmp_path / "t.fits.fz", IRLOS)
+
+
+def test_a_pixel_scale_of_the_data_survives_its_tiles(tmp_path):
+    even = CUBE // 2 * 2
+    scaled = fits.ImageHDU(even.astype(np.float32))
+    scaled.scale("int16", bscale=2, bzero=100)
+    (tmp_path / "a.fits").write_bytes(written(fits.PrimaryHDU(), scaled))
+    with fits.open(tmp_path / "a.fits") as hdus:
+        tiles = fits.CompImageHDU(hdus[1].data, hdus[1].header, compression_type="GZIP_2", quantize_level=0)
+        (tmp_path / "b.fits.fz").write_bytes(written(fits.PrimaryHDU(), tiles))
+    assert np.array_equal(one(tmp_path / "a.fits").adu, even)
+    assert np.array_equal(one(tmp_path / "b.fits.fz").adu, even)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.fits", gzip.compress(WHOLE)),
+        ("a.fits.bz2", bz2.compress(WHOLE)),
+        ("a.fits.xz", lzma.compress(WHOLE)),
+        ("a.fits.gz", bz2.compress(WHOLE)),
+        ("a.FITS.GZ", WHOLE),
+        ("a.fits.gz", gzip.compress(gzip.compress(WHOLE))),
+        ("a.fts.gz", gzip.compress(WHOLE[:4000]) + gzip.compress(WHOLE[4000:])),
+        ("a.fits (1)", WHOLE),
+        ("a.fit.1", WHOLE),
+        ("a.dat", gzip.compress(WHOLE)),
+        ("a.fits", WHOLE + b" " * BLOCK),
+        ("a.fits", WHOLE + bytes(100)),
+        ("a.fits.gz", gzip.compress(WHOLE + b" " * 100)),
+        ("a.fits", WHOLE[: BLOCK + CUBE.nbytes]),
+    ],
+)
+def test_content_tells_how_a_file_is_packed_and_where_it_ends(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    assert np.array_equal(one(tmp_path / name).adu, CUBE)
+
+
+def zipped() -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr("a.fits", WHOLE)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [
+        (b"", "empty"),
+        (b"\x1f\x9d\x90" + bytes(50), r"packed by compress \(\.Z\).*gzip -d"),
+        (zipped(), "a zip archive"),
+        (b"\n<!DOCTYPE html><html>", "a web page"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "git lfs pull"),
+        (b"\xef\xbb\xbf" + WHOLE, "byte order mark"),
+        (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
+        (gzip.compress(WHOLE)[:-100], "packed, and cut off or damaged"),
+        (bz2.compress(WHOLE)[:-10], "packed, and cut off or damaged"),
+        (lzma.compress(WHOLE)[:-10], "packed, and cut off or damaged"),
+        (WHOLE[:-BLOCK], "truncated"),
+        (WHOLE.replace(b" T / conforms", b" F / conforms"), "SIMPLE = F"),
+    ],
+)
+def test_what_is_no_data_file_is_named(tmp_path, content, what):
+    (tmp_path / "a.fits").write_bytes(content)
+    with pytest.raises(InputDataError, match=what):
+        read_recordings(tmp_path / "a.fits", IRLOS)
+
+
+def test_random_groups_are_named(tmp_path):
+    groups = fits.GroupData(
+        np.zeros((3, 1, 1, 4), np.float32), bitpix=-32, parnames=["U"], pardata=[np.zeros(3)]
+    )
+    fits.GroupsHDU(groups).writeto(tmp_path / "a.fits")
+    with pytest.raises(InputDataError, match="random groups"):
+        read_recordings(tmp_path / "a.fits", IRLOS)
+
+
+@pytest.mark.slow
+def test_thousands_of_hdus_and_of_cards_are_refused_at_once(tmp_path):
+    extension = written(fits.PrimaryHDU(), fits.ImageHDU(), checksum=False)[BLOCK:]
+    (tmp_path / "hdus.fits").write_bytes(WHOLE + 6000 * extension)
+    with pytest.raises(InputDataError, match="more than 5000 HDUs"):
+        read_recordings(tmp_path / "hdus.fits", IRLOS)
+    cards = b"".join(f"K{number:07d}= 1".encode().ljust(80) for number in range(250_000))
+    (tmp_path / "cards.fits").write_bytes(WHOLE[:240] + cards)
+    with pytest.raises(InputDataError, match="headers of more than 209715 cards"):
+        read_recordings(tmp_path / "cards.fits", IRLOS)
+
+
+def with_cards(*cards: bytes) -> bytes:
+    whole = written(fits.PrimaryHDU(CUBE), checksum=False)
+    end = whole.index(b"END" + b" " * 77)
+    header = whole[:end] + b"".join(card.ljust(80) for card in (*cards, b"END"))
+    return header.ljust(-(-len(header) // BLOCK) * BLOCK) + whole[-(-CUBE.nbytes // BLOCK) * -BLOCK :]
+
+
+@pytest.mark.parametrize(
+    "card",
+    [
+        b"HIERARCH ESO TEL AMBI FWHM START = nan",
+        b"HIERARCH ESO TEL ALT = 60,5",
+        b"OBJECT  = HD 12345",
+        b"GAIN    = -INF",
+        b"EXTNAME = SCI",
+        b"FILTER  =K",
+        b"CONTINUE  nothing",
+        b"DATE-OBS= 2021-05-01",
+    ],
+)
+def test_a_card_that_cannot_be_read_is_left_out_and_named(tmp_path, card):
+    (tmp_path / "a.fits").write_bytes(with_cards(card))
+    raw = one(tmp_path / "a.fits")
+    text = " ".join(card.decode().removeprefix("HIERARCH ").split())
+    assert np.array_equal(raw.adu, CUBE) and not raw.header and not raw.cards
+    assert raw.warnings == (f"{tmp_path / 'a.fits'}: cards that cannot be read are left out: '{text}'",)
+
+
+def test_a_card_that_cannot_be_read_is_an_error_where_the_data_depend_on_it(tmp_path):
+    content = with_cards().replace(b"BZERO   =                32768", b"BZERO   =                  nan")
+    (tmp_path / "a.fits").write_bytes(content)
+    with pytest.raises(
+        InputDataError, match="the card 'BZERO = nan' cannot be read, and the data depend on it"
+    ):
+        read_recordings(tmp_path / "a.fits", IRLOS)
+
+
+def test_cards_that_are_sound_are_left_alone(tmp_path):
+    header = fits.Header(
+        {"LONG": "x" * 200, "SMALL": 1.5e-30, "TRUE": True, "QUOTE": "O'Brien / x", "HIERARCH ESO A": -3}
+    )
+    header["HISTORY"] = "nan = 1"
+    header["EMPTY"] = None
+    fits.writeto(tmp_path / "a.fits", CUBE, header)
+    notes: list[str] = []
+    with open_fits(tmp_path / "a.fits", notes=notes) as hdus:
+        assert notes == [] and hdus[0].header["LONG"] == "x" * 200
+
+
+@pytest.mark.parametrize(
+    ("name", "own"),
+    [
+        ("a.b.fits", "a.b"),
+        ("a.FITS.FZ", "a"),
+        ("a.fits.gz", "a"),
+        ("a.fts.bz2", "a"),
+        ("a.fit.xz", "a"),
+        ("a.fits (2)", "a"),
+        ("a(2).fits", "a(2)"),
+        ("a.fits.3", "a"),
+        ("a.fits.part", None),
+        ("a.fitsx", None),
+        ("a.gz", None),
+    ],
+)
+def test_the_stem_of_a_name_is_what_packers_and_browsers_did_not_add(name, own):
+    assert has_fits_name(Path(name)) is (own is not None) and stem(Path(name)) == (own or name)
