@@ -1,7 +1,7 @@
 """Products that can be read until all the new ones are complete.
 
-Work is done in a hidden folder, ``.<recipe>.new``; when that is complete it takes the place of ``<recipe>`` by two
-renames, which any disk can do. A run that is killed between them is completed by the next one.
+Work is done in a hidden folder, ``.<recipe>.new``; when that is complete it takes the place of ``<recipe>``
+by two renames, which any disk can do. A run that is killed between them is completed by the next one.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ class PublishedRun:
                 with suppress(OSError):
                     os.rename(old, self.path)
             raise IrlosError(
-                f"{self.path}: cannot be replaced by the new products ({error.strerror or error}); close what "
-                "reads it, the next irlos night tries it again"
+                f"{self.path}: cannot be replaced by the new products ({error.strerror or error}); close what"
+                " reads it, the next irlos night tries it again"
             ) from error
         for ending in ("old", *EARLIER_SLOTS):
             self._remove(self._hidden(ending))

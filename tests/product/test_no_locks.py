@@ -72,6 +72,6 @@ def test_an_error_of_the_disk_is_no_reason_to_remove_a_product(tmp_path, monkeyp
         raise OSError(errno.ESTALE, "Stale file handle")
 
     monkeypatch.setattr(h5py, "File", stale)
-    with pytest.raises(InputDataError, match="cannot be read: .*Stale file handle") as caught:
+    with pytest.raises(InputDataError, match=r"cannot be read: .*Stale file handle") as caught:
         read_product(path)
     assert "remove" not in str(caught.value)

@@ -15,7 +15,7 @@ from irlos_pipe.stages.ingest.results import IngestResults as Results
 __all__ = ["Config", "Results", "files_of", "problems", "run"]
 
 NAME = "ingest"
-VERSION = 11
+VERSION = 12
 READS = ()
 DEPENDS_ON = frozenset({"instrument", "inputs"})
 
