@@ -97,7 +97,7 @@ def offset_text(summary: RampSummary) -> str:
     """
     return (
         f"the ramp has an offset of {summary.offset_nm:+.1f} ± {summary.offset_sigma_nm:.1f} nm: a "
-        "calibration of another time, or the zero point of the focus stage; it counts as an error of every frame"
+        "calibration of another time, or the zero point of the focus stage; it counts as an error of frames"
     )
 
 
