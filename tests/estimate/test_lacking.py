@@ -33,6 +33,7 @@ def found(settings, expected_chi2_nu: float = 1.0) -> tuple[Lacking, float]:
     return lacking(problem, x, max(1 - expected_chi2_nu / chi2_nu, 0.01)), chi2_nu
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.98, 1.02])
 def test_pixels_told_two_per_cent_wrong_are_named_with_what_looks_alike(factor):
     true_mas = SETTINGS.pixel_scale_mas * factor
@@ -44,6 +45,7 @@ def test_pixels_told_two_per_cent_wrong_are_named_with_what_looks_alike(factor):
     assert wavelength_nm == pytest.approx(SETTINGS.mean_nm / factor, rel=0.01)
 
 
+@pytest.mark.slow
 def test_of_a_right_model_noise_leaves_nothing_to_name():
     lacks, chi2_nu = found(SETTINGS, 0.5)
     assert chi2_nu < 1.2

@@ -140,6 +140,7 @@ def test_minima_are_disturbed_only_if_there_are_others_than_the_known_one(
     assert len(tried) == shaken
 
 
+@pytest.mark.slow
 def test_shakes_end_after_a_count_of_iterations_in_proportion(problem, monkeypatch):
     """Of three starts in vain, a search without a limit takes some hundred iterations for shakes."""
     spent = []
@@ -161,6 +162,7 @@ def test_shakes_end_after_a_count_of_iterations_in_proportion(problem, monkeypat
     assert first < last < allowed + 3 * open_minima.ITERATIONS
 
 
+@pytest.mark.slow
 def test_where_one_fact_explains_the_misfit_nothing_is_shaken(problem, monkeypatch):
     shaken = []
     monkeypatch.setattr(open_minima, "lacking", lambda *_: SimpleNamespace(part=0.6))

@@ -100,7 +100,7 @@ def older_text(fit: RampFit, calibration_nm: float) -> str:
     )
 
 
-def _size(table: Mapping[Any, float]) -> float:
+def _size(table: Any) -> float:
     return float(np.linalg.norm(list(table.values())))
 
 
