@@ -6,12 +6,13 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-# An additional wheel index, to obtain another build of PyTorch:
+# The wheel index that PyTorch comes from, and nothing else does, to obtain another build of it:
 #   CPU-only machine   TORCH_INDEX=<URL of PyTorch's index of CPU wheels>   (downloads no CUDA libraries)
 #   CUDA machine       TORCH_INDEX=<URL of PyTorch's index for its CUDA version>
 # If it is empty, the build comes from the index that pip is configured with.
 TORCH_INDEX ?=
-PIP_INSTALL = $(BIN)/python -m pip install --quiet -c constraints.txt $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX))
+PIP = $(BIN)/python -m pip install --quiet -c constraints.txt
+PIP_INSTALL = $(if $(TORCH_INDEX),$(PIP) --no-deps --index-url $(TORCH_INDEX) torch && )$(PIP)
 
 PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --maxprocesses 8
 

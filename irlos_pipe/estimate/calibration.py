@@ -20,6 +20,7 @@ from irlos_pipe.estimate.cube_fit import CubeFit, Fit, nominal_of
 from irlos_pipe.estimate.effect_errors import effect_errors
 from irlos_pipe.estimate.effect_modes import drifts, measured_drift, starts_as_told
 from irlos_pipe.estimate.frame_kinds import kurtosis_of_frames
+from irlos_pipe.estimate.lacking import Lacking, lacking
 from irlos_pipe.estimate.methods import (
     Report,
     linear_estimates,
@@ -89,6 +90,8 @@ class Calibration:
         How much of a mirrored pupil the mean image shows, where that was looked at.
     motion : Motion or None
         Of the star from frame to frame, where the frames were `steadied`.
+    lacking : Lacking or None
+        What would explain the misfit, where χ²/ν is not nominal.
     """
 
     options: CalibrationOptions
@@ -117,6 +120,7 @@ class Calibration:
     left: Curve | None = None
     mirrored: Mirrored | None = None
     motion: Motion | None = None
+    lacking: Lacking | None = None
 
     @property
     def sigma_nm(self) -> np.ndarray:
@@ -276,6 +280,8 @@ def _result(
     effect_values = found.values[0, layout.effect_values]
     misfit = chi2_nu / nominal.value
     left = torch.where(frames.good, (mean - model_image) / sigma, torch.nan).numpy()
+    one_star = METHODS[options.method].effects and problem.model.psf.settings.lenslets == 1
+    lacks = lacking(problem, found.values, 1 - 1 / misfit) if one_star and chi2_nu > nominal.most else None
     return Calibration(
         options,
         layout.nolls,
@@ -302,6 +308,7 @@ def _result(
         power_spectrum(left, problem.model.psf.settings.resolution_px),
         mirrored(frames, problem, found.values) if METHODS[options.method].effects else None,
         frames.motion,
+        lacks,
     )
 
 

@@ -39,9 +39,7 @@ def kurtosis_of_frames(frames: Frames) -> float:
     usable = frames.good.flatten() & torch.isfinite(variance) & torch.isfinite(some).all(0)
     whitened = ((some - some.mean(0)) * variance**-0.5)[:, usable]
     star = (some.mean(0) * variance**-0.5)[usable]
-    whitened -= (whitened @ star)[:, None] * (
-        star / (star @ star)
-    )  # clouds dim the same star
+    whitened -= (whitened @ star)[:, None] * (star / (star @ star))  # clouds dim the same star
     values, vectors = np.linalg.eigh((whitened @ whitened.mT).numpy())
     if not values[-1] > LEADING * values.sum():
         return float("nan")

@@ -21,7 +21,9 @@ class RampSummary:
     Attributes
     ----------
     slope, slope_sigma : float
-    offset_nm : float
+    offset_nm, offset_sigma_nm : float
+        Where nothing is introduced. Errors of frames at one introduced defocus may be alike: for the standard
+        error each of these counts once.
     rms_nm : float
         RMS of estimated minus introduced defocus.
     residual_rms_nm : float
@@ -39,6 +41,7 @@ class RampSummary:
     slope: float
     slope_sigma: float
     offset_nm: float
+    offset_sigma_nm: float
     rms_nm: float
     residual_rms_nm: float
     saw_tooth_nm: float
@@ -82,14 +85,16 @@ def summarise(
     introduced, estimated = introduced_nm[good], estimated_nm[good]
     if len(introduced) < 3 or np.ptp(introduced) == 0:
         raise ValueError("a ramp needs at least three estimates at two or more offsets")
-    (slope, offset), covariance = _line(introduced, estimated)
+    (slope, offset), slope_sigma = _line(introduced, estimated)
     residual = estimated - slope * introduced - offset
     offsets = np.unique(introduced)
+    lever = 1 + introduced.mean() ** 2 / introduced.var()
     groups = [estimated[introduced == value] for value in offsets]
     return RampSummary(
         slope,
-        covariance,
+        slope_sigma,
         offset,
+        _rms(residual) * float(np.sqrt(lever / len(offsets))),
         _rms(estimated - introduced),
         _rms(residual),
         *_steps(introduced, estimated, direction[good] / 2, part[good]),
@@ -120,6 +125,7 @@ def summarise_one_offset(introduced_nm: np.ndarray, estimated_nm: np.ndarray) ->
         slope=np.nan,
         slope_sigma=np.nan,
         offset_nm=mean - float(introduced_nm[0]),
+        offset_sigma_nm=np.nan,
         rms_nm=np.nan,
         residual_rms_nm=_rms(estimated - mean),
         saw_tooth_nm=np.nan,

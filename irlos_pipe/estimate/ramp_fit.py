@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -63,6 +63,8 @@ class RampFit:
     shared : SharedFit or None
         Where effect parameters were fitted to the whole ramp.
     start_nm : tensor, (frames, modes)
+    errors : mapping of str to float
+        Root sum of the squared errors of the parameters that were fitted to the whole ramp, by effect.
     """
 
     result: LiftResult
@@ -70,6 +72,7 @@ class RampFit:
     effects: dict[str, dict[str, float]]
     shared: SharedFit | None
     start_nm: torch.Tensor
+    errors: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def defocus_nm(self) -> np.ndarray:
@@ -128,7 +131,12 @@ def fit_ramp(
         complete = tabulated(complete, start_nm)
     result = lift(complete, data.images_e, data.good, data.noise, start_nm, options, report=report)
     result = second_try(complete, data, result, options)
-    return RampFit(result, complete, held.describe(NOTHING), shared, start_nm)
+    errors = {
+        label: float(shared.covariance.diagonal()[list(free.columns_of(label))].sum().sqrt())
+        for label in free.labels
+        if shared
+    }
+    return RampFit(result, complete, held.describe(NOTHING), shared, start_nm, errors)
 
 
 def _fit_effects(model: LightPath, data: RampData, start_nm: torch.Tensor, effects: EffectSet) -> SharedFit:

@@ -145,7 +145,7 @@ def derivatives(
 def best_start(problem: ImageFit, x: torch.Tensor, effect: Effect) -> FixedEffect:
     """`effect` with all its parameters free, at its best candidate beside `problem` at its optimum `x`."""
     settings = problem.model.psf.settings
-    null = _null_model(problem, x)
+    null = null_model(problem, x)
     frozen = frozen_effects(problem.model.effects, x[0, problem.layout.effect_values])
     estimates = [
         LinearEstimate.of(null, one, (derivatives(problem, x, frozen, one) * null.root).mT)
@@ -156,7 +156,7 @@ def best_start(problem: ImageFit, x: torch.Tensor, effect: Effect) -> FixedEffec
     return FixedEffect(effect, values, free=[p.name for p in effect.parameters])
 
 
-def _null_model(problem: ImageFit, x: torch.Tensor) -> NullModel:
+def null_model(problem: ImageFit, x: torch.Tensor) -> NullModel:
     """The optimum of a fit to the mean of a member's images, priors left out."""
     image, columns = problem.predict_and_jacobian(x)
     root = problem.root_weight[0].double().square().mean(0).sqrt().cpu()

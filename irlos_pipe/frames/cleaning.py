@@ -29,6 +29,9 @@ from irlos_pipe.frames.screening import (
     star_faults,
 )
 
+DEVIATION = 1.4826  # standard deviation over the median of the absolute one
+LEVEL_SIGMA = 8.0
+
 
 @dataclass(frozen=True)
 class Background:
@@ -108,6 +111,24 @@ def clean(
         searched for hits and deviant pixels, since a star is as sharp as those.
     """
     reasons = recorder_faults(raw.adu, raw.frame_counter)
+    while True:
+        cleaned = _cleaned(raw, reasons, detector, sampling_px, thresholds, limits)
+        estimated = np.isfinite(cleaned.background.pedestal_adu)
+        if not estimated or not cleaned.used.any() or np.array_equal(cleaned.reasons, reasons):
+            return cleaned
+        reasons = cleaned.reasons  # these frames had a part in the level that all others were judged by
+        del cleaned
+
+
+def _cleaned(
+    raw: RawFrames,
+    reasons: np.ndarray,
+    detector: Detector,
+    sampling_px: float,
+    thresholds: Thresholds,
+    limits: Limits,
+) -> Cleaned:
+    """The recording by its frames that have no `reasons` against them yet."""
     if not np.any(reasons == ""):
         return _unusable(raw, reasons)
     valid = picked(raw.adu, reasons == "")
@@ -185,11 +206,21 @@ def find_background(
     if given:
         total = np.asarray(np.sum(given, axis=0, dtype=np.float64))
         return Background(np.nan_to_num(total), flat, bad | ~np.isfinite(total))
-    mean = mean_frame(valid_adu)
+    mean = mean_frame(_of_one_level(valid_adu, good & ~bad))
     if len(valid_adu) < MIN_FRAMES_FOR_NOISE:  # the darkest pixels would be those of the strongest noise
         mean = median_filter(mean, size=5, mode="nearest")
     level, error = estimate_pedestal(_of_one_star(np.where(good & ~bad, mean, np.nan), lenslets))
     return Background(np.full(window, level), flat, bad, level, error)
+
+
+def _of_one_level(adu: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """The frames without those whose level is apart from the others' by more than noise and its scatter."""
+    sample = adu[sample_frames(len(adu))]
+    typical = np.median(sample, axis=0)
+    noise = DEVIATION * np.median(np.abs(sample - typical)[:, good]) if good.any() else np.inf
+    level = np.array([np.median((frame - typical)[good]) if good.any() else 0.0 for frame in adu])
+    apart = np.abs(level - np.median(level))
+    return picked(adu, apart <= max(noise, LEVEL_SIGMA * DEVIATION * np.median(apart)))
 
 
 def _of_one_star(image: np.ndarray, lenslets: int) -> np.ndarray:

@@ -269,7 +269,7 @@ def dark_variance_e2(images_e: np.ndarray, good: np.ndarray, at_most_e2: float) 
     mean_e = mean_frame(images_e)
     scatter_e2 = frame_variance(images_e, mean_e) / len(images_e)
     mean_e = np.where(good, mean_e, np.nan)
-    fine, by_scatter = _both_ways(mean_e, FINE) ** 2, _both_ways(scatter_e2, FINE**2)
+    fine, by_scatter = both_ways(mean_e, FINE) ** 2, both_ways(scatter_e2, FINE**2)
     seen = np.isfinite(fine) & (mean_e <= np.nanquantile(mean_e, FAINT))
     if not seen.any():
         return unknown_e2
@@ -277,8 +277,8 @@ def dark_variance_e2(images_e: np.ndarray, good: np.ndarray, at_most_e2: float) 
     return float(np.clip(beyond / np.sum(FINE**2) ** 2, 0.0, at_most_e2))
 
 
-def _both_ways(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
-    """Convolution along rows and columns; NaN near edges and bad pixels."""
+def both_ways(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
+    """Return the convolution of an `image` with a `kernel` along rows and columns; NaN near edges and NaN."""
     for axis in (0, 1):
         image = scipy.ndimage.convolve1d(image, kernel, axis=axis, mode="constant", cval=np.nan)
     return image

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from irlos_pipe.frames.blocks import blocks, frame_flux, sample_frames
+from irlos_pipe.frames.blocks import blocks, frame_flux, mean_frame, picked, sample_frames
 from irlos_pipe.frames.hits import Hits
+from irlos_pipe.frames.measured_noise import FINE, both_ways
 
 REPEATED_COUNTER = "frame counter repeated"
 REPEATED_IMAGE = "image repeated"
@@ -18,11 +19,14 @@ EMPTY = "empty frame"
 SATURATED = "saturated"
 NO_STAR = "no star above the noise"
 AT_EDGE = "star at the edge of the window"
+COMBINED = "mean or sum of other frames"
 FLUX = "flux outlier"
 COSMIC = "cosmic hit in the core"
 ODD = "detail finer than the optics make"
 REASON_TYPE = "<U40"
 MIN_FRAMES_FOR_FLUX = 5
+MIN_FRAMES_TO_COMBINE = 3
+COMBINED_VARIANCE = 0.25  # of that of the others: the mean of five frames, and more, has less
 
 
 @dataclass(frozen=True)
@@ -147,7 +151,7 @@ def _peaks(images_e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def star_faults(images_e: np.ndarray, reasons: np.ndarray, limits: Limits) -> np.ndarray:
-    """Add frames without the star, with the star about to leave the window, or of odd flux.
+    """Add frames without the star, with the star about to leave the window, made of others, or of odd flux.
 
     If not even the median of the frames shows a star, none of them can be used. Single frames
     are asked for a star only where the star is normally plain to see.
@@ -171,7 +175,39 @@ def star_faults(images_e: np.ndarray, reasons: np.ndarray, limits: Limits) -> np
     if np.median(peaks.snr[used]) > 2 * limits.star_snr:
         reasons = also(reasons, peaks.snr < limits.star_snr, NO_STAR)
         reasons = also(reasons, peaks.edge_px < limits.edge_px, AT_EDGE)
+    reasons = also(reasons, combined_frames(images_e, reasons == ""), COMBINED)
     return also(reasons, flux_outliers(frame_flux(images_e), reasons == "", limits), FLUX)
+
+
+def combined_frames(images_e: np.ndarray, used: np.ndarray) -> np.ndarray:
+    """Return which frames are the mean or the sum of others, as some recorders add one to a cube, (frames,).
+
+    Their noise is that of the others: little is left when the mean of these, as bright as the frame,
+    is subtracted, while an exposure keeps its own noise. Only what is finer than the optics make counts,
+    in the fainter half of the window, so that speckles and image motion do not.
+
+    Parameters
+    ----------
+    images_e : ndarray, (frames, rows, columns)
+        Finite [e-].
+    used : ndarray of bool, (frames,)
+        Frames that may be combined.
+    """
+    found = np.zeros(len(images_e), dtype=bool)
+    numbers = np.flatnonzero(used)
+    if len(numbers) < MIN_FRAMES_TO_COMBINE or min(images_e.shape[1:]) < 2 * len(FINE):
+        return found
+    mean = mean_frame(picked(images_e, used))
+    faint = mean <= np.median(mean)
+    left = np.empty(len(numbers))
+    for place, number in enumerate(numbers):
+        image = images_e[number].astype(np.float64)
+        others = mean + (mean - image) / (len(numbers) - 1)
+        star = others - np.median(others)
+        part = float(np.sum(star * image) / np.sum(star**2))
+        left[place] = np.nanvar(both_ways(image - part * others, FINE)[faint]) / min(1.0, part) ** 2
+    found[numbers] = left < COMBINED_VARIANCE * np.median(left)
+    return found
 
 
 def flux_outliers(flux_e: np.ndarray, used: np.ndarray, limits: Limits) -> np.ndarray:

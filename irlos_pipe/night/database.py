@@ -18,6 +18,7 @@ from pydantic import TypeAdapter
 
 from irlos_pipe.conventions.errors import InputDataError, IrlosError, Locked
 from irlos_pipe.files.json import json_text
+from irlos_pipe.files.locks import has_locks
 from irlos_pipe.night.description import Description
 from irlos_pipe.night.grouping import Group
 from irlos_pipe.night.measurements import Measurements
@@ -290,7 +291,9 @@ def _connected(tree: Path) -> Iterator[sqlite3.Connection]:
             f"{path}: no file of our own; move it away, and the next irlos night makes a new one"
         )
     try:
-        connection = sqlite3.connect(path, timeout=LOCKED_S)
+        # Without locks on the disk SQLite would wait for one in vain; the tree has its owner.
+        nolock = "" if has_locks(tree) else "?nolock=1"
+        connection = sqlite3.connect(path.absolute().as_uri() + nolock, timeout=LOCKED_S, uri=True)
         try:
             _require_schema(connection, path)
             connection.execute("PRAGMA foreign_keys = ON")

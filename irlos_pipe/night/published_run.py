@@ -1,30 +1,31 @@
 """Products that can be read until all the new ones are complete.
 
-``<recipe>`` is a symbolic link to one of two hidden folders beside it, ``.<recipe>.a`` and ``.<recipe>.b``.
-Work is done in the other one; when that is complete the link is replaced in one step of the file system.
+Work is done in a hidden folder, ``.<recipe>.new``; when that is complete it takes the place of ``<recipe>``
+by two renames, which any disk can do. A run that is killed between them is completed by the next one.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import IrlosError
 from irlos_pipe.product.runfolder import EARLIER, LOCK_NAME, RunFolder
 
-SLOTS = ("a", "b")
+EARLIER_SLOTS = ("a", "b")  # to one of which `path` was a link in trees of earlier versions
 
 
 @dataclass(frozen=True)
 class PublishedRun:
-    """The two product folders of one reduction.
+    """The product folder of one reduction, and the one in which the next products are made.
 
     Attributes
     ----------
     path : Path
-        The link under which the latest complete products are found.
+        Where the latest complete products are found.
     """
 
     path: Path
@@ -32,13 +33,12 @@ class PublishedRun:
     @property
     def published(self) -> bool:
         """Whether there is a complete set of products."""
-        return self.path.is_symlink() and self.path.is_dir()
+        return self.path.is_dir()
 
     @property
     def work_folder(self) -> Path:
         """The folder of the next set of products; it may not exist, or hold what an interruption left."""
-        target = os.readlink(self.path) if self.path.is_symlink() else ""
-        return next(slot for slot in map(self._hidden, SLOTS) if slot.name != target)
+        return self._hidden("new")
 
     def prepare(self) -> Path:
         """Return the work folder; it starts with the published products unless work has begun there.
@@ -51,7 +51,8 @@ class PublishedRun:
         for folder in (self.path.parent.parent, self.path.parent):
             if folder.is_symlink():
                 raise IrlosError(f"{folder}: is a link, through which nothing is written; put a folder there")
-        if self.path.exists() and not self.path.is_symlink():
+        own = self.path.is_symlink() or RunFolder(self.path).recipe.is_file()
+        if self.path.exists() and not own:
             raise IrlosError(f"{self.path}: is in the way; it was not made by irlos night, move it elsewhere")
         try:
             self._fill_work_folder()
@@ -60,32 +61,44 @@ class PublishedRun:
         return self.work_folder
 
     def publish(self) -> None:
-        """Replace the published products by those of the work folder, and remove the old ones."""
-        new, old = self.work_folder, self._published_slot()
-        link = self._hidden("link")
-        link.unlink(missing_ok=True)
-        link.symlink_to(new.name)
-        os.replace(link, self.path)
-        if old is not None:
-            self._remove(old)
+        """Replace the published products by those of the work folder, and remove the old ones.
+
+        Raises
+        ------
+        IrlosError
+            When they cannot be replaced; both sets are then still there.
+        """
+        old = self._hidden("old")
+        try:
+            if os.path.lexists(self.path):
+                self._remove(old)
+                os.rename(self.path, old)
+            os.rename(self.work_folder, self.path)
+        except OSError as error:
+            if not os.path.lexists(self.path):
+                with suppress(OSError):
+                    os.rename(old, self.path)
+            raise IrlosError(
+                f"{self.path}: cannot be replaced by the new products ({error.strerror or error}); close what"
+                " reads it, the next irlos night tries it again"
+            ) from error
+        for ending in ("old", *EARLIER_SLOTS):
+            self._remove(self._hidden(ending))
 
     def discard(self) -> None:
         """Remove the work folder."""
         self._remove(self.work_folder)
 
-    def _published_slot(self) -> Path | None:
-        """The folder that the link leads to, if it is one of ours: another one is somebody else's."""
-        target = os.readlink(self.path) if self.path.is_symlink() else ""
-        return next((slot for slot in map(self._hidden, SLOTS) if slot.name == target), None)
-
     def _fill_work_folder(self) -> None:
         """Fill an absent work folder in one step, so that a half filled one is never continued."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        if self._hidden("old").exists() and not self.published and self.work_folder.exists():
+            self.publish()  # a run was killed between the two renames
         if self.work_folder.exists() or not self.published:
             return
         copy = self._hidden("copy")
         self._remove(copy)
-        others = shutil.ignore_patterns(LOCK_NAME, EARLIER)
+        others = shutil.ignore_patterns(f"{LOCK_NAME}*", EARLIER)
         shutil.copytree(self.path.resolve(), copy, ignore=others, copy_function=_link_or_copy)
         os.rename(copy, self.work_folder)
 
@@ -93,7 +106,9 @@ class PublishedRun:
         """Rename before removing: a half removed folder must not look like a half filled one."""
         rubbish = self._hidden("rubbish")
         shutil.rmtree(rubbish, ignore_errors=True)
-        if folder.exists():
+        if folder.is_symlink():
+            folder.unlink()
+        elif folder.exists():
             os.rename(folder, rubbish)
             shutil.rmtree(rubbish, ignore_errors=True)
 

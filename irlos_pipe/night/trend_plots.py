@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure, SubFigure
@@ -18,7 +17,7 @@ from irlos_pipe.files.atomic import atomic_file
 from irlos_pipe.night.stability import DAY_S, Structure
 from irlos_pipe.night.trend import Series, Trend
 from irlos_pipe.night.trend_text import label
-from irlos_pipe.report.drawing import BLUE, CYCLE, ORANGE, SKY, STYLE, svg
+from irlos_pipe.report.drawing import BLUE, CYCLE, ORANGE, SKY, own_style, svg
 
 WIDTH_IN, PANEL_IN, STRUCTURE_IN = 5.6, 0.95, 3.2
 MAX_PANELS = 16
@@ -52,8 +51,8 @@ def save_plot(trend: Trend, path: Path) -> None:
         raise ConfigurationError(f"--plot {path}: give a name that ends in {', '.join(FORMATS)}")
     shown = trend.series[:MAX_PANELS]
     heights = (0.6 + PANEL_IN * len(shown), STRUCTURE_IN if trend.structures else 0.0)
-    with style.context(STYLE | {"figure.facecolor": "white"}, after_reset=True):
-        figure = Figure(figsize=(1.3 * WIDTH_IN, sum(heights)))
+    with own_style():
+        figure = Figure(figsize=(1.3 * WIDTH_IN, sum(heights)), facecolor="white")
         if trend.structures:
             upper, lower = figure.subfigures(2, squeeze=False, height_ratios=heights)[:, 0]
             draw_structures(lower, trend)

@@ -89,7 +89,7 @@ class VersionRow(ResultsPart):
     status : str
         That of its results.json; ``incomplete`` where products are missing.
     latest : bool
-        Whether ``latest`` links to it.
+        Whether it is the newest complete one, to which ``latest`` links.
     finished : str
         When its last product was made: UTC, ISO 8601.
     software : str

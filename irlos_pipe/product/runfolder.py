@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
@@ -10,18 +11,20 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from filelock import FileLock, Timeout
+from filelock import FileLock, SoftFileLock, Timeout
 
 from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError, Locked
 from irlos_pipe.conventions.text import and_more
 from irlos_pipe.files.atomic import remove_leftovers
+from irlos_pipe.files.locks import has_locks
 from irlos_pipe.files.regular import read_regular
 from irlos_pipe.files.yaml import load_yaml
 
+LOG = logging.getLogger(__name__)
 LOCK_NAME = ".lock"
+SOFT_LOCK_NAME = ".lock.soft"  # a file that is there while a run owns the folder
 PARTIAL = ".partial"
 EARLIER = "earlier"
-LATEST = "latest"  # link to a version, see `product.versions`
 OF_A_RUN = ("recipe.resolved.yaml",)
 OF_THE_SYSTEM = "lost+found"
 
@@ -147,10 +150,8 @@ def existing_run(folder: Path) -> RunFolder:
     """
     run = RunFolder(Path(folder))
     if not run.recipe.is_file():
-        held = (run.path / LATEST / run.recipe.name).is_file()
-        advice = (
-            f"give a version, {run.path / LATEST}" if held else "make one with: irlos run RECIPE --output DIR"
-        )
+        runs = [path.parent for path in run.path.glob(f"*/{run.recipe.name}")]  # the last by name is `latest`
+        advice = f"give a run in it, {max(runs)}" if runs else "make one with: irlos run RECIPE --output DIR"
         raise InputDataError(f"{folder}: not the folder of a run (no {run.recipe.name}); {advice}")
     return run
 
@@ -203,6 +204,8 @@ def require_free(folder: Path, own: Iterable[str] = OF_A_RUN) -> None:
 def owned_folder(path: Path) -> Iterator[RunFolder]:
     """Make the folder if need be and own it until the block ends.
 
+    Where the file system has no locks, a file stands for the lock.
+
     Raises
     ------
     Locked
@@ -210,16 +213,21 @@ def owned_folder(path: Path) -> Iterator[RunFolder]:
     IrlosError
         When it cannot be made or written.
     """
-    lock = FileLock(path / LOCK_NAME, timeout=0)
     if (path / LOCK_NAME).is_symlink():
         raise IrlosError(f"{path / LOCK_NAME}: a link, which is not followed; remove it")
+    advice = "wait for it or choose another --output"
     try:
         path.mkdir(parents=True, exist_ok=True)
+        lock: FileLock | SoftFileLock = FileLock(path / LOCK_NAME, timeout=0)
+        if not has_locks(path):
+            lock = SoftFileLock(path / SOFT_LOCK_NAME, timeout=0)
+            LOG.warning("%s: this disk has no locks; %s keeps other runs away", path, SOFT_LOCK_NAME)
+            advice += f"; if it was killed, remove {path / SOFT_LOCK_NAME} (this disk has no locks)"
         lock.acquire()
         if (path / PARTIAL).is_symlink():  # what is kept and removed there must lie here
             (path / PARTIAL).unlink()
     except Timeout:
-        raise Locked(f"{path}: in use by another run; wait for it or choose another --output") from None
+        raise Locked(f"{path}: in use by another run; {advice}") from None
     except OSError as error:
         raise IrlosError(f"{path}: cannot be written: {error.strerror or error}") from error
     try:

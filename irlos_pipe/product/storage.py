@@ -159,7 +159,7 @@ class StoredArrays(Mapping[str, Quantity]):
             with _readable(self._path):
                 if not self._found:
                     require_unchanged(self._path)
-                with h5py.File(self._path, "r") as file:
+                with _opened(self._path) as file:
                     if not self._found:
                         require_self_contained(file)
                     self._found[name] = _read_quantity(file, name)
@@ -190,9 +190,16 @@ def _readable(path: Path) -> Iterator[None]:
             raise InputDataError(
                 f"{path}: not a product; those of a run are named like 02_calibrate{SUFFIX}"
             ) from error
+        if isinstance(error, OSError) and error.errno:  # of the disk: the product may be good
+            raise InputDataError(f"{path}: cannot be read: {reason}") from error
         raise InputDataError(
             f"{path}: not a readable product, truncated or damaged ({reason}); remove it and run again"
         ) from error
+
+
+def _opened(path: Path) -> h5py.File:
+    """A product is renamed into place when it is whole: it needs no lock, which many disks cannot give."""
+    return h5py.File(path, "r", locking=False)
 
 
 def _front_metadata(path: Path) -> dict[str, Any] | None:
@@ -207,7 +214,7 @@ def _front_metadata(path: Path) -> dict[str, Any] | None:
 
 def _read_hdf5(path: Path, arrays: bool) -> Product:
     require_unchanged(Path(path))
-    with h5py.File(path, "r") as file:
+    with _opened(path) as file:
         _require_schema(file.attrs, path)
         require_self_contained(file)
         sections = {name: json.loads(file[name].asstr()[()]) for name in _Sections.model_fields}

@@ -3,24 +3,27 @@
 ::
 
     DIR/001  DIR/002  DIR/003     each the folder of a run
-    DIR/latest -> 002             the newest one with all products of its recipe
+    DIR/latest -> 002             the newest one with all products of its recipe, where the disk has links
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 from pathlib import Path
 
-from irlos_pipe.conventions.errors import ConfigurationError, InputDataError, IrlosError
+from irlos_pipe.conventions.errors import ConfigurationError, InputDataError
 from irlos_pipe.files.json import changed_values
 from irlos_pipe.files.yaml import load_yaml
 from irlos_pipe.product.comparison import settings_of
 from irlos_pipe.product.printed import VersionRow, Versions
 from irlos_pipe.product.results import provenance_of, read_run_results
-from irlos_pipe.product.runfolder import LATEST, LOCK_NAME, OF_A_RUN, RunFolder, require_free
+from irlos_pipe.product.runfolder import LOCK_NAME, OF_A_RUN, RunFolder, require_free
 from irlos_pipe.product.storage import read_product
 
+LOG = logging.getLogger(__name__)
+LATEST = "latest"
 NUMBER = re.compile(r"\d{3,}")
 DIGITS = 3
 OWN = tuple(f"[0-9][0-9][0-9]*/{name}" for name in (*OF_A_RUN, LOCK_NAME))
@@ -58,10 +61,7 @@ def require_free_for_versions(folder: Path) -> None:
 def link_latest(folder: Path, version: Path) -> None:
     """Let ``latest`` in a `folder` lead to a `version` in it; at any moment it leads to one or the other.
 
-    Raises
-    ------
-    IrlosError
-        When the link cannot be made.
+    Where the link cannot be made, as on a disk without links, a warning names the version.
     """
     temporary = folder / f".{LATEST}.{os.getpid()}"
     try:
@@ -70,7 +70,12 @@ def link_latest(folder: Path, version: Path) -> None:
         os.replace(temporary, folder / LATEST)
     except OSError as error:
         temporary.unlink(missing_ok=True)
-        raise IrlosError(f"{folder / LATEST}: cannot be linked: {error.strerror or error}") from error
+        LOG.warning(
+            "%s: cannot be linked (%s); the newest complete version is %s",
+            folder / LATEST,
+            error.strerror or error,
+            version,
+        )
 
 
 def is_complete(run: RunFolder) -> bool:
@@ -83,12 +88,17 @@ def is_complete(run: RunFolder) -> bool:
     return not results.error and set(stages) <= set(results.stages)
 
 
+def latest_version(folder: Path) -> Path | None:
+    """Return the newest complete version in a `folder`; None without one."""
+    return next((path for path in reversed(version_folders(folder)) if is_complete(RunFolder(path))), None)
+
+
 def versions_in(folder: Path) -> Versions:
     """Return what is known of the versions in a `folder`."""
     paths = version_folders(folder)
-    latest = os.path.realpath(folder / LATEST)
+    latest = latest_version(folder)
     pairs = zip([None, *paths], paths, strict=False)
-    rows = [_row(path, before, latest=os.path.realpath(path) == latest) for before, path in pairs]
+    rows = [_row(path, before, latest=path == latest) for before, path in pairs]
     return Versions(folder=str(folder), versions=rows)
 
 

@@ -97,10 +97,7 @@ def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None])
     draw : callable
         Fills the empty figure.
     """
-    with matplotlib.rc_context():
-        # Whatever the user's matplotlibrc says, a report looks the same everywhere.
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(STYLE)
+    with own_style():
         figure = Figure(figsize=size_in, dpi=matplotlib.rcParams["savefig.dpi"])
         draw(figure)
         if keep := _KEEP.get():
@@ -109,6 +106,15 @@ def svg(name: str, size_in: tuple[float, float], draw: Callable[[Figure], None])
         # `savefig` would draw everything twice, the first time for what only other formats need.
         FigureCanvasSVG(figure).print_svg(text, metadata={"Date": None})
     return Markup(_for_page(text.getvalue(), name))
+
+
+@contextmanager
+def own_style() -> Iterator[None]:
+    """Let figures look the same everywhere while the block lasts, whatever the user's matplotlibrc says."""
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(STYLE)
+        yield
 
 
 def renamed(drawing: Markup, prefix: str) -> Markup:

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import EngFormatter, ScalarFormatter
 
-from irlos_pipe.report.drawing import INK, svg
+from irlos_pipe.report.drawing import INK, own_style, svg
 
 BRIGHTNESS = matplotlib.colormaps["inferno"].with_extremes(bad="#8d979f")
 SIGNED = matplotlib.colormaps["RdBu_r"].with_extremes(bad="#8d979f00")
@@ -197,7 +197,8 @@ def thumbnail(image: np.ndarray, name: str = "") -> Markup:
     data = io.BytesIO()
     pixels = BRIGHTNESS(brightness_scale(image)(np.ma.masked_invalid(image)), bytes=True)
     unsigned: dict[str, Any] = {"Software": None}
-    matplotlib.image.imsave(data, pixels, format="png", origin="lower", metadata=unsigned)
+    with own_style():
+        matplotlib.image.imsave(data, pixels, format="png", origin="lower", metadata=unsigned)
     content = base64.b64encode(data.getvalue()).decode()
     alternative = f"mean frame of {name}" if name else "mean frame"
     return Markup('<img class="thumbnail" alt="{}" src="data:image/png;base64,{}">').format(

@@ -71,7 +71,7 @@ def test_a_command_that_computes_nothing_loads_nothing_large(loaded, name):
 def test_what_is_up_to_date_is_found_to_be_so_without_anything_large(tmp_path):
     """Runs of every hour, by cron, find nothing to do most of the time."""
     recipe, data, run = tmp_path / "recipe.yaml", tmp_path / "data", tmp_path / "run"
-    sparta_files.write_recorder(data / "sky", sparta_files.counts(sparta_files.star(12, 12), frames=3))
+    sparta_files.write_recorder(data / "sky", sparta_files.counts(sparta_files.star(24, 24), frames=3))
     recipe.write_text("recipe: test\ninputs: {cube: data}\nstages: [ingest]\n")
     config = tmp_path / "night.yaml"
     config.write_text(f"recipes: {{calibration: [{recipe}]}}\n")
@@ -95,7 +95,7 @@ def test_what_reads_no_recording_does_not_load_astropy_either():
 def test_a_plan_for_data_that_nobody_touched_opens_none_of_them(tmp_path):
     """``status`` and ``run --dry-run`` of a run whose settings changed since."""
     data, recipe, run = tmp_path / "data", tmp_path / "recipe.yaml", tmp_path / "run"
-    sparta_files.write_recorder(data / "sky", sparta_files.counts(sparta_files.star(12, 12), frames=3))
+    sparta_files.write_recorder(data / "sky", sparta_files.counts(sparta_files.star(24, 24), frames=3))
     recipe.write_text("recipe: test\ninputs: {cube: data}\nstages: [ingest]\n")
     assert invoke("run", str(recipe), "--output", str(run), "-q").exit_code == 0
     resolved = run / "recipe.resolved.yaml"

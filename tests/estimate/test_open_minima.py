@@ -141,6 +141,39 @@ def test_minima_are_disturbed_only_if_there_are_others_than_the_known_one(
 
 
 @pytest.mark.slow
+def test_shakes_end_after_a_count_of_iterations_in_proportion(problem, monkeypatch):
+    """Of three starts in vain, a search without a limit takes some hundred iterations for shakes."""
+    spent = []
+    lacks = SimpleNamespace(part=0.0)
+    monkeypatch.setattr(open_minima, "lacking", lambda *_: lacks)
+    monkeypatch.setattr(open_minima, "SHAKEN_TIMES", 0.5)
+
+    class Counted(open_minima._Search):
+        def _shaken(self, best):
+            spent.append((self.spent, self.allowed))
+            return super()._shaken(best)
+
+    monkeypatch.setattr(open_minima, "_Search", Counted)
+    known = place()
+    known[0, 5:9] += 150.0
+    likelier_minimum(task(place(), place() + 60), closed(problem, 1e6), ended(problem, known), 0.0)
+    (first, allowed), (last, _) = spent[0], spent[-1]
+    assert allowed == 1.5 * first
+    assert first < last < allowed + 3 * open_minima.ITERATIONS
+
+
+@pytest.mark.slow
+def test_where_one_fact_explains_the_misfit_nothing_is_shaken(problem, monkeypatch):
+    shaken = []
+    monkeypatch.setattr(open_minima, "lacking", lambda *_: SimpleNamespace(part=0.6))
+    monkeypatch.setattr(open_minima._Search, "_shaken", lambda search, best: shaken.append(best) or best)
+    known = place()
+    known[0, 5:9] += 150.0
+    likelier_minimum(task(place()), closed(problem, 1e6), ended(problem, known), 0.0)
+    assert not shaken
+
+
+@pytest.mark.slow
 def test_the_same_search_has_the_same_end_and_leaves_its_problem_alone(problem, monkeypatch):
     monkeypatch.setattr(open_minima, "SHAKES", 1)
     wrong = place() + 60.0

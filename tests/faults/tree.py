@@ -41,14 +41,14 @@ def broken(tree: Path) -> list[str]:
 
 def leftovers(tree: Path) -> list[str]:
     """Return what a finished run should have tidied up, and locks that are still held."""
-    hidden = [path for path in tree.rglob(".*") if path.name not in KEPT_HIDDEN and not _is_slot(path)]
+    hidden = [path for path in tree.rglob(".*") if path.name not in KEPT_HIDDEN]
     locks = [path for path in tree.rglob(LOCK_NAME) if _is_held(path)]
     return [str(path.relative_to(tree)) for path in [*hidden, *locks]]
 
 
 def _published(tree: Path) -> Iterator[Path]:
     """Folders of complete reductions."""
-    return (path for path in tree.glob("*/*/*") if path.is_symlink())
+    return (path for path in tree.glob("*/*/*") if path.is_dir() and not path.name.startswith("."))
 
 
 def _visible(tree: Path) -> Iterator[tuple[str, Path]]:
@@ -87,11 +87,6 @@ def _rows(path: Path, table: str) -> list[tuple]:
     with sqlite3.connect(path) as connection:
         assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
         return sorted(connection.execute(f"SELECT * FROM {table}").fetchall(), key=repr)
-
-
-def _is_slot(path: Path) -> bool:
-    """A hidden folder to which a published link leads, or something in it."""
-    return any(run.resolve() in (path, *path.parents) for run in path.parent.glob("*") if run.is_symlink())
 
 
 def _is_held(path: Path) -> bool:

@@ -120,6 +120,27 @@ def test_a_frame_of_odd_flux_is_rejected(factor):
     assert judged(cube) == only(2, screening.FLUX)
 
 
+@pytest.mark.parametrize("place", [0, 5, 12])
+@pytest.mark.parametrize("combine", ["mean", "sum", "median", "mean of five"])
+def test_a_plane_that_is_made_of_the_others_is_named_wherever_it_stands(place, combine):
+    cube = np.rint(images())
+    made = np.rint({"mean": cube.mean(0), "sum": cube.sum(0), "median": np.median(cube, 0)}.get(
+        combine, cube[:5].mean(0)
+    ))  # fmt: skip
+    with_it = np.insert(cube, place, made, axis=0)
+    assert judged(with_it) == only(place, screening.COMBINED, 13)
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.0, 1.25])
+def test_an_exposure_where_the_star_stands_as_in_the_mean_is_none_that_is_made_of_others(factor):
+    """Of a drifting star without read noise; the middle frame is the one most like the mean."""
+    rng = np.random.default_rng(2)
+    shifts = np.linspace(-1, 1, 13)
+    cube = np.array([rng.poisson(star(32, 32, flux_e=1e8, shift_px=(s, 0.5 * s))) for s in shifts])
+    cube[6] = rng.poisson(factor * star(32, 32, flux_e=1e8))
+    assert judged(cube.astype(np.float32)) == [""] * 13
+
+
 def test_flux_that_varies_a_little_is_no_fault():
     cube = images() * np.linspace(0.9, 1.1, 12, dtype=np.float32)[:, None, None]
     assert judged(cube) == [""] * 12

@@ -6,7 +6,6 @@ import pytest
 from conftest import Bench, invoke, products
 from filelock import FileLock
 
-from irlos_pipe.conventions.errors import IrlosError
 from irlos_pipe.product.versions import link_latest, version_folders
 
 
@@ -104,9 +103,21 @@ def test_latest_that_is_no_link_is_refused_and_left_alone(bench):
     (bench.output / "latest").mkdir()
     result = bench.run("--numbered", "--force")
     assert result.exit_code == 2 and "latest: is no link" in result.stderr
-    with pytest.raises(IrlosError, match="cannot be linked"):
-        link_latest(bench.output, bench.output / "001")
+    link_latest(bench.output, bench.output / "001")
     assert {path.name for path in bench.output.iterdir()} == {".lock", "001", "latest"}
+
+
+def test_on_a_disk_without_links_the_newest_version_is_named(bench, monkeypatch):
+    def unsupported(*_, **__):
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(os, "symlink", unsupported)
+    for option in ((), ("--force",)):
+        result = bench.run("--numbered", *option)
+        assert result.exit_code == 0
+    assert f"the newest complete version is {bench.output / '002'}" in result.stderr
+    assert "latest" in invoke("status", str(bench.output)).stdout.splitlines()[2]
+    assert f"{bench.output / '002'}" in invoke("report", str(bench.output)).stderr
 
 
 def test_a_number_that_is_a_link_is_not_followed(bench, tmp_path):

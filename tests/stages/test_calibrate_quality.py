@@ -7,6 +7,7 @@ import pytest
 from helpers import made_run
 
 from irlos_pipe.conventions.errors import InputDataError
+from irlos_pipe.estimate.lacking import Lacking
 from irlos_pipe.estimate.nominal_chi2 import NominalChi2
 from irlos_pipe.estimate.orientation import Mirrored
 from irlos_pipe.estimate.steady import Motion
@@ -27,6 +28,7 @@ GOOD = {
     "mirrored": Mirrored(0.05, 0.1),
     "motion": None,
     "mean_image_e": np.zeros((40, 48)),
+    "lacking": None,
 }
 
 
@@ -47,6 +49,14 @@ def test_a_pupil_that_is_mirrored_or_not_within_the_errors_is_not_judged():
 
 def test_a_right_cube_passes():
     assert _failed() == {}
+
+
+def test_chi2_above_its_nominal_value_names_the_fact_that_explains_it():
+    lacks = Lacking(0.68, "pixels of 9.7 mas instead of 9.9 mas")
+    message = _failed(chi2_nu=1.2, lacking=lacks)["chi2 of the mean image"]
+    assert (
+        "pixels of 9.7 mas instead of 9.9 mas would explain 68% of the misfit; irlos run diagnose" in message
+    )
 
 
 @pytest.mark.parametrize("chi2_nu", [0.7, 2.7, 5.1, 252.0])

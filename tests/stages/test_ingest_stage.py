@@ -108,7 +108,7 @@ def test_the_results_describe_every_recording(tmp_path):
 def test_a_clean_recording_passes_its_checks(tmp_path):
     write_recorder(tmp_path / "rec", counts(IMAGE))
     checks = run(tmp_path).checks
-    assert len(checks) == 6
+    assert len(checks) == 7
     assert all(check.passed for check in checks)
 
 
@@ -460,3 +460,41 @@ def test_a_product_of_the_first_version_is_read_as_if_its_dark_had_no_noise(tmp_
     older = {key: one for key, one in product.arrays.items() if not key.endswith("/dark_variance_e2")}
     assert len(older) == len(product.arrays) - 1
     assert recordings_from_product(replace(product, arrays=older))[0].dark_variance_e2 == 0.0
+
+
+@pytest.mark.parametrize("kind", ["light", "first of another level", "sum", "mean", "closed"])
+def test_a_rejected_frame_changes_no_number_of_the_others(tmp_path, kind):
+    """Truth: the same recording without that frame."""
+    adu = counts(IMAGE, pedestal_adu=100).astype(np.float32)
+    rng = np.random.default_rng(3)
+    odd = {
+        "light": adu[0] + 5000 + rng.normal(0, 50, IMAGE.shape),
+        "first of another level": adu[0] + 900,
+        "sum": (adu - 100).sum(axis=0),
+        "mean": adu.mean(axis=0),
+        "closed": 100 + rng.normal(0, 2, IMAGE.shape),
+    }[kind]
+    write_recorder(tmp_path / "alone" / "rec", adu)
+    write_recorder(tmp_path / "beside" / "rec", np.insert(adu, 0, odd, axis=0).astype(np.float32))
+    alone, beside = run(tmp_path / "alone"), run(tmp_path / "beside")
+    used = only_recording(beside).used
+    assert used.tolist() == [False] + [True] * 12
+    assert np.array_equal(only_recording(beside).images_e[used], only_recording(alone).images_e)
+    (row,), (expected,) = (one.results.as_json()["inputs"] for one in (beside, alone))
+    for key in ("flux_e", "pedestal_adu", "noise", "noise_floor_e2", "bad_pixels"):
+        assert row[key] == expected[key]
+
+
+def test_a_frame_without_its_pedestal_does_not_lower_that_of_the_others(tmp_path):
+    adu = counts(IMAGE, frames=20, pedestal_adu=100).astype(np.float32)
+    write_recorder(tmp_path / "alone" / "rec", adu[1:])
+    adu[0] -= 100
+    write_recorder(tmp_path / "beside" / "rec", adu)
+    (alone,), (beside,) = (run(tmp_path / name).results.as_json()["inputs"] for name in ("alone", "beside"))
+    assert beside["pedestal_adu"] == alone["pedestal_adu"]
+
+
+def test_a_star_below_the_level_of_the_background_fails_a_check(tmp_path):
+    write_recorder(tmp_path / "rec", counts(IMAGE), maps={"DARK": np.full(IMAGE.shape, 5000)})
+    (check,) = (one for one in run(tmp_path).checks if one.name.endswith("/flux"))
+    assert check.value < 0 and not check.passed

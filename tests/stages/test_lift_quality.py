@@ -6,7 +6,12 @@ import pytest
 from irlos_pipe.estimate.ramp import RampSummary, summarise
 from irlos_pipe.estimate.ramp_quality import FrameErrors
 from irlos_pipe.stages.lift.config import Config
-from irlos_pipe.stages.lift.quality import WITHOUT_NCPAS, checks_of
+from irlos_pipe.stages.lift.quality import (
+    WITHOUT_NCPAS,
+    checks_of,
+    offset_text,
+    unexplained_offset_nm,
+)
 
 OFFSETS = np.repeat(np.arange(-300.0, 301.0, 100.0), 6)
 NOMINAL = FrameErrors(4.0, 2.3, 2.2)
@@ -65,3 +70,19 @@ def test_frames_that_the_model_misfits_fail(chi2_nu):
 def test_without_ncpas_the_error_is_what_the_run_is_to_show():
     checks = checks_of(Config(calibrated=False), 1.0, _ramp(1.0, 57.0), {}, NOMINAL, 0.0, len(OFFSETS))
     assert all(one.passed for one in checks)
+
+
+@pytest.mark.parametrize(("offset_nm", "unexplained"), [(20.0, True), (-20.0, True), (2.0, False)])
+def test_an_offset_beyond_three_of_its_errors_is_told(offset_nm, unexplained):
+    summary = _ramp(1.0, offset_nm)
+    assert summary.offset_sigma_nm == pytest.approx(4.0 / np.sqrt(7), rel=0.2)  # one error per offset
+    found_nm = unexplained_offset_nm(summary)
+    assert found_nm == (abs(summary.offset_nm) if unexplained else 0.0)
+    assert "calibration of another time" in offset_text(summary)
+
+
+def test_the_error_of_an_offset_far_from_the_frames_grows_with_the_lever():
+    """At 300 nm from offsets that scatter by 100 nm RMS the slope's error counts three times the mean's."""
+    summary = _ramp(1.0, offsets=np.repeat([200.0, 400.0], 30))
+    assert summary.offset_sigma_nm == pytest.approx(4.0 * np.sqrt(10) / np.sqrt(2), rel=0.2)
+    assert not unexplained_offset_nm(summary)

@@ -31,7 +31,13 @@ from irlos_pipe.recipe import load_recipe
 from irlos_pipe.stages.lift import work
 from irlos_pipe.stages.lift.config import Config
 from irlos_pipe.stages.lift.fit import _with_light_of
-from irlos_pipe.stages.lift.own_wavefront import explains, has_other_light, own_text, with_own_wavefront
+from irlos_pipe.stages.lift.own_wavefront import (
+    explains,
+    has_other_light,
+    older_text,
+    own_text,
+    with_own_wavefront,
+)
 
 NOMINAL, MISFIT = FrameErrors(4.0, 2.3, 2.2), FrameErrors(4.0, 9.2, 2.2)
 
@@ -140,6 +146,14 @@ def test_the_text_states_sizes_as_root_sums_of_squares():
     text = own_text(effects)
     assert "50 nm RMS per µm" in text and "13 nm RMS of filter or lens" in text
     assert own_text({"seeing_halo": {"wfe_nm": 110.0}}) == ""
+
+
+@pytest.mark.parametrize(("own_nm", "told"), [(40.0, True), (15.0, False)])
+def test_a_wavefront_beyond_the_errors_says_that_the_calibration_is_of_another_time(own_nm, told):
+    fit = SimpleNamespace(effects={"filter_ncpa": {"zernike_nm": {"5": own_nm}}}, errors={"filter_ncpa": 3.0})
+    text = older_text(fit, 4.0)  # three times 5 nm are excused
+    assert ("40 ± 5 nm RMS" in text and "not of this time" in text) is told
+    assert older_text(SimpleNamespace(effects={}), 4.0) == ""
 
 
 def test_a_comparison_has_the_own_wavefront_of_the_fit_before_and_no_more():

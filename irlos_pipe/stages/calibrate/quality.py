@@ -46,7 +46,12 @@ def _misfit(limits: Limits, result: Calibration) -> Check:
     if limits.max_chi2_nu is not None:
         high, low = limits.max_chi2_nu, 0.0
     why = ""
-    if result.chi2_nu > high:
+    if result.chi2_nu > high and result.lacking is not None and result.lacking.text:
+        why = (
+            f": {result.lacking.text} would explain {result.lacking.part:.0%} of the misfit; "
+            "irlos run diagnose tells more"
+        )
+    elif result.chi2_nu > high:
         why = (
             ": the model lacks something, or spectrum, scale, seeing, orientation or diversity are not as "
             "told; `diagnose` may name it"

@@ -9,7 +9,7 @@ from irlos_pipe.stages.calibrate.results import CalibrateResults as Results
 __all__ = ["Config", "Results", "run"]
 
 NAME = "calibrate"
-VERSION = 23
+VERSION = 24
 NEEDS = ("ingest",)
 READS = ("ingest",)
 

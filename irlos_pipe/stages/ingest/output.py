@@ -159,9 +159,14 @@ def checks(recording: Recording, config: Config) -> list[Check]:
         ("centring", offset_px, "px", offset_limit_px, "distance of the star from the window's centre"),
     ]
     prefix = f"ingest/{recording.input}/{recording.name}"
+    flux_e = float(np.median(frame_flux(recording.images_e)[recording.used]))
+    message = "signal above the level of the sky, or dark; negative, and it is not that of these frames"
     return [
-        Check(f"{prefix}/{name}", float(value), unit, None, float(high), message)
-        for name, value, unit, high, message in table
+        *(
+            Check(f"{prefix}/{name}", float(value), unit, None, float(high), message)
+            for name, value, unit, high, message in table
+        ),
+        Check(f"{prefix}/flux", flux_e, "e-", 0.0, None, message),
     ]
 
 

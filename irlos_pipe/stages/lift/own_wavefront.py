@@ -16,6 +16,7 @@ import numpy as np
 from irlos_pipe.effects import Effect
 from irlos_pipe.effects.chromatic import BROAD_NM, ChromaticNcpa, FilterNcpa
 from irlos_pipe.effects.declaration import Conditions
+from irlos_pipe.estimate.ramp_fit import RampFit
 from irlos_pipe.estimate.ramp_quality import FrameErrors
 from irlos_pipe.frames.recording import Acquisition
 from irlos_pipe.product.results import results_of
@@ -26,6 +27,7 @@ from irlos_pipe.stages.lift.config import Config
 
 OWN = (ChromaticNcpa, FilterNcpa)
 ALIKE = 0.01  # mean wavelengths that differ by less are of one filter
+EXCUSED = 3.0  # standard errors up to which a wavefront of filter or lens may be one of the calibration
 EXPLAINED = 0.5  # of the excess of χ²/ν over its nominal value: less, and the model lacks something else
 
 
@@ -77,6 +79,31 @@ def explains(before: FrameErrors, after: FrameErrors) -> bool:
     return after.excess <= EXPLAINED * before.excess
 
 
+def older_text(fit: RampFit, calibration_nm: float) -> str:
+    """Return what a wavefront of filter or lens says that is larger than errors excuse; else nothing.
+
+    Parameters
+    ----------
+    fit : RampFit
+    calibration_nm : float
+        Error of the calibrated wavefront [nm RMS].
+    """
+    if FilterNcpa.name not in fit.effects:
+        return ""
+    size_nm = _size(fit.effects[FilterNcpa.name][FilterNcpa.table])
+    error_nm = float(np.hypot(fit.errors.get(FilterNcpa.name, 0.0), calibration_nm))
+    if size_nm < EXCUSED * error_nm:
+        return ""
+    return (
+        f"the ramp's own light adds {size_nm:.0f} ± {error_nm:.0f} nm RMS to the calibrated wavefront: the "
+        "calibration is not of this time, unless filter or lens differ by so much"
+    )
+
+
+def _size(table: Any) -> float:
+    return float(np.linalg.norm(list(table.values())))
+
+
 def own_text(effects: Mapping[str, Mapping[str, Any]]) -> str:
     """Return in words how large a wavefront of the ramp's own light is; empty without one.
 
@@ -85,11 +112,7 @@ def own_text(effects: Mapping[str, Mapping[str, Any]]) -> str:
     effects : mapping
         Public parameters of the effects, by name.
     """
-    sizes = {
-        kind.name: float(np.linalg.norm(list(effects[kind.name][kind.table].values())))
-        for kind in OWN
-        if kind.name in effects
-    }
+    sizes = {kind.name: _size(effects[kind.name][kind.table]) for kind in OWN if kind.name in effects}
     units = {ChromaticNcpa.name: "nm RMS per µm of wavelength", FilterNcpa.name: "nm RMS of filter or lens"}
     texts = [f"{size:.0f} {units[name]}" for name, size in sizes.items()]
     return f"its own light adds {' and '.join(texts)}" if texts else ""

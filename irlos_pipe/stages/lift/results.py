@@ -27,6 +27,9 @@ class Point(ResultsPart):
         The parts of `sigma_nm`: by photon and read-out noise, which grows by the misfit of the model; of the
         instant, by which errors differ from frame to frame, above all by the AO residual's own defocus in
         the exposure; of the optics, by the covariance of the NCPAs, which all frames share.
+    sigma_offset_nm : float
+        A fourth part, which all frames share as well: the offset of the ramp, where its error does not
+        excuse it; else 0.
     converged : bool
         Whether the fit ended at a minimum.
     status : str
@@ -46,6 +49,7 @@ class Point(ResultsPart):
     sigma_photon_nm: Number = math.nan
     sigma_instant_nm: Number = math.nan
     sigma_optics_nm: Number = math.nan
+    sigma_offset_nm: Number = 0.0
     converged: bool = True
     status: str = ""
     chi2_nu: Number = math.nan
@@ -61,6 +65,8 @@ class Line(ResultsPart):
         Estimated over introduced defocus, 1 is right, and its standard error.
     offset_nm : float
         Estimated defocus where none is introduced, by the line.
+    offset_sigma_nm : float
+        Its standard error, by the scatter about the line and, with NCPAs, by theirs.
     rms_nm : float
         RMS of estimated minus introduced defocus.
     residual_rms_nm : float
@@ -73,6 +79,7 @@ class Line(ResultsPart):
     slope: Number = math.nan
     slope_sigma: Number = math.nan
     offset_nm: Number = math.nan
+    offset_sigma_nm: Number = math.nan
     rms_nm: Number = math.nan
     residual_rms_nm: Number = math.nan
     saw_tooth_nm: Number = math.nan

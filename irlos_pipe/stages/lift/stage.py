@@ -9,7 +9,7 @@ from irlos_pipe.stages.lift.results import LiftResults as Results
 __all__ = ["Config", "Results", "run"]
 
 NAME = "lift"
-VERSION = 15
+VERSION = 16
 NEEDS = ("ingest",)
 READS = ("ingest", "prior", "calibrate")
 

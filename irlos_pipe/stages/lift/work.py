@@ -25,8 +25,14 @@ from irlos_pipe.stages.calibrate.results import CalibrateResults
 from irlos_pipe.stages.lift.config import Config
 from irlos_pipe.stages.lift.fit import fit_frames
 from irlos_pipe.stages.lift.input import Ramp, read_ramp
-from irlos_pipe.stages.lift.own_wavefront import explains, has_other_light, own_text
-from irlos_pipe.stages.lift.quality import WITHOUT_NCPAS, checks_of, misfits
+from irlos_pipe.stages.lift.own_wavefront import explains, has_other_light, older_text, own_text
+from irlos_pipe.stages.lift.quality import (
+    WITHOUT_NCPAS,
+    checks_of,
+    misfits,
+    offset_text,
+    unexplained_offset_nm,
+)
 from irlos_pipe.stages.lift.results import LiftResults, Line, Offset, Point, Twin
 from irlos_pipe.stages.model.effects import model_effects
 from irlos_pipe.stages.model.untested import BY_RAMP
@@ -48,11 +54,18 @@ def run(ctx: StageContext[Config]) -> StageOutput:
     curve = None if typical is None else _curve(ramp, fit, typical)
     errors = _frame_errors(ramp, fit)
     optics_nm = _optics_nm(ctx, ramp, fit)
-    sigma_nm = errors.sigma_nm(fit.result.mode(4)[1].numpy(), optics_nm)
+    summary = replace(
+        summary, offset_sigma_nm=float(np.hypot(summary.offset_sigma_nm, np.nanmedian(optics_nm)))
+    )
+    offset_nm = unexplained_offset_nm(summary) if _is_calibrated(ctx) else 0.0
+    sigma_nm = errors.sigma_nm(fit.result.mode(4)[1].numpy(), np.hypot(optics_nm, offset_nm))
+    for text in (offset_text(summary) if offset_nm else "", older_text(fit, _wavefront_nm(ctx))):
+        if text:
+            ctx.log.warning(text)
     converged = float(fit.result.solution.converged.double().mean())
     return StageOutput(
         _arrays(ramp, fit, summary, sigma_nm) | _curve_arrays(curve),
-        _results(ctx, ramp, fit, summary, others, focus, errors, sigma_nm, optics_nm).model_copy(
+        _results(ctx, ramp, fit, summary, others, focus, errors, sigma_nm, optics_nm, offset_nm).model_copy(
             update={"twin": _twin(ramp, typical, curve)}
         ),
         checks_of(ctx.config, converged, summary, others, errors, _wavefront_nm(ctx), len(ramp.names)),
@@ -93,9 +106,13 @@ def _frame_errors(ramp: Ramp, fit: RampFit) -> FrameErrors:
     return FrameErrors(instant_nm, float(result.chi2_nu.nanmedian()), nominal)
 
 
+def _is_calibrated(ctx: StageContext[Config]) -> bool:
+    return ctx.config.calibrated and "calibrate" in ctx.products
+
+
 def _wavefront_nm(ctx: StageContext[Config]) -> float:
     """Error of all NCPAs together [nm]; 0 where they are left out."""
-    if not ctx.config.calibrated or "calibrate" not in ctx.products:
+    if not _is_calibrated(ctx):
         return 0.0
     sigma_nm = results_of(CalibrateResults, ctx.products["calibrate"]).wfe_sigma_nm
     return sigma_nm if np.isfinite(sigma_nm) else 0.0
@@ -104,7 +121,7 @@ def _wavefront_nm(ctx: StageContext[Config]) -> float:
 def _optics_nm(ctx: StageContext[Config], ramp: Ramp, fit: RampFit) -> np.ndarray:
     """Error of every frame's defocus by that of the NCPAs [nm]; 0 where these are left out."""
     none = np.zeros(len(ramp.names))
-    if not ctx.config.calibrated or "calibrate" not in ctx.products:
+    if not _is_calibrated(ctx):
         return none
     arrays = ctx.products["calibrate"].arrays
     nolls, covariance_nm2 = arrays["noll"].value.tolist(), arrays["covariance_nm2"].value
@@ -176,11 +193,12 @@ def _results(
     errors: FrameErrors,
     sigma_nm: np.ndarray,
     optics_nm: np.ndarray,
+    offset_nm: float,
 ) -> LiftResults:
     return LiftResults(
         modes=list(ctx.config.modes),
         calibrated=ctx.config.calibrated,
-        points=_points(ramp, fit, errors, sigma_nm, optics_nm),
+        points=_points(ramp, fit, errors, sigma_nm, optics_nm, offset_nm),
         summary=_line(summary),
         offsets=_offsets(summary),
         effects=fit.effects | focus.effects,
@@ -197,7 +215,12 @@ def _results(
 
 
 def _points(
-    ramp: Ramp, fit: RampFit, errors: FrameErrors, sigma_nm: np.ndarray, optics_nm: np.ndarray
+    ramp: Ramp,
+    fit: RampFit,
+    errors: FrameErrors,
+    sigma_nm: np.ndarray,
+    optics_nm: np.ndarray,
+    offset_nm: float,
 ) -> list[Point]:
     """One row per frame, as results.json has them."""
     defocus, photon = fit.defocus_nm.tolist(), fit.result.mode(4)[1].tolist()
@@ -211,6 +234,7 @@ def _points(
             sigma_nm=float(sigma_nm[i]),
             sigma_photon_nm=photon[i],
             sigma_optics_nm=float(optics_nm[i]),
+            sigma_offset_nm=offset_nm,
             sigma_instant_nm=errors.instant_nm,
             converged=fit.result.solution.status[i] == "converged",
             status=fit.result.solution.status[i],
@@ -293,7 +317,7 @@ def _lines(
     label = "with NCPAs" if ctx.config.calibrated else "without NCPAs"
     lines = [
         f"Ramp            slope {summary.slope:.4f} ± {summary.slope_sigma:.4f}, "
-        f"offset {summary.offset_nm:+.1f} nm, "
+        f"offset {summary.offset_nm:+.1f} ± {summary.offset_sigma_nm:.1f} nm, "
         f"error {summary.rms_nm:.1f} nm RMS, about the line {summary.residual_rms_nm:.1f} nm ({label})"
     ]
     lines += [f"  {own}"] if (own := own_text(fit.effects)) else []
