@@ -20,6 +20,9 @@ nb_execution_mode = "off"  # a test executes the tutorial; the site shows the ou
 exclude_patterns = ["_build", "images/*.py"]
 html_theme = "furo"
 html_title = f"irlos_pipe {version}"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+copyright = author
 html_show_sphinx = False
 smartquotes = False  # options begin with two hyphens
 autodoc_typehints = "none"  # the docstrings state types, shapes and units
@@ -34,7 +37,7 @@ def commands_page() -> str:
     """Return the help of every command."""
     parts = ["# Commands\n\nEvery command shows this text with `--help`.\n"]
     for name, command in cli.commands.items():
-        with click.Context(command, info_name=f"irlos {name}", max_content_width=96) as context:
+        with click.Context(command, info_name=f"irlos {name}", max_content_width=88) as context:
             parts.append(f"## irlos {name}\n\n```text\n{command.get_help(context)}\n```\n")
     return "\n".join(parts)
 

@@ -100,7 +100,7 @@ def reference() -> str:
             "| `name`, `title` | name of the instrument; one line for people (optional) |",
             *sections,
             "",
-            "| part | keys, beside `centre_m`, `rotation_deg` and `flip` (optional) |",
+            "| part | keys, in addition to `centre_m`, `rotation_deg` and `flip` (optional) |",
             "|---|---|",
             *parts,
             "",
