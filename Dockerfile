@@ -6,7 +6,7 @@ FROM python:${PYTHON}-slim
 ARG TORCH_INDEX=
 COPY . /source
 RUN python -m pip install --no-cache-dir -c /source/constraints.txt \
-        ${TORCH_INDEX:+--extra-index-url "$TORCH_INDEX"} /source \
+        ${TORCH_INDEX:+--extra-index-url "$TORCH_INDEX"} '/source[paper]' \
     && rm -rf /source
 WORKDIR /work
 ENTRYPOINT ["irlos"]
