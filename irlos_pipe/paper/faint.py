@@ -149,8 +149,11 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
     for (exposure_s, key), group in rows.groupby(["exposure_s", "key"], sort=False):
         variant, of = LIFT_VARIANTS[key], {"exposure_s": exposure_s, "key": key}
         errors_nm = np.concatenate(list(group.abs_error_nm), axis=1)
-        bounds = (np.median(list(group[name]), axis=0) for name in ("crb_nm", "one_read_crb_nm"))
-        curve = curve_of(variant.modes, group.magnitudes.iloc[0], errors_nm, *bounds, criterion)
+        bound_nm, one_read_nm = (
+            np.median(list(group[name]), axis=0) for name in ("crb_nm", "one_read_crb_nm")
+        )
+        of_all = variant.modes, group.magnitudes.iloc[0], errors_nm
+        curve = curve_of(*of_all, bound_nm, one_read_nm, criterion)
         # A perfect sensor errs by the defocus that the AO residual has of its own in every frame.
         residual_nm = np.concatenate(list(group.residual_nm))
         limits.append({
@@ -219,13 +222,8 @@ def figures(drawn: ex.Drawn) -> ex.Blocks:
         curves, looks = [], []
         for row in group.itertuples():
             own = magnitudes[(magnitudes.exposure_s == exposure_s) & (magnitudes.key == row.key)]
-            columns = (
-                own[name].to_numpy(float)
-                for name in own.columns
-                if name not in ("exposure_s", "key", "failures")
-            )
-            kind = row.key.rpartition("_")[0]
-            failed = own.failures.to_numpy(float) / row.trials
+            columns: Any = own.drop(columns=["exposure_s", "key", "failures"]).to_numpy(float).T
+            kind, failed = row.key.rpartition("_")[0], own.failures.to_numpy(float) / row.trials
             curves.append(Curve(f"{LABELS[kind]}, {row.modes} modes", *columns, failed, row.limit_mag))
             looks.append(Look(COLOURS[kind], "o" if row.modes == 3 else "s", main=row.modes == 3))
         level = CriterionRow(median_abs_error_nm=row.limit_nm, failures=row.limit_failures)

@@ -136,7 +136,11 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
 
     def errors(group: ex.Frame) -> dict[str, Any]:
         name = group.variant.iloc[0]
-        found = {"label": VARIANTS[name].label, "method": METHOD_NAMES.get(name), "samples": len(group)}
+        found: dict[str, Any] = {
+            "label": VARIANTS[name].label,
+            "method": METHOD_NAMES.get(name),
+            "samples": len(group),
+        }
         for name in ("modes_nm", "pupil_nm"):
             found |= ex.spreads(group, name) | ex.median_in_range(name, group[name])
             found[f"{name}_worst"] = group[name].max()

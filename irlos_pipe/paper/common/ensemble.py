@@ -96,7 +96,8 @@ def _compute(
 
 
 def _work(function: Callable[[Any], Iterable[Mapping[str, Any]]], sample: Any, file: Path) -> None:
-    scalars, arrays = [], {}
+    scalars: Rows = []
+    arrays: dict[str, Any] = {}
     for index, row in enumerate(function(sample)):
         values = {name: np.asarray(value) for name, value in row.items()}
         for name, value in values.items():

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from irlos_pipe.conventions.errors import ConfigurationError, IrlosError
@@ -135,7 +135,7 @@ def take(root: Path, source: Path, others_stay: bool) -> None:
         write_if_changed(root / NUMBERS / name, csv_text(rows).encode())
 
 
-def _place(*runs: Mapping[str, str]):  # type: ignore[no-untyped-def]
+def _place(*runs: Mapping[str, str]) -> Callable[[Mapping[str, str]], int]:
     """Order of experiments: that of the paper."""
     place = {run["experiment"]: EXPERIMENTS.index(run["stage"]) for run in runs}
     return lambda row: place[row["experiment"]]
