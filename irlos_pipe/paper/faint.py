@@ -222,9 +222,10 @@ def figures(drawn: ex.Drawn) -> ex.Blocks:
         curves, looks = [], []
         for row in group.itertuples():
             own = magnitudes[(magnitudes.exposure_s == exposure_s) & (magnitudes.key == row.key)]
-            columns: Any = own.drop(columns=["exposure_s", "key", "failures"]).to_numpy(float).T
+            columns = own.drop(columns=["exposure_s", "key", "failures"]).to_numpy(float).T
             kind, failed = row.key.rpartition("_")[0], own.failures.to_numpy(float) / row.trials
-            curves.append(Curve(f"{LABELS[kind]}, {row.modes} modes", *columns, failed, row.limit_mag))
+            parts: tuple[Any, ...] = (*columns, failed, row.limit_mag)
+            curves.append(Curve(f"{LABELS[kind]}, {row.modes} modes", *parts))
             looks.append(Look(COLOURS[kind], "o" if row.modes == 3 else "s", main=row.modes == 3))
         level = CriterionRow(median_abs_error_nm=row.limit_nm, failures=row.limit_failures)
         name = f"faint-{exposure_s:g}".replace(".", "-")

@@ -245,8 +245,8 @@ def tables(rows: ex.Frame, ctx: ex.Context) -> ex.Tables:
 
     def summary(group: ex.Frame) -> dict[str, Any]:
         own = Loop(*(group[name].iloc[0] for name in ("sensor", "mag_j", "gain", "exposures")))
-        records: Any = [np.stack(list(group[name])) for name in RECORDED]
-        outcome = outcome_of(*records, drift, sizes.settle)
+        residual_nm, measured_nm, true_nm, due = (np.stack(list(group[name])) for name in RECORDED)
+        outcome = outcome_of(residual_nm, measured_nm, true_nm, due, drift, sizes.settle)
         photons_nm, rate = float(np.median(group.photon_noise_nm)), float(own.exposures)
         noise_nm = float(np.hypot(photons_nm, sky_focus_nm / np.sqrt(rate)))
         integrator = Integrator(float(own.gain), rate, sizes.delay)

@@ -105,8 +105,9 @@ def _work(function: Callable[[Any], Iterable[Mapping[str, Any]]], sample: Any, f
                 raise TypeError(f"{function.__qualname__}: '{name}' is neither numbers nor text")
         scalars.append({name: value.item() for name, value in values.items() if not value.ndim})
         arrays |= {f"{index}/{name}": value for name, value in values.items() if value.ndim}
+    arrays[SCALARS] = np.array(json.dumps(scalars))
     with atomic_file(file) as stream:
-        np.savez(stream, **{SCALARS: np.array(json.dumps(scalars))}, **arrays)
+        np.savez(stream, **arrays)
 
 
 def _read(file: Path) -> Rows:
